@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-
 from greygate.emulator.program import (
     Affine,
     Clamp,
@@ -68,9 +67,7 @@ def lookup(table: Table, x: np.ndarray) -> np.ndarray:
     return np.where(x < 0, negative[table.symmetry], y)
 
 
-def interpret(
-    program: Program, inputs: np.ndarray, initial: np.ndarray | None = None, trace: bool = False
-) -> Run:
+def interpret(program: Program, inputs: np.ndarray, initial: np.ndarray | None = None, trace: bool = False) -> Run:
     """Run a program over input codes (..., N, input columns); `initial` are state codes (..., state columns)."""
     inputs = np.asarray(inputs, np.int64)
     batch, steps = inputs.shape[:-2], inputs.shape[-2]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+
 from greygate.errors import InputError, replacing
 
 ACCUMULATOR_BITS = 62  # room for one more addition in int64
@@ -196,7 +197,9 @@ class Program:
 
     def accumulator_width(self, operation: Affine) -> int:
         """Width that no partial sum of any row can exceed, the rounding constant included. Proved, not measured."""
-        largest = np.concatenate([np.full(self.signals[a].size, -self.signals[a].fix.lo, object) for a in operation.args])
+        largest = np.concatenate(
+            [np.full(self.signals[a].size, -self.signals[a].fix.lo, object) for a in operation.args]
+        )
         magnitude = np.abs(operation.weights).astype(object) @ largest + np.abs(operation.bias).astype(object)
         shift = operation.frac - operation.out.fix.frac
         rounding = [1 << int(s - 1) if s > 0 else 0 for s in shift]
@@ -241,7 +244,11 @@ class Program:
     def _operation_problems(self, o: Operation) -> Iterator[str]:
         if isinstance(o, Affine):
             columns = sum(self.signals[a].size for a in o.args)
-            if o.weights.shape != (o.out.size, columns) or o.bias.shape != (o.out.size,) or o.frac.shape != (o.out.size,):
+            if (
+                o.weights.shape != (o.out.size, columns)
+                or o.bias.shape != (o.out.size,)
+                or o.frac.shape != (o.out.size,)
+            ):
                 yield f"{o.out.name}: weights {o.weights.shape}, bias or frac do not match {o.out.size} rows of {columns}"
                 return
             width = self.accumulator_width(o) + max(0, int(np.max(o.out.fix.frac - o.frac)))

@@ -227,7 +227,9 @@ class Network:
             data = tomllib.loads(toml.read_text())
             tensors = safetensors.numpy.load_file(numbers)
         except FileNotFoundError as error:
-            raise InputError(f"{error.filename}: no such file; a network is NAME.toml beside NAME.safetensors") from None
+            raise InputError(
+                f"{error.filename}: no such file; a network is NAME.toml beside NAME.safetensors"
+            ) from None
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, safetensors.SafetensorError) as error:
             raise InputError(f"{path}: not a readable network ({error}); save it again") from None
         try:
@@ -341,7 +343,7 @@ class _Flattener:
             self.size[prefix + port.name] = port.size
         for name, module in network.modules.items():
             path = prefix + name
-            if not name.isidentifier() or "__" in name:
+            if "__" in name or not all(part.isidentifier() for part in name.split(".")):
                 self.fail(f"module name {name!r}: use letters, digits and single underscores")
             if isinstance(module, Network):
                 self._collect(module, path + ".")
@@ -359,7 +361,10 @@ class _Flattener:
             self.size[path] = module.size
             self.size |= {f"{path}.{p}": w.shape[1] for p, w in module.weights.items()}
         for c in network.connections:
-            source, target = self._resolve(network, prefix, c.source, True), self._resolve(network, prefix, c.target, False)
+            source, target = (
+                self._resolve(network, prefix, c.source, True),
+                self._resolve(network, prefix, c.target, False),
+            )
             if c.delay < 0 or c.delay != int(c.delay):
                 self.fail(f"connection {c.source} -> {c.target}: delay {c.delay} is not a whole number >= 0")
             gain = None
@@ -381,7 +386,7 @@ class _Flattener:
         ports = network.inputs if is_source else network.outputs
         if name in {p.name for p in ports}:
             return prefix + name
-        module_name, _, port = name.partition(".")
+        module_name, port = (name, "") if name in network.modules else name.rpartition(".")[::2]
         module = network.modules.get(module_name)
         if module is None:
             self.fail(f"connection names {prefix}{name}, which is neither a module nor a port here")
@@ -424,8 +429,11 @@ class _Flattener:
         for target, feeds in self.feeds.items():
             a, b = norm.get(target, (1.0, 0.0))
             source, delay, gain = feeds[0]
-            if len(feeds) == 1 and gain is None and (a, b) == (1.0, 0.0) and not (
-                target in top_outputs and (delay or source in top_inputs)
+            if (
+                len(feeds) == 1
+                and gain is None
+                and (a, b) == (1.0, 0.0)
+                and not (target in top_outputs and (delay or source in top_inputs))
             ):
                 plain[target] = (source, delay)
                 continue
@@ -536,7 +544,9 @@ def _from_toml(data: dict, tensors: dict[str, np.ndarray], prefix: str) -> Netwo
             if found != shape:
                 raise InputError(f"layer {path}: {port} should have shape {shape}, the file holds {found}")
         bias = values.pop("bias")
-        network.modules[name] = Layer(values, bias, entry["activation"], np.array(entry["initial"]), frozenset(entry["frozen"]))
+        network.modules[name] = Layer(
+            values, bias, entry["activation"], np.array(entry["initial"]), frozenset(entry["frozen"])
+        )
     for entry in data["connections"]:
         gain = entry.get("gain")
         network.connect(entry["from"], entry["to"], entry["delay"], np.array(gain) if isinstance(gain, list) else gain)
