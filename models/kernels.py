@@ -1,0 +1,248 @@
+"""Forward run and exact forward sensitivities of any flat network, as two numba kernels that walk arrays.
+
+The arrays (`Tables`) are the flat network and nothing more, so a changed network compiles nothing anew. Derivatives are
+taken back through one step (reverse mode: few signals are carried over) and forward over the steps: with rows r for the
+signals that are read with a delay or shown, `S_k[r] = dr/dtheta + sum_(d, q) c[d, r, q] S_(k-d)[q]`.
+"""
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from greygate.models.network import ACTIVATIONS, Network
+
+_CODE = {name: code for code, name in enumerate(ACTIVATIONS)}
+TANSIG, LOGSIG, LINEAR, HARDLIM, HARDLIMS, SATLIN, RADBAS = range(len(_CODE))
+
+
+class Tables(NamedTuple):
+    """A flat network as arrays. Elements: all inputs' components, then all layers' neurons in order of evaluation."""
+
+    layers: np.ndarray  # (L, 5): first element, size, activation, offset of the bias in theta, first connection
+    links: np.ndarray  # (C, 4): first source element, source size, delay, offset of the matrix in theta
+    n_inputs: int  # elements that are inputs
+    depth: int  # longest delay
+    rows: np.ndarray  # elements whose sensitivity is carried: read with a delay, or shown
+    row_of: np.ndarray  # element -> row or -1
+    layer_of: np.ndarray  # row -> its layer
+    reaches: np.ndarray  # (R, L) bool: does layer l act on row r within a step
+    spans: np.ndarray  # (R, 2): the parameters that can act on the row at all
+    shown: np.ndarray  # output columns -> row
+
+
+def tabulate(flat: Network, forced: frozenset[str] = frozenset()) -> tuple[Tables, list[str]]:
+    """Arrays of a flat network, and the order of its parameters in theta (names as in `parameters()`).
+
+    forced: outputs whose past is given (series-parallel training): their sensitivity is not carried.
+    """
+    order, feeds = flat.order(), flat.feeds()
+    first, at = {}, 0
+    for port in flat.inputs:
+        first[port.name] = at
+        at += port.size
+    n_inputs = at
+    for name in order:
+        first[name] = at
+        at += flat.modules[name].size
+    layers, links, names, offset = [], [], [], 0
+    for name in order:
+        layer = flat.modules[name]
+        start = len(links)
+        for port, w in layer.weights.items():
+            source, delay = feeds[f"{name}.{port}"]
+            links.append((first[source], w.shape[1], delay, offset))
+            names.append(f"{name}.{port}")
+            offset += w.size
+        layers.append((first[name], layer.size, _CODE[layer.activation], offset, start))
+        names.append(f"{name}.bias")
+        offset += layer.size
+    layers.append((at, 0, 0, offset, len(links)))  # sentinel
+    forced_layers = {feeds[f][0] for f in forced}
+    carried = {s for s, d in feeds.values() if d > 0 and s in flat.modules and s not in forced_layers}
+    shown = [feeds[p.name][0] for p in flat.outputs]
+    rows = [first[n] + i for n in order if n in carried or n in shown for i in range(flat.modules[n].size)]
+    row_of = np.full(at, -1)
+    position = {n: i for i, n in enumerate(order)}
+    owner = [n for n in order if n in carried or n in shown for _ in range(flat.modules[n].size)]
+    row_of[[r for r, n in zip(rows, owner, strict=True) if n in carried]] = [
+        i for i, n in enumerate(owner) if n in carried
+    ]
+    within = {n: {n} for n in order}
+    ever = {n: {n} for n in order}
+    for name in order:
+        for port in flat.modules[name].weights:
+            source, delay = feeds[f"{name}.{port}"]
+            if delay == 0 and source in within:
+                within[name] |= within[source]
+    changed = True
+    while changed:
+        changed = False
+        for name in order:
+            size = len(ever[name])
+            for port in flat.modules[name].weights:
+                source, delay = feeds[f"{name}.{port}"]
+                if source in ever and not (delay > 0 and source in forced_layers):
+                    ever[name] |= ever[source]
+            changed |= len(ever[name]) != size
+    starts = {
+        n: (links[layers[i][4]][3] if layers[i + 1][4] > layers[i][4] else layers[i][3]) for n, i in position.items()
+    }
+    ends = {n: layers[i][3] + layers[i][1] for n, i in position.items()}
+    spans = [(min(starts[m] for m in ever[n]), max(ends[m] for m in ever[n])) for n in owner]
+    tables = Tables(
+        np.array(layers, np.int64),
+        np.array(links, np.int64).reshape(-1, 4),
+        n_inputs,
+        max((d for _, d in feeds.values()), default=0),
+        np.array(rows, np.int64),
+        row_of,
+        np.array([position[n] for n in owner], np.int64),
+        np.array([[m in within[n] for m in order] for n in owner]),
+        np.array(spans, np.int64),
+        np.array([rows.index(first[n] + i) for n in shown for i in range(flat.modules[n].size)], np.int64),
+    )
+    return tables, names
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def forward(layers, links, n_inputs, depth, theta, now, past, forced):  # pragma: no cover - compiled
+    """Fill now[depth:, layer elements]; row depth + k is step k, rows before hold initial values.
+
+    past: what delayed reads see, the same as `now` but for the elements in `forced`, whose measured values stand there.
+    Returns the number of steps that were finite.
+    """
+    n_layers = len(layers) - 1
+    for k in range(depth, len(now)):
+        for layer in range(n_layers):
+            first, size, activation, bias, link0 = layers[layer]
+            for o in range(size):
+                n = theta[bias + o]
+                for c in range(link0, layers[layer + 1, 4]):
+                    source, width, delay, w = links[c]
+                    x = now[k] if delay == 0 else past[k - delay]
+                    w += o * width
+                    for i in range(width):
+                        n += theta[w + i] * x[source + i]
+                if activation == TANSIG:
+                    n = np.tanh(n)
+                elif activation == LOGSIG:
+                    n = 0.5 + 0.5 * np.tanh(0.5 * n)
+                elif activation == HARDLIM:
+                    n = 1.0 if n >= 0 else 0.0
+                elif activation == HARDLIMS:
+                    n = 1.0 if n >= 0 else -1.0
+                elif activation == SATLIN:
+                    n = min(max(n, 0.0), 1.0)
+                elif activation == RADBAS:
+                    n = np.exp(-n * n)
+                if not np.isfinite(n):
+                    return k - depth
+                now[k, first + o] = n
+        for e in range(n_inputs, now.shape[1]):
+            if not forced[e]:
+                past[k, e] = now[k, e]
+    return len(now) - depth
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
+def sensitivities(
+    layers,
+    links,
+    n_inputs,
+    depth,
+    rows,
+    row_of,
+    layer_of,
+    reaches,
+    spans,
+    shown,
+    theta,
+    now,
+    past,
+    carried,
+    start,
+    stop,
+    jacobian,
+):  # pragma: no cover - compiled
+    """jacobian[k - start, j] = d(output j at step k)/d theta for start <= k < stop.
+
+    carried: (depth + 1, R, P) ring of sensitivities, zero before step 0; it passes from one call to the next.
+    """
+    ring = depth + 1
+    slope = np.empty(now.shape[1])
+    adjoint = np.empty(now.shape[1])
+    coupling = np.zeros((depth, len(rows)))
+    n_layers = len(layers) - 1
+    for k in range(start, stop):
+        for layer in range(n_layers):
+            first, size, activation, _, _ = layers[layer]
+            for e in range(first, first + size):
+                y = now[depth + k, e]
+                if activation == TANSIG:
+                    slope[e] = 1.0 - y * y
+                elif activation == LOGSIG:
+                    slope[e] = y * (1.0 - y)
+                elif activation == LINEAR:
+                    slope[e] = 1.0
+                elif activation == SATLIN:
+                    slope[e] = 1.0 if 0.0 < y < 1.0 else 0.0
+                elif activation == RADBAS:
+                    slope[e] = 0.0  # set below: it needs the sign of n
+                else:
+                    slope[e] = 0.0
+                if activation == RADBAS:
+                    n = theta[layers[layer, 3] + e - first]
+                    for c in range(layers[layer, 4], layers[layer + 1, 4]):
+                        source, width, delay, w = links[c]
+                        x = now[depth + k] if delay == 0 else past[depth + k - delay]
+                        for i in range(width):
+                            n += theta[w + (e - first) * width + i] * x[source + i]
+                    slope[e] = -2.0 * n * y
+        for r in range(len(rows)):
+            lo, hi = spans[r]
+            out = carried[k % ring, r]
+            out[lo:hi] = 0.0
+            top = layer_of[r]
+            adjoint[: layers[top + 1, 0]] = 0.0
+            adjoint[rows[r]] = 1.0
+            for layer in range(top, -1, -1):
+                if not reaches[r, layer]:
+                    continue
+                first, size, _, bias, link0 = layers[layer]
+                for o in range(size):
+                    d = adjoint[first + o] * slope[first + o]
+                    if d == 0.0:
+                        continue
+                    out[bias + o] += d
+                    for c in range(link0, layers[layer + 1, 4]):
+                        source, width, delay, w = links[c]
+                        w += o * width
+                        if delay == 0:
+                            x = now[depth + k]
+                            for i in range(width):
+                                out[w + i] += d * x[source + i]
+                            if source >= n_inputs:
+                                for i in range(width):
+                                    adjoint[source + i] += d * theta[w + i]
+                        else:
+                            x = past[depth + k - delay]
+                            for i in range(width):
+                                out[w + i] += d * x[source + i]
+                            for i in range(width):
+                                q = row_of[source + i]
+                                if q >= 0:
+                                    coupling[delay - 1, q] += d * theta[w + i]
+            for delay in range(1, depth + 1):
+                for q in range(len(rows)):
+                    c = coupling[delay - 1, q]
+                    if c != 0.0:
+                        coupling[delay - 1, q] = 0.0
+                        if k >= delay:
+                            before = carried[(k - delay) % ring, q]
+                            a, b = spans[q]
+                            for p in range(a, b):
+                                out[p] += c * before[p]
+        for j in range(len(shown)):
+            lo, hi = spans[shown[j]]
+            jacobian[k - start, j, lo:hi] = carried[k % ring, shown[j], lo:hi]
