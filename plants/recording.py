@@ -1,0 +1,189 @@
+"""A recording: named channels with units, sampled uniformly, and its CSV form."""
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from greygate.errors import InputError, replacing
+
+UNITS = {
+    "s": "s", "m": "m", "m_s": "m/s", "m_s2": "m/s^2", "m3_s": "m^3/s", "rad": "rad", "rad_s": "rad/s",
+    "rev_s": "rev/s", "N": "N", "Nm": "N m", "Pa": "Pa", "bar": "bar", "V": "V", "A": "A", "K": "K",
+    "counts": "count", "raw": "count", "ticks_per_s": "tick/s", "1": "1",
+}  # fmt: skip
+"""Unit suffix of a CSV column name -> unit."""
+
+_SUFFIX = {unit: suffix for suffix, unit in reversed(UNITS.items())}
+_UNIFORM = 1e-3  # of a sample interval: what a printed time may be off
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Channels `name -> float64 (samples,)` with `units` `name -> unit`, one sample every `dt` seconds.
+
+    Raises InputError when channels differ in length, are empty, hold NaN or inf, or lack a unit.
+    """
+
+    dt: float
+    channels: Mapping[str, np.ndarray]
+    units: Mapping[str, str]
+    source: str = field(default="recording", compare=False)
+
+    def __post_init__(self):
+        arrays = {name: np.asarray(values, dtype=np.float64) for name, values in self.channels.items()}
+        object.__setattr__(self, "channels", arrays)
+        if not (np.isfinite(self.dt) and self.dt > 0):
+            raise InputError(f"{self.source}: sample time {self.dt} s; give a positive number of seconds")
+        if not arrays or len({values.shape for values in arrays.values()}) > 1 or self.samples == 0:
+            shapes = {name: values.shape for name, values in arrays.items()}
+            raise InputError(f"{self.source}: channel shapes {shapes}; give each the same number of samples, above 0")
+        for name, values in arrays.items():
+            if name not in self.units:
+                raise InputError(f"{self.source}: channel {name} has no unit; name it in units")
+            bad = np.flatnonzero(~np.isfinite(values))
+            if bad.size:
+                raise InputError(
+                    f"{self.source}: channel {name}, sample {bad[0]} is {values[bad[0]]}; repair or cut the recording"
+                )
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """The channel `name`, float64 (samples,). Raises InputError naming the channels there are."""
+        if name not in self.channels:
+            raise InputError(f"{self.source}: no channel {name}; it has {', '.join(self.channels)}")
+        return self.channels[name]
+
+    @property
+    def samples(self) -> int:
+        return len(next(iter(self.channels.values())))
+
+    @property
+    def time(self) -> np.ndarray:
+        """Seconds from the first sample, (samples,)."""
+        return np.arange(self.samples) * self.dt
+
+    def write_csv(self, path: Path | str) -> None:
+        """Write `t_s` and one column `name_unit` a channel; numbers read back bit for bit.
+
+        Raises InputError for a unit without suffix in `UNITS`, or a folder that cannot be written.
+        """
+        for name, unit in self.units.items():
+            if name in self.channels and unit not in _SUFFIX:
+                raise InputError(f"{self.source}: channel {name}: unit {unit} has no suffix; use one of {_known()}")
+        header = ["t_s", *(f"{name}_{_SUFFIX[self.units[name]]}" for name in self.channels)]
+        columns = [[f"{t:.12g}" for t in self.time], *(values.tolist() for values in self.channels.values())]
+        with replacing(path) as temporary, temporary.open("w", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(header)
+            writer.writerows(zip(*columns, strict=True))
+
+
+def read_csv(
+    path: Path | str,
+    required: Mapping[str, str] | None = None,
+    *,
+    units: Mapping[str, str] | None = None,
+    dt: float | None = None,
+) -> Recording:
+    """Read a CSV whose header is `t_s` and `name_unit` columns, such as `v_c_V,x_m,p_a_Pa`.
+
+    required: channel -> unit that must be there.
+    units: unit of each column whose header carries none (`{"be_cmd": "1"}`); it wins over a suffix.
+    dt: sample time in s of a file whose first column is an index `k` instead of a time.
+
+    Raises InputError, naming the row as an editor numbers it (the header is 1) and the column.
+    """
+    path, units = Path(path), units or {}
+    rows = _rows(path)
+    header = [name.strip() for name in rows[0]]
+    clock = "k" if dt is not None else "t_s"
+    if header[0] not in (clock, clock.removesuffix("_s")):
+        wish = "give dt for an index column k" if header[0] == "k" else f"name the first column {clock}"
+        raise InputError(f"{path}: the first column is {header[0]!r}; {wish}")
+    table = _numbers(path, header, rows[1:])
+    names, kinds = zip(*(_split(path, column, units) for column in header[1:]), strict=True)
+    if repeated := {name for name in names if names.count(name) > 1}:
+        raise InputError(f"{path}: channel {min(repeated)} appears twice; rename one of its columns")
+    for name, unit in (required or {}).items():
+        if name not in names:
+            raise InputError(f"{path}: column {name}_{_SUFFIX.get(unit, unit)} is missing; it has {', '.join(header)}")
+        if (found := kinds[names.index(name)]) != unit:
+            raise InputError(f"{path}: column {name} is in {found}; convert it to {unit}")
+    dt = _sample_time(path, header[0], table[:, 0]) if dt is None else dt
+    channels = {name: np.ascontiguousarray(table[:, 1 + i]) for i, name in enumerate(names)}
+    return Recording(dt, channels, dict(zip(names, kinds, strict=True)), source=str(path))
+
+
+def _known() -> str:
+    return ", ".join(UNITS)
+
+
+def _rows(path: Path) -> list[list[str]]:
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file) if row]
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: is not a CSV text file ({error}); export it as UTF-8 CSV") from None
+    if not rows:
+        raise InputError(f"{path}: the file is empty; give a header row and samples")
+    if len(rows[0]) < 2:
+        raise InputError(f"{path}: the header has one column; give a time and at least one channel, comma-separated")
+    if len(rows) < 3:
+        raise InputError(f"{path}: the recording holds {len(rows) - 1} samples; give at least 2")
+    return rows
+
+
+def _numbers(path: Path, header: list[str], rows: list[list[str]]) -> np.ndarray:
+    for number, row in enumerate(rows, start=2):
+        if len(row) != len(header):
+            raise InputError(f"{path}: row {number} has {len(row)} cells, the header {len(header)}; mend the row")
+    try:
+        table = np.array(rows, dtype=np.float64)
+    except ValueError:
+        table = np.array([[_number(cell) for cell in row] for row in rows])
+    bad = np.argwhere(~np.isfinite(table))
+    if bad.size:
+        row, column = bad[0]
+        raise InputError(
+            f"{path}: row {row + 2}, column {header[column]}: {rows[row][column]!r} is not a finite number; "
+            "repair or cut the recording"
+        )
+    return table
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return np.nan
+
+
+def _split(path: Path, column: str, units: Mapping[str, str]) -> tuple[str, str]:
+    """`v_true_m_s` -> (`v_true`, `m/s`): the longest suffix in UNITS is the unit."""
+    if column in units:
+        return column, units[column]
+    parts = column.split("_")
+    for start in range(1, len(parts)):
+        if (suffix := "_".join(parts[start:])) in UNITS:
+            return "_".join(parts[:start]), UNITS[suffix]
+    problem = f"unit {parts[-1]!r} is unknown" if len(parts) > 1 else "has no unit"
+    raise InputError(f"{path}: column {column}: {problem}; end its name in one of _{', _'.join(UNITS)}")
+
+
+def _sample_time(path: Path, column: str, time: np.ndarray) -> float:
+    dt = (time[-1] - time[0]) / (len(time) - 1)
+    if not dt > 0:
+        raise InputError(f"{path}: column {column} does not increase; give the time of each sample in s")
+    off = np.flatnonzero(np.abs(time - time[0] - dt * np.arange(len(time))) > _UNIFORM * dt)
+    if off.size:
+        steps = np.diff(time)
+        worst = int(np.abs(steps - np.median(steps)).argmax()) + 1
+        raise InputError(
+            f"{path}: row {worst + 2}, column {column}: step {steps[worst - 1]:.6g} s where {np.median(steps):.6g} s "
+            "is usual; resample to uniform time"
+        )
+    return float(f"{dt:.9g}")

@@ -1,0 +1,192 @@
+"""From the declaration of a plant to a compiled fixed-step simulation.
+
+The right-hand side and a Dormand-Prince 5 step are written out as Python source and compiled by numba. The source is
+kept under its hash in `$XDG_CACHE_HOME/greygate/plants` (`~/.cache` by default) with numba's cache beside it, so that
+a plant is compiled once on a machine. Parameters, limits and initial states are arguments: changing them compiles
+nothing.
+"""
+
+import hashlib
+import importlib.util
+import os
+import sys
+import types
+from collections.abc import Iterable, Mapping
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from greygate.errors import InputError, replacing
+from greygate.plants.plant import FUNCTIONS, Definition, Equation, Plant
+from greygate.plants.recording import Recording
+
+# Dormand and Prince (1980), the six stages that the fifth-order solution needs.
+_STAGES = (
+    (),
+    ("1/5",),
+    ("3/40", "9/40"),
+    ("44/45", "-56/15", "32/9"),
+    ("19372/6561", "-25360/2187", "64448/6561", "-212/729"),
+    ("9017/3168", "-355/33", "46732/5247", "49/176", "-5103/18656"),
+)
+_SOLUTION = ("35/384", "0", "500/1113", "125/192", "-2187/6784", "11/84")
+
+
+def simulate(
+    plant: Plant,
+    inputs: Mapping[str, np.ndarray],
+    *,
+    sample_time: float = 1e-3,
+    step: float = 1e-4,
+    initial: Mapping[str, float] | None = None,
+    channels: Iterable[str] | None = None,
+) -> Recording:
+    """Simulate `plant` with zero-order-hold inputs and fixed Dormand-Prince 5 steps (thesis 5.2: 0.1 ms).
+
+    inputs: symbol -> (samples,), held over each `sample_time` s; `step` divides it a whole number of times.
+    initial: values of states that start elsewhere than declared.
+    channels: symbols to record, default the plant's outputs; inputs are always recorded.
+
+    Sample k is taken at k * sample_time, where input k begins to act: a state at that instant, a definition with
+    the state at that instant and input k.
+
+    Raises InputError for missing or unequal inputs, a step that does not divide, unknown states or channels, and,
+    naming state and time, for a state that leaves the finite numbers.
+    """
+    held = _inputs(plant, inputs)
+    substeps = round(sample_time / step)
+    if substeps < 1 or abs(substeps * step - sample_time) > 1e-9 * sample_time:
+        raise InputError(f"plant {plant.name}: step {step} s does not divide the sample time {sample_time} s")
+    start = plant.initial()
+    for state in initial or {}:
+        if state not in start:
+            raise InputError(f"plant {plant.name}: initial: {state!r} is no state; it has {', '.join(start)}")
+    start.update(initial or {})
+
+    states = np.empty((len(held), len(plant.states)))
+    symbols = list(plant.states)
+    failed = _module(source(plant)).run(
+        np.array([float(start[symbol]) for symbol in symbols]),
+        held,
+        np.array([parameter.value for parameter in plant.parameters.values()]),
+        np.array([-np.inf if s.low is None else plant.constant(s.low) for s in plant.states.values()]),
+        np.array([np.inf if s.high is None else plant.constant(s.high) for s in plant.states.values()]),
+        np.array([-1 if s.rate is None else symbols.index(s.rate) for s in plant.states.values()]),
+        sample_time / substeps,
+        substeps,
+        states,
+    )
+    if failed >= 0:
+        state = symbols[int(np.flatnonzero(~np.isfinite(states[failed]))[0])]
+        raise InputError(
+            f"plant {plant.name}: state {state} is not finite at {failed * sample_time:.6g} s; "
+            "check parameters, inputs and initial states, or take a smaller step"
+        )
+    signals = {**dict(zip(symbols, states.T.copy(), strict=True)), **dict(zip(plant.inputs, held.T, strict=True))}
+    names = [*plant.inputs, *(name for name in channels or plant.outputs if name not in plant.inputs)]
+    recorded = {name: np.broadcast_to(v, len(held)) for name, v in plant.values(names, signals).items()}
+    return Recording(sample_time, recorded, {name: plant.unit(name) for name in names}, source=plant.name)
+
+
+def _inputs(plant: Plant, inputs: Mapping[str, np.ndarray]) -> np.ndarray:
+    if set(inputs) != set(plant.inputs):
+        raise InputError(f"plant {plant.name}: inputs are {sorted(inputs)}; give {sorted(plant.inputs)}")
+    arrays = [np.asarray(inputs[name], dtype=np.float64) for name in plant.inputs]
+    if len({array.shape for array in arrays}) != 1 or arrays[0].ndim != 1 or arrays[0].size == 0:
+        shapes = dict(zip(plant.inputs, (array.shape for array in arrays), strict=True))
+        raise InputError(f"plant {plant.name}: input shapes {shapes}; give each one sequence of the same length")
+    for name, array in zip(plant.inputs, arrays, strict=True):
+        if not np.isfinite(array).all():
+            raise InputError(f"plant {plant.name}: input {name} is not finite at sample {np.isfinite(array).argmin()}")
+    return np.stack(arrays, axis=1)
+
+
+def source(plant: Plant) -> str:
+    """Python source of `derivative` and `run` for `plant`; it depends on names and expressions, not on values."""
+    lines = ["import numpy as np", "from numba import njit", ""]
+    lines += ["jit = njit(cache=True, error_model='numpy', nogil=True)", ""]
+    for name, (arguments, body) in FUNCTIONS.items():
+        lines += ["@jit", f"def {name}({arguments}):", f"    return {body}", ""]
+    lines += ["@jit", "def derivative(_x, _u, _p, _dx):"]
+    for array, symbols in (("_p", plant.parameters), ("_u", plant.inputs), ("_x", plant.states)):
+        lines += [f"    {symbol} = {array}[{i}]" for i, symbol in enumerate(symbols)]
+    lines += [f"    {d.symbol} = {_sum(d)}" for d in plant.definitions.values()]
+    states = list(plant.states)
+    for equation in plant.equations.values():
+        lines.append(f"    _dx[{states.index(equation.state)}] = ({_sum(equation)}) / ({equation.storage})")
+    return "\n".join(lines) + _RUN
+
+
+def _sum(place: Equation | Definition) -> str:
+    return " + ".join(f"({expression.strip()})" for expression in place.terms.values()) or "0.0"
+
+
+def _combination(weights: Iterable[str]) -> str:
+    return " + ".join(f"({w}) * k[{i}, j]" for i, w in enumerate(weights) if w != "0")
+
+
+def _stage(number: int) -> str:
+    weights = _STAGES[number]
+    if not weights:
+        return "            derivative(x, inputs[sample], parameters, k[0])"
+    return (
+        "            for j in range(n):\n"
+        f"                y[j] = x[j] + h * ({_combination(weights)})\n"
+        f"            derivative(y, inputs[sample], parameters, k[{number}])"
+    )
+
+
+_RUN = f'''
+
+@jit
+def run(x, inputs, parameters, low, high, rate, h, substeps, out):
+    """Fill out[sample] with the state at each sample; return the first sample that is not finite, or -1."""
+    n = len(x)
+    k = np.empty((6, n))
+    y = np.empty(n)
+    out[0] = x
+    for sample in range(len(inputs) - 1):
+        for _ in range(substeps):
+{chr(10).join(_stage(number) for number in range(6))}
+            for j in range(n):
+                x[j] += h * ({_combination(_SOLUTION)})
+            for j in range(n):
+                if x[j] < low[j]:
+                    x[j] = low[j]
+                    if rate[j] >= 0:
+                        x[rate[j]] = max(x[rate[j]], 0.0)
+                elif x[j] > high[j]:
+                    x[j] = high[j]
+                    if rate[j] >= 0:
+                        x[rate[j]] = min(x[rate[j]], 0.0)
+        out[sample + 1] = x
+        if not np.isfinite(x).all():
+            return sample + 1
+    return -1
+'''
+
+
+@lru_cache(maxsize=64)
+def _module(text: str) -> types.ModuleType:
+    """The compiled module of `text`: from the cache folder, or in memory where that cannot be written."""
+    name = f"greygate_plant_{hashlib.sha256(text.encode()).hexdigest()[:24]}"
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "greygate" / "plants"
+    path = folder / f"{name}.py"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not path.exists() or path.read_text() != text:
+            with replacing(path) as temporary:
+                temporary.write_text(text)
+        writable = os.access(folder, os.W_OK)
+    except (OSError, InputError):
+        writable = False
+    if not writable:
+        module = types.ModuleType(name)
+        exec(compile(text.replace("cache=True", "cache=False"), name, "exec"), module.__dict__)
+        return module
+    spec = importlib.util.spec_from_file_location(name, path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # numba finds a cached function's globals by this name
+    spec.loader.exec_module(module)
+    return module
