@@ -1,0 +1,296 @@
+"""From the generic network to the integer program: formats, weights, tables."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from greygate.compiler.ranges import Range
+from greygate.compiler.tables import FUNCTIONS, make_table, output_fix
+from greygate.emulator.program import (
+    Affine,
+    Clamp,
+    Fix,
+    Lookup,
+    Operation,
+    Overflow,
+    Port,
+    Program,
+    Rounding,
+    Signal,
+    State,
+    Table,
+    Threshold,
+)
+from greygate.models.network import Layer, Network
+
+from greygate.errors import InputError
+
+GUARD = 3  # bits that a product may be finer than the sum it goes into
+
+
+@dataclass(frozen=True)
+class Formats:
+    """How numbers are kept. `width`: word of signals and significant bits of weights, 4 to 32.
+
+    margin: room above the observed range (1.25 = a quarter). wide: extra fraction bits of pre-activations.
+    signals: formats the user (or the search for a budget) fixes, by signal name.
+    """
+
+    width: int = 16
+    margin: float = 1.25
+    wide: int = 2
+    rounding: Rounding = Rounding.HALF_UP
+    overflow: Overflow = Overflow.SATURATE
+    interpolated: bool = True
+    table_budget: float = 1.25
+    horizon: int = 10_000
+    signals: Mapping[str, Fix] = field(default_factory=dict)
+
+
+def integer_bits(magnitude: float) -> int:
+    """Bits left of the point, the sign not counted: |value| <= magnitude < 2^bits. Negative for small values."""
+    return math.floor(math.log2(magnitude)) + 1 if magnitude > 0 else 0
+
+
+def memory(layer: Layer, loops: list[np.ndarray]) -> float:
+    """How many steps a linear layer remembers its own rounding: 1/(1 - a^2) for the slowest pole a; inf at 1."""
+    if not loops or layer.activation != "linear":
+        return 1.0
+    depth, n = len(loops), layer.size
+    companion = np.zeros((depth * n, depth * n))
+    companion[:n] = np.hstack(loops)
+    companion[n:, :-n] = np.eye((depth - 1) * n)
+    pole = float(np.abs(np.linalg.eigvals(companion)).max())
+    return 1 / (1 - pole**2) if pole < 1 else math.inf
+
+
+def quantize(
+    network: Network, ranges: Mapping[str, Range], formats: Formats = Formats(), period: float = 1e-3
+) -> Program:
+    """Integer program of a flat network.
+
+    Integer bits come from the ranges (with margin), fraction bits from the width. A state that remembers its own rounding
+    for many steps gets fraction bits so that the accumulated rounding stays under half an LSB of the word. Raises InputError
+    when a width cannot hold a range.
+    """
+    if not 4 <= formats.width <= 32:
+        raise InputError(f"width {formats.width}: choose 4 to 32 bits")
+    return _Quantizer(network.flatten(), ranges, formats, period).program()
+
+
+class _Quantizer:
+    def __init__(self, flat: Network, ranges: Mapping[str, Range], formats: Formats, period: float):
+        self.flat, self.ranges, self.formats, self.period = flat, ranges, formats, period
+        self.feeds = flat.feeds()
+        self.signals: dict[str, Signal] = {}
+        self.states: dict[str, State] = {}
+        self.operations: list[Operation] = []
+        self.tables: dict[tuple, Table] = {}
+        self.notes: dict[str, str] = {}
+
+    def fix(self, name: str, width: int) -> Fix:
+        """The format that holds the range of a signal in `width` bits."""
+        if name in self.formats.signals:
+            return self.formats.signals[name]
+        r = self.ranges[name]
+        bits = integer_bits(min(r.magnitude * self.formats.margin, max(map(abs, r.sound))))
+        if bits > width - 1:
+            raise InputError(
+                f"signal {name}: reaches {r.magnitude:.4g}, which {width} bits cannot hold with any fraction; "
+                "scale its port or give more bits"
+            )
+        return Fix(width, width - 1 - bits)
+
+    def program(self) -> Program:
+        inputs = []
+        for p in self.flat.inputs:
+            self.signals[p.name] = Signal(p.name, p.size, self.fix(p.name, self.formats.width))
+            inputs.append(Port(p.name, self.signals[p.name], p.unit, p.scale, p.offset))
+        order = self.flat.order()
+        for name in order:
+            self._declare(name)
+        for name in order:
+            self._layer(name)
+        outputs = []
+        for p in self.flat.outputs:
+            outputs.append(Port(p.name, self.signals[self.feeds[p.name][0]], p.unit, p.scale, p.offset))
+        return Program(
+            self.flat.name,
+            tuple(inputs),
+            tuple(self.states.values()),
+            tuple(self.operations),
+            tuple(outputs),
+            tuple(self.tables.values()),
+            self.period,
+            self.notes,
+        ).check()
+
+    def _loops(self, name: str) -> list[np.ndarray]:
+        """Weights of a layer on its own past, one step first."""
+        layer = self.flat.modules[name]
+        own = {d: layer.weights[p] for p in layer.weights for s, d in [self.feeds[f"{name}.{p}"]] if s == name}
+        return [own.get(d, np.zeros((layer.size, layer.size))) for d in range(1, max(own, default=0) + 1)]
+
+    def _declare(self, name: str) -> None:
+        """Fix the format of a layer's output before any layer reads it, delayed reads included."""
+        layer, width = self.flat.modules[name], self.formats.width
+        if layer.activation in FUNCTIONS:
+            fix = self.formats.signals.get(name, output_fix(width))
+        elif layer.activation in ("hardlim", "hardlims"):
+            fix = Fix(2, 0)
+        elif layer.activation == "satlin":
+            fix = Fix(width, width - 2)
+        else:
+            fix = self.fix(name, width)
+            spare = fix.frac - self._exact_frac(name)
+            if spare > 0 and name not in self.formats.signals:
+                fix = Fix(max(fix.width - spare, 2), fix.frac - spare)
+            steps = min(memory(layer, self._loops(name)), self.formats.horizon)
+            if steps > 4 and name not in self.formats.signals:
+                extra = math.ceil(math.log2(math.sqrt(steps / 3)))
+                fix = Fix(fix.width + extra, fix.frac + extra)
+                self.notes[name] = (
+                    f"feeds back on itself and remembers its rounding for {steps:.0f} steps; {extra} more fraction bits "
+                    f"keep the accumulated rounding under half an LSB of {width} bits"
+                )
+        self.signals[name] = Signal(name, layer.size, fix)
+
+    def _exact_frac(self, name: str) -> float:
+        """Fraction bits that hold a sum of earlier signals with short weights exactly (a difference, say); else inf."""
+        layer, needed = self.flat.modules[name], [0]
+        for port, w in layer.weights.items():
+            source = self.feeds[f"{name}.{port}"][0]
+            if source not in self.signals or layer.bias.any():
+                return math.inf
+            bits = _exact_bits(w, self.formats.width)
+            needed.append(self.signals[source].fix.frac + bits if bits < self.formats.width else math.inf)
+        return max(needed)
+
+    def _delayed(self, source: str, delay: int) -> Signal:
+        """The state that holds a signal as it was `delay` steps ago."""
+        if delay == 0:
+            return self.signals[source]
+        name = f"{source}.z{delay}"
+        if name not in self.states:
+            before = self._delayed(source, delay - 1)
+            signal = Signal(name, before.size, before.fix)
+            self.states[name] = State(signal, before.name, tuple(int(v) for v in self._initial(source, before.fix)))
+            self.signals[name] = signal
+        return self.signals[name]
+
+    def _initial(self, source: str, fix: Fix) -> np.ndarray:
+        port = next((p for p in self.flat.inputs if p.name == source), None)
+        value = (
+            self.flat.modules[source].initial
+            if port is None
+            else np.full(port.size, (port.initial - port.offset) / port.scale)
+        )
+        codes = np.floor(value * 2.0**fix.frac + 0.5)
+        if (codes < fix.lo - 1).any() or (codes > fix.hi + 1).any():
+            raise InputError(
+                f"signal {source}: its initial value does not fit {fix}; check the record it was ranged on"
+            )
+        return np.clip(codes, fix.lo, fix.hi).astype(np.int64)
+
+    def _narrow(self, signal: Signal) -> Signal:
+        """A view of a wide state in the word width, for multipliers that need no more."""
+        word = self.formats.width
+        if signal.fix.width <= word + 2:
+            return signal
+        name = f"{signal.name}.view"
+        if name not in self.signals:
+            fix = Fix(word, signal.fix.frac - (signal.fix.width - word))
+            one = np.eye(signal.size, dtype=np.int64)
+            zero = np.zeros(signal.size, np.int64)
+            view = Signal(name, signal.size, fix)
+            self.operations.append(
+                Affine(
+                    view,
+                    (signal.name,),
+                    one,
+                    zero,
+                    zero + signal.fix.frac,
+                    self.formats.rounding,
+                    self.formats.overflow,
+                )
+            )
+            self.signals[name] = view
+        return self.signals[name]
+
+    def _layer(self, name: str) -> None:
+        layer, f = self.flat.modules[name], self.formats
+        out = self.signals[name]
+        reads = []
+        for port, w in layer.weights.items():
+            source, delay = self.feeds[f"{name}.{port}"]
+            signal = self._delayed(source, delay)
+            reads.append((signal if source == name or layer.activation == "linear" else self._narrow(signal), w))
+        if layer.activation == "linear":
+            self._affine(out, layer, reads)
+            return
+        pre = f"{name}.n"
+        if layer.activation in FUNCTIONS:
+            wanted = self.fix(pre, f.width)
+            end = 0.5 * math.log(4.0 * 2**f.width) if layer.activation == "tansig" else math.log(2.0 * 2**f.width)
+            frac = max(wanted.frac, f.width - 1 - integer_bits(end)) + f.wide
+            fix = self.formats.signals.get(pre, Fix(min(f.width + f.wide, frac + integer_bits(end) + 1), frac))
+            signal = Signal(pre, layer.size, fix)
+            self._affine(signal, layer, reads)
+            table = make_table(layer.activation, fix, out.fix, f.table_budget, f.interpolated)
+            key = (table.function, table.arg, table.out)
+            self.tables.setdefault(key, table)
+            self.operations.append(Lookup(out, pre, table.name))
+        elif layer.activation == "satlin":
+            fix = Fix(f.width + f.wide, f.width + f.wide - 1 - max(1, self.fix_bits(pre)))
+            self._affine(Signal(pre, layer.size, fix), layer, reads)
+            self.operations.append(Clamp(out, pre, 0, 1 << fix.frac, f.rounding))
+        else:
+            fix = Fix(f.width + f.wide, f.width + f.wide - 1 - self.fix_bits(pre))
+            self._affine(Signal(pre, layer.size, fix), layer, reads)
+            self.operations.append(Threshold(out, pre, 0, -1 if layer.activation == "hardlims" else 0, 1))
+
+    def fix_bits(self, name: str) -> int:
+        r = self.ranges[name]
+        return integer_bits(r.magnitude * self.formats.margin)
+
+    def _affine(self, out: Signal, layer: Layer, reads: list[tuple[Signal, np.ndarray]]) -> None:
+        """Weights with `width` significant bits per row and source, but no finer than the result can show."""
+        rows, word = layer.size, self.formats.width
+        finest = np.zeros((rows, len(reads)), np.int64)
+        for j, (signal, w) in enumerate(reads):
+            reach = signal.fix.width - 1 - signal.fix.frac  # |x| <= 2^reach
+            for r in range(rows):
+                largest = float(np.abs(w[r]).max())
+                fine = min(word - 1 - integer_bits(largest), out.fix.frac + GUARD + reach) if largest else 0
+                finest[r, j] = max(_exact_bits(w[r], fine), -signal.fix.frac)
+        frac = np.array(
+            [
+                max([finest[r, j] + s.fix.frac for j, (s, _) in enumerate(reads)], default=out.fix.frac)
+                for r in range(rows)
+            ]
+        )
+        if layer.activation == "linear":
+            frac = np.maximum(frac, out.fix.frac)
+        frac = np.maximum(frac, 0)
+        columns = []
+        for j, (signal, w) in enumerate(reads):
+            own = finest[:, j : j + 1]
+            codes = np.floor(w * 2.0**own + 0.5)
+            columns.append(codes.astype(np.int64) << (frac[:, None] - signal.fix.frac - own))
+        weights = np.concatenate(columns, axis=1) if columns else np.zeros((rows, 0), np.int64)
+        bias = np.floor(layer.bias * 2.0**frac + 0.5).astype(np.int64)
+        self.operations.append(
+            Affine(
+                out, tuple(s.name for s, _ in reads), weights, bias, frac, self.formats.rounding, self.formats.overflow
+            )
+        )
+
+
+def _exact_bits(w: np.ndarray, fine: int) -> int:
+    """Fraction bits that show every weight exactly, or `fine` if that takes more."""
+    for bits in range(-8, fine):
+        scaled = w * 2.0**bits
+        if np.array_equal(scaled, np.floor(scaled)):
+            return bits
+    return fine

@@ -1,0 +1,123 @@
+"""How far every signal goes: observed on records, and bounded by interval arithmetic."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from greygate.models.network import Network
+from greygate.models.training import Problem, Record
+
+WIDEN_AFTER = 50  # sweeps of interval arithmetic before a signal that still grows is called unbounded
+
+
+@dataclass(frozen=True)
+class Range:
+    """Of one signal or pre-activation, over all its elements (normalised units).
+
+    low, high: seen on the records. sound: (low, high) that no input within its own observed range can leave; may be inf.
+    """
+
+    low: float
+    high: float
+    sound: tuple[float, float]
+
+    @property
+    def magnitude(self) -> float:
+        return max(abs(self.low), abs(self.high))
+
+
+def ranges(network: Network, records: list[Record]) -> dict[str, Range]:
+    """Ranges of every input and layer of a flat network, and `layer.n` for every pre-activation."""
+    problem = Problem(network, records)
+    flat, runs = problem.flat, problem.simulate(problem.theta)
+    if runs is None:
+        from greygate.errors import InputError
+
+        raise InputError(f"network {network.name}: diverges on the records; train it before compiling")
+    start = {p.name: np.full(p.size, (p.initial - p.offset) / p.scale) for p in flat.inputs}
+    start |= {n: layer.initial for n, layer in flat.modules.items()}
+    past = {}
+    for source, delay in flat.feeds().values():
+        past[source] = max(past.get(source, 0), delay)
+    seen: dict[str, np.ndarray] = {}
+    for record, run in zip(records, runs, strict=True):
+        columns = np.split(
+            run, np.cumsum([len(start[n]) for n in [*(p.name for p in flat.inputs), *flat.order()]]), axis=1
+        )
+        signal = dict(zip([*(p.name for p in flat.inputs), *flat.order()], columns, strict=False))
+        history = {}
+        for n, d in past.items():
+            first = start[n]
+            if n in record.initial:
+                port = next((p for p in flat.inputs if p.name == n), None)
+                value = record.initial[n] if port is None else (record.initial[n] - port.offset) / port.scale
+                first = np.full(len(first), value)
+            history[n] = np.concatenate([np.broadcast_to(first, (d, len(first))), signal[n]])
+        feeds = flat.feeds()
+        for name in flat.order():
+            layer = flat.modules[name]
+            n = np.broadcast_to(layer.bias, (len(run), layer.size)).copy()
+            for port, w in layer.weights.items():
+                source, delay = feeds[f"{name}.{port}"]
+                past_rows = history[source] if source in history else signal[source]
+                offset = past.get(source, 0) - delay if source in history else 0
+                n += past_rows[offset : offset + len(run)] @ w.T
+            _extend(seen, f"{name}.n", n)
+        for name, value in signal.items():
+            _extend(seen, name, value)
+            _extend(seen, name, history[name][: past[name]] if past.get(name) else value)
+    bounds = _intervals(flat, {p.name: seen[p.name] for p in flat.inputs}, start)
+    return {n: Range(float(v[0]), float(v[1]), bounds[n]) for n, v in seen.items()}
+
+
+def _extend(seen: dict[str, np.ndarray], name: str, values: np.ndarray) -> None:
+    low, high = float(values.min()), float(values.max())
+    before = seen.get(name, (low, high))
+    seen[name] = (min(low, before[0]), max(high, before[1]))
+
+
+def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dict[str, tuple[float, float]]:
+    """Interval bounds of every signal, as a fixed point over the delays; what keeps growing becomes infinite."""
+    image = {
+        "tansig": np.tanh,
+        "logsig": lambda n: 0.5 + 0.5 * np.tanh(0.5 * n),
+        "linear": lambda n: n,
+        "hardlim": lambda n: (n >= 0) * 1.0,
+        "hardlims": lambda n: np.where(n >= 0, 1.0, -1.0),
+        "satlin": lambda n: np.clip(n, 0, 1),
+    }
+    low = {n: v.copy() for n, v in start.items()}
+    high = {n: v.copy() for n, v in start.items()}
+    for name, (a, b) in inputs.items():
+        low[name] = np.minimum(low[name], a)
+        high[name] = np.maximum(high[name], b)
+    feeds, bounds = flat.feeds(), {}
+    for sweep in range(2 * WIDEN_AFTER):
+        changed = False
+        for name in flat.order():
+            layer = flat.modules[name]
+            a, b = layer.bias.copy(), layer.bias.copy()
+            for port, w in layer.weights.items():
+                source, _ = feeds[f"{name}.{port}"]
+                up, down = np.maximum(w, 0), np.minimum(w, 0)
+                a += (_times(up, low[source]) + _times(down, high[source])).sum(1)
+                b += (_times(up, high[source]) + _times(down, low[source])).sum(1)
+            bounds[f"{name}.n"] = (float(a.min()), float(b.max()))
+            if layer.activation == "radbas":
+                nearest = np.where((a <= 0) & (b >= 0), 0.0, np.minimum(np.abs(a), np.abs(b)))
+                a, b = np.exp(-(np.maximum(np.abs(a), np.abs(b)) ** 2)), np.exp(-(nearest**2))
+            else:
+                a, b = image[layer.activation](a), image[layer.activation](b)
+            grow_low, grow_high = a < low[name] - 1e-12, b > high[name] + 1e-12
+            if grow_low.any() or grow_high.any():
+                changed = True
+                wide = sweep >= WIDEN_AFTER
+                low[name] = np.where(grow_low, -np.inf if wide else a, low[name])
+                high[name] = np.where(grow_high, np.inf if wide else b, high[name])
+        if not changed:
+            break
+    return bounds | {n: (float(low[n].min()), float(high[n].max())) for n in low}
+
+
+def _times(w: np.ndarray, bound: np.ndarray) -> np.ndarray:
+    """w * bound, where no weight takes no part even of an infinite bound."""
+    return np.where(w == 0, 0.0, w * np.where(np.isfinite(bound) | (w != 0), bound, 0.0))

@@ -1,0 +1,185 @@
+"""Architecture simplification: a structured network becomes a generic one that computes the same (thesis 3.3)."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from greygate.models.network import Connection, Network
+
+
+class Graph:
+    """A flat network taken apart for rewriting: layers by name, and what feeds each port."""
+
+    def __init__(self, flat: Network):
+        self.flat = flat
+        self.layers = dict(flat.modules)
+        self.feeds = flat.feeds()
+
+    def sources(self, name: str) -> dict[str, tuple[str, int]]:
+        """port -> (source, delay) of one layer."""
+        return {p: self.feeds[f"{name}.{p}"] for p in self.layers[name].weights}
+
+    def readers(self, name: str) -> list[tuple[str, str, int]]:
+        """(layer, port, delay) of every read of a signal by a layer."""
+        return [(n, p, d) for n in self.layers for p, (s, d) in self.sources(n).items() if s == name]
+
+    def shown(self) -> set[str]:
+        return {self.feeds[p.name][0] for p in self.flat.outputs}
+
+    def drop(self, name: str) -> None:
+        for port in self.layers.pop(name).weights:
+            del self.feeds[f"{name}.{port}"]
+
+    def rewrite(self, name: str, terms: list[tuple[str, int, np.ndarray, bool]], bias: np.ndarray) -> None:
+        """Give a layer new terms (source, delay, weights, frozen); terms on one source and delay become one port."""
+        layer = self.layers[name]
+        for port in layer.weights:
+            del self.feeds[f"{name}.{port}"]
+        merged: dict[tuple[str, int], tuple[np.ndarray, bool]] = {}
+        for source, delay, w, frozen in terms:
+            before, still = merged.get((source, delay), (0.0, True))
+            merged[source, delay] = (before + w, still and frozen)
+        weights, frozen_ports = {}, set(layer.frozen & {"bias"})
+        for (source, delay), (w, frozen) in merged.items():
+            port = source.replace(".", "_") + (f"_z{delay}" if delay else "")
+            weights[port] = w
+            self.feeds[f"{name}.{port}"] = (source, delay)
+            if frozen:
+                frozen_ports.add(port)
+        self.layers[name] = replace(layer, weights=weights, bias=bias, frozen=frozenset(frozen_ports))
+
+    def terms(self, name: str) -> list[tuple[str, int, np.ndarray, bool]]:
+        layer = self.layers[name]
+        return [(s, d, layer.weights[p], p in layer.frozen) for p, (s, d) in self.sources(name).items()]
+
+    def network(self) -> Network:
+        connections = [Connection(s, target, d) for target, (s, d) in self.feeds.items()]
+        flat = Network(self.flat.name, self.flat.inputs, self.flat.outputs, self.layers, connections)
+        flat.modules = {n: self.layers[n] for n in flat.order()}
+        return flat.check()
+
+
+def multiplications(network: Network) -> int:
+    """Weights that cost a multiplier: neither zero nor plus or minus one."""
+    return sum(_cost(w) for layer in network.flatten().modules.values() for w in layer.weights.values())
+
+
+def parameter_count(network: Network) -> int:
+    """Numbers that a network holds: weights that are not zero, and biases that are not zero."""
+    return sum(int(np.count_nonzero(v)) for v in network.parameters().values())
+
+
+def _cost(w: np.ndarray) -> int:
+    return int(np.count_nonzero((w != 0) & (np.abs(w) != 1)))
+
+
+def merge_linear(network: Network, always: bool = False) -> Network:
+    """Multiply linear layers into the weights of those that read them, gains and normalisations included.
+
+    A layer is merged where that costs no multiplication more (a bottleneck such as 10 -> 1 -> 20 neurons stays), or
+    wherever it is possible if `always`.
+    """
+    g = Graph(network.flatten())
+    changed = True
+    while changed:
+        changed = False
+        for name in list(g.layers):
+            layer, readers = g.layers[name], g.readers(name)
+            if (
+                layer.activation != "linear"
+                or name in g.shown()
+                or any(r == name for r, _, _ in readers)
+                or not readers
+            ):
+                continue
+            start = {p.name: np.full(p.size, (p.initial - p.offset) / p.scale) for p in g.flat.inputs}
+            start |= {n: part.initial for n, part in g.layers.items()}
+            before = layer.bias + sum(w @ start[s] for s, _, w, _ in g.terms(name))
+            if any(d for _, _, d in readers) and not np.allclose(before, layer.initial, rtol=0, atol=1e-15):
+                continue
+            inner = g.terms(name)
+            now = sum(_cost(w) for _, _, w, _ in inner) + sum(_cost(g.layers[r].weights[p]) for r, p, _ in readers)
+            then = sum(_cost(g.layers[r].weights[p] @ w) for r, p, _ in readers for _, _, w, _ in inner)
+            if then > now and not always:
+                continue
+            for reader in {r for r, _, _ in readers}:
+                terms, bias = [], g.layers[reader].bias
+                for s, d, w, frozen in g.terms(reader):
+                    if s != name:
+                        terms.append((s, d, w, frozen))
+                        continue
+                    bias = bias + w @ layer.bias
+                    terms += [(s2, d + d2, w @ w2, frozen and frozen2) for s2, d2, w2, frozen2 in inner]
+                g.rewrite(reader, terms, bias)
+            g.drop(name)
+            changed = True
+    return g.network()
+
+
+def fold_constants(network: Network) -> Network:
+    """Take layers whose output never changes into the biases of those that read them; drop terms that are zero."""
+    from greygate.models.network import ACTIVATIONS
+
+    g = Graph(network.flatten())
+    for name in g.flat.order():
+        kept = [t for t in g.terms(name) if np.any(t[2])]
+        if len(kept) < len(g.layers[name].weights):
+            g.rewrite(name, kept, g.layers[name].bias)
+        layer = g.layers[name]
+        value = ACTIVATIONS[layer.activation](np, layer.bias)
+        if (
+            layer.weights
+            or name in g.shown()
+            or ((value != layer.initial).any() and any(d for *_, d in g.readers(name)))
+        ):
+            continue
+        for reader, port, _ in g.readers(name):
+            target = g.layers[reader]
+            terms = [t for t in g.terms(reader) if t[0] != name]
+            g.rewrite(reader, terms, target.bias + target.weights[port] @ value)
+        g.drop(name)
+    return g.network()
+
+
+def remove_dead(network: Network) -> Network:
+    """Remove layers that no output depends on."""
+    g = Graph(network.flatten())
+    reached, waiting = set(), list(g.shown())
+    while waiting:
+        name = waiting.pop()
+        if name in g.layers and name not in reached:
+            reached.add(name)
+            waiting += [s for s, _ in g.sources(name).values()]
+    for name in set(g.layers) - reached:
+        g.drop(name)
+    return g.network()
+
+
+def share_equal(network: Network) -> Network:
+    """Let layers that compute the same from the same be one layer."""
+    g = Graph(network.flatten())
+    seen: dict[tuple, str] = {}
+    for name in g.flat.order():
+        layer = g.layers[name]
+        terms = sorted((s, d, w.tobytes()) for s, d, w, _ in g.terms(name))
+        key = (layer.activation, layer.bias.tobytes(), layer.initial.tobytes(), tuple(terms))
+        first = seen.setdefault(key, name)
+        if first == name or name in g.shown():
+            continue
+        for target, (source, delay) in list(g.feeds.items()):
+            if source == name:
+                g.feeds[target] = (first, delay)
+        g.drop(name)
+        for reader in {r for r, _, _ in g.readers(first)}:
+            g.rewrite(reader, g.terms(reader), g.layers[reader].bias)
+    return g.network()
+
+
+SIMPLIFICATIONS: tuple[Callable[[Network], Network], ...] = (remove_dead, fold_constants, merge_linear, share_equal)
+
+
+def simplify(network: Network) -> Network:
+    """The generic network: every simplification in order."""
+    for rewrite in SIMPLIFICATIONS:
+        network = rewrite(network)
+    return network
