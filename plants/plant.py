@@ -9,7 +9,8 @@ import ast
 import keyword
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cache, cached_property
+from typing import NoReturn
 
 import numpy as np
 
@@ -30,7 +31,10 @@ FUNCTIONS = {
 }
 """Function of an expression -> (arguments, body): one text for NumPy arrays and for the compiled simulation."""
 
-_OPERATORS = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow, ast.UAdd, ast.USub)
+_ARITHMETIC = (
+    ast.Name, ast.Load, ast.Constant, ast.Call, ast.UnaryOp, ast.UAdd, ast.USub,
+    ast.BinOp, ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow,
+)  # fmt: skip
 _RESERVED = {"np", "njit", "jit", "derivative", "run", *FUNCTIONS}
 
 
@@ -103,6 +107,9 @@ class Plant:
         symbols: set[str] = set()
         for symbol in (*self.parameters, *self.inputs, *self.states):
             self._declare(symbol, symbols)
+        for symbol, parameter in self.parameters.items():
+            if not (np.isfinite(parameter.value) and parameter.tolerance >= 0):
+                self._fail(f"parameter {symbol}", f"{parameter.value} +- {parameter.tolerance}; give finite numbers")
         for name, definition in self.definitions.items():
             self._check_terms(f"definition {name}", definition.terms, symbols)
             self._declare(definition.symbol, symbols)
@@ -160,7 +167,8 @@ class Plant:
     def _place(self, where: str) -> Equation | Definition:
         place = self.equations.get(where) or self.definitions.get(where)
         if place is None:
-            self._fail(where, f"no such equation or definition; it has {', '.join((*self.definitions, *self.equations))}")
+            names = ", ".join((*self.definitions, *self.equations))
+            self._fail(where, f"no such equation or definition; it has {names}")
         return place
 
     def _with_terms(self, where: str, terms: Mapping[str, str], parameters: Mapping[str, Parameter]) -> "Plant":
@@ -215,7 +223,7 @@ class Plant:
 
     # -- checks at declaration ---------------------------------------------------------------------------------------
 
-    def _fail(self, where: str, problem: str):
+    def _fail(self, where: str, problem: str) -> NoReturn:
         raise InputError(f"plant {self.name}: {where}: {problem}")
 
     def _declare(self, symbol: str, symbols: set[str]) -> None:
@@ -231,28 +239,25 @@ class Plant:
 
     def _check(self, where: str, expression: str, symbols: set[str]) -> None:
         try:
-            tree = ast.parse(expression, mode="eval").body
-        except (SyntaxError, ValueError, TypeError) as error:
+            tree = ast.parse(expression.strip(), mode="eval").body
+        except (SyntaxError, ValueError) as error:
             self._fail(where, f"{expression!r} is no expression ({getattr(error, 'msg', error)})")
-        calls = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
+        called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
         for node in ast.walk(tree):
             match node:
-                case ast.Call(func=ast.Name(id=name), args=args, keywords=[]) if name in FUNCTIONS:
-                    if len(args) != (wanted := FUNCTIONS[name][0].count(",") + 1):
-                        self._fail(where, f"{name} takes {wanted} arguments, {expression!r} gives {len(args)}")
+                case ast.Call(func=ast.Name(id=name), args=arguments) if name in FUNCTIONS:
+                    if len(arguments) != (wanted := FUNCTIONS[name][0].count(",") + 1):
+                        self._fail(where, f"{name} takes {wanted} arguments, {expression!r} gives {len(arguments)}")
                 case ast.Call(func=function):
                     self._fail(where, f"unknown function {ast.unparse(function)!r}; known are {', '.join(FUNCTIONS)}")
-                case ast.Name(id=name) if name not in symbols and id(node) not in calls:
-                    self._fail(where, f"unknown name {name!r}{self._later(name)}")
+                case ast.Name(id=name) if name not in symbols and id(node) not in called:
+                    self._fail(where, f"unknown name {name!r}{self._hint(name)}")
                 case ast.Constant(value=value) if type(value) not in (int, float):
-                    self._fail(where, f"{value!r} in {expression!r} is no number")
-                case ast.Name() | ast.Constant() | ast.BinOp() | ast.UnaryOp() | ast.Load() | ast.operator() | ast.unaryop():
-                    if isinstance(node, ast.operator | ast.unaryop) and not isinstance(node, _OPERATORS):
-                        self._fail(where, f"{expression!r} uses an operator other than + - * / **")
-                case _:
-                    self._fail(where, f"{ast.unparse(node)!r} is not arithmetic; use + - * / ** and functions")
+                    self._fail(where, f"{value!r} in {expression!r} is no number; write a decimal number")
+                case _ if not isinstance(node, _ARITHMETIC):
+                    self._fail(where, f"{expression!r} is not arithmetic; use + - * / ** and the known functions")
 
-    def _later(self, name: str) -> str:
+    def _hint(self, name: str) -> str:
         defined = {definition.symbol for definition in self.definitions.values()}
         return "; it is defined further down, move it up" if name in defined else "; declare it or mend the spelling"
 
@@ -281,12 +286,12 @@ class _Values(dict):
         return eval(_code(expression), _namespace(), self)
 
 
-@lru_cache(maxsize=None)
+@cache
 def _code(expression: str):
     return compile(expression.strip(), "<expression>", "eval")
 
 
-@lru_cache(maxsize=None)
+@cache
 def _namespace() -> dict:
     space: dict = {"np": np, "__builtins__": {}}
     for name, (arguments, body) in FUNCTIONS.items():

@@ -6,6 +6,7 @@ a plant is compiled once on a machine. Parameters, limits and initial states are
 nothing.
 """
 
+import ast
 import hashlib
 import importlib.util
 import os
@@ -114,12 +115,17 @@ def source(plant: Plant) -> str:
     lines += [f"    {d.symbol} = {_sum(d)}" for d in plant.definitions.values()]
     states = list(plant.states)
     for equation in plant.equations.values():
-        lines.append(f"    _dx[{states.index(equation.state)}] = ({_sum(equation)}) / ({equation.storage})")
+        lines.append(f"    _dx[{states.index(equation.state)}] = ({_sum(equation)}) / ({_text(equation.storage)})")
     return "\n".join(lines) + _RUN
 
 
 def _sum(place: Equation | Definition) -> str:
-    return " + ".join(f"({expression.strip()})" for expression in place.terms.values()) or "0.0"
+    return " + ".join(f"({_text(expression)})" for expression in place.terms.values()) or "0.0"
+
+
+def _text(expression: str) -> str:
+    """`expression` on one line, without comments."""
+    return ast.unparse(ast.parse(expression.strip(), mode="eval"))
 
 
 def _combination(weights: Iterable[str]) -> str:

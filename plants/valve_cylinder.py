@@ -276,7 +276,8 @@ def _line(line: Line, pressure: float):
     Each mode is driven twice, by the pump-side pressure and by the flow into the valve: `level` and `rate` obey
     level' = omega rate, rate' = omega (drive - level) - damping rate, so drive -> level is omega^2 / (s^2 + ...).
     """
-    gains, omegas = line.fit(), line.frequencies(3)
+    gains = line.fit()
+    omegas = line.frequencies(len(gains["transmission"]))
     parameters = {"line_damping": Parameter(line.damping, "1/s", meaning="32 nu / d^2 of the supply line")}
     states, equations, p_s, q_line = {}, {}, {}, {}
     for n, omega in enumerate(omegas, start=1):
