@@ -1,0 +1,186 @@
+"""The cocotb bench: it runs inside the simulator, one test for each design and scenario of a job (rtl/verify.py).
+
+The source offers a sample, the sink takes the result; both pause at random. A step costs one awakening of Python, or
+a few where somebody pauses. Everything is compared as whole words; a word that differs is taken apart for the message.
+"""
+
+import json
+import os
+import time
+from pathlib import Path
+
+import cocotb
+import numpy as np
+from cocotb.clock import Clock
+from cocotb.triggers import RisingEdge, Timer
+from cocotb.utils import get_sim_time
+
+HALF = 1  # simulator steps in half a clock: stimulus changes at the falling edge, or right after the rising one
+CLOCK = 2 * HALF
+PATIENCE = 100_000  # clocks without an answer before the design is said to hang
+
+
+class Mismatch(AssertionError):
+    """The design and the emulator differ, or the design does not answer."""
+
+
+class Design:
+    """One design in the bench: its handles, and how to read its words."""
+
+    def __init__(self, dut, job: dict):
+        self.job = job
+        for name in "clk rst s_tdata offered s_tready m_tdata m_tvalid m_tready states load initial".split():
+            setattr(self, name, getattr(dut, f"{name}_{job['index']}"))
+        self.rise = RisingEdge(self.m_tvalid)
+        self.step = -1  # the last step that ended
+
+    async def reset(self, initial: bytes | None) -> None:
+        """One clock of reset, then states as given, then everything idle at a falling edge."""
+        self.rst.value = 1
+        self.m_tready.value = 0
+        await Timer(CLOCK)
+        self.rst.value = 0
+        await Timer(CLOCK)
+        for _ in range(PATIENCE):
+            if str(self.s_tready.value) == "1":
+                break
+            await Timer(CLOCK)
+        else:
+            raise Mismatch("after reset: s_axis_tready does not rise")
+        if initial is not None:
+            self.initial.value = int.from_bytes(initial, "little")
+            self.load.value = 1
+            await Timer(CLOCK)
+            self.load.value = 0
+            await Timer(CLOCK)
+
+    def compare(self, where: str, what: str, word: str, expected: bytes) -> None:
+        """Raise Mismatch if a word read from the design is not the expected one."""
+        if word == f"{int.from_bytes(expected, 'little'):0{len(word)}b}":
+            return
+        if set(word) - {"0", "1"}:
+            raise Mismatch(f"{where}: {what}s are undefined: {word}")
+        got = int(word, 2).to_bytes(len(expected), "little")
+        different = []
+        for name, size, start in self.job[what]:
+            a, b = (int.from_bytes(w[start : start + size], "little", signed=True) for w in (got, expected))
+            if a != b:
+                different.append(f"{what} {name} is {a}, the emulator has {b}")
+        raise Mismatch(f"{where}: " + "; ".join(different[:8]) + (" ..." if len(different) > 8 else ""))
+
+
+async def play(design: Design, words: dict[str, list[bytes]], steps: int, seed: int) -> float:
+    """Run `steps` steps from idle and compare each; returns clocks per step. The first three steps are not paused."""
+    rng = np.random.default_rng(seed)
+    pauses = np.where(rng.random((2, steps + 1)) < 0.2, rng.integers(1, 6, (2, steps + 1)), 0)
+    pauses[:, :3] = 0
+    gaps, stalls = pauses.tolist()
+    samples, outputs, states = words["samples"], words["outputs"], words["states"]
+    offered = int(str(design.offered.value))
+    clocks, before = float("nan"), None
+
+    design.m_tready.value = 1
+    design.s_tdata.value = int.from_bytes(samples[0], "little")
+    offered ^= 1
+    design.offered.value = offered
+    for k in range(steps):
+        await design.rise
+        design.step = k
+        if k < 3:
+            now = get_sim_time()
+            clocks, before = (now - before) / CLOCK if before is not None else clocks, now
+        word = str(design.m_tdata.value)
+        design.compare(f"step {k}", "output", word, outputs[k])
+        if states:
+            design.compare(f"step {k}", "state", str(design.states.value), states[k])
+        last = k + 1 == steps
+        if not last:
+            design.s_tdata.value = int.from_bytes(samples[k + 1], "little")
+            if not gaps[k + 1]:
+                offered ^= 1
+                design.offered.value = offered
+        if not (last or stalls[k] or stalls[k + 1] or gaps[k + 1]):
+            continue
+        await Timer(HALF)
+        if stalls[k]:
+            await Timer(CLOCK * stalls[k])
+            if str(design.m_tvalid.value) != "1" or str(design.m_tdata.value) != word:
+                raise Mismatch(f"step {k}: the result does not hold still while m_axis_tready is low")
+            design.m_tready.value = 1
+        await Timer(CLOCK)  # the sink takes the result here
+        if stalls[k + 1]:
+            design.m_tready.value = 0
+        if gaps[k + 1] and not last:
+            await Timer(CLOCK * gaps[k + 1])
+            offered ^= 1
+            design.offered.value = offered
+    return clocks
+
+
+async def watch(design: Design, verdict: dict) -> None:
+    """Fail the test when no step ends for PATIENCE clocks."""
+    seen = None
+    while seen != design.step:
+        seen = design.step
+        await Timer(CLOCK * PATIENCE)
+    verdict["mismatch"] = f"after step {seen}: no answer within {PATIENCE} clocks"
+    raise Mismatch(verdict["mismatch"])
+
+
+def make_test(job: dict, scenario: dict, arrays, seed: int, verdicts: list, report: Path):
+    """The cocotb test of one design in one scenario: a run cut short by a reset, then the whole of it."""
+
+    async def run(dut):
+        key = f"{job['index']}_{scenario['index']}_"
+        words = {}
+        for name in ("samples", "outputs", "states"):
+            a = arrays[key + name]
+            words[name] = [row.tobytes() for row in a] if a.shape[-1] else []
+        initial = arrays[key + "initial"][0].tobytes() if scenario["loads"] else None
+        began = bytes.fromhex(job["initial"]) if initial is None else initial
+        steps = len(words["samples"])
+        rng = np.random.default_rng(seed)
+        design = Design(dut, job)
+        design.offered.value = 0
+        design.load.value = 0
+        clock = Clock(design.clk, CLOCK)
+        start = time.perf_counter()
+        verdict = {"design": job["index"], "scenario": scenario["name"], "steps": steps, "mismatch": None}
+        try:
+            clock.start(start_high=False)
+            watcher = cocotb.start_soon(watch(design, verdict))
+            await Timer(CLOCK)
+            for cut in (int(rng.integers(1, max(2, min(steps, 50)))), steps):
+                design.step -= steps  # so that the watcher sees another number
+                await design.reset(initial)
+                if began:
+                    design.compare("after reset", "state", str(design.states.value), began)
+                verdict["clocks"] = await play(design, words, cut, int(rng.integers(1 << 31)))
+                if cut < steps:  # a further step is under way when the reset comes
+                    design.s_tdata.value = int.from_bytes(words["samples"][cut], "little")
+                    design.offered.value = 1 - int(str(design.offered.value))
+                    await Timer(CLOCK * int(rng.integers(1, 2 + max(1, int(np.nan_to_num(verdict["clocks"], nan=8))))))
+        except Mismatch as mismatch:
+            verdict["mismatch"] = str(mismatch)
+            raise
+        finally:
+            watcher.cancel()
+            clock.stop()
+            verdict["seconds"] = time.perf_counter() - start
+            verdicts.append(verdict)
+            report.write_text(json.dumps(verdicts))
+
+    run.__name__ = run.__qualname__ = f"{job['name']}_{scenario['name']}"
+    return cocotb.test(name=f"{job['name']}/{scenario['name']}")(run)
+
+
+if "GREYGATE_BENCH" in os.environ:
+    _folder = Path(os.environ["GREYGATE_BENCH"])
+    _job = json.loads((_folder / "job.json").read_text())
+    _arrays = np.load(_folder / "job.npz")
+    _verdicts: list[dict] = []
+    for _d in _job["designs"]:
+        for _s in _d["scenarios"]:
+            globals()[f"test_{_d['index']}_{_s['index']}"] = make_test(
+                _d, _s, _arrays, _job["seed"], _verdicts, _folder / "verdicts.json"
+            )

