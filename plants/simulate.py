@@ -86,7 +86,7 @@ def simulate(
         )
     signals = {**dict(zip(symbols, states.T.copy(), strict=True)), **dict(zip(plant.inputs, held.T, strict=True))}
     names = [*plant.inputs, *(name for name in channels or plant.outputs if name not in plant.inputs)]
-    recorded = {name: np.broadcast_to(v, len(held)) for name, v in plant.values(names, signals).items()}
+    recorded = {name: np.broadcast_to(v, len(held)).copy() for name, v in plant.values(names, signals).items()}
     return Recording(sample_time, recorded, {name: plant.unit(name) for name in names}, source=plant.name)
 
 

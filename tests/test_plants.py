@@ -1,0 +1,288 @@
+"""The declaration of a plant and the simulation that comes from it."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from greygate.errors import InputError
+from greygate.plants import Definition, Equation, Parameter, Plant, State, simulate
+from greygate.plants.simulate import _module, source
+
+PARAMETERS = {"mass": Parameter(2.0, "kg", 0.1, "of the slide"), "stiffness": Parameter(50.0, "N/m")}
+
+
+def oscillator(**changes) -> Plant:
+    declaration = {
+        "name": "slide",
+        "parameters": PARAMETERS | {"damping": Parameter(3.0, "N s/m"), "x_max": Parameter(1.0, "m")},
+        "inputs": {"force": "N"},
+        "states": {"x": State("m", 0.1, "-x_max", "x_max", rate="v"), "v": State("m/s")},
+        "equations": {
+            "position": Equation("x", {"velocity": "v"}),
+            "motion": Equation(
+                "v", {"drive": "force", "spring": "-f_spring", "viscous": "-damping * v"}, storage="mass"
+            ),
+        },
+        "outputs": ("x", "v", "f_spring"),
+        "definitions": {"spring": Definition("f_spring", "N", {"linear": "stiffness * x"})},
+    }
+    return Plant(**(declaration | changes))
+
+
+def motion(**terms) -> dict:
+    return {"equations": {"position": Equation("x", {"velocity": "v"}), "motion": Equation("v", terms)}}
+
+
+def exact_oscillation(t):
+    """Position of the free oscillator."""
+    decay, omega = 0.75, np.sqrt(25 - 0.75**2)
+    return 0.1 * np.exp(-decay * t) * (np.cos(omega * t) + decay / omega * np.sin(omega * t))
+
+
+BAD = {
+    "unknown name": (motion(drive="forse"), "equation motion, term drive: unknown name 'forse'"),
+    "unknown function": (motion(drive="sinh(x)"), "equation motion, term drive: unknown function 'sinh'"),
+    "method": (motion(drive="x.real"), "equation motion, term drive: 'x.real' is not arithmetic"),
+    "call of a call": (motion(drive="sin(x)(v)"), "unknown function 'sin(x)'"),
+    "function as a value": (motion(drive="sin"), "unknown name 'sin'"),
+    "too few arguments": (motion(drive="orifice(x, v)"), "orifice takes 3 arguments"),
+    "syntax": (motion(drive="force +"), "equation motion, term drive: 'force +' is no expression"),
+    "comparison": (motion(drive="force > 0"), "'force > 0' is not arithmetic"),
+    "text": (motion(drive="'force'"), "'force' in \"'force'\" is no number"),
+    "storage": (
+        {"equations": {"position": Equation("x", {}), "motion": Equation("v", {}, storage="mas")}},
+        "equation motion, storage: unknown name 'mas'",
+    ),
+    "definition out of order": (
+        {"definitions": {"a": Definition("f_a", "N", {"t": "f_b"}), "b": Definition("f_b", "N", {"t": "x"})}},
+        "definition a, term t: unknown name 'f_b'; it is defined further down",
+    ),
+    "name twice": ({"inputs": {"x": "m"}}, "x: is declared twice"),
+    "name of a function": ({"inputs": {"exp": "N"}}, "exp: is no name for a quantity"),
+    "keyword": ({"inputs": {"lambda": "N"}}, "lambda: is no name for a quantity"),
+    "equation missing": ({"equations": {"position": Equation("x", {"velocity": "v"})}}, "state v has 0 equations"),
+    "equation of no state": (
+        {"equations": {"a": Equation("x", {}), "b": Equation("v", {}), "c": Equation("y", {})}},
+        "'y' is no state",
+    ),
+    "output unknown": ({"outputs": ("y",)}, "outputs: 'y' is no state, definition or input"),
+    "initial uses a state": ({"states": {"x": State("m", "v"), "v": State("m/s")}}, "state x, initial: unknown name"),
+    "rate unknown": ({"states": {"x": State("m", rate="w"), "v": State("m/s")}}, "rate 'w' is no state"),
+    "parameter NaN": ({"parameters": {"mass": Parameter(np.nan, "kg")}}, "parameter mass: nan"),
+    "one name for two places": (
+        {"definitions": {"motion": Definition("f_spring", "N", {"linear": "stiffness * x"})}},
+        "equation motion: a definition has this name too",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_wrong_declaration_is_refused_in_one_line_that_names_the_place(case):
+    changes, message = BAD[case]
+    with pytest.raises(InputError) as caught:
+        oscillator(**changes)
+    assert message in str(caught.value)
+    assert str(caught.value).startswith("plant slide: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_term_left_out_and_put_back_gives_the_same_plant():
+    plant = oscillator()
+    bare = plant.without("motion.viscous")
+    assert list(bare.equations["motion"].terms) == ["drive", "spring"]
+    assert list(plant.equations["motion"].terms) == ["drive", "spring", "viscous"]
+    assert bare.with_term("motion", "viscous", "-damping * v") == plant
+
+
+def test_a_term_can_bring_its_parameters_and_enter_a_definition():
+    plant = oscillator().with_term("spring", "cubic", "k_cubic * x**3", {"k_cubic": Parameter(7.0, "N/m^3")})
+    values = plant.values(["f_spring"], {"x": np.array([2.0])})
+    assert values["f_spring"].tolist() == [50.0 * 2 + 7.0 * 8]
+    assert plant.unit("k_cubic") == "N/m^3"
+
+
+def test_switching_what_is_not_there_names_what_is():
+    with pytest.raises(InputError, match=r"motion\.friction: no such term; motion has drive, spring, viscous"):
+        oscillator().without("motion.friction")
+    with pytest.raises(InputError, match="notion: no such equation or definition"):
+        oscillator().without("notion.viscous")
+    with pytest.raises(InputError, match="'mas' is not among mass, stiffness"):
+        oscillator().with_parameters(mas=1.0)
+
+
+def test_the_residual_of_a_true_equation_vanishes_with_the_square_of_the_sampling_interval():
+    worst = []
+    for dt in (2e-3, 1e-3):
+        force = np.sin(7.0 * np.arange(0.0, 2.0, dt))
+        run = simulate(oscillator(), {"force": force}, sample_time=dt, step=dt / 10)
+        # a held input acts from its sample on: around a sample, motion sees the mean of the last and the present
+        seen = np.concatenate([force[:1], (force[1:] + force[:-1]) / 2])
+        residual = oscillator().residual("motion", {**run.channels, "force": seen}, dt)
+        assert residual.shape == force.shape
+        worst.append(np.abs(residual[1:-1]).max())
+    assert worst[0] < 1e-2
+    assert 3.5 < worst[0] / worst[1] < 4.5
+
+
+def test_the_residual_of_an_equation_shows_the_term_that_was_left_out():
+    run = simulate(oscillator(), {"force": np.zeros(2001)})
+    residual = oscillator().without("motion.viscous").residual("motion", run.channels, 1e-3)
+    np.testing.assert_allclose(residual[1:-1], -3.0 * run["v"][1:-1], atol=1e-3)
+
+
+def test_the_residual_of_a_definition_compares_the_measured_quantity():
+    signals = {"x": np.array([0.1, 0.2]), "f_spring": np.array([6.0, 10.0])}
+    np.testing.assert_allclose(oscillator().residual("spring", signals, 1.0), [1.0, 0.0], atol=1e-15)
+    with pytest.raises(InputError, match="definition spring: f_spring was not measured"):
+        oscillator().residual("spring", {"x": np.array([0.1])}, 1.0)
+
+
+def test_a_residual_names_the_signal_that_it_lacks():
+    with pytest.raises(InputError, match="plant slide: signal force is missing"):
+        oscillator().residual("motion", {"x": np.zeros(3), "v": np.zeros(3)}, 1.0)
+
+
+def test_the_simulation_follows_the_exact_solution_of_a_linear_plant():
+    run = simulate(oscillator(), {"force": np.zeros(2001)})
+    np.testing.assert_allclose(run["x"], exact_oscillation(run.time), atol=1e-13)
+    np.testing.assert_array_equal(run["f_spring"], 50.0 * run["x"])
+    assert run.units == {"force": "N", "x": "m", "v": "m/s", "f_spring": "N"}
+
+
+def test_the_integrator_is_of_fifth_order():
+    at_2s = [
+        simulate(oscillator(), {"force": np.zeros(2 * n + 1)}, sample_time=1 / n, step=1 / n)["x"][-1] for n in (10, 20)
+    ]
+    coarse, fine = np.abs(np.array(at_2s) - exact_oscillation(2.0))
+    assert 2**4.7 < coarse / fine < 2**5.6
+
+
+def test_the_simulation_agrees_with_an_adaptive_solver_at_tight_tolerance():
+    plant = oscillator().with_term("motion", "hardening", "-900 * x**3 - 2 * tanh(v / 0.2)")
+    force = np.repeat([3.0, -2.0, 0.5, 1.0], 250)
+    run = simulate(plant, {"force": force})
+    state = np.array([0.1, 0.0])
+    for k in range(0, 1000, 250):
+        held = force[k]
+        solved = solve_ivp(
+            lambda t, s: [s[1], (held - 50 * s[0] - 3 * s[1] - 900 * s[0] ** 3 - 2 * np.tanh(s[1] / 0.2)) / 2],  # noqa: B023
+            (0, 0.249 if k == 750 else 0.25),
+            state,
+            method="DOP853",
+            rtol=1e-13,
+            atol=1e-15,
+        )
+        state = solved.y[:, -1]
+    np.testing.assert_allclose([run["x"][-1], run["v"][-1]], state, atol=1e-12)
+
+
+def test_a_state_stops_at_its_bound_and_loses_its_outward_rate():
+    run = simulate(oscillator(), {"force": np.repeat([200.0, -200.0], 1000)})
+    assert run["x"].max() == 1.0
+    assert run["x"].min() == -1.0
+    resting = run["x"][:1001] == 1.0
+    assert resting.sum() > 500
+    assert (run["v"][:1001][resting] == 0.0).all()
+
+
+def test_an_input_acts_from_its_own_sample_on():
+    force = np.zeros(5)
+    force[2] = 1.0
+    v = simulate(oscillator().with_parameters(stiffness=0.0), {"force": force})["v"]
+    assert v[:3].tolist() == [0.0, 0.0, 0.0]
+    assert v[3] > 0
+
+
+def test_the_same_run_gives_the_same_bits_and_leaves_its_inputs_alone():
+    force = np.random.default_rng(1).standard_normal(500)
+    before = force.copy()
+    first, second = (simulate(oscillator(), {"force": force}) for _ in range(2))
+    np.testing.assert_array_equal(first["x"], second["x"])
+    np.testing.assert_array_equal(force, before)
+
+
+def test_other_parameter_values_compile_nothing():
+    plant = oscillator()
+    assert source(plant) == source(plant.with_parameters(mass=3.0))
+    assert source(plant) != source(plant.without("motion.viscous"))
+
+
+def test_any_symbol_can_be_recorded_and_a_start_can_be_given():
+    run = simulate(oscillator(), {"force": np.zeros(3)}, initial={"x": 0.25}, channels=["f_spring", "force"])
+    assert list(run.channels) == ["force", "f_spring"]
+    assert run["f_spring"][0] == 12.5
+
+
+@pytest.mark.parametrize(
+    ("inputs", "options", "message"),
+    [
+        ({}, {}, r"inputs are \[\]; give \['force'\]"),
+        ({"force": np.zeros(0)}, {}, "one sequence of the same length"),
+        ({"force": np.zeros((3, 2))}, {}, "one sequence of the same length"),
+        ({"force": np.array([0.0, np.nan])}, {}, "input force is not finite at sample 1"),
+        ({"force": np.zeros(3)}, {"step": 3e-4}, "step 0.0003 s does not divide the sample time"),
+        ({"force": np.zeros(3)}, {"initial": {"y": 1.0}}, "initial: 'y' is no state; it has x, v"),
+        ({"force": np.zeros(3)}, {"channels": ["y"]}, "signal y is missing"),
+    ],
+)
+def test_a_simulation_that_cannot_be_run_is_refused(inputs, options, message):
+    with pytest.raises(InputError, match=message):
+        simulate(oscillator(), inputs, **options)
+
+
+def test_a_state_that_leaves_the_finite_numbers_is_named_with_its_time():
+    plant = oscillator(states={"x": State("m", 0.1), "v": State("m/s")}).with_term("motion", "runaway", "1e4 * x**3")
+    with pytest.raises(InputError, match=r"state x is not finite at 0\.\d+ s; check parameters"):
+        simulate(plant, {"force": np.zeros(2000)})
+
+
+def test_a_comment_or_a_line_break_in_an_expression_changes_nothing():
+    plant = oscillator(**motion(drive="(force\n  - 50 * x)  # newtons"))
+    run = simulate(plant, {"force": np.ones(10)})
+    np.testing.assert_array_equal(
+        run["x"], simulate(oscillator(**motion(drive="force - 50*x")), {"force": np.ones(10)})["x"]
+    )
+
+
+SCRIPT = """
+import os, sys
+sys.path.insert(0, os.environ["TESTS"])
+import numpy as np
+from test_plants import oscillator
+from greygate.plants.simulate import _module, simulate, source
+simulate(oscillator(), {"force": np.zeros(3)})
+run = _module(source(oscillator())).run
+print(sum(run.stats.cache_hits.values()), sum(run.stats.cache_misses.values()), run.py_func.__code__.co_filename)
+"""
+
+
+def run_elsewhere(cache) -> list[str]:
+    environment = os.environ | {"XDG_CACHE_HOME": str(cache), "TESTS": os.path.dirname(__file__)}
+    return subprocess.run(
+        [sys.executable, "-c", SCRIPT], env=environment, check=True, capture_output=True, text=True
+    ).stdout.split()
+
+
+def test_a_second_process_compiles_nothing(tmp_path):
+    assert run_elsewhere(tmp_path)[:2] == ["0", "1"]
+    assert run_elsewhere(tmp_path)[:2] == ["1", "0"]
+
+
+def test_a_cache_that_cannot_be_written_is_done_without(tmp_path):
+    (tmp_path / "file").write_text("")
+    hits, misses, filename = run_elsewhere(tmp_path / "file")
+    assert (hits, filename.startswith("greygate_plant_")) == ("0", True)
+
+
+def test_a_damaged_source_in_the_cache_is_written_anew(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    text = source(oscillator(name="damaged").with_term("motion", "more", "0.125 * force"))
+    path = _module(text).__file__
+    _module.cache_clear()
+    with open(path, "w") as file:
+        file.write("raise RuntimeError")
+    assert callable(_module(text).run)
