@@ -66,12 +66,10 @@ class Problem:
         values = self.flat.parameters()
         self._shapes = [values[n].shape for n in self._names]
         self.theta = np.concatenate([values[n].ravel() for n in self._names])
-        mask = []
-        for name in self._names:
-            layer, _, port = name.rpartition(".")
-            frozen = port in self.flat.modules[layer].frozen
-            mask.append(np.full(values[name].size, not frozen) & np.asarray((free or {}).get(name, True)).ravel())
-        self.free = np.flatnonzero(np.concatenate(mask))
+        may_move = [
+            np.full(values[n].size, not self._frozen(n)) & np.asarray((free or {}).get(n, True)).ravel() for n in self._names
+        ]
+        self.free = np.flatnonzero(np.concatenate(may_move))
         elements = int(self._tables.layers[-1, 0])
         first = {n: int(e) for n, e in zip(self.flat.order(), self._tables.layers[:, 0], strict=False)}
         self._forced = np.zeros(elements, bool)
@@ -81,8 +79,17 @@ class Problem:
                 self._forced[at : at + p.size] = True
         self._records = [self._arrays(r, first, teacher) for r in records]
         self.samples = sum((len(t) - skip) * t.shape[1] for _, _, t, skip, _ in self._records)
-        if not records or self.samples <= 0:
+        if records and self.samples <= 0:
             raise InputError(f"network {network.name}: no samples to train on; the records are empty or all skipped")
+
+    def _frozen(self, name: str) -> bool:
+        layer, _, port = name.rpartition(".")
+        return port in self.flat.modules[layer].frozen
+
+    def slices(self) -> dict[str, np.ndarray]:
+        """Where each parameter stands in theta."""
+        ends = np.cumsum([int(np.prod(s)) for s in self._shapes])
+        return dict(zip(self._names, np.split(np.arange(ends[-1]), ends[:-1]), strict=True))
 
     def _arrays(self, record: Record, first: dict[str, int], teacher: bool):
         flat, depth = self.flat, self._tables.depth
@@ -141,21 +148,18 @@ class Problem:
         shown = self._tables.rows[self._tables.shown]
         return [run[:, shown] - target for run, (_, _, target, _, _) in zip(runs, self._records, strict=True)]
 
-    def loss(self, theta: np.ndarray, decay: np.ndarray) -> float:
-        """J = (1/2N) sum e^2 + (1/2N) theta' D theta; inf where the run diverges."""
+    def squares(self, theta: np.ndarray) -> float:
+        """Weighted sum of squared errors; inf where the run diverges."""
         errors = self.errors(theta)
         if errors is None:
             return np.inf
-        squares = sum(
+        return sum(
             weight * float(np.sum(e[skip:] ** 2))
             for e, (_, _, _, skip, weight) in zip(errors, self._records, strict=True)
         )
-        free = theta[self.free]
-        value = (squares + float(decay @ free**2)) / (2 * self.samples)
-        return value if np.isfinite(value) else np.inf
 
     def normal_equations(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(J'J, J'e) over the free parameters. Call after `loss` at the same theta (it uses that run)."""
+        """(J'J, J'e) over the free parameters. Call after `squares` at the same theta (it uses that run)."""
         t: Tables = self._tables
         size = len(theta)
         hessian, gradient = np.zeros((size, size)), np.zeros(size)
@@ -175,6 +179,47 @@ class Problem:
         return hessian[np.ix_(self.free, self.free)], gradient[self.free]
 
 
+class _Whole:
+    """A network on its records together with modules of it on records of their own, over one theta."""
+
+    def __init__(self, network: Network, records: list[Record], teacher: bool, free: Mapping | None, rehearse: Mapping):
+        if not records:
+            raise InputError(f"network {network.name}: no records to train on")
+        self.main = Problem(network, records, teacher, free)
+        self.parts = []
+        place = self.main.slices()
+        position = np.full(len(self.main.theta), -1)
+        position[self.main.free] = np.arange(len(self.main.free))
+        for path, record in rehearse.items():
+            part = Problem(_module(network, path), [record])
+            index = np.concatenate([place[f"{path}.{n}"] for n in part.slices()])
+            moving = np.flatnonzero(position[index[part.free]] >= 0)
+            self.parts.append((part, index, moving, position[index[part.free]][moving]))
+
+    def loss(self, theta: np.ndarray, decay: float) -> float:
+        """J = (1/2N) (sum e^2 + rehearsal's weighted sum e^2 + decay theta' theta); inf where a run diverges."""
+        squares = self.main.squares(theta) + sum(part.squares(theta[index]) for part, index, _, _ in self.parts)
+        value = (squares + decay * float(np.sum(theta[self.main.free] ** 2))) / (2 * self.main.samples)
+        return value if np.isfinite(value) else np.inf
+
+    def normal_equations(self, theta: np.ndarray, decay: float) -> tuple[np.ndarray, np.ndarray]:
+        hessian, gradient = self.main.normal_equations(theta)
+        for part, index, moving, where in self.parts:
+            h, g = part.normal_equations(theta[index])
+            hessian[np.ix_(where, where)] += h[np.ix_(moving, moving)]
+            gradient[where] += g[moving]
+        hessian[np.diag_indices_from(hessian)] += decay
+        return hessian, gradient + decay * theta[self.main.free]
+
+
+def _module(network: Network, path: str) -> Network:
+    for name in path.split("."):
+        network = getattr(network, "modules", {}).get(name)
+        if not isinstance(network, Network):
+            raise InputError(f"cannot rehearse {path}: {name} is not a network with ports of its own")
+    return network
+
+
 def train(
     network: Network,
     records: list[Record],
@@ -182,6 +227,7 @@ def train(
     teacher: bool = False,
     epochs: int = 100,
     decay: float = 0.0,
+    rehearse: Mapping[str, Record] | None = None,
     goal: float = 0.0,
     seconds: float = np.inf,
     tolerance: float = 1e-7,
@@ -191,15 +237,17 @@ def train(
     """Levenberg-Marquardt (Marquardt 1963; Nielsen's damping). The trained network is flat.
 
     decay: D of the loss, one number for every free weight (biases included). goal: stop at this loss.
+    rehearse: module path -> a record of its own ports, weighted by `Record.weight`: parts that were right stay right where
+    `records` do not reach.
     tolerance: relative fall over ten epochs below which it has converged. progress: called with (epoch, loss).
     Ctrl-C keeps the best weights so far.
     """
     began = monotonic()
     with threadpool_limits(1, "blas"):  # two BLAS threads are slower than one on matrices this small
-        problem = Problem(network, records, teacher, free)
-        theta, best = problem.theta.copy(), None
-        weights = np.full(len(problem.free), decay)
-        loss = problem.loss(theta, weights)
+        whole = _Whole(network, records, teacher, free, rehearse or {})
+        problem = whole.main
+        theta = problem.theta.copy()
+        loss = whole.loss(theta, decay)
         if not np.isfinite(loss):
             raise InputError(
                 f"network {network.name}: diverges with its initial weights; start from a NARX fit or smaller weights"
@@ -208,9 +256,7 @@ def train(
         best = theta.copy()
         try:
             for epoch in range(epochs):
-                hessian, gradient = problem.normal_equations(theta)
-                hessian[np.diag_indices_from(hessian)] += weights
-                gradient += weights * theta[problem.free]
+                hessian, gradient = whole.normal_equations(theta, decay)
                 scale = np.diag(hessian).copy() + 1e-12 * np.trace(hessian) / len(hessian) + 1e-300
                 while True:
                     try:
@@ -221,7 +267,7 @@ def train(
                     if step is not None and np.isfinite(step).all():
                         trial = theta.copy()
                         trial[problem.free] += step
-                        value = problem.loss(trial, weights)
+                        value = whole.loss(trial, decay)
                         expected = 0.5 * float(step @ (damping * scale * step - gradient)) / problem.samples
                         ratio = (loss - value) / expected if expected > 0 else -1.0
                         if value < loss:

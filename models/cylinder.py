@@ -1,0 +1,84 @@
+"""The structured recurrent network (SRNN) that predicts chamber pressures of a valve-controlled cylinder (thesis 5.3.2).
+
+    P_A(k) = P_A(k-1) + G2 divider( G1 q_a - v,  gamma)      q_a = Network Qa(u, P_A(k-1))
+    P_B(k) = P_B(k-1) + G2 divider(-G1 q_b + v, -gamma)      q_b = Network Qb(u, P_B(k-1))
+
+From outside it sees what the thesis gives it: the valve voltage and the position. Velocity is their backward difference,
+and `u` is the spool position *averaged over the sampling interval*, by a third-order difference equation.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.signal import ss2tf
+
+from greygate.models.network import Layer, Network, Port
+
+X_SCALE = 5e-6 * 2**14  # m; one step of the 5 um scale is an exact binary fraction
+V_SCALE = 1.5  # V
+
+
+def mean_spool(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float, u_max: float) -> Network:
+    """u(k) = sum_n a_n u(k-n) + b_n v_c(k-n): the mean spool position over [(k-1)T, kT], normalised (compare 5.12).
+
+    a (3, 3), b (3,), c (3,), d: exact discretisation s(k) = a s(k-1) + b v_c(k-1), mean(k) = c s(k-1) + d v_c(k-1).
+    """
+    numerator, denominator = ss2tf(a, b[:, None], c[None, :], np.array([[d]]))
+    order = len(a)
+    taps = {f"v{n}": [[numerator[0, n - 1] * V_SCALE / u_max]] for n in range(1, order + 2)}
+    own = {f"u{n}": [[-denominator[n]]] for n in range(1, order + 1)}
+    network = Network("spool", [Port("v_c")], [Port("u")])
+    network.add("mean", Layer(taps | own, [0.0], frozen={*taps, *own, "bias"}))
+    for port in taps:
+        network.connect("v_c", f"mean.{port}", delay=int(port[1:]))
+    for port in own:
+        network.connect("mean", f"mean.{port}", delay=int(port[1:]))
+    network.connect("mean", "u")
+    return network
+
+
+def pressure(divider: Network, g2: float, initial: float) -> Network:
+    """`Network Pa` (fig. 5.5): P(k) = P(k-1) + G2 divider(omega, gamma), all normalised."""
+    network = Network("pressure", [Port("omega"), Port("gamma")], [Port("p")])
+    network.add("divider", divider)
+    network.add("state", Layer({"rate": [[g2]], "p": [[1.0]]}, [0.0], initial=initial, frozen={"rate", "p", "bias"}))
+    network.connect("omega", "divider.omega")
+    network.connect("gamma", "divider.gamma")
+    network.connect("divider", "state.rate")
+    network.connect("state", "state.p", delay=1)
+    network.connect("state", "p")
+    return network
+
+
+def valve_srnn(
+    k: Mapping[str, float], flow: Network, divider: Network, spool: Network, sample_time: float = 1e-3
+) -> Network:
+    """Join flow, divider and spool networks into the SRNN of fig. 5.4.
+
+    k: parameters of the plant in SI units (`p_s`, `bulk_modulus`, `v_a0`, `v_b0`, `area`, `k_valve`, `u_max`, `q_max`).
+    Inputs `v_c` [V] and `x` [m]; outputs `p_a`, `p_b` [Pa]. Before the first step both chambers stand at half supply.
+    """
+    g1 = k["k_valve"] * k["u_max"] * np.sqrt(k["p_s"]) / k["q_max"]
+    gv = k["area"] * X_SCALE / (k["q_max"] * sample_time)
+    network = Network(
+        "valve_srnn",
+        [Port("v_c", "V", V_SCALE), Port("x", "m", X_SCALE)],
+        [Port("p_a", "Pa", k["p_s"]), Port("p_b", "Pa", k["p_s"])],
+    )
+    network.add("spool", spool)
+    network.add("velocity", Layer({"now": [[1.0]], "before": [[-1.0]]}, [0.0], frozen={"now", "before", "bias"}))
+    network.connect("v_c", "spool")
+    network.connect("x", "velocity.now")
+    network.connect("x", "velocity.before", delay=1)
+    for chamber, sign, volume in (("a", 1.0, k["v_a0"]), ("b", -1.0, k["v_b0"])):
+        q, p = f"q{chamber}", f"p{chamber}"
+        g2 = k["bulk_modulus"] * k["q_max"] * sample_time / (volume * k["p_s"])
+        network.add(q, flow)
+        network.add(p, pressure(divider, g2, initial=0.5))
+        network.connect("spool", f"{q}.u", gain=sign)  # Qb is the mirror of Qa: q_b(u, p) = -q_a(-u, p)
+        network.connect(p, f"{q}.p", delay=1)
+        network.connect(q, f"{p}.omega", gain=g1)
+        network.connect("velocity", f"{p}.omega", gain=-sign * gv)
+        network.connect("x", f"{p}.gamma", gain=sign * k["area"] * X_SCALE / volume)
+        network.connect(p, f"p_{chamber}")
+    return network.check()
