@@ -35,7 +35,7 @@ _ARITHMETIC = (
     ast.Name, ast.Load, ast.Constant, ast.Call, ast.UnaryOp, ast.UAdd, ast.USub,
     ast.BinOp, ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow,
 )  # fmt: skip
-_RESERVED = {"np", "njit", "jit", "derivative", "run", *FUNCTIONS}
+_RESERVED = {"np", "njit", "jit", "derivative", "hold", "run", *FUNCTIONS}
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,8 @@ class Parameter:
 class State:
     """A state in `unit`; `initial`, `low` and `high` are numbers or expressions in the parameters.
 
-    After each integration step the state is held within [`low`, `high`]; when it meets a bound, the state `rate` (its
-    velocity) loses what points outward. A stroke stop, a saturation, a pressure that cannot fall below zero.
+    The state is held within [`low`, `high`]; on a bound neither it nor the state `rate`, its velocity, moves further
+    outward. A stroke stop, a saturation, a pressure that cannot fall below zero.
     """
 
     unit: str

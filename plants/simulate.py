@@ -135,15 +135,28 @@ def _combination(weights: Iterable[str]) -> str:
 def _stage(number: int) -> str:
     weights = _STAGES[number]
     if not weights:
-        return "            derivative(x, inputs[sample], parameters, k[0])"
+        return (
+            "            derivative(x, inputs[sample], parameters, k[0])\n"
+            "            hold(x, k[0], low, high, rate, bounded)"
+        )
     return (
         "            for j in range(n):\n"
         f"                y[j] = x[j] + h * ({_combination(weights)})\n"
-        f"            derivative(y, inputs[sample], parameters, k[{number}])"
+        f"            derivative(y, inputs[sample], parameters, k[{number}])\n"
+        f"            hold(y, k[{number}], low, high, rate, bounded)"
     )
 
 
 _RUN = f'''
+
+@jit
+def hold(x, dx, low, high, rate, bounded):
+    """Let no state at its bound, nor the rate of one, move further outward."""
+    for j in bounded:
+        moved = rate[j] if rate[j] >= 0 else j
+        if (x[j] <= low[j] and dx[moved] < 0.0) or (x[j] >= high[j] and dx[moved] > 0.0):
+            dx[moved] = 0.0
+
 
 @jit
 def run(x, inputs, parameters, low, high, rate, h, substeps, out):
@@ -151,13 +164,14 @@ def run(x, inputs, parameters, low, high, rate, h, substeps, out):
     n = len(x)
     k = np.empty((6, n))
     y = np.empty(n)
+    bounded = np.flatnonzero((low > -np.inf) | (high < np.inf))
     out[0] = x
     for sample in range(len(inputs) - 1):
         for _ in range(substeps):
 {chr(10).join(_stage(number) for number in range(6))}
             for j in range(n):
                 x[j] += h * ({_combination(_SOLUTION)})
-            for j in range(n):
+            for j in bounded:
                 if x[j] < low[j]:
                     x[j] = low[j]
                     if rate[j] >= 0:
