@@ -20,7 +20,7 @@ module greygate_clamp #(
 
     localparam W = (SHIFT > ARG_W ? SHIFT : ARG_W) + 1;  // the rounding constant fits as well
 
-    function [W-1:0] clamp(input signed [ARG_W-1:0] code);
+    function automatic [W-1:0] clamp(input signed [ARG_W-1:0] code);
         reg signed [ARG_W-1:0] v;
         begin
             v = code < LO ? LO : code > HI ? HI : code;

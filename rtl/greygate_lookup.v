@@ -35,11 +35,11 @@ module greygate_lookup #(
     integer k;
     initial for (k = 0; k <= LAST; k = k + 1) points[k] = POINTS[k*OUT_W+:OUT_W];
 
-    function [INDEX_W-1:0] limited(input [A-1:0] index);
+    function automatic [INDEX_W-1:0] limited(input [A-1:0] index);
         limited = index > LAST_A[A-1:0] ? LAST_A[INDEX_W-1:0] : index[INDEX_W-1:0];
     endfunction
 
-    function [OUT_W-1:0] lookup(input [ARG_W-1:0] code);
+    function automatic [OUT_W-1:0] lookup(input [ARG_W-1:0] code);
         reg [A-1:0] a, i;
         reg signed [OUT_W-1:0] p, q;
         reg signed [P-1:0] base, step, r, v;

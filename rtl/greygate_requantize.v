@@ -25,7 +25,7 @@ module greygate_requantize #(
     localparam signed [W-1:0] HI = (ONE <<< (OUT_W - 1)) - ONE;
     localparam signed [W-1:0] LO = -HI - ONE;
 
-    function [OUT_W-1:0] requantize(input signed [IN_W-1:0] code);
+    function automatic [OUT_W-1:0] requantize(input signed [IN_W-1:0] code);
         reg signed [W-1:0] v;
         begin
             v = {{W - IN_W{code[IN_W-1]}}, code};

@@ -17,7 +17,7 @@ module greygate_threshold #(
     output reg  [SIZE*OUT_W-1:0] y
 );
 
-    function [OUT_W-1:0] threshold(input signed [ARG_W-1:0] code);
+    function automatic [OUT_W-1:0] threshold(input signed [ARG_W-1:0] code);
         threshold = code >= AT ? ABOVE : BELOW;
     endfunction
 
