@@ -56,7 +56,7 @@ def simulate(
     naming state and time, for a state that leaves the finite numbers.
     """
     held = _inputs(plant, inputs)
-    substeps = round(sample_time / step)
+    substeps = round(sample_time / step) if step > 0 else 0
     if substeps < 1 or abs(substeps * step - sample_time) > 1e-9 * sample_time:
         raise InputError(f"plant {plant.name}: step {step} s does not divide the sample time {sample_time} s")
     start = plant.initial()

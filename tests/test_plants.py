@@ -224,6 +224,7 @@ def test_any_symbol_can_be_recorded_and_a_start_can_be_given():
         ({"force": np.zeros(0)}, {}, "one sequence of the same length"),
         ({"force": np.zeros((3, 2))}, {}, "one sequence of the same length"),
         ({"force": np.array([0.0, np.nan])}, {}, "input force is not finite at sample 1"),
+        ({"force": np.zeros(3)}, {"step": 0.0}, "step 0.0 s does not divide the sample time"),
         ({"force": np.zeros(3)}, {"step": 3e-4}, "step 0.0003 s does not divide the sample time"),
         ({"force": np.zeros(3)}, {"initial": {"y": 1.0}}, "initial: 'y' is no state; it has x, v"),
         ({"force": np.zeros(3)}, {"channels": ["y"]}, "signal y is missing"),
