@@ -242,12 +242,12 @@ def fields(macs: int, w: dict[str, int]) -> list[tuple[str, int, bool]]:
     return flags + head + drain + middle + tail + [(f"weight_{m}", w["weight"], True) for m in range(macs)]
 
 
-def rom_text(comment: list[str], name: str, ports: str, width: int, depth: int, rows: list[str], index: str, out: str) -> str:
+def rom_text(comment: list[str], name: str, ports: str, width: int, rows: list[str], index: str, out: str) -> str:
     """A synchronous ROM whose lines can be read."""
     return module_text(
         comment,
         f"module {name} (\n{ports}\n);\n\n"
-        f"    reg [{width - 1}:0] rom[0:{(1 << bits(depth - 1)) - 1}];\n"
+        f"    reg [{width - 1}:0] rom[0:{len(rows) - 1}];\n"
         f"    reg [{width - 1}:0] line;\n"
         f"    always @(posedge clk) line <= rom[{index}];\n{out}\n"
         "    initial begin\n" + "\n".join(f"        {r}" for r in rows) + "\n    end\n",
@@ -259,28 +259,25 @@ def schedule_text(program: Program, macs: int, folding: Folding) -> str:
     layout = fields(macs, w)
     lines = folding.schedule.lines
     rows = []
-    depth = 1 << bits(len(lines) - 1)
-    for t in range(depth):
-        line = lines[t] if t < len(lines) else {}
+    for t, line in enumerate(lines):
         values = [number(line.get(n, 0), k) if s else f"{k}'d{line.get(n, 0)}" for n, k, s in layout]
-        note = "; ".join(folding.schedule.notes[t]) if t < len(lines) else "idle"
-        rows.append(f"rom[{t}] = {{{', '.join(values)}}};  // {note}".removesuffix("  // "))
+        note = "; ".join(folding.schedule.notes[t]) or "idle"
+        rows.append(f"rom[{t}] = {{{', '.join(values)}}};  // {note}")
     ports = [f"    input  wire clk,\n    input  wire [{w['pc'] - 1}:0] pc"]
     ports += [f"    output wire {'signed ' if s else ''}[{k - 1}:0] {n}" for n, k, s in layout]
-    names = ", ".join(n for n, _, _ in layout)
     comment = [
         f"Schedule of {program.name}: what every clock of a step does. {len(lines)} lines, line 0 is idle.",
-        f"Fields from left to right: {names}.",
+        "Fields from left to right as in the assignment to them below.",
     ]
-    assign = "    assign {" + ", ".join(n for n, _, _ in layout) + "} = line;\n"
+    named = wrapped([n + ("," if n != layout[-1][0] else "") for n, _, _ in layout], "        ")
+    assign = f"    assign {{\n{named}\n    }} = line;\n"
     width = sum(k for _, k, _ in layout)
-    return rom_text(comment, f"{program.name}__schedule", ",\n".join(ports), width, depth, rows, "pc", assign)
+    return rom_text(comment, f"{program.name}__schedule", ",\n".join(ports), width, rows, "pc", assign)
 
 
 def biases_text(program: Program, macs: int, folding: Folding) -> str:
     w = widths(program, macs, folding)
-    depth = 1 << w["group"]
-    groups = folding.groups + [("no group", [])] * (depth - len(folding.groups))
+    groups = folding.groups + [("no rows", [])] * (2 - len(folding.groups))
     rows = []
     for g, (label, biases) in enumerate(groups):
         values = [number(b, w["acc"]) for b in [*biases, *[0] * (macs - len(biases))]]
@@ -289,7 +286,7 @@ def biases_text(program: Program, macs: int, folding: Folding) -> str:
     ports += f"    output wire [{macs * w['acc'] - 1}:0] bias"
     comment = [f"Biases of {program.name}, a group of {macs} rows a line, the first row on the right."]
     name = f"{program.name}__biases"
-    return rom_text(comment, name, ports, macs * w["acc"], depth, rows, "group", "    assign bias = line;\n")
+    return rom_text(comment, name, ports, macs * w["acc"], rows, "group", "    assign bias = line;\n")
 
 
 def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, str]) -> str:

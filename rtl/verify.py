@@ -3,6 +3,7 @@
 One build holds any number of designs, so that many small programs cost little more than one.
 """
 
+import hashlib
 import json
 import os
 import shutil
@@ -10,14 +11,16 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
 from greygate.compiler.verilog import emit, lane_width, sign_extended, verilog_names
 from greygate.emulator.program import Program, Signal
-from greygate.errors import InputError
+from greygate.errors import InputError, replacing
 
 
 @dataclass(frozen=True)
@@ -259,8 +262,12 @@ def simulator_environment() -> dict[str, str]:
     }
 
 
+RUNTIME = ("verilated.o", "verilated_vpi.o", "verilated_threads.o")  # the same for every design
+OPTIONS = ("OPT_FAST=-O1", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1")
+
+
 def build(bench: Path, sources: list[Path], folder: Path, environment: dict[str, str]) -> Path:
-    """Bench and designs as an executable with cocotb inside."""
+    """Bench and designs as an executable with cocotb inside. Verilator's own runtime is compiled once per machine."""
     import cocotb_tools.config as config
 
     libs = config.libs_dir
@@ -277,10 +284,27 @@ def build(bench: Path, sources: list[Path], folder: Path, environment: dict[str,
         folder / "verilator.log",
         environment,
     )
+    cache = runtime_cache(environment)
+    for name in RUNTIME:
+        if (cache / name).exists():
+            shutil.copy(cache / name, folder / name)
     jobs = str(os.cpu_count() or 1)
-    make = ["make", "-j", jobs, "-C", str(folder), "-f", "Vtop.mk", "OPT_FAST=-O1", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1"]
-    run_logged(make, folder / "make.log", environment)
+    run_logged(["make", "-j", jobs, "-C", str(folder), "-f", "Vtop.mk", *OPTIONS], folder / "make.log", environment)
+    for name in RUNTIME:
+        if (folder / name).exists() and not (cache / name).exists():
+            with suppress(OSError):  # a cache that cannot be written only costs time
+                cache.mkdir(parents=True, exist_ok=True)
+                with replacing(cache / name) as temporary:
+                    shutil.copy(folder / name, temporary)
     return folder / "bench"
+
+
+def runtime_cache(environment: dict[str, str]) -> Path:
+    """Folder of the runtime's objects for this Verilator, compiler and options."""
+    compiler = subprocess.run(["g++", "--version"], capture_output=True, text=True).stdout
+    key = hashlib.sha256(repr((environment["VERILATOR_ROOT"], version("verilator"), compiler, OPTIONS)).encode())
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return base / "greygate" / f"verilator-{key.hexdigest()[:16]}"
 
 
 def simulate(executable: Path, folder: Path, junit: Path, seed: int, environment: dict[str, str]) -> None:
