@@ -5,8 +5,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+
 from greygate.compiler.ranges import Range
-from greygate.compiler.tables import FUNCTIONS, make_table, output_fix
+from greygate.compiler.tables import FUNCTIONS, flat_from, integer_bits, make_table, output_fix
 from greygate.emulator.program import (
     Affine,
     Clamp,
@@ -22,9 +23,8 @@ from greygate.emulator.program import (
     Table,
     Threshold,
 )
-from greygate.models.network import Layer, Network
-
 from greygate.errors import InputError
+from greygate.models.network import Layer, Network
 
 GUARD = 3  # bits that a product may be finer than the sum it goes into
 
@@ -46,11 +46,6 @@ class Formats:
     table_budget: float = 1.25
     horizon: int = 10_000
     signals: Mapping[str, Fix] = field(default_factory=dict)
-
-
-def integer_bits(magnitude: float) -> int:
-    """Bits left of the point, the sign not counted: |value| <= magnitude < 2^bits. Negative for small values."""
-    return math.floor(math.log2(magnitude)) + 1 if magnitude > 0 else 0
 
 
 def memory(layer: Layer, loops: list[np.ndarray]) -> float:
@@ -231,10 +226,9 @@ class _Quantizer:
             return
         pre = f"{name}.n"
         if layer.activation in FUNCTIONS:
-            wanted = self.fix(pre, f.width)
-            end = 0.5 * math.log(4.0 * 2**f.width) if layer.activation == "tansig" else math.log(2.0 * 2**f.width)
-            frac = max(wanted.frac, f.width - 1 - integer_bits(end)) + f.wide
-            fix = self.formats.signals.get(pre, Fix(min(f.width + f.wide, frac + integer_bits(end) + 1), frac))
+            reach = self.fix_bits(pre)
+            frac = f.width - 1 - min(reach, integer_bits(flat_from(layer.activation, out.fix))) + f.wide
+            fix = self.formats.signals.get(pre, Fix(frac + reach + 1, frac))
             signal = Signal(pre, layer.size, fix)
             self._affine(signal, layer, reads)
             table = make_table(layer.activation, fix, out.fix, f.table_budget, f.interpolated)

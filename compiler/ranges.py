@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+
 from greygate.models.network import Network
 from greygate.models.training import Problem, Record
 

@@ -4,6 +4,7 @@ import math
 from functools import lru_cache
 
 import numpy as np
+
 from greygate.emulator.interpreter import lookup
 from greygate.emulator.program import Fix, Symmetry, Table
 
@@ -20,6 +21,17 @@ def output_fix(width: int) -> Fix:
     return Fix(width, width - 1)
 
 
+def integer_bits(magnitude: float) -> int:
+    """Bits left of the point, the sign not counted: |value| <= magnitude < 2^bits. Negative for small values."""
+    return math.floor(math.log2(magnitude)) + 1 if magnitude > 0 else 0
+
+
+def flat_from(function: str, out: Fix) -> float:
+    """Argument beyond which the function is flat to half an LSB of `out`."""
+    decades = (out.frac + 1) * math.log(2)  # of f's distance to its limit
+    return {"tansig": 0.5 * (decades + math.log(2)), "logsig": decades, "radbas": math.sqrt(decades)}[function]
+
+
 @lru_cache
 def make_table(function: str, arg: Fix, out: Fix, budget: float = 1.25, interpolated: bool = True) -> Table:
     """The smallest table whose worst error over every code of `arg` is at most `budget` LSB of `out`.
@@ -30,14 +42,15 @@ def make_table(function: str, arg: Fix, out: Fix, budget: float = 1.25, interpol
     f, symmetry = FUNCTIONS[function]
     codes = np.arange(arg.lo, arg.hi + 1, dtype=np.int64) if arg.width <= 20 else _sample(arg)
     exact = f(codes * arg.lsb)
-    end = (1 << (arg.width - 1)) * arg.lsb
+    reach = min(arg.width - 1, integer_bits(flat_from(function, out)) + arg.frac)  # codes that differ: below 2^reach
+    end = (1 << reach) * arg.lsb
     for bits in range(3, int(math.log2(LARGEST)) + 1):
-        shift = arg.width - 1 - bits
+        shift = reach - bits
         if shift < 0:
             break
         points = np.clip(np.floor(f(np.arange((1 << bits) + 1) * end / (1 << bits)) * 2.0**out.frac + 0.5), 0, out.hi)
         table = Table(
-            f"{function}_{arg.width}_{arg.frac}", function, symmetry, shift, tuple(int(p) for p in points),
+            f"{function}_{arg.width}_{arg.frac}_{out.width}", function, symmetry, shift, tuple(int(p) for p in points),
             interpolated, arg, out, 0.0,
         )  # fmt: skip
         worst = float(np.abs(lookup(table, codes) * out.lsb - exact).max())

@@ -51,7 +51,7 @@ def pressure(divider: Network, g2: float, initial: float) -> Network:
 
 
 def valve_srnn(
-    k: Mapping[str, float], flow: Network, divider: Network, spool: Network, sample_time: float = 1e-3
+    k: Mapping[str, float], flow: Network, divider: Network, spool: Network, sample_time: float = 1e-3, taps: int = 4
 ) -> Network:
     """Join flow, divider and spool networks into the SRNN of fig. 5.4.
 
@@ -78,7 +78,12 @@ def valve_srnn(
         network.connect("spool", f"{q}.u", gain=sign)  # Qb is the mirror of Qa: q_b(u, p) = -q_a(-u, p)
         network.connect(p, f"{q}.p", delay=1)
         network.connect(q, f"{p}.omega", gain=g1)
-        network.connect("velocity", f"{p}.omega", gain=-sign * gv)
+        speed = f"speed_{chamber}"  # starts as the backward difference; training may lean on earlier ones too
+        first = {f"d{n}": [[float(n == 0)]] for n in range(taps)}
+        network.add(speed, Layer(first, [0.0], frozen={"bias"}))
+        for n in range(taps):
+            network.connect("velocity", f"{speed}.d{n}", delay=n)
+        network.connect(speed, f"{p}.omega", gain=-sign * gv)
         network.connect("x", f"{p}.gamma", gain=sign * k["area"] * X_SCALE / volume)
         network.connect(p, f"p_{chamber}")
     return network.check()
