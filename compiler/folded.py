@@ -33,7 +33,7 @@ from greygate.compiler.verilog import (
     verilog_names,
     wrapped,
 )
-from greygate.emulator.program import Affine, Clamp, Lookup, Operation, Overflow, Program, signed_width
+from greygate.emulator.program import Affine, Lookup, Operation, Overflow, Program, signed_width
 
 WEIGHT, SUM, HOLD, PICK = 1, 2, 3, 4  # clocks after the read of a column in which its weight, sum, ... act
 FIT = 1  # clocks from pick to write
@@ -298,6 +298,7 @@ def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, s
     state_words = sum(s.signal.size for s in program.states)
     last_word = max(0, state_words - 1)
     address = w["address"]
+    inputs = len(input_slices(program))
     body = f"module {program.name} (\n{ports}\n);\n\n"
     body += f"    wire [{width_in - 1}:0] sample;\n    wire [{width_out - 1}:0] result;\n    wire start;\n"
 
@@ -323,7 +324,7 @@ def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, s
         body += f"    // {first}{last}: {s.name}, {s.size} x {s.fix}\n"
     body += f"    reg signed [{code - 1}:0] memory[0:{(1 << address) - 1}];\n"
     body += f"    reg booted;\n    reg [{address - 1}:0] boot;\n    reg signed [{code - 1}:0] initial_code;\n"
-    body += f"    reg signed [{code - 1}:0] x;\n    reg signed [{code - 1}:0] y;\n\n"
+    body += f"    reg signed [{code - 1}:0] y;\n\n"
     body += (
         "    always @(posedge clk)\n        if (rst) begin\n"
         f"            boot <= {address}'d0;\n            booted <= 1'b0;\n"
@@ -340,14 +341,17 @@ def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, s
     body += (
         f"    always @(posedge clk)\n        if (!booted) memory[boot] <= initial_code;\n"
         f"        else if (enable && write < {address}'d{folding.words}) memory[write] <= y;\n\n"
-        if folding.words < 1 << address
-        else ""
     )
-    body += "    always @(posedge clk)\n        case (read)\n"
+    body += f"    reg signed [{code - 1}:0] word;\n    always @(posedge clk) word <= memory[read];\n\n"
+    body += f"    reg from_input;\n    reg signed [{code - 1}:0] input_code;\n"
+    body += f"    wire signed [{code - 1}:0] x = from_input ? input_code : word;\n"
+    body += "    always @(posedge clk) begin\n"
+    body += f"        from_input <= read >= {address}'d{folding.words};\n        case (read)\n"
     for n, (s, k, low) in enumerate(input_slices(program)):
         value = sign_extended("sample", low, s.fix.width, code)
-        body += f"            {address}'d{folding.words + n}: x <= {value};  // {s.name}[{k}]\n"
-    body += "            default: x <= memory[read];\n        endcase\n"
+        end = f"{address}'d{folding.words + n}" if n + 1 < inputs else "default"
+        body += f"            {end}: input_code <= {value};  // {s.name}[{k}]\n"
+    body += "        endcase\n    end\n"
     if unused_bits(program):
         body += "    wire unused = &{\n" + wrapped([f"{u}," for u in unused_bits(program)], "        ")
         body += " 1'b0\n    };  // sign extensions\n"
@@ -360,9 +364,7 @@ def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, s
         part = f"[{(m + 1) * acc - 1}:{m * acc}]"
         ends = {"clk": "clk", "x": "x", "weight": f"weight_{m}", "first": "first", "next": "next"}
         ends |= {"bias": f"bias{part}", "acc": f"sums{part}"}
-        body += "\n" + instance(
-            "greygate_mac", f"mac_{m}", {"X_W": code, "WEIGHT_W": w["weight"], "ACC_W": acc}, ends
-        )
+        body += "\n" + instance("greygate_mac", f"mac_{m}", {"X_W": code, "WEIGHT_W": w["weight"], "ACC_W": acc}, ends)
     body += "\n    always @(posedge clk) if (hold) held <= sums;\n\n    always @*\n        case (pick)\n"
     for m in range(1, macs):
         body += f"            {w['pick']}'d{m}: row = held[{(m + 1) * acc - 1}:{m * acc}];\n"
@@ -371,9 +373,7 @@ def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, s
         "greygate_drain",
         "drain",
         {"IN_W": acc, "OUT_W": code, "SHIFT_W": w["shift"], "LEFT": w["left"], "WIDTH_W": w["width"]},
-        {"clk": "clk", "a": "row"}
-        | {n: n for n in ("shift", "rounding", "width", "saturate")}
-        | {"y": "drained"},
+        {"clk": "clk", "a": "row"} | {n: n for n in ("shift", "rounding", "width", "saturate")} | {"y": "drained"},
     )
 
     body += "\n    // what answers an argument in one clock\n"
@@ -384,7 +384,10 @@ def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, s
         arg, out = program.signals[o.arg].fix.width, o.out.fix.width
         body += f"\n    wire [{out - 1}:0] unit_{n};  // {key}\n"
         body += instance(
-            module, f"unit_{n}_{o.op.value}", parameters, {"clk": "clk", "en": "1'b1", "x": f"x[{arg - 1}:0]", "y": f"unit_{n}"}
+            module,
+            f"unit_{n}_{o.op.value}",
+            parameters,
+            {"clk": "clk", "en": "1'b1", "x": f"x[{arg - 1}:0]", "y": f"unit_{n}"},
         )
         cases.append(f"{w['source']}'d{COPY + 1 + n}: y = {sign_extended(f'unit_{n}', 0, out, code)};  // {key}")
     body += "\n    always @*\n        case (source)\n" + "".join(f"            {c}\n" for c in cases)

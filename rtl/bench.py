@@ -29,7 +29,19 @@ class Design:
 
     def __init__(self, dut, job: dict):
         self.job = job
-        for name in "clk rst s_tdata offered s_tready m_tdata m_tvalid m_tready states load initial".split():
+        for name in [
+            "clk",
+            "rst",
+            "s_tdata",
+            "offered",
+            "s_tready",
+            "m_tdata",
+            "m_tvalid",
+            "m_tready",
+            "states",
+            "load",
+            "initial",
+        ]:
             setattr(self, name, getattr(dut, f"{name}_{job['index']}"))
         self.rise = RisingEdge(self.m_tvalid)
         self.step = -1  # the last step that ended

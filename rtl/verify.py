@@ -12,7 +12,7 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -136,6 +136,21 @@ def verify_many(cases: Sequence[Case], folder: Path | str, seed: int | None = No
     )
 
 
+def words(signals: Sequence[Signal]) -> list[tuple[str, int, int]]:
+    """(name, bytes, first byte) of every element in a word of lanes."""
+    found, start = [], 0
+    for s in signals:
+        for k in range(s.size):
+            found.append((f"{s.name}[{k}]" if s.size > 1 else s.name, lane_width(s) // 8, start))
+            start += lane_width(s) // 8
+    return found
+
+
+def width(signals: Sequence[Signal]) -> int:
+    """Bits of a word of lanes."""
+    return sum(lane_width(s) * s.size for s in signals)
+
+
 def lanes(signals: Sequence[Signal], codes: np.ndarray) -> np.ndarray:
     """Codes (N, columns) as the bytes of AXI4-Stream words: uint8 (N, bytes)."""
     little = np.ascontiguousarray(codes, "<i8").view(np.uint8).reshape(len(codes), -1, 8)
@@ -155,20 +170,21 @@ class Design:
     def states(self) -> list[Signal]:
         return [s.signal for s in self.case.program.states]
 
-    def words(self, signals: Sequence[Signal]) -> list[tuple[str, int, int]]:
-        """(element's name, bytes, first byte) in a word of lanes."""
-        words, start = [], 0
-        for s in signals:
-            for k in range(s.size):
-                words.append((f"{s.name}[{k}]" if s.size > 1 else s.name, lane_width(s) // 8, start))
-                start += lane_width(s) // 8
-        return words
+    @property
+    def inputs(self) -> list[Signal]:
+        return [p.signal for p in self.case.program.inputs]
+
+    @property
+    def outputs(self) -> list[Signal]:
+        return [replace(p.signal, name=p.name) for p in self.case.program.outputs]
 
     def state_lanes(self) -> list[tuple[str, int, Signal]]:
         """(what holds it in the design, lowest bit there, signal) of every state code."""
         program, name = self.case.program, verilog_names(self.case.program)
         if self.case.architecture == "parallel":
-            return [(f"design_{self.index}.{name[s.name]}", k * s.fix.width, s) for s in self.states for k in range(s.size)]
+            return [
+                (f"design_{self.index}.{name[s.name]}", k * s.fix.width, s) for s in self.states for k in range(s.size)
+            ]
         return [
             (f"design_{self.index}.memory[{address}]", 0, s)
             for address, s in enumerate(s.signal for s in program.states for _ in range(s.signal.size))
@@ -177,18 +193,16 @@ class Design:
     def verilog(self) -> str:
         """The signals that the bench drives and reads, the source's handshake, the states side by side, the design."""
         i, program = self.index, self.case.program
-        width_in = 8 * sum(w for _, w, _ in self.words([p.signal for p in program.inputs]))
-        width_out = 8 * sum(w for _, w, _ in self.words([p.signal for p in program.outputs]))
         state = [sign_extended(at, low, s.fix.width, lane_width(s)) for at, low, s in self.state_lanes()]
-        width_state = 8 * sum(w for _, w, _ in self.words(self.states)) or 8
+        width_state = width(self.states) or 8
         shown = f"{{{', '.join(reversed(state))}}}" if state else "8'd0"
         public = "/* verilator public_flat_rw */"
         text = f"    // {i}: {program.name}, {self.case.architecture}\n"
         for name in ("clk", "rst", "offered", "m_tready", "load"):
             text += f"    reg {name}_{i} {public};\n"
-        text += f"    reg [{width_in - 1}:0] s_tdata_{i} {public};\n"
+        text += f"    reg [{width(self.inputs) - 1}:0] s_tdata_{i} {public};\n"
         text += f"    reg [{width_state - 1}:0] initial_{i} {public};\n"
-        text += f"    wire [{width_out - 1}:0] m_tdata_{i} {public};\n"
+        text += f"    wire [{width(self.outputs) - 1}:0] m_tdata_{i} {public};\n"
         text += f"    wire s_tready_{i} {public}, m_tvalid_{i} {public};\n"
         text += f"    wire [{width_state - 1}:0] states_{i} {public};\n"
         text += f"    assign states_{i} = {shown};\n"
@@ -212,8 +226,8 @@ class Design:
         return {
             "index": self.index,
             "name": f"{program.name}/{self.case.architecture}",
-            "output": self.words([p.signal for p in program.outputs]),
-            "state": self.words(self.states),
+            "output": words(self.outputs),
+            "state": words(self.states),
             "initial": lanes(self.states, initial[None]).tobytes().hex(),
             "scenarios": [
                 {"index": k, "name": name, "loads": s.initial is not None}
@@ -222,12 +236,11 @@ class Design:
         }
 
     def arrays(self) -> dict[str, np.ndarray]:
-        program = self.case.program
         found = {}
         for k, s in enumerate(self.case.scenarios.values()):
             key = f"{self.index}_{k}_"
-            found[key + "samples"] = lanes([p.signal for p in program.inputs], s.inputs)
-            found[key + "outputs"] = lanes([p.signal for p in program.outputs], s.outputs)
+            found[key + "samples"] = lanes(self.inputs, s.inputs)
+            found[key + "outputs"] = lanes(self.outputs, s.outputs)
             found[key + "states"] = lanes(self.states, s.states)
             if s.initial is not None:
                 found[key + "initial"] = lanes(self.states, np.asarray(s.initial)[None])

@@ -91,7 +91,9 @@ def random_program(seed: int, name: str | None = None) -> Program:
         out = Signal(out.name, arg.size, Fix(width, int(rng.integers(0, max(1, width - 1)))))
         shift = int(rng.integers(0, arg.fix.width + 1))
         last = int(rng.integers(1, 40))
-        tables.append(make_table(f"table{len(tables)}", symmetry, arg.fix, out.fix, shift, last, bool(rng.random() < 0.7)))
+        tables.append(
+            make_table(f"table{len(tables)}", symmetry, arg.fix, out.fix, shift, last, bool(rng.random() < 0.7))
+        )
         return Lookup(out, arg.name, tables[-1].name)
 
     def operation(out: Signal) -> None:
@@ -162,7 +164,9 @@ def cylinder_program(name: str = "cylinder", seed: int = 0) -> Program:
         operations.append(Lookup(Signal(name, size, tanh16), total.name, "tansig"))
         return operations[-1].out
 
-    spool = affine(Signal("spool_next", 1, x16), inputs[0], Signal("spool", 1, x16), Signal("spool_1", 1, x16), scale=0.7)
+    spool = affine(
+        Signal("spool_next", 1, x16), inputs[0], Signal("spool", 1, x16), Signal("spool_1", 1, x16), scale=0.7
+    )
     states += [State(Signal("spool", 1, x16), spool.name, (0,)), State(Signal("spool_1", 1, x16), "spool", (0,))]
     for c in "ab":
         p = Signal(f"p_{c}", 1, pressure)
