@@ -1,4 +1,4 @@
-"""The folded architecture: a few multipliers, one memory of codes, and a schedule in ROM that says what every clock does.
+"""The folded architecture: few multipliers, one memory of codes, a schedule in ROM that says what every clock does.
 
 The datapath, from left to right; the fields of a line of the schedule act in the clock in which the line stands:
 
@@ -358,7 +358,8 @@ def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, s
 
     body += f"\n    // {macs} multipliers: sums, held while they are drained row by row\n"
     body += f"    wire [{macs * acc - 1}:0] bias;\n    wire [{macs * acc - 1}:0] sums;\n"
-    body += f"    reg [{macs * acc - 1}:0] held;\n    reg signed [{acc - 1}:0] row;\n    wire signed [{code - 1}:0] drained;\n\n"
+    body += f"    reg [{macs * acc - 1}:0] held;\n    reg signed [{acc - 1}:0] row;\n"
+    body += f"    wire signed [{code - 1}:0] drained;\n\n"
     body += instance(f"{program.name}__biases", "biases", {}, {"clk": "clk", "group": "group", "bias": "bias"})
     for m in range(macs):
         part = f"[{(m + 1) * acc - 1}:{m * acc}]"
@@ -399,7 +400,8 @@ def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, s
         for k in range(p.signal.size):
             width = p.signal.fix.width
             body += f"    reg [{width - 1}:0] output_{n};  // {p.name}[{k}]\n"
-            body += f"    always @(posedge clk) if (enable && write == {address}'d{folding.words + n}) output_{n} <= y[{width - 1}:0];\n"
+            condition = f"enable && write == {address}'d{folding.words + n}"
+            body += f"    always @(posedge clk) if ({condition}) output_{n} <= y[{width - 1}:0];\n"
             shown.append(sign_extended(f"output_{n}", 0, width, lane_width(p.signal)))
             n += 1
     body += "    assign result = {\n" + ",\n".join(f"        {s}" for s in reversed(shown)) + "\n    };\n\n"

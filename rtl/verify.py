@@ -61,7 +61,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Verification:
-    """What came of a verification; `passed` only if every scenario of every design ran to its end without a mismatch."""
+    """What came of it; `passed` only if every scenario of every design ran to its end without a mismatch."""
 
     verdicts: tuple[Verdict, ...]
     seed: int
