@@ -1,6 +1,7 @@
 """From the generic network to the integer program: formats, weights, tables."""
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -100,7 +101,11 @@ class _Quantizer:
     def program(self) -> Program:
         inputs = []
         for p in self.flat.inputs:
-            self.signals[p.name] = Signal(p.name, p.size, self.fix(p.name, self.formats.width))
+            fix = self.fix(p.name, self.formats.width)
+            if p.resolution and p.name not in self.formats.signals:
+                frac = math.ceil(round(math.log2(abs(p.scale) / p.resolution), 9))
+                fix = Fix(fix.width - fix.frac + frac, frac)
+            self.signals[p.name] = Signal(p.name, p.size, fix)
             inputs.append(Port(p.name, self.signals[p.name], p.unit, p.scale, p.offset))
         order = self.flat.order()
         for name in order:
@@ -267,18 +272,24 @@ class _Quantizer:
         if layer.activation == "linear":
             frac = np.maximum(frac, out.fix.frac)
         frac = np.maximum(frac, 0)
-        columns = []
+        columns, bias = [], layer.bias.copy()
         for j, (signal, w) in enumerate(reads):
             own = finest[:, j : j + 1]
             codes = np.floor(w * 2.0**own + 0.5)
+            bias += (w - codes * 2.0**-own) @ self.ranges[_origin(signal.name)].mean  # what rounding w costs on average
             columns.append(codes.astype(np.int64) << (frac[:, None] - signal.fix.frac - own))
         weights = np.concatenate(columns, axis=1) if columns else np.zeros((rows, 0), np.int64)
-        bias = np.floor(layer.bias * 2.0**frac + 0.5).astype(np.int64)
+        bias = np.floor(bias * 2.0**frac + 0.5).astype(np.int64)
         self.operations.append(
             Affine(
                 out, tuple(s.name for s, _ in reads), weights, bias, frac, self.formats.rounding, self.formats.overflow
             )
         )
+
+
+def _origin(name: str) -> str:
+    """The layer or input that a state or a view shows."""
+    return re.sub(r"(\.z\d+)?(\.view)?$", "", name)
 
 
 def _exact_bits(w: np.ndarray, fine: int) -> int:

@@ -14,11 +14,13 @@ WIDEN_AFTER = 50  # sweeps of interval arithmetic before a signal that still gro
 class Range:
     """Of one signal or pre-activation, over all its elements (normalised units).
 
-    low, high: seen on the records. sound: (low, high) that no input within its own observed range can leave; may be inf.
+    low, high: seen on the records. mean: of each element (size,). sound: (low, high) that no input within its own observed
+    range can leave; may be inf.
     """
 
     low: float
     high: float
+    mean: np.ndarray
     sound: tuple[float, float]
 
     @property
@@ -39,7 +41,8 @@ def ranges(network: Network, records: list[Record]) -> dict[str, Range]:
     past = {}
     for source, delay in flat.feeds().values():
         past[source] = max(past.get(source, 0), delay)
-    seen: dict[str, np.ndarray] = {}
+    seen: dict[str, tuple[float, float]] = {}
+    sums: dict[str, np.ndarray] = {}
     for record, run in zip(records, runs, strict=True):
         columns = np.split(
             run, np.cumsum([len(start[n]) for n in [*(p.name for p in flat.inputs), *flat.order()]]), axis=1
@@ -63,14 +66,17 @@ def ranges(network: Network, records: list[Record]) -> dict[str, Range]:
                 offset = past.get(source, 0) - delay if source in history else 0
                 n += past_rows[offset : offset + len(run)] @ w.T
             _extend(seen, f"{name}.n", n)
+            sums[f"{name}.n"] = sums.get(f"{name}.n", 0.0) + n.sum(axis=0)
         for name, value in signal.items():
+            sums[name] = sums.get(name, 0.0) + value.sum(axis=0)
             _extend(seen, name, value)
             _extend(seen, name, history[name][: past[name]] if past.get(name) else value)
     bounds = _intervals(flat, {p.name: seen[p.name] for p in flat.inputs}, start)
-    return {n: Range(float(v[0]), float(v[1]), bounds[n]) for n, v in seen.items()}
+    total = sum(map(len, runs))
+    return {n: Range(low, high, sums[n] / total, bounds[n]) for n, (low, high) in seen.items()}
 
 
-def _extend(seen: dict[str, np.ndarray], name: str, values: np.ndarray) -> None:
+def _extend(seen: dict[str, tuple[float, float]], name: str, values: np.ndarray) -> None:
     low, high = float(values.min()), float(values.max())
     before = seen.get(name, (low, high))
     seen[name] = (min(low, before[0]), max(high, before[1]))

@@ -1,6 +1,8 @@
 """Lookup tables of the sigmoids: half of a symmetric function, interpolated, with the worst error over every code."""
 
 import math
+from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -13,7 +15,8 @@ FUNCTIONS = {
     "logsig": (lambda n: 0.5 + 0.5 * np.tanh(0.5 * n), Symmetry.COMPLEMENT),
     "radbas": (lambda n: np.exp(-n * n), Symmetry.EVEN),
 }
-LARGEST = 4096  # points of one table
+LARGEST_BITS = 12  # 4096 intervals
+CHUNK = 1 << 20
 
 
 def output_fix(width: int) -> Fix:
@@ -32,34 +35,44 @@ def flat_from(function: str, out: Fix) -> float:
     return {"tansig": 0.5 * (decades + math.log(2)), "logsig": decades, "radbas": math.sqrt(decades)}[function]
 
 
-@lru_cache
+@lru_cache(maxsize=256)
 def make_table(function: str, arg: Fix, out: Fix, budget: float = 1.25, interpolated: bool = True) -> Table:
     """The smallest table whose worst error over every code of `arg` is at most `budget` LSB of `out`.
 
     The error counted is that of the table, not of rounding the argument; plus one itself costs the LSB that `out`
     lacks. When no table up to 4096 points meets the budget the largest is taken: its worst error says so.
     """
-    f, symmetry = FUNCTIONS[function]
-    codes = np.arange(arg.lo, arg.hi + 1, dtype=np.int64) if arg.width <= 20 else _sample(arg)
-    exact = f(codes * arg.lsb)
     reach = min(arg.width - 1, integer_bits(flat_from(function, out)) + arg.frac)  # codes that differ: below 2^reach
-    end = (1 << reach) * arg.lsb
-    for bits in range(3, int(math.log2(LARGEST)) + 1):
-        shift = reach - bits
-        if shift < 0:
+    for bits in range(min(3, reach), min(reach, LARGEST_BITS) + 1):
+        table = _table(function, arg, out, reach - bits, bits, interpolated)
+        if _worst(table, _spread(reach)) <= budget * out.lsb:
             break
-        points = np.clip(np.floor(f(np.arange((1 << bits) + 1) * end / (1 << bits)) * 2.0**out.frac + 0.5), 0, out.hi)
-        table = Table(
-            f"{function}_{arg.width}_{arg.frac}_{out.width}", function, symmetry, shift, tuple(int(p) for p in points),
-            interpolated, arg, out, 0.0,
-        )  # fmt: skip
-        worst = float(np.abs(lookup(table, codes) * out.lsb - exact).max())
-        found = Table(**{**table.__dict__, "worst_error": worst})
-        if worst <= budget * out.lsb:
-            break
-    return found
+    return replace(table, worst_error=max(_worst(table, codes) for codes in _every(reach, arg)))
 
 
-def _sample(arg: Fix) -> np.ndarray:
-    """Codes of a format too wide to try them all: a million spread evenly, and the ends."""
-    return np.unique(np.r_[np.linspace(arg.lo, arg.hi, 1 << 20).astype(np.int64), arg.lo, arg.hi])
+def _table(function: str, arg: Fix, out: Fix, shift: int, bits: int, interpolated: bool) -> Table:
+    f, symmetry = FUNCTIONS[function]
+    exact = f(np.arange((1 << bits) + 1) * 2.0**shift * arg.lsb)
+    points = np.clip(np.floor(exact * 2.0**out.frac + 0.5), 0, out.hi).astype(int)
+    name = f"{function}_{arg.width}_{arg.frac}_{out.width}"
+    return Table(name, function, symmetry, shift, tuple(points.tolist()), interpolated, arg, out, math.inf)
+
+
+def _worst(table: Table, codes: np.ndarray) -> float:
+    exact = FUNCTIONS[table.function][0](codes * table.arg.lsb)
+    return float(np.abs(lookup(table, codes) * table.out.lsb - exact).max())
+
+
+def _spread(reach: int) -> np.ndarray:
+    """At most 2^16 codes over the part that bends, to choose a size by."""
+    return np.unique(np.linspace(0, 1 << reach, min(1 << reach, 1 << 16) + 1).astype(np.int64))
+
+
+def _every(reach: int, arg: Fix) -> Iterator[np.ndarray]:
+    """Every code that can have an error of its own: the bend, and the ends of the flat part, where f is monotone.
+
+    Negative codes repeat the error of their absolute value, by the symmetry of the lookup.
+    """
+    for start in range(0, 1 << reach, CHUNK):
+        yield np.arange(start, min(start + CHUNK, 1 << reach), dtype=np.int64)
+    yield np.array([min(1 << reach, arg.hi), arg.hi, arg.lo])

@@ -14,8 +14,10 @@ from scipy.signal import ss2tf
 
 from greygate.models.network import Layer, Network, Port
 
-X_SCALE = 5e-6 * 2**14  # m; one step of the 5 um scale is an exact binary fraction
+X_STEP = 5e-6  # m, the linear scale
+X_SCALE = X_STEP * 2**14  # m; a step of the scale is an exact binary fraction
 V_SCALE = 1.5  # V
+V_STEP = 2 * V_SCALE / 2**12  # V, the 12-bit converter
 
 
 def mean_spool(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float, u_max: float) -> Network:
@@ -37,11 +39,15 @@ def mean_spool(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float, u_max: flo
     return network
 
 
-def pressure(divider: Network, g2: float, initial: float) -> Network:
-    """`Network Pa` (fig. 5.5): P(k) = P(k-1) + G2 divider(omega, gamma), all normalised."""
-    network = Network("pressure", [Port("omega"), Port("gamma")], [Port("p")])
+def pressure(divider: Network, g2: float, initial: float, stretch: float) -> Network:
+    """`Network Pa` (fig. 5.5): P(k) = P(k-1) + G2 divider(omega, gamma), all normalised.
+
+    A quotient is linear in omega, so the divider is given `stretch * omega` and its answer is divided by `stretch`: it
+    then works over its whole range [-1, 1] instead of near zero, and its errors and its rounding count for less.
+    """
+    network = Network("pressure", [Port("omega", scale=1 / stretch), Port("gamma")], [Port("p")])
     network.add("divider", divider)
-    network.add("state", Layer({"rate": [[g2]], "p": [[1.0]]}, [0.0], initial=initial, frozen={"rate", "p", "bias"}))
+    network.add("state", Layer({"rate": [[g2 / stretch]], "p": [[1.0]]}, [0.0], initial=initial, frozen={"rate", "p", "bias"}))
     network.connect("omega", "divider.omega")
     network.connect("gamma", "divider.gamma")
     network.connect("divider", "state.rate")
@@ -51,18 +57,19 @@ def pressure(divider: Network, g2: float, initial: float) -> Network:
 
 
 def valve_srnn(
-    k: Mapping[str, float], flow: Network, divider: Network, spool: Network, sample_time: float = 1e-3, taps: int = 4
+    k: Mapping[str, float], flow: Network, divider: Network, spool: Network, sample_time: float = 1e-3, taps: int = 4, stretch: float = 8.0
 ) -> Network:
     """Join flow, divider and spool networks into the SRNN of fig. 5.4.
 
     k: parameters of the plant in SI units (`p_s`, `bulk_modulus`, `v_a0`, `v_b0`, `area`, `k_valve`, `u_max`, `q_max`).
+    taps: backward differences of position that the speed may draw on. stretch: see `pressure`.
     Inputs `v_c` [V] and `x` [m]; outputs `p_a`, `p_b` [Pa]. Before the first step both chambers stand at half supply.
     """
     g1 = k["k_valve"] * k["u_max"] * np.sqrt(k["p_s"]) / k["q_max"]
     gv = k["area"] * X_SCALE / (k["q_max"] * sample_time)
     network = Network(
         "valve_srnn",
-        [Port("v_c", "V", V_SCALE), Port("x", "m", X_SCALE)],
+        [Port("v_c", "V", V_SCALE, resolution=V_STEP), Port("x", "m", X_SCALE, resolution=X_STEP)],
         [Port("p_a", "Pa", k["p_s"]), Port("p_b", "Pa", k["p_s"])],
     )
     network.add("spool", spool)
@@ -74,7 +81,7 @@ def valve_srnn(
         q, p = f"q{chamber}", f"p{chamber}"
         g2 = k["bulk_modulus"] * k["q_max"] * sample_time / (volume * k["p_s"])
         network.add(q, flow)
-        network.add(p, pressure(divider, g2, initial=0.5))
+        network.add(p, pressure(divider, g2, 0.5, stretch))
         network.connect("spool", f"{q}.u", gain=sign)  # Qb is the mirror of Qa: q_b(u, p) = -q_a(-u, p)
         network.connect(p, f"{q}.p", delay=1)
         network.connect(q, f"{p}.omega", gain=g1)

@@ -34,7 +34,8 @@ ACTIVATIONS = {
 class Port:
     """Where a signal enters or leaves a network: inside stands (value - offset) / scale.
 
-    value: `unit` (SI). `initial`: what the port carried before the first step, in `unit`.
+    value: `unit` (SI). `initial`: what the port carried before the first step, in `unit`. `resolution`: of the sensor,
+    in `unit`, 0 if it is not known; the hardware's input codes are then no coarser and no finer.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Port:
     offset: float = 0.0
     size: int = 1
     initial: float = 0.0
+    resolution: float = 0.0
 
 
 @dataclass(frozen=True)
