@@ -81,17 +81,20 @@ def verify(
     architecture: str = "parallel",
     macs: int = 4,
     seed: int | None = None,
+    waves: bool = False,
 ) -> Verification:
     """Emit one program into `folder`/rtl, build it in `folder`/build, run every scenario. See verify_many."""
-    return verify_many([Case(program, scenarios, architecture, macs)], folder, seed)
+    return verify_many([Case(program, scenarios, architecture, macs)], folder, seed, waves)
 
 
-def verify_many(cases: Sequence[Case], folder: Path | str, seed: int | None = None) -> Verification:
+def verify_many(
+    cases: Sequence[Case], folder: Path | str, seed: int | None = None, waves: bool = False
+) -> Verification:
     """Check every design of `cases`, all in one Verilator build, in every one of its scenarios.
 
     Each scenario is played twice: cut short by a reset at a random clock, then from the initial state to its end, with
     random pauses of source and sink. `folder` receives the emitted Verilog (rtl/, one folder a design), the build,
-    results.xml (JUnit) and sim.log. The seed is drawn if not given, and printed.
+    results.xml (JUnit) and sim.log; with `waves` also dump.vcd. The seed is drawn if not given, and printed.
     Raises InputError when a tool is missing or the folder cannot be written.
     """
     environment = simulator_environment()
@@ -113,16 +116,16 @@ def verify_many(cases: Sequence[Case], folder: Path | str, seed: int | None = No
     bench = folder / "build" / "bench.v"
     bench.write_text("module bench;\n" + "".join(d.verilog() for d in designs) + "endmodule\n")
     start = time.perf_counter()
-    executable = build(bench, list({s.name: s for s in sources}.values()), folder / "build", environment)
+    executable = build(bench, list({s.name: s for s in sources}.values()), folder / "build", environment, waves)
     built = time.perf_counter()
 
     job = {"seed": seed, "designs": [d.job() for d in designs]}
-    (folder / "job.json").write_text(json.dumps(job))
-    np.savez(folder / "job.npz", **{k: v for d in designs for k, v in d.arrays().items()})
-    junit, verdicts = folder / "results.xml", folder / "verdicts.json"
+    (folder / "build" / "job.json").write_text(json.dumps(job))
+    np.savez(folder / "build" / "job.npz", **{k: v for d in designs for k, v in d.arrays().items()})
+    junit, verdicts = folder / "results.xml", folder / "build" / "verdicts.json"
     for old in (junit, verdicts):
         old.unlink(missing_ok=True)
-    simulate(executable, folder, junit, seed, environment)
+    simulate(executable, folder, junit, seed, environment, waves)
     ended = time.perf_counter()
     if not verdicts.exists() or not junit.exists():
         raise RuntimeError(f"the simulation ended without results; see {folder / 'sim.log'}")
@@ -279,7 +282,7 @@ RUNTIME = ("verilated.o", "verilated_vpi.o", "verilated_threads.o")  # the same 
 OPTIONS = ("OPT_FAST=-O1", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1")
 
 
-def build(bench: Path, sources: list[Path], folder: Path, environment: dict[str, str]) -> Path:
+def build(bench: Path, sources: list[Path], folder: Path, environment: dict[str, str], waves: bool) -> Path:
     """Bench and designs as an executable with cocotb inside. Verilator's own runtime is compiled once per machine."""
     import cocotb_tools.config as config
 
@@ -289,6 +292,7 @@ def build(bench: Path, sources: list[Path], folder: Path, environment: dict[str,
             *("verilator", "--cc", "--exe", "--vpi", "--quiet", "--prefix", "Vtop", "--top-module", "bench"),
             *("-Mdir", str(folder), "-o", "bench", "--timescale", "1ns/1ns", "-Wno-lint", "-Wno-MULTIDRIVEN"),
             *("--x-initial", "unique", "-O3"),
+            *(["--trace"] if waves else []),
             *("-LDFLAGS", f"-Wl,-rpath,{libs} -L{libs} -lcocotbvpi_verilator"),
             str(config.share_dir / "lib" / "verilator" / "verilator.cpp"),
             *map(str, sources),
@@ -297,12 +301,16 @@ def build(bench: Path, sources: list[Path], folder: Path, environment: dict[str,
         folder / "verilator.log",
         environment,
     )
-    cache = runtime_cache(environment)
+    cache = runtime_cache(environment, waves)
     for name in RUNTIME:
         if (cache / name).exists():
             shutil.copy(cache / name, folder / name)
     jobs = str(os.cpu_count() or 1)
-    run_logged(["make", "-j", jobs, "-C", str(folder), "-f", "Vtop.mk", *OPTIONS], folder / "make.log", environment)
+    run_logged(
+        ["make", "-j", jobs, "-C", str(folder), "-f", "Vtop.mk", f"VM_TRACE={int(waves)}", *OPTIONS],
+        folder / "make.log",
+        environment,
+    )
     for name in RUNTIME:
         if (folder / name).exists() and not (cache / name).exists():
             with suppress(OSError):  # a cache that cannot be written only costs time
@@ -312,15 +320,15 @@ def build(bench: Path, sources: list[Path], folder: Path, environment: dict[str,
     return folder / "bench"
 
 
-def runtime_cache(environment: dict[str, str]) -> Path:
+def runtime_cache(environment: dict[str, str], waves: bool) -> Path:
     """Folder of the runtime's objects for this Verilator, compiler and options."""
     compiler = subprocess.run(["g++", "--version"], capture_output=True, text=True).stdout
-    key = hashlib.sha256(repr((environment["VERILATOR_ROOT"], version("verilator"), compiler, OPTIONS)).encode())
+    key = hashlib.sha256(repr((environment["VERILATOR_ROOT"], version("verilator"), compiler, OPTIONS, waves)).encode())
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return base / "greygate" / f"verilator-{key.hexdigest()[:16]}"
 
 
-def simulate(executable: Path, folder: Path, junit: Path, seed: int, environment: dict[str, str]) -> None:
+def simulate(executable: Path, folder: Path, junit: Path, seed: int, environment: dict[str, str], waves: bool) -> None:
     """Run the bench; results.xml and verdicts.json tell what came of it."""
     import cocotb_tools.config as config
     import find_libpython
@@ -335,10 +343,10 @@ def simulate(executable: Path, folder: Path, junit: Path, seed: int, environment
         "COCOTB_RANDOM_SEED": str(seed),
         "COCOTB_TRUST_INERTIAL_WRITES": "1",
         "TOPLEVEL_LANG": "verilog",
-        "GREYGATE_BENCH": str(folder),
+        "GREYGATE_BENCH": str(executable.parent),
     }
     command = [str(executable), "+verilator+rand+reset+2", f"+verilator+seed+{seed % (1 << 30) + 1}"]
-    run_logged(command, folder / "sim.log", environment)
+    run_logged([*command, *(["--trace"] if waves else [])], folder / "sim.log", environment)
 
 
 def run_logged(command: list[str], log: Path, environment: dict[str, str]) -> None:
