@@ -61,6 +61,14 @@ def memory(layer: Layer, loops: list[np.ndarray]) -> float:
     return 1 / (1 - pole**2) if pole < 1 else math.inf
 
 
+def loop_gain(loops: list[np.ndarray]) -> float:
+    """By how much feedback multiplies a lasting error of a linear layer's sum: norm of (1 - sum of loop weights)^-1."""
+    if not loops:
+        return 1.0
+    still = np.eye(len(loops[0])) - sum(loops)
+    return float(np.linalg.norm(np.linalg.pinv(still), np.inf)) if np.any(still) else 1.0
+
+
 def quantize(
     network: Network, ranges: Mapping[str, Range], formats: Formats = Formats(), period: float = 1e-3
 ) -> Program:
@@ -227,7 +235,11 @@ class _Quantizer:
             signal = self._delayed(source, delay)
             reads.append((signal if source == name or layer.activation == "linear" else self._narrow(signal), w))
         if layer.activation == "linear":
-            self._affine(out, layer, reads)
+            gain = loop_gain(self._loops(name))
+            finer = math.ceil(math.log2(gain)) if gain > 1 else 0
+            if finer:
+                self.notes.setdefault(name, f"its feedback multiplies errors by {gain:.1f}: weights have {finer} bits more")
+            self._affine(out, layer, reads, finer)
             return
         pre = f"{name}.n"
         if layer.activation in FUNCTIONS:
@@ -253,15 +265,15 @@ class _Quantizer:
         r = self.ranges[name]
         return integer_bits(r.magnitude * self.formats.margin)
 
-    def _affine(self, out: Signal, layer: Layer, reads: list[tuple[Signal, np.ndarray]]) -> None:
+    def _affine(self, out: Signal, layer: Layer, reads: list[tuple[Signal, np.ndarray]], finer: int = 0) -> None:
         """Weights with `width` significant bits per row and source, but no finer than the result can show."""
-        rows, word = layer.size, self.formats.width
+        rows, word = layer.size, self.formats.width + finer
         finest = np.zeros((rows, len(reads)), np.int64)
         for j, (signal, w) in enumerate(reads):
             reach = signal.fix.width - 1 - signal.fix.frac  # |x| <= 2^reach
             for r in range(rows):
                 largest = float(np.abs(w[r]).max())
-                fine = min(word - 1 - integer_bits(largest), out.fix.frac + GUARD + reach) if largest else 0
+                fine = min(word - 1 - integer_bits(largest), out.fix.frac + GUARD + finer + reach) if largest else 0
                 finest[r, j] = max(_exact_bits(w[r], fine), -signal.fix.frac)
         frac = np.array(
             [

@@ -126,7 +126,7 @@ def _tabulate(program: Program) -> _Arrays:
         np.array([first[p.signal.name] + i for p in program.inputs for i in range(p.signal.size)], np.int64),
         np.array([first[p.signal.name] + i for p in program.outputs for i in range(p.signal.size)], np.int64),
         at,
-        widest,
+        max(widest, len(moves)),
     )
 
 
@@ -148,104 +148,118 @@ def _run(
     inputs, initial, outputs, states, saturations, trace
 ):  # fmt: skip  # pragma: no cover - compiled
     value = np.zeros(elements, np.int64)
-    exact = np.zeros(elements, np.float64)
+    exact = np.zeros(elements, np.float64)  # the same, for the vector units
     acc = np.zeros(widest, np.float64)
     acc_int = np.zeros(widest, np.int64)
-    held = np.zeros(len(moves), np.int64)
-    for m in range(len(moves)):
-        value[moves[m, 1]] = initial[m]
-        exact[moves[m, 1]] = initial[m]
-    for k in range(len(inputs)):
-        for i in range(len(ins)):
-            value[ins[i]] = inputs[k, i]
-            exact[ins[i]] = inputs[k, i]
-        for n in range(len(operations)):
-            kind, out, size = operations[n, 0], operations[n, 1], operations[n, 2]
-            if kind <= AFFINE_WIDE:
-                block, count, row = operations[n, 3], operations[n, 4], operations[n, 5]
-                width, rounding, wrap, padded = operations[n, 6], operations[n, 7], operations[n, 8], operations[n, 9]
-                if kind == AFFINE:
-                    for r in range(padded):
-                        acc[r] = 0.0
-                    for b in range(block, block + count):
-                        source, w = blocks[b, 0], blocks[b, 2]
-                        for i in range(blocks[b, 1]):
-                            x = exact[source + i]
-                            for r in range(padded):
-                                acc[r] += weights[w + r] * x
-                            w += padded
-                    for r in range(size):
-                        acc_int[r] = bias[row + r] + np.int64(acc[r])
-                else:
-                    for r in range(padded):
-                        acc_int[r] = bias[row + r]
-                    for b in range(block, block + count):
-                        source, w = blocks[b, 0], blocks[b, 2]
-                        for i in range(blocks[b, 1]):
-                            xi = value[source + i]
-                            for r in range(padded):
-                                acc_int[r] += weights_int[w + r] * xi
-                            w += padded
-                hi = (np.int64(1) << (width - 1)) - 1
-                for r in range(size):
-                    y = _round(acc_int[r], shifts[row + r], rounding)
-                    if y > hi or y < -hi - 1:
-                        saturations[n] += 1
-                        if wrap:
-                            y = ((y + hi + 1) & (2 * hi + 1)) - hi - 1
-                        else:
-                            y = hi if y > hi else -hi - 1
-                    value[out + r] = y
-                    exact[out + r] = y
-            elif kind == TABLE:
-                source, base, last, shift = operations[n, 3], operations[n, 4], operations[n, 5], operations[n, 6]
-                interpolated, symmetry, one = operations[n, 7], operations[n, 8], operations[n, 9]
-                half = (np.int64(1) << shift) >> 1
-                mask = (np.int64(1) << shift) - 1
-                for r in range(size):
-                    x = value[source + r]
-                    a = abs(x)
-                    i = a >> shift
-                    if i >= last:
-                        y = points[base + last]
-                    elif interpolated:
-                        y = points[base + i]
-                        y += ((points[base + i + 1] - y) * (a & mask) + half) >> shift
+    for sequence in range(len(inputs)):
+        for m in range(len(moves)):
+            value[moves[m, 1]] = initial[sequence, m]
+            exact[moves[m, 1]] = initial[sequence, m]
+        for k in range(inputs.shape[1]):
+            for i in range(len(ins)):
+                value[ins[i]] = inputs[sequence, k, i]
+                exact[ins[i]] = inputs[sequence, k, i]
+            for n in range(len(operations)):
+                kind, out, size = operations[n, 0], operations[n, 1], operations[n, 2]
+                if kind <= AFFINE_WIDE:
+                    block, count, row = operations[n, 3], operations[n, 4], operations[n, 5]
+                    width, rounding, wrap, padded = operations[n, 6], operations[n, 7], operations[n, 8], operations[n, 9]
+                    if kind == AFFINE:
+                        for r in range(padded):
+                            acc[r] = 0.0
+                        for b in range(block, block + count):
+                            source, w = blocks[b, 0], blocks[b, 2]
+                            for i in range(blocks[b, 1]):
+                                x = exact[source + i]
+                                for r in range(padded):
+                                    acc[r] += weights[w + r] * x
+                                w += padded
+                        for r in range(padded):
+                            acc_int[r] = bias[row + r] + np.int64(acc[r])
                     else:
-                        y = points[base + ((a + half) >> shift)]
-                    if x < 0:
-                        y = -y if symmetry == 0 else (y if symmetry == 1 else one - y)
-                    value[out + r] = y
-                    exact[out + r] = y
-            elif kind == CLAMP:
-                source, lo, hi_in, width = operations[n, 3], operations[n, 4], operations[n, 5], operations[n, 6]
-                hi = (np.int64(1) << (width - 1)) - 1
-                for r in range(size):
-                    y = _round(min(max(value[source + r], lo), hi_in), operations[n, 8], operations[n, 7])
-                    if y > hi or y < -hi - 1:
-                        saturations[n] += 1
-                        y = hi if y > hi else -hi - 1
-                    value[out + r] = y
-                    exact[out + r] = y
-            else:
-                for r in range(size):
-                    above = value[operations[n, 3] + r] >= operations[n, 4]
-                    y = operations[n, 6] if above else operations[n, 5]
-                    value[out + r] = y
-                    exact[out + r] = y
-        for j in range(len(outs)):
-            outputs[k, j] = value[outs[j]]
-        if len(trace):
-            for e in range(elements):
-                trace[k, e] = value[e]
-        for m in range(len(moves)):
-            held[m] = value[moves[m, 0]]
-        for m in range(len(moves)):
-            value[moves[m, 1]] = held[m]
-            exact[moves[m, 1]] = held[m]
-        if len(states):
+                        for r in range(padded):
+                            acc_int[r] = bias[row + r]
+                        for b in range(block, block + count):
+                            source, w = blocks[b, 0], blocks[b, 2]
+                            for i in range(blocks[b, 1]):
+                                xi = value[source + i]
+                                for r in range(padded):
+                                    acc_int[r] += weights_int[w + r] * xi
+                                w += padded
+                    hi = (np.int64(1) << (width - 1)) - 1
+                    for r in range(size):
+                        shift = shifts[row + r]
+                        y = acc_int[r]
+                        if rounding == 1 and shift > 0:
+                            y = (y + (np.int64(1) << (shift - 1))) >> shift
+                        else:
+                            y = _round(y, shift, rounding)
+                        if y > hi or y < -hi - 1:
+                            saturations[n] += 1
+                            if wrap:
+                                y = ((y + hi + 1) & (2 * hi + 1)) - hi - 1
+                            else:
+                                y = hi if y > hi else -hi - 1
+                        value[out + r] = y
+                        exact[out + r] = y
+                elif kind == TABLE:
+                    source, base, last, shift = operations[n, 3], operations[n, 4], operations[n, 5], operations[n, 6]
+                    interpolated, symmetry, one = operations[n, 7], operations[n, 8], operations[n, 9]
+                    half = (np.int64(1) << shift) >> 1
+                    end = last << shift
+                    if interpolated and symmetry == 0:
+                        for r in range(size):
+                            x = value[source + r]
+                            a = min(abs(x), end)
+                            i = min(a >> shift, last - 1)
+                            y = points[base + i]
+                            y += ((points[base + i + 1] - y) * (a - (i << shift)) + half) >> shift
+                            y = -y if x < 0 else y
+                            value[out + r] = y
+                            exact[out + r] = y
+                    else:
+                        for r in range(size):
+                            x = value[source + r]
+                            a = min(abs(x), end)
+                            if interpolated:
+                                i = min(a >> shift, last - 1)
+                                y = points[base + i]
+                                y += ((points[base + i + 1] - y) * (a - (i << shift)) + half) >> shift
+                            else:
+                                y = points[base + min((a + half) >> shift, last)]
+                            if x < 0:
+                                y = -y if symmetry == 0 else (y if symmetry == 1 else one - y)
+                            value[out + r] = y
+                            exact[out + r] = y
+                elif kind == CLAMP:
+                    source, lo, hi_in, width = operations[n, 3], operations[n, 4], operations[n, 5], operations[n, 6]
+                    hi = (np.int64(1) << (width - 1)) - 1
+                    for r in range(size):
+                        y = _round(min(max(value[source + r], lo), hi_in), operations[n, 8], operations[n, 7])
+                        if y > hi or y < -hi - 1:
+                            saturations[n] += 1
+                            y = hi if y > hi else -hi - 1
+                        value[out + r] = y
+                        exact[out + r] = y
+                else:
+                    for r in range(size):
+                        above = value[operations[n, 3] + r] >= operations[n, 4]
+                        y = operations[n, 6] if above else operations[n, 5]
+                        value[out + r] = y
+                        exact[out + r] = y
+            for j in range(len(outs)):
+                outputs[sequence, k, j] = value[outs[j]]
+            if trace.shape[1]:
+                for e in range(elements):
+                    trace[sequence, k, e] = value[e]
             for m in range(len(moves)):
-                states[k, m] = held[m]
+                acc_int[m] = value[moves[m, 0]]
+            for m in range(len(moves)):
+                value[moves[m, 1]] = acc_int[m]
+                exact[moves[m, 1]] = acc_int[m]
+            if states.shape[1]:
+                for m in range(len(moves)):
+                    states[sequence, k, m] = acc_int[m]
 
 
 def run(
@@ -270,8 +284,7 @@ def run(
     after = np.empty((len(flat), steps if states else 0, count), np.int64)
     traced = np.empty((len(flat), steps if trace else 0, arrays.elements), np.int64)
     saturations = np.zeros(len(program.operations), np.int64)
-    for b in range(len(flat)):
-        _run(*arrays, flat[b], np.ascontiguousarray(start[b], np.int64), outputs[b], after[b], saturations, traced[b])
+    _run(*arrays, flat, np.ascontiguousarray(start, np.int64), outputs, after, saturations, traced)
     counted = {
         o.out.name: int(n)
         for o, n in zip(program.operations, saturations, strict=True)

@@ -8,7 +8,9 @@ from greygate.models.network import Layer, Network, Port
 from greygate.models.training import Fit, Record, train
 
 
-def feedforward(name: str, inputs: Sequence[str], hidden: Sequence[int], seed: int, activation: str = "tansig") -> Network:
+def feedforward(
+    name: str, inputs: Sequence[str], hidden: Sequence[int], seed: int, activation: str = "tansig"
+) -> Network:
     """`hidden` layers of neurons between scalar ports and one linear output `y`, with the weights of Nguyen and Widrow.
 
     Nguyen, Widrow 1990: neurons share out the input range [-1, 1] among them.
@@ -52,16 +54,16 @@ def divider_record() -> Record:
     return Record({"omega": omega, "gamma": gamma}, {"y": omega / (gamma + 1)})
 
 
-def fit_flow(seed: int, epochs: int = 2500, progress=None) -> Fit:
+def fit_flow(seed: int, epochs: int = 800, progress=None) -> Fit:
     """`Network Qa`: 2-10-10-1 on `flow_record` (table 5.3, #4).
 
     `Network Qb` is its mirror: q_b(u, p) = -q_a(-u, p).
     """
     network = feedforward("flow", ["u", "p"], [10, 10], seed)
-    return train(network, [flow_record()], epochs=epochs, decay=1e-8, progress=progress)
+    return train(network, [flow_record()], epochs=epochs, decay=1e-6, progress=progress)
 
 
-def fit_divider(seed: int, epochs: int = 1000, progress=None) -> Fit:
+def fit_divider(seed: int, epochs: int = 500, progress=None) -> Fit:
     """`divider`: 2-20-1 on `divider_record`, omega / (gamma + 1) (5.3.2.2)."""
     network = feedforward("divider", ["omega", "gamma"], [20], seed)
     return train(network, [divider_record()], epochs=epochs, decay=1e-8, progress=progress)

@@ -47,7 +47,9 @@ def pressure(divider: Network, g2: float, initial: float, stretch: float) -> Net
     """
     network = Network("pressure", [Port("omega", scale=1 / stretch), Port("gamma")], [Port("p")])
     network.add("divider", divider)
-    network.add("state", Layer({"rate": [[g2 / stretch]], "p": [[1.0]]}, [0.0], initial=initial, frozen={"rate", "p", "bias"}))
+    network.add(
+        "state", Layer({"rate": [[g2 / stretch]], "p": [[1.0]]}, [0.0], initial=initial, frozen={"rate", "p", "bias"})
+    )
     network.connect("omega", "divider.omega")
     network.connect("gamma", "divider.gamma")
     network.connect("divider", "state.rate")
@@ -57,13 +59,20 @@ def pressure(divider: Network, g2: float, initial: float, stretch: float) -> Net
 
 
 def valve_srnn(
-    k: Mapping[str, float], flow: Network, divider: Network, spool: Network, sample_time: float = 1e-3, taps: int = 4, stretch: float = 8.0
+    k: Mapping[str, float],
+    flow: Network,
+    divider: Network,
+    spool: Network,
+    sample_time: float = 1e-3,
+    taps: int = 4,
+    stretch: float = 8.0,
 ) -> Network:
     """Join flow, divider and spool networks into the SRNN of fig. 5.4.
 
-    k: parameters of the plant in SI units (`p_s`, `bulk_modulus`, `v_a0`, `v_b0`, `area`, `k_valve`, `u_max`, `q_max`).
+    k: parameters of the plant in SI units (`p_s`, `bulk_modulus`, `v_a0`, `v_b0`, `area`, `k_valve`, `u_max`, `q_max`) and
+    `p_rest`, the pressure of both chambers before the first step.
     taps: backward differences of position that the speed may draw on. stretch: see `pressure`.
-    Inputs `v_c` [V] and `x` [m]; outputs `p_a`, `p_b` [Pa]. Before the first step both chambers stand at half supply.
+    Inputs `v_c` [V] and `x` [m]; outputs `p_a`, `p_b` [Pa].
     """
     g1 = k["k_valve"] * k["u_max"] * np.sqrt(k["p_s"]) / k["q_max"]
     gv = k["area"] * X_SCALE / (k["q_max"] * sample_time)
@@ -81,7 +90,7 @@ def valve_srnn(
         q, p = f"q{chamber}", f"p{chamber}"
         g2 = k["bulk_modulus"] * k["q_max"] * sample_time / (volume * k["p_s"])
         network.add(q, flow)
-        network.add(p, pressure(divider, g2, 0.5, stretch))
+        network.add(p, pressure(divider, g2, k["p_rest"] / k["p_s"], stretch))
         network.connect("spool", f"{q}.u", gain=sign)  # Qb is the mirror of Qa: q_b(u, p) = -q_a(-u, p)
         network.connect(p, f"{q}.p", delay=1)
         network.connect(q, f"{p}.omega", gain=g1)

@@ -67,7 +67,8 @@ class Problem:
         self._shapes = [values[n].shape for n in self._names]
         self.theta = np.concatenate([values[n].ravel() for n in self._names])
         may_move = [
-            np.full(values[n].size, not self._frozen(n)) & np.asarray((free or {}).get(n, True)).ravel() for n in self._names
+            np.full(values[n].size, not self._frozen(n)) & np.asarray((free or {}).get(n, True)).ravel()
+            for n in self._names
         ]
         self.free = np.flatnonzero(np.concatenate(may_move))
         elements = int(self._tables.layers[-1, 0])
@@ -126,9 +127,11 @@ class Problem:
             {n: p.reshape(s) for n, p, s in zip(self._names, parts, self._shapes, strict=True)}
         )
 
-    def columns(self) -> list[np.ndarray]:
-        """Element indices of each output in `simulate`'s traces."""
-        return [self._tables.rows[self._tables.shown]]
+    def elements(self) -> dict[str, np.ndarray]:
+        """Columns of each input and layer in `simulate`'s traces."""
+        sizes = {p.name: p.size for p in self.flat.inputs} | {n: self.flat.modules[n].size for n in self.flat.order()}
+        ends = np.cumsum(list(sizes.values()))
+        return dict(zip(sizes, np.split(np.arange(ends[-1]), ends[:-1]), strict=True))
 
     def simulate(self, theta: np.ndarray) -> list[np.ndarray] | None:
         """Every element's signal, (N, elements) per record, inputs first; None if it diverges."""

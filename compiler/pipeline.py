@@ -1,0 +1,184 @@
+"""From a trained network to an integer program: the whole list of passes, each checked before and after."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greygate.compiler.prune import Round, prune_by_entropy
+from greygate.compiler.quantize import Formats, quantize
+from greygate.compiler.ranges import Range, ranges
+from greygate.compiler.simplify import SIMPLIFICATIONS, merge_linear, multiplications, parameter_count
+from greygate.emulator.engine import run
+from greygate.emulator.program import Fix, Program
+from greygate.errors import InputError
+from greygate.models.network import Network
+from greygate.models.training import Problem, Record
+
+SAME = 1e-9  # largest relative change of any output that a simplification may cause
+WIDTHS = range(8, 33)
+
+
+@dataclass(frozen=True)
+class Pass:
+    """What one pass did: layers, parameters and multiplications after it, and the largest relative change of an output."""
+
+    name: str
+    layers: int
+    parameters: int
+    multiplications: int
+    change: float
+
+
+@dataclass(frozen=True)
+class Compiled:
+    """The generic network, its ranges, the program, and how it came about."""
+
+    network: Network
+    ranges: dict[str, Range]
+    program: Program
+    passes: tuple[Pass, ...]
+    pruning: tuple[Round, ...] = ()
+
+
+def compile_network(
+    network: Network,
+    records: Mapping[str, Record],
+    formats: Formats | None = None,
+    *,
+    ranged_on: str | None = None,
+    budget: float | None = None,
+    prune: Callable[[Network], tuple[Network, list[Round]]] | None = None,
+    generic: bool = False,
+    period: float = 1e-3,
+) -> Compiled:
+    """Simplify, prune, range and quantize a network.
+
+    records: scenarios {name: Record}; every simplification is checked on all of them. ranged_on: the one whose ranges
+    set the formats (the first, if not given). budget: instead of a width, the largest factor by which fixed point may
+    raise the RMS error on `ranged_on`, 1.05 for five per cent. prune: see `entropy_pruning`. generic: merge linear
+    layers even where that costs multiplications.
+    """
+    if not records:
+        raise InputError(f"network {network.name}: no record to compile on; ranges come from one")
+    ranged_on = ranged_on or next(iter(records))
+    before = network.flatten()
+    passes = [_summary("as declared", before, 0.0)]
+    reference = _outputs(before, records)
+    for rewrite in SIMPLIFICATIONS:
+        network = merge_linear(network, always=generic) if rewrite is merge_linear else rewrite(network)
+        change = _change(reference, _outputs(network, records))
+        if change > SAME:
+            raise AssertionError(f"{rewrite.__name__} changed the outputs of {network.name} by {change:.3g}")
+        passes.append(_summary(rewrite.__name__, network, change))
+    rounds: list[Round] = []
+    if prune:
+        network, rounds = prune(network)
+        passes.append(_summary("prune_by_entropy", network, _change(reference, _outputs(network, records))))
+    training = records[ranged_on]
+    found = ranges(network, [training])
+    if budget is None:
+        program = quantize(network, found, formats or Formats(), period)
+    else:
+        program = meet_budget(network, found, training, budget, formats or Formats(), period)
+    return Compiled(network, found, program, tuple(passes), tuple(rounds))
+
+
+def entropy_pruning(
+    record: Record, retrain: Callable[[Network], Network], allowed: float
+) -> Callable[[Network], tuple[Network, list[Round]]]:
+    """A pruning pass for `compile_network`. allowed: factor by which the RMS error on the record may rise."""
+
+    def prune(network: Network) -> tuple[Network, list[Round]]:
+        problem = Problem(network, [record])
+        error = float(np.sqrt(problem.squares(problem.theta) / problem.samples))
+        return prune_by_entropy(network, [record], retrain, allowed * error)
+
+    return prune
+
+
+def fixed_error(program: Program, record: Record) -> dict[str, np.ndarray]:
+    """Fixed-point prediction less target, by output, in physical units, (N,)."""
+    decoded = program.decode(run(program, program.encode(record.inputs), states=False).outputs)
+    return {p.name: decoded[p.name] - np.asarray(record.targets[p.name]) for p in program.outputs}
+
+
+def float_error(network: Network, record: Record) -> dict[str, np.ndarray]:
+    """Float prediction less target, by output, in physical units, (N,)."""
+    problem = Problem(network, [record])
+    errors = problem.errors(problem.theta)
+    if errors is None:
+        raise InputError(f"network {network.name}: diverges on the record")
+    return {p.name: errors[0][:, j] * p.scale for j, p in enumerate(problem.flat.outputs)}
+
+
+def meet_budget(
+    network: Network, found: Mapping[str, Range], record: Record, budget: float, formats: Formats, period: float
+) -> Program:
+    """The cheapest program whose RMS error on the record is at most `budget` times that of float, at every output.
+
+    First the least word width that meets it; then signals give up fraction bits, the least sensitive first: sensitivity
+    is the error that one bit less of that signal alone adds, measured on the record.
+    """
+    target = {n: budget * _rms(e, record) for n, e in float_error(network, record).items()}
+
+    def meets(program: Program) -> bool:
+        return all(_rms(e, record) <= target[n] for n, e in fixed_error(program, record).items())
+
+    def build(width: int, signals: Mapping[str, Fix]) -> Program | None:
+        try:
+            return quantize(network, found, replace(formats, width=width, signals=signals), period)
+        except InputError:
+            return None
+
+    for width in WIDTHS:
+        program = build(width, formats.signals)
+        if program and meets(program):
+            break
+    else:
+        raise InputError(f"budget {budget}: not met with {WIDTHS[-1]} bits; allow more, or train longer")
+    chosen = dict(formats.signals)
+    inputs = {p.signal.name for p in program.inputs}
+    names = [o.out.name for o in program.operations if not o.out.name.endswith(".view") and o.out.name not in inputs]
+    margin = {}
+    for name in names:
+        narrower = build(width, chosen | {name: _less(program.signals[name].fix)})
+        if narrower:
+            margin[name] = max(_rms(e, record) / target[n] for n, e in fixed_error(narrower, record).items())
+    for name in sorted(margin, key=margin.get):
+        while program.signals[name].fix.width > 4:
+            trial = build(width, chosen | {name: _less(program.signals[name].fix)})
+            if trial is None or not meets(trial):
+                break
+            chosen[name] = trial.signals[name].fix
+            program = trial
+    return program
+
+
+def _less(fix: Fix) -> Fix:
+    return Fix(fix.width - 1, fix.frac - 1)
+
+
+def _rms(error: np.ndarray, record: Record) -> float:
+    return float(np.sqrt(np.mean(error[record.skip :] ** 2)))
+
+
+def _summary(name: str, network: Network, change: float) -> Pass:
+    return Pass(name, len(network.flatten().modules), parameter_count(network), multiplications(network), change)
+
+
+def _outputs(network: Network, records: Mapping[str, Record]) -> dict[str, np.ndarray]:
+    found = {}
+    for name, record in records.items():
+        problem = Problem(network, [record])
+        runs = problem.simulate(problem.theta)
+        if runs is None:
+            raise InputError(f"network {network.name}: diverges on scenario {name}; train it before compiling")
+        feeds = problem.flat.feeds()
+        columns = np.concatenate([problem.elements()[feeds[p.name][0]] for p in problem.flat.outputs])
+        found[name] = runs[0][:, columns].copy()
+    return found
+
+
+def _change(reference: dict[str, np.ndarray], now: dict[str, np.ndarray]) -> float:
+    return max(float(np.abs(now[n] - v).max() / np.abs(v).max()) for n, v in reference.items())

@@ -1,0 +1,94 @@
+"""Entropy pruning (thesis 3.6): neurons that hardly change are replaced by their mean, and the rest trained again."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greygate.compiler.simplify import Graph
+from greygate.models.network import Network
+from greygate.models.training import Problem, Record
+
+WORKING_RANGE = {"tansig": (-1.0, 1.0), "logsig": (0.0, 1.0), "satlin": (0.0, 1.0), "radbas": (0.0, 1.0)}
+BINS = 100
+
+
+@dataclass(frozen=True)
+class Round:
+    """One attempt: how many neurons were removed, the error after training again, and whether it was kept."""
+
+    removed: dict[str, list[int]]
+    neurons: int
+    error: float
+    kept: bool
+
+
+def entropies(network: Network, records: list[Record]) -> dict[str, np.ndarray]:
+    """H = -sum p ln p of each hidden neuron's histogram over its whole working range (3.14), in nats, by layer."""
+    problem = Problem(network, records)
+    run = np.concatenate(problem.simulate(problem.theta))
+    found = {}
+    for name, columns in problem.elements().items():
+        activation = problem.flat.modules[name].activation if name in problem.flat.modules else None
+        if activation not in WORKING_RANGE:
+            continue
+        low, high = WORKING_RANGE[activation]
+        p = np.stack([np.histogram(v, BINS, (low, high))[0] for v in run[:, columns].T]) / len(run)
+        found[name] = -np.sum(p * np.log(np.where(p > 0, p, 1.0)), axis=1)
+    return found
+
+
+def remove_neurons(network: Network, records: list[Record], chosen: dict[str, list[int]]) -> Network:
+    """Remove neurons; the mean output of each goes into the biases of those it fed."""
+    problem = Problem(network, records)
+    run = np.concatenate(problem.simulate(problem.theta))
+    g = Graph(problem.flat)
+    for name, indices in chosen.items():
+        keep = np.setdiff1d(np.arange(g.layers[name].size), indices)
+        mean = run[:, problem.elements()[name]].mean(axis=0)
+        for reader, port, _ in g.readers(name):
+            layer = g.layers[reader]
+            w = layer.weights[port]
+            g.layers[reader] = replace(
+                layer,
+                weights=layer.weights | {port: w[:, keep]},
+                bias=layer.bias + w[:, indices] @ mean[indices],
+            )
+        layer = g.layers[name]
+        own = {p: w[keep] for p, w in layer.weights.items()}
+        g.layers[name] = replace(layer, weights=own, bias=layer.bias[keep], initial=layer.initial[keep])
+    return g.network()
+
+
+def prune_by_entropy(
+    network: Network,
+    records: list[Record],
+    retrain: Callable[[Network], Network],
+    allowed: float,
+    low: float = 0.1,
+) -> tuple[Network, list[Round]]:
+    """Remove neurons of low entropy and train again, round after round, until the error would exceed `allowed`.
+
+    A round takes every neuron under `low` of the greatest possible entropy, or the lowest one if none is. allowed: RMS
+    error on the records, normalised. The round that misses it is undone and ends the pruning.
+    """
+    rounds: list[Round] = []
+    while True:
+        found = entropies(network, records)
+        ranked = sorted((float(h), name, i) for name, values in found.items() for i, h in enumerate(values))
+        removable = [r for r in ranked if len(found[r[1]]) > 1]
+        if not removable:
+            return network, rounds
+        batch = [r for r in removable if r[0] < low * np.log(BINS)] or removable[:1]
+        chosen: dict[str, list[int]] = {}
+        for _, name, i in batch:
+            if len(chosen.get(name, [])) < len(found[name]) - 1:
+                chosen.setdefault(name, []).append(i)
+        trial = retrain(remove_neurons(network, records, chosen))
+        problem = Problem(trial, records)
+        error = float(np.sqrt(problem.squares(problem.theta) / problem.samples))
+        kept = error <= allowed
+        rounds.append(Round(chosen, len(ranked) - sum(map(len, chosen.values())), error, kept))
+        if not kept:
+            return network, rounds
+        network = trial

@@ -1,0 +1,86 @@
+"""The SRNN of the valve-controlled cylinder, trained on its simulated rig (thesis 5.3)."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from greygate.models.blocks import divider_record, fit_divider, fit_flow, flow_record
+from greygate.models.cylinder import mean_spool, valve_srnn
+from greygate.models.network import Network
+from greygate.models.training import Record, train
+from greygate.plants.scenarios import scenario
+from greygate.plants.valve_cylinder import spool_discrete, valve_cylinder
+
+SCENARIOS = ("training", "v1", "v2")
+THESIS = {  # RMS in bar, chambers A and B (table 5.4, section 5.3.3)
+    "assembled": (0.396, 0.773),
+    "training": (0.190, 0.598),
+    "v1": (0.552, 0.430),
+    "v2": (0.758, 0.540),
+}
+THESIS_FLOW = 1.42e-4  # RMS of Network Qa over Q_max: 8.52e-9 of 6e-5 m^3/s
+FLOW_SEED, DIVIDER_SEED = 1, 0
+REHEARSAL = 0.1  # of the parts' own records beside the training scenario
+EPOCHS = 25
+
+
+@lru_cache
+def records() -> dict[str, Record]:
+    """Scenarios training, v1, v2: `v_c` [V] and `x` [m] as the sensors give them; targets are the true pressures [Pa]."""
+    found = {}
+    for name in SCENARIOS:
+        c = scenario(name).channels
+        found[name] = Record({n: c[n] for n in ("v_c", "x")}, {n: c[n] for n in ("p_a", "p_b")})
+    return found
+
+
+def assemble(flow: Network, divider: Network) -> Network:
+    """The SRNN with the plant's nominal parameters. Supply pressure is the gauge's mean over the training run."""
+    plant = valve_cylinder()
+    k = {symbol: p.value for symbol, p in plant.parameters.items()}
+    training = scenario("training").channels
+    k |= {"p_s": float(np.mean(training["p_s"])), "p_rest": float(training["p_a"][0])}
+    return valve_srnn(k, flow, divider, mean_spool(*spool_discrete(plant), k["u_max"]))
+
+
+def train_srnn(progress: Callable[[str, int, float], None] | None = None) -> tuple[Network, dict]:
+    """Fit the parts, join them, train them as one on the training scenario. Returns the network and its figures.
+
+    progress: called with (step, epoch, loss). Figures: RMS in bar of each scenario as assembled and trained, seconds.
+    """
+    steps = {n: (lambda e, l, n=n: progress(n, e, l)) if progress else None for n in ("flow", "divider", "srnn")}
+    flow = fit_flow(FLOW_SEED, progress=steps["flow"])
+    divider = fit_divider(DIVIDER_SEED, progress=steps["divider"])
+    assembled = assemble(flow.network, divider.network)
+    q, d = (replace(r, weight=REHEARSAL) for r in (flow_record(), divider_record()))
+    whole = train(
+        assembled,
+        [records()["training"]],
+        epochs=EPOCHS,
+        decay=1e-6,
+        rehearse={"qa": q, "qb": q, "pa.divider": d, "pb.divider": d},
+        progress=steps["srnn"],
+    )
+    figures = {
+        "flow_rms": rms(flow.network, flow_record())["y"],
+        "divider_rms": rms(divider.network, divider_record())["y"],
+        "assembled": _bar(assembled),
+        "trained": _bar(whole.network),
+        "thesis": THESIS | {"flow_rms": THESIS_FLOW},
+        "seconds": {"flow": flow.seconds, "divider": divider.seconds, "srnn": whole.seconds},
+        "outcome": whole.outcome.value,
+    }
+    return whole.network, figures
+
+
+def _bar(network: Network) -> dict[str, tuple[float, ...]]:
+    return {n: tuple(v / 1e5 for v in rms(network, r).values()) for n, r in records().items()}
+
+
+def rms(network: Network, record: Record) -> dict[str, float]:
+    """RMS error of a free run, by output, in physical units."""
+    from greygate.compiler.pipeline import float_error
+
+    return {n: float(np.sqrt(np.mean(e[record.skip :] ** 2))) for n, e in float_error(network, record).items()}
