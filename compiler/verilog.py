@@ -84,7 +84,7 @@ def verilog_names(program: Program) -> dict[str, str]:
     for original, name in [(program.name, program.name), *names.items()]:
         if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or name in KEYWORDS or name.startswith("greygate_"):
             raise InputError(f"{original}: not a name that Verilog can hold; use letters, digits and _, no keyword")
-    taken = dict.fromkeys(TAKEN, "a port of the core")
+    taken = dict.fromkeys((*TAKEN, program.name), "a port or part of the core")
     for original, name in names.items():
         for used in (name, f"{name}_layer"):
             if used in taken:

@@ -17,7 +17,8 @@ from cocotb.utils import get_sim_time
 
 HALF = 1  # simulator steps in half a clock: stimulus changes at the falling edge, or right after the rising one
 CLOCK = 2 * HALF
-HANDLES = "clk rst s_tdata offered s_tready m_tdata m_tvalid m_tready states load initial"
+HANDLES = "clk rst source s_tready m_tvalid m_tready seen load initial"
+PAUSED = 0.1  # share of the steps before which the source pauses, and of those before which the sink does
 PATIENCE = 100_000  # clocks without an answer before the design is said to hang
 
 
@@ -26,13 +27,15 @@ class Mismatch(AssertionError):
 
 
 class Design:
-    """One design in the bench: its handles, and how to read its words."""
+    """One design in the bench: its handles, and how to read what is seen of it: {states, m_axis_tdata}."""
 
     def __init__(self, dut, job: dict):
         self.job = job
         for name in HANDLES.split():
             setattr(self, name, getattr(dut, f"{name}_{job['index']}"))
         self.rise = RisingEdge(self.m_tvalid)
+        self.offered = 0  # toggled with every sample on offer
+        self.offer_bit = 1 << (len(self.source) - 1)
         self.step = -1  # the last step that ended
 
     async def reset(self, initial: bytes | None) -> None:
@@ -55,57 +58,59 @@ class Design:
             self.load.value = 0
             await Timer(CLOCK)
 
-    def compare(self, where: str, what: str, word: str, expected: bytes) -> None:
-        """Raise Mismatch if a word read from the design is not the expected one."""
-        if word == f"{int.from_bytes(expected, 'little'):0{len(word)}b}":
-            return
+    def offer(self, sample: bytes) -> None:
+        """Put a sample on s_axis_tdata and raise s_axis_tvalid until it is taken (rtl/verify.py)."""
+        self.offered ^= self.offer_bit
+        self.source.value = self.offered | int.from_bytes(sample, "little")
+
+    def different(self, word: str, expected: str) -> str:
+        """Name every element in which a word of bits differs from the expected one."""
         if set(word) - {"0", "1"}:
-            raise Mismatch(f"{where}: {what}s are undefined: {word}")
-        got = int(word, 2).to_bytes(len(expected), "little")
-        different = []
-        for name, size, start in self.job[what]:
-            a, b = (int.from_bytes(w[start : start + size], "little", signed=True) for w in (got, expected))
+            return f"undefined bits: {word}"
+        got, wanted = (int(w, 2).to_bytes(len(w) // 8, "little") for w in (word, expected))
+        found = []
+        for what, name, size, start in self.job["seen"]:
+            a, b = (int.from_bytes(w[start : start + size], "little", signed=True) for w in (got, wanted))
             if a != b:
-                different.append(f"{what} {name} is {a}, the emulator has {b}")
-        raise Mismatch(f"{where}: " + "; ".join(different[:8]) + (" ..." if len(different) > 8 else ""))
+                found.append(f"{what} {name} is {a}, the emulator has {b}")
+        return "; ".join(found[:8]) + (" ..." if len(found) > 8 else "")
 
 
-async def play(design: Design, words: dict[str, list[bytes]], steps: int, seed: int) -> float:
+def bit_strings(words: np.ndarray) -> list[str]:
+    """Bytes (N, B), the lowest first, as strings of bits the way the simulator gives them."""
+    text = (np.unpackbits(words[:, ::-1], axis=1) + ord("0")).tobytes().decode()
+    width = 8 * words.shape[1]
+    return [text[k : k + width] for k in range(0, len(text), width)]
+
+
+async def play(design: Design, samples: list[bytes], expected: list[str], steps: int, seed: int) -> float:
     """Run `steps` steps from idle and compare each; returns clocks per step. The first three steps are not paused."""
     rng = np.random.default_rng(seed)
-    pauses = np.where(rng.random((2, steps + 1)) < 0.2, rng.integers(1, 6, (2, steps + 1)), 0)
+    pauses = np.where(rng.random((2, steps + 1)) < PAUSED, rng.integers(1, 6, (2, steps + 1)), 0)
     pauses[:, :3] = 0
     gaps, stalls = pauses.tolist()
-    samples, outputs, states = words["samples"], words["outputs"], words["states"]
-    offered = int(str(design.offered.value))
     clocks, before = float("nan"), None
 
     design.m_tready.value = 1
-    design.s_tdata.value = int.from_bytes(samples[0], "little")
-    offered ^= 1
-    design.offered.value = offered
+    design.offer(samples[0])
     for k in range(steps):
         await design.rise
         design.step = k
         if k < 3:
             now = get_sim_time()
             clocks, before = (now - before) / CLOCK if before is not None else clocks, now
-        word = str(design.m_tdata.value)
-        design.compare(f"step {k}", "output", word, outputs[k])
-        if states:
-            design.compare(f"step {k}", "state", str(design.states.value), states[k])
+        word = str(design.seen.value)
+        if word != expected[k]:
+            raise Mismatch(f"step {k}: {design.different(word, expected[k])}")
         last = k + 1 == steps
-        if not last:
-            design.s_tdata.value = int.from_bytes(samples[k + 1], "little")
-            if not gaps[k + 1]:
-                offered ^= 1
-                design.offered.value = offered
+        if not last and not gaps[k + 1]:
+            design.offer(samples[k + 1])
         if not (last or stalls[k] or stalls[k + 1] or gaps[k + 1]):
             continue
         await Timer(HALF)
         if stalls[k]:
             await Timer(CLOCK * stalls[k])
-            if str(design.m_tvalid.value) != "1" or str(design.m_tdata.value) != word:
+            if str(design.m_tvalid.value) != "1" or str(design.seen.value) != word:
                 raise Mismatch(f"step {k}: the result does not hold still while m_axis_tready is low")
             design.m_tready.value = 1
         await Timer(CLOCK)  # the sink takes the result here
@@ -113,8 +118,7 @@ async def play(design: Design, words: dict[str, list[bytes]], steps: int, seed: 
             design.m_tready.value = 0
         if gaps[k + 1] and not last:
             await Timer(CLOCK * gaps[k + 1])
-            offered ^= 1
-            design.offered.value = offered
+            design.offer(samples[k + 1])
     return clocks
 
 
@@ -133,16 +137,15 @@ def make_test(job: dict, scenario: dict, arrays, seed: int, verdicts: list, repo
 
     async def run(dut):
         key = f"{job['index']}_{scenario['index']}_"
-        words = {}
-        for name in ("samples", "outputs", "states"):
-            a = arrays[key + name]
-            words[name] = [row.tobytes() for row in a] if a.shape[-1] else []
+        samples = [row.tobytes() for row in arrays[key + "samples"]]
+        expected = bit_strings(arrays[key + "seen"])
+        steps = len(samples)
         initial = arrays[key + "initial"][0].tobytes() if scenario["loads"] else None
-        began = bytes.fromhex(job["initial"]) if initial is None else initial
-        steps = len(words["samples"])
+        began = np.frombuffer(bytes.fromhex(job["initial"]) if initial is None else initial, np.uint8)
+        began = bit_strings(began[None])[0] if began.size else ""
         rng = np.random.default_rng(seed)
         design = Design(dut, job)
-        design.offered.value = 0
+        design.source.value = 0
         design.load.value = 0
         clock = Clock(design.clk, CLOCK)
         start = time.perf_counter()
@@ -154,12 +157,12 @@ def make_test(job: dict, scenario: dict, arrays, seed: int, verdicts: list, repo
             for cut in (int(rng.integers(1, max(2, min(steps, 50)))), steps):
                 design.step -= steps  # so that the watcher sees another number
                 await design.reset(initial)
-                if began:
-                    design.compare("after reset", "state", str(design.states.value), began)
-                verdict["clocks"] = await play(design, words, cut, int(rng.integers(1 << 31)))
+                word = str(design.seen.value)
+                if not word.startswith(began):
+                    raise Mismatch(f"after reset: {design.different(word, began + word[len(began) :])}")
+                verdict["clocks"] = await play(design, samples, expected, cut, int(rng.integers(1 << 31)))
                 if cut < steps:  # a further step is under way when the reset comes
-                    design.s_tdata.value = int.from_bytes(words["samples"][cut], "little")
-                    design.offered.value = 1 - int(str(design.offered.value))
+                    design.offer(samples[cut])
                     await Timer(CLOCK * int(rng.integers(1, 2 + max(1, int(np.nan_to_num(verdict["clocks"], nan=8))))))
         except Mismatch as mismatch:
             verdict["mismatch"] = str(mismatch)

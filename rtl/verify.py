@@ -98,6 +98,11 @@ def verify_many(
     Raises InputError when a tool is missing or the folder cannot be written.
     """
     environment = simulator_environment()
+    names = [case.program.name for case in cases]
+    if len(set(names)) < len(names):
+        raise InputError("two designs of one build have the same name; rename one program")
+    for case in cases:
+        verilog_names(case.program)
     folder = Path(folder).resolve()
     try:
         (folder / "build").mkdir(parents=True, exist_ok=True)
@@ -110,9 +115,6 @@ def verify_many(
         files = emit(case.program, folder / "rtl" / case.program.name, case.architecture, case.macs)
         sources += [f for f in files if f.suffix == ".v"]
         designs.append(Design(i, case))
-    names = [d.case.program.name for d in designs]
-    if len(set(names)) < len(names):
-        raise InputError("two designs of one build have the same name; rename one program")
     bench = folder / "build" / "bench.v"
     bench.write_text("module bench;\n" + "".join(d.verilog() for d in designs) + "endmodule\n")
     start = time.perf_counter()
@@ -197,20 +199,20 @@ class Design:
         """The signals that the bench drives and reads, the source's handshake, the states side by side, the design."""
         i, program = self.index, self.case.program
         state = [sign_extended(at, low, s.fix.width, lane_width(s)) for at, low, s in self.state_lanes()]
-        width_state = width(self.states) or 8
-        shown = f"{{{', '.join(reversed(state))}}}" if state else "8'd0"
+        width_in, width_out, width_state = width(self.inputs), width(self.outputs), width(self.states)
         public = "/* verilator public_flat_rw */"
         text = f"    // {i}: {program.name}, {self.case.architecture}\n"
-        for name in ("clk", "rst", "offered", "m_tready", "load"):
+        for name in ("clk", "rst", "m_tready", "load"):
             text += f"    reg {name}_{i} {public};\n"
-        text += f"    reg [{width(self.inputs) - 1}:0] s_tdata_{i} {public};\n"
-        text += f"    reg [{width_state - 1}:0] initial_{i} {public};\n"
-        text += f"    wire [{width(self.outputs) - 1}:0] m_tdata_{i} {public};\n"
+        text += f"    reg [{width_in}:0] source_{i} {public};  // {{toggled with every sample, sample}}\n"
+        text += f"    reg [{max(width_state, 8) - 1}:0] initial_{i} {public};\n"
         text += f"    wire s_tready_{i} {public}, m_tvalid_{i} {public};\n"
-        text += f"    wire [{width_state - 1}:0] states_{i} {public};\n"
-        text += f"    assign states_{i} = {shown};\n"
-        text += f"    reg taken_{i};\n    wire s_tvalid_{i} = offered_{i} ^ taken_{i};\n"
-        text += f"    always @(posedge clk_{i}) if (rst_{i} || s_tready_{i}) taken_{i} <= offered_{i};\n"
+        text += f"    wire [{width_out - 1}:0] m_tdata_{i};\n"
+        text += f"    wire [{width_out + width_state - 1}:0] seen_{i} {public};\n"
+        text += f"    assign seen_{i} = {{{', '.join([*reversed(state), f'm_tdata_{i}'])}}};\n"
+        text += f"    reg taken_{i};\n    wire s_tvalid_{i} = source_{i}[{width_in}] ^ taken_{i};\n"
+        text += f"    wire [{width_in - 1}:0] s_tdata_{i} = source_{i}[{width_in - 1}:0];\n"
+        text += f"    always @(posedge clk_{i}) if (rst_{i} || s_tready_{i}) taken_{i} <= source_{i}[{width_in}];\n"
         if any(s.initial is not None for s in self.case.scenarios.values()):
             text += f"    always @(posedge clk_{i}) if (load_{i}) begin\n"
             start = 0
@@ -229,8 +231,8 @@ class Design:
         return {
             "index": self.index,
             "name": f"{program.name}/{self.case.architecture}",
-            "output": words(self.outputs),
-            "state": words(self.states),
+            "seen": [("output", *w) for w in words(self.outputs)]
+            + [("state", n, w, width(self.outputs) // 8 + at) for n, w, at in words(self.states)],
             "initial": lanes(self.states, initial[None]).tobytes().hex(),
             "scenarios": [
                 {"index": k, "name": name, "loads": s.initial is not None}
@@ -243,8 +245,7 @@ class Design:
         for k, s in enumerate(self.case.scenarios.values()):
             key = f"{self.index}_{k}_"
             found[key + "samples"] = lanes(self.inputs, s.inputs)
-            found[key + "outputs"] = lanes(self.outputs, s.outputs)
-            found[key + "states"] = lanes(self.states, s.states)
+            found[key + "seen"] = np.hstack([lanes(self.outputs, s.outputs), lanes(self.states, s.states)])
             if s.initial is not None:
                 found[key + "initial"] = lanes(self.states, np.asarray(s.initial)[None])
         return found
