@@ -35,9 +35,9 @@ from greygate.compiler.verilog import (
 )
 from greygate.emulator.program import Affine, Lookup, Operation, Overflow, Program, signed_width
 
-WEIGHT, SUM, HOLD, PICK = 1, 2, 3, 4  # clocks after the read of a column in which its weight, sum, ... act
+WEIGHT, SUM, HOLD, PICK = 2, 3, 4, 5  # clocks after the read of a column in which its weight, sum, ... act
 FIT = 1  # clocks from pick to write
-UNIT = 2  # clocks from the read of an argument to the write of a result
+UNIT = 3  # clocks from the read of an argument to the write of a result
 DRAIN, COPY = 0, 1  # what is written; units follow
 
 
@@ -344,8 +344,9 @@ def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, s
     )
     body += f"    reg signed [{code - 1}:0] word;\n    always @(posedge clk) word <= memory[read];\n\n"
     body += f"    reg from_input;\n    reg signed [{code - 1}:0] input_code;\n"
-    body += f"    wire signed [{code - 1}:0] x = from_input ? input_code : word;\n"
+    body += f"    reg signed [{code - 1}:0] x;  // a register of its own: block RAM is slow to answer\n"
     body += "    always @(posedge clk) begin\n"
+    body += "        x <= from_input ? input_code : word;\n"
     body += f"        from_input <= read >= {address}'d{folding.words};\n        case (read)\n"
     for n, (s, k, low) in enumerate(input_slices(program)):
         value = sign_extended("sample", low, s.fix.width, code)
