@@ -86,7 +86,7 @@ def fold(program: Program, macs: int) -> Folding:
         address[s.name] = words
         words += s.size
     moves = [(s.source, s.signal.name) for s in program.states if s.source != s.signal.name]
-    shadows, moves = ordered(moves, {s.signal.name for s in program.states})
+    shadows, moves = ordered(moves)
     for original, shadow in shadows:
         address[shadow] = words
         words += program.signals[original].size
@@ -106,8 +106,8 @@ def fold(program: Program, macs: int) -> Folding:
         schedule.place(t, f"write {note}", write=word, enable=1, source=source, **values)
         ready[word] = t + 1
 
-    def through(source: int, word: int, to: int, what: str, note: str, earliest: int = 1) -> None:
-        t = max(earliest, ready.get(word, 1), last_read.get(to, 0) - UNIT)
+    def through(source: int, word: int, to: int, what: str, note: str) -> None:
+        t = max(ready.get(word, 1), last_read.get(to, 0) - UNIT)
         while not (schedule.free(t, "read") and schedule.free(t + UNIT, "write")):
             t += 1
         read(t, word, what)
@@ -174,7 +174,7 @@ def fold(program: Program, macs: int) -> Folding:
     return Folding(schedule, address, words, groups, units)
 
 
-def ordered(moves: list[tuple[str, str]], states: set[str]) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
+def ordered(moves: list[tuple[str, str]]) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
     """Moves (source, state) in an order in which none overwrites a state that a later one reads.
 
     A ring of states is opened by a copy: those come first, and are returned before the moves.

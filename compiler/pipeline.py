@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from greygate.compiler.centre import centre_biases
 from greygate.compiler.prune import Round, prune_by_entropy
 from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.ranges import Range, ranges
@@ -78,7 +79,7 @@ def compile_network(
     training = records[ranged_on]
     found = ranges(network, [training])
     if budget is None:
-        program = quantize(network, found, formats or Formats(), period)
+        program = centre_biases(quantize(network, found, formats or Formats(), period), network, training)
     else:
         program = meet_budget(network, found, training, budget, formats or Formats(), period)
     return Compiled(network, found, program, tuple(passes), tuple(rounds))
@@ -127,9 +128,10 @@ def meet_budget(
 
     def build(width: int, signals: Mapping[str, Fix]) -> Program | None:
         try:
-            return quantize(network, found, replace(formats, width=width, signals=signals), period)
+            program = quantize(network, found, replace(formats, width=width, signals=signals), period)
         except InputError:
             return None
+        return centre_biases(program, network, record)
 
     for width in WIDTHS:
         program = build(width, formats.signals)

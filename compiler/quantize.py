@@ -238,7 +238,9 @@ class _Quantizer:
             gain = loop_gain(self._loops(name))
             finer = math.ceil(math.log2(gain)) if gain > 1 else 0
             if finer:
-                self.notes.setdefault(name, f"its feedback multiplies errors by {gain:.1f}: weights have {finer} bits more")
+                self.notes.setdefault(
+                    name, f"its feedback multiplies errors by {gain:.1f}: weights have {finer} bits more"
+                )
             self._affine(out, layer, reads, finer)
             return
         pre = f"{name}.n"

@@ -51,7 +51,7 @@ def emit(program: Program, folder: Path | str, architecture: str = "parallel", m
     Raises InputError for names that Verilog cannot hold, a program without input or output, an illegal option, or
     a folder that cannot be written.
     """
-    from greygate.compiler.folded import folded
+    from greygate.compiler.folded import folded  # which builds on this module
 
     program.check()
     if architecture not in ("parallel", "folded"):

@@ -1,31 +1,33 @@
 """The fast engine: the interpreter's answer, bit for bit, from one numba kernel that walks the program as arrays.
 
-Sums of products run in float64 where the program proves that an accumulator stays below 2^53: every partial sum is then
-an integer that float64 holds exactly, in any order, and the processor has vector units for it. Wider accumulators run in
-int64. Nothing else is ever a float.
+Sums of products run in float64 where the program proves that an accumulator stays below 2^53: every partial sum is
+then an integer that float64 holds exactly, in any order, and the processor has vector units for it. Wider accumulators
+run in int64. Nothing else is ever a float.
 """
 
-from functools import lru_cache
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numba
 import numpy as np
+
 from greygate.emulator.interpreter import Run
 from greygate.emulator.program import Affine, Clamp, Lookup, Overflow, Program, Rounding, Symmetry
 
 EXACT_BITS = 53  # integers up to 2^53 are exact in float64
 AFFINE, AFFINE_WIDE, TABLE, CLAMP, THRESHOLD = range(5)
+# unsigned: numba then leaves out its check for negative indices, and the loops become vector code
+ZERO, ONE, TWO, THREE, FOUR = (np.uint64(n) for n in range(5))
 _ROUNDING = list(Rounding)
-_SYMMETRY = list(Symmetry)
-LANES = 4  # rows are padded to whole vectors
+_ARRAYS: "WeakKeyDictionary[Program, _Arrays]" = WeakKeyDictionary()
 
 
 class _Arrays(NamedTuple):
-    """A program as arrays. `operations` columns depend on the kind: see `_tabulate`."""
+    """A program as arrays. Rows of an affine operation are padded to a multiple of four."""
 
-    operations: np.ndarray  # (n, 10) int64
-    blocks: np.ndarray  # (m, 3): first element of the argument, its size, offset of its weights (column after column)
-    weights: np.ndarray  # float64
+    operations: np.ndarray  # (n, 11) int64; columns depend on the kind, see `_tabulate`
+    reads: np.ndarray  # uint64: element behind each column of each affine operation
+    weights: np.ndarray  # float64, column after column
     weights_int: np.ndarray  # the same as int64
     bias: np.ndarray  # int64, per padded row
     shifts: np.ndarray  # int64, per padded row
@@ -37,96 +39,62 @@ class _Arrays(NamedTuple):
     widest: int
 
 
-@lru_cache(maxsize=64)
-def _cached(program_id: int, holder: "_Holder") -> _Arrays:
-    return _tabulate(holder.program)
-
-
-class _Holder:
-    """Lets a program, which is not hashable, be a cache key by identity."""
-
-    def __init__(self, program: Program):
-        self.program = program
-
-    def __hash__(self) -> int:
-        return id(self.program)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Holder) and self.program is other.program
-
-
 def _tabulate(program: Program) -> _Arrays:
     first, at = {}, 0
     for name, signal in program.signals.items():
         first[name] = at
         at += signal.size
-    operations, blocks, weights, bias, shifts, points, tables = [], [], [], [], [], [], {}
+    tables, points = {}, []
     for table in program.tables:
         tables[table.name] = len(points)
-        points += list(table.points)
-    weight_at, row_at, widest = 0, 0, LANES
+        points += table.points
+    operations, reads, weights, bias, shifts = [], [], [], [], []
+    weight_at, row_at, widest = 0, 0, sum(s.signal.size for s in program.states)
     for o in program.operations:
-        out, size, fix = first[o.out.name], o.out.size, o.out.fix
+        head, fix = (first[o.out.name], o.out.size), o.out.fix
         if isinstance(o, Affine):
-            padded = -(-size // LANES) * LANES
-            widest = max(widest, padded)
             kind = AFFINE if program.accumulator_width(o) < EXACT_BITS else AFFINE_WIDE
-            wrap = o.overflow is Overflow.WRAP
-            operations.append(
-                (
-                    kind,
-                    out,
-                    size,
-                    len(blocks),
-                    len(o.args),
-                    row_at,
-                    fix.width,
-                    _ROUNDING.index(o.rounding),
-                    wrap,
-                    padded,
-                )
-            )
-            column = 0
-            for arg in o.args:
-                n = program.signals[arg].size
-                part = np.zeros((n, padded), np.int64)
-                part[:, :size] = o.weights[:, column : column + n].T
-                blocks.append((first[arg], n, weight_at))
-                weights.append(part.ravel())
-                weight_at += part.size
-                column += n
-            pad = np.zeros(padded - size, np.int64)
-            bias.append(np.concatenate([o.bias, pad]))
-            shifts.append(np.concatenate([o.frac - fix.frac, pad]))
-            row_at += padded
+            columns = [first[arg] + i for arg in o.args for i in range(program.signals[arg].size)]
+            padded = -(-o.out.size // 4) * 4
+            modes = (_ROUNDING.index(o.rounding), o.overflow is Overflow.WRAP)
+            row = (kind, *head, len(reads), len(columns), weight_at, row_at, fix.width, *modes, padded)
+            part = np.zeros((len(columns), padded), np.int64)
+            part[:, : o.out.size] = o.weights.T
+            pad = np.zeros(padded - o.out.size, np.int64)
+            reads += columns
+            weights.append(part.ravel())
+            bias.append(np.r_[o.bias, pad])
+            shifts.append(np.r_[o.frac - fix.frac, pad])
+            weight_at, row_at, widest = weight_at + part.size, row_at + padded, max(widest, padded, len(columns))
         elif isinstance(o, Lookup):
             t = program.table[o.table]
-            operations.append(
-                (TABLE, out, size, first[o.arg], tables[o.table], len(t.points) - 1, t.shift, t.interpolated,
-                 _SYMMETRY.index(t.symmetry), 1 << max(t.out.frac, 0))
-            )  # fmt: skip
+            flip = 0 if t.symmetry is Symmetry.EVEN else -1
+            lift = 1 << t.out.frac if t.symmetry is Symmetry.COMPLEMENT else 0
+            modes = (t.interpolated, flip, lift)
+            row = (TABLE, *head, first[o.arg], tables[o.table], len(t.points) - 1, t.shift, *modes)
         elif isinstance(o, Clamp):
             shift = program.signals[o.arg].fix.frac - fix.frac
-            operations.append(
-                (CLAMP, out, size, first[o.arg], o.lo, o.hi, fix.width, _ROUNDING.index(o.rounding), shift, 0)
-            )
+            row = (CLAMP, *head, first[o.arg], o.lo, o.hi, fix.width, _ROUNDING.index(o.rounding), shift)
         else:
-            operations.append((THRESHOLD, out, size, first[o.arg], o.at, o.below, o.above, 0, 0, 0))
-    moves = [(first[s.source] + i, first[s.signal.name] + i) for s in program.states for i in range(s.signal.size)]
-    joined = np.concatenate(weights) if weights else np.zeros(0, np.int64)
+            row = (THRESHOLD, *head, first[o.arg], o.at, o.below, o.above)
+        operations.append(row + (0,) * (11 - len(row)))
+    whole = np.concatenate([np.zeros(0, np.int64), *weights])
     return _Arrays(
-        np.array(operations, np.int64).reshape(-1, 10),
-        np.array(blocks, np.int64).reshape(-1, 3),
-        joined.astype(np.float64),
-        joined,
-        np.concatenate(bias) if bias else np.zeros(0, np.int64),
-        np.concatenate(shifts) if shifts else np.zeros(0, np.int64),
+        np.array(operations, np.int64).reshape(-1, 11),
+        np.array(reads, np.uint64),
+        whole.astype(np.float64),
+        whole,
+        np.concatenate([np.zeros(0, np.int64), *bias]),
+        np.concatenate([np.zeros(0, np.int64), *shifts]),
         np.array(points, np.int64),
-        np.array(moves, np.int64).reshape(-1, 2),
+        np.array(
+            [(first[s.source] + i, first[s.signal.name] + i) for s in program.states for i in range(s.signal.size)],
+            np.int64,
+        ).reshape(-1, 2),
         np.array([first[p.signal.name] + i for p in program.inputs for i in range(p.signal.size)], np.int64),
         np.array([first[p.signal.name] + i for p in program.outputs for i in range(p.signal.size)], np.int64),
         at,
-        max(widest, len(moves)),
+        max(widest, 4),
     )
 
 
@@ -142,15 +110,15 @@ def _round(a, shift, rounding):  # pragma: no cover - compiled
     return (a + half - 1 + ((a >> shift) & 1)) >> shift
 
 
-@numba.njit(cache=True, nogil=True, boundscheck=False, fastmath={"reassoc", "contract"})
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def _run(
-    operations, blocks, weights, weights_int, bias, shifts, points, moves, ins, outs, elements, widest,
+    operations, reads, weights, weights_int, bias, shifts, points, moves, ins, outs, elements, widest,
     inputs, initial, outputs, states, saturations, trace
 ):  # fmt: skip  # pragma: no cover - compiled
     value = np.zeros(elements, np.int64)
-    exact = np.zeros(elements, np.float64)  # the same, for the vector units
-    acc = np.zeros(widest, np.float64)
-    acc_int = np.zeros(widest, np.int64)
+    exact = np.zeros(elements, np.float64)  # the same numbers, for the vector units
+    gathered = np.zeros(widest, np.float64)
+    acc = np.zeros(widest, np.int64)
     for sequence in range(len(inputs)):
         for m in range(len(moves)):
             value[moves[m, 1]] = initial[sequence, m]
@@ -160,36 +128,38 @@ def _run(
                 value[ins[i]] = inputs[sequence, k, i]
                 exact[ins[i]] = inputs[sequence, k, i]
             for n in range(len(operations)):
-                kind, out, size = operations[n, 0], operations[n, 1], operations[n, 2]
+                kind, out, size = operations[n, 0], np.uint64(operations[n, 1]), np.uint64(operations[n, 2])
                 if kind <= AFFINE_WIDE:
-                    block, count, row = operations[n, 3], operations[n, 4], operations[n, 5]
-                    width, rounding, wrap, padded = operations[n, 6], operations[n, 7], operations[n, 8], operations[n, 9]
+                    read, count = np.uint64(operations[n, 3]), np.uint64(operations[n, 4])
+                    first, row = np.uint64(operations[n, 5]), np.uint64(operations[n, 6])
+                    rounding, wrap, padded = operations[n, 8], operations[n, 9], np.uint64(operations[n, 10])
                     if kind == AFFINE:
-                        for r in range(padded):
-                            acc[r] = 0.0
-                        for b in range(block, block + count):
-                            source, w = blocks[b, 0], blocks[b, 2]
-                            for i in range(blocks[b, 1]):
-                                x = exact[source + i]
-                                for r in range(padded):
-                                    acc[r] += weights[w + r] * x
+                        for j in range(count):
+                            gathered[j] = exact[reads[read + j]]
+                        for r in range(ZERO, padded, FOUR):
+                            a0 = a1 = a2 = a3 = 0.0
+                            w = first + r
+                            for j in range(count):
+                                x = gathered[j]
+                                a0 += weights[w] * x
+                                a1 += weights[w + ONE] * x
+                                a2 += weights[w + TWO] * x
+                                a3 += weights[w + THREE] * x
                                 w += padded
-                        for r in range(padded):
-                            acc_int[r] = bias[row + r] + np.int64(acc[r])
+                            acc[r] = np.int64(a0)
+                            acc[r + ONE] = np.int64(a1)
+                            acc[r + TWO] = np.int64(a2)
+                            acc[r + THREE] = np.int64(a3)
                     else:
-                        for r in range(padded):
-                            acc_int[r] = bias[row + r]
-                        for b in range(block, block + count):
-                            source, w = blocks[b, 0], blocks[b, 2]
-                            for i in range(blocks[b, 1]):
-                                xi = value[source + i]
-                                for r in range(padded):
-                                    acc_int[r] += weights_int[w + r] * xi
-                                w += padded
-                    hi = (np.int64(1) << (width - 1)) - 1
+                        acc[:] = 0
+                        for j in range(count):
+                            xi = value[reads[read + j]]
+                            for r in range(size):
+                                acc[r] += weights_int[first + j * padded + r] * xi
+                    hi = (np.int64(1) << (operations[n, 7] - 1)) - 1
                     for r in range(size):
                         shift = shifts[row + r]
-                        y = acc_int[r]
+                        y = acc[r] + bias[row + r]
                         if rounding == 1 and shift > 0:
                             y = (y + (np.int64(1) << (shift - 1))) >> shift
                         else:
@@ -203,39 +173,36 @@ def _run(
                         value[out + r] = y
                         exact[out + r] = y
                 elif kind == TABLE:
-                    source, base, last, shift = operations[n, 3], operations[n, 4], operations[n, 5], operations[n, 6]
-                    interpolated, symmetry, one = operations[n, 7], operations[n, 8], operations[n, 9]
+                    source, base = np.uint64(operations[n, 3]), operations[n, 4]
+                    last, shift = operations[n, 5], operations[n, 6]
+                    interpolated, flip, lift = operations[n, 7], operations[n, 8], operations[n, 9]
                     half = (np.int64(1) << shift) >> 1
                     end = last << shift
-                    if interpolated and symmetry == 0:
+                    if interpolated:  # beyond the end this is the last interval at its right edge: the last point
                         for r in range(size):
                             x = value[source + r]
-                            a = min(abs(x), end)
+                            sign = x >> 63
+                            a = min((x ^ sign) - sign, end)
                             i = min(a >> shift, last - 1)
-                            y = points[base + i]
-                            y += ((points[base + i + 1] - y) * (a - (i << shift)) + half) >> shift
-                            y = -y if x < 0 else y
+                            y0, y1 = points[np.uint64(base + i)], points[np.uint64(base + i + 1)]
+                            y = y0 + (((y1 - y0) * (a - (i << shift)) + half) >> shift)
+                            # minus y for a negative x, then what the symmetry adds
+                            y = ((y ^ (sign & flip)) - (sign & flip)) + (sign & lift)
                             value[out + r] = y
                             exact[out + r] = y
                     else:
                         for r in range(size):
                             x = value[source + r]
-                            a = min(abs(x), end)
-                            if interpolated:
-                                i = min(a >> shift, last - 1)
-                                y = points[base + i]
-                                y += ((points[base + i + 1] - y) * (a - (i << shift)) + half) >> shift
-                            else:
-                                y = points[base + min((a + half) >> shift, last)]
-                            if x < 0:
-                                y = -y if symmetry == 0 else (y if symmetry == 1 else one - y)
+                            sign = x >> 63
+                            y = points[np.uint64(base + min((min(abs(x), end) + half) >> shift, last))]
+                            y = ((y ^ (sign & flip)) - (sign & flip)) + (sign & lift)
                             value[out + r] = y
                             exact[out + r] = y
                 elif kind == CLAMP:
-                    source, lo, hi_in, width = operations[n, 3], operations[n, 4], operations[n, 5], operations[n, 6]
-                    hi = (np.int64(1) << (width - 1)) - 1
+                    source, lo, top = np.uint64(operations[n, 3]), operations[n, 4], operations[n, 5]
+                    hi = (np.int64(1) << (operations[n, 6] - 1)) - 1
                     for r in range(size):
-                        y = _round(min(max(value[source + r], lo), hi_in), operations[n, 8], operations[n, 7])
+                        y = _round(min(max(value[source + r], lo), top), operations[n, 8], operations[n, 7])
                         if y > hi or y < -hi - 1:
                             saturations[n] += 1
                             y = hi if y > hi else -hi - 1
@@ -243,7 +210,7 @@ def _run(
                         exact[out + r] = y
                 else:
                     for r in range(size):
-                        above = value[operations[n, 3] + r] >= operations[n, 4]
+                        above = value[np.uint64(operations[n, 3]) + r] >= operations[n, 4]
                         y = operations[n, 6] if above else operations[n, 5]
                         value[out + r] = y
                         exact[out + r] = y
@@ -253,13 +220,13 @@ def _run(
                 for e in range(elements):
                     trace[sequence, k, e] = value[e]
             for m in range(len(moves)):
-                acc_int[m] = value[moves[m, 0]]
+                acc[m] = value[moves[m, 0]]
             for m in range(len(moves)):
-                value[moves[m, 1]] = acc_int[m]
-                exact[moves[m, 1]] = acc_int[m]
+                value[moves[m, 1]] = acc[m]
+                exact[moves[m, 1]] = acc[m]
             if states.shape[1]:
                 for m in range(len(moves)):
-                    states[sequence, k, m] = acc_int[m]
+                    states[sequence, k, m] = acc[m]
 
 
 def run(
@@ -273,7 +240,9 @@ def run(
 
     states=False leaves the states out of the answer (an empty array), for speed.
     """
-    arrays = _cached(id(program), _Holder(program))
+    arrays = _ARRAYS.get(program)
+    if arrays is None:
+        arrays = _ARRAYS[program] = _tabulate(program)
     inputs = np.ascontiguousarray(inputs, np.int64)
     batch, (steps, columns) = inputs.shape[:-2], inputs.shape[-2:]
     flat = inputs.reshape(-1, steps, columns)
@@ -283,17 +252,15 @@ def run(
     outputs = np.empty((len(flat), steps, len(arrays.outputs)), np.int64)
     after = np.empty((len(flat), steps if states else 0, count), np.int64)
     traced = np.empty((len(flat), steps if trace else 0, arrays.elements), np.int64)
-    saturations = np.zeros(len(program.operations), np.int64)
-    _run(*arrays, flat, np.ascontiguousarray(start, np.int64), outputs, after, saturations, traced)
-    counted = {
-        o.out.name: int(n)
-        for o, n in zip(program.operations, saturations, strict=True)
-        if isinstance(o, Affine | Clamp)
+    events = np.zeros(len(program.operations), np.int64)
+    _run(*arrays, flat, np.ascontiguousarray(start, np.int64), outputs, after, events, traced)
+    saturations = {
+        o.out.name: int(n) for o, n in zip(program.operations, events, strict=True) if isinstance(o, Affine | Clamp)
     }
     everything = None
     if trace:
         ends = np.cumsum([s.size for s in program.signals.values()])[:-1]
         parts = np.split(traced.reshape(*batch, steps, arrays.elements), ends, axis=-1)
         everything = dict(zip(program.signals, parts, strict=True))
-    shape = (*batch, after.shape[1], count)
-    return Run(outputs.reshape(*batch, steps, -1), after.reshape(shape), counted, everything)
+    after = after.reshape(*batch, after.shape[1], count)
+    return Run(outputs.reshape(*batch, steps, -1), after, saturations, everything)

@@ -169,7 +169,7 @@ def signed_width(magnitude: int) -> int:
     return int(magnitude).bit_length() + 1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Program:
     """One step of a network on integers. Made by the compiler; `check` holds before and after every pass."""
 

@@ -22,7 +22,7 @@ THESIS = {  # RMS in bar, chambers A and B (table 5.4, section 5.3.3)
 }
 THESIS_FLOW = 1.42e-4  # RMS of Network Qa over Q_max: 8.52e-9 of 6e-5 m^3/s
 FLOW_SEED, DIVIDER_SEED = 1, 0
-REHEARSAL = 0.1  # of the parts' own records beside the training scenario
+REHEARSAL = 1.0  # a sample of the parts' own records counts like one of the training scenario
 EPOCHS = 25
 
 

@@ -127,6 +127,11 @@ class Problem:
             {n: p.reshape(s) for n, p, s in zip(self._names, parts, self._shapes, strict=True)}
         )
 
+    @property
+    def depth(self) -> int:
+        """The longest delay, in steps."""
+        return self._tables.depth
+
     def elements(self) -> dict[str, np.ndarray]:
         """Columns of each input and layer in `simulate`'s traces."""
         sizes = {p.name: p.size for p in self.flat.inputs} | {n: self.flat.modules[n].size for n in self.flat.order()}
