@@ -128,7 +128,8 @@ async def watch(design: Design, verdict: dict) -> None:
     while seen != design.step:
         seen = design.step
         await Timer(CLOCK * PATIENCE)
-    verdict["mismatch"] = f"after step {seen}: no answer within {PATIENCE} clocks"
+    where = f"step {seen + 1}" if seen >= 0 else "step 0"
+    verdict["mismatch"] = f"{where}: no answer within {PATIENCE} clocks"
     raise Mismatch(verdict["mismatch"])
 
 
@@ -149,13 +150,18 @@ def make_test(job: dict, scenario: dict, arrays, seed: int, verdicts: list, repo
         design.load.value = 0
         clock = Clock(design.clk, CLOCK)
         start = time.perf_counter()
-        verdict = {"design": job["index"], "scenario": scenario["name"], "steps": steps, "mismatch": None}
+        verdict = {
+            "design": job["index"],
+            "scenario": scenario["name"],
+            "steps": steps,
+            "mismatch": "was not finished; see sim.log",
+        }
         try:
             clock.start(start_high=False)
             watcher = cocotb.start_soon(watch(design, verdict))
             await Timer(CLOCK)
             for cut in (int(rng.integers(1, max(2, min(steps, 50)))), steps):
-                design.step -= steps  # so that the watcher sees another number
+                design.step = -1 - cut  # no step yet; a number that the watcher has not seen
                 await design.reset(initial)
                 word = str(design.seen.value)
                 if not word.startswith(began):
@@ -164,6 +170,7 @@ def make_test(job: dict, scenario: dict, arrays, seed: int, verdicts: list, repo
                 if cut < steps:  # a further step is under way when the reset comes
                     design.offer(samples[cut])
                     await Timer(CLOCK * int(rng.integers(1, 2 + max(1, int(np.nan_to_num(verdict["clocks"], nan=8))))))
+            verdict["mismatch"] = None
         except Mismatch as mismatch:
             verdict["mismatch"] = str(mismatch)
             raise
