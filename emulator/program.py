@@ -264,8 +264,8 @@ class Program:
                 yield f"{o.out.name}: table {o.table} does not exist"
             elif (table.arg, table.out) != (arg.fix, o.out.fix):
                 yield f"{o.out.name}: formats differ from those of table {o.table}"
-            elif not all(0 <= p <= table.out.hi for p in table.points) and table.symmetry is not Symmetry.EVEN:
-                yield f"table {table.name}: a point does not fit {table.out}"
+            else:
+                yield from _table_problems(table)
         elif isinstance(o, Clamp):
             if o.lo > o.hi or o.lo < arg.fix.lo or o.hi > arg.fix.hi:
                 yield f"{o.out.name}: clamp [{o.lo}, {o.hi}] does not fit {arg.fix}"
@@ -309,6 +309,19 @@ class Program:
             if isinstance(error, InputError):
                 raise
             raise InputError(f"{path}: not a readable program ({error}); compile the network again") from None
+
+
+def _table_problems(table: Table) -> Iterator[str]:
+    if len(table.points) < 2 or table.shift < 0:
+        yield f"table {table.name}: needs two points and a shift that is not negative"
+        return
+    answers = {
+        Symmetry.ODD: [-p for p in table.points],
+        Symmetry.EVEN: [],
+        Symmetry.COMPLEMENT: [(1 << max(table.out.frac, 0)) - p for p in table.points],
+    }[table.symmetry]
+    if not all(table.out.lo <= p <= table.out.hi for p in (*table.points, *answers)):
+        yield f"table {table.name}: a point, or what its symmetry makes of it, does not fit {table.out}"
 
 
 _KINDS = {kind.op: kind for kind in (Affine, Lookup, Clamp, Threshold)}

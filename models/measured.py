@@ -48,7 +48,7 @@ class Study:
         return training | tests
 
     def network(self, hidden: Sequence[int], seed: int = 0) -> Network:
-        return noe(self.name, self.inputs, self.output, self.feedback, hidden, seed)
+        return noe(self.name, self.inputs, self.output, self.feedback, hidden, seed, linear_loop=True)
 
 
 @dataclass(frozen=True)
@@ -163,11 +163,11 @@ def _crane(folder: Path) -> tuple[dict[str, Record], dict[str, Record]]:
 MTS = Study(
     "mts",
     _mts,
-    {Port("x_cmd", "m", 2.048e-3, -2.048e-3): range(0, 37, 6)},
+    {Port("x_cmd", "m", 2.048e-3, -2.048e-3): range(1, 20, 3)},
     Port("x_meas", "m", 2.048e-3, -2.048e-3),
-    feedback=(1, 8),
-    hidden=(8,),
-    seeds=range(4),
+    feedback=(1, 4),
+    hidden=(4,),
+    seeds=range(6),
     decay=1e-3,
     epochs=60,
     period=1e-3,
@@ -175,13 +175,13 @@ MTS = Study(
 CRANE = Study(
     "crane",
     _crane,
-    {Port("u_valve", "1", 2.0): (1, 2, 3)},
+    {Port("u_valve", "1", 2.0): (1, 2)},
     Port("p_oil", "1", 4.0),
-    feedback=(1, 2, 3),
-    hidden=(5,),
+    feedback=(1, 2),
+    hidden=(3,),
     seeds=range(10),
-    decay=1e-3,
-    epochs=150,
+    decay=1e-2,
+    epochs=200,
     period=1.0,
 )
 STUDIES = {study.name: study for study in (MTS, CRANE)}

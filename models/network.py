@@ -207,8 +207,11 @@ class Network:
         if len(lengths) != 1 or 0 in lengths:
             raise InputError(f"network {self.name}: inputs have lengths {sorted(lengths)}; give one length, not zero")
         steps = [runner.step({n: v[..., k, :] for n, v in signals.items()}, trace) for k in range(lengths.pop())]
-        names = steps[0].keys()
-        stacked = {n: runner.xp.stack([s[n] for s in steps], -2) for n in names}
+        batch = next(iter(signals.values())).shape[:-2]  # constants and initial values are the same in all of it
+        stacked = {
+            n: runner.xp.stack([runner.xp.broadcast_to(s[n], (*batch, v.shape[-1])) for s in steps], -2)
+            for n, v in steps[0].items()
+        }
         return {n: v[..., 0] if v.shape[-1] == 1 else v for n, v in stacked.items()}
 
     # ---- on disk
@@ -388,7 +391,8 @@ class _Flattener:
         ports = network.inputs if is_source else network.outputs
         if name in {p.name for p in ports}:
             return prefix + name
-        module_name, port = (name, "") if name in network.modules else name.rpartition(".")[::2]
+        whole = name in network.modules and is_source
+        module_name, port = (name, "") if whole or "." not in name else name.rpartition(".")[::2]
         module = network.modules.get(module_name)
         if module is None:
             self.fail(f"connection names {prefix}{name}, which is neither a module nor a port here")
@@ -484,25 +488,8 @@ class _Flattener:
                 initial = layer.bias + sum(w @ before[sources[p]] for p, w in layer.weights.items())
                 flat.modules[name] = layer = replace(layer, initial=initial)
             start[name] = layer.initial
-        reached = _reached(flat)
-        flat.modules = {n: flat.modules[n] for n in order if n in reached or n in self.layers}
-        flat.connections = [
-            c for c in flat.connections if "." not in c.target or c.target.rpartition(".")[0] in flat.modules
-        ]
+        flat.modules = {n: flat.modules[n] for n in order}
         return flat
-
-
-def _reached(flat: Network) -> set[str]:
-    """Layers that some output depends on."""
-    feeds = flat.feeds()
-    found: set[str] = set()
-    waiting = [feeds[p.name][0] for p in flat.outputs]
-    while waiting:
-        name = waiting.pop()
-        if name in flat.modules and name not in found:
-            found.add(name)
-            waiting += [feeds[f"{name}.{p}"][0] for p in flat.modules[name].weights]
-    return found
 
 
 def _to_toml(network: Network) -> dict:

@@ -22,11 +22,14 @@ def noe(
     feedback: Sequence[int],
     hidden: Sequence[int] = (),
     seed: int = 0,
+    linear_loop: bool = False,
 ) -> Network:
     """A network on the taps u(k-d), d in `inputs[port]` >= 0, and y(k-d), d in `feedback` >= 1.
 
     hidden: neurons of each tansig layer; none gives the linear model of the same orders. Taps need not be neighbours: with
     wider spacing a slow plant sampled fast does not cancel large weights against each other.
+    linear_loop: the first hidden layer sees the inputs alone (Hammerstein form): the only loop is linear, so free run is
+    stable wherever its poles are, whatever the hidden layers do.
     It starts as y(k) = y(k - feedback[0]), hidden weights drawn from `seed` at a size that keeps tansig near linear.
     Raises InputError for a tap that would look ahead or close a loop without delay.
     """
@@ -36,7 +39,8 @@ def noe(
         raise InputError(f"network {name}: taps {', '.join(taps)}; an input's start at 0, the output's own at 1")
     rng = np.random.default_rng(seed)
     network = Network(name, list(inputs), [output])
-    fed, last = dict.fromkeys(taps, 1), dict(taps)
+    last = {port: tap for port, tap in taps.items() if not (linear_loop and tap[0] == "sum")}
+    fed = dict.fromkeys(last, 1)
     for depth, size in enumerate(hidden, 1):
         layer, fan_in = f"hidden{depth}", sum(fed.values())
         weights = {port: rng.normal(size=(size, n)) / np.sqrt(fan_in) for port, n in fed.items()}

@@ -1,0 +1,92 @@
+"""Random networks: nested modules, feedback, delays, every activation. Used by tests of the whole road."""
+
+import numpy as np
+
+from greygate.models.network import ACTIVATIONS, Layer, Network, Port
+
+
+def random_network(seed: int, nested: bool = True, activations: tuple[str, ...] = tuple(ACTIVATIONS)) -> Network:
+    """A legal network with feedback, tame enough not to diverge. The seed names it."""
+    rng = np.random.default_rng(seed)
+
+    def ports(prefix, count):
+        return [
+            Port(
+                f"{prefix}{i}",
+                "1",
+                scale=float(rng.choice([1.0, 0.5, 3.0])),
+                offset=float(rng.choice([0.0, 0.2])),
+                size=int(rng.integers(1, 3)),
+                initial=float(rng.choice([0.0, 0.1])),
+            )
+            for i in range(count)
+        ]
+
+    def fill(network: Network, depth: int) -> None:
+        sources = {p.name: p.size for p in network.inputs}
+        names = [f"m{i}" for i in range(rng.integers(2, 6))]
+        layers = {}
+        for name in names:
+            if depth and rng.random() < 0.3:
+                inner = Network(name, ports("i", 1), ports("o", 1))
+                fill(inner, depth - 1)
+                network.add(name, inner)
+                before = rng.choice(list(sources))
+                size = inner.inputs[0].size
+                network.connect(before, f"{name}.i0", int(rng.integers(0, 3)), _gain(rng, size, sources[before]))
+                sources[name] = inner.outputs[0].size
+                continue
+            size = int(rng.integers(1, 5))
+            layers[name] = size
+            reads = {}
+            for i in range(rng.integers(1, 4)):
+                feedback = rng.random() < 0.4
+                source = str(rng.choice([*layers, *sources] if feedback else list(sources)))
+                width = layers.get(source) or sources[source]
+                delay = int(rng.integers(1, 4)) if source in layers else int(rng.integers(0, 3))
+                reads[f"p{i}"] = (source, width, delay)
+            norm = 0.8 / np.sqrt(sum(w for _, w, _ in reads.values()) * len(reads))
+            weights = {p: norm * rng.uniform(-1, 1, (size, w)) for p, (_, w, _) in reads.items()}
+            if rng.random() < 0.2:
+                weights = {p: w * (rng.random(w.shape) < 0.5) for p, w in weights.items()}
+            network.add(
+                name,
+                Layer(
+                    weights,
+                    rng.uniform(-0.3, 0.3, size) * (rng.random() < 0.7),
+                    str(rng.choice(activations)),
+                    initial=rng.uniform(-0.2, 0.2, size) * (rng.random() < 0.5),
+                    frozen=frozenset({"bias"} if rng.random() < 0.2 else ()),
+                ),
+            )
+            for p, (source, width, delay) in reads.items():
+                gain = _gain(rng, width, width) if rng.random() < 0.3 else None
+                network.connect(source, f"{name}.{p}", delay, gain)
+            if rng.random() < 0.2:
+                source = str(rng.choice(list(sources)))
+                port = next(iter(reads))
+                network.connect(source, f"{name}.{port}", 1, _gain(rng, reads[port][1], sources[source]))
+            sources[name] = size
+        for p in network.outputs:
+            source = str(rng.choice([n for n in sources if n in names]))
+            network.connect(source, p.name, int(rng.random() < 0.2), _gain(rng, p.size, sources[source]))
+
+    network = Network(f"random_{seed}", ports("u", int(rng.integers(1, 3))), ports("y", int(rng.integers(1, 3))))
+    fill(network, int(nested))
+    return network
+
+
+def _gain(rng, rows: int, columns: int):
+    if rows == columns and rng.random() < 0.5:
+        return float(rng.uniform(-0.5, 0.5))
+    return rng.uniform(-0.4, 0.4, (rows, columns))
+
+
+def random_inputs(network: Network, steps: int, seed: int) -> dict[str, np.ndarray]:
+    """One sequence for every input, within twice its scale."""
+    rng = np.random.default_rng(seed)
+    found = {}
+    for p in network.inputs:
+        value = p.offset + p.scale * rng.uniform(-1.5, 1.5, (steps, p.size))
+        found[p.name] = value[:, 0] if p.size == 1 else value
+    return found
