@@ -77,31 +77,28 @@ def rmse(network: Network, record: Record) -> float:
 
 
 def identify(study: Study, folder: Path = RECORDINGS, progress: Callable[[str], None] | None = None) -> Result:
-    """NARX, then output error from each seed on the heads; the best on the tails goes on with the whole training part."""
+    """Linear NARX, linear output error, then neurons from each seed, on the heads; the best on the tails goes on with all.
+
+    "All" is the whole training part, heads and tails. progress: called with a line per start. Raises InputError as
+    `read_csv` and `train`.
+    """
     began = monotonic()
     training, tests = study.load(folder)
     heads = [_cut(r, 0, _head(r)) for r in training.values()]
     tails = [Record(r.inputs, r.targets, skip=_head(r)) for r in training.values()]
     say = progress or (lambda line: None)
 
-    def fitted(hidden: Sequence[int], seed: int) -> tuple[float, Network]:
-        try:
-            narx = train(study.network(hidden, seed), heads, teacher=True, epochs=study.epochs, decay=study.decay)
-            network = train(narx.network, heads, epochs=study.epochs, decay=study.decay).network
-        except InputError:  # this start diverges in free run
-            return np.inf, study.network(hidden, seed)
-        return float(np.sqrt(np.mean([rmse(network, r) ** 2 for r in tails]))), network
+    def fitted(network: Network, records: Sequence[Record], teacher: bool = False) -> Network:
+        return train(network, list(records), teacher=teacher, epochs=study.epochs, decay=study.decay).network
 
+    linear = fitted(fitted(study.network(()), heads, teacher=True), heads)
     starts = {}
     for seed in study.seeds:
-        starts[seed] = fitted(study.hidden, seed)
+        network = fitted(study.network(study.hidden, seed).with_parameters(linear.parameters()), heads)
+        starts[seed] = float(np.sqrt(np.mean([rmse(network, r) ** 2 for r in tails]))), network
         say(f"{study.name}, seed {seed}: {starts[seed][0]:.4g} {study.output.unit} RMSE on the tails")
     best = min(starts, key=lambda seed: starts[seed][0])
-
-    def whole(network: Network) -> Network:
-        return train(network, list(training.values()), epochs=study.epochs, decay=study.decay).network
-
-    network, linear = whole(starts[best][1]), whole(fitted((), 0)[1])
+    network, linear = (fitted(n, training.values()) for n in (starts[best][1], linear))
     seconds = monotonic() - began
 
     def table(model: Network, runs: Mapping[str, Record]) -> dict[str, float]:
