@@ -234,6 +234,9 @@ class _Quantizer:
             source, delay = self.feeds[f"{name}.{port}"]
             signal = self._delayed(source, delay)
             reads.append((signal if source == name or layer.activation == "linear" else self._narrow(signal), w))
+        if not reads:  # a constant that is shown: an operation reads something, if only to ignore it
+            first = self.signals[self.flat.inputs[0].name]
+            reads = [(first, np.zeros((layer.size, first.size)))]
         if layer.activation == "linear":
             gain = loop_gain(self._loops(name))
             finer = math.ceil(math.log2(gain)) if gain > 1 else 0

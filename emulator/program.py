@@ -197,13 +197,11 @@ class Program:
 
     def accumulator_width(self, operation: Affine) -> int:
         """Width that no partial sum of any row can exceed, the rounding constant included. Proved, not measured."""
-        largest = np.concatenate(
-            [np.full(self.signals[a].size, -self.signals[a].fix.lo, object) for a in operation.args]
-        )
+        largest = np.array([-self.signals[a].fix.lo for a in operation.args for _ in range(self.signals[a].size)], object)
         magnitude = np.abs(operation.weights).astype(object) @ largest + np.abs(operation.bias).astype(object)
         shift = operation.frac - operation.out.fix.frac
         rounding = [1 << int(s - 1) if s > 0 else 0 for s in shift]
-        return max(signed_width(int(m) + h) for m, h in zip(magnitude, rounding, strict=True))
+        return max(2, *(signed_width(int(m) + h) for m, h in zip(magnitude, rounding, strict=True)))
 
     def check(self) -> "Program":
         """Raise InputError unless the program is legal by docs/integer-program.md; return it."""
@@ -243,6 +241,9 @@ class Program:
 
     def _operation_problems(self, o: Operation) -> Iterator[str]:
         if isinstance(o, Affine):
+            if not o.args:
+                yield f"{o.out.name} reads nothing; an AFFINE has at least one argument"
+                return
             columns = sum(self.signals[a].size for a in o.args)
             if (
                 o.weights.shape != (o.out.size, columns)

@@ -1,0 +1,297 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from greygate.compiler.centre import centre_biases
+from greygate.compiler.pipeline import compile_network, entropy_pruning, fixed_error, float_error
+from greygate.compiler.prune import entropies, remove_neurons
+from greygate.compiler.quantize import Formats, loop_gain, memory, quantize
+from greygate.compiler.ranges import ranges
+from greygate.compiler.simplify import merge_linear, multiplications, simplify
+from greygate.compiler.tables import FUNCTIONS, make_table
+from greygate.emulator.engine import run
+from greygate.emulator.interpreter import fit, interpret, lookup, round_shift
+from greygate.emulator.program import Affine, Fix, Overflow, Program, Rounding
+from greygate.errors import InputError
+from greygate.models.blocks import feedforward, flow_record
+from greygate.models.network import Layer, Network, Port
+from greygate.models.training import Record, train
+from networks import random_inputs, random_network
+from test_network import delay_line
+
+
+def record_of(network: Network, steps: int, seed: int) -> Record:
+    inputs = random_inputs(network, steps, seed)
+    return Record(inputs, network.run(inputs))
+
+
+def random_formats(seed: int) -> Formats:
+    rng = np.random.default_rng(seed)
+    return Formats(
+        width=int(rng.integers(6, 19)),
+        margin=float(rng.choice([0.6, 1.25])),  # 0.6 makes signals saturate
+        wide=int(rng.integers(0, 4)),
+        rounding=Rounding(rng.choice(list(Rounding))),
+        overflow=Overflow(rng.choice(list(Overflow))),
+        interpolated=bool(rng.random() < 0.7),
+    )
+
+
+def random_program(seed: int) -> tuple[Program, np.ndarray]:
+    network = simplify(random_network(seed))
+    record = record_of(network, 40, seed)
+    found, formats = ranges(network, [record]), random_formats(seed)
+    try:
+        program = quantize(network, found, formats)
+    except InputError:  # a margin under one may leave no room for an initial value
+        program = quantize(network, found, replace(formats, margin=1.25))
+    return program, program.encode(random_inputs(network, 25, seed + 1))
+
+
+@settings(max_examples=220, deadline=None)
+@given(st.integers(0, 10**9))
+def test_engine_and_interpreter_agree_in_every_bit_of_every_signal_of_random_networks(seed):
+    program, codes = random_program(seed)
+    slow, fast = interpret(program, codes, trace=True), run(program, codes, trace=True)
+    for name, want in slow.trace.items():
+        np.testing.assert_array_equal(fast.trace[name], want, err_msg=name)
+    np.testing.assert_array_equal(fast.outputs, slow.outputs)
+    np.testing.assert_array_equal(fast.states, slow.states)
+    assert fast.saturations == slow.saturations
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**9))
+def test_a_batch_from_given_states_is_the_same_as_its_sequences(seed):
+    program, codes = random_program(seed)
+    initial = run(program, codes).states[[4, 9]]
+    both = run(program, np.stack([codes, codes]), initial)
+    for i in range(2):
+        np.testing.assert_array_equal(both.outputs[i], interpret(program, codes, initial[i]).outputs)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**9))
+def test_simplification_changes_no_output_by_more_than_1e_9(seed):
+    network = random_network(seed)
+    inputs = random_inputs(network, 30, seed)
+    want = network.run(inputs)
+    for simple in (simplify(network), merge_linear(network, always=True)):
+        for name, y in simple.run(inputs).items():
+            np.testing.assert_allclose(y, want[name], rtol=0, atol=1e-9 * np.abs(want[name]).max())
+    assert multiplications(simplify(network)) <= multiplications(network)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**9))
+def test_sound_bounds_hold_for_other_inputs_within_the_observed_ones(seed):
+    network = simplify(random_network(seed))
+    record = record_of(network, 30, seed)
+    found = ranges(network, [record])
+    rng = np.random.default_rng(seed)
+    inside = {n: rng.choice(np.ravel(v), np.shape(v)) if np.ndim(v) == 1 else v[rng.permutation(len(v))]
+              for n, v in record.inputs.items()}  # fmt: skip
+    traced = network.run(inside, trace=True)
+    for name in network.modules:
+        low, high = found[name].sound
+        assert low - 1e-9 <= traced[name].min()
+        assert traced[name].max() <= high + 1e-9
+
+
+@pytest.mark.parametrize("width", [8, 12, 16, 20, 24])
+def test_fixed_point_approaches_float_as_the_width_grows(width):
+    network = simplify(random_network(12, activations=("tansig", "logsig", "radbas", "linear", "satlin")))
+    record = record_of(network, 400, 12)
+    program = quantize(network, ranges(network, [record]), Formats(width))
+    for error in fixed_error(program, record).values():
+        assert np.abs(error).max() < 60 * 2.0**-width * 3
+
+
+# ---- numbers
+
+
+@pytest.mark.parametrize(
+    ("rounding", "halves"),
+    [  # codes -5 .. 5 shifted right by one: -2.5, -2, -1.5, ...
+        (Rounding.TRUNCATE, [-3, -2, -2, -1, -1, 0, 0, 1, 1, 2, 2]),
+        (Rounding.HALF_UP, [-2, -2, -1, -1, 0, 0, 1, 1, 2, 2, 3]),
+        (Rounding.HALF_EVEN, [-2, -2, -2, -1, 0, 0, 0, 1, 2, 2, 2]),
+    ],
+)
+def test_ties_round_as_the_table_worked_by_hand(rounding, halves):
+    np.testing.assert_array_equal(round_shift(np.arange(-5, 6), np.int64(1), rounding), halves)
+
+
+def test_a_negative_shift_is_exact_and_overflow_clips_or_wraps():
+    np.testing.assert_array_equal(round_shift(np.array([-3, 3]), np.int64(-2), Rounding.HALF_UP), [-12, 12])
+    codes = np.array([-9, -8, 7, 8, 24])
+    np.testing.assert_array_equal(fit(codes, Fix(4, 0), Overflow.SATURATE), [-8, -8, 7, 7, 7])
+    np.testing.assert_array_equal(fit(codes, Fix(4, 0), Overflow.WRAP), [7, -8, 7, -8, -8])
+
+
+@pytest.mark.parametrize("function", FUNCTIONS)
+@pytest.mark.parametrize("arg", [Fix(10, 6), Fix(14, 11), Fix(18, 14), Fix(8, 7), Fix(16, 9)])
+@pytest.mark.parametrize("interpolated", [True, False])
+def test_a_table_states_its_worst_error_over_every_code(function, arg, interpolated):
+    table = make_table(function, arg, Fix(12, 11), 1.25, interpolated)
+    codes = np.arange(arg.lo, arg.hi + 1)
+    error = np.abs(lookup(table, codes) * table.out.lsb - FUNCTIONS[function][0](codes * arg.lsb))
+    assert table.worst_error == pytest.approx(error.max(), rel=1e-12)  # that of the float reference itself
+
+
+def test_equal_neurons_share_one_table():
+    network = feedforward("f", ["u", "p"], [5, 4], 3)
+    program = quantize(network.flatten(), ranges(network.flatten(), [flow_record()]), Formats(16))
+    assert len(program.tables) <= 2
+    assert len({t.name for t in program.tables}) == len(program.tables)
+
+
+def test_accumulators_are_proved_by_the_worst_case_and_refused_beyond_62_bits():
+    network = simplify(delay_line())
+    program = quantize(network, ranges(network, [record_of(network, 50, 0)]), Formats(16))
+    affine = next(o for o in program.operations if isinstance(o, Affine))
+    largest = sum(
+        int(np.abs(affine.weights[0, j])) * -program.signals[a].fix.lo for j, a in enumerate(affine.args)
+    ) + abs(int(affine.bias[0]))
+    width = program.accumulator_width(affine)
+    assert 2 ** (width - 2) <= largest + 2 ** int(affine.frac[0]) and largest < 2 ** (width - 1)
+    broken = replace(program, operations=(replace(affine, weights=affine.weights << 46),))
+    with pytest.raises(InputError, match="accumulator needs"):
+        broken.check()
+
+
+def test_a_state_that_integrates_gets_fraction_bits_and_the_program_says_why():
+    network = Network("integrator", [Port("u")], [Port("y")])
+    network.add("sum", Layer({"u": [[0.001]], "own": [[1.0]]}, [0.0]))
+    network.connect("u", "sum.u")
+    network.connect("sum", "sum.own", 1)
+    network.connect("sum", "y")
+    record = Record({"u": np.sin(np.arange(5000) / 300)}, {"y": np.zeros(5000)})
+    program = quantize(network, ranges(network, [record]), Formats(12))
+    assert program.signals["sum"].fix.width > 12
+    assert "remembers its rounding" in program.notes["sum"]
+    assert memory(network.modules["sum"], [np.eye(1)]) == math.inf
+    assert loop_gain([np.array([[0.9]])]) == pytest.approx(10)
+
+
+def test_an_input_has_the_codes_of_its_sensor():
+    network = delay_line()
+    network.inputs = [Port("u", "V", scale=2.0, offset=1.0, initial=5.0, resolution=2.0 / 2**7)]
+    program = quantize(simplify(network), ranges(simplify(network), [record_of(network, 50, 0)]), Formats(16))
+    assert program.signals["u"].fix.frac == 7
+
+
+# ---- pruning
+
+
+def test_entropy_pruning_removes_neurons_that_do_nothing_and_keeps_the_error():
+    part = train(feedforward("f", ["u", "p"], [6], 1), [flow_record()], epochs=40).network
+    parameters = part.parameters()
+    network = feedforward("f", ["u", "p"], [8], 1).with_parameters(
+        {
+            "hidden1.u": np.r_[parameters["hidden1.u"], [[0.0], [1e-3]]],
+            "hidden1.p": np.r_[parameters["hidden1.p"], [[0.0], [0.0]]],
+            "hidden1.bias": np.r_[parameters["hidden1.bias"], 0.5, -0.3],
+            "out.hidden1": np.c_[parameters["out.hidden1"], 2.0, -1.0],
+            "out.bias": parameters["out.bias"] - 2.0 * np.tanh(0.5) + np.tanh(-0.3),
+        }
+    )
+    record = flow_record()
+    idle = entropies(network, [record])["hidden1"][6:]
+    assert (idle < 1.0).all()
+
+    def retrain(n):
+        return train(n, [record], epochs=10).network
+
+    compiled = compile_network(network, {"grid": record}, prune=entropy_pruning(record, retrain, 1.05))
+    assert compiled.pruning[0].kept
+    assert {6, 7} <= set(compiled.pruning[0].removed["hidden1"])
+    assert not compiled.pruning[-1].kept  # it went on until the error threshold was missed, and undid that
+    assert compiled.network.modules["hidden1"].size == compiled.pruning[-2].neurons
+    before, after = (np.std(float_error(n, record)["y"]) for n in (network, compiled.network))
+    assert after <= 1.05 * before
+
+
+def test_the_mean_of_a_removed_neuron_goes_into_the_biases_it_fed():
+    network = feedforward("f", ["u", "p"], [4], 2)
+    constant = network.with_parameters({"hidden1.u": np.zeros((4, 1)), "hidden1.p": np.zeros((4, 1))})
+    smaller = remove_neurons(constant, [flow_record()], {"hidden1": [1, 3]})
+    inputs = {"u": np.linspace(-1, 1, 7), "p": np.full(7, 0.5)}
+    np.testing.assert_allclose(smaller.run(inputs)["y"], constant.run(inputs)["y"], atol=1e-14)
+    assert smaller.modules["hidden1"].size == 2
+
+
+# ---- the whole
+
+
+def test_centred_biases_take_the_mean_out_of_one_step_errors():
+    network = simplify(random_network(33, activations=("tansig", "linear")))
+    record = record_of(network, 600, 33)
+    program = quantize(network, ranges(network, [record]), Formats(9))
+    before = [abs(e.mean()) for e in fixed_error(program, record).values()]
+    after = [abs(e.mean()) for e in fixed_error(centre_biases(program, network, record), record).values()]
+    assert sum(after) <= sum(before)
+
+
+def test_a_budget_gives_the_cheapest_formats_that_meet_it():
+    network = train(feedforward("f", ["u", "p"], [6], 1), [flow_record()], epochs=30).network
+    record = flow_record()
+    compiled = compile_network(network, {"grid": record}, budget=1.05)
+    limit = 1.05 * np.sqrt(np.mean(float_error(network, record)["y"] ** 2))
+    assert np.sqrt(np.mean(fixed_error(compiled.program, record)["y"] ** 2)) <= limit
+    plain = compile_network(network, {"grid": record}, Formats(16))
+    bits = [sum(s.fix.width * s.size for s in c.program.signals.values()) for c in (compiled, plain)]
+    assert bits[0] < bits[1]
+
+
+def test_a_program_comes_back_from_its_file_the_same(tmp_path):
+    program, codes = random_program(8)
+    program.save(tmp_path / "program.json")
+    again = Program.load(tmp_path / "program.json")
+    np.testing.assert_array_equal(interpret(again, codes).outputs, interpret(program, codes).outputs)
+    assert again.signals == program.signals
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda p: p.unlink(), "not a readable program"),
+        (lambda p: p.write_text(p.read_text()[:300]), "not a readable program"),
+        (lambda p: p.write_text(p.read_text().replace('"op": "affine"', '"op": "convolve"')), "not a readable program"),
+        (lambda p: p.write_text("{}"), "not a readable program"),
+    ],
+)
+def test_a_spoilt_program_file_is_named(tmp_path, spoil, message):
+    path = tmp_path / "program.json"
+    random_program(8)[0].save(path)
+    spoil(path)
+    with pytest.raises(InputError, match=message):
+        Program.load(path)
+
+
+@pytest.mark.parametrize("width", [3, 33])
+def test_a_width_out_of_reach_is_refused(width):
+    network = simplify(delay_line())
+    with pytest.raises(InputError, match="choose 4 to 32 bits"):
+        quantize(network, ranges(network, [record_of(network, 20, 0)]), Formats(width))
+
+
+def test_a_width_that_cannot_hold_the_range_names_the_signal():
+    network = simplify(delay_line())
+    record = record_of(network, 20, 0)
+    with pytest.raises(InputError, match="signal u: reaches .* which 6 bits cannot hold"):
+        quantize(network, ranges(network, [Record({"u": record.inputs["u"] * 100}, record.targets)]), Formats(6))
+
+
+def test_a_network_that_diverges_on_a_scenario_is_refused():
+    network = Network("bomb", [Port("u")], [Port("y")])
+    network.add("s", Layer({"own": [[1e30]], "u": [[1.0]]}, [0.0]))
+    network.connect("u", "s.u")
+    network.connect("s", "s.own", 1)
+    network.connect("s", "y")
+    with pytest.raises(InputError, match="diverges on scenario v1"):
+        compile_network(network, {"v1": Record({"u": np.ones(50)}, {"y": np.ones(50)})})
