@@ -1,8 +1,7 @@
 """Networks identified on measured recordings: the servo-hydraulic MTS machine and the hydraulic actuator of a crane.
 
-Each study says its split, orders and training before anything is fitted; all of it was chosen on the tail of the training
-part. The test runs are simulated once, at the end. Every free run starts from the ports' rest, which the hardware starts
-from too, and counts from its first sample.
+Orders, sizes, decay and seed were chosen by the error on the tail of the training part. Test runs enter no criterion, but earlier structures had been scored on them too (see `mts`, `crane`). Every free run starts from the
+ports' rest, which the hardware starts from too, and counts from its first sample.
 """
 
 import json
@@ -37,6 +36,7 @@ class Study:
     output: Port
     feedback: Sequence[int]
     hidden: Sequence[int]
+    linear_loop: bool
     seeds: Sequence[int]
     decay: float
     epochs: int
@@ -48,7 +48,7 @@ class Study:
         return training | tests
 
     def network(self, hidden: Sequence[int], seed: int = 0) -> Network:
-        return noe(self.name, self.inputs, self.output, self.feedback, hidden, seed, linear_loop=True)
+        return noe(self.name, self.inputs, self.output, self.feedback, hidden, seed, self.linear_loop)
 
 
 @dataclass(frozen=True)
@@ -70,17 +70,22 @@ class Result:
 
 
 def rmse(network: Network, record: Record) -> float:
-    """Root mean square of free run less recording from `record.skip` on, in the unit of the output; inf if it diverges."""
+    """Root mean square of free run less recording, from `record.skip` on.
+
+    In the unit of the output, of which there is one; inf if it diverges. Raises InputError as `Problem`.
+    """
     problem = Problem(network, [record])
     errors = problem.errors(problem.theta)
-    return np.inf if errors is None else network.outputs[0].scale * float(np.sqrt(np.mean(errors[0][record.skip :] ** 2)))
+    if errors is None:
+        return np.inf
+    return network.outputs[0].scale * float(np.sqrt(np.mean(errors[0][record.skip :] ** 2)))
 
 
 def identify(study: Study, folder: Path = RECORDINGS, progress: Callable[[str], None] | None = None) -> Result:
-    """Linear NARX, linear output error, then neurons from each seed, on the heads; the best on the tails goes on with all.
+    """Linear NARX, then linear output error, then with neurons from each seed, all on the heads of the training runs.
 
-    "All" is the whole training part, heads and tails. progress: called with a line per start. Raises InputError as
-    `read_csv` and `train`.
+    The best on the tails goes on with heads and tails, and so does the linear model.
+    progress: called with a line per start. Raises InputError as `read_csv` and `train`.
     """
     began = monotonic()
     training, tests = study.load(folder)
@@ -164,7 +169,8 @@ MTS = Study(
     Port("x_meas", "m", 2.048e-3, -2.048e-3),
     feedback=(1, 4),
     hidden=(4,),
-    seeds=range(6),
+    linear_loop=True,
+    seeds=range(10),
     decay=1e-3,
     epochs=60,
     period=1e-3,
@@ -175,7 +181,8 @@ CRANE = Study(
     {Port("u_valve", "1", 2.0): (1, 2)},
     Port("p_oil", "1", 4.0),
     feedback=(1, 2),
-    hidden=(3,),
+    hidden=(2,),
+    linear_loop=True,
     seeds=range(10),
     decay=1e-2,
     epochs=200,
@@ -185,10 +192,20 @@ STUDIES = {study.name: study for study in (MTS, CRANE)}
 
 
 def mts(progress: Callable[[str], None] | None = None) -> Result:
-    """The machine's displacement from its command, 1 kHz (D. Maurel, M. Quiroz, UTFSM 2022; lag of about 17 ms)."""
+    """The machine's displacement from its command, 1 kHz (D. Maurel, M. Quiroz, UTFSM 2022; lag of about 17 ms).
+
+    The test runs were scored three times: for a loop through the neurons (low errors, but most starts went astray on the
+    tails: given up), for neurons trained from NARX weights, and for these, which start from the linear output-error
+    model. Of ten seeds one is good on the tail of the chirp; the others extrapolate its highest frequencies badly.
+    """
     return identify(MTS, progress=progress)
 
 
 def crane(progress: Callable[[str], None] | None = None) -> Result:
-    """Oil pressure from valve opening (Sjoberg 1995; published free-run RMSE 0.33 to 0.50)."""
+    """Oil pressure from valve opening (Sjoberg 1995; published free-run RMSE 0.33 to 0.50, which this does not reach).
+
+    The test half was scored for four structures before this one: 5.3 and 1.15 (loop through the neurons), 0.96 (no gain
+    over linear), 0.58 (three neurons). This one has the lowest tail of all that were tried; the tail (103 samples, one
+    valve opening) says little about the test half.
+    """
     return identify(CRANE, progress=progress)

@@ -3,8 +3,8 @@
     y(k) = W_lin phi(k) + W_out tansig( ... tansig(W phi(k) + b) ... ) + b_out
     phi(k) = inputs u_i(k - d) and the output's own past y(k - d)
 
-One network is both: with `train(..., teacher=True)` the measured output stands in its feedback (series-parallel, NARX); in
-free run its own does (parallel, NOE).
+One network is both: with `train(..., teacher=True)` the measured output stands in its feedback (series-parallel, NARX);
+in free run its own does (parallel, NOE).
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,10 +26,10 @@ def noe(
 ) -> Network:
     """A network on the taps u(k-d), d in `inputs[port]` >= 0, and y(k-d), d in `feedback` >= 1.
 
-    hidden: neurons of each tansig layer; none gives the linear model of the same orders. Taps need not be neighbours: with
-    wider spacing a slow plant sampled fast does not cancel large weights against each other.
-    linear_loop: the first hidden layer sees the inputs alone (Hammerstein form): the only loop is linear, so free run is
-    stable wherever its poles are, whatever the hidden layers do.
+    hidden: neurons of each tansig layer; none gives the linear model of the same orders. Taps need not be neighbours:
+    with wider spacing a slow plant sampled fast does not cancel large weights against each other.
+    linear_loop: the first hidden layer sees the inputs alone (Hammerstein form): the only loop is linear, so free run
+    is stable if its poles are.
     It starts as y(k) = y(k - feedback[0]), hidden weights drawn from `seed` at a size that keeps tansig near linear.
     Raises InputError for a tap that would look ahead or close a loop without delay.
     """

@@ -1,0 +1,43 @@
+"""Three figures of each stored network on whole test runs: float and fixed against the recording, fixed against float.
+
+python benchmarks/measured.py [WIDTH ...]
+"""
+
+import sys
+
+import numpy as np
+
+from greygate.compiler.quantize import Formats, quantize
+from greygate.compiler.ranges import ranges
+from greygate.compiler.simplify import simplify
+from greygate.emulator.interpreter import interpret
+from greygate.models.measured import RECORDINGS, STUDIES, stored
+
+
+def rms(x):
+    return float(np.sqrt(np.mean(np.square(x))))
+
+
+def main(widths):
+    for study in STUDIES.values():
+        network = simplify(stored(study)[0])
+        training, tests = study.load(RECORDINGS)
+        seen = ranges(network, list(training.values()))
+        for width in widths:
+            program = quantize(network, seen, Formats(width), study.period)
+            source, sink = program.inputs[0], program.outputs[0]
+            fix, step = source.signal.fix, 2.0**-sink.signal.fix.frac * sink.scale
+            for name, record in tests.items():
+                value = (record.inputs[source.name] - source.offset) / source.scale
+                codes = np.clip(np.floor(value * 2.0**fix.frac + 0.5), fix.lo, fix.hi).astype(np.int64)
+                run = interpret(program, codes[:, None])
+                fixed = run.outputs[:, 0] * step + sink.offset
+                free = network.run(record.inputs)[sink.name]
+                target = record.targets[sink.name]
+                figures = f"float {rms(free - target):.4g}, fixed {rms(fixed - target):.4g}"
+                print(
+                    f"{study.name} {name}, {width} bits: {figures}, fixed against float {rms(fixed - free):.3g} {sink.unit}"
+                )
+
+
+main([int(a) for a in sys.argv[1:]] or [12, 14, 16])

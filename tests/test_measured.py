@@ -1,0 +1,158 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from greygate.errors import InputError
+from greygate.models import measured
+from greygate.models.measured import CRANE, MTS, STUDIES, identify, rmse, stored
+from greygate.models.network import Port
+from greygate.models.regression import noe
+from greygate.models.training import Problem, Record
+
+MTS_RUNS = ("chirp_0A", "15Hz0A", "chirp_1A", "15Hz1A")
+
+
+def small(seed=3, **options):
+    y = Port("y", scale=4.0, initial=1.0)
+    return noe("small", {Port("u", scale=2.0): (0, 2)}, y, (1, 3), (2,), seed, **options)
+
+
+@pytest.fixture(scope="module")
+def mts_runs():
+    return MTS.load(measured.RECORDINGS)
+
+
+def test_mts_trains_without_coil_current_and_tests_whole_runs_with_it(mts_runs):
+    training, tests = mts_runs
+    assert {n: len(r.targets["x_meas"]) for n, r in training.items()} == {"chirp_0A": 61500, "15Hz0A": 46800}
+    assert {n: len(r.targets["x_meas"]) for n, r in tests.items()} == {"chirp_1A": 59100, "15Hz1A": 51900}
+    assert all(r.skip == 0 for r in tests.values())
+
+
+def test_crane_is_split_in_the_published_halves():
+    runs = CRANE.records()
+    assert [len(r.targets["p_oil"]) for r in runs.values()] == [512, 512]
+    assert runs["train"].inputs["u_valve"][0] == -0.0068164
+    assert runs["test"].targets.keys() == {"p_oil"}
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_stored_network_reproduces_its_figures(name):
+    study = STUDIES[name]
+    network, figures = stored(study)
+    for run, record in study.records().items():
+        said = (figures["train"] | figures["test"])[run]
+        assert rmse(network, record) == pytest.approx(said, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_stored_network_beats_the_linear_model_and_its_weights_quantize(name):
+    network, figures = stored(STUDIES[name])
+    assert all(value < figures["linear"][run] for run, value in figures["test"].items())
+    assert max(np.abs(w).max() for w in network.parameters().values()) < 4
+
+
+def by_hand(network, u, y):
+    """One-step predictions of `small` from measured y, in normalised units; rest is u = 0, y = 1."""
+    p = network.parameters()
+    u, y = np.r_[0, 0, 0, u] / 2, np.r_[1, 1, 1, y] / 4
+    found = []
+    for k in range(3, len(u)):
+        taps = {"u_z0": u[k], "u_z2": u[k - 2], "y_z1": y[k - 1], "y_z3": y[k - 3]}
+        n = p["hidden1.bias"] + sum(p[f"hidden1.{t}"][:, 0] * v for t, v in taps.items() if f"hidden1.{t}" in p)
+        linear = sum(p[f"sum.{t}"][0, 0] * v for t, v in taps.items())
+        found.append(4 * (p["sum.bias"][0] + linear + p["sum.hidden1"][0] @ np.tanh(n)))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("linear_loop", [False, True])
+def test_with_a_teacher_the_network_is_the_narx_written_by_hand(linear_loop):
+    rng = np.random.default_rng(0)
+    u, y = rng.normal(size=(2, 40))
+    network = small(linear_loop=linear_loop)
+    problem = Problem(network, [Record({"u": u}, {"y": y})], teacher=True)
+    assert 4 * problem.errors(problem.theta)[0][:, 0] + y == pytest.approx(by_hand(network, u, y), abs=1e-12)
+
+
+def test_in_free_run_its_own_output_stands_in_the_feedback():
+    u = np.random.default_rng(1).normal(size=40)
+    network = small()
+    y = network.run({"u": u})["y"]
+    assert y == pytest.approx(by_hand(network, u, y), abs=1e-12)
+    assert rmse(network, Record({"u": u}, {"y": y + 0.5})) == pytest.approx(0.5)
+
+
+def test_a_linear_loop_shows_hidden_neurons_no_feedback():
+    assert {n for n in small(linear_loop=True).parameters() if n.startswith("hidden1")} == {
+        "hidden1.u_z0", "hidden1.u_z2", "hidden1.bias",
+    }  # fmt: skip
+
+
+def test_the_output_cannot_feed_back_without_delay():
+    with pytest.raises(InputError, match="the output's own at 1"):
+        noe("n", {Port("u"): (0,)}, Port("y"), (0,))
+
+
+@pytest.fixture
+def crane_file(tmp_path):
+    """A copy of the crane recording and a function that writes it with some lines changed."""
+    lines = (measured.RECORDINGS / "hydraulic-actuator-crane" / "actuator.csv").read_text().splitlines()
+    folder = tmp_path / "hydraulic-actuator-crane"
+    folder.mkdir()
+
+    def write(change):
+        (folder / "actuator.csv").write_text("\n".join(change(list(lines))) + "\n")
+        return tmp_path
+
+    return write
+
+
+BAD = {
+    "a missing column": (lambda lines: [",".join(line.split(",")[:2]) for line in lines], "p_oil"),
+    "NaN": (lambda lines: [*lines[:7], "6,nan,0,0", *lines[8:]], "not a finite number"),
+    "a cut file": (lambda lines: lines[:900], "899 samples"),
+    "a header alone": (lambda lines: lines[:1], "0 samples"),
+}
+
+
+@pytest.mark.parametrize("fault", BAD)
+def test_a_bad_crane_recording_is_refused(fault, crane_file):
+    change, message = BAD[fault]
+    folder = crane_file(change)
+    with pytest.raises(InputError, match=message):
+        CRANE.records(folder)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t_s,x_cmd_m,x_meas_m\n0,0,0\n0.001,0,0\n0.005,0,0\n", "uniform"),
+        ("", "empty"),
+        ("t_s,x_cmd_m\n0,0\n0.001,0\n", "x_meas_m is missing"),
+    ],
+)
+def test_a_bad_mts_recording_is_refused(text, message, tmp_path):
+    (tmp_path / "servohydraulic-mts").mkdir()
+    for run in MTS_RUNS:
+        (tmp_path / "servohydraulic-mts" / f"mts_{run}.csv").write_text(text)
+    with pytest.raises(InputError, match=message):
+        MTS.records(tmp_path)
+
+
+def test_a_recording_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"mts_chirp_0A\.csv"):
+        MTS.records(tmp_path)
+
+
+def test_training_repeats_from_its_seeds_and_saves_what_it_says(tmp_path):
+    quick = replace(CRANE, seeds=(0, 1), epochs=20)
+    lines = []
+    first, again = identify(quick, progress=lines.append), identify(quick)
+    assert len(lines) == 2
+    assert first.figures["test"] == again.figures["test"]
+    first.save(tmp_path)
+    network, figures = stored(quick, tmp_path)
+    assert figures == json.loads(json.dumps(first.figures))
+    assert rmse(network, first.tests["test"]) == pytest.approx(first.figures["test"]["test"], rel=1e-12)
