@@ -10,7 +10,7 @@ from html import escape
 
 from markupsafe import Markup
 
-LEFT, RIGHT, TOP, BOTTOM = 52, 10, 8, 34  # margins of a chart, px
+LEFT, RIGHT, TOP, BOTTOM = 58, 10, 8, 34  # margins of a chart, px
 ROW = 19  # height of one signal in `formats`, px
 
 
@@ -56,7 +56,8 @@ class Scale:
                 step * k for k in range(math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9) + 1)
             ]
         slack = 1e-9 * abs(self.high)
-        return [v for v in found if self.low - slack <= v <= self.high + slack]
+        found = [v for v in found if self.low - slack <= v <= self.high + slack]
+        return found if len(found) > 1 or spacing < 15 else self.ticks(spacing / 2)
 
 
 def span(values: Sequence[float | None], log: bool = False, margin: float = 0.06) -> tuple[float, float]:
@@ -64,9 +65,9 @@ def span(values: Sequence[float | None], log: bool = False, margin: float = 0.06
     known = [v for v in values if v is not None and (v > 0 or not log)] or [1.0]
     low, high = min(known), max(known)
     if log:
-        room = max((high / low) ** margin, 1.1)
+        room = max((high / low) ** margin, 1.1) if margin else 1.0
         return low / room, high * room
-    room = margin * (high - low) or 0.1 * abs(high) or 1.0
+    room = margin * (high - low) if high > low else 0.1 * abs(high) or 1.0
     return low - room, high + room
 
 
@@ -96,21 +97,22 @@ def chart(
     y_limits: tuple[float, float] | None = None,
     levels: Sequence[tuple[float, str]] = (),
     marks: Sequence[float] = (),
+    x_ticks: Sequence[float] = (),
     width: int = 380,
     height: int = 200,
 ) -> Markup:
     """One plot as inline SVG. x, y: axis labels (no x: no numbers either, for a panel above another).
 
-    levels: horizontal lines (value, label). marks: vertical lines.
+    levels: horizontal lines (value, label). marks: vertical lines. x_ticks: where numbers stand; round values if empty.
     """
     bottom = BOTTOM if x else 8
     inner_w, inner_h = width - LEFT - RIGHT, height - TOP - bottom
     every_x = [v for line in lines for v in line.x]
     every_y = [v for line in lines for v in line.y] + [v for v, _ in levels]
-    sx = Scale(*(x_limits or span(every_x, x_log, 0)), inner_w, x_log)
+    sx = Scale(*(x_limits or (min(every_x), max(every_x))), inner_w, x_log)
     sy = Scale(*(y_limits or span(every_y, y_log)), inner_h, y_log)
     parts = [f'<svg class="chart" viewBox="0 0 {width} {height}" role="img" aria-label="{escape(y)} over {escape(x)}">']
-    x_ticks, y_ticks = sx.ticks(), sy.ticks(34)
+    x_ticks, y_ticks = x_ticks or sx.ticks(), sy.ticks(min(34, inner_h / 3))
     for t, label in zip(y_ticks, _labels(y_ticks, y_log), strict=True):
         at = TOP + inner_h - sy(t)
         parts.append(f'<path class="grid" d="M{LEFT} {at:.1f}h{inner_w}"/>')
@@ -140,7 +142,7 @@ def chart(
 def _labels(ticks: list[float], log: bool) -> list[str]:
     """Figures of one axis, all with the same number of decimals."""
     if log or not ticks:
-        return [f"{t:g}".replace("-", "−") if 1e-4 < t < 1e5 else number(t, 1) for t in ticks]
+        return [f"{t:g}" if 5e-4 < t < 2e4 else number(t, 1).removeprefix("1·") for t in ticks]
     step = ticks[1] - ticks[0] if len(ticks) > 1 else abs(ticks[0]) or 1.0
     if step < 1e-4 or max(map(abs, ticks)) >= 1e6:
         return [number(t if abs(t) > step / 2 else 0.0, 2) for t in ticks]
@@ -171,16 +173,16 @@ def formats(signals: Sequence[dict], width: int = 1160) -> Markup:
     highs = [s["width"] - 1 - s["frac"] for s in signals]
     low, high = min(lows) - 1, max(highs) + 4
     scale = Scale(low, high, inner)
-    height = ROW * len(signals) + 34
+    height = ROW * len(signals) + 38
     parts = [f'<svg class="chart" viewBox="0 0 {width} {height}" role="img" aria-label="formats against ranges">']
     for bit in range(math.ceil(low / 4) * 4, high + 1, 4):
         at = left + scale(bit)
         power = "1" if bit == 0 else f'2<tspan dy="-4" font-size="8">{str(bit).replace("-", "−")}</tspan>'
-        parts.append(f'<path class="{"mark" if bit == 0 else "grid"}" d="M{at:.1f} 0V{height - 30}"/>')
-        parts.append(f'<text class="tick" x="{at:.1f}" y="{height - 14}" text-anchor="middle">{power}</text>')
+        parts.append(f'<path class="{"mark" if bit == 0 else "grid"}" d="M{at:.1f} 0V{height - 34}"/>')
+        parts.append(f'<text class="tick" x="{at:.1f}" y="{height - 20}" text-anchor="middle">{power}</text>')
     for row, s in enumerate(signals):
         parts.append(_format_row(s, row * ROW + ROW / 2, left, inner, scale))
-    parts.append(f'<text class="label" x="{left + inner / 2}" y="{height - 1}">|signal|, normalised</text>')
+    parts.append(f'<text class="label" x="{left + inner / 2}" y="{height - 4}">|signal|, normalised</text>')
     return Markup("".join(parts) + "</svg>")
 
 

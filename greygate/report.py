@@ -31,6 +31,7 @@ BINS = 400  # of a whole run as it is drawn; each shows its least and its larges
 ZOOM = 200  # steps drawn around the largest error
 SPECTRUM = 200  # most points of a spectrum
 QUANTILES = (5, 25, 50, 75, 100)  # of |signal|, in per cent
+KINDS = ("float", "fixed")
 TRUSTED = 0.5  # coherence below which a frequency response says nothing
 
 
@@ -291,7 +292,7 @@ def _curve(
     """RMSE(fixed)/RMSE(float) of every output on every scenario, for programs of other word widths.
 
     Simplification and ranges are those of `compiled`; formats, tables and biases are made anew. `word` is the
-    width whose program errs exactly as `compiled` does, if there is one. None stands for a width that cannot hold the ranges.
+    width whose program errs exactly as `compiled` does, if there is one. None: a width that cannot hold the ranges.
     """
     widths, word = list(widths), None
     ratio = {n: {o: [] for o in s["outputs"]} for n, s in scenarios.items()}
@@ -341,7 +342,7 @@ def _signals(compiled: Compiled, record: Record, saturations: Mapping[str, Mappi
                 "frac": fix.frac,
                 "holds": (fix.lo * fix.lsb, fix.hi * fix.lsb),
                 "observed": (seen.low, seen.high) if seen else (values.min(), values.max()),
-                "sound": seen.sound if seen and np.isfinite(seen.sound).all() else None,
+                "sound": seen.sound if seen and name not in inputs and np.isfinite(seen.sound).all() else None,
                 "quantiles": np.percentile(size, QUANTILES) if size.size else None,
                 "saturations": {n: s[name] for n, s in saturations.items() if s.get(name)},
                 "note": program.notes.get(name),
@@ -384,7 +385,12 @@ def page(studies: Sequence[dict]) -> str:
 def _drawn(found: dict) -> dict:
     """What the page needs beside the study itself: pictures, headline facts, columns of the resource table."""
     names = dict.fromkeys(k for r in found["resources"].values() for k in r)
-    return {"figures": pictures(found), "facts": facts(found), "resource_names": list(names)}
+    return {
+        "figures": pictures(found),
+        "facts": facts(found),
+        "resource_names": list(names),
+        "noted": noted(found["signals"]),
+    }
 
 
 def facts(found: dict) -> list[tuple[str, str, bool | None]]:
@@ -392,13 +398,11 @@ def facts(found: dict) -> list[tuple[str, str, bool | None]]:
     ratios = [o["ratio"] for s in found["scenarios"].values() for o in s["outputs"].values() if o["ratio"]]
     lines = []
     if ratios:
-        lines.append((f"× {figures.number(max(ratios), 4)}", "largest RMSE of fixed point over float", None))
+        lines.append((f"× {max(ratios):.3f}", "largest RMSE of fixed point over float", None))
     for name, h in found["hardware"].items():
         steps, bits = (sum(v[k] for v in h["scenarios"].values()) for k in ("steps", "differing_bits"))
-        lines.append((f"{bits:,} differing bits", f"{name} Verilog against emulator, {steps:,} steps", bits == 0))
-    for name, h in found["hardware"].items():
-        if h.get("clocks_per_step"):
-            lines.append((figures.number(h["clocks_per_step"]), f"clocks per step, {name}", None))
+        clocks = f", {figure(h['clocks_per_step'])} clocks each" if h.get("clocks_per_step") else ""
+        lines.append((f"{bits:,} bits differ", f"{name} Verilog from emulator: {steps:,} steps{clocks}", bits == 0))
     if found["widths"]["word"]:
         lines.append((f"{found['widths']['word']} bit", "word of signals and weights", None))
     size = found["size"]
@@ -412,7 +416,7 @@ def figure(value) -> str:
     """A cell of a table of figures whose kind is not known beforehand."""
     if isinstance(value, str):
         return value
-    return f"{value:,}" if isinstance(value, int) else figures.number(value, 4)
+    return f"{value:,.0f}" if value is not None and value == int(value) else figures.number(value, 4)
 
 
 def shown(value, unit: str, reach: float = 0.0) -> str:
@@ -422,6 +426,15 @@ def shown(value, unit: str, reach: float = 0.0) -> str:
     return figures.number(None if value is None else value * display(unit, reach)[0])
 
 
+def noted(signals: Sequence[dict]) -> list[tuple[str, str]]:
+    """(signals and format, note), equal notes together."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for s in signals:
+        if s["note"]:
+            found.setdefault((s["fix"], s["note"]), []).append(s["name"])
+    return [(f"{', '.join(names)}, {fix}", note) for (fix, note), names in found.items()]
+
+
 def _label(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit else name
 
@@ -429,7 +442,7 @@ def _label(name: str, unit: str) -> str:
 def pictures(found: dict) -> dict:
     """Every drawing of one study, as inline SVG: {"scenarios": {scenario: {output: {...}}}, "widths", "formats"}."""
     drawn = {
-        name: {label: _output_pictures(found, label, o) for label, o in s["outputs"].items()}
+        name: {label: _output_pictures(label, o, s["steps"], found["period"]) for label, o in s["outputs"].items()}
         for name, s in found["scenarios"].items()
     }
     signals = [s for s in found["signals"] if s["kind"] != "state"]
@@ -437,29 +450,30 @@ def pictures(found: dict) -> dict:
 
 
 def width_pictures(widths: dict) -> dict[str, str]:
-    """The curve RMSE(fixed)/RMSE(float) over word width, one picture per scenario, on common axes."""
-    curves = [r for outputs in widths["ratio"].values() for r in outputs.values()]
-    low, high = figures.span([v for r in curves for v in r], log=True)
-    limits = (min(low, 0.9), max(high, 2.0))
+    """The curve RMSE(fixed)/RMSE(float) over word width, one picture per output, one line per scenario."""
+    outputs = list(dict.fromkeys(label for r in widths["ratio"].values() for label in r))
+    low, high = figures.span([v for r in widths["ratio"].values() for c in r.values() for v in c], log=True)
     found = {}
-    for name, outputs in widths["ratio"].items():
-        lines = [Line(widths["width"], r, f"series{i % 5} dots") for i, r in enumerate(outputs.values())]
-        found[name] = figures.chart(
-            lines,
+    for label in outputs:
+        curves = [r[label] for r in widths["ratio"].values()]
+        found[label] = figures.chart(
+            [Line(widths["width"], c, f"series{i % 5} dots") for i, c in enumerate(curves)],
             x="word width [bit]",
             y="RMSE fixed / float",
             y_log=True,
-            x_limits=(widths["width"][0] - 0.5, widths["width"][-1] + 0.5),
-            y_limits=limits,
+            x_limits=(widths["width"][0] - 0.3, widths["width"][-1] + 0.3),
+            y_limits=(min(low, 0.8), max(high, 2.0)),
+            x_ticks=[w for w in widths["width"] if w % 2 == 0],
             levels=[(1.0, "")],
             marks=[widths["word"]] if widths["word"] else [],
+            width={1: 1160, 2: 575}.get(len(outputs), 380),
             height=220,
         )
     return found
 
 
-def _output_pictures(found: dict, name: str, o: dict) -> dict[str, str]:
-    period, unit = found["period"], o["unit"]
+def _output_pictures(name: str, o: dict, steps: int, period: float) -> dict[str, str]:
+    unit = o["unit"]
     big, big_unit = display(unit, max(map(abs, o["drawn"]["reference"]["value"])))
     small, small_unit = display(unit, o["rmse"]["fixed"])
     fine, fine_unit = display(unit, o["quantization"]["rms"])
@@ -470,35 +484,29 @@ def _output_pictures(found: dict, name: str, o: dict) -> dict[str, str]:
 
     zoom, q, frf = o["zoom"], o["quantization"], o["frf"]
     times = [(zoom["start"] + k) * period for k in range(len(zoom["reference"]))]
-    area = (times[0], times[-1])
-    trusted = {
-        kind: {
-            part: [
-                v if c is not None and c >= TRUSTED else None
-                for v, c in zip(frf[kind][part], frf[kind]["coherence"], strict=True)
-            ]
-            for part in ("magnitude", "phase", "coherence")
-        }
-        for kind in ("float", "fixed")
-    }
+    whole = (0.0, steps * period)
     f_limits = figures.span(frf["frequency"], log=True, margin=0)
 
-    def response(part: str, y: str, at_rest: float, x: str = "", height: int = 84) -> str:
-        return figures.chart(
-            [Line(frf["frequency"], trusted[kind][part], kind) for kind in ("float", "fixed")],
-            x=x,
-            y=y,
-            x_log=True,
-            x_limits=f_limits,
-            levels=[(at_rest, "")],
-            height=height,
-        )
+    def response(part: str, y: str, low: float, high: float, **options) -> str:
+        """One panel; magnitude and phase only where the coherence says that they mean something."""
+        sure = [[c is not None and c >= TRUSTED for c in frf[kind]["coherence"]] for kind in KINDS]
+        if part == "coherence":
+            sure = [[True] * len(s) for s in sure]
+        lines = [
+            Line(frf["frequency"], [v if ok else None for v, ok in zip(frf[kind][part], s, strict=True)], kind)
+            for kind, s in zip(KINDS, sure, strict=True)
+        ]
+        seen = [v for line in lines for v in line.y if v is not None]
+        limits = figures.span([*np.percentile(seen, (2, 98)), low, high]) if seen else (low, high)
+        rest = [] if part == "coherence" else [((low + high) / 2, "")]
+        return figures.chart(lines, y=y, x_log=True, x_limits=f_limits, y_limits=limits, levels=rest, **options)
 
     root = f"{fine_unit}/√Hz" if fine_unit else "1/√Hz"
     return {
         "run": figures.chart(
             [over_time("reference", big, "reference"), over_time("fixed", big, "fixed")],
             y=_label(name, big_unit),
+            x_limits=whole,
             width=770,
             height=170,
         )
@@ -506,6 +514,7 @@ def _output_pictures(found: dict, name: str, o: dict) -> dict[str, str]:
             [over_time("error", small, "fixed")],
             x="time [s]",
             y=_label("error", small_unit),
+            x_limits=whole,
             width=770,
             height=120,
         ),
@@ -513,28 +522,28 @@ def _output_pictures(found: dict, name: str, o: dict) -> dict[str, str]:
             [Line(times, [v * big for v in zoom[kind]], kind) for kind in ("reference", "float", "fixed")],
             x="time [s]",
             y=_label(name, big_unit),
-            x_limits=area,
             marks=[zoom["worst"] * period],
-            height=290,
+            height=302,
         ),
         "cost": figures.chart(
             [over_time("cost", fine, "cost")],
             x="time [s]",
             y=_label("fixed − float", fine_unit),
-            height=250,
+            x_limits=whole,
+            height=276,
         ),
         "spectrum": figures.chart(
             [
-                Line(q["frequency"], [math.sqrt(v) * fine for v in o["model_psd"]], "float"),
+                Line(q["frequency"], [math.sqrt(v) * fine for v in o["model_psd"]], "model"),
                 Line(q["frequency"], [math.sqrt(v) * fine for v in q["psd"]], "cost"),
             ],
             x="frequency [Hz]",
             y=f"density [{root}]",
             x_log=True,
             y_log=True,
-            height=250,
+            height=276,
         ),
-        "frf": response("magnitude", "|Ŷ/Y|", 1.0)
-        + response("phase", "phase [°]", 0.0)
-        + response("coherence", "coherence", 1.0, "frequency [Hz]", 110),
+        "frf": response("magnitude", "|Ŷ/Y|", 0.9, 1.1, height=92)
+        + response("phase", "phase [°]", -10, 10, height=84)
+        + response("coherence", "coherence", 0, 1, x="frequency [Hz]", height=100),
     }
