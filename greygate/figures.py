@@ -199,10 +199,10 @@ def _format_row(s: dict, y: float, left: float, inner: float, scale: Scale) -> s
     if s["quantiles"]:
         p5, p25, p50, p75, top = (at(q) for q in s["quantiles"])
         parts.append(f'<path class="whisker" d="M{p5:.1f} {y:.1f}H{top:.1f}M{top:.1f} {y - 4:.1f}v8"/>')
-        parts.append(
-            f'<rect class="box" x="{p25:.1f}" y="{y - 4:.1f}" width="{max(p75 - p25, 1.5):.1f}" height="8" rx="1.5"/>'
-        )
-        parts.append(f'<path class="median" d="M{p50:.1f} {y - 4:.1f}v8"/>')
+        box = max(p75 - p25, 3.0)
+        parts.append(f'<rect class="box" x="{p75 - box:.1f}" y="{y - 4:.1f}" width="{box:.1f}" height="8" rx="1.5"/>')
+        if box > 6:
+            parts.append(f'<path class="median" d="M{p50:.1f} {y - 4:.1f}v8"/>')
     if s["sound"] and max(map(abs, s["sound"])) > 0:
         bound = at(max(map(abs, s["sound"])))
         if bound <= left + inner - 4:

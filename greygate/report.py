@@ -32,7 +32,7 @@ ZOOM = 200  # steps drawn around the largest error
 SPECTRUM = 200  # most points of a spectrum
 QUANTILES = (5, 25, 50, 75, 100)  # of |signal|, in per cent
 KINDS = ("float", "fixed")
-TRUSTED = 0.5  # coherence below which a frequency response says nothing
+TRUSTED = 0.8  # coherence below which a frequency response says nothing
 
 
 def display(unit: str, reach: float = 0.0) -> tuple[float, str]:

@@ -45,14 +45,18 @@ def assemble(flow: Network, divider: Network) -> Network:
     return valve_srnn(k, flow, divider, mean_spool(*spool_discrete(plant), k["u_max"]))
 
 
-def train_srnn(progress: Callable[[str, int, float], None] | None = None) -> tuple[Network, dict]:
+def train_srnn(progress: Callable[[str], None] | None = None) -> tuple[Network, dict]:
     """Fit the parts, join them, train them as one on the training scenario. Returns the network and its figures.
 
-    progress: called with (step, epoch, loss). Figures: RMS in bar of each scenario as assembled and trained, seconds.
+    progress: called with a line now and then. Figures: RMS in bar of each scenario as assembled and trained, seconds.
     """
-    steps = {n: (lambda e, l, n=n: progress(n, e, l)) if progress else None for n in ("flow", "divider", "srnn")}
-    flow = fit_flow(FLOW_SEED, progress=steps["flow"])
-    divider = fit_divider(DIVIDER_SEED, progress=steps["divider"])
+
+
+    def following(step: str):
+        return progress and (lambda epoch, loss: progress(f"{step}, epoch {epoch}, loss {loss:.3g}"))
+
+    flow = fit_flow(FLOW_SEED, progress=following("flow"))
+    divider = fit_divider(DIVIDER_SEED, progress=following("divider"))
     assembled = assemble(flow.network, divider.network)
     q, d = (replace(r, weight=REHEARSAL) for r in (flow_record(), divider_record()))
     whole = train(
@@ -61,7 +65,7 @@ def train_srnn(progress: Callable[[str, int, float], None] | None = None) -> tup
         epochs=EPOCHS,
         decay=1e-6,
         rehearse={"qa": q, "qb": q, "pa.divider": d, "pb.divider": d},
-        progress=steps["srnn"],
+        progress=following("the whole"),
     )
     figures = {
         "flow_rms": rms(flow.network, flow_record())["y"],

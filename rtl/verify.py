@@ -38,12 +38,28 @@ class Scenario:
 
 @dataclass(frozen=True)
 class Case:
-    """A program, the architecture it is built in, and its scenarios."""
+    """A program, the architecture it is built in, and its scenarios.
+
+    emitted: folder that `emit` wrote the design into, to check those files and no others; else it is emitted here.
+    """
 
     program: Program
     scenarios: Mapping[str, Scenario]
     architecture: str = "parallel"
     macs: int = 4
+    emitted: Path | None = None
+
+    def sources(self, folder: Path) -> list[Path]:
+        """The design's Verilog files."""
+        if self.emitted is None:
+            files = emit(self.program, folder / "rtl" / self.program.name, self.architecture, self.macs)
+        else:
+            listing = self.emitted / f"{self.program.name}.f"
+            try:
+                files = [self.emitted.resolve() / line for line in listing.read_text().split()]
+            except OSError as error:
+                raise InputError(f"{listing}: {error.strerror}; emit the design first") from None
+        return [f for f in files if f.suffix == ".v"]
 
 
 @dataclass(frozen=True)
@@ -112,8 +128,7 @@ def verify_many(
     print(f"verify: seed {seed}")
     designs, sources = [], []
     for i, case in enumerate(cases):
-        files = emit(case.program, folder / "rtl" / case.program.name, case.architecture, case.macs)
-        sources += [f for f in files if f.suffix == ".v"]
+        sources += case.sources(folder)
         designs.append(Design(i, case))
     bench = folder / "build" / "bench.v"
     bench.write_text("module bench;\n" + "".join(d.verilog() for d in designs) + "endmodule\n")

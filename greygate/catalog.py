@@ -1,0 +1,93 @@
+"""The networks that come with greygate, by name: how each is trained, on what it is judged, what others reached."""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from greygate import valve_cylinder
+from greygate.errors import InputError, replacing
+from greygate.models import measured
+from greygate.models.network import Network
+from greygate.models.training import Record
+
+TRAINED = Path(measured.TRAINED)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One network of the catalogue.
+
+    train: (progress) -> (network, figures). records: scenarios by name, the training ones first; the first one sets
+    the ranges of the fixed-point formats. scenarios: those on which hardware is compared with the emulator.
+    references: source -> scenario -> output -> published RMSE in the output's unit, or a pair (best, worst).
+    """
+
+    name: str
+    title: str
+    train: Callable[[Callable[[str], None] | None], tuple[Network, dict]]
+    records: Callable[[], Mapping[str, Record]]
+    scenarios: tuple[str, ...]
+    period: float = 1e-3
+    references: Mapping[str, Mapping] = field(default_factory=dict)
+
+    def network(self) -> Network:
+        """The trained network that is kept in the package."""
+        return Network.load(TRAINED / self.name)
+
+    def save(self, network: Network, figures: dict, folder: Path = TRAINED) -> None:
+        """Write NAME.toml, NAME.safetensors and NAME.json (the figures)."""
+        network.save(folder / self.name)
+        with replacing(folder / f"{self.name}.json") as path:
+            path.write_text(json.dumps(figures, indent=2) + "\n")
+
+
+def _identified(study: measured.Study):
+    def fit(progress):
+        result = measured.identify(study, progress=progress)
+        return result.network, result.figures
+
+    return fit
+
+
+CATALOG = {
+    entry.name: entry
+    for entry in (
+        Entry(
+            "valve_cylinder",
+            "Valve-controlled cylinder: chamber pressures from valve voltage and position",
+            valve_cylinder.train_srnn,
+            valve_cylinder.records,
+            valve_cylinder.SCENARIOS,
+            references={
+                "thesis": {
+                    name: dict(zip(("p_a", "p_b"), (1e5 * v for v in valve_cylinder.THESIS[name]), strict=True))
+                    for name in valve_cylinder.SCENARIOS
+                }
+            },
+        ),
+        Entry(
+            "mts",
+            "Servo-hydraulic test machine, measured: displacement from command",
+            _identified(measured.MTS),
+            measured.MTS.records,
+            ("chirp_1A", "15Hz1A"),
+        ),
+        Entry(
+            "crane",
+            "Hydraulic crane actuator, measured: oil pressure from valve opening",
+            _identified(measured.CRANE),
+            measured.CRANE.records,
+            ("train", "test"),
+            period=measured.CRANE.period,
+            references={"published": {"test": {"p_oil": (0.33, 0.50)}}},
+        ),
+    )
+}
+
+
+def entry(name: str) -> Entry:
+    """The entry of that name. Raises InputError naming those there are."""
+    if name not in CATALOG:
+        raise InputError(f"no network is called {name!r}; there are {', '.join(CATALOG)}, or give a NAME.toml file")
+    return CATALOG[name]

@@ -1,0 +1,245 @@
+"""The command line. Results go to stdout, messages to stderr; exit 0 done, 1 the answer is no, 2 wrong use."""
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from greygate import __version__
+from greygate.errors import InputError
+
+app = typer.Typer(
+    help="Grey-box networks from a mechanical plant to an FPGA.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+class Architecture(StrEnum):
+    PARALLEL = "parallel"
+    FOLDED = "folded"
+    BOTH = "both"
+
+
+class Target(StrEnum):
+    ECP5 = "ecp5"
+    ICE40 = "ice40"
+    XILINX = "xilinx"
+
+
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+Folder = Annotated[Path, typer.Argument(help="A folder that `greygate compile` wrote.")]
+
+
+@app.callback()
+def main(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.", is_eager=True)] = False,
+) -> None:
+    if version:
+        typer.echo(f"greygate {__version__}")
+        raise typer.Exit()
+
+
+def _give(result: dict, as_json: bool, lines: list[str]) -> None:
+    typer.echo(json.dumps(result, indent=1) if as_json else "\n".join(lines))
+
+
+def _say(text: str) -> None:
+    typer.echo(text, err=True)
+
+
+@contextmanager
+def _progress(title: str) -> Iterator:
+    """A line on stderr that follows long work; gives a function that takes what is being done."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    with console.status(title) as status:
+        yield lambda *parts: status.update(f"{title}: {' '.join(str(p) for p in parts)}")
+
+
+@app.command()
+def train(
+    name: Annotated[str, typer.Argument(help="A network of the catalogue, or `list`.")],
+    out: Annotated[Path | None, typer.Option(help="Folder for NAME.toml, .safetensors, .json.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Train a network of the catalogue from nothing and keep it with its figures."""
+    from greygate.catalog import CATALOG, TRAINED, entry
+
+    if name == "list":
+        _give({n: e.title for n, e in CATALOG.items()}, as_json, [f"{n:16} {e.title}" for n, e in CATALOG.items()])
+        return
+    chosen, out = entry(name), out or TRAINED
+    if not out.is_dir():
+        raise InputError(f"{out}: no such folder; make it, or leave --out away to write into the package")
+    with _progress(f"training {name}") as follow:
+        network, figures = chosen.train(follow)
+    chosen.save(network, figures, out)
+    _give(figures, as_json, [json.dumps(figures, indent=1), f"written to {out / name}.toml"])
+
+
+def _recordings(given: list[str]) -> dict[str, str]:
+    found = {}
+    for text in given:
+        scenario, equals, path = text.partition("=")
+        if not equals or not scenario:
+            raise InputError(f"--record {text}: write SCENARIO=FILE.csv, e.g. training=train.csv")
+        found[scenario] = path
+    return found
+
+
+@app.command()
+def compile(
+    network: Annotated[str, typer.Argument(help="A name of the catalogue, or NAME.toml with --record.")],
+    out: Annotated[Path, typer.Option(help="Folder to write; replaced if it is an earlier compilation.")],
+    record: Annotated[list[str], typer.Option(help="SCENARIO=FILE.csv; the first one sets the ranges.")] = [],  # noqa: B006
+    width: Annotated[int, typer.Option(help="Word width of signals and weights, 4 to 32 bits.")] = 16,
+    budget: Annotated[float | None, typer.Option(help="Instead of a width: RMSE may be so many times float's.")] = None,
+    prune: Annotated[float | None, typer.Option(help="Entropy pruning; RMSE may grow by this factor.")] = None,
+    generic: Annotated[bool, typer.Option(help="Merge linear layers even where that costs multipliers.")] = False,
+    architecture: Annotated[Architecture, typer.Option()] = Architecture.BOTH,
+    macs: Annotated[int, typer.Option(help="Multipliers of the folded architecture.")] = 4,
+    as_json: Json = False,
+) -> None:
+    """Simplify, prune, quantize a network and write it as Verilog."""
+    from greygate.compiler.quantize import Formats
+    from greygate.project import ARCHITECTURES, Source, compile_project
+
+    if budget is not None and budget <= 1:
+        raise InputError(f"--budget {budget}: is a factor on the error of float, e.g. 1.05")
+    if prune is not None and prune < 1:
+        raise InputError(f"--prune {prune}: is a factor on the error before pruning, e.g. 1.02")
+    chosen = ARCHITECTURES if architecture is Architecture.BOTH else (architecture.value,)
+    source = Source(network, _recordings(record))
+    with _progress(f"compiling {network}") as follow:
+        compiled = compile_project(
+            source,
+            out,
+            Formats(width),
+            budget=budget,
+            prune=prune,
+            generic=generic,
+            architectures=chosen,
+            macs=macs,
+            progress=follow,
+        )
+    passes = [
+        {"pass": p.name, "layers": p.layers, "parameters": p.parameters, "multiplications": p.multiplications}
+        for p in compiled.passes
+    ]
+    signals = {s.name: str(s.fix) for s in compiled.program.signals.values()}
+    lines = [f"{p['pass']:18} {p['layers']:4} layers {p['parameters']:6} parameters {p['multiplications']:6} products"
+             for p in passes]  # fmt: skip
+    lines += [f"{name}: {why}" for name, why in compiled.program.notes.items()]
+    _give({"folder": str(out), "passes": passes, "signals": signals}, as_json, [*lines, f"written to {out}"])
+
+
+@app.command()
+def emulate(
+    folder: Folder,
+    recording: Annotated[Path, typer.Argument(help="CSV with a column `name_unit` for every input.")],
+    out: Annotated[Path, typer.Option(help="CSV to write the predicted outputs to.")],
+    as_json: Json = False,
+) -> None:
+    """Run the compiled network, bit for bit as the hardware does, over a recording."""
+    from greygate.emulator.engine import run
+    from greygate.plants.recording import Recording, read_csv
+    from greygate.project import Project, read_record
+
+    project = Project.open(folder)
+    record = read_record(project.network, recording, targets=False)
+    answer = run(project.program, project.program.encode(record.inputs), states=False)
+    channels = project.program.decode(answer.outputs)
+    units = {p.name: p.unit for p in project.program.outputs}
+    Recording(read_csv(recording).dt, channels, units).write_csv(out)
+    saturations = {name: n for name, n in answer.saturations.items() if n}
+    result = {"steps": len(answer.outputs), "saturations": saturations, "out": str(out)}
+    _give(result, as_json, [f"{len(answer.outputs)} steps, saturations {saturations or 'none'}", f"written to {out}"])
+
+
+@app.command()
+def verify(
+    folder: Folder,
+    scenario: Annotated[list[str], typer.Option(help="Only these scenarios.")] = [],  # noqa: B006
+    seed: Annotated[int | None, typer.Option(help="Of back-pressure and reset; drawn and printed if not given.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Simulate the emitted Verilog in Verilator and compare every output and every state with the emulator.
+
+    Exit code 1 if a bit differs; results-ARCHITECTURE.xml in the folder is JUnit.
+    """
+    from greygate.project import Project, verify_project
+
+    project = Project.open(folder)
+    with _progress(f"simulating {project.program.name}"):
+        results = verify_project(project, tuple(scenario), seed)
+    verdicts = [v for r in results.values() for v in r.verdicts]
+    lines = [
+        f"{v.program} {v.architecture:9} {v.scenario:12} {v.steps:6} steps, {v.clocks_per_step:6.1f} clocks a step: "
+        + (v.mismatch or "every bit of every output and state equal")
+        for v in verdicts
+    ]
+    found = [vars(v) for v in verdicts]
+    _give({"passed": all(r.passed for r in results.values()), "verdicts": found}, as_json, lines)
+    if not all(r.passed for r in results.values()):
+        raise typer.Exit(1)
+
+
+@app.command()
+def synthesize(
+    folder: Folder,
+    target: Annotated[Target, typer.Option()] = Target.ECP5,
+    clock: Annotated[bool, typer.Option(help="Place and route with nextpnr for the clock rate (ECP5).")] = False,
+    as_json: Json = False,
+) -> None:
+    """Count LUTs, flip-flops, DSPs and block RAM with Yosys. Slow: minutes."""
+    from greygate.project import Project, synthesize_project
+
+    project = Project.open(folder)
+    with _progress(f"synthesizing {project.program.name} for {target.value}"):
+        found = synthesize_project(project, target.value, clock)
+    lines = [f"{name}: " + ", ".join(f"{k} {v}" for k, v in figures.items()) for name, figures in found.items()]
+    _give(found, as_json, lines)
+
+
+@app.command()
+def report(
+    folders: Annotated[list[Path], typer.Argument(help="Folders that `greygate compile` wrote.")],
+    out: Annotated[Path, typer.Option(help="HTML page to write; the JSON goes beside it.")] = Path("report.html"),
+    as_json: Json = False,
+) -> None:
+    """What quantization cost, per plant and scenario, as one HTML page and one JSON."""
+    from greygate.project import Project, study_project
+    from greygate.report import display, write
+
+    projects = [Project.open(folder) for folder in folders]
+    with _progress("measuring") as follow:
+        studies = [study_project(project, follow) for project in projects]
+    write(studies, out, out.with_suffix(".json"))
+    if as_json:
+        typer.echo(out.with_suffix(".json").read_text())
+        return
+    for study in studies:
+        typer.echo(study["title"])
+        for name, scenario in study["scenarios"].items():
+            for label, figures in scenario["outputs"].items():
+                rmse, (factor, unit) = figures["rmse"], display(figures["unit"])
+                float_, fixed = rmse["float"] * factor, rmse["fixed"] * factor
+                typer.echo(f"  {name:10} {label:8} RMSE float {float_:8.4g} {unit}, fixed {fixed:8.4g} {unit}")
+    typer.echo(f"written to {out} and {out.with_suffix('.json')}")
+
+
+def run() -> None:
+    """Entry point: a user's mistake is one line on stderr and exit code 2."""
+    try:
+        app()
+    except InputError as error:
+        _say(f"greygate: {error}")
+        sys.exit(2)

@@ -1,0 +1,271 @@
+"""A compiled network as a folder: what `greygate compile` writes and `verify`, `emulate` and `report` read.
+
+    program.json           the integer program (docs/integer-program.md)
+    network.toml, .safetensors   the generic float network it was quantized from
+    compile.json           where it came from, the passes, the architecture
+    rtl/parallel, rtl/folded     the Verilog of each architecture, and <program>.f, its list of files
+    verify.json            what the last verification found; results-*.xml beside it are JUnit
+    resources.json         what synthesis found, by architecture and target
+"""
+
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from greygate.catalog import CATALOG, entry
+from greygate.compiler.pipeline import Compiled, Pass, compile_network, entropy_pruning
+from greygate.compiler.quantize import Formats
+from greygate.compiler.ranges import ranges
+from greygate.compiler.verilog import emit
+from greygate.emulator.engine import run
+from greygate.emulator.program import Program
+from greygate.errors import InputError, replacing, replacing_folder
+from greygate.models.network import Network, Port
+from greygate.models.training import Record, train
+from greygate.plants.recording import read_csv
+from greygate.report import study
+from greygate.rtl.synthesis import synthesize
+from greygate.rtl.verify import Case, Scenario, Verification, verify_many
+
+ARCHITECTURES = ("parallel", "folded")
+FACTS = "compile.json"
+RETRAIN_EPOCHS = 15
+
+
+def read_record(network: Network, path: Path | str, targets: bool = True) -> Record:
+    """A recording as the network's ports name it: columns `port_unit`, time in `t_s`.
+
+    Raises InputError for a missing column or unit, NaN, non-uniform time, an empty file.
+    """
+    scalar = [p for p in network.inputs + network.outputs if p.size == 1]
+    wanted = network.inputs + (network.outputs if targets else [])
+    recording = read_csv(path, {p.name: p.unit for p in wanted if p in scalar})
+
+    def channels(ports: list[Port]) -> dict[str, np.ndarray]:
+        return {p.name: recording[p.name] for p in ports}
+
+    return Record(channels(network.inputs), channels(network.outputs) if targets else {})
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a network and its records come from: a name of the catalogue, or a file with recordings beside it."""
+
+    name: str
+    recordings: Mapping[str, str]  # scenario -> CSV; empty for the catalogue's own
+
+    def network(self) -> Network:
+        if self.name in CATALOG:
+            return entry(self.name).network()
+        if self.name.endswith((".toml", ".safetensors")) or Path(self.name).with_suffix(".toml").exists():
+            return Network.load(self.name)
+        entry(self.name)  # names those there are
+
+    def records(self) -> dict[str, Record]:
+        if not self.recordings:
+            if self.name not in CATALOG:
+                raise InputError(f"{self.name}: give recordings, --record training=FILE.csv; ranges come from them")
+            return dict(entry(self.name).records())
+        network = self.network()
+        return {scenario: read_record(network, path) for scenario, path in self.recordings.items()}
+
+    @property
+    def title(self) -> str:
+        return entry(self.name).title if self.name in CATALOG else Path(self.name).stem
+
+    @property
+    def period(self) -> float:
+        if self.name in CATALOG:
+            return entry(self.name).period
+        return read_csv(next(iter(self.recordings.values()))).dt if self.recordings else 1e-3
+
+    @property
+    def scenarios(self) -> tuple[str, ...]:
+        """Scenarios that hardware is verified on."""
+        if self.name in CATALOG and not self.recordings:
+            return entry(self.name).scenarios
+        return tuple(self.recordings)
+
+    @property
+    def references(self) -> Mapping[str, Mapping]:
+        return entry(self.name).references if self.name in CATALOG else {}
+
+
+def compile_project(
+    source: Source,
+    folder: Path | str,
+    formats: Formats,
+    *,
+    budget: float | None = None,
+    prune: float | None = None,
+    generic: bool = False,
+    architectures: Sequence[str] = ARCHITECTURES,
+    macs: int = 4,
+    progress: Callable[[str], None] | None = None,
+) -> Compiled:
+    """Compile and write the folder. Nothing is written before everything is known to be right.
+
+    prune: factor by which entropy pruning may raise the RMS error on the first record, e.g. 1.02.
+    """
+    say = progress or (lambda text: None)
+    network, records = source.network(), source.records()
+    first = next(iter(records.values()))
+    pruning = None
+    if prune is not None:
+
+        def retrain(network: Network) -> Network:
+            say(f"retraining {sum(layer.size for layer in network.modules.values())} neurons")
+            return train(network, [first], epochs=RETRAIN_EPOCHS, decay=1e-6).network
+
+        pruning = entropy_pruning(first, retrain, prune)
+    say("compiling")
+    compiled = compile_network(
+        network, records, formats, budget=budget, prune=pruning, generic=generic, period=source.period
+    )
+    facts = {
+        "source": source.name,
+        "recordings": {n: str(Path(p).resolve()) for n, p in source.recordings.items()},
+        "title": source.title,
+        "architectures": list(architectures),
+        "macs": macs,
+        "passes": [asdict(p) for p in compiled.passes],
+        "pruning": [asdict(r) for r in compiled.pruning],
+    }
+    with replacing_folder(folder, FACTS) as new:
+        for architecture in architectures:
+            emit(compiled.program, new / "rtl" / architecture, architecture, macs)
+        compiled.program.save(new / "program.json")
+        compiled.network.save(new / "network")
+        _write_json(new / FACTS, facts)
+    return compiled
+
+
+@dataclass(frozen=True)
+class Project:
+    """A compiled folder, read back."""
+
+    folder: Path
+    source: Source
+    program: Program
+    network: Network
+    facts: dict
+
+    @staticmethod
+    def open(folder: Path | str) -> "Project":
+        """Raises InputError if the folder is not one that `compile` wrote."""
+        folder = Path(folder)
+        facts = _read_json(folder / FACTS, f"{folder}: no compile.json here; run greygate compile first")
+        source = Source(facts["source"], facts["recordings"])
+        return Project(
+            folder, source, Program.load(folder / "program.json"), Network.load(folder / "network"), facts
+        )
+
+    def compiled(self, records: Mapping[str, Record]) -> Compiled:
+        """As the compiler left it; ranges are taken again from the first record."""
+        found = ranges(self.network, [next(iter(records.values()))])
+        passes = tuple(Pass(**p) for p in self.facts["passes"])
+        return Compiled(self.network, found, self.program, passes)
+
+    def scenarios(self, names: tuple[str, ...] = ()) -> dict[str, Scenario]:
+        """What hardware must answer, from the emulator. Raises InputError for a name that does not exist."""
+        records = self.source.records()
+        found = {}
+        for name in names or self.source.scenarios:
+            if name not in records:
+                raise InputError(f"no scenario {name!r}; there are {', '.join(records)}")
+            codes = self.program.encode(records[name].inputs)
+            answer = run(self.program, codes)
+            found[name] = Scenario(codes, answer.outputs, answer.states)
+        return found
+
+    def case(self, architecture: str, names: tuple[str, ...] = ()) -> Case:
+        """One emitted design with what it must answer."""
+        where = self.folder / "rtl" / architecture
+        return Case(self.program, self.scenarios(names), architecture, self.facts["macs"], emitted=where)
+
+    @property
+    def hardware(self) -> dict | None:
+        """What `verify` found, by architecture, or None."""
+        path = self.folder / "verify.json"
+        return json.loads(path.read_text()) if path.exists() else None
+
+    @property
+    def resources(self) -> dict | None:
+        path = self.folder / "resources.json"
+        return json.loads(path.read_text()) if path.exists() else None
+
+
+def verify_project(
+    project: Project, names: tuple[str, ...] = (), seed: int | None = None
+) -> dict[str, Verification]:
+    """Each emitted design in Verilator against the emulator, by architecture, side by side on the cores there are.
+
+    Writes verify.json and one results-ARCHITECTURE.xml (JUnit) each into the folder.
+    """
+    architectures = project.facts["architectures"]
+
+    def check(architecture: str) -> Verification:
+        return verify_many([project.case(architecture, names)], project.folder / "simulation" / architecture, seed)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        results = dict(zip(architectures, pool.map(check, architectures), strict=True))
+    hardware = {}
+    for architecture, result in results.items():
+        with replacing(project.folder / f"results-{architecture}.xml") as path:
+            path.write_bytes(result.junit.read_bytes())
+        clocks = [v.clocks_per_step for v in result.verdicts if np.isfinite(v.clocks_per_step)]
+        hardware[architecture] = {
+            "clocks_per_step": max(clocks, default=None),
+            "seed": result.seed,
+            "scenarios": {
+                v.scenario: {"steps": v.steps, "differing_bits": None if v.mismatch else 0, "mismatch": v.mismatch}
+                for v in result.verdicts
+            },
+        }
+    _write_json(project.folder / "verify.json", hardware)
+    return results
+
+
+def synthesize_project(project: Project, target: str, clock_rate: bool = False) -> dict[str, dict]:
+    """Resources of each architecture by Yosys (and nextpnr); adds to resources.json."""
+    found = project.resources or {}
+    for architecture in project.facts["architectures"]:
+        folder = project.folder / "rtl" / architecture
+        found[f"{architecture}, {target}"] = synthesize(folder, project.program.name, target, clock_rate)
+    _write_json(project.folder / "resources.json", found)
+    return found
+
+
+def study_project(project: Project, progress: Callable[[str], None] | None = None) -> dict:
+    """What the report says of one project: see `greygate.report.study`."""
+    records = project.source.records()
+    return study(
+        project.facts["title"],
+        project.compiled(records),
+        records,
+        ranged_on=next(iter(records)),
+        period=project.program.period,
+        references=project.source.references,
+        hardware=project.hardware,
+        resources=project.resources,
+        progress=progress,
+    )
+
+
+def _write_json(path: Path, value: object) -> None:
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(value, indent=1) + "\n")
+
+
+def _read_json(path: Path, missing: str) -> dict:
+    try:
+        return json.loads(path.read_text())
+    except FileNotFoundError:
+        raise InputError(missing) from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: not readable ({error}); run greygate compile again") from None
