@@ -11,7 +11,7 @@ from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.ranges import ranges
 from greygate.compiler.simplify import simplify
 from greygate.emulator.interpreter import interpret
-from greygate.models.measured import RECORDINGS, STUDIES, stored
+from greygate.measured import RECORDINGS, STUDIES, stored
 
 
 def rms(x):

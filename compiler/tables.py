@@ -64,8 +64,8 @@ def _worst(table: Table, codes: np.ndarray) -> float:
 
 
 def _spread(reach: int) -> np.ndarray:
-    """At most 2^16 codes over the part that bends, to choose a size by."""
-    return np.unique(np.linspace(0, 1 << reach, min(1 << reach, 1 << 16) + 1).astype(np.int64))
+    """About 2^16 codes over the part that bends, to choose a size by."""
+    return np.arange(0, (1 << reach) + 1, 1 << max(reach - 16, 0), dtype=np.int64)
 
 
 def _every(reach: int, arg: Fix) -> Iterator[np.ndarray]:

@@ -5,13 +5,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from greygate import valve_cylinder
+from greygate import measured, valve_cylinder
 from greygate.errors import InputError, replacing
-from greygate.models import measured
 from greygate.models.network import Network
 from greygate.models.training import Record
 
-TRAINED = Path(measured.TRAINED)
+TRAINED = measured.TRAINED
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,6 @@ from greygate.errors import InputError, replacing, replacing_folder
 from greygate.models.network import Network, Port
 from greygate.models.training import Record, train
 from greygate.plants.recording import read_csv
-from greygate.report import study
 from greygate.rtl.synthesis import synthesize
 from greygate.rtl.verify import Case, Scenario, Verification, verify_many
 
@@ -243,6 +242,8 @@ def synthesize_project(project: Project, target: str, clock_rate: bool = False) 
 
 def study_project(project: Project, progress: Callable[[str], None] | None = None) -> dict:
     """What the report says of one project: see `greygate.report.study`."""
+    from greygate.report import study  # brings scipy.signal, which takes a second
+
     records = project.source.records()
     return study(
         project.facts["title"],

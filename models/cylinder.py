@@ -10,7 +10,6 @@ and `u` is the spool position *averaged over the sampling interval*, by a third-
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.signal import ss2tf
 
 from greygate.models.network import Layer, Network, Port
 
@@ -25,9 +24,10 @@ def mean_spool(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float, u_max: flo
 
     a (3, 3), b (3,), c (3,), d: exact discretisation s(k) = a s(k-1) + b v_c(k-1), mean(k) = c s(k-1) + d v_c(k-1).
     """
-    numerator, denominator = ss2tf(a, b[:, None], c[None, :], np.array([[d]]))
+    denominator = np.poly(a)
+    numerator = np.poly(a - np.outer(b, c)) + (d - 1) * denominator
     order = len(a)
-    taps = {f"v{n}": [[numerator[0, n - 1] * V_SCALE / u_max]] for n in range(1, order + 2)}
+    taps = {f"v{n}": [[numerator[n - 1] * V_SCALE / u_max]] for n in range(1, order + 2)}
     own = {f"u{n}": [[-denominator[n]]] for n in range(1, order + 1)}
     network = Network("spool", [Port("v_c")], [Port("u")])
     network.add("mean", Layer(taps | own, [0.0], frozen={*taps, *own, "bias"}))

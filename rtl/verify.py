@@ -125,7 +125,7 @@ def verify_many(
     except OSError as error:
         raise InputError(f"{folder}: cannot make this folder ({error.strerror}); choose another") from None
     seed = int(np.random.SeedSequence().entropy % (1 << 31)) if seed is None else seed
-    print(f"verify: seed {seed}")
+    print(f"verify: seed {seed}", file=sys.stderr)
     designs, sources = [], []
     for i, case in enumerate(cases):
         sources += case.sources(folder)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from greygate.errors import InputError
-from greygate.models import measured
-from greygate.models.measured import CRANE, MTS, STUDIES, identify, rmse, stored
+from greygate import measured
+from greygate.measured import CRANE, MTS, STUDIES, identify, rmse, stored
 from greygate.models.network import Port
 from greygate.models.regression import noe
 from greygate.models.training import Problem, Record

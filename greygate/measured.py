@@ -13,6 +13,7 @@ from time import monotonic
 
 import numpy as np
 
+from greygate import models
 from greygate.errors import InputError, replacing
 from greygate.models.network import Network, Port
 from greygate.models.regression import noe
@@ -20,7 +21,7 @@ from greygate.models.training import Problem, Record, train
 from greygate.plants.recording import Recording, read_csv
 
 RECORDINGS = Path(__file__).resolve().parents[1] / "recordings"
-TRAINED = Path(__file__).resolve().parent / "trained"
+TRAINED = Path(models.__file__).resolve().parent / "trained"
 TAIL = 0.2  # of each training run, at its end: starts are compared there
 
 
