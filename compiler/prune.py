@@ -11,6 +11,7 @@ from greygate.models.training import Problem, Record
 
 WORKING_RANGE = {"tansig": (-1.0, 1.0), "logsig": (0.0, 1.0), "satlin": (0.0, 1.0), "radbas": (0.0, 1.0)}
 BINS = 100
+RIDGE = 1e-9  # of the regression, per sample
 
 
 @dataclass(frozen=True)
@@ -39,20 +40,27 @@ def entropies(network: Network, records: list[Record]) -> dict[str, np.ndarray]:
 
 
 def remove_neurons(network: Network, records: list[Record], chosen: dict[str, list[int]]) -> Network:
-    """Remove neurons; the mean output of each goes into the biases of those it fed."""
+    """Remove neurons. Those they fed receive the mean instead, in their biases, and what the layer's other neurons can
+    say of the rest, by linear regression, in their weights.
+    """
     problem = Problem(network, records)
     run = np.concatenate(problem.simulate(problem.theta))
     g = Graph(problem.flat)
     for name, indices in chosen.items():
         keep = np.setdiff1d(np.arange(g.layers[name].size), indices)
-        mean = run[:, problem.elements()[name]].mean(axis=0)
+        signal = run[:, problem.elements()[name]]
+        mean = signal.mean(axis=0)
+        varying = signal - mean
+        rest = varying[:, keep]
+        gram = rest.T @ rest + RIDGE * len(run) * np.eye(len(keep))
+        share = np.linalg.solve(gram, rest.T @ varying[:, indices])  # removed ~ mean + (rest - its mean) @ share
         for reader, port, _ in g.readers(name):
             layer = g.layers[reader]
             w = layer.weights[port]
             g.layers[reader] = replace(
                 layer,
-                weights=layer.weights | {port: w[:, keep]},
-                bias=layer.bias + w[:, indices] @ mean[indices],
+                weights=layer.weights | {port: w[:, keep] + w[:, indices] @ share.T},
+                bias=layer.bias + w[:, indices] @ (mean[indices] - mean[keep] @ share),
             )
         layer = g.layers[name]
         own = {p: w[keep] for p, w in layer.weights.items()}
@@ -70,16 +78,18 @@ def prune_by_entropy(
     """Remove neurons of low entropy and train again, round after round, until the error would exceed `allowed`.
 
     A round takes every neuron under `low` of the greatest possible entropy, or the lowest one if none is. allowed: RMS
-    error on the records, normalised. The round that misses it is undone and ends the pruning.
+    error on the records, normalised. A round that misses it is undone; the next one takes half as many, and when a
+    single neuron cannot be spared the pruning ends.
     """
     rounds: list[Round] = []
+    largest = sum(map(len, entropies(network, records).values()))
     while True:
         found = entropies(network, records)
         ranked = sorted((float(h), name, i) for name, values in found.items() for i, h in enumerate(values))
         removable = [r for r in ranked if len(found[r[1]]) > 1]
         if not removable:
             return network, rounds
-        batch = [r for r in removable if r[0] < low * np.log(BINS)] or removable[:1]
+        batch = [r for r in removable if r[0] < low * np.log(BINS)][:largest] or removable[:1]
         chosen: dict[str, list[int]] = {}
         for _, name, i in batch:
             if len(chosen.get(name, [])) < len(found[name]) - 1:
@@ -89,6 +99,9 @@ def prune_by_entropy(
         error = float(np.sqrt(problem.squares(problem.theta) / problem.samples))
         kept = error <= allowed
         rounds.append(Round(chosen, len(ranked) - sum(map(len, chosen.values())), error, kept))
-        if not kept:
+        if kept:
+            network = trial
+        elif len(batch) > 1:
+            largest = len(batch) // 2
+        else:
             return network, rounds
-        network = trial

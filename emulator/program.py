@@ -197,7 +197,9 @@ class Program:
 
     def accumulator_width(self, operation: Affine) -> int:
         """Width that no partial sum of any row can exceed, the rounding constant included. Proved, not measured."""
-        largest = np.array([-self.signals[a].fix.lo for a in operation.args for _ in range(self.signals[a].size)], object)
+        largest = np.array(
+            [-self.signals[a].fix.lo for a in operation.args for _ in range(self.signals[a].size)], object
+        )
         magnitude = np.abs(operation.weights).astype(object) @ largest + np.abs(operation.bias).astype(object)
         shift = operation.frac - operation.out.fix.frac
         rounding = [1 << int(s - 1) if s > 0 else 0 for s in shift]

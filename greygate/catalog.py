@@ -29,6 +29,7 @@ class Entry:
     scenarios: tuple[str, ...]
     period: float = 1e-3
     references: Mapping[str, Mapping] = field(default_factory=dict)
+    prune: Callable | None = None
 
     def network(self) -> Network:
         """The trained network that is kept in the package."""
@@ -58,6 +59,7 @@ CATALOG = {
             valve_cylinder.train_srnn,
             valve_cylinder.records,
             valve_cylinder.SCENARIOS,
+            prune=valve_cylinder.prune,
             references={
                 "thesis": {
                     name: dict(zip(("p_a", "p_b"), (1e5 * v for v in valve_cylinder.THESIS[name]), strict=True))

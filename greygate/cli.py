@@ -137,6 +137,9 @@ def compile(
     signals = {s.name: str(s.fix) for s in compiled.program.signals.values()}
     lines = [f"{p['pass']:18} {p['layers']:4} layers {p['parameters']:6} parameters {p['multiplications']:6} products"
              for p in passes]  # fmt: skip
+    for r in compiled.pruning:
+        gone = ", ".join(f"{layer} {len(which)}" for layer, which in r.removed.items())
+        lines.append(f"pruned {gone}: {r.neurons} neurons left, {'kept' if r.kept else 'undone'}")
     lines += [f"{name}: {why}" for name, why in compiled.program.notes.items()]
     _give({"folder": str(out), "passes": passes, "signals": signals}, as_json, [*lines, f"written to {out}"])
 
@@ -168,7 +171,9 @@ def emulate(
 def verify(
     folder: Folder,
     scenario: Annotated[list[str], typer.Option(help="Only these scenarios.")] = [],  # noqa: B006
-    seed: Annotated[int | None, typer.Option(help="Of back-pressure and reset; drawn and printed if not given.")] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Of back-pressure and reset; drawn and printed if not given.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Simulate the emitted Verilog in Verilator and compare every output and every state with the emulator.

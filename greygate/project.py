@@ -1,11 +1,11 @@
 """A compiled network as a folder: what `greygate compile` writes and `verify`, `emulate` and `report` read.
 
-    program.json           the integer program (docs/integer-program.md)
-    network.toml, .safetensors   the generic float network it was quantized from
-    compile.json           where it came from, the passes, the architecture
-    rtl/parallel, rtl/folded     the Verilog of each architecture, and <program>.f, its list of files
-    verify.json            what the last verification found; results-*.xml beside it are JUnit
-    resources.json         what synthesis found, by architecture and target
+program.json           the integer program (docs/integer-program.md)
+network.toml, .safetensors   the generic float network it was quantized from
+compile.json           where it came from, the passes, the architecture
+rtl/parallel, rtl/folded     the Verilog of each architecture, and <program>.f, its list of files
+verify.json            what the last verification found; results-*.xml beside it are JUnit
+resources.json         what synthesis found, by architecture and target
 """
 
 import json
@@ -13,6 +13,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,7 @@ from greygate.rtl.verify import Case, Scenario, Verification, verify_many
 
 ARCHITECTURES = ("parallel", "folded")
 FACTS = "compile.json"
-RETRAIN_EPOCHS = 15
+RETRAIN_EPOCHS = 4
 
 
 def read_record(network: Network, path: Path | str, targets: bool = True) -> Record:
@@ -115,13 +116,10 @@ def compile_project(
     network, records = source.network(), source.records()
     first = next(iter(records.values()))
     pruning = None
-    if prune is not None:
-
-        def retrain(network: Network) -> Network:
-            say(f"retraining {sum(layer.size for layer in network.modules.values())} neurons")
-            return train(network, [first], epochs=RETRAIN_EPOCHS, decay=1e-6).network
-
-        pruning = entropy_pruning(first, retrain, prune)
+    if prune is not None and source.name in CATALOG and entry(source.name).prune:
+        pruning = partial(entry(source.name).prune, allowed=prune, progress=say)
+    elif prune is not None:
+        pruning = entropy_pruning(first, partial(_retrain, first, say), prune)
     say("compiling")
     compiled = compile_network(
         network, records, formats, budget=budget, prune=pruning, generic=generic, period=source.period
@@ -144,6 +142,11 @@ def compile_project(
     return compiled
 
 
+def _retrain(record: Record, say: Callable[[str], None], network: Network) -> Network:
+    say(f"retraining with {sum(layer.size for layer in network.modules.values())} neurons")
+    return train(network, [record], epochs=RETRAIN_EPOCHS).network
+
+
 @dataclass(frozen=True)
 class Project:
     """A compiled folder, read back."""
@@ -160,9 +163,7 @@ class Project:
         folder = Path(folder)
         facts = _read_json(folder / FACTS, f"{folder}: no compile.json here; run greygate compile first")
         source = Source(facts["source"], facts["recordings"])
-        return Project(
-            folder, source, Program.load(folder / "program.json"), Network.load(folder / "network"), facts
-        )
+        return Project(folder, source, Program.load(folder / "program.json"), Network.load(folder / "network"), facts)
 
     def compiled(self, records: Mapping[str, Record]) -> Compiled:
         """As the compiler left it; ranges are taken again from the first record."""
@@ -199,9 +200,7 @@ class Project:
         return json.loads(path.read_text()) if path.exists() else None
 
 
-def verify_project(
-    project: Project, names: tuple[str, ...] = (), seed: int | None = None
-) -> dict[str, Verification]:
+def verify_project(project: Project, names: tuple[str, ...] = (), seed: int | None = None) -> dict[str, Verification]:
     """Each emitted design in Verilator against the emulator, by architecture, side by side on the cores there are.
 
     Writes verify.json and one results-ARCHITECTURE.xml (JUnit) each into the folder.

@@ -6,11 +6,14 @@ from functools import lru_cache
 
 import numpy as np
 
+from greygate.compiler.pipeline import float_error
+from greygate.compiler.prune import Round, prune_by_entropy
 from greygate.models.blocks import divider_record, fit_divider, fit_flow, flow_record
 from greygate.models.cylinder import mean_spool, valve_srnn
 from greygate.models.network import Network
-from greygate.models.training import Record, train
-from greygate.plants.scenarios import scenario
+from greygate.models.training import Problem, Record, train
+from greygate.plants.excitation import band_limited_noise, prms
+from greygate.plants.scenarios import measure, scenario
 from greygate.plants.valve_cylinder import spool_discrete, valve_cylinder
 
 SCENARIOS = ("training", "v1", "v2")
@@ -24,6 +27,7 @@ THESIS_FLOW = 1.42e-4  # RMS of Network Qa over Q_max: 8.52e-9 of 6e-5 m^3/s
 FLOW_SEED, DIVIDER_SEED = 1, 0
 REHEARSAL = 1.0  # a sample of the parts' own records counts like one of the training scenario
 EPOCHS = 25
+PRUNING_EPOCHS = 4
 
 
 @lru_cache
@@ -50,7 +54,6 @@ def train_srnn(progress: Callable[[str], None] | None = None) -> tuple[Network, 
 
     progress: called with a line now and then. Figures: RMS in bar of each scenario as assembled and trained, seconds.
     """
-
 
     def following(step: str):
         return progress and (lambda epoch, loss: progress(f"{step}, epoch {epoch}, loss {loss:.3g}"))
@@ -83,8 +86,39 @@ def _bar(network: Network) -> dict[str, tuple[float, ...]]:
     return {n: tuple(v / 1e5 for v in rms(network, r).values()) for n, r in records().items()}
 
 
+def exercise(network: Network) -> Record:
+    """Another run of the rig, pushed about by a random force, with the network's own answers as targets.
+
+    It tells pruning what the network does beyond the training scenario, and nothing new of the plant.
+    """
+    v_c = prms(10_000, -1.0, 1.0, (20, 150), seed=11)
+    force = band_limited_noise(10_000, 1500.0, 0.1, 5.0, 1e-3, seed=12)
+    c = measure(valve_cylinder(), v_c, force, source="exercise").channels
+    inputs = {n: c[n] for n in ("v_c", "x")}
+    bare = Record(inputs, {n: c[n] for n in ("p_a", "p_b")})
+    errors = float_error(network, bare)
+    return Record(inputs, {n: bare.targets[n] + errors[n] for n in errors})
+
+
+def prune(
+    network: Network, allowed: float, progress: Callable[[str], None] | None = None
+) -> tuple[Network, list[Round]]:
+    """Entropy pruning of the generic network; what it does under load is kept by `exercise`.
+
+    allowed: factor by which the RMS error over training scenario and exercise may rise.
+    """
+    kept = [records()["training"], exercise(network)]
+
+    def retrain(smaller: Network) -> Network:
+        if progress:
+            progress(f"retraining with {sum(layer.size for layer in smaller.modules.values())} neurons")
+        return train(smaller, kept, epochs=PRUNING_EPOCHS).network
+
+    problem = Problem(network, kept)
+    error = float(np.sqrt(problem.squares(problem.theta) / problem.samples))
+    return prune_by_entropy(network, kept, retrain, allowed * error)
+
+
 def rms(network: Network, record: Record) -> dict[str, float]:
     """RMS error of a free run, by output, in physical units."""
-    from greygate.compiler.pipeline import float_error
-
     return {n: float(np.sqrt(np.mean(e[record.skip :] ** 2))) for n, e in float_error(network, record).items()}

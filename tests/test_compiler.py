@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from networks import random_inputs, random_network
+from test_network import delay_line
 
 from greygate.compiler.centre import centre_biases
 from greygate.compiler.pipeline import compile_network, entropy_pruning, fixed_error, float_error
@@ -20,8 +22,6 @@ from greygate.errors import InputError
 from greygate.models.blocks import feedforward, flow_record
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training import Record, train
-from networks import random_inputs, random_network
-from test_network import delay_line
 
 
 def record_of(network: Network, steps: int, seed: int) -> Record:

@@ -4,8 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greygate.errors import InputError
 from greygate import measured
+from greygate.errors import InputError
 from greygate.measured import CRANE, MTS, STUDIES, identify, rmse, stored
 from greygate.models.network import Port
 from greygate.models.regression import noe

@@ -3,10 +3,10 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from networks import random_inputs, random_network
 
 from greygate.errors import InputError
 from greygate.models.network import ACTIVATIONS, Layer, Network, Port
-from networks import random_inputs, random_network
 
 SMOOTH = ("tansig", "logsig", "linear", "radbas")
 

@@ -2,9 +2,10 @@
 
 from dataclasses import replace
 
+from test_compiler import random_program
+
 from greygate.emulator.engine import run
 from greygate.rtl.verify import Case, Scenario, verify_many
-from test_compiler import random_program
 
 COUNT = 30
 

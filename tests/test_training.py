@@ -3,13 +3,13 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from networks import random_inputs, random_network
+from test_network import SMOOTH, delay_line
 
 from greygate.errors import InputError
 from greygate.models.blocks import feedforward, flow_rate, flow_record
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training import Outcome, Problem, Record, train
-from networks import random_inputs, random_network
-from test_network import SMOOTH, delay_line
 
 
 def as_record(network: Network, steps: int, seed: int) -> Record:

@@ -1,0 +1,45 @@
+# make demo: the main job on data in the repo.  make test: every test.  Both set up what they need in .venv.
+VENV := .venv
+BIN := $(VENV)/bin
+PYTHON ?= python3
+OUT := demo
+
+.PHONY: demo test lint bench train clean tools
+
+demo: $(VENV)/.ready | tools
+	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
+	$(BIN)/greygate compile mts --out $(OUT)/mts
+	$(BIN)/greygate verify $(OUT)/valve_cylinder
+	$(BIN)/greygate verify $(OUT)/mts
+	$(BIN)/greygate report $(OUT)/valve_cylinder $(OUT)/mts --out $(OUT)/report.html
+	@echo "open $(OUT)/report.html; the Verilog is in $(OUT)/*/rtl"
+
+test: $(VENV)/.ready | tools
+	$(BIN)/python -m pytest -n 2
+
+lint: $(VENV)/.ready
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+bench: $(VENV)/.ready | tools
+	$(BIN)/python benchmarks/engine.py
+	$(BIN)/python benchmarks/compile_time.py
+	$(BIN)/python benchmarks/plant.py
+	$(BIN)/python benchmarks/measured.py
+
+train: $(VENV)/.ready
+	for name in valve_cylinder mts crane; do $(BIN)/greygate train $$name || exit 1; done
+
+clean:
+	rm -rf $(OUT) build *.egg-info
+
+$(VENV)/.ready: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=python3.11"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,synthesis]'
+	@touch $@
+
+tools:
+	@for tool in g++ make perl; do \
+	  command -v $$tool >/dev/null || { echo "$$tool is missing: Verilator builds simulations with it; install $$tool"; exit 1; }; \
+	done
