@@ -22,7 +22,7 @@ WIDTHS = range(8, 33)
 
 @dataclass(frozen=True)
 class Pass:
-    """What one pass did: layers, parameters and multiplications after it, and the largest relative change of an output."""
+    """What one pass left: layers, parameters, multiplications; and the largest relative change of an output."""
 
     name: str
     layers: int

@@ -74,9 +74,9 @@ def quantize(
 ) -> Program:
     """Integer program of a flat network.
 
-    Integer bits come from the ranges (with margin), fraction bits from the width. A state that remembers its own rounding
-    for many steps gets fraction bits so that the accumulated rounding stays under half an LSB of the word. Raises InputError
-    when a width cannot hold a range.
+    Integer bits come from the ranges (with margin), fraction bits from the width. A state that remembers its own
+    rounding for many steps gets fraction bits so that the accumulated rounding stays under half an LSB of the word.
+    Raises InputError when a width cannot hold a range.
     """
     if not 4 <= formats.width <= 32:
         raise InputError(f"width {formats.width}: choose 4 to 32 bits")
@@ -159,8 +159,8 @@ class _Quantizer:
                 extra = math.ceil(math.log2(math.sqrt(steps / 3)))
                 fix = Fix(fix.width + extra, fix.frac + extra)
                 self.notes[name] = (
-                    f"feeds back on itself and remembers its rounding for {steps:.0f} steps; {extra} more fraction bits "
-                    f"keep the accumulated rounding under half an LSB of {width} bits"
+                    f"feeds back on itself and remembers its rounding for {steps:.0f} steps; {extra} more fraction "
+                    f"bits keep the accumulated rounding under half an LSB of {width} bits"
                 )
         self.signals[name] = Signal(name, layer.size, fix)
 

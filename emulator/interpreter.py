@@ -1,4 +1,4 @@
-"""The interpreter: docs/integer-program.md in NumPy int64, one step at a time. Slow and obvious; it is the definition."""
+"""The interpreter: docs/integer-program.md in NumPy int64, step by step. Slow and obvious; it is the definition."""
 
 from dataclasses import dataclass
 

@@ -77,7 +77,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class Port:
-    """An input or output of the program: a signal and what its codes mean outside (value = code * lsb * scale + offset)."""
+    """An input or output of the program, and what its codes mean outside: value = code * lsb * scale + offset."""
 
     name: str
     signal: Signal
@@ -252,7 +252,7 @@ class Program:
                 or o.bias.shape != (o.out.size,)
                 or o.frac.shape != (o.out.size,)
             ):
-                yield f"{o.out.name}: weights {o.weights.shape}, bias or frac do not match {o.out.size} rows of {columns}"
+                yield f"{o.out.name}: weights {o.weights.shape}, bias or frac: not {o.out.size} rows of {columns}"
                 return
             width = self.accumulator_width(o) + max(0, int(np.max(o.out.fix.frac - o.frac)))
             if width > ACCUMULATOR_BITS:

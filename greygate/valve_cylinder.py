@@ -32,7 +32,7 @@ PRUNING_EPOCHS = 4
 
 @lru_cache
 def records() -> dict[str, Record]:
-    """Scenarios training, v1, v2: `v_c` [V] and `x` [m] as the sensors give them; targets are the true pressures [Pa]."""
+    """Training, v1, v2: `v_c` [V] and `x` [m] as the sensors give them; targets are the true pressures [Pa]."""
     found = {}
     for name in SCENARIOS:
         c = scenario(name).channels

@@ -38,7 +38,7 @@ def feedforward(
 
 
 def flow_rate(u: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Flow into a chamber over its pressure, both normalised: u sqrt(1 - p) for u > 0, u sqrt(p) else (thesis 5.3.2.1)."""
+    """Flow into a chamber, normalised: u sqrt(1 - p) for u > 0, u sqrt(p) else (thesis 5.3.2.1)."""
     return np.where(u > 0, u * np.sqrt(1 - p), u * np.sqrt(p))
 
 

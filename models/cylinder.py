@@ -1,10 +1,10 @@
-"""The structured recurrent network (SRNN) that predicts chamber pressures of a valve-controlled cylinder (thesis 5.3.2).
+"""The structured recurrent network (SRNN) for the pressures of a valve-controlled cylinder (thesis 5.3.2).
 
     P_A(k) = P_A(k-1) + G2 divider( G1 q_a - v,  gamma)      q_a = Network Qa(u, P_A(k-1))
     P_B(k) = P_B(k-1) + G2 divider(-G1 q_b + v, -gamma)      q_b = Network Qb(u, P_B(k-1))
 
-From outside it sees what the thesis gives it: the valve voltage and the position. Velocity is their backward difference,
-and `u` is the spool position *averaged over the sampling interval*, by a third-order difference equation.
+From outside it sees what the thesis gives it: the valve voltage and the position. Velocity is the position's backward
+difference, and `u` is the spool position *averaged over the sampling interval*, by a third-order difference equation.
 """
 
 from collections.abc import Mapping
@@ -69,8 +69,8 @@ def valve_srnn(
 ) -> Network:
     """Join flow, divider and spool networks into the SRNN of fig. 5.4.
 
-    k: parameters of the plant in SI units (`p_s`, `bulk_modulus`, `v_a0`, `v_b0`, `area`, `k_valve`, `u_max`, `q_max`) and
-    `p_rest`, the pressure of both chambers before the first step.
+    k: parameters of the plant in SI units (`p_s`, `bulk_modulus`, `v_a0`, `v_b0`, `area`, `k_valve`, `u_max`,
+    `q_max`) and `p_rest`, the pressure of both chambers before the first step.
     taps: backward differences of position that the speed may draw on. stretch: see `pressure`.
     Inputs `v_c` [V] and `x` [m]; outputs `p_a`, `p_b` [Pa].
     """

@@ -245,8 +245,8 @@ def train(
     """Levenberg-Marquardt (Marquardt 1963; Nielsen's damping). The trained network is flat.
 
     decay: D of the loss, one number for every free weight (biases included). goal: stop at this loss.
-    rehearse: module path -> a record of its own ports, weighted by `Record.weight`: parts that were right stay right where
-    `records` do not reach.
+    rehearse: module path -> a record of its own ports, weighted by `Record.weight`: parts that were right stay right
+    where `records` do not reach.
     tolerance: relative fall over ten epochs below which it has converged. progress: called with (epoch, loss).
     Ctrl-C keeps the best weights so far.
     """

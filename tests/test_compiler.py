@@ -158,7 +158,8 @@ def test_accumulators_are_proved_by_the_worst_case_and_refused_beyond_62_bits():
         int(np.abs(affine.weights[0, j])) * -program.signals[a].fix.lo for j, a in enumerate(affine.args)
     ) + abs(int(affine.bias[0]))
     width = program.accumulator_width(affine)
-    assert 2 ** (width - 2) <= largest + 2 ** int(affine.frac[0]) and largest < 2 ** (width - 1)
+    assert 2 ** (width - 2) <= largest + 2 ** int(affine.frac[0])
+    assert largest < 2 ** (width - 1)
     broken = replace(program, operations=(replace(affine, weights=affine.weights << 46),))
     with pytest.raises(InputError, match="accumulator needs"):
         broken.check()
@@ -283,7 +284,7 @@ def test_a_width_out_of_reach_is_refused(width):
 def test_a_width_that_cannot_hold_the_range_names_the_signal():
     network = simplify(delay_line())
     record = record_of(network, 20, 0)
-    with pytest.raises(InputError, match="signal u: reaches .* which 6 bits cannot hold"):
+    with pytest.raises(InputError, match=r"signal u: reaches .* which 6 bits cannot hold"):
         quantize(network, ranges(network, [Record({"u": record.inputs["u"] * 100}, record.targets)]), Formats(6))
 
 

@@ -198,8 +198,14 @@ def test_an_envelope_keeps_the_extremes_of_a_long_run():
 
 @pytest.mark.parametrize(
     ("value", "unit", "reach", "text"),
-    [(55_200, "Pa", 0, "0.552"), (3.2e-5, "m", 0, "32.0"), (2e-3, "m", 2e-3, "2.00"), (0.5, "1", 0, "0.500")]
-    + [((33_000, 50_000), "Pa", 0, "0.330 to 0.500"), (None, "Pa", 0, "–")],
+    [
+        (55_200, "Pa", 0, "0.552"),
+        (3.2e-5, "m", 0, "32.0"),
+        (2e-3, "m", 2e-3, "2.00"),
+        (0.5, "1", 0, "0.500"),
+        ((33_000, 50_000), "Pa", 0, "0.330 to 0.500"),
+        (None, "Pa", 0, "–"),
+    ],
 )
 def test_figures_are_shown_in_the_unit_that_a_person_reads(value, unit, reach, text):
     assert shown(value, unit, reach) == text
