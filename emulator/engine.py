@@ -23,7 +23,7 @@ _ARRAYS: "WeakKeyDictionary[Program, _Arrays]" = WeakKeyDictionary()
 
 
 class _Arrays(NamedTuple):
-    """A program as arrays. Rows of an affine operation are padded to a multiple of four."""
+    """A program as arrays. Rows of an affine operation, if there are several, are padded to fours."""
 
     operations: np.ndarray  # (n, 11) int64; columns depend on the kind, see `_tabulate`
     reads: np.ndarray  # uint64: element behind each column of each affine operation
@@ -55,7 +55,7 @@ def _tabulate(program: Program) -> _Arrays:
         if isinstance(o, Affine):
             kind = AFFINE if program.accumulator_width(o) < EXACT_BITS else AFFINE_WIDE
             columns = [first[arg] + i for arg in o.args for i in range(program.signals[arg].size)]
-            padded = -(-o.out.size // 4) * 4
+            padded = 1 if o.out.size == 1 else -(-o.out.size // 4) * 4
             modes = (_ROUNDING.index(o.rounding), o.overflow is Overflow.WRAP)
             row = (kind, *head, len(reads), len(columns), weight_at, row_at, fix.width, *modes, padded)
             part = np.zeros((len(columns), padded), np.int64)
@@ -110,33 +110,48 @@ def _round(a, shift, rounding):  # pragma: no cover - compiled
     return (a + half - 1 + ((a >> shift) & 1)) >> shift
 
 
+@numba.njit(inline="always")
+def _look_up(points, base, end, shift, half, interpolated, flip, lift, x):  # pragma: no cover - compiled
+    sign = x >> 63
+    a = min((x ^ sign) - sign, end)
+    if interpolated:  # beyond the end this is the last interval at its right edge: the last point
+        i = min(a >> shift, (end >> shift) - 1)
+        left, right = points[np.uint64(base + i)], points[np.uint64(base + i + 1)]
+        y = left + (((right - left) * (a - (i << shift)) + half) >> shift)
+    else:
+        y = points[np.uint64(base + min((a + half) >> shift, end >> shift))]
+    return (y ^ (sign & flip)) - (sign & flip) + (sign & lift)  # for a negative x: minus y, and what the symmetry adds
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
 def _run(
     operations, reads, weights, weights_int, bias, shifts, points, moves, ins, outs, elements, widest,
     inputs, initial, outputs, states, saturations, trace
 ):  # fmt: skip  # pragma: no cover - compiled
-    value = np.zeros(elements, np.int64)
-    exact = np.zeros(elements, np.float64)  # the same numbers, for the vector units
+    value = np.zeros(elements, np.float64)  # integers all, of at most 48 bits
     gathered = np.zeros(widest, np.float64)
     acc = np.zeros(widest, np.int64)
     for sequence in range(len(inputs)):
         for m in range(len(moves)):
             value[moves[m, 1]] = initial[sequence, m]
-            exact[moves[m, 1]] = initial[sequence, m]
         for k in range(inputs.shape[1]):
             for i in range(len(ins)):
                 value[ins[i]] = inputs[sequence, k, i]
-                exact[ins[i]] = inputs[sequence, k, i]
             for n in range(len(operations)):
-                kind, out, size = operations[n, 0], np.uint64(operations[n, 1]), np.uint64(operations[n, 2])
+                op = operations[n]
+                kind, out, size = op[0], np.uint64(op[1]), np.uint64(op[2])
                 if kind <= AFFINE_WIDE:
-                    read, count = np.uint64(operations[n, 3]), np.uint64(operations[n, 4])
-                    first, row = np.uint64(operations[n, 5]), np.uint64(operations[n, 6])
-                    rounding, wrap, padded = operations[n, 8], operations[n, 9], np.uint64(operations[n, 10])
+                    read, count, first, row = np.uint64(op[3]), np.uint64(op[4]), np.uint64(op[5]), np.uint64(op[6])
+                    rounding, wrap, padded = op[8], op[9], np.uint64(op[10])
                     if kind == AFFINE:
                         for j in range(count):
-                            gathered[j] = exact[reads[read + j]]
-                        for r in range(ZERO, padded, FOUR):
+                            gathered[j] = value[reads[read + j]]
+                        if padded == ONE:
+                            a0 = 0.0
+                            for j in range(count):
+                                a0 += weights[first + j] * gathered[j]
+                            acc[ZERO] = np.int64(a0) + bias[row]
+                        for r in range(ZERO, padded & ~THREE, FOUR):
                             a0 = a1 = a2 = a3 = 0.0
                             w = first + r
                             for j in range(count):
@@ -146,24 +161,24 @@ def _run(
                                 a2 += weights[w + TWO] * x
                                 a3 += weights[w + THREE] * x
                                 w += padded
-                            acc[r] = np.int64(a0)
-                            acc[r + ONE] = np.int64(a1)
-                            acc[r + TWO] = np.int64(a2)
-                            acc[r + THREE] = np.int64(a3)
+                            acc[r] = np.int64(a0) + bias[row + r]
+                            acc[r + ONE] = np.int64(a1) + bias[row + r + ONE]
+                            acc[r + TWO] = np.int64(a2) + bias[row + r + TWO]
+                            acc[r + THREE] = np.int64(a3) + bias[row + r + THREE]
                     else:
-                        acc[:] = 0
+                        for r in range(size):
+                            acc[r] = bias[row + r]
                         for j in range(count):
-                            xi = value[reads[read + j]]
+                            xi = np.int64(value[reads[read + j]])
                             for r in range(size):
                                 acc[r] += weights_int[first + j * padded + r] * xi
-                    hi = (np.int64(1) << (operations[n, 7] - 1)) - 1
+                    hi = (np.int64(1) << (op[7] - 1)) - 1
                     for r in range(size):
                         shift = shifts[row + r]
-                        y = acc[r] + bias[row + r]
                         if rounding == 1 and shift > 0:
-                            y = (y + (np.int64(1) << (shift - 1))) >> shift
+                            y = (acc[r] + (np.int64(1) << (shift - 1))) >> shift
                         else:
-                            y = _round(y, shift, rounding)
+                            y = _round(acc[r], shift, rounding)
                         if y > hi or y < -hi - 1:
                             saturations[n] += 1
                             if wrap:
@@ -171,62 +186,41 @@ def _run(
                             else:
                                 y = hi if y > hi else -hi - 1
                         value[out + r] = y
-                        exact[out + r] = y
                 elif kind == TABLE:
-                    source, base = np.uint64(operations[n, 3]), operations[n, 4]
-                    last, shift = operations[n, 5], operations[n, 6]
-                    interpolated, flip, lift = operations[n, 7], operations[n, 8], operations[n, 9]
-                    half = (np.int64(1) << shift) >> 1
-                    end = last << shift
-                    if interpolated:  # beyond the end this is the last interval at its right edge: the last point
+                    source, base, end, shift = np.uint64(op[3]), op[4], op[5] << op[6], op[6]
+                    flip, lift, half = op[8], op[9], (np.int64(1) << op[6]) >> 1
+                    if op[7]:
                         for r in range(size):
-                            x = value[source + r]
-                            sign = x >> 63
-                            a = min((x ^ sign) - sign, end)
-                            i = min(a >> shift, last - 1)
-                            y0, y1 = points[np.uint64(base + i)], points[np.uint64(base + i + 1)]
-                            y = y0 + (((y1 - y0) * (a - (i << shift)) + half) >> shift)
-                            # minus y for a negative x, then what the symmetry adds
-                            y = ((y ^ (sign & flip)) - (sign & flip)) + (sign & lift)
-                            value[out + r] = y
-                            exact[out + r] = y
+                            x = np.int64(value[source + r])
+                            value[out + r] = _look_up(points, base, end, shift, half, True, flip, lift, x)
                     else:
                         for r in range(size):
-                            x = value[source + r]
-                            sign = x >> 63
-                            y = points[np.uint64(base + min((min(abs(x), end) + half) >> shift, last))]
-                            y = ((y ^ (sign & flip)) - (sign & flip)) + (sign & lift)
-                            value[out + r] = y
-                            exact[out + r] = y
+                            x = np.int64(value[source + r])
+                            value[out + r] = _look_up(points, base, end, shift, half, False, flip, lift, x)
                 elif kind == CLAMP:
-                    source, lo, top = np.uint64(operations[n, 3]), operations[n, 4], operations[n, 5]
-                    hi = (np.int64(1) << (operations[n, 6] - 1)) - 1
+                    source, lo, top = np.uint64(op[3]), op[4], op[5]
+                    hi = (np.int64(1) << (op[6] - 1)) - 1
                     for r in range(size):
-                        y = _round(min(max(value[source + r], lo), top), operations[n, 8], operations[n, 7])
+                        y = _round(min(max(np.int64(value[source + r]), lo), top), op[8], op[7])
                         if y > hi or y < -hi - 1:
                             saturations[n] += 1
                             y = hi if y > hi else -hi - 1
                         value[out + r] = y
-                        exact[out + r] = y
                 else:
                     for r in range(size):
-                        above = value[np.uint64(operations[n, 3]) + r] >= operations[n, 4]
-                        y = operations[n, 6] if above else operations[n, 5]
-                        value[out + r] = y
-                        exact[out + r] = y
+                        value[out + r] = op[6] if value[np.uint64(op[3]) + r] >= op[4] else op[5]
             for j in range(len(outs)):
-                outputs[sequence, k, j] = value[outs[j]]
+                outputs[sequence, k, j] = np.int64(value[outs[j]])
             if trace.shape[1]:
                 for e in range(elements):
-                    trace[sequence, k, e] = value[e]
+                    trace[sequence, k, e] = np.int64(value[e])
             for m in range(len(moves)):
-                acc[m] = value[moves[m, 0]]
+                gathered[m] = value[moves[m, 0]]
             for m in range(len(moves)):
-                value[moves[m, 1]] = acc[m]
-                exact[moves[m, 1]] = acc[m]
+                value[moves[m, 1]] = gathered[m]
             if states.shape[1]:
                 for m in range(len(moves)):
-                    states[sequence, k, m] = acc[m]
+                    states[sequence, k, m] = np.int64(gathered[m])
 
 
 def run(

@@ -1,0 +1,59 @@
+"""Closed-loop steps per CPU second of the compiled cylinder network: engine, Verilator, cocotb, interpreter, in one run.
+
+Usage: python benchmarks/engine.py [--json FILE]
+"""
+
+import json
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from greygate.catalog import entry
+from greygate.compiler.pipeline import compile_network
+from greygate.emulator.engine import run
+from greygate.emulator.interpreter import interpret
+from greygate.rtl.verify import Scenario, verify
+from verilator_bench import measure
+
+REPEATS = 7
+SLOW_STEPS = 2000  # for the interpreter
+
+
+def steps_per_second(work, steps: int, repeats: int = REPEATS) -> float:
+    """Median over `repeats` of steps per CPU second."""
+    rates = []
+    for _ in range(repeats):
+        began = time.process_time()
+        work()
+        rates.append(steps / (time.process_time() - began))
+    return statistics.median(rates)
+
+
+def main() -> None:
+    chosen = entry("valve_cylinder")
+    records = chosen.records()
+    program = compile_network(chosen.network(), records).program
+    codes = program.encode(records["training"].inputs)
+    answer = run(program, codes)
+    with tempfile.TemporaryDirectory() as folder:
+        scenario = Scenario(codes, answer.outputs, answer.states)
+        checked = verify(program, Path(folder), {"training": scenario}, seed=0)
+        assert checked.passed
+    found = {
+        "engine": steps_per_second(lambda: [run(program, codes, states=False) for _ in range(20)], 20 * len(codes)),
+        "verilator": statistics.median(
+            measure(program, codes, expected=answer.outputs)["steps_per_second"] for _ in range(3)
+        ),
+        "cocotb, every step checked": 2 * len(codes) / checked.run_seconds,
+        "interpreter": steps_per_second(lambda: interpret(program, codes[:SLOW_STEPS]), SLOW_STEPS, 3),
+    }
+    for name, rate in found.items():
+        print(f"{name:28} {rate:12,.0f} steps/s   engine is {found['engine'] / rate:8.1f} times as fast")
+    if sys.argv[1:2] == ["--json"]:
+        Path(sys.argv[2]).write_text(json.dumps(found, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
