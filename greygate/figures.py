@@ -40,8 +40,8 @@ class Scale:
         return self.length * min(max(at, -3.0), 4.0)
 
     def ticks(self, spacing: float = 70) -> list[float]:
-        """Round values inside the scale, about one every `spacing` px; 1, 2, 5 within a decade of a log scale."""
-        if self.log:
+        """Round values inside the scale, about one every `spacing` px; 1, 2, 5 within the decades of a log scale."""
+        if self.log and self.high > 3 * self.low:
             decades = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
             room = self.length / spacing
             span = math.log10(self.high / self.low)

@@ -451,6 +451,8 @@ def pictures(found: dict) -> dict:
 
 def width_pictures(widths: dict) -> dict[str, str]:
     """The curve RMSE(fixed)/RMSE(float) over word width, one picture per output, one line per scenario."""
+    if not widths["width"]:
+        return {}
     outputs = list(dict.fromkeys(label for r in widths["ratio"].values() for label in r))
     low, high = figures.span([v for r in widths["ratio"].values() for c in r.values() for v in c], log=True)
     found = {}

@@ -127,7 +127,9 @@ def test_every_signal_stands_beside_its_format_with_what_was_seen_and_what_is_pr
             assert s["sound"][0] <= low <= high <= s["sound"][1]
         assert s["saturations"] == {}
     assert signals["hidden.n"]["kind"] == "operation"
-    assert signals["hidden"]["sound"] == pytest.approx([-1, 1], abs=0.2)
+    quantiles = signals["hidden"]["quantiles"]
+    assert quantiles == sorted(quantiles)
+    assert quantiles[-1] <= 1
     assert signals["state"]["note"] == compiled.program.notes["state"]
     assert found["tables"][0]["worst_error"] == compiled.program.tables[0].worst_error
 
