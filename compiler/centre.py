@@ -5,6 +5,7 @@ up to an offset of the output. (Nagel et al. 2019 do this for feed-forward netwo
 float network's own states, so that the error of one step is seen and not where the loop has drifted to.)
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,25 +15,30 @@ from greygate.emulator.program import Affine, Program
 from greygate.models.network import Network
 from greygate.models.training import Problem, Record
 
-SAMPLES = 2000  # steps of the record, evenly spread
+SAMPLES = 2000  # steps of all records together, evenly spread
 
 
-def centre_biases(program: Program, network: Network, record: Record) -> Program:
-    """Correct the biases of every AFFINE operation that rounds weights, in program order, on one record."""
-    problem = Problem(network, [record])
-    signals = dict(
-        zip(problem.elements(), np.split(problem.simulate(problem.theta)[0], _ends(problem), axis=1), strict=True)
-    )
-    steps = np.unique(np.linspace(0, len(next(iter(signals.values()))) - 1, SAMPLES).astype(int))
-    past = {n: _padded(problem, n, v) for n, v in signals.items()}
+def centre_biases(program: Program, network: Network, records: Sequence[Record]) -> Program:
+    """Correct the biases of every AFFINE operation that rounds weights, in program order, on records."""
+    problem = Problem(network, list(records))
+    past: dict[str, list[np.ndarray]] = {}  # signal -> by delay, its values at the chosen steps of all records
+    codes = []
+    for record, trace in zip(records, problem.simulate(problem.theta), strict=True):
+        count = max(1, min(SAMPLES // len(records), len(trace)))
+        steps = np.unique(np.linspace(0, len(trace) - 1, count).astype(int))
+        codes.append(program.encode(record.inputs)[steps])
+        for name, columns in problem.elements().items():
+            whole = np.concatenate([np.tile(_before(problem, name), (problem.depth, 1)), trace[:, columns]])
+            delayed = [whole[steps + problem.depth - d] for d in range(problem.depth + 1)]
+            before = past.get(name, [d[:0] for d in delayed])
+            past[name] = [np.concatenate(pair) for pair in zip(before, delayed, strict=True)]
+    codes = np.concatenate(codes)[:, None, :]
     initial = []
     for state in program.states:
         source, _, delay = state.signal.name.rpartition(".z")
-        rows = past[source][steps + problem.depth - int(delay)]
-        codes = np.floor(rows * 2.0**state.signal.fix.frac + 0.5)
-        initial.append(np.clip(codes, state.signal.fix.lo, state.signal.fix.hi))
-    start = np.concatenate(initial, axis=1).astype(np.int64) if initial else np.zeros((len(steps), 0), np.int64)
-    codes = program.encode(record.inputs)[steps][:, None, :]
+        value = np.floor(past[source][int(delay)] * 2.0**state.signal.fix.frac + 0.5)
+        initial.append(np.clip(value, state.signal.fix.lo, state.signal.fix.hi))
+    start = np.concatenate(initial, axis=1).astype(np.int64) if initial else np.zeros((len(codes), 0), np.int64)
     feeds = problem.flat.feeds()
     for at, operation in enumerate(program.operations):
         name = operation.out.name.removesuffix(".n")
@@ -40,8 +46,7 @@ def centre_biases(program: Program, network: Network, record: Record) -> Program
             continue
         layer = problem.flat.modules[name]
         exact = layer.bias + sum(
-            past[feeds[f"{name}.{p}"][0]][steps + problem.depth - feeds[f"{name}.{p}"][1]] @ w.T
-            for p, w in layer.weights.items()
+            past[source][delay] @ w.T for p, w in layer.weights.items() for source, delay in [feeds[f"{name}.{p}"]]
         )
         fixed = run(program, codes, start, trace=True).trace[operation.out.name][:, 0] * operation.out.fix.lsb
         error = (exact - fixed).mean(axis=0)
@@ -51,19 +56,12 @@ def centre_biases(program: Program, network: Network, record: Record) -> Program
     return program.check()
 
 
-def _ends(problem: Problem) -> np.ndarray:
-    return np.cumsum([len(c) for c in problem.elements().values()])[:-1]
-
-
-def _padded(problem: Problem, name: str, signal: np.ndarray) -> np.ndarray:
-    """A signal with what it was before the first step in front."""
+def _before(problem: Problem, name: str) -> np.ndarray:
+    """What a signal is before the first step, normalised."""
     port = next((p for p in problem.flat.inputs if p.name == name), None)
-    first = (
-        problem.flat.modules[name].initial
-        if port is None
-        else np.full(port.size, (port.initial - port.offset) / port.scale)
-    )
-    return np.concatenate([np.tile(first, (problem.depth, 1)), signal])
+    if port is None:
+        return problem.flat.modules[name].initial
+    return np.full(port.size, (port.initial - port.offset) / port.scale)
 
 
 def _rounds_nothing(operation: Affine) -> bool:

@@ -1,6 +1,6 @@
 """From a trained network to an integer program: the whole list of passes, each checked before and after."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,7 +47,7 @@ def compile_network(
     records: Mapping[str, Record],
     formats: Formats | None = None,
     *,
-    ranged_on: str | None = None,
+    ranged_on: Sequence[str] = (),
     budget: float | None = None,
     prune: Callable[[Network], tuple[Network, list[Round]]] | None = None,
     generic: bool = False,
@@ -55,14 +55,14 @@ def compile_network(
 ) -> Compiled:
     """Simplify, prune, range and quantize a network.
 
-    records: scenarios {name: Record}; every simplification is checked on all of them. ranged_on: the one whose ranges
-    set the formats (the first, if not given). budget: instead of a width, the largest factor by which fixed point may
-    raise the RMS error on `ranged_on`, 1.05 for five per cent. prune: see `entropy_pruning`. generic: merge linear
-    layers even where that costs multiplications.
+    records: scenarios {name: Record}; every simplification is checked on all of them. ranged_on: those whose ranges
+    set the formats (the first, if none is given). budget: instead of a width, the largest factor by which fixed point
+    may raise the RMS error on each of `ranged_on`, 1.05 for five per cent. prune: see `entropy_pruning`. generic:
+    merge linear layers even where that costs multiplications.
     """
     if not records:
         raise InputError(f"network {network.name}: no record to compile on; ranges come from one")
-    ranged_on = ranged_on or next(iter(records))
+    training = [records[name] for name in ranged_on or list(records)[:1]]
     before = network.flatten()
     passes = [_summary("as declared", before, 0.0)]
     reference = _outputs(before, records)
@@ -76,62 +76,84 @@ def compile_network(
     if prune:
         network, rounds = prune(network)
         passes.append(_summary("prune_by_entropy", network, _change(reference, _outputs(network, records))))
-    training = records[ranged_on]
-    found = ranges(network, [training])
+    found = ranges(network, training)
     if budget is None:
-        program = centre_biases(quantize(network, found, formats or Formats(), period), network, training)
+        program = quantize_centred(network, found, training, formats or Formats(), period)
     else:
         program = meet_budget(network, found, training, budget, formats or Formats(), period)
     return Compiled(network, found, program, tuple(passes), tuple(rounds))
 
 
 def entropy_pruning(
-    record: Record, retrain: Callable[[Network], Network], allowed: float
+    records: Sequence[Record], retrain: Callable[[Network], Network], allowed: float
 ) -> Callable[[Network], tuple[Network, list[Round]]]:
-    """A pruning pass for `compile_network`. allowed: factor by which the RMS error on the record may rise."""
+    """A pruning pass for `compile_network`. allowed: factor by which the RMS error on the records may rise."""
 
     def prune(network: Network) -> tuple[Network, list[Round]]:
-        problem = Problem(network, [record])
+        problem = Problem(network, list(records))
         error = float(np.sqrt(problem.squares(problem.theta) / problem.samples))
-        return prune_by_entropy(network, [record], retrain, allowed * error)
+        return prune_by_entropy(network, list(records), retrain, allowed * error)
 
     return prune
 
 
 def fixed_error(program: Program, record: Record) -> dict[str, np.ndarray]:
-    """Fixed-point prediction less target, by output, in physical units, (N,)."""
+    """Fixed-point prediction less target, by output, in physical units, (N,) or (N, size)."""
     decoded = program.decode(run(program, program.encode(record.inputs), states=False).outputs)
     return {p.name: decoded[p.name] - np.asarray(record.targets[p.name]) for p in program.outputs}
 
 
 def float_error(network: Network, record: Record) -> dict[str, np.ndarray]:
-    """Float prediction less target, by output, in physical units, (N,)."""
+    """Float prediction less target, by output, in physical units, (N,) or (N, size)."""
     problem = Problem(network, [record])
     errors = problem.errors(problem.theta)
     if errors is None:
         raise InputError(f"network {network.name}: diverges on the record")
-    return {p.name: errors[0][:, j] * p.scale for j, p in enumerate(problem.flat.outputs)}
+    ends = np.cumsum([p.size for p in problem.flat.outputs])[:-1]
+    parts = zip(problem.flat.outputs, np.split(errors[0], ends, axis=1), strict=True)
+    return {p.name: (e if p.size > 1 else e[:, 0]) * p.scale for p, e in parts}
+
+
+def strain(program: Program, network: Network, records: Sequence[Record]) -> float:
+    """RMS error of fixed point over that of float, the worst of all outputs and records."""
+    return max(
+        _rms(fixed_error(program, r)[n], r) / max(_rms(e, r), 1e-300)
+        for r in records
+        for n, e in float_error(network, r).items()
+    )
+
+
+def quantize_centred(
+    network: Network, found: Mapping[str, Range], records: Sequence[Record], formats: Formats, period: float
+) -> Program:
+    """Quantize, and correct the biases if that lowers the worst error on the records."""
+    plain = quantize(network, found, formats, period)
+    centred = centre_biases(plain, network, records)
+    return min((plain, centred), key=lambda program: strain(program, network, records))
 
 
 def meet_budget(
-    network: Network, found: Mapping[str, Range], record: Record, budget: float, formats: Formats, period: float
+    network: Network,
+    found: Mapping[str, Range],
+    records: Sequence[Record],
+    budget: float,
+    formats: Formats,
+    period: float,
 ) -> Program:
-    """The cheapest program whose RMS error on the record is at most `budget` times that of float, at every output.
+    """The cheapest program whose RMS error is at most `budget` times that of float, at every output on every record.
 
     First the least word width that meets it; then signals give up fraction bits, the least sensitive first: sensitivity
-    is the error that one bit less of that signal alone adds, measured on the record.
+    is the error that one bit less of that signal alone adds, measured on the records.
     """
-    target = {n: budget * _rms(e, record) for n, e in float_error(network, record).items()}
 
     def meets(program: Program) -> bool:
-        return all(_rms(e, record) <= target[n] for n, e in fixed_error(program, record).items())
+        return strain(program, network, records) <= budget
 
     def build(width: int, signals: Mapping[str, Fix]) -> Program | None:
         try:
-            program = quantize(network, found, replace(formats, width=width, signals=signals), period)
+            return quantize_centred(network, found, records, replace(formats, width=width, signals=signals), period)
         except InputError:
             return None
-        return centre_biases(program, network, record)
 
     for width in WIDTHS:
         program = build(width, formats.signals)
@@ -146,7 +168,7 @@ def meet_budget(
     for name in names:
         narrower = build(width, chosen | {name: _less(program.signals[name].fix)})
         if narrower:
-            margin[name] = max(_rms(e, record) / target[n] for n, e in fixed_error(narrower, record).items())
+            margin[name] = strain(narrower, network, records)
     for name in sorted(margin, key=margin.get):
         while program.signals[name].fix.width > 4:
             trial = build(width, chosen | {name: _less(program.signals[name].fix)})

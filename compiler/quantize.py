@@ -27,6 +27,7 @@ from greygate.emulator.program import (
 from greygate.errors import InputError
 from greygate.models.network import Layer, Network
 
+EXACT = 8  # fraction bits up to which a weight counts as exact
 GUARD = 3  # bits that a product may be finer than the sum it goes into
 
 
@@ -62,11 +63,17 @@ def memory(layer: Layer, loops: list[np.ndarray]) -> float:
 
 
 def loop_gain(loops: list[np.ndarray]) -> float:
-    """By how much feedback multiplies a lasting error of a linear layer's sum: norm of (1 - sum of loop weights)^-1."""
-    if not loops:
+    """By how much feedback multiplies an error of a linear layer's sum at the worst frequency, at least 1.
+
+    loops: its weights on its own output 1, 2, ... steps before. Where a weight is short enough to be exact the loop is
+    as declared, and rounding the other weights is no matter of the loop: then 1.
+    """
+    if all(_exact_bits(w, EXACT) < EXACT for w in loops):
         return 1.0
-    still = np.eye(len(loops[0])) - sum(loops)
-    return float(np.linalg.norm(np.linalg.pinv(still), np.inf)) if np.any(still) else 1.0
+    size = len(loops[0])
+    turns = np.exp(-1j * np.linspace(0, np.pi, 1025))
+    returned = sum(w * turns[:, None, None] ** d for d, w in enumerate(loops, 1))
+    return max(1.0, float(np.linalg.norm(np.linalg.inv(np.eye(size) - returned), 2, axis=(1, 2)).max()))
 
 
 def quantize(
@@ -238,18 +245,16 @@ class _Quantizer:
             first = self.signals[self.flat.inputs[0].name]
             reads = [(first, np.zeros((layer.size, first.size)))]
         if layer.activation == "linear":
-            gain = loop_gain(self._loops(name))
+            gain = min(loop_gain(self._loops(name)), self.formats.horizon)
             finer = math.ceil(math.log2(gain)) if gain > 1 else 0
             if finer:
-                self.notes.setdefault(
-                    name, f"its feedback multiplies errors by {gain:.1f}: weights have {finer} bits more"
-                )
+                why = f"its feedback multiplies errors by up to {gain:.3g}: weights have {finer} bits more"
+                self.notes[name] = "; ".join(filter(None, [self.notes.get(name), why]))
             self._affine(out, layer, reads, finer)
             return
         pre = f"{name}.n"
         if layer.activation in FUNCTIONS:
-            reach = self.fix_bits(pre)
-            frac = f.width - 1 - min(reach, integer_bits(flat_from(layer.activation, out.fix))) + f.wide
+            frac, reach = self._argument(layer.activation, name, out.fix)
             fix = self.formats.signals.get(pre, Fix(frac + reach + 1, frac))
             signal = Signal(pre, layer.size, fix)
             self._affine(signal, layer, reads)
@@ -265,6 +270,16 @@ class _Quantizer:
             fix = Fix(f.width + f.wide, f.width + f.wide - 1 - self.fix_bits(pre))
             self._affine(Signal(pre, layer.size, fix), layer, reads)
             self.operations.append(Threshold(out, pre, 0, -1 if layer.activation == "hardlims" else 0, 1))
+
+    def _argument(self, function: str, name: str, out: Fix) -> tuple[int, int]:
+        """Fraction and integer bits of a sigmoid's argument; layers with one fraction share one table, so one width."""
+        word, flat = self.formats.width, integer_bits(flat_from(function, out))
+
+        def frac(layer: str) -> int:
+            return word - 1 - min(self.fix_bits(f"{layer}.n"), flat) + self.formats.wide
+
+        alike = [n for n, layer in self.flat.modules.items() if layer.activation == function and frac(n) == frac(name)]
+        return frac(name), max(self.fix_bits(f"{n}.n") for n in alike)
 
     def fix_bits(self, name: str) -> int:
         r = self.ranges[name]

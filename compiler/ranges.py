@@ -4,9 +4,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greygate.models.network import Network
+from greygate.models.network import ACTIVATIONS, Network
 from greygate.models.training import Problem, Record
 
+IMAGE = {
+    "tansig": (-1.0, 1.0),
+    "logsig": (0.0, 1.0),
+    "linear": (-np.inf, np.inf),
+    "hardlim": (0.0, 1.0),
+    "hardlims": (-1.0, 1.0),
+    "satlin": (0.0, 1.0),
+    "radbas": (0.0, 1.0),
+}
 WIDEN_AFTER = 50  # sweeps of interval arithmetic before a signal that still grows is called unbounded
 
 
@@ -14,8 +23,8 @@ WIDEN_AFTER = 50  # sweeps of interval arithmetic before a signal that still gro
 class Range:
     """Of one signal or pre-activation, over all its elements (normalised units).
 
-    low, high: seen on the records. mean: of each element (size,). sound: (low, high) that no input within its own observed
-    range can leave; may be inf.
+    low, high: seen on the records. mean: of each element (size,). sound: (low, high) that no input within its own
+    observed range can leave; may be inf.
     """
 
     low: float
@@ -84,14 +93,6 @@ def _extend(seen: dict[str, tuple[float, float]], name: str, values: np.ndarray)
 
 def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dict[str, tuple[float, float]]:
     """Interval bounds of every signal, as a fixed point over the delays; what keeps growing becomes infinite."""
-    image = {
-        "tansig": np.tanh,
-        "logsig": lambda n: 0.5 + 0.5 * np.tanh(0.5 * n),
-        "linear": lambda n: n,
-        "hardlim": lambda n: (n >= 0) * 1.0,
-        "hardlims": lambda n: np.where(n >= 0, 1.0, -1.0),
-        "satlin": lambda n: np.clip(n, 0, 1),
-    }
     low = {n: v.copy() for n, v in start.items()}
     high = {n: v.copy() for n, v in start.items()}
     for name, (a, b) in inputs.items():
@@ -113,13 +114,14 @@ def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dic
                 nearest = np.where((a <= 0) & (b >= 0), 0.0, np.minimum(np.abs(a), np.abs(b)))
                 a, b = np.exp(-(np.maximum(np.abs(a), np.abs(b)) ** 2)), np.exp(-(nearest**2))
             else:
-                a, b = image[layer.activation](a), image[layer.activation](b)
+                a, b = (ACTIVATIONS[layer.activation](np, n) for n in (a, b))
             grow_low, grow_high = a < low[name] - 1e-12, b > high[name] + 1e-12
             if grow_low.any() or grow_high.any():
                 changed = True
                 wide = sweep >= WIDEN_AFTER
-                low[name] = np.where(grow_low, -np.inf if wide else a, low[name])
-                high[name] = np.where(grow_high, np.inf if wide else b, high[name])
+                least, most = IMAGE[layer.activation]
+                low[name] = np.where(grow_low, least if wide else a, low[name])
+                high[name] = np.where(grow_high, most if wide else b, high[name])
         if not changed:
             break
     return bounds | {n: (float(low[n].min()), float(high[n].max())) for n in low}

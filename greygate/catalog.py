@@ -26,6 +26,7 @@ class Entry:
     title: str
     train: Callable[[Callable[[str], None] | None], tuple[Network, dict]]
     records: Callable[[], Mapping[str, Record]]
+    training: tuple[str, ...]
     scenarios: tuple[str, ...]
     period: float = 1e-3
     references: Mapping[str, Mapping] = field(default_factory=dict)
@@ -58,6 +59,7 @@ CATALOG = {
             "Valve-controlled cylinder: chamber pressures from valve voltage and position",
             valve_cylinder.train_srnn,
             valve_cylinder.records,
+            ("training",),
             valve_cylinder.SCENARIOS,
             prune=valve_cylinder.prune,
             references={
@@ -72,6 +74,7 @@ CATALOG = {
             "Servo-hydraulic test machine, measured: displacement from command",
             _identified(measured.MTS),
             measured.MTS.records,
+            ("chirp_0A", "15Hz0A"),
             ("chirp_1A", "15Hz1A"),
         ),
         Entry(
@@ -79,6 +82,7 @@ CATALOG = {
             "Hydraulic crane actuator, measured: oil pressure from valve opening",
             _identified(measured.CRANE),
             measured.CRANE.records,
+            ("train",),
             ("train", "test"),
             period=measured.CRANE.period,
             references={"published": {"test": {"p_oil": (0.33, 0.50)}}},

@@ -85,6 +85,11 @@ class Source:
         return read_csv(next(iter(self.recordings.values()))).dt if self.recordings else 1e-3
 
     @property
+    def training(self) -> tuple[str, ...]:
+        """Scenarios that set ranges and formats: the catalogue's training runs, or the first recording given."""
+        return entry(self.name).training if not self.recordings else tuple(self.recordings)[:1]
+
+    @property
     def scenarios(self) -> tuple[str, ...]:
         """Scenarios that hardware is verified on."""
         if self.name in CATALOG and not self.recordings:
@@ -110,19 +115,26 @@ def compile_project(
 ) -> Compiled:
     """Compile and write the folder. Nothing is written before everything is known to be right.
 
-    prune: factor by which entropy pruning may raise the RMS error on the first record, e.g. 1.02.
+    prune: factor by which entropy pruning may raise the RMS error on the training records, e.g. 1.02.
     """
     say = progress or (lambda text: None)
     network, records = source.network(), source.records()
-    first = next(iter(records.values()))
+    training = [records[n] for n in source.training]
     pruning = None
     if prune is not None and source.name in CATALOG and entry(source.name).prune:
         pruning = partial(entry(source.name).prune, allowed=prune, progress=say)
     elif prune is not None:
-        pruning = entropy_pruning(first, partial(_retrain, first, say), prune)
+        pruning = entropy_pruning(training, partial(_retrain, training, say), prune)
     say("compiling")
     compiled = compile_network(
-        network, records, formats, budget=budget, prune=pruning, generic=generic, period=source.period
+        network,
+        records,
+        formats,
+        ranged_on=source.training,
+        budget=budget,
+        prune=pruning,
+        generic=generic,
+        period=source.period,
     )
     facts = {
         "source": source.name,
@@ -142,9 +154,9 @@ def compile_project(
     return compiled
 
 
-def _retrain(record: Record, say: Callable[[str], None], network: Network) -> Network:
+def _retrain(records: list[Record], say: Callable[[str], None], network: Network) -> Network:
     say(f"retraining with {sum(layer.size for layer in network.modules.values())} neurons")
-    return train(network, [record], epochs=RETRAIN_EPOCHS).network
+    return train(network, records, epochs=RETRAIN_EPOCHS).network
 
 
 @dataclass(frozen=True)
@@ -166,8 +178,8 @@ class Project:
         return Project(folder, source, Program.load(folder / "program.json"), Network.load(folder / "network"), facts)
 
     def compiled(self, records: Mapping[str, Record]) -> Compiled:
-        """As the compiler left it; ranges are taken again from the first record."""
-        found = ranges(self.network, [next(iter(records.values()))])
+        """As the compiler left it; ranges are taken again from the training records."""
+        found = ranges(self.network, [records[n] for n in self.source.training])
         passes = tuple(Pass(**p) for p in self.facts["passes"])
         return Compiled(self.network, found, self.program, passes)
 
@@ -248,7 +260,7 @@ def study_project(project: Project, progress: Callable[[str], None] | None = Non
         project.facts["title"],
         project.compiled(records),
         records,
-        ranged_on=next(iter(records)),
+        ranged_on=project.source.training,
         period=project.program.period,
         references=project.source.references,
         hardware=project.hardware,

@@ -17,9 +17,8 @@ from jinja2 import Environment, PackageLoader
 from scipy.signal import csd, welch
 
 from greygate import figures
-from greygate.compiler.centre import centre_biases
-from greygate.compiler.pipeline import Compiled
-from greygate.compiler.quantize import Formats, quantize
+from greygate.compiler.pipeline import Compiled, quantize_centred
+from greygate.compiler.quantize import Formats
 from greygate.emulator.engine import run
 from greygate.emulator.program import Affine, Lookup, Port, Program
 from greygate.errors import InputError, replacing
@@ -49,7 +48,7 @@ def study(
     compiled: Compiled,
     records: Mapping[str, Record],
     *,
-    ranged_on: str,
+    ranged_on: Sequence[str],
     period: float,
     references: Mapping[str, Mapping] | None = None,
     hardware: Mapping[str, Mapping] | None = None,
@@ -60,16 +59,17 @@ def study(
 ) -> dict:
     """Everything the report knows of one compiled network, in SI units; numbers are finite, None where there is none.
 
-    records: scenarios; their targets are the reference. ranged_on: the one whose ranges set the formats. period: s.
+    records: scenarios; their targets are the reference. ranged_on: those whose ranges set the formats. period: s.
     references: published RMSE by source, scenario and output, {"thesis": {"v1": {"p_a": 55200.0}}}; a value may be a
     pair (low, high). hardware: by architecture, {"parallel": {"clocks_per_step": 40, "scenarios": {"v1": {"steps":
     5000, "differing_bits": 0}}}}. resources: {"parallel, ecp5": {"luts": 9000, ...}}. widths, formats: word widths of
     the curve, and everything else about its formats. progress: called with a line now and then.
 
-    Raises InputError when `ranged_on` is no scenario, or the float network diverges on one.
+    Raises InputError when one of `ranged_on` is no scenario, or the float network diverges on one.
     """
-    if ranged_on not in records:
-        raise InputError(f"report {title}: no scenario {ranged_on}; there are {', '.join(records)}")
+    for name in ranged_on:
+        if name not in records:
+            raise InputError(f"report {title}: no scenario {name}; there are {', '.join(records)}")
     say = progress or (lambda line: None)
     program, hardware, references = compiled.program, hardware or {}, references or {}
     units = {label: p.unit for p in program.outputs for label in _labels(p)}
@@ -97,11 +97,11 @@ def study(
             "title": title,
             "program": program.name,
             "period": period,
-            "ranged_on": ranged_on,
+            "ranged_on": list(ranged_on),
             "size": _size(program),
             "scenarios": scenarios,
             "widths": _curve(compiled, records, scenarios, ranged_on, widths, formats or Formats(), say),
-            "signals": _signals(compiled, records[ranged_on], saturations),
+            "signals": _signals(compiled, records[ranged_on[0]], saturations),
             "tables": [
                 {
                     "name": t.name,
@@ -284,7 +284,7 @@ def _curve(
     compiled: Compiled,
     records: Mapping[str, Record],
     scenarios: dict,
-    ranged_on: str,
+    ranged_on: Sequence[str],
     widths: Iterable[int],
     formats: Formats,
     say: Callable[[str], None],
@@ -299,10 +299,13 @@ def _curve(
     for width in widths:
         say(f"{compiled.program.name}: {width} bits")
         try:
-            program = quantize(
-                compiled.network, compiled.ranges, replace(formats, width=width), compiled.program.period
+            program = quantize_centred(
+                compiled.network,
+                compiled.ranges,
+                [records[n] for n in ranged_on],
+                replace(formats, width=width),
+                compiled.program.period,
             )
-            program = centre_biases(program, compiled.network, records[ranged_on])
         except InputError:
             program = None
         same = program is not None

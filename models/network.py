@@ -2,8 +2,8 @@
 the compiler all walk it.
 
 A `Layer` is `activation(sum over ports of W @ input + bias)`. A `Network` joins layers and other networks by
-connections, each with a delay z^-d and a gain. Every loop must hold a delay of at least one step. `flatten` gives the same network
-as layers alone, each port fed by exactly one signal: the form on which everything else works.
+connections, each with a delay z^-d and a gain. Every loop must hold a delay of at least one step. `flatten` gives the
+same network as layers alone, each port fed by exactly one signal: the form on which everything else works.
 """
 
 import math

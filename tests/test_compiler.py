@@ -176,7 +176,12 @@ def test_a_state_that_integrates_gets_fraction_bits_and_the_program_says_why():
     assert program.signals["sum"].fix.width > 12
     assert "remembers its rounding" in program.notes["sum"]
     assert memory(network.modules["sum"], [np.eye(1)]) == math.inf
+    assert loop_gain([np.eye(1)]) == 1  # an exact loop
+
+
+def test_weights_in_a_loop_get_bits_for_its_worst_frequency():
     assert loop_gain([np.array([[0.9]])]) == pytest.approx(10)
+    assert loop_gain([np.zeros((1, 1)), np.array([[-0.99]])]) == pytest.approx(100, rel=1e-3)  # resonance, not DC
 
 
 def test_an_input_has_the_codes_of_its_sensor():
@@ -208,7 +213,7 @@ def test_entropy_pruning_removes_neurons_that_do_nothing_and_keeps_the_error():
     def retrain(n):
         return train(n, [record], epochs=10).network
 
-    compiled = compile_network(network, {"grid": record}, prune=entropy_pruning(record, retrain, 1.05))
+    compiled = compile_network(network, {"grid": record}, prune=entropy_pruning([record], retrain, 1.05))
     assert compiled.pruning[0].kept
     assert {6, 7} <= set(compiled.pruning[0].removed["hidden1"])
     assert not compiled.pruning[-1].kept  # it went on until the error threshold was missed, and undid that
@@ -234,7 +239,7 @@ def test_centred_biases_take_the_mean_out_of_one_step_errors():
     record = record_of(network, 600, 33)
     program = quantize(network, ranges(network, [record]), Formats(9))
     before = [abs(e.mean()) for e in fixed_error(program, record).values()]
-    after = [abs(e.mean()) for e in fixed_error(centre_biases(program, network, record), record).values()]
+    after = [abs(e.mean()) for e in fixed_error(centre_biases(program, network, [record]), record).values()]
     assert sum(after) <= sum(before)
 
 

@@ -63,7 +63,7 @@ def found(compiled, records):
         "Small & measured",
         compiled,
         records,
-        ranged_on="training",
+        ranged_on=["training"],
         period=PERIOD,
         references={"paper": {"training": {"x": 3e-6, "p[0]": (3e4, 4e4)}}},
         hardware={
@@ -136,7 +136,7 @@ def test_every_signal_stands_beside_its_format_with_what_was_seen_and_what_is_pr
 
 def test_inputs_beyond_their_format_are_counted(compiled, records):
     loud = Record({"u": 3 * records["training"].inputs["u"]}, records["training"].targets)
-    s = study("loud", compiled, {**records, "loud": loud}, ranged_on="training", period=PERIOD, widths=())
+    s = study("loud", compiled, {**records, "loud": loud}, ranged_on=["training"], period=PERIOD, widths=())
     u = next(x for x in s["signals"] if x["name"] == "u")
     assert u["saturations"]["loud"] == np.count_nonzero(np.abs(loud.inputs["u"] / 2) > 1)
     assert "None</span>, of any signal" not in page([s])
@@ -168,7 +168,7 @@ def test_page_and_json_are_written_together_and_replace_what_was_there(found, tm
 
 def test_a_scenario_that_is_not_there_is_named(compiled, records):
     with pytest.raises(InputError, match="no scenario v3"):
-        study("s", compiled, records, ranged_on="v3", period=PERIOD)
+        study("s", compiled, records, ranged_on=["v3"], period=PERIOD)
 
 
 def test_a_delayed_and_damped_copy_has_its_gain_and_phase():
@@ -184,7 +184,7 @@ def test_a_delayed_and_damped_copy_has_its_gain_and_phase():
 def test_a_constant_reference_has_no_response_but_a_page(compiled, records):
     still = records["training"]
     still = Record(still.inputs, {n: np.zeros_like(v) for n, v in still.targets.items()})
-    s = study("still", compiled, {"still": still}, ranged_on="still", period=PERIOD, widths=(14,))
+    s = study("still", compiled, {"still": still}, ranged_on=["still"], period=PERIOD, widths=(14,))
     assert set(s["scenarios"]["still"]["outputs"]["x"]["frf"]["fixed"]["magnitude"]) == {None}
     assert "still" in page([s])
 

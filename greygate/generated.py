@@ -1,0 +1,38 @@
+"""Modules of generated source that numba compiles, kept on disk so that each is compiled once on a machine."""
+
+import hashlib
+import importlib.util
+import os
+import sys
+import types
+from pathlib import Path
+
+from greygate.errors import InputError, replacing
+
+
+def load(kind: str, text: str) -> types.ModuleType:
+    """The module of the source `text`, named by its hash, in `$XDG_CACHE_HOME/greygate/<kind>s` (`~/.cache` by default).
+
+    Functions that `text` decorates with `njit(cache=True)` find what numba compiled in an earlier process beside it.
+    Where that folder cannot be written, the module lives in memory.
+    """
+    name = f"greygate_{kind}_{hashlib.sha256(text.encode()).hexdigest()[:24]}"
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "greygate" / f"{kind}s"
+    path = folder / f"{name}.py"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not path.exists() or path.read_text() != text:
+            with replacing(path) as temporary:
+                temporary.write_text(text)
+        writable = os.access(folder, os.W_OK)
+    except (OSError, InputError):
+        writable = False
+    if not writable:
+        module = types.ModuleType(name)
+        exec(compile(text.replace("cache=True", "cache=False"), name, "exec"), module.__dict__)
+        return module
+    spec = importlib.util.spec_from_file_location(name, path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # numba finds a cached function's globals by this name
+    spec.loader.exec_module(module)
+    return module

@@ -1,0 +1,114 @@
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import test_compiler
+from programs import cylinder_program, random_codes, random_program
+
+from greygate.emulator import engine
+from greygate.emulator.engine import run
+from greygate.emulator.interpreter import interpret
+from greygate.emulator.program import Affine, Fix, Lookup, Port, Program, Rounding, Signal, Symmetry, Table
+
+
+@pytest.fixture(scope="module", autouse=True)
+def own_cache(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
+def agree(program: Program, codes: np.ndarray, initial: np.ndarray | None = None) -> None:
+    want = interpret(program, codes, initial, trace=True)
+    for specialised in (True, False):
+        got = run(program, codes, initial, trace=True, specialised=specialised)
+        for name, signal in want.trace.items():
+            np.testing.assert_array_equal(got.trace[name], signal, err_msg=f"{program.name}: {name}")
+        np.testing.assert_array_equal(got.outputs, want.outputs)
+        np.testing.assert_array_equal(got.states, want.states)
+        assert got.saturations == want.saturations
+
+
+def wide() -> Program:
+    """Accumulators and products of a table beyond what float64 holds, every rounding, shifts to both sides."""
+    x, out = Signal("x", 3, Fix(30, 20)), Fix(28, 12)
+    rng = np.random.default_rng(5)
+    operations = [
+        Affine(
+            Signal(f"{rounding}.sum", 5, out),
+            ("x",),
+            rng.integers(-(1 << 26), 1 << 26, (5, 3)),
+            rng.integers(-(1 << 40), 1 << 40, 5),
+            np.array([40, 38, 12, 10, 41]),
+            rounding,
+        )
+        for rounding in Rounding
+    ]
+    points = tuple(int(p) for p in rng.integers(-(1 << 44), 1 << 44, 9))
+    table = Table("steep", "any", Symmetry.ODD, 15, points, True, out, Fix(46, 30), 0.0)
+    operations += [Lookup(Signal(f"{o.out.name}.y", 5, table.out), o.out.name, "steep") for o in operations]
+    assert all(program_width(o, x) >= 53 for o in operations[:3])
+    outputs = tuple(Port(o.out.name, o.out, "1", 1.0, 0.0) for o in operations)
+    return Program("wide", (Port("x", x, "1", 1.0, 0.0),), (), tuple(operations), outputs, (table,)).check()
+
+
+def program_width(o: Affine, x: Signal) -> int:
+    return Program("", (Port("x", x, "1", 1.0, 0.0),), (), (o,), ()).accumulator_width(o)
+
+
+# between them: every operation, rounding, overflow and symmetry; interpolated and plain; sizes of one and of several
+@pytest.mark.parametrize("seed", [3, 11, 24, 37, 58])
+def test_a_kernel_made_for_a_program_equals_the_interpreter_in_every_bit_of_every_signal(seed):
+    program = random_program(seed)
+    agree(program, random_codes(program, seed, 60))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_kernel_made_for_a_compiled_network_equals_the_interpreter_in_every_bit(seed):
+    agree(*test_compiler.random_program(seed))
+
+
+def test_a_kernel_made_for_wide_accumulators_equals_the_interpreter_in_every_bit():
+    program = wide()
+    agree(program, random_codes(program, 0, 200))
+
+
+def test_a_kernel_takes_batches_from_given_states_and_counts_their_saturations():
+    program = cylinder_program()
+    codes = np.stack([random_codes(program, seed, 50) for seed in range(6)]).reshape(2, 3, 50, -1)
+    initial = run(program, codes[0, 0], specialised=False).states[[3, 9, 20]]
+    agree(program, codes, initial)
+    assert run(program, codes, specialised=True, states=False).states.size == 0
+
+
+def test_a_long_run_compiles_a_kernel_and_later_runs_take_it(monkeypatch):
+    program = random_program(3)
+    codes, made, compiled = random_codes(program, 0, 50), [], engine.kernels.compiled
+    monkeypatch.setattr(engine, "WORTH_COMPILING", 100)
+    monkeypatch.setattr(engine.kernels, "compiled", lambda program: made.append(program) or compiled(program))
+    want = run(program, codes).outputs
+    run(program, np.stack([codes, codes]), specialised=False)
+    assert made == []
+    np.testing.assert_array_equal(run(program, np.stack([codes, codes])).outputs, [want, want])
+    np.testing.assert_array_equal(run(program, codes).outputs, want)
+    assert made == [program]
+
+
+SCRIPT = """
+import os, sys
+sys.path.insert(0, os.environ["TESTS"])
+from programs import random_codes, random_program
+from greygate.emulator.engine import _KERNELS, run
+program = random_program(3)
+run(program, random_codes(program, 3, 5), specialised=True)
+stats = _KERNELS[program].stats
+print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))
+"""
+
+
+def test_a_second_process_compiles_no_kernel_anew(tmp_path):
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path), "TESTS": os.path.dirname(__file__)}
+    told = [subprocess.check_output([sys.executable, "-c", SCRIPT], env=environment, text=True) for _ in range(2)]
+    assert [text.split() for text in told] == [["0", "1"], ["1", "0"]]
