@@ -1,4 +1,4 @@
-"""Closed-loop steps per CPU second of the compiled cylinder network: engine, Verilator, cocotb, interpreter, in one run.
+"""Closed-loop steps per CPU second of the compiled cylinder network: engines, Verilator, cocotb, interpreter, one run.
 
 Usage: python benchmarks/engine.py [--json FILE]
 """
@@ -10,12 +10,13 @@ import tempfile
 import time
 from pathlib import Path
 
+from verilator_bench import measure
+
 from greygate.catalog import entry
 from greygate.compiler.pipeline import compile_network
 from greygate.emulator.engine import run
 from greygate.emulator.interpreter import interpret
 from greygate.rtl.verify import Scenario, verify
-from verilator_bench import measure
 
 REPEATS = 7
 SLOW_STEPS = 2000  # for the interpreter
@@ -41,8 +42,16 @@ def main() -> None:
         scenario = Scenario(codes, answer.outputs, answer.states)
         checked = verify(program, Path(folder), {"training": scenario}, seed=0)
         assert checked.passed
+
+    def engine(specialised: bool) -> float:
+        return steps_per_second(
+            lambda: [run(program, codes, states=False, specialised=specialised) for _ in range(20)], 20 * len(codes)
+        )
+
+    run(program, codes, specialised=True)  # compile
     found = {
-        "engine": steps_per_second(lambda: [run(program, codes, states=False) for _ in range(20)], 20 * len(codes)),
+        "engine": engine(specialised=True),
+        "engine, walking arrays": engine(specialised=False),
         "verilator": statistics.median(
             measure(program, codes, expected=answer.outputs)["steps_per_second"] for _ in range(3)
         ),

@@ -1,25 +1,31 @@
 """The fast engine: the interpreter's answer, bit for bit, from one numba kernel that walks the program as arrays.
 
+A long run is worth a kernel of the program's own (`specialised.py`): about three times as fast, after seconds of
+compiling.
+
 Sums of products run in float64 where the program proves that an accumulator stays below 2^53: every partial sum is
 then an integer that float64 holds exactly, in any order, and the processor has vector units for it. Wider accumulators
 run in int64. Nothing else is ever a float.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numba
 import numpy as np
 
+from greygate.emulator import specialised as kernels
 from greygate.emulator.interpreter import Run
 from greygate.emulator.program import Affine, Clamp, Lookup, Overflow, Program, Rounding, Symmetry
 
-EXACT_BITS = 53  # integers up to 2^53 are exact in float64
+WORTH_COMPILING = 20_000_000  # steps of all sequences
 AFFINE, AFFINE_WIDE, TABLE, CLAMP, THRESHOLD = range(5)
 # unsigned: numba then leaves out its check for negative indices, and the loops become vector code
 ZERO, ONE, TWO, THREE, FOUR = (np.uint64(n) for n in range(5))
 _ROUNDING = list(Rounding)
 _ARRAYS: "WeakKeyDictionary[Program, _Arrays]" = WeakKeyDictionary()
+_KERNELS: WeakKeyDictionary[Program, Callable] = WeakKeyDictionary()
 
 
 class _Arrays(NamedTuple):
@@ -53,7 +59,7 @@ def _tabulate(program: Program) -> _Arrays:
     for o in program.operations:
         head, fix = (first[o.out.name], o.out.size), o.out.fix
         if isinstance(o, Affine):
-            kind = AFFINE if program.accumulator_width(o) < EXACT_BITS else AFFINE_WIDE
+            kind = AFFINE if program.accumulator_width(o) < kernels.EXACT_BITS else AFFINE_WIDE
             columns = [first[arg] + i for arg in o.args for i in range(program.signals[arg].size)]
             padded = 1 if o.out.size == 1 else -(-o.out.size // 4) * 4
             modes = (_ROUNDING.index(o.rounding), o.overflow is Overflow.WRAP)
@@ -229,10 +235,13 @@ def run(
     initial: np.ndarray | None = None,
     trace: bool = False,
     states: bool = True,
+    specialised: bool | None = None,
 ) -> Run:
     """As `interpreter.interpret`, fast. inputs: codes (..., N, columns); initial: (..., state columns).
 
     states=False leaves the states out of the answer (an empty array), for speed.
+    specialised: with a kernel made for this program, which is compiled once and kept on disk (greygate/generated.py).
+    None takes it where it is loaded already, or where so many steps are to be run that compiling pays.
     """
     arrays = _ARRAYS.get(program)
     if arrays is None:
@@ -247,7 +256,15 @@ def run(
     after = np.empty((len(flat), steps if states else 0, count), np.int64)
     traced = np.empty((len(flat), steps if trace else 0, arrays.elements), np.int64)
     events = np.zeros(len(program.operations), np.int64)
-    _run(*arrays, flat, np.ascontiguousarray(start, np.int64), outputs, after, events, traced)
+    if specialised is None:
+        specialised = program in _KERNELS or len(flat) * steps >= WORTH_COMPILING
+    if specialised and program not in _KERNELS:
+        _KERNELS[program] = kernels.compiled(program)
+    arguments = flat, np.ascontiguousarray(start, np.int64), outputs, after, events, traced
+    if specialised:
+        _KERNELS[program](*arguments)
+    else:
+        _run(*arrays, *arguments)
     saturations = {
         o.out.name: int(n) for o, n in zip(program.operations, events, strict=True) if isinstance(o, Affine | Clamp)
     }

@@ -11,7 +11,7 @@ from greygate.errors import InputError, replacing
 
 
 def load(kind: str, text: str) -> types.ModuleType:
-    """The module of the source `text`, named by its hash, in `$XDG_CACHE_HOME/greygate/<kind>s` (`~/.cache` by default).
+    """The module of source `text`, named by its hash, in `$XDG_CACHE_HOME/greygate/<kind>s` (`~/.cache` by default).
 
     Functions that `text` decorates with `njit(cache=True)` find what numba compiled in an earlier process beside it.
     Where that folder cannot be written, the module lives in memory.

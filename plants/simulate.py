@@ -7,18 +7,14 @@ nothing.
 """
 
 import ast
-import hashlib
-import importlib.util
-import os
-import sys
 import types
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
-from greygate.errors import InputError, replacing
+from greygate.errors import InputError
+from greygate.generated import load
 from greygate.plants.plant import FUNCTIONS, Definition, Equation, Plant
 from greygate.plants.recording import Recording
 
@@ -189,24 +185,4 @@ def run(x, inputs, parameters, low, high, rate, h, substeps, out):
 
 @lru_cache(maxsize=64)
 def _module(text: str) -> types.ModuleType:
-    """The compiled module of `text`: from the cache folder, or in memory where that cannot be written."""
-    name = f"greygate_plant_{hashlib.sha256(text.encode()).hexdigest()[:24]}"
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "greygate" / "plants"
-    path = folder / f"{name}.py"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if not path.exists() or path.read_text() != text:
-            with replacing(path) as temporary:
-                temporary.write_text(text)
-        writable = os.access(folder, os.W_OK)
-    except (OSError, InputError):
-        writable = False
-    if not writable:
-        module = types.ModuleType(name)
-        exec(compile(text.replace("cache=True", "cache=False"), name, "exec"), module.__dict__)
-        return module
-    spec = importlib.util.spec_from_file_location(name, path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # numba finds a cached function's globals by this name
-    spec.loader.exec_module(module)
-    return module
+    return load("plant", text)
