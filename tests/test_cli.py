@@ -1,0 +1,207 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_network import delay_line
+from typer.testing import CliRunner
+
+from greygate import __version__, cli
+from greygate.cli import app
+from greygate.errors import InputError, replacing_folder
+
+GREYGATE = str(Path(sys.executable).with_name("greygate"))
+
+
+def greygate(*arguments, cwd=None):
+    """The installed command: exit code, stdout, stderr."""
+    done = subprocess.run([GREYGATE, *map(str, arguments)], capture_output=True, text=True, cwd=cwd)
+    return done.returncode, done.stdout, done.stderr
+
+
+def recording(path: Path, header: str = "t_s,u_V,y_m", steps: int = 60, spoil=lambda rows: rows, reach=3) -> Path:
+    rng = np.random.default_rng(0)
+    u = rng.uniform(-1, reach, steps)
+    y = delay_line().run({"u": u})["y"] if steps else u
+    rows = [[f"{k * 1e-3:.3f}", repr(float(a)), repr(float(b))] for k, (a, b) in enumerate(zip(u, y, strict=True))]
+    path.write_text("\n".join([header, *map(",".join, spoil(rows))]) + "\n")
+    return path
+
+
+@pytest.fixture
+def network(tmp_path) -> Path:
+    delay_line().save(tmp_path / "line")
+    return tmp_path / "line.toml"
+
+
+@pytest.fixture
+def built(tmp_path, network) -> Path:
+    code, _, error = greygate(
+        "compile", network, "--record", f"train={recording(tmp_path / 'a.csv')}", "--out", tmp_path / "build"
+    )
+    assert code == 0, error
+    return tmp_path / "build"
+
+
+def test_the_version_and_the_catalogue_are_printed():
+    assert greygate("--version") == (0, f"greygate {__version__}\n", "")
+    code, out, _ = greygate("train", "list", "--json")
+    assert code == 0
+    assert set(json.loads(out)) == {"valve_cylinder", "mts", "crane"}
+
+
+def test_a_users_network_goes_the_whole_road(tmp_path, built):
+    code, out, _ = greygate("verify", built, "--seed", 1, "--json")
+    assert code == 0
+    found = json.loads(out)
+    assert found["passed"]
+    assert {(v["architecture"], v["steps"]) for v in found["verdicts"]} == {("parallel", 60), ("folded", 60)}
+    assert (built / "results-parallel.xml").exists()
+    code, out, _ = greygate("emulate", built, tmp_path / "a.csv", "--out", tmp_path / "p.csv", "--json")
+    assert code == 0
+    assert json.loads(out)["steps"] == 60
+    assert (tmp_path / "p.csv").read_text().startswith("t_s,y_m\n")
+    code, _, _ = greygate("report", built, "--out", tmp_path / "r.html")
+    assert code == 0
+    study = json.loads((tmp_path / "r.json").read_text())[0]
+    assert study["scenarios"]["train"]["outputs"]["y"]["hardware"]["parallel"]["equals_fixed"]
+
+
+def test_verify_says_no_with_exit_code_1_when_the_verilog_is_changed(built):
+    layer = next((built / "rtl" / "parallel").glob("*_sum.v"))
+    text = layer.read_text()
+    assert " + " in text
+    layer.write_text(text.replace(" + ", " - ", 1))
+    code, out, _ = greygate("verify", built, "--seed", 1)
+    assert code == 1
+    assert "step 0" in out
+    assert "the emulator has" in out
+
+
+def test_compiling_again_replaces_the_folder_and_forgets_what_was_verified(tmp_path, network, built):
+    (built / "verify.json").write_text("{}")
+    code, _, _ = greygate(
+        "compile", network, "--record", f"t={tmp_path / 'a.csv'}", "--out", built, "--architecture", "folded"
+    )
+    assert code == 0
+    assert not (built / "verify.json").exists()
+    assert not (built / "rtl" / "parallel").exists()
+
+
+def swapped(rows, row, column, text):
+    rows[row][column] = text
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda p: recording(p, header="t_s,u,y_m"), "unit"),
+        (lambda p: recording(p, header="t_s,u_A,y_m"), "u"),
+        (lambda p: recording(p, header="t_s,w_V,y_m"), "u"),
+        (lambda p: recording(p, header="time,u_V,y_m"), "t_s"),
+        (lambda p: recording(p, spoil=lambda r: swapped(r, 5, 0, "0.0055")), "uniform"),
+        (lambda p: recording(p, spoil=lambda r: swapped(r, 5, 1, "nan")), "nan"),
+        (lambda p: recording(p, spoil=lambda r: swapped(r, 5, 2, "inf")), "inf"),
+        (lambda p: recording(p, spoil=lambda r: swapped(r, 5, 1, "lots")), "lots"),
+        (lambda p: recording(p, spoil=lambda r: [*r[:7], r[7][:2], *r[8:]]), "a.csv"),
+        (lambda p: recording(p, steps=0), "a.csv"),
+        (lambda p: p, "a.csv"),
+    ],
+)
+def test_a_bad_recording_is_named_in_one_line_and_nothing_is_written(tmp_path, network, make, message):
+    before = {*tmp_path.iterdir(), make(tmp_path / "a.csv")}
+    code, out, error = greygate("compile", network, "--record", "t=a.csv", "--out", "build", cwd=tmp_path)
+    assert (code, out) == (2, "")
+    assert error.count("\n") == 1
+    assert error.startswith("greygate: ")
+    assert message in error
+    assert {*tmp_path.iterdir()} <= before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["compile", "nobody", "--out", "b"], "no network is called 'nobody'"),
+        (["compile", "missing.toml", "--record", "t=a.csv", "--out", "b"], "missing.toml: no such file"),
+        (["compile", "line.toml", "--out", "b"], "give recordings"),
+        (["compile", "line.toml", "--record", "a.csv", "--out", "b"], "write SCENARIO=FILE.csv"),
+        (["compile", "line.toml", "--record", "t=a.csv", "--width", "3", "--out", "b"], "choose 4 to 32 bits"),
+        (["compile", "line.toml", "--record", "t=big.csv", "--width", "8", "--out", "b"], "8 bits cannot hold"),
+        (["compile", "line.toml", "--record", "t=a.csv", "--budget", "0.5", "--out", "b"], "--budget 0.5"),
+        (["compile", "line.toml", "--record", "t=a.csv", "--prune", "0.5", "--out", "b"], "--prune 0.5"),
+        (["compile", "line.toml", "--record", "t=a.csv", "--macs", "0", "--out", "b"], "0 multipliers"),
+        (["compile", "line.toml", "--record", "t=a.csv", "--out", "/proc/b"], "cannot make this folder"),
+        (["compile", "line.toml", "--record", "t=a.csv", "--out", "other"], "holds other files"),
+        (["compile", "line.toml", "--record", "t=a.csv", "--out", "a.csv"], "a file of that name is in the way"),
+        (["verify", "other"], "run greygate compile first"),
+        (["report", "other"], "run greygate compile first"),
+        (["train", "nobody"], "no network is called 'nobody'"),
+        (["train", "crane", "--out", "nowhere"], "no such folder"),
+    ],
+)
+def test_wrong_use_is_one_line_with_exit_code_2_and_nothing_is_left(tmp_path, network, arguments, message):
+    recording(tmp_path / "a.csv")
+    recording(tmp_path / "big.csv", reach=900)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "notes.txt").write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    code, out, error = greygate(*arguments, cwd=tmp_path)
+    assert (code, out) == (2, "")
+    assert message in error
+    assert error.count("\n") == 1
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_truncated_network_file_is_named(tmp_path, network):
+    numbers = network.with_suffix(".safetensors")
+    numbers.write_bytes(numbers.read_bytes()[:40])
+    recording(tmp_path / "a.csv")
+    code, _, error = greygate("compile", network, "--record", f"t={tmp_path / 'a.csv'}", "--out", tmp_path / "b")
+    assert code == 2
+    assert "not a readable network" in error
+    assert not (tmp_path / "b").exists()
+
+
+def test_a_scenario_that_does_not_exist_is_named(built):
+    code, _, error = greygate("verify", built, "--scenario", "v9")
+    assert code == 2
+    assert "no scenario 'v9'; there are train" in error
+
+
+def test_an_interrupted_compilation_leaves_nothing_behind(tmp_path):
+    process = subprocess.Popen(
+        [GREYGATE, "compile", "valve_cylinder", "--prune", "1.0", "--out", "build"],
+        cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    time.sleep(4)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(30) != 0
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_failure_while_writing_leaves_the_earlier_folder_as_it_was(tmp_path):
+    target = tmp_path / "build"
+    target.mkdir()
+    (target / "compile.json").write_text("old")
+
+    def fail():
+        with replacing_folder(target, "compile.json") as new:
+            (new / "half").write_text("x")
+            raise InputError("broken")
+
+    with pytest.raises(InputError, match="broken"):
+        fail()
+    assert [p.name for p in tmp_path.rglob("*")] == ["build", "compile.json"]
+
+
+def test_help_names_every_command():
+    text = CliRunner().invoke(app, ["--help"]).stdout
+    for command in ("train", "compile", "emulate", "verify", "synthesize", "report"):
+        assert command in text
+    assert cli.__doc__

@@ -1,0 +1,43 @@
+"""What the pages say is run."""
+
+import os
+import re
+from pathlib import Path
+
+import pytest
+
+from greygate.catalog import CATALOG, entry
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/network.md"])
+def test_the_python_in_a_page_runs(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.S)
+    assert blocks
+    for block in blocks:
+        exec(compile(block, page, "exec"), {})
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))], ids=lambda p: p.name)
+def test_links_between_pages_lead_somewhere(page):
+    for target in re.findall(r"\]\((?!http)([^)#]+)\)", page.read_text()):
+        assert os.path.exists(page.parent / target), target
+
+
+def test_the_readme_shows_the_figures_of_the_stored_network():
+    from greygate.valve_cylinder import records, rms
+
+    text = (ROOT / "README.md").read_text()
+    network = entry("valve_cylinder").network()
+    for scenario, label in (("training", "trained, training"), ("v1", "v1,"), ("v2", "v2,")):
+        row = next(line for line in text.splitlines() if line.startswith(f"| {label}"))
+        a, b = (v / 1e5 for v in rms(network, records()[scenario]).values())
+        assert f"| {a:.3f} / {b:.3f} |" in row
+
+
+def test_every_network_of_the_catalogue_is_kept_and_runs():
+    for name, chosen in CATALOG.items():
+        assert chosen.network().check().name
+        assert set(chosen.scenarios) <= set(chosen.records()), name
