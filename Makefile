@@ -14,14 +14,14 @@ demo: $(VENV)/.ready | tools
 	$(BIN)/greygate report $(OUT)/valve_cylinder $(OUT)/mts --out $(OUT)/report.html
 	@echo "open $(OUT)/report.html; the Verilog is in $(OUT)/*/rtl"
 
-test: $(VENV)/.ready | tools
+test: $(VENV)/.ready-dev | tools
 	$(BIN)/python -m pytest -n 2
 
-lint: $(VENV)/.ready
+lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-bench: $(VENV)/.ready | tools
+bench: $(VENV)/.ready-dev | tools
 	$(BIN)/python benchmarks/engine.py
 	$(BIN)/python benchmarks/compile_time.py
 	$(BIN)/python benchmarks/plant.py
@@ -33,10 +33,16 @@ train: $(VENV)/.ready
 clean:
 	rm -rf $(OUT) build *.egg-info
 
+INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt
+
 $(VENV)/.ready: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python 3.11 or newer is needed: make PYTHON=python3.11"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,synthesis]'
+	$(INSTALL) -e .
+	@touch $@
+
+$(VENV)/.ready-dev: $(VENV)/.ready
+	$(INSTALL) -e '.[dev,synthesis]'
 	@touch $@
 
 tools:
