@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greygate.compiler.centre import centre_biases
-from greygate.compiler.prune import Round, prune_by_entropy
+from greygate.compiler.prune import Round, output_errors, prune_by_entropy
 from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.ranges import Range, ranges
 from greygate.compiler.simplify import SIMPLIFICATIONS, merge_linear, multiplications, parameter_count
@@ -87,11 +87,11 @@ def compile_network(
 def entropy_pruning(
     records: Sequence[Record], retrain: Callable[[Network], Network], allowed: float
 ) -> Callable[[Network], tuple[Network, list[Round]]]:
-    """A pruning pass for `compile_network`. allowed: factor by which the RMS error on the records may rise."""
+    """A pruning pass for `compile_network`. allowed: factor by which the RMS error of each output over the
+    records may rise."""
 
     def prune(network: Network) -> tuple[Network, list[Round]]:
-        problem = Problem(network, list(records))
-        error = float(np.sqrt(problem.squares(problem.theta) / problem.samples))
+        error = output_errors(network, list(records))
         return prune_by_entropy(network, list(records), retrain, allowed * error)
 
     return prune

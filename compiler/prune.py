@@ -16,11 +16,14 @@ RIDGE = 1e-9  # of the regression, per sample
 
 @dataclass(frozen=True)
 class Round:
-    """One attempt: how many neurons were removed, the error after training again, and whether it was kept."""
+    """One attempt: the neurons removed, how many are left, and whether it was kept.
+
+    error: of each output after training again, RMS over the records, normalised.
+    """
 
     removed: dict[str, list[int]]
     neurons: int
-    error: float
+    error: tuple[float, ...]
     kept: bool
 
 
@@ -37,6 +40,16 @@ def entropies(network: Network, records: list[Record]) -> dict[str, np.ndarray]:
         p = np.stack([np.histogram(v, BINS, (low, high))[0] for v in run[:, columns].T]) / len(run)
         found[name] = -np.sum(p * np.log(np.where(p > 0, p, 1.0)), axis=1)
     return found
+
+
+def output_errors(network: Network, records: list[Record]) -> np.ndarray:
+    """RMS error over all records, normalised, of each output column; inf where a run diverges."""
+    problem = Problem(network, records)
+    errors = problem.errors(problem.theta)
+    if errors is None:
+        return np.full(sum(p.size for p in problem.flat.outputs), np.inf)
+    used = np.concatenate([e[r.skip :] for e, r in zip(errors, records, strict=True)])
+    return np.sqrt(np.mean(used**2, axis=0))
 
 
 def remove_neurons(network: Network, records: list[Record], chosen: dict[str, list[int]]) -> Network:
@@ -72,14 +85,14 @@ def prune_by_entropy(
     network: Network,
     records: list[Record],
     retrain: Callable[[Network], Network],
-    allowed: float,
+    allowed: np.ndarray,
     low: float = 0.1,
 ) -> tuple[Network, list[Round]]:
     """Remove neurons of low entropy and train again, round after round, until the error would exceed `allowed`.
 
     A round takes every neuron under `low` of the greatest possible entropy, or the lowest one if none is. allowed: RMS
-    error on the records, normalised. A round that misses it is undone; the next one takes half as many, and when a
-    single neuron cannot be spared the pruning ends.
+    error over the records, normalised, of each output. A round that misses it is undone; the next one takes half as
+    many, and when a single neuron cannot be spared the pruning ends.
     """
     rounds: list[Round] = []
     largest = sum(map(len, entropies(network, records).values()))
@@ -95,10 +108,9 @@ def prune_by_entropy(
             if len(chosen.get(name, [])) < len(found[name]) - 1:
                 chosen.setdefault(name, []).append(i)
         trial = retrain(remove_neurons(network, records, chosen))
-        problem = Problem(trial, records)
-        error = float(np.sqrt(problem.squares(problem.theta) / problem.samples))
-        kept = error <= allowed
-        rounds.append(Round(chosen, len(ranked) - sum(map(len, chosen.values())), error, kept))
+        error = output_errors(trial, records)
+        kept = bool((error <= allowed).all())
+        rounds.append(Round(chosen, len(ranked) - sum(map(len, chosen.values())), tuple(error.tolist()), kept))
         if kept:
             network = trial
         elif len(batch) > 1:

@@ -7,11 +7,11 @@ from functools import lru_cache
 import numpy as np
 
 from greygate.compiler.pipeline import float_error
-from greygate.compiler.prune import Round, prune_by_entropy
+from greygate.compiler.prune import Round, output_errors, prune_by_entropy
 from greygate.models.blocks import divider_record, fit_divider, fit_flow, flow_record
 from greygate.models.cylinder import mean_spool, valve_srnn
 from greygate.models.network import Network
-from greygate.models.training import Problem, Record, train
+from greygate.models.training import Record, train
 from greygate.plants.excitation import band_limited_noise, prms
 from greygate.plants.scenarios import measure, scenario
 from greygate.plants.valve_cylinder import spool_discrete, valve_cylinder
@@ -105,7 +105,7 @@ def prune(
 ) -> tuple[Network, list[Round]]:
     """Entropy pruning of the generic network; what it does under load is kept by `exercise`.
 
-    allowed: factor by which the RMS error over training scenario and exercise may rise.
+    allowed: factor by which each chamber's RMS error over training scenario and exercise may rise.
     """
     kept = [records()["training"], exercise(network)]
 
@@ -114,9 +114,7 @@ def prune(
             progress(f"retraining with {sum(layer.size for layer in smaller.modules.values())} neurons")
         return train(smaller, kept, epochs=PRUNING_EPOCHS).network
 
-    problem = Problem(network, kept)
-    error = float(np.sqrt(problem.squares(problem.theta) / problem.samples))
-    return prune_by_entropy(network, kept, retrain, allowed * error)
+    return prune_by_entropy(network, kept, retrain, allowed * output_errors(network, kept))
 
 
 def rms(network: Network, record: Record) -> dict[str, float]:
