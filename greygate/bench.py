@@ -1,4 +1,4 @@
-"""The cocotb bench: it runs inside the simulator, one test for each design and scenario of a job (rtl/verify.py).
+"""The cocotb bench: it runs inside the simulator, one test for each design and scenario of a job (greygate/verify.py).
 
 The source offers a sample, the sink takes the result; both pause at random. A step costs one awakening of Python, or
 a few where somebody pauses. Everything is compared as whole words; a word that differs is taken apart for the message.
@@ -59,7 +59,7 @@ class Design:
             await Timer(CLOCK)
 
     def offer(self, sample: bytes) -> None:
-        """Put a sample on s_axis_tdata and raise s_axis_tvalid until it is taken (rtl/verify.py)."""
+        """Put a sample on s_axis_tdata and raise s_axis_tvalid until it is taken (greygate/verify.py)."""
         self.offered ^= self.offer_bit
         self.source.value = self.offered | int.from_bytes(sample, "little")
 
