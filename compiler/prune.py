@@ -7,7 +7,7 @@ import numpy as np
 
 from greygate.compiler.simplify import Graph
 from greygate.models.network import Network
-from greygate.models.training import Problem, Record
+from greygate.models.training import Outcome, Problem, Record, train
 
 WORKING_RANGE = {"tansig": (-1.0, 1.0), "logsig": (0.0, 1.0), "satlin": (0.0, 1.0), "radbas": (0.0, 1.0)}
 BINS = 100
@@ -79,6 +79,14 @@ def remove_neurons(network: Network, records: list[Record], chosen: dict[str, li
         own = {p: w[keep] for p, w in layer.weights.items()}
         g.layers[name] = replace(layer, weights=own, bias=layer.bias[keep], initial=layer.initial[keep])
     return g.network()
+
+
+def retrained(network: Network, records: list[Record], epochs: int) -> Network:
+    """Trained again; Ctrl-C, which ends a training early, ends the pruning too."""
+    fit = train(network, records, epochs=epochs)
+    if fit.outcome is Outcome.INTERRUPTED:
+        raise KeyboardInterrupt
+    return fit.network
 
 
 def prune_by_entropy(

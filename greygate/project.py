@@ -21,13 +21,14 @@ import numpy as np
 from greygate.catalog import CATALOG, entry
 from greygate.compiler.emit import emit
 from greygate.compiler.pipeline import Compiled, Pass, compile_network, entropy_pruning
+from greygate.compiler.prune import retrained
 from greygate.compiler.quantize import Formats
 from greygate.compiler.ranges import ranges
 from greygate.emulator.engine import run
 from greygate.emulator.program import Program
 from greygate.errors import InputError, replacing, replacing_folder
 from greygate.models.network import Network, Port
-from greygate.models.training import Record, train
+from greygate.models.training import Record
 from greygate.plants.recording import read_csv
 from greygate.synthesis import synthesize
 from greygate.verify import Case, Scenario, Verification, verify_many
@@ -156,7 +157,7 @@ def compile_project(
 
 def _retrain(records: list[Record], say: Callable[[str], None], network: Network) -> Network:
     say(f"retraining with {sum(layer.size for layer in network.modules.values())} neurons")
-    return train(network, records, epochs=RETRAIN_EPOCHS).network
+    return retrained(network, records, RETRAIN_EPOCHS)
 
 
 @dataclass(frozen=True)

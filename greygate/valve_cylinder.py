@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from greygate.compiler.pipeline import float_error
-from greygate.compiler.prune import Round, output_errors, prune_by_entropy
+from greygate.compiler.prune import Round, output_errors, prune_by_entropy, retrained
 from greygate.models.blocks import divider_record, fit_divider, fit_flow, flow_record
 from greygate.models.cylinder import mean_spool, valve_srnn
 from greygate.models.network import Network
@@ -112,7 +112,7 @@ def prune(
     def retrain(smaller: Network) -> Network:
         if progress:
             progress(f"retraining with {sum(layer.size for layer in smaller.modules.values())} neurons")
-        return train(smaller, kept, epochs=PRUNING_EPOCHS).network
+        return retrained(smaller, kept, PRUNING_EPOCHS)
 
     return prune_by_entropy(network, kept, retrain, allowed * output_errors(network, kept))
 

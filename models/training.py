@@ -23,6 +23,7 @@ class Outcome(Enum):
     REACHED = "The loss that was asked for is reached."
     EPOCHS = "All epochs are used; the loss was still falling."
     TIME = "Out of time; these are the best weights so far."
+    INTERRUPTED = "Interrupted; these are the best weights so far."
     STALLED = "No step lowers the loss: stalled at a point that may be no minimum."
 
 
@@ -307,5 +308,5 @@ def train(
                     outcome = Outcome.TIME
                     break
         except KeyboardInterrupt:
-            outcome = Outcome.TIME
+            outcome = Outcome.INTERRUPTED
         return Fit(problem.unpack(best), outcome, tuple(history), monotonic() - began)

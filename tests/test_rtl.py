@@ -174,7 +174,7 @@ def test_a_broken_design_is_reported_with_step_signal_and_both_values(tmp_path, 
     assert f"step {later}: " in found["no_state"]
     assert f"state d2[0] is 0, the emulator has {expected}" in found["no_state"]
     assert "no answer within" in found["no_answer"]
-    assert "seed 1" in capsys.readouterr().out
+    assert "seed 1" in capsys.readouterr().err
     failed = ElementTree.parse(result.junit).getroot().iter("failure")
     assert len(list(failed)) == 4
 

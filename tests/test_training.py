@@ -106,7 +106,7 @@ def test_training_stops_at_the_best_weights_when_interrupted():
         raise KeyboardInterrupt
 
     fit = train(feedforward("f", ["u", "p"], [4], 0), [flow_record()], epochs=50, progress=interrupt)
-    assert fit.outcome is Outcome.TIME
+    assert fit.outcome is Outcome.INTERRUPTED
     assert fit.history[-1] < fit.history[0]
 
 
