@@ -305,7 +305,7 @@ def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, s
     body += "\n    // the schedule: one line a clock; line 0 is idle\n"
     for n, k, signed in layout:
         body += f"    wire {'signed ' if signed else ''}[{k - 1}:0] {n};\n"
-    body += f"    wire done = last && booted;\n    reg [{w['pc'] - 1}:0] pc;\n"
+    body += f"    reg booted;\n    wire done = last && booted;\n    reg [{w['pc'] - 1}:0] pc;\n"
     final = len(folding.schedule.lines) - 1
     body += (
         "    always @(posedge clk)\n"
@@ -323,7 +323,7 @@ def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, s
         last = f"..{first + s.size - 1}" if s.size > 1 else ""
         body += f"    // {first}{last}: {s.name}, {s.size} x {s.fix}\n"
     body += f"    reg signed [{code - 1}:0] memory[0:{(1 << address) - 1}];\n"
-    body += f"    reg booted;\n    reg [{address - 1}:0] boot;\n    reg signed [{code - 1}:0] initial_code;\n"
+    body += f"    reg [{address - 1}:0] boot;\n    reg signed [{code - 1}:0] initial_code;\n"
     body += f"    reg signed [{code - 1}:0] y;\n\n"
     body += (
         "    always @(posedge clk)\n        if (rst) begin\n"

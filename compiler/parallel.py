@@ -142,6 +142,10 @@ def parallel_top(program: Program, names: dict[str, str]) -> str:
         s = p.signal
         parts = [f"sample[{start + s.fix.width - 1}:{start}]" for t, _, start in slices if t is s]
         body += vector("wire", s, " = " + (parts[0] if s.size == 1 else "{" + ", ".join(reversed(parts)) + "}"))
+    if program.states:
+        body += "\n    // states: what their sources held in the step before\n"
+        for s in program.states:
+            body += vector("reg", s.signal, "")
     body += "\n    // layers\n"
     for o in program.operations:
         body += vector("wire", o.out, "")
@@ -159,9 +163,6 @@ def parallel_top(program: Program, names: dict[str, str]) -> str:
         body += "\n" + instance(module, f"{y}_layer", parameters, ends)
 
     if program.states:
-        body += "\n    // states: what their sources held in the step before\n"
-        for s in program.states:
-            body += vector("reg", s.signal, "")
         body += "\n    always @(posedge clk)\n        if (rst) begin\n"
         for s in program.states:
             body += f"            {names[s.signal.name]} <= {packed(s.initial, s.signal.fix.width)};\n"

@@ -18,6 +18,7 @@ from greygate.models.training import Problem, Record
 
 SAME = 1e-9  # largest relative change of any output that a simplification may cause
 WIDTHS = range(8, 33)
+EXACT = 1e-9  # error of float, relative to the signal, below which it has none
 
 
 @dataclass(frozen=True)
@@ -155,6 +156,12 @@ def meet_budget(
         except InputError:
             return None
 
+    for r in records:
+        for name, error in float_error(network, r).items():
+            if _rms(error, r) <= EXACT * float(np.std(r.targets[name])):
+                raise InputError(
+                    f"output {name}: float repeats the record exactly, so a budget means nothing; use --width"
+                )
     for width in WIDTHS:
         program = build(width, formats.signals)
         if program and meets(program):

@@ -10,6 +10,7 @@ import numpy as np
 from greygate.compiler.ranges import Range
 from greygate.compiler.tables import FUNCTIONS, flat_from, integer_bits, make_table, output_fix
 from greygate.emulator.program import (
+    ACCUMULATOR_BITS,
     Affine,
     Clamp,
     Fix,
@@ -311,6 +312,10 @@ class _Quantizer:
             bias += (w - codes * 2.0**-own) @ self.ranges[_origin(signal.name)].mean  # what rounding w costs on average
             columns.append(codes.astype(np.int64) << (frac[:, None] - signal.fix.frac - own))
         weights = np.concatenate(columns, axis=1) if columns else np.zeros((rows, 0), np.int64)
+        if (np.abs(bias) * 2.0**frac >= 2.0**ACCUMULATOR_BITS).any():
+            raise InputError(
+                f"signal {out.name}: its sum needs more than {ACCUMULATOR_BITS} bits; choose a smaller width"
+            )
         bias = np.floor(bias * 2.0**frac + 0.5).astype(np.int64)
         self.operations.append(
             Affine(

@@ -17,7 +17,7 @@ PORTS = (
     "m_axis_tvalid",
     "m_axis_tready",
 )
-TAKEN = (*PORTS, "en", "stream", "sample", "start", "done", "ready", "result", "stage", "unused")
+TAKEN = (*PORTS, "DEPTH", "en", "stream", "sample", "start", "done", "ready", "result", "stage", "unused")
 WORDS = """
 always and assign automatic begin buf bufif0 bufif1 case casex casez cell cmos config deassign default defparam
 design disable edge else end endcase endconfig endfunction endgenerate endmodule endprimitive endspecify endtable
@@ -133,7 +133,8 @@ def header(program: Program, architecture: str) -> list[str]:
             of = "" if p.name == p.signal.name else f" shows {p.signal.name},"
             lines.append(
                 f"{title}[{start + width - 1}:{start}]: {p.name},{of} {p.signal.size} x {p.signal.fix}, "
-                f"value = code * {p.signal.fix.lsb * p.scale:g}{f' + {p.offset:g}' if p.offset else ''} {p.unit}"
+                f"value = code * {p.signal.fix.lsb * p.scale!r}{f' + {p.offset!r}' if p.offset else ''}"
+                + (f" {p.unit}" if p.unit != "1" else "")
             )
             start += width
     return lines

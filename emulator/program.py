@@ -270,6 +270,9 @@ class Program:
             else:
                 yield from _table_problems(table)
         elif isinstance(o, Clamp):
+            width = arg.fix.width + max(0, o.out.fix.frac - arg.fix.frac)
+            if width > ACCUMULATOR_BITS:
+                yield f"{o.out.name}: needs {width} bits on the way, more than {ACCUMULATOR_BITS}"
             if o.lo > o.hi or o.lo < arg.fix.lo or o.hi > arg.fix.hi:
                 yield f"{o.out.name}: clamp [{o.lo}, {o.hi}] does not fit {arg.fix}"
         elif not (
@@ -315,8 +318,8 @@ class Program:
 
 
 def _table_problems(table: Table) -> Iterator[str]:
-    if len(table.points) < 2 or table.shift < 0:
-        yield f"table {table.name}: needs two points and a shift that is not negative"
+    if len(table.points) < 2 or table.shift < 0 or table.out.frac < 0:
+        yield f"table {table.name}: needs two points, a shift and a result's fraction that are not negative"
         return
     answers = {
         Symmetry.ODD: [-p for p in table.points],

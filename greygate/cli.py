@@ -97,6 +97,8 @@ def _recordings(given: list[str]) -> dict[str, str]:
         scenario, equals, path = text.partition("=")
         if not equals or not scenario:
             raise InputError(f"--record {text}: write SCENARIO=FILE.csv, e.g. training=train.csv")
+        if scenario in found:
+            raise InputError(f"--record {text}: the scenario {scenario} is given twice; name one otherwise")
         found[scenario] = path
     return found
 
@@ -118,9 +120,9 @@ def compile(
     from greygate.compiler.quantize import Formats
     from greygate.project import ARCHITECTURES, Source, compile_project
 
-    if budget is not None and budget <= 1:
+    if budget is not None and not 1 < budget < float("inf"):
         raise InputError(f"--budget {budget}: is a factor on the error of float, e.g. 1.05")
-    if prune is not None and prune < 1:
+    if prune is not None and not 1 <= prune < float("inf"):
         raise InputError(f"--prune {prune}: is a factor on the error before pruning, e.g. 1.02")
     chosen = ARCHITECTURES if architecture is Architecture.BOTH else (architecture.value,)
     source = Source(network, _recordings(record))

@@ -43,9 +43,11 @@ def read_record(network: Network, path: Path | str, targets: bool = True) -> Rec
 
     Raises InputError for a missing column or unit, NaN, non-uniform time, an empty file.
     """
-    scalar = [p for p in network.inputs + network.outputs if p.size == 1]
+    for port in network.inputs + network.outputs:
+        if port.size > 1:
+            raise InputError(f"port {port.name} has {port.size} elements, a CSV column holds one; use scalar ports")
     wanted = network.inputs + (network.outputs if targets else [])
-    recording = read_csv(path, {p.name: p.unit for p in wanted if p in scalar})
+    recording = read_csv(path, {p.name: p.unit for p in wanted})
 
     def channels(ports: list[Port]) -> dict[str, np.ndarray]:
         return {p.name: recording[p.name] for p in ports}
@@ -138,7 +140,7 @@ def compile_project(
         period=source.period,
     )
     facts = {
-        "source": source.name,
+        "source": source.name if source.name in CATALOG else str(Path(source.name).resolve()),
         "recordings": {n: str(Path(p).resolve()) for n, p in source.recordings.items()},
         "title": source.title,
         "architectures": list(architectures),

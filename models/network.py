@@ -18,6 +18,7 @@ import tomli_w
 
 from greygate.errors import InputError, replacing
 
+LONGEST_DELAY = 500  # steps
 # Each takes the array namespace (numpy or torch) and the pre-activation n.
 ACTIVATIONS = {
     "tansig": lambda xp, n: xp.tanh(n),
@@ -238,12 +239,14 @@ class Network:
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, safetensors.SafetensorError) as error:
             raise InputError(f"{path}: not a readable network ({error}); save it again") from None
         try:
-            network = _from_toml(data, tensors, "")
-        except (KeyError, TypeError, AttributeError) as error:
-            raise InputError(f"{toml}: {error!r} is missing or of the wrong kind; save the network again") from None
+            network = _from_toml(data, tensors, "").check()
+        except InputError:
+            raise
+        except (KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
+            raise InputError(f"{toml}: {error!r}; a name is missing or a value of the wrong kind") from None
         if tensors:
             raise InputError(f"{numbers}: holds {sorted(tensors)[0]}, which {toml.name} does not name")
-        return network.check()
+        return network
 
 
 class Runner:
@@ -343,8 +346,9 @@ class _Flattener:
 
     def _collect(self, network: Network, prefix: str) -> None:
         for port in network.inputs + network.outputs:
-            if not all(map(math.isfinite, (port.scale, port.offset, port.initial))) or port.scale == 0:
-                self.fail(f"port {prefix}{port.name}: scale, offset and initial must be finite, scale not 0")
+            numbers = (port.scale, port.offset, port.initial, port.resolution)
+            if not all(map(math.isfinite, numbers)) or port.scale == 0 or port.resolution < 0:
+                self.fail(f"port {prefix}{port.name}: scale, offset, initial, resolution must be finite, scale not 0")
             self.size[prefix + port.name] = port.size
         for name, module in network.modules.items():
             path = prefix + name
@@ -370,8 +374,11 @@ class _Flattener:
                 self._resolve(network, prefix, c.source, True),
                 self._resolve(network, prefix, c.target, False),
             )
-            if c.delay < 0 or c.delay != int(c.delay):
-                self.fail(f"connection {c.source} -> {c.target}: delay {c.delay} is not a whole number >= 0")
+            if not 0 <= c.delay <= LONGEST_DELAY or c.delay != int(c.delay):
+                self.fail(
+                    f"connection {c.source} -> {c.target}: delay {c.delay} is not a whole number >= 0"
+                    f" and <= {LONGEST_DELAY}"
+                )
             gain = None
             if c.gain is not None:
                 gain = np.atleast_2d(np.asarray(c.gain, float))

@@ -24,7 +24,7 @@ module greygate_stream #(
 
     reg busy_reg;
 
-    assign s_axis_tready = ready && !busy_reg;
+    assign s_axis_tready = ready && !busy_reg && !rst;
 
     always @(posedge clk) begin
         start <= s_axis_tvalid && s_axis_tready;

@@ -143,11 +143,16 @@ def test_wrong_inputs_are_named(inputs, message):
         (lambda p: p.with_suffix(".safetensors").unlink(), "no such file"),
         (lambda p: p.with_suffix(".safetensors").write_bytes(b"\x00" * 20), "not a readable network"),
         (lambda p: p.with_suffix(".toml").write_text("name = "), "not a readable network"),
-        (lambda p: p.with_suffix(".toml").write_text('name = "x"'), "missing or of the wrong kind"),
+        (lambda p: p.with_suffix(".toml").write_text('name = "x"'), "missing or a value of the wrong kind"),
         (lambda p: _edit(p, "neurons = 1", "neurons = 2"), "should have shape"),
         (lambda p: _edit(p, "own = 1", "mine = 1"), "should have shape"),
         (lambda p: _edit(p, 'activation = "linear"', 'activation = "relu"'), "unknown activation"),
         (lambda p: _edit(p, "delay = 1", "delay = 0"), "loop without delay"),
+        (lambda p: _edit(p, "delay = 1", 'delay = "1"'), "a value of the wrong kind"),
+        (lambda p: _edit(p, "delay = 1", "delay = nan"), "is not a whole number"),
+        (lambda p: _edit(p, "delay = 1", "delay = 2000"), "<= 500"),
+        (lambda p: _edit(p, "scale = 2.0", 'scale = "2"'), "a value of the wrong kind"),
+        (lambda p: _edit(p, "resolution = 0.0", "resolution = -1.0"), "resolution must be finite"),
     ],
 )
 def test_a_spoilt_file_is_named(tmp_path, spoil, message):
