@@ -177,8 +177,11 @@ def test_a_scenario_that_does_not_exist_is_named(built):
 def test_an_interrupted_compilation_leaves_nothing_behind(tmp_path):
     process = subprocess.Popen(
         [GREYGATE, "compile", "valve_cylinder", "--prune", "1.0", "--out", "build"],
-        cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+        cwd=tmp_path,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job's children ignore it
+    )
     time.sleep(4)
     process.send_signal(signal.SIGINT)
     assert process.wait(30) != 0
