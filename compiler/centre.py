@@ -13,7 +13,7 @@ import numpy as np
 from greygate.emulator.engine import run
 from greygate.emulator.program import Affine, Program
 from greygate.models.network import Network
-from greygate.models.training import Problem, Record
+from greygate.models.problem import Problem, Record
 
 SAMPLES = 2000  # steps of all records together, evenly spread
 

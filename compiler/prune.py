@@ -7,7 +7,8 @@ import numpy as np
 
 from greygate.compiler.simplify import Graph
 from greygate.models.network import Network
-from greygate.models.training import Outcome, Problem, Record, train
+from greygate.models.problem import Problem, Record
+from greygate.models.training import Outcome, train
 
 WORKING_RANGE = {"tansig": (-1.0, 1.0), "logsig": (0.0, 1.0), "satlin": (0.0, 1.0), "radbas": (0.0, 1.0)}
 BINS = 100

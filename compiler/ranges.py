@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greygate.models.network import ACTIVATIONS, Network
-from greygate.models.training import Problem, Record
+from greygate.models.problem import Problem, Record
 
 IMAGE = {
     "tansig": (-1.0, 1.0),

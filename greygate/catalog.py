@@ -8,7 +8,7 @@ from pathlib import Path
 from greygate import measured, valve_cylinder
 from greygate.errors import InputError, replacing
 from greygate.models.network import Network
-from greygate.models.training import Record
+from greygate.models.problem import Record
 
 TRAINED = measured.TRAINED
 

@@ -16,8 +16,9 @@ import numpy as np
 from greygate import models
 from greygate.errors import InputError, replacing
 from greygate.models.network import Network, Port
+from greygate.models.problem import Problem, Record
 from greygate.models.regression import noe
-from greygate.models.training import Problem, Record, train
+from greygate.models.training import train
 from greygate.plants.recording import Recording, read_csv
 
 RECORDINGS = Path(__file__).resolve().parents[1] / "recordings"

@@ -28,7 +28,7 @@ from greygate.emulator.engine import run
 from greygate.emulator.program import Program
 from greygate.errors import InputError, replacing, replacing_folder
 from greygate.models.network import Network, Port
-from greygate.models.training import Record
+from greygate.models.problem import Record
 from greygate.plants.recording import read_csv
 from greygate.synthesis import synthesize
 from greygate.verify import Case, Scenario, Verification, verify_many

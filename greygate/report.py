@@ -24,7 +24,7 @@ from greygate.emulator.program import Affine, Lookup, Port, Program
 from greygate.errors import InputError, replacing
 from greygate.figures import Line
 from greygate.models.network import Network
-from greygate.models.training import Problem, Record
+from greygate.models.problem import Problem, Record
 
 BINS = 400  # of a whole run as it is drawn; each shows its least and its largest value
 ZOOM = 200  # steps drawn around the largest error

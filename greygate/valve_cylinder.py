@@ -11,7 +11,8 @@ from greygate.compiler.prune import Round, output_errors, prune_by_entropy, retr
 from greygate.models.blocks import divider_record, fit_divider, fit_flow, flow_record
 from greygate.models.cylinder import mean_spool, valve_srnn
 from greygate.models.network import Network
-from greygate.models.training import Record, train
+from greygate.models.problem import Record
+from greygate.models.training import train
 from greygate.plants.excitation import band_limited_noise, prms
 from greygate.plants.scenarios import measure, scenario
 from greygate.plants.valve_cylinder import spool_discrete, valve_cylinder

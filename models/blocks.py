@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from greygate.models.network import Layer, Network, Port
-from greygate.models.training import Fit, Record, train
+from greygate.models.problem import Record
+from greygate.models.training import Fit, train
 
 
 def feedforward(

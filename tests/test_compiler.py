@@ -21,7 +21,8 @@ from greygate.emulator.program import Affine, Fix, Overflow, Program, Rounding
 from greygate.errors import InputError
 from greygate.models.blocks import feedforward, flow_record
 from greygate.models.network import Layer, Network, Port
-from greygate.models.training import Record, train
+from greygate.models.problem import Record
+from greygate.models.training import train
 
 
 def record_of(network: Network, steps: int, seed: int) -> Record:

@@ -8,8 +8,8 @@ from greygate import measured
 from greygate.errors import InputError
 from greygate.measured import CRANE, MTS, STUDIES, identify, rmse, stored
 from greygate.models.network import Port
+from greygate.models.problem import Problem, Record
 from greygate.models.regression import noe
-from greygate.models.training import Problem, Record
 
 MTS_RUNS = ("chirp_0A", "15Hz0A", "chirp_1A", "15Hz1A")
 

@@ -12,7 +12,7 @@ from greygate.emulator.interpreter import interpret
 from greygate.errors import InputError
 from greygate.figures import Scale, number
 from greygate.models.network import Layer, Network, Port
-from greygate.models.training import Record
+from greygate.models.problem import Record
 from greygate.report import display, envelope, frequency_response, page, shown, study, write
 
 PERIOD = 2e-3

@@ -9,7 +9,8 @@ from test_network import SMOOTH, delay_line
 from greygate.errors import InputError
 from greygate.models.blocks import feedforward, flow_rate, flow_record
 from greygate.models.network import Layer, Network, Port
-from greygate.models.training import Outcome, Problem, Record, train
+from greygate.models.problem import Problem, Record
+from greygate.models.training import Outcome, train
 
 
 def as_record(network: Network, steps: int, seed: int) -> Record:
