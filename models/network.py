@@ -28,7 +28,14 @@ ACTIVATIONS = {
     "hardlims": lambda xp, n: xp.where(n >= 0, xp.ones_like(n), -xp.ones_like(n)),
     "satlin": lambda xp, n: xp.clip(n, 0.0, 1.0),
     "radbas": lambda xp, n: xp.exp(-n * n),
+    "select": lambda xp, n: _select(xp, n),
 }
+
+
+def _select(xp, n):
+    """Rows of n in three parts: where the first is not negative the second, else the third."""
+    size = n.shape[-1] // 3
+    return xp.where(n[..., :size] >= 0, n[..., size : 2 * size], n[..., 2 * size :])
 
 
 @dataclass(frozen=True)
@@ -52,7 +59,8 @@ class Port:
 class Layer:
     """activation(sum_p weights[p] @ input_p + bias).
 
-    weights: port -> (size, n). bias: (size,). initial: (size,), its output before the first step.
+    weights: port -> (rows, n). bias: (rows,). initial: (size,), its output before the first step. There are as many rows
+    as neurons, but for `select`, a multiplexer, which has three a neuron: condition, value where it is >= 0, value else.
     frozen: names of ports (or "bias") that training leaves as they are.
     """
 
@@ -66,12 +74,18 @@ class Layer:
         bias = np.atleast_1d(np.asarray(self.bias, float))
         object.__setattr__(self, "bias", bias)
         object.__setattr__(self, "weights", {p: np.atleast_2d(np.asarray(w, float)) for p, w in self.weights.items()})
-        object.__setattr__(self, "initial", np.broadcast_to(np.asarray(self.initial, float), bias.shape))
+        object.__setattr__(self, "initial", np.broadcast_to(np.asarray(self.initial, float), self.size))
         object.__setattr__(self, "frozen", frozenset(self.frozen))
 
     @property
-    def size(self) -> int:
+    def rows(self) -> int:
+        """Sums that it forms."""
         return len(self.bias)
+
+    @property
+    def size(self) -> int:
+        """Neurons, which are its outputs."""
+        return len(self.bias) // 3 if self.activation == "select" else len(self.bias)
 
 
 @dataclass(frozen=True)
@@ -86,13 +100,17 @@ class Connection:
 
 @dataclass
 class Network:
-    """Modules joined by connections; itself a module of another network."""
+    """Modules joined by connections; itself a module of another network.
+
+    meaning: name of the library function that it stands for (`models/library.py`), which the compiler may emit instead.
+    """
 
     name: str
     inputs: list[Port] = field(default_factory=list)
     outputs: list[Port] = field(default_factory=list)
     modules: dict[str, "Layer | Network"] = field(default_factory=dict)
     connections: list[Connection] = field(default_factory=list)
+    meaning: str = ""
 
     # ---- building
 
@@ -359,9 +377,12 @@ class _Flattener:
                 continue
             if module.activation not in ACTIVATIONS:
                 self.fail(f"layer {path}: unknown activation {module.activation!r}; known: {', '.join(ACTIVATIONS)}")
+            if module.activation == "select" and module.rows % 3:
+                self.fail(f"layer {path}: select has {module.rows} rows; it needs three for each neuron")
             for port, w in (*module.weights.items(), ("bias", module.bias), ("initial", module.initial)):
-                if len(w) != module.size:
-                    self.fail(f"layer {path}: {port} has {len(w)} rows where the layer has {module.size} neurons")
+                rows = module.size if port == "initial" else module.rows
+                if len(w) != rows:
+                    self.fail(f"layer {path}: {port} has {len(w)} rows where the layer has {rows}")
                 if not np.isfinite(w).all():
                     self.fail(f"layer {path}: {port} holds NaN or inf; train it again or mend the file")
             for port in module.frozen - {"bias", *module.weights}:
@@ -507,7 +528,7 @@ def _to_toml(network: Network) -> dict:
             continue
         modules[name] = {
             "activation": module.activation,
-            "neurons": module.size,
+            "rows": module.rows,
             "ports": {p: w.shape[1] for p, w in module.weights.items()},
             "initial": module.initial.tolist(),
             "frozen": sorted(module.frozen),
@@ -522,17 +543,19 @@ def _to_toml(network: Network) -> dict:
         kind: [{k: getattr(p, k) for k in p.__dataclass_fields__} for p in getattr(network, kind)]
         for kind in ("inputs", "outputs")
     }
-    return {"name": network.name, **ports, "modules": modules, "connections": connections}
+    meaning = {"meaning": network.meaning} if network.meaning else {}
+    return {"name": network.name, **meaning, **ports, "modules": modules, "connections": connections}
 
 
 def _from_toml(data: dict, tensors: dict[str, np.ndarray], prefix: str) -> Network:
     network = Network(data["name"], [Port(**p) for p in data["inputs"]], [Port(**p) for p in data["outputs"]])
+    network.meaning = data.get("meaning", "")
     for name, entry in data["modules"].items():
         path = prefix + name
         if "modules" in entry:
             network.modules[name] = _from_toml(entry, tensors, path + ".")
             continue
-        shapes = {p: (entry["neurons"], n) for p, n in entry["ports"].items()} | {"bias": (entry["neurons"],)}
+        shapes = {p: (entry["rows"], n) for p, n in entry["ports"].items()} | {"bias": (entry["rows"],)}
         values = {}
         for port, shape in shapes.items():
             values[port] = tensors.pop(f"{path}.{port}", None)

@@ -144,7 +144,7 @@ def test_wrong_inputs_are_named(inputs, message):
         (lambda p: p.with_suffix(".safetensors").write_bytes(b"\x00" * 20), "not a readable network"),
         (lambda p: p.with_suffix(".toml").write_text("name = "), "not a readable network"),
         (lambda p: p.with_suffix(".toml").write_text('name = "x"'), "missing or a value of the wrong kind"),
-        (lambda p: _edit(p, "neurons = 1", "neurons = 2"), "should have shape"),
+        (lambda p: _edit(p, "rows = 1", "rows = 2"), "should have shape"),
         (lambda p: _edit(p, "own = 1", "mine = 1"), "should have shape"),
         (lambda p: _edit(p, 'activation = "linear"', 'activation = "relu"'), "unknown activation"),
         (lambda p: _edit(p, "delay = 1", "delay = 0"), "loop without delay"),
