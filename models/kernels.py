@@ -13,7 +13,7 @@ import numpy as np
 from greygate.models.network import ACTIVATIONS, Network
 
 _CODE = {name: code for code, name in enumerate(ACTIVATIONS)}
-TANSIG, LOGSIG, LINEAR, HARDLIM, HARDLIMS, SATLIN, RADBAS = range(len(_CODE))
+TANSIG, LOGSIG, LINEAR, HARDLIM, HARDLIMS, SATLIN, RADBAS, SELECT = range(len(_CODE))
 
 
 class Tables(NamedTuple):
@@ -56,7 +56,7 @@ def tabulate(flat: Network, forced: frozenset[str] = frozenset()) -> tuple[Table
             offset += w.size
         layers.append((first[name], layer.size, _CODE[layer.activation], offset, start))
         names.append(f"{name}.bias")
-        offset += layer.size
+        offset += layer.rows
     layers.append((at, 0, 0, offset, len(links)))  # sentinel
     forced_layers = {feeds[f][0] for f in forced}
     carried = {s for s, d in feeds.values() if d > 0 and s in flat.modules and s not in forced_layers}
@@ -88,7 +88,7 @@ def tabulate(flat: Network, forced: frozenset[str] = frozenset()) -> tuple[Table
     starts = {
         n: (links[layers[i][4]][3] if layers[i + 1][4] > layers[i][4] else layers[i][3]) for n, i in position.items()
     }
-    ends = {n: layers[i][3] + layers[i][1] for n, i in position.items()}
+    ends = {n: layers[i][3] + flat.modules[n].rows for n, i in position.items()}
     spans = [(min(starts[m] for m in ever[n]), max(ends[m] for m in ever[n])) for n in owner]
     tables = Tables(
         np.array(layers, np.int64),
@@ -105,6 +105,19 @@ def tabulate(flat: Network, forced: frozenset[str] = frozenset()) -> tuple[Table
     return tables, names
 
 
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _sum(links, lo, hi, theta, bias, row, k, now, past):  # pragma: no cover - compiled
+    """One row's pre-activation at step k (row depth + step of now and past)."""
+    n = theta[bias + row]
+    for c in range(lo, hi):
+        source, width, delay, w = links[c]
+        x = now[k] if delay == 0 else past[k - delay]
+        w += row * width
+        for i in range(width):
+            n += theta[w + i] * x[source + i]
+    return n
+
+
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def forward(layers, links, n_inputs, depth, theta, now, past, forced):  # pragma: no cover - compiled
     """Fill now[depth:, layer elements]; row depth + k is step k, rows before hold initial values.
@@ -116,14 +129,9 @@ def forward(layers, links, n_inputs, depth, theta, now, past, forced):  # pragma
     for k in range(depth, len(now)):
         for layer in range(n_layers):
             first, size, activation, bias, link0 = layers[layer]
+            hi = layers[layer + 1, 4]
             for o in range(size):
-                n = theta[bias + o]
-                for c in range(link0, layers[layer + 1, 4]):
-                    source, width, delay, w = links[c]
-                    x = now[k] if delay == 0 else past[k - delay]
-                    w += o * width
-                    for i in range(width):
-                        n += theta[w + i] * x[source + i]
+                n = _sum(links, link0, hi, theta, bias, o, k, now, past)
                 if activation == TANSIG:
                     n = np.tanh(n)
                 elif activation == LOGSIG:
@@ -136,6 +144,8 @@ def forward(layers, links, n_inputs, depth, theta, now, past, forced):  # pragma
                     n = min(max(n, 0.0), 1.0)
                 elif activation == RADBAS:
                     n = np.exp(-n * n)
+                elif activation == SELECT:
+                    n = _sum(links, link0, hi, theta, bias, o + (size if n >= 0 else 2 * size), k, now, past)
                 if not np.isfinite(n):
                     return k - depth
                 now[k, first + o] = n
@@ -171,14 +181,16 @@ def sensitivities(
     """
     ring = depth + 1
     slope = np.empty(now.shape[1])
+    active = np.zeros(now.shape[1], np.int64)  # the row that acts on an element
     adjoint = np.empty(now.shape[1])
     coupling = np.zeros((depth, len(rows)))
     n_layers = len(layers) - 1
     for k in range(start, stop):
         for layer in range(n_layers):
-            first, size, activation, _, _ = layers[layer]
+            first, size, activation, bias, link0 = layers[layer]
             for e in range(first, first + size):
                 y = now[depth + k, e]
+                active[e] = e - first
                 if activation == TANSIG:
                     slope[e] = 1.0 - y * y
                 elif activation == LOGSIG:
@@ -187,18 +199,13 @@ def sensitivities(
                     slope[e] = 1.0
                 elif activation == SATLIN:
                     slope[e] = 1.0 if 0.0 < y < 1.0 else 0.0
-                elif activation == RADBAS:
-                    slope[e] = 0.0  # set below: it needs the sign of n
+                elif activation in (RADBAS, SELECT):
+                    n = _sum(links, link0, layers[layer + 1, 4], theta, bias, e - first, depth + k, now, past)
+                    slope[e] = -2.0 * n * y if activation == RADBAS else 1.0
+                    if activation == SELECT:
+                        active[e] += size if n >= 0 else 2 * size
                 else:
                     slope[e] = 0.0
-                if activation == RADBAS:
-                    n = theta[layers[layer, 3] + e - first]
-                    for c in range(layers[layer, 4], layers[layer + 1, 4]):
-                        source, width, delay, w = links[c]
-                        x = now[depth + k] if delay == 0 else past[depth + k - delay]
-                        for i in range(width):
-                            n += theta[w + (e - first) * width + i] * x[source + i]
-                    slope[e] = -2.0 * n * y
         for r in range(len(rows)):
             lo, hi = spans[r]
             out = carried[k % ring, r]
@@ -214,10 +221,11 @@ def sensitivities(
                     d = adjoint[first + o] * slope[first + o]
                     if d == 0.0:
                         continue
-                    out[bias + o] += d
+                    row = active[first + o]
+                    out[bias + row] += d
                     for c in range(link0, layers[layer + 1, 4]):
                         source, width, delay, w = links[c]
-                        w += o * width
+                        w += row * width
                         if delay == 0:
                             x = now[depth + k]
                             for i in range(width):

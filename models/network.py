@@ -59,8 +59,8 @@ class Port:
 class Layer:
     """activation(sum_p weights[p] @ input_p + bias).
 
-    weights: port -> (rows, n). bias: (rows,). initial: (size,), its output before the first step. There are as many rows
-    as neurons, but for `select`, a multiplexer, which has three a neuron: condition, value where it is >= 0, value else.
+    weights: port -> (rows, n). bias: (rows,). initial: (size,), its output before the first step. A neuron is a row;
+    only `select`, a multiplexer, has three rows a neuron: condition, value where it is >= 0, value else.
     frozen: names of ports (or "bias") that training leaves as they are.
     """
 

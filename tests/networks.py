@@ -4,8 +4,10 @@ import numpy as np
 
 from greygate.models.network import ACTIVATIONS, Layer, Network, Port
 
+COMPILED = tuple(a for a in ACTIVATIONS if a != "select")
 
-def random_network(seed: int, nested: bool = True, activations: tuple[str, ...] = tuple(ACTIVATIONS)) -> Network:
+
+def random_network(seed: int, nested: bool = True, activations: tuple[str, ...] = COMPILED) -> Network:
     """A legal network with feedback, tame enough not to diverge. The seed names it."""
     rng = np.random.default_rng(seed)
 
@@ -46,15 +48,17 @@ def random_network(seed: int, nested: bool = True, activations: tuple[str, ...] 
                 delay = int(rng.integers(1, 4)) if source in layers else int(rng.integers(0, 3))
                 reads[f"p{i}"] = (source, width, delay)
             norm = 0.8 / np.sqrt(sum(w for _, w, _ in reads.values()) * len(reads))
-            weights = {p: norm * rng.uniform(-1, 1, (size, w)) for p, (_, w, _) in reads.items()}
+            activation = str(rng.choice(activations))
+            rows = 3 * size if activation == "select" else size
+            weights = {p: norm * rng.uniform(-1, 1, (rows, w)) for p, (_, w, _) in reads.items()}
             if rng.random() < 0.2:
                 weights = {p: w * (rng.random(w.shape) < 0.5) for p, w in weights.items()}
             network.add(
                 name,
                 Layer(
                     weights,
-                    rng.uniform(-0.3, 0.3, size) * (rng.random() < 0.7),
-                    str(rng.choice(activations)),
+                    rng.uniform(-0.3, 0.3, rows) * (rng.random() < 0.7),
+                    activation,
                     initial=rng.uniform(-0.2, 0.2, size) * (rng.random() < 0.5),
                     frozen=frozenset({"bias"} if rng.random() < 0.2 else ()),
                 ),

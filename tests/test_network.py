@@ -8,7 +8,7 @@ from networks import random_inputs, random_network
 from greygate.errors import InputError
 from greygate.models.network import ACTIVATIONS, Layer, Network, Port
 
-SMOOTH = ("tansig", "logsig", "linear", "radbas")
+SMOOTH = ("tansig", "logsig", "linear", "radbas", "select")
 
 
 def delay_line() -> Network:
@@ -36,15 +36,16 @@ def test_initial_values_can_be_given_for_a_run():
 
 @pytest.mark.parametrize("name", ACTIVATIONS)
 def test_every_activation_is_its_definition(name):
-    n = np.array([-3.0, -0.5, 0.0, 0.25, 2.0])
+    n = np.array([-3.0, -0.5, 0.0, 0.25, 2.0, -1.0])
     by_hand = {
         "tansig": 2 / (1 + np.exp(-2 * n)) - 1,
         "logsig": 1 / (1 + np.exp(-n)),
         "linear": n,
-        "hardlim": [0, 0, 1, 1, 1],
-        "hardlims": [-1, -1, 1, 1, 1],
-        "satlin": [0, 0, 0, 0.25, 1],
+        "hardlim": [0, 0, 1, 1, 1, 0],
+        "hardlims": [-1, -1, 1, 1, 1, -1],
+        "satlin": [0, 0, 0, 0.25, 1, 0],
         "radbas": np.exp(-(n**2)),
+        "select": [2.0, -1.0],  # -3 and -0.5 choose between 0 or 2, and 0.25 or -1
     }
     np.testing.assert_allclose(ACTIVATIONS[name](np, n), by_hand[name], atol=1e-15)
 
