@@ -1,6 +1,15 @@
 """Plants: declared once as named balance equations, simulated, excited and recorded."""
 
-from greygate.plants.excitation import band_limited_noise, chirp, multisine, prms
+from greygate.plants.excitation import (
+    band_limited_noise,
+    band_limited_noise_spectrum,
+    chirp,
+    chirp_spectrum,
+    multisine,
+    multisine_spectrum,
+    prms,
+    prms_spectrum,
+)
 from greygate.plants.plant import Definition, Equation, Parameter, Plant, State
 from greygate.plants.recording import Recording, read_csv
 from greygate.plants.scenarios import measure, scenario
@@ -15,10 +24,14 @@ __all__ = [
     "Recording",
     "State",
     "band_limited_noise",
+    "band_limited_noise_spectrum",
     "chirp",
+    "chirp_spectrum",
     "measure",
     "multisine",
+    "multisine_spectrum",
     "prms",
+    "prms_spectrum",
     "read_csv",
     "scenario",
     "simulate",

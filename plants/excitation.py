@@ -123,9 +123,7 @@ def multisine_spectrum(
     return power * _flat("multisine", frequency, samples, start, stop, sample_time)
 
 
-def _flat(
-    name: str, frequency: np.ndarray, samples: int, start: float, stop: float, sample_time: float
-) -> np.ndarray:
+def _flat(name: str, frequency: np.ndarray, samples: int, start: float, stop: float, sample_time: float) -> np.ndarray:
     """Density of unit power shared equally by the lines of the band."""
     lines, spacing = _lines(name, samples, start, stop, sample_time), 1 / (samples * sample_time)
     nearest = np.round(np.asarray(frequency, float) / spacing)

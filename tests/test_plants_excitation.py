@@ -1,0 +1,64 @@
+"""The spectra that excitation signals state are those that their periodograms have."""
+
+import numpy as np
+import pytest
+from scipy.signal import periodogram
+
+from greygate.plants.excitation import (
+    band_limited_noise,
+    band_limited_noise_spectrum,
+    chirp,
+    chirp_spectrum,
+    multisine,
+    multisine_spectrum,
+    prms,
+    prms_spectrum,
+)
+
+T = 1e-3
+
+
+@pytest.mark.parametrize(("hold", "levels"), [((5, 30), None), ((1, 1), None), ((4, 4), 5), ((3, 40), 2)])
+def test_the_mean_periodogram_of_prms_is_its_spectrum(hold, levels):
+    runs = [periodogram(prms(4096, -0.5, 1.5, hold, seed, levels), 1 / T)[1] for seed in range(400)]
+    frequency, found = np.fft.rfftfreq(4096, T)[1:-1], np.mean(runs, axis=0)[1:-1]
+    expected = prms_spectrum(frequency, -0.5, 1.5, hold, T, levels)
+    bands = np.arange(0, len(frequency), 64)  # 400 runs x 64 lines: 0.6 % is one deviation of a band's mean
+    ratio = np.add.reduceat(found, bands) / np.add.reduceat(expected, bands)
+    strong = np.add.reduceat(expected, bands) > 1e-2 * np.add.reduceat(expected, bands).max()
+    np.testing.assert_allclose(ratio[strong], 1, atol=0.05)
+    assert np.sum(expected) / (4096 * T) == pytest.approx(np.mean([np.var(prms(4096, -0.5, 1.5, hold, s, levels)) for s in range(400)]), rel=0.05)  # fmt: skip
+
+
+def test_the_periodogram_of_a_chirp_is_its_spectrum_ripple_included():
+    arguments = 20_000, 2.0, 20.0, 200.0, T
+    frequency, found = periodogram(chirp(*arguments), 1 / T, detrend=False)
+    expected = chirp_spectrum(frequency, *arguments)
+    inside = (frequency > 21) & (frequency < 199)
+    np.testing.assert_allclose(found[inside], expected[inside], rtol=0.03)  # the image of the negative frequencies
+    assert np.median(expected[inside]) == pytest.approx(2.0**2 / (2 * 180), rel=0.02)
+    assert np.sum(expected) / 20 == pytest.approx(2.0, rel=1e-2)
+    assert np.sum(found) / 20 == pytest.approx(2.0, rel=1e-2)
+
+
+def test_a_chirp_that_stays_at_one_frequency_has_the_spectrum_of_a_sine():
+    frequency, found = periodogram(chirp(1000, 2.0, 50.0, 50.0, T), 1 / T, detrend=False)
+    np.testing.assert_allclose(chirp_spectrum(frequency, 1000, 2.0, 50.0, 50.0, T), found, atol=1e-12)
+
+
+def test_the_mean_periodogram_of_band_limited_noise_is_flat_and_zero_outside():
+    band = 1000, 3.0, 100.0, 300.0, T
+    found = np.mean([periodogram(band_limited_noise(*band, seed), 1 / T, detrend=False)[1] for seed in range(500)], 0)
+    expected = band_limited_noise_spectrum(np.fft.rfftfreq(1000, T), *band)
+    inside = expected > 0
+    assert np.all(found[~inside] < 1e-20)
+    assert np.mean(found[inside]) == pytest.approx(np.mean(expected[inside]), rel=1e-9)
+    np.testing.assert_allclose(found[inside], expected[inside], rtol=0.2)  # 500 runs: one deviation is 4.5 %
+    assert expected.sum() * 1.0 == pytest.approx(9.0)
+
+
+def test_the_periodogram_of_a_multisine_is_its_spectrum_line_by_line():
+    arguments = 4000, 2.0, 5.0, 50.0, T, 4
+    frequency, found = periodogram(multisine(*arguments), 1 / T, detrend=False)
+    expected = multisine_spectrum(frequency, *arguments)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-18)
