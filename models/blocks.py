@@ -21,10 +21,7 @@ def feedforward(
     sources = {i: (i, 1) for i in inputs}
     for depth, size in enumerate(hidden, 1):
         fan_in = sum(n for _, n in sources.values())
-        reach = 0.7 * size ** (1 / fan_in)
-        w = rng.normal(size=(size, fan_in))
-        w *= reach / np.linalg.norm(w, axis=1, keepdims=True)
-        bias = reach * np.linspace(-1, 1, size) * np.sign(rng.normal(size=size))
+        w, bias = _shared_out(rng, size, fan_in)
         parts = np.split(w, np.cumsum([n for _, n in sources.values()])[:-1], axis=1)
         layer = f"hidden{depth}"
         network.add(layer, Layer(dict(zip(sources, parts, strict=True)), bias, activation))
@@ -36,6 +33,36 @@ def feedforward(
     network.connect(last, f"out.{last}")
     network.connect("out", "y")
     return network
+
+
+def nguyen_widrow(network: Network, seed: int) -> Network:
+    """The flat network with another start: neurons of a sigmoid layer share out its input range [-1, 1] (1990).
+
+    A linear layer's weights on a sigmoid layer are drawn with deviation 0.3; frozen weights and all others stay. The
+    networks of the thesis's benchmarks are `nguyen_widrow(noe(..., bypass=False), seed)`.
+    """
+    rng = np.random.default_rng(seed)
+    flat = network.flatten()
+    feeds, values = flat.feeds(), {}
+    sigmoid = {n for n, layer in flat.modules.items() if layer.activation in ("tansig", "logsig")}
+    for name, layer in flat.modules.items():
+        free = {p: w.shape[1] for p, w in layer.weights.items() if p not in layer.frozen}
+        if name in sigmoid and free:
+            w, bias = _shared_out(rng, layer.size, sum(free.values()))
+            parts = np.split(w, np.cumsum(list(free.values()))[:-1], axis=1)
+            values |= {f"{name}.{p}": part for p, part in zip(free, parts, strict=True)}
+            values |= {} if "bias" in layer.frozen else {f"{name}.bias": bias}
+        elif layer.activation == "linear":
+            read = {p: n for p, n in free.items() if feeds[f"{name}.{p}"][0] in sigmoid}
+            values |= {f"{name}.{p}": 0.3 * rng.normal(size=(layer.size, n)) for p, n in read.items()}
+    return flat.with_parameters(values)
+
+
+def _shared_out(rng: np.random.Generator, size: int, fan_in: int) -> tuple[np.ndarray, np.ndarray]:
+    reach = 0.7 * size ** (1 / fan_in)
+    w = rng.normal(size=(size, fan_in))
+    w *= reach / np.linalg.norm(w, axis=1, keepdims=True)
+    return w, reach * np.linspace(-1, 1, size) * np.sign(rng.normal(size=size))
 
 
 def flow_rate(u: np.ndarray, p: np.ndarray) -> np.ndarray:
