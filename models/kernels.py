@@ -119,10 +119,13 @@ def _sum(links, lo, hi, theta, bias, row, k, now, past):  # pragma: no cover - c
     n = theta[bias + row]
     for c in range(lo, hi):
         source, width, delay, w = links[c]
-        x = now[k] if delay == 0 else past[k - delay]
         w += row * width
-        for i in range(width):
-            n += theta[w + i] * x[source + i]
+        if delay == 0:
+            for i in range(width):
+                n += theta[w + i] * now[k, source + i]
+        else:
+            for i in range(width):
+                n += theta[w + i] * past[k - delay, source + i]
     return n
 
 
@@ -238,16 +241,14 @@ def sensitivities(
                         source, width, delay, w = links[c]
                         w += row * width
                         if delay == 0:
-                            x = now[depth + k]
                             for i in range(width):
-                                out[w + i] += d * x[source + i]
+                                out[w + i] += d * now[depth + k, source + i]
                             if source >= n_inputs:
                                 for i in range(width):
                                     adjoint[source + i] += d * theta[w + i]
                         else:
-                            x = past[depth + k - delay]
                             for i in range(width):
-                                out[w + i] += d * x[source + i]
+                                out[w + i] += d * past[depth + k - delay, source + i]
                             for i in range(width):
                                 q = row_of[source + i]
                                 if q >= 0:

@@ -356,9 +356,9 @@ class Problem:
         def narrow(j: np.ndarray) -> np.ndarray:
             """Columns of theta to variables: frozen ones left out, tied ones added up."""
             if not self._tied:
-                return j if len(used) == n + own else j[:, used]
+                return j if len(used) == n + own else np.take(j, used, axis=1)
             found = np.zeros((len(j), size))
-            np.add.at(found, (slice(None), where), j[:, used])
+            np.add.at(found, (slice(None), where), np.take(j, used, axis=1))
             return found
 
         def add(block: np.ndarray, start: int, stop: int) -> None:
