@@ -24,6 +24,7 @@ _UNIFORM = 1e-3  # of a sample interval: what a printed time may be off
 class Recording:
     """Channels `name -> float64 (samples,)` with `units` `name -> unit`, one sample every `dt` seconds.
 
+    history: what was done to it, a line a step (`plants/preparation.py`); a CSV does not keep it.
     Raises InputError when channels differ in length, are empty, hold NaN or inf, or lack a unit.
     """
 
@@ -31,6 +32,7 @@ class Recording:
     channels: Mapping[str, np.ndarray]
     units: Mapping[str, str]
     source: str = field(default="recording", compare=False)
+    history: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self):
         arrays = {name: np.asarray(values, dtype=np.float64) for name, values in self.channels.items()}

@@ -27,7 +27,8 @@ def test_the_mean_periodogram_of_prms_is_its_spectrum(hold, levels):
     ratio = np.add.reduceat(found, bands) / np.add.reduceat(expected, bands)
     strong = np.add.reduceat(expected, bands) > 1e-2 * np.add.reduceat(expected, bands).max()
     np.testing.assert_allclose(ratio[strong], 1, atol=0.05)
-    assert np.sum(expected) / (4096 * T) == pytest.approx(np.mean([np.var(prms(4096, -0.5, 1.5, hold, s, levels)) for s in range(400)]), rel=0.05)  # fmt: skip
+    power = np.mean([np.var(prms(4096, -0.5, 1.5, hold, seed, levels)) for seed in range(400)])
+    assert np.sum(expected) / (4096 * T) == pytest.approx(power, rel=0.05)
 
 
 def test_the_periodogram_of_a_chirp_is_its_spectrum_ripple_included():

@@ -1,0 +1,40 @@
+"""Ports whose normalisation comes from a training recording and is kept with the network."""
+
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+
+from greygate.errors import InputError
+from greygate.models.network import Port
+
+
+def ports(
+    channels: Mapping[str, np.ndarray],
+    units: Mapping[str, str],
+    names: Sequence[str],
+    to: Literal["range", "deviation"] = "range",
+) -> list[Port]:
+    """One scalar port a channel; inside stands (value - offset) / scale, and before the first step the first sample.
+
+    channels: name -> (samples,), of the training recording. to: "range" gives [-1, 1] on it, "deviation" mean 0 and
+    standard deviation 1. Raises InputError for a channel that is missing, constant or not finite.
+    """
+    found = []
+    for name in names:
+        if name not in channels:
+            raise InputError(f"port {name}: no such channel; there are {', '.join(channels)}")
+        x = np.asarray(channels[name], float)
+        if x.size == 0 or not np.isfinite(x).all():
+            raise InputError(f"port {name}: its channel is empty or holds NaN or inf; mend the recording")
+        low, high = float(x.min()), float(x.max())
+        if not high - low > 1e-12 * max(abs(low), abs(high)):
+            raise InputError(f"port {name}: its channel is constant at {low:g}; nothing can be learnt from it")
+        if to == "range":
+            scale, offset = (high - low) / 2, (high + low) / 2
+        elif to == "deviation":
+            scale, offset = float(np.std(x)), float(np.mean(x))
+        else:
+            raise InputError(f"port {name}: normalisation to {to!r}; choose 'range' or 'deviation'")
+        found.append(Port(name, units.get(name, "1"), scale, offset, initial=float(x[0])))
+    return found

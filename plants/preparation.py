@@ -1,0 +1,213 @@
+"""What is done to a recording before it trains or judges a model.
+
+Each function takes a `Recording` and gives a new one whose `history` has one more line, saying what was done.
+channels: which ones, all if left out. A filter on one channel of a plant and not on another becomes part of what is
+identified: filter inputs and outputs alike, or neither.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import gcd
+from typing import Literal
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.signal import butter, lfilter, resample_poly, sosfilt, sosfilt_zi, sosfiltfilt
+from scipy.stats import norm
+
+from greygate.errors import InputError
+from greygate.plants.recording import Recording
+
+WHITENING = 20  # order of the autoregression that whitens an input
+CHANCE = 0.01  # that a delay is seen where there is none
+
+
+def filtered(
+    recording: Recording,
+    kind: Literal["low", "high", "band"],
+    cutoff: float | tuple[float, float],
+    *,
+    phase: Literal["zero", "causal"],
+    order: int = 2,
+    channels: Sequence[str] | None = None,
+) -> Recording:
+    """Butterworth filter of `order`. cutoff: Hz, (low, high) for a band-pass.
+
+    phase: "zero" runs it forwards and backwards, which delays nothing, looks ahead, and doubles order and attenuation
+    (6 dB at the cut-off); "causal" runs it once, as hardware would, and delays; it starts as if the first sample had
+    always been there. Raises InputError for a cut-off above Nyquist or a recording shorter than a period of it.
+    """
+    edges = np.atleast_1d(np.asarray(cutoff, float))
+    if kind not in ("low", "high", "band") or len(edges) != (2 if kind == "band" else 1) or order < 1:
+        raise InputError(f"filter {kind}, {cutoff} Hz, order {order}: low or high take one cut-off, band takes two")
+    if phase not in ("zero", "causal"):
+        raise InputError(f"filter phase {phase!r}: choose 'zero' (looks ahead) or 'causal' (delays)")
+    _check_cutoff(recording, edges)
+    sections = butter(order, edges.squeeze(), {"band": "bandpass"}.get(kind, kind), fs=1 / recording.dt, output="sos")
+    if recording.samples <= (pad := 3 * (2 * len(sections) + 1)):
+        raise InputError(f"{recording.source}: {recording.samples} samples are too few to filter; give over {pad}")
+
+    def run(x: np.ndarray) -> np.ndarray:
+        if phase == "zero":
+            return sosfiltfilt(sections, x)
+        return sosfilt(sections, x, zi=sosfilt_zi(sections) * x[0])[0]
+
+    names = _names(recording, channels)
+    at = " to ".join(f"{f:g}" for f in edges)
+    done = f"{kind}-pass Butterworth of order {order} at {at} Hz, {phase} phase"
+    return _changed(recording, {n: run(recording[n]) for n in names}, f"filtered {_listed(names)}: {done}")
+
+
+def without_offset(recording: Recording, channels: Sequence[str] | None = None, rest: int | None = None) -> Recording:
+    """Each channel less its mean; with `rest`, less the mean of the first `rest` samples, the plant standing still."""
+    if rest is not None and not 1 <= rest <= recording.samples:
+        raise InputError(f"{recording.source}: rest of {rest} samples; give 1 to {recording.samples}")
+    names = _names(recording, channels)
+    offsets = {n: float(np.mean(recording[n][:rest])) for n in names}
+    taken = ", ".join(f"{v:.6g} from {n}" for n, v in offsets.items())
+    over = "" if rest is None else f" (mean of the first {rest} samples)"
+    return _changed(recording, {n: recording[n] - v for n, v in offsets.items()}, f"took offset {taken}{over}")
+
+
+def without_drift(
+    recording: Recording,
+    channels: Sequence[str] | None = None,
+    *,
+    degree: int | None = None,
+    cutoff: float | None = None,
+) -> Recording:
+    """Each channel less its slow change; its mean stays.
+
+    degree: of the polynomial in time that is fitted and taken off (1: a line). cutoff: or, what is slower than this
+    [Hz], by a zero-phase Butterworth filter. Give one of them; raises InputError otherwise.
+    """
+    if (degree is None) == (cutoff is None) or (degree is not None and not 1 <= degree <= 10):
+        raise InputError(f"drift: degree {degree}, cutoff {cutoff}; give a degree of 1 to 10, or a cutoff in Hz")
+    names = _names(recording, channels)
+    if cutoff is not None:
+        slow = filtered(recording, "low", cutoff, phase="zero", channels=names).channels
+        how = f"what is slower than {cutoff:g} Hz"
+    else:
+        if recording.samples <= degree + 1:
+            raise InputError(f"{recording.source}: {recording.samples} samples are too few for degree {degree}")
+        fit, t = np.polynomial.Polynomial.fit, recording.time
+        slow = {n: fit(t, recording[n], degree)(t) for n in names}
+        how = f"a polynomial of degree {degree}"
+    flat = {n: recording[n] - slow[n] + np.mean(slow[n]) for n in names}
+    return _changed(recording, flat, f"took drift off {_listed(names)}: {how}")
+
+
+def without_outliers(
+    recording: Recording,
+    channels: Sequence[str] | None = None,
+    *,
+    half_width: int = 5,
+    threshold: float = 3.0,
+    least: float = 0.0,
+) -> tuple[Recording, dict[str, int]]:
+    """Hampel's identifier: a sample too far from the median of its neighbourhood is replaced by that median.
+
+    Too far: more than `threshold` times 1.4826 MAD of the 2 half_width + 1 samples, and more than `least` (in the
+    channel's unit; give the sensor's resolution, so that a flickering last bit is none). A true pulse of half_width
+    samples or less falls to it too. Returns how many samples were replaced, by channel (Hampel 1974).
+    """
+    width = 2 * half_width + 1
+    if half_width < 1 or not threshold > 0 or least < 0 or recording.samples < width:
+        raise InputError(
+            f"{recording.source}: outliers of {recording.samples} samples with half_width {half_width}, threshold "
+            f"{threshold}, least {least}; needs half_width >= 1, threshold > 0, least >= 0 and {width} samples"
+        )
+    mended, counts = {}, {}
+    for name in _names(recording, channels):
+        x = recording[name]
+        windows = sliding_window_view(np.pad(x, half_width, mode="reflect"), width)
+        median = np.median(windows, axis=1)
+        mad = np.median(np.abs(windows - median[:, None]), axis=1)
+        far = np.abs(x - median) > np.maximum(threshold * 1.4826 * mad, least)
+        mended[name], counts[name] = np.where(far, median, x), int(far.sum())
+    replaced = ", ".join(f"{count} samples of {name}" for name, count in counts.items())
+    return _changed(recording, mended, f"replaced {replaced} by the median of {width}"), counts
+
+
+def estimated_delay(recording: Recording, source: str, target: str, longest: int, onset: bool = False) -> int:
+    """Samples by which `target` follows `source`, 0 to `longest`, from their cross-correlation.
+
+    Both pass the filter that whitens `source`, so that the correlation is the impulse response (Box and Jenkins 1976).
+    The lag of its peak; with `onset`, the first lag that chance explains in less than 1 % of recordings: the dead time
+    of a plant that then answers slowly. Raises InputError for a constant channel, too short a recording, or if no lag
+    stands out.
+    """
+    u, y = (recording[n] - np.mean(recording[n]) for n in (source, target))
+    for name, values in ((source, u), (target, y)):
+        if not np.ptp(values) > 1e-12 * np.abs(recording[name]).max():
+            raise InputError(f"{recording.source}: channel {name} is constant; a delay needs it to move")
+    if longest < 0 or recording.samples < 4 * (longest + WHITENING):
+        raise InputError(
+            f"{recording.source}: {recording.samples} samples are too few for delays to {longest}; "
+            f"give {4 * (max(longest, 0) + WHITENING)}"
+        )
+    past = sliding_window_view(u, WHITENING)[:-1, ::-1]
+    whitening = np.r_[1.0, -np.linalg.lstsq(past, u[WHITENING:], rcond=1e-10)[0]]
+    u, y = (lfilter(whitening, 1.0, v)[WHITENING:] for v in (u, y))
+    n = len(u)
+    response = np.array([u[: n - d] @ y[d:] for d in range(longest + 1)]) / np.sqrt((u @ u) * (y @ y))
+    seen = np.flatnonzero(np.abs(response) > norm.isf(CHANCE / 2 / (longest + 1)) / np.sqrt(n))
+    if not seen.size:
+        raise InputError(f"{recording.source}: {target} does not answer {source} within {longest} samples; look longer")
+    return int(seen[0] if onset else np.abs(response).argmax())
+
+
+def without_delay(recording: Recording, delays: Mapping[str, int]) -> Recording:
+    """Each channel named moved ahead by its delay in samples (below 0: back); all are cut to what they share."""
+    names = _names(recording, delays)
+    longest, shortest = (pick([0, *(delays[n] for n in names)]) for pick in (max, min))
+    samples = recording.samples - longest + shortest
+    if samples < 2:
+        raise InputError(f"{recording.source}: {recording.samples} samples leave {samples} after delays {dict(delays)}")
+    starts = {n: delays.get(n, 0) - shortest for n in recording.channels}
+    moved = {n: recording[n][start : start + samples] for n, start in starts.items()}
+    said = ", ".join(f"{d} samples from {n}" for n, d in delays.items())
+    return _changed(recording, moved, f"took delay {said}; {samples} samples left")
+
+
+def resampled(recording: Recording, up: int = 1, down: int = 1) -> Recording:
+    """`up`/`down` times the sample rate, through a linear-phase low-pass at the lower Nyquist frequency (no delay).
+
+    A command that steps will ring: hold it instead, `recording[name][::down]`. Raises InputError if fewer than 2 stay.
+    """
+    if up < 1 or down < 1:
+        raise InputError(f"{recording.source}: resampling by {up}/{down}; give whole numbers above 0")
+    if recording.samples * up // down < 2:
+        raise InputError(f"{recording.source}: {recording.samples} samples are too few to keep {up} of {down}")
+    up, down = up // gcd(up, down), down // gcd(up, down)
+    channels = {n: resample_poly(v, up, down, padtype="line") for n, v in recording.channels.items()}
+    dt = recording.dt * down / up
+    return replace(
+        _changed(recording, channels, f"resampled by {up}/{down}, from {recording.dt:g} s to {dt:g} s"), dt=dt
+    )
+
+
+def _changed(recording: Recording, values: Mapping[str, np.ndarray], line: str) -> Recording:
+    return replace(recording, channels={**recording.channels, **values}, history=(*recording.history, line))
+
+
+def _names(recording: Recording, channels: Sequence[str] | Mapping | None) -> list[str]:
+    names = list(recording.channels if channels is None else channels)
+    for name in names:
+        recording[name]  # raises, naming those there are
+    return names
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names)
+
+
+def _check_cutoff(recording: Recording, edges: np.ndarray) -> None:
+    nyquist = 0.5 / recording.dt
+    if not (np.all(edges > 0) and np.all(edges < nyquist) and np.all(np.diff(edges) > 0)):
+        raise InputError(
+            f"{recording.source}: cut-off {edges.tolist()} Hz; give rising frequencies between 0 and Nyquist, "
+            f"{nyquist:g} Hz"
+        )
+    if (length := recording.samples * recording.dt) * edges[0] < 1:
+        raise InputError(f"{recording.source}: {length:g} s hold no period of {edges[0]:g} Hz; record longer")
