@@ -10,8 +10,8 @@ One network is two models. `train(..., teacher=True)` puts the measured output i
     narmax (nbj is the same)     NARMAX           NBJ              ARMAX
     nfir                         NFIR             NFIR             FIR
 
-A network with e in its regressors has the measured output as one input more (`with_measured` gives it to a record). A
-free run has no measurement: there e = 0, and `free_run` makes that network. `box_jenkins` adds a noise filter of its own.
+A network with e in its regressors has the measured output as one input more; `with_measured` gives it to a record. A
+free run has no measurement: there e = 0, and `free_run` makes that network. `box_jenkins` adds a noise filter instead.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,8 +52,8 @@ def regression(
     linear_loop: the first hidden layer sees the inputs alone (Hammerstein form): the only loop is linear, so free run
     is stable if its poles are.
     bypass: taps that the hidden layers see reach the output directly too (the thesis's networks have none).
-    It starts as y(k) = y(k - feedback[0]) where the output sees that tap, hidden weights drawn from `seed` at a size that
-    keeps tansig near linear. Raises InputError for a tap that would look ahead or close a loop without delay.
+    It starts as y(k) = y(k - feedback[0]) where the output sees that tap, hidden weights drawn from `seed` at a size
+    that keeps tansig near linear. Raises InputError for a tap that would look ahead or close a loop without delay.
     """
     taps = {f"{port.name}_z{d}": (port.name, d) for port, delays in inputs.items() for d in delays}
     taps |= {f"{output.name}_z{d}": ("sum", d) for d in feedback} | {f"e_z{d}": ("e", d) for d in noise}
@@ -278,8 +278,8 @@ def _signal(signals: Mapping[str, np.ndarray], port: Port) -> np.ndarray:
 def arx(records: Sequence[Record], inputs: Taps, output: Port, feedback: Sequence[int], name: str = "arx") -> Fit:
     """y(k) = sum b_d u(k-d) + sum a_d y(k-d) + bias + e(k): the least squares solution itself.
 
-    Linear fits leave out the rows whose taps reach before a record. Raises InputError as `regressors` and for regressors
-    whose weights are not unique, naming them.
+    Linear fits leave out the rows whose taps reach before a record. Raises InputError as `regressors`, and naming the
+    regressors whose weights are not unique.
     """
     began = monotonic()
     phi = regressors(records, inputs, output, feedback)
