@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 from jinja2 import Environment, PackageLoader
-from scipy.signal import csd, welch
 
 from greygate import figures
 from greygate.compiler.pipeline import Compiled, quantize_centred
@@ -25,10 +24,10 @@ from greygate.errors import InputError, replacing
 from greygate.figures import Line
 from greygate.models.network import Network
 from greygate.models.problem import Problem, Record
+from greygate.models.spectra import frequency_response, spectrum
 
 BINS = 400  # of a whole run as it is drawn; each shows its least and its largest value
 ZOOM = 200  # steps drawn around the largest error
-SPECTRUM = 200  # most points of a spectrum
 QUANTILES = (5, 25, 50, 75, 100)  # of |signal|, in per cent
 KINDS = ("float", "fixed")
 TRUSTED = 0.8  # coherence below which a frequency response says nothing
@@ -183,7 +182,7 @@ def _output(reference: np.ndarray, floating: np.ndarray, fixed: np.ndarray, skip
     """Figures, spectra and drawn traces of one output on one scenario."""
     e_float, e_fixed, cost = floating - reference, fixed - reference, fixed - floating
     used = slice(skip, None)
-    frequency, psd = _spectrum(cost[used], period)
+    frequency, psd = spectrum(cost[used], period)
     worst = skip + int(np.argmax(np.abs(e_fixed[used])))
     start = max(0, min(worst - ZOOM // 2, len(reference) - ZOOM))
     window = slice(start, start + ZOOM)
@@ -198,7 +197,7 @@ def _output(reference: np.ndarray, floating: np.ndarray, fixed: np.ndarray, skip
             "frequency": frequency,
             "psd": psd,
         },
-        "model_psd": _spectrum(e_float[used], period)[1],
+        "model_psd": spectrum(e_float[used], period)[1],
         "frf": frequency_response(reference[used], {"float": floating[used], "fixed": fixed[used]}, period),
         "drawn": {
             name: envelope(values)
@@ -219,50 +218,6 @@ def _hardware(found: Mapping, scenario: str, fixed: float) -> dict | None:
         return None
     same = verdict["differing_bits"] == 0
     return {**verdict, "equals_fixed": same, "rmse": fixed if same else None}
-
-
-def _segment(samples: int) -> int:
-    """Length of Welch's segments: a power of two, at least six of them half overlapping, at most 4096 steps."""
-    return min(4096, 1 << max(3, int(math.log2(max(samples, 16) / 4))))
-
-
-def _log_bins(frequency: np.ndarray) -> np.ndarray:
-    """First indices of at most SPECTRUM bins that are even on a log scale; the mean (f = 0) is left out."""
-    edges = np.geomspace(1, len(frequency), SPECTRUM + 1)[:-1]
-    return np.unique(edges.astype(int))
-
-
-def _averaged(values: np.ndarray, bins: np.ndarray) -> np.ndarray:
-    return np.add.reduceat(values, bins) / np.diff([*bins, len(values)])
-
-
-def _spectrum(signal: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
-    """Frequency [Hz] and power density [unit^2/Hz] by Welch's method, averaged over bins even on a log scale."""
-    frequency, power = welch(signal, 1 / period, nperseg=_segment(len(signal)))
-    bins = _log_bins(frequency)
-    return _averaged(frequency, bins), _averaged(power, bins)
-
-
-def frequency_response(reference: np.ndarray, predictions: Mapping[str, np.ndarray], period: float) -> dict:
-    """Accuracy frequency response Y_hat/Y of each prediction (N,) (thesis figs. 5.7, 5.8): H1 estimator S_yx / S_xx.
-
-    frequency in Hz; per prediction magnitude, phase in degrees and coherence, None where the reference has no power.
-    """
-    rate, n = 1 / period, _segment(len(reference))
-    frequency, power = welch(reference, rate, nperseg=n)
-    bins = _log_bins(frequency)
-    power = _averaged(power, bins)
-    found = {"frequency": _averaged(frequency, bins)}
-    for name, prediction in predictions.items():
-        cross = _averaged(csd(reference, prediction, rate, nperseg=n)[1], bins)
-        own = _averaged(welch(prediction, rate, nperseg=n)[1], bins)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            found[name] = {
-                "magnitude": np.abs(cross) / power,
-                "phase": np.where(power > 0, np.degrees(np.angle(cross)), np.nan),
-                "coherence": np.abs(cross) ** 2 / (power * own),
-            }
-    return found
 
 
 def envelope(values: np.ndarray, bins: int = BINS) -> dict[str, list]:
