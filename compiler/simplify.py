@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from greygate.models.network import Connection, Network
+from greygate.models.network import ACTIVATIONS, Connection, Layer, Network
 
 
 class Graph:
@@ -118,42 +118,62 @@ def merge_linear(network: Network, always: bool = False) -> Network:
 
 
 def fold_constants(network: Network) -> Network:
-    """Take layers whose output never changes into the biases of those that read them; drop terms that are zero."""
-    from greygate.models.network import ACTIVATIONS
-
+    """Take neurons whose output never changes into the biases of those that read them; drop terms that are zero."""
     g = Graph(network.flatten())
-    for name in g.flat.order():
-        kept = [t for t in g.terms(name) if np.any(t[2])]
-        if len(kept) < len(g.layers[name].weights):
-            g.rewrite(name, kept, g.layers[name].bias)
-        layer = g.layers[name]
-        value = ACTIVATIONS[layer.activation](np, layer.bias)
-        if (
-            layer.weights
-            or name in g.shown()
-            or ((value != layer.initial).any() and any(d for *_, d in g.readers(name)))
-        ):
-            continue
-        for reader, port, _ in g.readers(name):
-            target = g.layers[reader]
-            terms = [t for t in g.terms(reader) if t[0] != name]
-            g.rewrite(reader, terms, target.bias + target.weights[port] @ value)
-        g.drop(name)
-    return g.network()
+    order, changed = g.flat.order(), True
+    while changed:
+        changed = False
+        for name in order:
+            layer, readers = g.layers[name], g.readers(name)
+            value = ACTIVATIONS[layer.activation](np, layer.bias)
+            still = ~np.any([w.any(axis=1) for w in layer.weights.values()] or [np.zeros(layer.rows, bool)], axis=0)
+            constant = still[_rows(layer)].all(axis=0)
+            for reader, port, delay in readers:
+                w = g.layers[reader].weights[port]
+                gone = constant & w.any(axis=0) & ((value == layer.initial) | all(d == 0 for _, _, d in readers))
+                if gone.any():
+                    target, changed = g.layers[reader], True
+                    weights = target.weights | {port: np.where(gone, 0.0, w)}
+                    g.layers[reader] = replace(target, weights=weights, bias=target.bias + w[:, gone] @ value[gone])
+    return remove_dead(g.network())
 
 
 def remove_dead(network: Network) -> Network:
-    """Remove layers that no output depends on."""
+    """Remove neurons that no output depends on, and terms that are zero."""
     g = Graph(network.flatten())
-    reached, waiting = set(), list(g.shown())
+    alive = {n: np.full(layer.size, n in g.shown()) for n, layer in g.layers.items()}
+    waiting = [n for n in g.layers if n in g.shown()]
     while waiting:
         name = waiting.pop()
-        if name in g.layers and name not in reached:
-            reached.add(name)
-            waiting += [s for s, _ in g.sources(name).values()]
-    for name in set(g.layers) - reached:
-        g.drop(name)
+        rows = _rows(g.layers[name])[:, alive[name]].ravel()
+        for port, (source, _) in g.sources(name).items():
+            read = g.layers[name].weights[port][rows].any(axis=0)
+            if source in alive and (read & ~alive[source]).any():
+                alive[source] = alive[source] | read
+                waiting.append(source)
+    for name, layer in list(g.layers.items()):
+        if not alive[name].any():
+            g.drop(name)
+            continue
+        rows, weights = _rows(layer)[:, alive[name]].ravel(), {}
+        for port, (source, _) in g.sources(name).items():
+            w = layer.weights[port][rows]
+            weights[port] = w[:, alive[source]] if source in alive else w
+            if not w.any():
+                del weights[port], g.feeds[f"{name}.{port}"]
+        g.layers[name] = replace(
+            layer,
+            weights=weights,
+            bias=layer.bias[rows],
+            initial=layer.initial[alive[name]],
+            frozen=layer.frozen & {"bias", *weights},
+        )
     return g.network()
+
+
+def _rows(layer: Layer) -> np.ndarray:
+    """(rows a neuron, neurons): the sums that each neuron is made of; one, or three of a multiplexer."""
+    return np.arange(layer.rows).reshape(-1, layer.size)
 
 
 def share_equal(network: Network) -> Network:

@@ -200,7 +200,7 @@ def test_entropy_pruning_removes_neurons_that_do_nothing_and_keeps_the_error():
     parameters = part.parameters()
     network = feedforward("f", ["u", "p"], [8], 1).with_parameters(
         {
-            "hidden1.u": np.r_[parameters["hidden1.u"], [[0.0], [1e-3]]],
+            "hidden1.u": np.r_[parameters["hidden1.u"], [[1e-3], [1e-3]]],
             "hidden1.p": np.r_[parameters["hidden1.p"], [[0.0], [0.0]]],
             "hidden1.bias": np.r_[parameters["hidden1.bias"], 0.5, -0.3],
             "out.hidden1": np.c_[parameters["out.hidden1"], 2.0, -1.0],
