@@ -216,7 +216,8 @@ class Network:
     ) -> dict:
         """Run over a sequence (N,) or a batch of sequences (B, N), in physical units; vector ports add a last axis.
 
-        initial: other values before the first step, by input port (its unit) or layer path (normalised).
+        initial: other values before the first step, by input port (its unit) or layer path (normalised; of a layer also
+        (steps, size), oldest first).
         parameters: replaces parameters by name; give torch tensors to get torch results with gradients.
         trace: return every layer's signal too. Raises InputError for inputs that are missing or not finite.
         """
@@ -288,11 +289,16 @@ class Runner:
         as_array = (lambda v: v) if self.xp is np else (lambda v: self.xp.as_tensor(v, dtype=self.xp.float64))
         self._values = {n: as_array((parameters or {}).get(n, np.asarray(v))) for n, v in values.items()}
         start = {p.name: np.full(p.size, (initial.get(p.name, p.initial) - p.offset) / p.scale) for p in flat.inputs}
-        start |= {n: np.broadcast_to(initial.get(n, layer.initial), layer.size) for n, layer in flat.modules.items()}
+        start |= {n: initial.get(n, layer.initial) for n, layer in flat.modules.items()}
+        sizes = {p.name: p.size for p in flat.inputs} | {n: layer.size for n, layer in flat.modules.items()}
         deepest = dict.fromkeys(start, 0)
         for source, delay in self._feeds.values():
             deepest[source] = max(deepest[source], delay)
-        self._past = {n: [as_array(np.array(start[n], float))] * d for n, d in deepest.items()}  # newest first
+        self._past = {}  # newest first
+        for name, deep in deepest.items():
+            value = np.atleast_2d(np.asarray(start[name], float))[-deep:] if deep else np.zeros((0, 1))
+            past = np.broadcast_to(value, (deep, sizes[name]))[::-1]
+            self._past[name] = [as_array(v.copy()) for v in past]
 
     def step(self, inputs: Mapping, trace: bool = False) -> dict:
         """inputs: port -> (..., size), physical. Returns port -> (..., size), physical (and every layer, if traced)."""

@@ -13,6 +13,7 @@ from greygate.models.network import Network
 CHUNK = 2048  # steps of Jacobian held at once
 CORES = ThreadPoolExecutor(2, "greygate")  # kernels and BLAS both let go of the interpreter
 WORTH = 2e6  # multiplications below which a second core does not pay
+IN_RANGE = 10.0  # of a normalised signal
 COLLINEAR = 1e-9  # smallest singular value of the scaled regressors, relative to the largest
 
 
@@ -77,7 +78,7 @@ class Problem:
         shooting: int | None = None,
     ):
         self.flat = network.flatten()
-        self.teacher = teacher
+        self.teacher, self.estimate_initial = teacher, estimate_initial
         self.continuity = 1.0
         feeds = self.flat.feeds()
         outputs = {p.name for p in self.flat.outputs}
@@ -174,7 +175,7 @@ class Problem:
             return (value - p.offset) / p.scale
 
         target = np.concatenate([signal("target", record.targets, p) for p in flat.outputs], axis=1)
-        now = np.empty((depth + len(target), len(self._outputs)))
+        now = np.zeros((depth + len(target), len(self._outputs)))
         at = 0
         for p in flat.inputs:
             value = signal("input", record.inputs, p)
@@ -226,13 +227,13 @@ class Problem:
                 yield replace(w, state=first)
                 continue
             t, shown = self._tables, self._tables.rows[self._tables.shown]
-            guess = w.past.copy()  # what is shown was measured, and teaches what is not
+            guess = w.past.copy()  # what is shown was measured, and teaches what is not, if that stays in range
             guess[depth:, shown] = w.target
             forward(t.layers, t.links, t.n_inputs, depth, theta, w.now, guess, self._outputs)
             starts = list(range(0, len(w.target) - length + 1, length))
             for start, stop in zip(starts, [*starts[1:], len(w.target)], strict=True):
                 rows = slice(start, stop + depth)
-                past = np.where(np.isfinite(guess), guess, 0.0)[rows].copy() if start else w.past[rows].copy()
+                past = np.where(np.abs(guess) < IN_RANGE, guess, 0.0)[rows].copy() if start else w.past[rows].copy()
                 past[depth:] = w.past[depth + start : depth + stop]
                 yield _Window(
                     past.copy(),

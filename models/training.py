@@ -1,17 +1,27 @@
 """Levenberg-Marquardt for any network, feedback included, with exact derivatives through time."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
+from functools import cache
+from pathlib import Path
+from threading import Event
 from time import monotonic
 
 import numpy as np
 import scipy.linalg
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
-from greygate.errors import InputError
+from greygate.errors import InputError, replacing
 from greygate.models.network import Network
 from greygate.models.problem import Problem, Record
+
+CONTINUITY = (1.0, 1e1, 1e2, 1e3)  # weights of the gaps, one multiple-shooting stage each
+SAVE_EVERY = 10.0  # s between checkpoints
+STOP = Event()  # ends every training under way in other threads, as Ctrl-C does in this one
 
 
 class Outcome(Enum):
@@ -20,52 +30,78 @@ class Outcome(Enum):
     CONVERGED = "The loss no longer falls: converged."
     REACHED = "The loss that was asked for is reached."
     EPOCHS = "All epochs are used; the loss was still falling."
+    EARLY = "The held-out error no longer falls: stopped, with the weights of its lowest."
     TIME = "Out of time; these are the best weights so far."
     INTERRUPTED = "Interrupted; these are the best weights so far."
     STALLED = "No step lowers the loss: stalled at a point that may be no minimum."
+    DIVERGED = (
+        "The free run diverges; the weights are the best so far. Start from a NARX fit, smaller weights or shooting."
+    )
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A trained network. history: loss J after each epoch, J = (1/2N) sum e^2 + (1/2N) theta' D theta, normalised."""
+    """A trained network, flat.
+
+    history: loss J after each epoch, J = (1/2N) sum e^2 + (1/2N) theta' D theta, normalised.
+    held: mean squared error on the held-out records after each epoch. remarks: why the records may not do, a sentence
+    each. initial: with `estimate_initial`, the state before each record, as for `Record.initial`.
+    """
 
     network: Network
     outcome: Outcome
     history: tuple[float, ...]
     seconds: float
+    held: tuple[float, ...] = ()
+    remarks: tuple[str, ...] = ()
+    initial: tuple[dict[str, np.ndarray], ...] = ()
 
 
 class _Whole:
-    """A network on its records together with modules of it on records of their own, over one theta."""
+    """A network on its records, with decay, and modules of it on records of their own, over one theta."""
 
-    def __init__(self, network: Network, records: list[Record], teacher: bool, free: Mapping | None, rehearse: Mapping):
-        if not records:
-            raise InputError(f"network {network.name}: no records to train on")
-        self.main = Problem(network, records, teacher, free)
+    def __init__(self, main: Problem, network: Network, decay: float | Mapping[str, float], rehearse: Mapping):
+        self.main = main
+        self.decay = self._decay(decay)
         self.parts = []
-        place = self.main.slices()
-        position = np.full(len(self.main.theta), -1)
-        position[self.main.free] = np.arange(len(self.main.free))
+        place = main.slices()
         for path, record in rehearse.items():
             part = Problem(_module(network, path), [record])
             index = np.concatenate([place[f"{path}.{n}"] for n in part.slices()])
-            moving = np.flatnonzero(position[index[part.free]] >= 0)
-            self.parts.append((part, index, moving, position[index[part.free]][moving]))
+            moving = np.flatnonzero(main.variable[index[part.free]] >= 0)
+            self.parts.append((part, index, moving, main.variable[index[part.free]][moving]))
 
-    def loss(self, theta: np.ndarray, decay: float) -> float:
-        """J = (1/2N) (sum e^2 + rehearsal's weighted sum e^2 + decay theta' theta); inf where a run diverges."""
+    def _decay(self, decay: float | Mapping[str, float]) -> np.ndarray:
+        """D's diagonal over the variables; initial states do not decay."""
+        place = self.main.slices()
+        size = sum(map(len, place.values()))
+        diagonal = np.zeros(len(self.main.theta))
+        if not isinstance(decay, Mapping):
+            diagonal[:size] = decay
+        else:
+            for name in decay:
+                if name not in place and not any(n.startswith(name + ".") for n in place):
+                    raise InputError(f"decay names {name}, which is no module, layer or parameter of the network")
+            for name, columns in place.items():  # the longest name that fits counts
+                fits = [d for d in decay if name == d or name.startswith(d + ".")]
+                diagonal[columns] = decay[max(fits, key=len)] if fits else 0.0
+        return diagonal[self.main.free]
+
+    def loss(self, theta: np.ndarray) -> float:
+        """J = (1/2N) (sum e^2 + rehearsal's weighted sum e^2 + theta' D theta); inf where a run diverges."""
         squares = self.main.squares(theta) + sum(part.squares(theta[index]) for part, index, _, _ in self.parts)
-        value = (squares + decay * float(np.sum(theta[self.main.free] ** 2))) / (2 * self.main.samples)
-        return value if np.isfinite(value) else np.inf
+        if self.decay.any():
+            squares += float(self.decay @ theta[self.main.free] ** 2)
+        return squares / (2 * self.main.samples)
 
-    def normal_equations(self, theta: np.ndarray, decay: float) -> tuple[np.ndarray, np.ndarray]:
+    def normal_equations(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         hessian, gradient = self.main.normal_equations(theta)
         for part, index, moving, where in self.parts:
             h, g = part.normal_equations(theta[index])
-            hessian[np.ix_(where, where)] += h[np.ix_(moving, moving)]
-            gradient[where] += g[moving]
-        hessian[np.diag_indices_from(hessian)] += decay
-        return hessian, gradient + decay * theta[self.main.free]
+            np.add.at(hessian, np.ix_(where, where), h[np.ix_(moving, moving)])
+            np.add.at(gradient, where, g[moving])
+        hessian[np.diag_indices_from(hessian)] += self.decay
+        return hessian, gradient + self.decay * theta[self.main.free]
 
 
 def _module(network: Network, path: str) -> Network:
@@ -76,84 +112,292 @@ def _module(network: Network, path: str) -> Network:
     return network
 
 
+@dataclass
+class _Progress:
+    """Where a training stands: all that a checkpoint keeps."""
+
+    theta: np.ndarray
+    best: np.ndarray
+    damping: float = 1e-3
+    growth: float = 2.0
+    history: list[float] = field(default_factory=list)
+    held: list[float] = field(default_factory=list)
+
+    def save(self, path: Path, key: str) -> None:
+        with replacing(path) as temporary, temporary.open("wb") as file:
+            np.savez(file, key=key, **{f.name: getattr(self, f.name) for f in fields(self)})
+
+    @staticmethod
+    def load(path: Path, key: str) -> "_Progress":
+        try:
+            with np.load(path) as data:
+                if str(data["key"]) != key:
+                    raise InputError(f"{path}: a checkpoint of another training; remove it or give another path")
+                values = {f.name: data[f.name] for f in fields(_Progress)}
+        except (OSError, ValueError, KeyError) as error:
+            raise InputError(f"{path}: not a readable checkpoint ({error}); remove it") from None
+        return _Progress(**{n: v if v.ndim and n in ("theta", "best") else v.tolist() for n, v in values.items()})
+
+
 def train(
     network: Network,
-    records: list[Record],
+    records: Sequence[Record],
     *,
     teacher: bool = False,
     epochs: int = 100,
-    decay: float = 0.0,
+    decay: float | Mapping[str, float] = 0.0,
     rehearse: Mapping[str, Record] | None = None,
     goal: float = 0.0,
     seconds: float = np.inf,
     tolerance: float = 1e-7,
     free: Mapping | None = None,
+    tied: Sequence[Sequence[str]] = (),
+    bounds: Mapping[str, tuple] | None = None,
+    held: Sequence[Record] = (),
+    tail: float = 0.0,
+    patience: int = 20,
+    estimate_initial: bool = False,
+    shooting: int | None = None,
+    checkpoint: Path | str | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Fit:
     """Levenberg-Marquardt (Marquardt 1963; Nielsen's damping). The trained network is flat.
 
-    decay: D of the loss, one number for every free weight (biases included). goal: stop at this loss.
+    teacher, free, tied, estimate_initial, shooting: as for `Problem`. After multiple shooting, whose gaps are closed
+    step by step, the free run is trained once more.
+    decay: D of the loss, one number for every free weight (biases included), or {module, layer or parameter: number}.
     rehearse: module path -> a record of its own ports, weighted by `Record.weight`: parts that were right stay right
     where `records` do not reach.
-    tolerance: relative fall over ten epochs below which it has converged. progress: called with (epoch, loss).
-    Ctrl-C keeps the best weights so far.
+    bounds: {parameter: (low, high)}, numbers or arrays of its shape.
+    held, tail: records, and the share at the end of each training record, that are not trained on; the weights of the
+    lowest error there are kept, and `patience` epochs without a lower one end the training.
+    goal: stop at this loss. tolerance: relative fall over ten epochs below which it has converged.
+    checkpoint: a file that is written now and then, and taken up if it is there; a finished training removes it.
+    progress: called with (epoch, loss). Ctrl-C keeps the best weights so far. Raises InputError as `Problem`.
     """
     began = monotonic()
-    with threadpool_limits(1, "blas"):  # two BLAS threads are slower than one on matrices this small
-        whole = _Whole(network, records, teacher, free, rehearse or {})
-        problem = whole.main
-        theta = problem.theta.copy()
-        loss = whole.loss(theta, decay)
-        if not np.isfinite(loss):
-            raise InputError(
-                f"network {network.name}: diverges with its initial weights; start from a NARX fit or smaller weights"
-            )
-        history, damping, growth, outcome = [loss], 1e-3, 2.0, Outcome.EPOCHS
-        best = theta.copy()
+    if not records:
+        raise InputError(f"network {network.name}: no records to train on")
+    if not 0 <= tail < 1:
+        raise InputError(f"tail {tail}: a share from 0 up to 1, without 1")
+    heads = [int((1 - tail) * len(r)) for r in records]
+    judged = [replace(r, skip=max(h, r.skip)) for r, h in zip(records, heads, strict=True) if tail] + list(held)
+    used = [r.cut(0, h) for r, h in zip(records, heads, strict=True)] if tail else list(records)
+    options = {"teacher": teacher, "free": free, "tied": tied}
+    judge = Problem(network, judged, teacher, estimate_initial=estimate_initial) if judged else None
+
+    def climb(problem: Problem, goal: float, epochs: int, checkpoint: Path | str | None) -> Fit:
+        whole = _Whole(problem, network, decay, rehearse or {})
+        left = seconds - (monotonic() - began)
+        path = Path(checkpoint) if checkpoint else None
+        return _Climb(whole, judge, bounds or {}, patience).run(epochs, goal, left, tolerance, path, progress)
+
+    with blas().limit(limits=1, user_api="blas"):  # two BLAS threads are slower than one on matrices this small
+        fit = None
+        if shooting:
+            problem = Problem(network, used, **options, estimate_initial=estimate_initial, shooting=shooting)
+            for problem.continuity in CONTINUITY:
+                fit = climb(problem, 0.0, max(epochs // len(CONTINUITY), 1), None)
+                if fit.outcome in (Outcome.INTERRUPTED, Outcome.TIME):
+                    break
+            used = [
+                replace(r, initial=r.initial | i) for r, i in zip(used, problem.initial(problem.theta), strict=True)
+            ]
+        if fit is None or fit.outcome not in (Outcome.INTERRUPTED, Outcome.TIME):
+            problem = Problem(fit.network if fit else network, used, **options, estimate_initial=estimate_initial)
+            fit = climb(problem, goal, epochs, checkpoint)
+    return replace(fit, seconds=monotonic() - began, remarks=tuple(problem.remarks()))
+
+
+@cache
+def blas() -> ThreadpoolController:
+    """The BLAS libraries that are loaded; finding them takes milliseconds."""
+    return ThreadpoolController()
+
+
+class _Climb:
+    """One descent of Levenberg-Marquardt from the problem's theta."""
+
+    def __init__(self, whole: _Whole, judge: Problem | None, bounds: Mapping[str, tuple], patience: int):
+        self.whole, self.judge, self.patience = whole, judge, patience
+        problem = self.problem = whole.main
+        low, high = np.full(len(problem.theta), -np.inf), np.full(len(problem.theta), np.inf)
+        place = problem.slices()
+        for name, (lo, hi) in bounds.items():
+            if name not in place:
+                raise InputError(f"bounds name {name}, which is no parameter of the network")
+            low[place[name]], high[place[name]] = np.ravel(lo), np.ravel(hi)
+        if (low > high).any():
+            raise InputError("bounds: a lower bound lies above its upper bound")
+        self.low, self.high = low[problem.free], high[problem.free]
+        problem.theta = problem.moved(
+            problem.theta, np.clip(problem.theta[problem.free], self.low, self.high) - problem.theta[problem.free]
+        )
+
+    def key(self) -> str:
+        """What must be equal for a checkpoint to fit."""
+        said = [*self.problem.slices(), len(self.problem.theta), len(self.problem.free), self.problem.samples]
+        return hashlib.sha256(json.dumps([*said, self.problem.theta.tolist()]).encode()).hexdigest()[:16]
+
+    def held(self, theta: np.ndarray) -> float:
+        full = self.judge.theta.copy()  # its first initial states are those of the training records, others stay
+        count = min(len(theta), len(full))
+        full[:count] = theta[:count]
+        return self.judge.squares(full) / self.judge.samples
+
+    def step(self, theta: np.ndarray, hessian: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray | None:
+        """The damped Gauss-Newton step within the bounds; None where there is none."""
+        x = theta[self.problem.free]
+        stuck = ((x <= self.low) & (gradient > 0)) | ((x >= self.high) & (gradient < 0))
+        moving = np.flatnonzero(~stuck)
+        h = hessian[np.ix_(moving, moving)] if stuck.any() else hessian
+        diagonal = np.einsum("ii->i", h)
+        damped = h.copy()
+        damped[np.diag_indices_from(damped)] += damping * (diagonal + 1e-12 * diagonal.mean() + 1e-300)
         try:
-            for epoch in range(epochs):
-                hessian, gradient = whole.normal_equations(theta, decay)
-                scale = np.diag(hessian).copy() + 1e-12 * np.trace(hessian) / len(hessian) + 1e-300
-                while True:
-                    try:
-                        factor = scipy.linalg.cho_factor(hessian + np.diag(damping * scale), check_finite=False)
-                        step = -scipy.linalg.cho_solve(factor, gradient, check_finite=False)
-                    except scipy.linalg.LinAlgError:
-                        step = None
-                    if step is not None and np.isfinite(step).all():
-                        trial = theta.copy()
-                        trial[problem.free] += step
-                        value = whole.loss(trial, decay)
-                        expected = 0.5 * float(step @ (damping * scale * step - gradient)) / problem.samples
-                        ratio = (loss - value) / expected if expected > 0 else -1.0
-                        if value < loss:
-                            break
-                    damping *= growth
-                    growth *= 2
-                    if damping > 1e12:
-                        break
-                if damping > 1e12:
-                    outcome = (
-                        Outcome.CONVERGED
-                        if np.linalg.norm(gradient) < 1e-6 * np.sqrt(loss) * len(gradient)
-                        else Outcome.STALLED
-                    )
+            factor = scipy.linalg.cho_factor(damped, overwrite_a=True, check_finite=False)
+        except scipy.linalg.LinAlgError:
+            return None
+        step = np.zeros(len(x))
+        step[moving] = -scipy.linalg.cho_solve(factor, gradient[moving], check_finite=False)
+        step = np.clip(x + step, self.low, self.high) - x
+        return step if np.isfinite(step).all() else None
+
+    def run(self, epochs, goal, seconds, tolerance, checkpoint, progress) -> Fit:
+        began = saved = monotonic()
+        whole, problem = self.whole, self.problem
+        at = _Progress(problem.theta.copy(), problem.theta.copy())
+        key = self.key() if checkpoint else ""
+        if checkpoint and checkpoint.exists():
+            at = _Progress.load(checkpoint, key)
+        else:
+            at.history.append(whole.loss(at.theta))
+            if self.judge:
+                at.held.append(self.held(at.theta))
+        outcome = Outcome.EPOCHS if np.isfinite(whole.loss(at.theta)) else Outcome.DIVERGED
+        if at.history[-1] <= goal:
+            outcome = Outcome.REACHED
+        try:
+            while outcome is Outcome.EPOCHS and len(at.history) <= epochs:
+                outcome = self.epoch(at) or outcome
+                if outcome is not Outcome.EPOCHS:
                     break
-                theta, loss, growth = trial, value, 2.0
-                best = theta
-                damping = max(damping * max(1 / 3, 1 - (2 * ratio - 1) ** 3), 1e-15)
-                history.append(loss)
                 if progress:
-                    progress(epoch + 1, loss)
-                if loss <= goal:
+                    progress(len(at.history) - 1, at.history[-1])
+                if at.history[-1] <= goal:
                     outcome = Outcome.REACHED
-                    break
-                if len(history) > 10 and history[-11] - loss < tolerance * loss:
+                elif len(at.history) > 10 and at.history[-11] - at.history[-1] < tolerance * at.history[-1]:
                     outcome = Outcome.CONVERGED
-                    break
-                if monotonic() - began > seconds:
+                elif self.judge and len(at.held) - 1 - int(np.argmin(at.held)) >= self.patience:
+                    outcome = Outcome.EARLY
+                elif STOP.is_set():
+                    outcome = Outcome.INTERRUPTED
+                elif monotonic() - began > seconds:
                     outcome = Outcome.TIME
-                    break
+                if checkpoint and monotonic() - saved > SAVE_EVERY:
+                    at.save(checkpoint, key)
+                    saved = monotonic()
         except KeyboardInterrupt:
             outcome = Outcome.INTERRUPTED
-        return Fit(problem.unpack(best), outcome, tuple(history), monotonic() - began)
+        if checkpoint and outcome in (Outcome.INTERRUPTED, Outcome.TIME):
+            at.save(checkpoint, key)
+        elif checkpoint:
+            checkpoint.unlink(missing_ok=True)
+        problem.theta = at.best
+        return Fit(
+            problem.unpack(at.best),
+            outcome,
+            tuple(at.history),
+            monotonic() - began,
+            held=tuple(at.held),
+            initial=tuple(problem.initial(at.best)) if problem.estimate_initial else (),
+        )
+
+    def epoch(self, at: _Progress) -> Outcome | None:
+        """Take one step that lowers the loss, raising the damping until there is one."""
+        whole, problem, loss = self.whole, self.problem, at.history[-1]
+        hessian, gradient = whole.normal_equations(at.theta)
+        while True:
+            step = self.step(at.theta, hessian, gradient, at.damping)
+            if step is not None:
+                trial = problem.moved(at.theta, step)
+                value = whole.loss(trial)
+                expected = -float(gradient @ step + 0.5 * step @ (hessian @ step)) / problem.samples
+                ratio = (loss - value) / expected if expected > 0 else -1.0
+                if value < loss:
+                    break
+            at.damping *= at.growth
+            at.growth *= 2
+            if at.damping > 1e12:
+                small = np.linalg.norm(gradient) < 1e-6 * np.sqrt(loss) * len(gradient)
+                return Outcome.CONVERGED if small else Outcome.STALLED
+        at.theta, at.growth = trial, 2.0
+        at.damping = max(at.damping * max(1 / 3, 1 - (2 * ratio - 1) ** 3), 1e-15)
+        at.history.append(value)
+        if self.judge:
+            at.held.append(self.held(trial))
+        if not self.judge or at.held[-1] <= min(at.held):
+            at.best = trial
+        return None
+
+
+def narx_noe(network: Network, records: Sequence[Record], narx_epochs: int = 200, **options) -> Fit:
+    """Series-parallel training first, then free run from its weights (thesis 3.2; Norgaard 2000). options: of `train`.
+
+    Where the NARX weights diverge in free run, multiple shooting leads there, in windows of a twentieth of the shortest
+    record.
+    """
+    shared = {n: v for n, v in options.items() if n in ("decay", "free", "tied", "bounds", "seconds", "progress")}
+    narx = train(network, records, teacher=True, epochs=narx_epochs, **shared)
+    if narx.outcome is Outcome.INTERRUPTED:
+        return narx
+    noe = train(narx.network, records, **options)
+    if noe.outcome is Outcome.DIVERGED:
+        window = max(min(map(len, records)) // 20, 2)
+        noe = train(narx.network, records, **options, shooting=window)
+    return replace(noe, seconds=narx.seconds + noe.seconds)
+
+
+@dataclass(frozen=True)
+class Start:
+    """One start of `multistart`: its seed, what came of it, and its score (lower is better; inf where it diverged)."""
+
+    seed: int
+    fit: Fit
+    score: float
+
+
+def multistart(
+    fit: Callable[[int], Fit],
+    score: Callable[[Network], float],
+    seeds: Sequence[int],
+    jobs: int = 2,
+    progress: Callable[[Start], None] | None = None,
+) -> list[Start]:
+    """Fit from every seed, `jobs` at a time, and rank by `score`: an error on records that no fit has seen.
+
+    Ctrl-C ends the starts under way and ranks what there is. Raises InputError if no start was finished.
+    """
+    done: list[Start] = []
+
+    def run(seed: int) -> Start:
+        found = fit(seed)
+        value = score(found.network)
+        return Start(seed, found, float(value) if np.isfinite(value) else np.inf)
+
+    with blas().limit(limits=1, user_api="blas"), ThreadPoolExecutor(jobs) as pool:
+        waiting = [pool.submit(run, seed) for seed in seeds]
+        try:
+            for future in as_completed(waiting):
+                done.append(future.result())
+                if progress:
+                    progress(done[-1])
+        except KeyboardInterrupt:
+            STOP.set()
+            pool.shutdown(cancel_futures=True)
+            done += [f.result() for f in waiting if f.done() and not f.cancelled() and f.result() not in done]
+        finally:
+            STOP.clear()
+    if not done:
+        raise InputError("no start was finished; give seeds, or more time")
+    return sorted(done, key=lambda start: (start.score, start.seed))

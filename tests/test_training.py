@@ -1,3 +1,6 @@
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -10,7 +13,7 @@ from greygate.errors import InputError
 from greygate.models.blocks import feedforward, flow_rate, flow_record
 from greygate.models.network import Layer, Network, Port
 from greygate.models.problem import Problem, Record
-from greygate.models.training import Outcome, train
+from greygate.models.training import Outcome, multistart, narx_noe, train
 
 
 def as_record(network: Network, steps: int, seed: int) -> Record:
@@ -20,7 +23,7 @@ def as_record(network: Network, steps: int, seed: int) -> Record:
     return Record(inputs, targets, skip=int(rng.integers(0, 3)))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.integers(0, 10**9))
 def test_gradients_through_time_equal_those_of_torch_for_any_topology(seed):
     network = random_network(seed, activations=SMOOTH)
@@ -128,11 +131,192 @@ def test_bad_records_are_named(records, message):
         train(delay_line(), records)
 
 
-def test_a_network_that_diverges_at_the_start_is_refused():
-    network = Network("bomb", [Port("u")], [Port("y")])
-    network.add("s", Layer({"own": [[1e30]], "u": [[1.0]]}, [0.0]))
+def loop(own: float = 0.5, gain: float = 1.0, size: int = 1) -> Network:
+    """s(k) = own s(k-1) + gain u(k), shown."""
+    network = Network("loop", [Port("u")], [Port("y")])
+    network.add("s", Layer({"own": own * np.eye(size), "u": np.full((size, 1), gain)}, np.zeros(size)))
+    network.add("out", Layer({"s": np.ones((1, size))}, [0.0], frozen={"s", "bias"}))
     network.connect("u", "s.u")
     network.connect("s", "s.own", 1)
-    network.connect("s", "y")
-    with pytest.raises(InputError, match="diverges with its initial weights"):
-        train(network, [Record({"u": np.ones(50)}, {"y": np.ones(50)})])
+    network.connect("s", "out.s")
+    network.connect("out", "y")
+    return network
+
+
+def excited(network: Network, steps: int = 200, seed: int = 0, **changes) -> Record:
+    u = np.random.default_rng(seed).normal(size=steps)
+    return Record({"u": u}, network.run({"u": u}, **changes))
+
+
+def test_a_free_run_that_diverges_at_the_start_ends_with_a_sentence_and_the_weights_given():
+    fit = train(loop(own=1e30), [Record({"u": np.ones(50)}, {"y": np.ones(50)})])
+    assert fit.outcome is Outcome.DIVERGED
+    assert "diverges" in fit.outcome.value
+    assert fit.network.parameters()["s.own"] == 1e30
+
+
+@pytest.mark.parametrize(
+    ("record", "remark"),
+    [
+        (Record({"u": np.ones(50), "v": np.arange(50.0)}, {"y": np.ones(50)}), "input u is constant"),
+        (
+            Record({"u": np.sin(np.arange(50)), "v": 2 * np.sin(np.arange(50)) + 3}, {"y": np.ones(50)}),
+            r"u\(k\), v\(k\) are collinear",
+        ),
+        (Record({"u": [1.0, 2.0, 1.0], "v": [2.0, 1.0, 0.0]}, {"y": np.ones(3)}), "3 samples for 17 free weights"),
+    ],
+)
+def test_data_that_cannot_determine_the_weights_are_remarked_on(record, remark):
+    fit = train(feedforward("f", ["u", "v"], [4], 0), [record], epochs=2)
+    assert any(re.search(remark, r) for r in fit.remarks), fit.remarks
+
+
+def test_good_data_bring_no_remark():
+    assert not train(feedforward("f", ["u", "p"], [4], 0), [flow_record()], epochs=1).remarks
+
+
+def test_tied_layers_stay_equal_and_move_by_the_sum_of_their_gradients():
+    network = Network("two", [Port("u"), Port("v")], [Port("y")])
+    for name in ("a", "b"):
+        network.add(name, Layer({"x": [[0.3]]}, [0.1], "tansig"))
+    network.add("out", Layer({"a": [[1.0]], "b": [[1.0]]}, [0.0], frozen={"a", "b"}))
+    for source, target in (("u", "a.x"), ("v", "b.x"), ("a", "out.a"), ("b", "out.b"), ("out", "y")):
+        network.connect(source, target)
+    rng = np.random.default_rng(0)
+    u, v = rng.normal(size=(2, 300))
+    record = Record({"u": u, "v": v}, {"y": np.tanh(0.8 * u - 0.2) + np.tanh(0.8 * v - 0.2) + 0.5})
+    fit = train(network, [record], tied=[("a", "b")], epochs=40, goal=1e-24)
+    assert fit.outcome is Outcome.REACHED
+    found = fit.network.parameters()
+    np.testing.assert_allclose([found["a.x"].item(), found["a.bias"].item()], [0.8, -0.2], atol=1e-9)
+    assert found["a.x"] == found["b.x"]
+    assert found["a.bias"] == found["b.bias"]
+    with pytest.raises(InputError, match="no module, layer or parameter c to tie"):
+        train(network, [record], tied=[("a", "c")])
+
+
+def test_bounds_hold_and_the_rest_is_the_optimum_within_them():
+    record = excited(loop(0.5, 2.0))
+    fit = train(loop(0.1, 0.5), [record], bounds={"s.u": (0.0, 1.5)}, epochs=60)
+    assert fit.network.parameters()["s.u"] == 1.5
+    own = fit.network.parameters()["s.own"].item()
+    for other in (own - 1e-3, own + 1e-3):
+        problem = Problem(fit.network.with_parameters({"s.own": np.array([[other]])}), [record])
+        assert problem.squares(problem.theta) > 2 * fit.history[-1] * problem.samples * (1 - 1e-9)
+    with pytest.raises(InputError, match="no parameter"):
+        train(loop(), [record], bounds={"s.x": (0, 1)})
+
+
+def test_decay_acts_on_the_module_it_names():
+    record = excited(loop(0.5, 2.0))
+    pulled = train(loop(0.1, 0.5), [record], decay={"s.u": 100.0}).network.parameters()
+    assert abs(pulled["s.u"].item()) < 1.8
+    assert train(loop(0.1, 0.5), [record], decay={"out": 100.0}).network.parameters()["s.u"].item() == pytest.approx(2)
+    with pytest.raises(InputError, match="decay names s2"):
+        train(loop(), [record], decay={"s2": 1.0})
+
+
+def test_the_tail_of_a_record_is_not_trained_on_and_decides_when_to_stop():
+    rng = np.random.default_rng(1)
+    x = np.sort(rng.uniform(-1, 1, 60))[rng.permutation(60)]
+    record = Record({"x": x}, {"y": np.sin(3 * x) + 0.3 * rng.normal(size=60)})
+    spoilt = Record({"x": x}, {"y": np.where(np.arange(60) < 42, record.targets["y"], 1e3)})
+    start = feedforward("f", ["x"], [20], 0)
+    fit = train(start, [record], tail=0.3, epochs=300, patience=15)
+    assert fit.outcome is Outcome.EARLY
+    assert len(fit.held) == len(fit.history)
+    judge = Problem(fit.network, [replace(record, skip=42)])
+    assert judge.squares(judge.theta) / judge.samples == pytest.approx(min(fit.held), rel=1e-12)
+    assert train(start, [spoilt], tail=0.3, epochs=5).history == train(start, [record], tail=0.3, epochs=5).history
+
+
+def test_the_initial_state_is_estimated_with_the_weights():
+    truth = loop(0.95, 1.0)
+    record = excited(truth, 60, initial={"s": 5.0})
+    assert train(loop(0.5, 0.5), [record]).history[-1] > 1e-2
+    fit = train(loop(0.5, 0.5), [record], estimate_initial=True, goal=1e-24)
+    assert fit.outcome is Outcome.REACHED
+    np.testing.assert_allclose(fit.initial[0]["s"], [[5.0]], atol=1e-9)
+    again = Problem(fit.network, [replace(record, initial=fit.initial[0])])
+    assert again.squares(again.theta) < 1e-18
+    np.testing.assert_allclose(fit.network.run(record.inputs, fit.initial[0])["y"], record.targets["y"], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "options", [{"estimate_initial": True}, {"shooting": 7}, {"shooting": 7, "tied": [("a", "b")]}]
+)
+def test_derivatives_by_initial_states_and_across_windows_are_exact(options):
+    network = Network("n", [Port("u")], [Port("y"), Port("z")])
+    rng = np.random.default_rng(3)
+    for name, other in (("a", "b"), ("b", "a")):
+        weights = {p: rng.normal(size=(2, n)) * 0.5 for p, n in (("u", 1), ("own", 2), ("other", 2))}
+        network.add(name, Layer(weights, rng.normal(size=2), "tansig"))
+        network.connect("u", f"{name}.u", 1)
+        network.connect(name, f"{name}.own", 3)
+        network.connect(other, f"{name}.other", 1)
+    for name, port in (("a", "y"), ("b", "z")):
+        network.add(f"out_{port}", Layer({"x": rng.normal(size=(1, 2))}, [0.0]))
+        network.connect(name, f"out_{port}.x")
+        network.connect(f"out_{port}", port)
+    targets = {"y": rng.normal(size=40), "z": rng.normal(size=40)}
+    record = Record({"u": rng.normal(size=40)}, targets, skip=3, weight=2.0)
+    problem = Problem(network, [record, replace(record, skip=0)], **options)
+    problem.continuity = 3.0
+    theta = problem.moved(problem.theta, 0.1 * rng.normal(size=len(problem.free)))
+    problem.squares(theta)
+    _, gradient = problem.normal_equations(theta)
+    steps = 1e-6 * np.eye(len(problem.free))
+    slopes = [
+        (problem.squares(problem.moved(theta, s)) - problem.squares(problem.moved(theta, -s))) / 4e-6 for s in steps
+    ]
+    np.testing.assert_allclose(gradient, slopes, rtol=1e-6, atol=1e-6 * np.abs(gradient).max())
+
+
+def test_multiple_shooting_trains_from_weights_whose_free_run_diverges():
+    record = excited(loop(0.98, 1.0), 2000)
+    start = loop(1.5, 1.0)
+    assert train(start, [record]).outcome is Outcome.DIVERGED
+    fit = train(start, [record], shooting=10, goal=1e-20)
+    assert fit.outcome is Outcome.REACHED
+    assert fit.network.parameters()["s.own"].item() == pytest.approx(0.98, abs=1e-9)
+
+
+def test_a_training_that_was_cut_off_goes_on_from_its_checkpoint_as_if_it_had_not_been(tmp_path):
+    start, path = feedforward("f", ["u", "p"], [4], 0), tmp_path / "training.npz"
+    whole = train(start, [flow_record()], epochs=12)
+
+    def interrupt(epoch, loss):
+        if epoch == 5:
+            raise KeyboardInterrupt
+
+    assert train(start, [flow_record()], epochs=12, checkpoint=path, progress=interrupt).outcome is Outcome.INTERRUPTED
+    assert path.exists()
+    with pytest.raises(InputError, match="a checkpoint of another training"):
+        train(feedforward("f", ["u", "p"], [4], 1), [flow_record()], epochs=12, checkpoint=path)
+    resumed = train(start, [flow_record()], epochs=12, checkpoint=path)
+    assert resumed.history == whole.history
+    assert not path.exists()
+    path.write_text("no")
+    with pytest.raises(InputError, match="not a readable checkpoint"):
+        train(start, [flow_record()], checkpoint=path)
+
+
+def test_starts_are_ranked_by_their_score_and_do_not_depend_on_how_many_run_at_once():
+    def fit(seed):
+        return train(feedforward("f", ["u", "p"], [3], seed), [flow_record()], epochs=5)
+
+    def score(network):
+        problem = Problem(network, [flow_record()])
+        return problem.squares(problem.theta)
+
+    ranked = multistart(fit, score, range(4))
+    assert [s.score for s in ranked] == sorted(s.score for s in ranked)
+    assert [(s.seed, s.score) for s in ranked] == [(s.seed, s.score) for s in multistart(fit, score, range(4), jobs=1)]
+    with pytest.raises(InputError, match="no start"):
+        multistart(fit, score, [])
+
+
+def test_narx_then_noe_ends_in_a_free_run_at_the_optimum():
+    record = excited(loop(0.9, 1.0), 300)
+    fit = narx_noe(loop(0.1, 0.1), [record], goal=1e-22)
+    assert fit.outcome is Outcome.REACHED
