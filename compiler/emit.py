@@ -26,7 +26,7 @@ def emit(program: Program, folder: Path | str, architecture: str = "parallel", m
         raise InputError(f"{macs} multipliers are not in 1..256")
     texts = parallel(program) if architecture == "parallel" else folded(program, macs)
     blocks = sorted(set(re.findall(r"^ *(greygate_\w+) #\(", "".join(texts.values()), re.M)))
-    if "greygate_clamp" in blocks:
+    if {"greygate_clamp", "greygate_select"} & set(blocks):
         blocks = sorted({*blocks, "greygate_requantize"})
     texts |= {f"{b}.v": rtl.block(b).read_text() for b in blocks}
     texts[f"{program.name}.f"] = "\n".join(texts) + "\n"

@@ -3,7 +3,7 @@
 The datapath, from left to right; the fields of a line of the schedule act in the clock in which the line stands:
 
     read ─ x ┬─ multiply-accumulate (weights, first, next, bias) ─ hold ─ pick ─ round ─ fit ─┬─ write
-             └─ tables, clamps, thresholds, copy ─────────────────────────────────────────────┘
+             └─ tables, clamps, thresholds, selects, copy ────────────────────────────────────┘
 
 Rows of a layer are taken `macs` at a time; a group visits the columns in which one of its rows has a weight, and is
 drained while the next group is being summed.
@@ -15,6 +15,7 @@ import numpy as np
 
 from greygate.compiler.verilog import (
     ROUNDING,
+    argument_ports,
     header,
     input_slices,
     instance,
@@ -33,7 +34,7 @@ from greygate.compiler.verilog import (
     verilog_names,
     wrapped,
 )
-from greygate.emulator.program import Affine, Lookup, Operation, Overflow, Program, signed_width
+from greygate.emulator.program import Affine, Lookup, Operation, Overflow, Program, Select, signed_width
 
 WEIGHT, SUM, HOLD, PICK = 2, 3, 4, 5  # clocks after the read of a column in which its weight, sum, ... act
 FIT = 1  # clocks from pick to write
@@ -106,12 +107,16 @@ def fold(program: Program, macs: int) -> Folding:
         schedule.place(t, f"write {note}", write=word, enable=1, source=source, **values)
         ready[word] = t + 1
 
-    def through(source: int, word: int, to: int, what: str, note: str) -> None:
-        t = max(ready.get(word, 1), last_read.get(to, 0) - UNIT)
-        while not (schedule.free(t, "read") and schedule.free(t + UNIT, "write")):
+    def through(source: int, arguments: list[tuple[int, str]], to: int, note: str) -> None:
+        """Read words in clocks on end, and write what a unit makes of them."""
+        t, last = last_read.get(to, 0) - UNIT, len(arguments) - 1
+        t = max([t, *(ready.get(word, 1) - i for i, (word, _) in enumerate(arguments))])
+        reads = range(len(arguments))
+        while not (all(schedule.free(t + i, "read") for i in reads) and schedule.free(t + last + UNIT, "write")):
             t += 1
-        read(t, word, what)
-        write(t + UNIT, to, source, note)
+        for i, (word, what) in enumerate(arguments):
+            read(t + i, word, what)
+        write(t + last + UNIT, to, source, note)
 
     def rows(o: Affine, start: int) -> None:
         nonlocal summed, picked
@@ -161,15 +166,15 @@ def fold(program: Program, macs: int) -> Folding:
             unit_of[key] = COPY + 1 + len(units)
             units.append((key, o))
         for k in range(o.out.size):
-            arg, out = address[o.arg] + k, address[o.out.name] + k
-            through(unit_of[key], arg, out, f"{o.arg}[{k}]", f"{o.out.name}[{k}]")
+            arguments = [(address[a] + k, f"{a}[{k}]") for a in program.args(o)]
+            through(unit_of[key], arguments, address[o.out.name] + k, f"{o.out.name}[{k}]")
     shown = [(p, k) for p in program.outputs for k in range(p.signal.size)]
     for n, (p, k) in enumerate(shown):
-        through(COPY, address[p.signal.name] + k, words + n, f"{p.signal.name}[{k}]", f"output {p.name}[{k}]")
+        through(COPY, [(address[p.signal.name] + k, f"{p.signal.name}[{k}]")], words + n, f"output {p.name}[{k}]")
     for source, target in [*shadows, *moves]:
         size = program.signals[source if source in program.signals else target].size
         for k in range(size):
-            through(COPY, address[source] + k, address[target] + k, f"{source}[{k}]", f"{target}[{k}]")
+            through(COPY, [(address[source] + k, f"{source}[{k}]")], address[target] + k, f"{target}[{k}]")
     schedule.place(len(schedule.lines), "done", last=1)
     return Folding(schedule, address, words, groups, units)
 
@@ -380,16 +385,31 @@ def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, s
 
     body += "\n    // what answers an argument in one clock\n"
     body += f"    reg signed [{code - 1}:0] copied;\n    always @(posedge clk) copied <= x;\n"
+    before = {"condition": "x_before_last", "above": "x_last", "below": "x", "x": "x"}  # port -> where its code stands
+    selects = [o for _, o in folding.units if isinstance(o, Select)]
+    if selects:  # no wider than they are read
+        condition, above = (max(program.signals[program.args(o)[i]].fix.width for o in selects) for i in (0, 1))
+        last = max(condition, above)
+        body += (
+            "    // a select reads three codes on end\n"
+            f"    reg [{last - 1}:0] x_last;\n    reg [{condition - 1}:0] x_before_last;\n"
+            f"    always @(posedge clk) begin\n        x_last <= x[{last - 1}:0];\n"
+            f"        x_before_last <= x_last[{condition - 1}:0];\n    end\n"
+        )
     cases = [f"{w['source']}'d{COPY}: y = copied;"]
     for n, (key, o) in enumerate(folding.units):
         module, parameters = small_operation(program, o, size=1)
-        arg, out = program.signals[o.arg].fix.width, o.out.fix.width
+        out = o.out.fix.width
+        arguments = {
+            port: f"{before[port]}[{program.signals[a].fix.width - 1}:0]"
+            for port, a in zip(argument_ports(o), program.args(o), strict=True)
+        }
         body += f"\n    wire [{out - 1}:0] unit_{n};  // {key}\n"
         body += instance(
             module,
             f"unit_{n}_{o.op.value}",
             parameters,
-            {"clk": "clk", "en": "1'b1", "x": f"x[{arg - 1}:0]", "y": f"unit_{n}"},
+            {"clk": "clk", "en": "1'b1"} | arguments | {"y": f"unit_{n}"},
         )
         cases.append(f"{w['source']}'d{COPY + 1 + n}: y = {sign_extended(f'unit_{n}', 0, out, code)};  // {key}")
     body += "\n    always @*\n        case (source)\n" + "".join(f"            {c}\n" for c in cases)

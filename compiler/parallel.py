@@ -7,6 +7,7 @@ import numpy as np
 
 from greygate.compiler.verilog import (
     ROUNDING,
+    argument_ports,
     header,
     input_slices,
     instance,
@@ -158,7 +159,7 @@ def parallel_top(program: Program, names: dict[str, str]) -> str:
             ends |= {names[a]: names[a] for a in args} | {y: y}
             body += "\n" + instance(f"{program.name}_{y}", f"{y}_layer", {}, ends)
             continue
-        ends |= {"x": names[o.arg], "y": y}
+        ends |= {port: names[a] for port, a in zip(argument_ports(o), args, strict=True)} | {"y": y}
         module, parameters = small_operation(program, o)
         body += "\n" + instance(module, f"{y}_layer", parameters, ends)
 

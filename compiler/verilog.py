@@ -2,7 +2,7 @@
 
 import re
 
-from greygate.emulator.program import Clamp, Lookup, Program, Rounding, Signal, Symmetry, Table
+from greygate.emulator.program import Clamp, Lookup, Program, Rounding, Select, Signal, Symmetry, Table
 from greygate.errors import InputError
 
 ROUNDING = {Rounding.TRUNCATE: 0, Rounding.HALF_UP: 1, Rounding.HALF_EVEN: 2}
@@ -226,8 +226,16 @@ def levels(program: Program) -> dict[str, int]:
 
 
 def small_operation(program: Program, o, size: int | None = None) -> tuple[str, dict]:
-    """Module and parameters of a table, clamp or threshold of `size` elements."""
-    arg, size = program.signals[o.arg], size or o.out.size
+    """Module and parameters of a table, clamp, threshold or select of `size` elements."""
+    size = size or o.out.size
+    if isinstance(o, Select):
+        condition, above, below = (program.signals[a].fix for a in program.args(o))
+        frac = max(above.frac, below.frac)
+        widths = {"CONDITION_W": condition.width, "ABOVE_W": above.width, "BELOW_W": below.width}
+        left = {"ABOVE_LEFT": frac - above.frac, "BELOW_LEFT": frac - below.frac}
+        rounding = {"SHIFT": frac - o.out.fix.frac, "ROUNDING": ROUNDING[o.rounding]}
+        return "greygate_select", {"SIZE": size} | widths | {"OUT_W": o.out.fix.width} | left | rounding
+    arg = program.signals[o.arg]
     if isinstance(o, Lookup):
         return table_module(program, shared_tables(program)[o.table]), {"SIZE": size}
     parameters = {"SIZE": size, "ARG_W": arg.fix.width, "OUT_W": o.out.fix.width}
@@ -237,6 +245,11 @@ def small_operation(program: Program, o, size: int | None = None) -> tuple[str, 
         return "greygate_clamp", parameters | shift | limits
     answers = {"BELOW": number(o.below, o.out.fix.width), "ABOVE": number(o.above, o.out.fix.width)}
     return "greygate_threshold", parameters | {"AT": number(o.at, arg.fix.width)} | answers
+
+
+def argument_ports(o) -> tuple[str, ...]:
+    """Ports of a small operation's module that take its arguments, in the order of `Program.args`."""
+    return ("condition", "above", "below") if isinstance(o, Select) else ("x",)
 
 
 def stream_instance(width_in: int, width_out: int, ready: str) -> str:

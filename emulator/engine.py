@@ -17,10 +17,10 @@ import numpy as np
 
 from greygate.emulator import specialised as kernels
 from greygate.emulator.interpreter import Run
-from greygate.emulator.program import Affine, Clamp, Lookup, Overflow, Program, Rounding, Symmetry
+from greygate.emulator.program import ROUNDED, Affine, Clamp, Lookup, Overflow, Program, Rounding, Select, Symmetry
 
 WORTH_COMPILING = 20_000_000  # steps of all sequences
-AFFINE, AFFINE_WIDE, TABLE, CLAMP, THRESHOLD = range(5)
+AFFINE, AFFINE_WIDE, TABLE, CLAMP, THRESHOLD, SELECT = range(6)
 # unsigned: numba then leaves out its check for negative indices, and the loops become vector code
 ZERO, ONE, TWO, THREE, FOUR = (np.uint64(n) for n in range(5))
 _ROUNDING = list(Rounding)
@@ -81,6 +81,10 @@ def _tabulate(program: Program) -> _Arrays:
         elif isinstance(o, Clamp):
             shift = program.signals[o.arg].fix.frac - fix.frac
             row = (CLAMP, *head, first[o.arg], o.lo, o.hi, fix.width, _ROUNDING.index(o.rounding), shift)
+        elif isinstance(o, Select):
+            places = (first[a] for a in program.args(o))
+            shifts_of = (program.signals[a].fix.frac - fix.frac for a in (o.above, o.below))
+            row = (SELECT, *head, *places, fix.width, _ROUNDING.index(o.rounding), *shifts_of)
         else:
             row = (THRESHOLD, *head, first[o.arg], o.at, o.below, o.above)
         operations.append(row + (0,) * (11 - len(row)))
@@ -212,6 +216,18 @@ def _run(
                             saturations[n] += 1
                             y = hi if y > hi else -hi - 1
                         value[out + r] = y
+                elif kind == SELECT:
+                    condition, above, below = np.uint64(op[3]), np.uint64(op[4]), np.uint64(op[5])
+                    hi = (np.int64(1) << (op[6] - 1)) - 1
+                    for r in range(size):
+                        if value[condition + r] >= 0:
+                            y = _round(np.int64(value[above + r]), op[8], op[7])
+                        else:
+                            y = _round(np.int64(value[below + r]), op[9], op[7])
+                        if y > hi or y < -hi - 1:
+                            saturations[n] += 1
+                            y = hi if y > hi else -hi - 1
+                        value[out + r] = y
                 else:
                     for r in range(size):
                         value[out + r] = op[6] if value[np.uint64(op[3]) + r] >= op[4] else op[5]
@@ -266,7 +282,7 @@ def run(
     else:
         _run(*arrays, *arguments)
     saturations = {
-        o.out.name: int(n) for o, n in zip(program.operations, events, strict=True) if isinstance(o, Affine | Clamp)
+        o.out.name: int(n) for o, n in zip(program.operations, events, strict=True) if isinstance(o, ROUNDED)
     }
     everything = None
     if trace:

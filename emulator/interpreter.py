@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greygate.emulator.program import (
+    ROUNDED,
     Affine,
     Clamp,
     Fix,
@@ -12,6 +13,7 @@ from greygate.emulator.program import (
     Overflow,
     Program,
     Rounding,
+    Select,
     Symmetry,
     Table,
     Threshold,
@@ -74,7 +76,7 @@ def interpret(program: Program, inputs: np.ndarray, initial: np.ndarray | None =
     batch, steps = inputs.shape[:-2], inputs.shape[-2]
     declared = np.concatenate([np.array(s.initial, np.int64) for s in program.states] or [np.zeros(0, np.int64)])
     now = np.broadcast_to(declared if initial is None else initial, (*batch, declared.size)).astype(np.int64)
-    saturations = dict.fromkeys((o.out.name for o in program.operations if isinstance(o, Affine | Clamp)), 0)
+    saturations = dict.fromkeys((o.out.name for o in program.operations if isinstance(o, ROUNDED)), 0)
     outputs, states, traced = [], [], {name: [] for name in program.signals}
 
     def requantize(o, a, frac, overflow):
@@ -103,6 +105,10 @@ def interpret(program: Program, inputs: np.ndarray, initial: np.ndarray | None =
                 result = requantize(o, np.clip(value[o.arg], o.lo, o.hi), frac, Overflow.SATURATE)
             elif isinstance(o, Threshold):
                 result = np.where(value[o.arg] >= o.at, np.int64(o.above), np.int64(o.below))
+            elif isinstance(o, Select):
+                first = value[o.condition] >= 0
+                frac = np.where(first, program.signals[o.above].fix.frac, program.signals[o.below].fix.frac)
+                result = requantize(o, np.where(first, value[o.above], value[o.below]), frac, Overflow.SATURATE)
             value[o.out.name] = result
         outputs.append(np.concatenate([value[p.signal.name] for p in program.outputs], axis=-1))
         if program.states:

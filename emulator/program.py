@@ -64,6 +64,7 @@ class Op(StrEnum):
     TABLE = "table"
     CLAMP = "clamp"
     THRESHOLD = "threshold"
+    SELECT = "select"
 
 
 @dataclass(frozen=True)
@@ -161,7 +162,20 @@ class Threshold:
     op = Op.THRESHOLD
 
 
-Operation = Affine | Lookup | Clamp | Threshold
+@dataclass(frozen=True)
+class Select:
+    """out = requantize(above if condition >= 0 else below): a multiplexer, element by element, saturating."""
+
+    out: Signal
+    condition: str
+    above: str
+    below: str
+    rounding: Rounding = Rounding.HALF_UP
+    op = Op.SELECT
+
+
+Operation = Affine | Lookup | Clamp | Threshold | Select
+ROUNDED = Affine | Clamp | Select  # those whose results may saturate
 
 
 def signed_width(magnitude: int) -> int:
@@ -193,6 +207,8 @@ class Program:
         return {t.name: t for t in self.tables}
 
     def args(self, operation: Operation) -> tuple[str, ...]:
+        if isinstance(operation, Select):
+            return operation.condition, operation.above, operation.below
         return operation.args if isinstance(operation, Affine) else (operation.arg,)
 
     def accumulator_width(self, operation: Affine) -> int:
@@ -258,9 +274,13 @@ class Program:
             if width > ACCUMULATOR_BITS:
                 yield f"{o.out.name}: accumulator needs {width} bits, more than {ACCUMULATOR_BITS}"
             return
+        for arg in map(self.signals.get, self.args(o)):
+            if arg.size != o.out.size:
+                yield f"{o.out.name}: size {o.out.size} differs from the {arg.size} of its argument {arg.name}"
+        if isinstance(o, Select):
+            yield from self._select_problems(o)
+            return
         arg = self.signals[o.arg]
-        if arg.size != o.out.size:
-            yield f"{o.out.name}: size {o.out.size} differs from its argument's {arg.size}"
         if isinstance(o, Lookup):
             table = self.table.get(o.table)
             if table is None:
@@ -281,6 +301,16 @@ class Program:
             and o.out.fix.lo <= o.above <= o.out.fix.hi
         ):
             yield f"{o.out.name}: threshold codes do not fit"
+
+    def select_width(self, o: Select) -> int:
+        """Width that holds both values at the finer fraction of the two, and the result's if that is finer still."""
+        values = self.signals[o.above].fix, self.signals[o.below].fix
+        frac = max(v.frac for v in values)
+        return max(v.width + frac - v.frac for v in values) + max(0, o.out.fix.frac - frac)
+
+    def _select_problems(self, o: Select) -> Iterator[str]:
+        if self.select_width(o) > ACCUMULATOR_BITS:
+            yield f"{o.out.name}: needs {self.select_width(o)} bits on the way, more than {ACCUMULATOR_BITS}"
 
     def encode(self, values: dict[str, np.ndarray]) -> np.ndarray:
         """Physical inputs {port: (..., N) or (..., N, size)} to codes (..., N, columns), clipped to the formats."""
@@ -330,7 +360,7 @@ def _table_problems(table: Table) -> Iterator[str]:
         yield f"table {table.name}: a point, or what its symmetry makes of it, does not fit {table.out}"
 
 
-_KINDS = {kind.op: kind for kind in (Affine, Lookup, Clamp, Threshold)}
+_KINDS = {kind.op: kind for kind in (Affine, Lookup, Clamp, Threshold, Select)}
 
 
 def _to_json(value):

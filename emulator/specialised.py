@@ -9,7 +9,18 @@ from collections.abc import Callable
 
 import numpy as np
 
-from greygate.emulator.program import Affine, Clamp, Lookup, Overflow, Program, Rounding, Symmetry, Threshold
+from greygate.emulator.program import (
+    ROUNDED,
+    Affine,
+    Clamp,
+    Lookup,
+    Overflow,
+    Program,
+    Rounding,
+    Select,
+    Symmetry,
+    Threshold,
+)
 from greygate.generated import load
 
 EXACT_BITS = 53  # integers up to 2^53 are exact in float64
@@ -126,9 +137,29 @@ class _Writer:
         result = f"{o.above} if v[{self.first[o.arg]} + r] >= {o.at} else {o.below}"
         self.loop(self.padded(o.out.size), f"v[{self.first[o.out.name]} + r] = {result}")
 
+    def select(self, n: int, o: Select) -> None:
+        condition, above, below = (f"v[{self.first[a]} + r]" for a in self.program.args(o))
+
+        def chosen(value: str, name: str) -> str:
+            shift = self.program.signals[name].fix.frac - o.out.fix.frac
+            return _shifted(f"np.int64({value})", str(shift), o.rounding)
+
+        # not padded: what stands in the padding could saturate
+        y = f"y = {chosen(above, o.above)} if {condition} >= 0 else {chosen(below, o.below)}"
+        self.loop(o.out.size, y, *self.fitted(n, o.out.name, Overflow.SATURATE))
+
 
 def _shifted(a: str, shift: str, rounding: Rounding) -> str:
     return f"shifted_{rounding.value}({a}, {shift})"
+
+
+_WRITE = {
+    Affine: _Writer.affine,
+    Lookup: _Writer.lookup,
+    Clamp: _Writer.clamp,
+    Threshold: _Writer.threshold,
+    Select: _Writer.select,
+}
 
 
 def source(program: Program) -> str:
@@ -136,8 +167,8 @@ def source(program: Program) -> str:
     w = _Writer(program)
     for n, o in enumerate(program.operations):
         w.lines.append(f"# {o.op}: {o.out.name!r}")
-        getattr(w, {Lookup: "lookup", Affine: "affine", Clamp: "clamp", Threshold: "threshold"}[type(o)])(n, o)
-    counted = [n for n, o in enumerate(program.operations) if isinstance(o, Affine | Clamp)]
+        _WRITE[type(o)](w, n, o)
+    counted = [n for n, o in enumerate(program.operations) if isinstance(o, ROUNDED)]
     into, out_of = w.places(s.signal.name for s in program.states), w.places(s.source for s in program.states)
     moved = f"{', '.join(f'v[{i}]' for i in into)} = {', '.join(f'v[{i}]' for i in out_of)}" if into else "pass"
 

@@ -13,6 +13,7 @@ from greygate.emulator.program import (
     Port,
     Program,
     Rounding,
+    Select,
     Signal,
     State,
     Symmetry,
@@ -98,7 +99,7 @@ def random_program(seed: int, name: str | None = None) -> Program:
 
     def operation(out: Signal) -> None:
         nonlocal known
-        kind = rng.integers(6)
+        kind = rng.integers(7)
         arg = known[rng.integers(len(known))]
         alike = Signal(out.name, arg.size, out.fix)
         if kind == 0:
@@ -108,6 +109,10 @@ def random_program(seed: int, name: str | None = None) -> Program:
             operations.append(Threshold(alike, arg.name, code(arg.fix), code(out.fix), code(out.fix)))
         elif kind in (2, 3):
             operations.append(lookup(out, arg))
+        elif kind == 4:
+            alike = [s.name for s in known if s.size == arg.size]
+            args = (alike[rng.integers(len(alike))] for _ in range(3))
+            operations.append(Select(Signal(out.name, arg.size, out.fix), *args, pick(*Rounding)))
         else:
             operations.append(affine(out))
         known = [*known, operations[-1].out]

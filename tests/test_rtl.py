@@ -22,6 +22,7 @@ from greygate.emulator.program import (
     Port,
     Program,
     Rounding,
+    Select,
     Signal,
     State,
     Symmetry,
@@ -83,20 +84,23 @@ TABLE_OF_ROUNDING = {
 
 
 def hand_worked(name):
-    """Six ways to requantize one input, a shift to the left, a clamp and a threshold, with the answers by hand."""
+    """Six ways to requantize one input, a shift to the left, clamp, threshold and select, with the answers by hand."""
     u, out = Signal("u", 1, Fix(8, 2)), Fix(4, 0)
     modes = [(r, o) for o in Overflow for r in Rounding]
     operations = [affine(Signal(f"y{k}", 1, out), "u", 1, 0, 2, *m) for k, m in enumerate(modes)]
     operations.append(affine(Signal("left", 1, Fix(8, 5)), "u", -1, 1, 2, Rounding.HALF_EVEN, Overflow.SATURATE))
     operations.append(Clamp(Signal("clamped", 1, Fix(8, 1)), "u", -7, 6, Rounding.HALF_UP))
     operations.append(Threshold(Signal("sign", 1, Fix(2, 0)), "u", -2, -1, 1))
+    operations.append(Select(Signal("chosen", 1, Fix(6, 1)), "left", "u", "clamped", Rounding.HALF_EVEN))
     rows = []
     for code, before in TABLE_OF_ROUNDING.items():
         saturated = [min(7, max(-8, v)) for v in before]
         wrapped = [(v + 8) % 16 - 8 for v in before]
         clamped = {True: -3, False: 3}.get(code < 0) if not -7 <= code <= 6 else (code + 1) // 2
-        row = saturated + wrapped + [min(127, max(-128, (1 - code) * 8)), clamped, 1 if code >= -2 else -1]
-        rows.append(row)
+        left = min(127, max(-128, (1 - code) * 8))
+        halved = code // 2 + (code % 4 == 3)  # ties to even: -1 -> 0, 1 -> 0, 3 -> 2
+        chosen = max(-32, halved) if left >= 0 else clamped
+        rows.append([*saturated, *wrapped, left, clamped, 1 if code >= -2 else -1, chosen])
     return program(name, [u], operations), Scenario(
         np.array(list(TABLE_OF_ROUNDING))[:, None], np.array(rows), np.zeros((len(rows), 0), np.int64)
     )
@@ -208,6 +212,7 @@ def test_every_building_block_passes_lint_by_itself_and_refuses_illegal_paramete
         "lookup": "SYMMETRY=3",
         "clamp": "LO=1",
         "threshold": "SIZE=0",
+        "select": "BELOW_LEFT=-1",
         "stream": "IN_W=9",
         "mac": "WEIGHT_W=1",
         "drain": "SHIFT_W=1",
