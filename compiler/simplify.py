@@ -126,13 +126,16 @@ def fold_constants(network: Network) -> Network:
         for name in order:
             layer, readers = g.layers[name], g.readers(name)
             value = ACTIVATIONS[layer.activation](np, layer.bias)
-            still = ~np.any([w.any(axis=1) for w in layer.weights.values()] or [np.zeros(layer.rows, bool)], axis=0)
-            constant = still[_rows(layer)].all(axis=0)
-            for reader, port, delay in readers:
-                w = g.layers[reader].weights[port]
-                gone = constant & w.any(axis=0) & ((value == layer.initial) | all(d == 0 for _, _, d in readers))
+            moved = np.any([np.zeros(layer.rows, bool), *(w.any(axis=1) for w in layer.weights.values())], axis=0)
+            constant = ~moved[_rows(layer)].any(axis=0)
+            if any(delay for _, _, delay in readers):
+                constant &= value == layer.initial
+            for reader, port, _ in readers:
+                target = g.layers[reader]
+                w = target.weights[port]
+                gone = constant & w.any(axis=0)
                 if gone.any():
-                    target, changed = g.layers[reader], True
+                    changed = True
                     weights = target.weights | {port: np.where(gone, 0.0, w)}
                     g.layers[reader] = replace(target, weights=weights, bias=target.bias + w[:, gone] @ value[gone])
     return remove_dead(g.network())
