@@ -14,7 +14,7 @@ import numpy as np
 from greygate.models.network import ACTIVATIONS, Network
 
 _CODE = {name: code for code, name in enumerate(ACTIVATIONS)}
-TANSIG, LOGSIG, LINEAR, HARDLIM, HARDLIMS, SATLIN, RADBAS, SELECT = range(len(_CODE))
+TANSIG, LOGSIG, LINEAR, HARDLIM, HARDLIMS, SATLIN, RADBAS, SQUARE, NEGEXP, SELECT = range(len(_CODE))
 
 
 class Tables(NamedTuple):
@@ -155,6 +155,10 @@ def forward(layers, links, n_inputs, depth, theta, now, past, forced):  # pragma
                     n = min(max(n, 0.0), 1.0)
                 elif activation == RADBAS:
                     n = np.exp(-n * n)
+                elif activation == SQUARE:
+                    n = n * n
+                elif activation == NEGEXP:
+                    n = np.exp(-abs(n))
                 elif activation == SELECT:
                     n = _sum(links, link0, hi, theta, bias, o + (size if n >= 0 else 2 * size), k, now, past)
                 if not np.isfinite(n):
@@ -212,10 +216,16 @@ def sensitivities(
                     slope[e] = 1.0
                 elif activation == SATLIN:
                     slope[e] = 1.0 if 0.0 < y < 1.0 else 0.0
-                elif activation in (RADBAS, SELECT):
+                elif activation in (RADBAS, SQUARE, NEGEXP, SELECT):
                     n = _sum(links, link0, layers[layer + 1, 4], theta, bias, e - first, depth + k, now, past)
-                    slope[e] = -2.0 * n * y if activation == RADBAS else 1.0
-                    if activation == SELECT:
+                    if activation == RADBAS:
+                        slope[e] = -2.0 * n * y
+                    elif activation == SQUARE:
+                        slope[e] = 2.0 * n
+                    elif activation == NEGEXP:
+                        slope[e] = -np.sign(n) * y
+                    else:
+                        slope[e] = 1.0
                         active[e] += size if n >= 0 else 2 * size
                 else:
                     slope[e] = 0.0

@@ -28,6 +28,8 @@ ACTIVATIONS = {
     "hardlims": lambda xp, n: xp.where(n >= 0, xp.ones_like(n), -xp.ones_like(n)),
     "satlin": lambda xp, n: xp.clip(n, 0.0, 1.0),
     "radbas": lambda xp, n: xp.exp(-n * n),
+    "square": lambda xp, n: n * n,
+    "negexp": lambda xp, n: xp.exp(-abs(n)),
     "select": lambda xp, n: _select(xp, n),
 }
 

@@ -45,6 +45,8 @@ def test_every_activation_is_its_definition(name):
         "hardlims": [-1, -1, 1, 1, 1, -1],
         "satlin": [0, 0, 0, 0.25, 1, 0],
         "radbas": np.exp(-(n**2)),
+        "square": n**2,
+        "negexp": np.exp(-np.abs(n)),
         "select": [2.0, -1.0],  # -3 and -0.5 choose between 0 or 2, and 0.25 or -1
     }
     np.testing.assert_allclose(ACTIVATIONS[name](np, n), by_hand[name], atol=1e-15)

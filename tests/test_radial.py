@@ -1,0 +1,141 @@
+import numpy as np
+import pytest
+import torch
+
+from greygate.errors import InputError
+from greygate.models.network import Port
+from greygate.models.problem import Problem, Record
+from greygate.models.radial import RecursiveLeastSquares, radial, rbf
+from greygate.models.training import train
+from greygate.plants.benchmarks import b1, b1_input
+
+U, Y = Port("u", scale=2.0, offset=0.5), Port("y", scale=0.5, initial=0.2)
+TAPS = {U: (0, 2)}, Y, (1,)
+
+
+def benchmark(seed=0):
+    u = b1_input(seed)
+    return Record({"u": u}, {"y": b1(u)})
+
+
+def identified(neurons=20, **options):
+    return rbf([benchmark()], {Port("u"): (1,)}, Port("y"), (1, 2), neurons, **options)
+
+
+def test_a_radial_network_is_gaussians_of_distance():
+    rng = np.random.default_rng(0)
+    centres, widths = rng.uniform(-1, 1, (4, 3)), rng.uniform(0.5, 2, (4, 3))
+    network = radial("r", *TAPS, centres, widths, reach=4.0)
+    weights, bias = rng.normal(size=(1, 4)), rng.normal(size=1)
+    network = network.with_parameters({"sum.kernels": weights, "sum.bias": bias})
+    u = rng.normal(size=30)
+    inside, past, want = np.r_[-0.25, -0.25, (u - 0.5) / 2], 0.4, []
+    for k in range(2, 32):
+        phi = np.array([inside[k], inside[k - 2], past])
+        past = weights[0] @ np.exp(-(((phi - centres) / widths) ** 2).sum(1)) + bias[0]
+        want.append(0.5 * past)
+    np.testing.assert_allclose(network.run({"u": u})["y"], want, rtol=1e-12)
+
+
+def test_derivatives_of_a_radial_network_in_a_loop_are_those_of_torch():
+    rng = np.random.default_rng(1)
+    network = radial("r", *TAPS, rng.uniform(-1, 1, (4, 3)), 1.5).with_parameters(
+        {"sum.kernels": rng.normal(size=(1, 4))}
+    )
+    u, y = rng.normal(size=(2, 20))
+    problem = Problem(network, [Record({"u": u}, {"y": y})])
+    problem.squares(problem.theta)
+    _, gradient = problem.normal_equations(problem.theta)
+    tensors = {n: torch.tensor(v, requires_grad=True) for n, v in problem.flat.parameters().items()}
+    run = problem.flat.run({"u": u}, parameters=tensors)["y"]
+    (0.5 * (((run - torch.tensor(y)) / 0.5) ** 2).sum()).backward()
+    want = np.concatenate([tensors[n].grad.numpy().ravel() for n in problem.slices()])[problem.free]
+    np.testing.assert_allclose(gradient, want, rtol=1e-8, atol=1e-10 * np.abs(want).max())
+
+
+def test_output_weights_of_the_whole_record_are_the_least_squares_ones():
+    fit = identified()
+    problem = Problem(fit.network, [Record(benchmark().inputs, benchmark().targets, skip=2)], teacher=True)
+    elements = problem.elements()
+    kernels = problem.simulate(problem.theta)[0][2:, elements["kernels"]]
+    y = benchmark().targets["y"][2:]
+    best = np.linalg.lstsq(np.column_stack([kernels, np.ones(len(y))]), y, rcond=None)[1][0]
+    assert problem.squares(problem.theta) == pytest.approx(best, rel=1e-3)  # of weights that start with variance 1e8
+    assert fit.history[-1] == problem.squares(problem.theta) / (2 * problem.samples)
+
+
+def test_more_neurons_fit_better_and_training_goes_on_from_there():
+    few, many = (identified(neurons) for neurons in (5, 40))
+    assert many.history[-1] < 0.1 * few.history[-1]
+    held = Problem(many.network, [benchmark(1)], teacher=True)
+    assert held.squares(held.theta) / held.samples < 0.02 * np.var(benchmark(1).targets["y"])
+    narx = train(few.network, [benchmark()], teacher=True, epochs=30)
+    assert narx.history[-1] < 0.1 * few.history[-1]
+    assert np.isfinite(train(narx.network, [benchmark()], epochs=5).history[-1])
+
+
+def test_centres_follow_the_seed_and_squares_stay_within_one():
+    assert identified(seed=1).history != identified(seed=2).history
+    assert identified(seed=1).history == identified(seed=1).history
+    fit = identified()
+    problem = Problem(fit.network, [benchmark()], teacher=True)
+    squares = problem.simulate(problem.theta)[0][:, problem.elements()["squares"]]
+    assert 0.2 < squares.max() <= 1
+
+
+def test_one_neuron_is_enough_for_a_constant():
+    record = Record({"u": np.linspace(-1, 1, 50)}, {"y": np.full(50, 3.0)})
+    network = rbf([record], {Port("u"): (0,)}, Port("y"), (), 1).network
+    np.testing.assert_allclose(network.run(record.inputs)["y"], 3.0, atol=1e-6)
+
+
+def least_squares(phi, y, forgetting, variance, start):
+    """The minimiser that `RecursiveLeastSquares` documents, all samples at once."""
+    weight = forgetting ** np.arange(len(y) - 1, -1, -1.0)
+    hold = forgetting ** len(y) / variance
+    normal = (phi.T * weight) @ phi + hold * np.eye(phi.shape[1])
+    return np.linalg.solve(normal, (phi.T * weight) @ y + hold * start), np.linalg.inv(normal)
+
+
+@pytest.mark.parametrize("forgetting", [1.0, 0.95])
+def test_recursive_least_squares_are_batch_least_squares_after_every_sample(forgetting):
+    rng = np.random.default_rng(2)
+    phi, y, start = rng.normal(size=(60, 4)), rng.normal(size=60), rng.normal(size=4)
+    estimator = RecursiveLeastSquares(4, forgetting, variance=10.0, start=start)
+    for k in range(60):
+        before = estimator.theta.copy()
+        assert estimator.update(phi[k], y[k]) == pytest.approx(y[k] - phi[k] @ before)
+        theta, covariance = least_squares(phi[: k + 1], y[: k + 1], forgetting, 10.0, start)
+        np.testing.assert_allclose(estimator.theta, theta, rtol=1e-9, atol=1e-11)
+        np.testing.assert_allclose(estimator.covariance, covariance, rtol=1e-9, atol=1e-11)
+
+
+def test_forgetting_follows_a_plant_that_changes():
+    rng = np.random.default_rng(3)
+    phi = rng.normal(size=(600, 2))
+    true = np.where(np.arange(600)[:, None] < 300, [1.0, -2.0], [3.0, 0.5])
+    found = {}
+    for forgetting in (1.0, 0.95):
+        estimator = RecursiveLeastSquares(2, forgetting)
+        for row, theta in zip(phi, true, strict=True):
+            estimator.update(row, row @ theta)
+        found[forgetting] = estimator.theta
+    np.testing.assert_allclose(found[0.95], [3.0, 0.5], atol=1e-5)
+    assert np.abs(found[1.0] - [3.0, 0.5]).max() > 0.5
+
+
+def test_what_cannot_be_is_refused():
+    with pytest.raises(InputError, match=r"centres \(2, 2\) for 3 taps"):
+        radial("r", *TAPS, np.zeros((2, 2)), 1.0)
+    with pytest.raises(InputError, match="widths must be positive"):
+        radial("r", *TAPS, np.zeros((2, 3)), 0.0)
+    with pytest.raises(InputError, match="the output's own at 1"):
+        radial("r", {U: (0,)}, Y, (0,), np.zeros((2, 2)), 1.0)
+    with pytest.raises(InputError, match="600 neurons for fewer rows"):
+        identified(600)
+    with pytest.raises(InputError, match="3 neurons for fewer rows that differ"):
+        rbf([Record({"u": np.ones(9)}, {"y": np.arange(9.0)})], {Port("u"): (0,)}, Port("y"), (), 3)
+    with pytest.raises(InputError, match=r"forgetting 1[.]5"):
+        RecursiveLeastSquares(2, 1.5)
+    with pytest.raises(InputError, match="NaN or inf"):
+        RecursiveLeastSquares(2).update(np.array([1.0, np.nan]), 1.0)
