@@ -161,7 +161,7 @@ def train(
     checkpoint: Path | str | None = None,
     progress: Callable[[int, float], None] | None = None,
 ) -> Fit:
-    """Levenberg-Marquardt (Marquardt 1963; Nielsen's damping). The trained network is flat.
+    """Levenberg-Marquardt (Levenberg 1944, Marquardt 1963; Nielsen's damping). The trained network is flat.
 
     teacher, free, tied, estimate_initial, shooting: as for `Problem`. After multiple shooting, whose gaps are closed
     step by step, the free run is trained once more.
@@ -251,9 +251,8 @@ class _Climb:
         stuck = ((x <= self.low) & (gradient > 0)) | ((x >= self.high) & (gradient < 0))
         moving = np.flatnonzero(~stuck)
         h = hessian[np.ix_(moving, moving)] if stuck.any() else hessian
-        diagonal = np.einsum("ii->i", h)
-        damped = h.copy()
-        damped[np.diag_indices_from(damped)] += damping * (diagonal + 1e-12 * diagonal.mean() + 1e-300)
+        damped = h.copy()  # Levenberg's identity, scaled: Marquardt's diagonal gets stuck where neurons are redundant
+        damped[np.diag_indices_from(damped)] += damping * (np.trace(h) / max(len(h), 1) + 1e-300)
         try:
             factor = scipy.linalg.cho_factor(damped, overwrite_a=True, check_finite=False)
         except scipy.linalg.LinAlgError:
