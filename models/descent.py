@@ -22,9 +22,11 @@ from greygate.models.kernels import (
     HARDLIM,
     HARDLIMS,
     LOGSIG,
+    NEGEXP,
     RADBAS,
     SATLIN,
     SELECT,
+    SQUARE,
     TANSIG,
     Tables,
     _sum,
@@ -373,6 +375,10 @@ def _back(t: Tables, theta, now, past, forced, error, gradient):  # pragma: no c
                     d *= 1.0 if 0.0 < y < 1.0 else 0.0
                 elif activation == RADBAS:
                     d *= -2.0 * y * _sum(t.links, lo, hi, theta, bias, o, at, now, past)
+                elif activation == SQUARE:
+                    d *= 2.0 * _sum(t.links, lo, hi, theta, bias, o, at, now, past)
+                elif activation == NEGEXP:
+                    d *= -y * np.sign(_sum(t.links, lo, hi, theta, bias, o, at, now, past))
                 elif activation == SELECT:
                     row += size if _sum(t.links, lo, hi, theta, bias, o, at, now, past) >= 0 else 2 * size
                 elif activation in (HARDLIM, HARDLIMS):

@@ -3,6 +3,7 @@ import pytest
 import torch
 
 from greygate.errors import InputError
+from greygate.models.descent import _Swept
 from greygate.models.network import Port
 from greygate.models.problem import Problem, Record
 from greygate.models.radial import RecursiveLeastSquares, radial, rbf
@@ -43,14 +44,19 @@ def test_derivatives_of_a_radial_network_in_a_loop_are_those_of_torch():
         {"sum.kernels": rng.normal(size=(1, 4))}
     )
     u, y = rng.normal(size=(2, 20))
-    problem = Problem(network, [Record({"u": u}, {"y": y})])
+    records = [Record({"u": u}, {"y": y})]
+    problem = Problem(network, records)
     problem.squares(problem.theta)
     _, gradient = problem.normal_equations(problem.theta)
+    swept = _Swept(network, records)
+    swept.squares(swept.theta)
     tensors = {n: torch.tensor(v, requires_grad=True) for n, v in problem.flat.parameters().items()}
     run = problem.flat.run({"u": u}, parameters=tensors)["y"]
     (0.5 * (((run - torch.tensor(y)) / 0.5) ** 2).sum()).backward()
     want = np.concatenate([tensors[n].grad.numpy().ravel() for n in problem.slices()])[problem.free]
     np.testing.assert_allclose(gradient, want, rtol=1e-8, atol=1e-10 * np.abs(want).max())
+    sweep = swept.gradient(swept.theta)[problem.free]
+    np.testing.assert_allclose(sweep, want, rtol=1e-8, atol=1e-10 * np.abs(want).max())
 
 
 def test_output_weights_of_the_whole_record_are_the_least_squares_ones():
