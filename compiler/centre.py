@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from greygate.compiler.ranges import sums
 from greygate.emulator.engine import run
 from greygate.emulator.program import Affine, Program
 from greygate.models.network import Network
@@ -40,13 +41,21 @@ def centre_biases(program: Program, network: Network, records: Sequence[Record])
         initial.append(np.clip(value, state.signal.fix.lo, state.signal.fix.hi))
     start = np.concatenate(initial, axis=1).astype(np.int64) if initial else np.zeros((len(codes), 0), np.int64)
     feeds = problem.flat.feeds()
+    summed = {}  # signal -> layer and its rows; sign tests are left alone
+    for name, layer in problem.flat.modules.items():
+        if layer.activation == "linear":
+            summed[name] = name, slice(None)
+        elif layer.activation not in ("hardlim", "hardlims"):
+            summed |= {p: (name, r) for p, r in sums(name, layer).items() if not p.endswith(".condition")}
     for at, operation in enumerate(program.operations):
-        name = operation.out.name.removesuffix(".n")
-        if not isinstance(operation, Affine) or name not in problem.flat.modules or _rounds_nothing(operation):
+        name, rows = summed.get(operation.out.name, ("", None))
+        if not isinstance(operation, Affine) or not name or _rounds_nothing(operation):
             continue
         layer = problem.flat.modules[name]
-        exact = layer.bias + sum(
-            past[source][delay] @ w.T for p, w in layer.weights.items() for source, delay in [feeds[f"{name}.{p}"]]
+        exact = layer.bias[rows] + sum(
+            past[source][delay] @ w[rows].T
+            for p, w in layer.weights.items()
+            for source, delay in [feeds[f"{name}.{p}"]]
         )
         fixed = run(program, codes, start, trace=True).trace[operation.out.name][:, 0] * operation.out.fix.lsb
         error = (exact - fixed).mean(axis=0)

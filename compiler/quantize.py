@@ -4,10 +4,11 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from fractions import Fraction
 
 import numpy as np
 
-from greygate.compiler.ranges import Range
+from greygate.compiler.ranges import Range, sums
 from greygate.compiler.tables import FUNCTIONS, flat_from, integer_bits, make_table, output_fix
 from greygate.emulator.program import (
     ACCUMULATOR_BITS,
@@ -20,6 +21,7 @@ from greygate.emulator.program import (
     Port,
     Program,
     Rounding,
+    Select,
     Signal,
     State,
     Table,
@@ -51,11 +53,14 @@ class Formats:
     signals: Mapping[str, Fix] = field(default_factory=dict)
 
 
-def memory(layer: Layer, loops: list[np.ndarray]) -> float:
-    """How many steps a linear layer remembers its own rounding: 1/(1 - a^2) for the slowest pole a; inf at 1."""
-    if not loops or layer.activation != "linear":
+def memory(loops: list[np.ndarray]) -> float:
+    """How many steps a linear layer remembers its own rounding: 1/(1 - a^2) for the slowest pole a; inf at 1.
+
+    loops: its weights on its own output 1, 2, ... steps before.
+    """
+    if not loops:
         return 1.0
-    depth, n = len(loops), layer.size
+    depth, n = len(loops), len(loops[0])
     companion = np.zeros((depth * n, depth * n))
     companion[:n] = np.hstack(loops)
     companion[n:, :-n] = np.eye((depth - 1) * n)
@@ -66,8 +71,8 @@ def memory(layer: Layer, loops: list[np.ndarray]) -> float:
 def loop_gain(loops: list[np.ndarray]) -> float:
     """By how much feedback multiplies an error of a linear layer's sum at the worst frequency, at least 1.
 
-    loops: its weights on its own output 1, 2, ... steps before. Where a weight is short enough to be exact the loop is
-    as declared, and rounding the other weights is no matter of the loop: then 1.
+    loops: as for `memory`. Where a weight is short enough to be exact the loop is as declared, and rounding the other
+    weights is no matter of the loop: then 1.
     """
     if all(_exact_bits(w, EXACT) < EXACT for w in loops):
         return 1.0
@@ -142,11 +147,31 @@ class _Quantizer:
             self.notes,
         ).check()
 
-    def _loops(self, name: str) -> list[np.ndarray]:
-        """Weights of a layer on its own past, one step first."""
-        layer = self.flat.modules[name]
-        own = {d: layer.weights[p] for p in layer.weights for s, d in [self.feeds[f"{name}.{p}"]] if s == name}
-        return [own.get(d, np.zeros((layer.size, layer.size))) for d in range(1, max(own, default=0) + 1)]
+    def _reads(self, name: str, rows: slice = slice(None)) -> dict[tuple[str, int], np.ndarray]:
+        """(source, delay) -> weights of some rows of a layer, where they are not all zero."""
+        reads: dict[tuple[str, int], np.ndarray] = {}
+        for port, w in self.flat.modules[name].weights.items():
+            feed = self.feeds[f"{name}.{port}"]
+            reads[feed] = reads.get(feed, 0.0) + w[rows]
+        return {feed: w for feed, w in reads.items() if w.any()}
+
+    def _loops(self, name: str, rows: slice = slice(None)) -> list[np.ndarray]:
+        """Weights of rows of a layer on its own past, one step first; of those that round anew in every step."""
+        reads, size = self._reads(name, rows), self.flat.modules[name].size
+        own = {d: w for (s, d), w in reads.items() if s == name}
+        if self._plain(name, rows) == (name, 1, 1.0, 0.0):
+            return []  # it holds what it has
+        return [own.get(d, np.zeros((size, size))) for d in range(1, max(own, default=0) + 1)]
+
+    def _plain(self, name: str, rows: slice) -> tuple[str, int, float, float] | None:
+        """(source, delay, weight, bias) of rows that are weight * source + bias, element by element, weight not 0."""
+        reads, bias = self._reads(name, rows), self.flat.modules[name].bias[rows]
+        if len(reads) != 1 or (bias != bias[0]).any():
+            return None
+        (((source, delay), w),) = reads.items()
+        if w.shape[0] != w.shape[1] or not np.array_equal(w, w[0, 0] * np.eye(len(w))):
+            return None
+        return source, delay, float(w[0, 0]), float(bias[0])
 
     def _declare(self, name: str) -> None:
         """Fix the format of a layer's output before any layer reads it, delayed reads included."""
@@ -162,7 +187,7 @@ class _Quantizer:
             spare = fix.frac - self._exact_frac(name)
             if spare > 0 and name not in self.formats.signals:
                 fix = Fix(max(fix.width - spare, 2), fix.frac - spare)
-            steps = min(memory(layer, self._loops(name)), self.formats.horizon)
+            steps = min(max(memory(self._loops(name, rows)) for rows in _values(layer)), self.formats.horizon)
             if steps > 4 and name not in self.formats.signals:
                 extra = math.ceil(math.log2(math.sqrt(steps / 3)))
                 fix = Fix(fix.width + extra, fix.frac + extra)
@@ -175,12 +200,12 @@ class _Quantizer:
     def _exact_frac(self, name: str) -> float:
         """Fraction bits that hold a sum of earlier signals with short weights exactly (a difference, say); else inf."""
         layer, needed = self.flat.modules[name], [0]
-        for port, w in layer.weights.items():
-            source = self.feeds[f"{name}.{port}"][0]
-            if source not in self.signals or layer.bias.any():
-                return math.inf
-            bits = _exact_bits(w, self.formats.width)
-            needed.append(self.signals[source].fix.frac + bits if bits < self.formats.width else math.inf)
+        for rows in _values(layer):
+            for (source, _), w in self._reads(name, rows).items():
+                if source not in self.signals or layer.bias[rows].any():
+                    return math.inf
+                bits = _exact_bits(w, self.formats.width)
+                needed.append(self.signals[source].fix.frac + bits if bits < self.formats.width else math.inf)
         return max(needed)
 
     def _delayed(self, source: str, delay: int) -> Signal:
@@ -237,40 +262,89 @@ class _Quantizer:
     def _layer(self, name: str) -> None:
         layer, f = self.flat.modules[name], self.formats
         out = self.signals[name]
+        if layer.activation == "select":
+            return self._select(name)
+        sign_test = layer.activation in ("hardlim", "hardlims")
+        if sign_test and self._comparator(name):
+            return None
         reads = []
         for port, w in layer.weights.items():
             source, delay = self.feeds[f"{name}.{port}"]
             signal = self._delayed(source, delay)
-            reads.append((signal if source == name or layer.activation == "linear" else self._narrow(signal), w))
-        if not reads:  # a constant that is shown: an operation reads something, if only to ignore it
-            first = self.signals[self.flat.inputs[0].name]
-            reads = [(first, np.zeros((layer.size, first.size)))]
+            whole = source == name or layer.activation == "linear" or sign_test
+            reads.append((signal if whole else self._narrow(signal), w))
         if layer.activation == "linear":
             gain = min(loop_gain(self._loops(name)), self.formats.horizon)
             finer = math.ceil(math.log2(gain)) if gain > 1 else 0
             if finer:
                 why = f"its feedback multiplies errors by up to {gain:.3g}: weights have {finer} bits more"
                 self.notes[name] = "; ".join(filter(None, [self.notes.get(name), why]))
-            self._affine(out, layer, reads, finer)
-            return
+            return self._affine(out, layer.bias, reads, finer, least=out.fix.frac)
         pre = f"{name}.n"
         if layer.activation in FUNCTIONS:
             frac, reach = self._argument(layer.activation, name, out.fix)
             fix = self.formats.signals.get(pre, Fix(frac + reach + 1, frac))
             signal = Signal(pre, layer.size, fix)
-            self._affine(signal, layer, reads)
+            self._affine(signal, layer.bias, reads)
             table = make_table(layer.activation, fix, out.fix, f.table_budget, f.interpolated)
             key = (table.function, table.arg, table.out)
             self.tables.setdefault(key, table)
             self.operations.append(Lookup(out, pre, table.name))
         elif layer.activation == "satlin":
             fix = Fix(f.width + f.wide, f.width + f.wide - 1 - max(1, self.fix_bits(pre)))
-            self._affine(Signal(pre, layer.size, fix), layer, reads)
+            self._affine(Signal(pre, layer.size, fix), layer.bias, reads)
             self.operations.append(Clamp(out, pre, 0, 1 << fix.frac, f.rounding))
         else:
-            fix = Fix(f.width + f.wide, f.width + f.wide - 1 - self.fix_bits(pre))
-            self._affine(Signal(pre, layer.size, fix), layer, reads)
+            self._signed(Signal(pre, layer.size, self._sign_fix(pre)), layer.bias, reads)
             self.operations.append(Threshold(out, pre, 0, -1 if layer.activation == "hardlims" else 0, 1))
+
+    def _comparator(self, name: str) -> bool:
+        """A hard limit of one signal compares its codes with a constant, exactly: nothing is multiplied."""
+        plain, out = self._plain(name, slice(None)), self.signals[name]
+        if plain is None:
+            return False
+        source, delay, weight, bias = plain
+        signal = self._delayed(source, delay)
+        answers = (-1 if self.flat.modules[name].activation == "hardlims" else 0, 1)
+        at = -Fraction(bias) / Fraction(weight) * Fraction(2) ** signal.fix.frac  # where weight * code + bias is 0
+        if weight > 0:
+            at = math.ceil(at)
+        else:  # code <= at
+            at, answers = math.floor(at) + 1, answers[::-1]
+        if at > signal.fix.hi:
+            answers = (answers[0], answers[0])
+        at = min(max(at, signal.fix.lo), signal.fix.hi)
+        self.operations.append(Threshold(out, signal.name, at, *answers))
+        return True
+
+    def _select(self, name: str) -> None:
+        """A multiplexer of earlier signals as they are, where the rows are plain; sums before it where they are not."""
+        layer, out, args = self.flat.modules[name], self.signals[name], []
+        for part, rows in sums(name, layer).items():
+            is_condition, plain = part.endswith(".condition"), self._plain(name, rows)
+            if plain and plain[3] == 0 and (plain[2] > 0 if is_condition else plain[2] == 1):
+                signal = self._delayed(*plain[:2])
+                near = signal.fix.width <= 36 and abs(signal.fix.frac - out.fix.frac) <= 12  # or SELECT grows too wide
+                if is_condition or near:
+                    args.append(signal.name)
+                    continue
+            reads = [(self._delayed(*feed), w) for feed, w in self._reads(name, rows).items()]
+            fix = self._sign_fix(part) if is_condition else self.formats.signals.get(part, out.fix)
+            signal = Signal(part, layer.size, fix)
+            if is_condition:
+                self._signed(signal, layer.bias[rows], reads)
+            else:
+                self._affine(signal, layer.bias[rows], reads, least=fix.frac)
+            args.append(part)
+        self.operations.append(Select(out, *args, self.formats.rounding))
+
+    def _sign_fix(self, pre: str) -> Fix:
+        width = self.formats.width + self.formats.wide
+        return self.formats.signals.get(pre, Fix(width, width - 1 - self.fix_bits(pre)))
+
+    def _signed(self, out: Signal, bias: np.ndarray, reads: list[tuple[Signal, np.ndarray]]) -> None:
+        """A sum of which only the sign matters: truncated and saturated, its sign is that of the exact sum."""
+        self._affine(out, bias, reads, rounding=Rounding.TRUNCATE, overflow=Overflow.SATURATE)
 
     def _argument(self, function: str, name: str, out: Fix) -> tuple[int, int]:
         """Fraction and integer bits of a sigmoid's argument; layers with one fraction share one table, so one width."""
@@ -286,9 +360,24 @@ class _Quantizer:
         r = self.ranges[name]
         return integer_bits(r.magnitude * self.formats.margin)
 
-    def _affine(self, out: Signal, layer: Layer, reads: list[tuple[Signal, np.ndarray]], finer: int = 0) -> None:
-        """Weights with `width` significant bits per row and source, but no finer than the result can show."""
-        rows, word = layer.size, self.formats.width + finer
+    def _affine(
+        self,
+        out: Signal,
+        bias: np.ndarray,
+        reads: list[tuple[Signal, np.ndarray]],
+        finer: int = 0,
+        least: int = 0,
+        rounding: Rounding | None = None,
+        overflow: Overflow | None = None,
+    ) -> None:
+        """Weights with `width` significant bits per row and source, but no finer than the result can show.
+
+        finer: bits more than that. least: fraction bits that every accumulator has.
+        """
+        rows, word = out.size, self.formats.width + finer
+        if not reads:  # a constant: an operation reads something, if only to ignore it
+            first = self.signals[self.flat.inputs[0].name]
+            reads = [(first, np.zeros((rows, first.size)))]
         finest = np.zeros((rows, len(reads)), np.int64)
         for j, (signal, w) in enumerate(reads):
             reach = signal.fix.width - 1 - signal.fix.frac  # |x| <= 2^reach
@@ -296,32 +385,27 @@ class _Quantizer:
                 largest = float(np.abs(w[r]).max())
                 fine = min(word - 1 - integer_bits(largest), out.fix.frac + GUARD + finer + reach) if largest else 0
                 finest[r, j] = max(_exact_bits(w[r], fine), -signal.fix.frac)
-        frac = np.array(
-            [
-                max([finest[r, j] + s.fix.frac for j, (s, _) in enumerate(reads)], default=out.fix.frac)
-                for r in range(rows)
-            ]
-        )
-        if layer.activation == "linear":
-            frac = np.maximum(frac, out.fix.frac)
-        frac = np.maximum(frac, 0)
-        columns, bias = [], layer.bias.copy()
+        frac = np.max(finest + [s.fix.frac for s, _ in reads], axis=1)
+        frac = np.maximum(frac, max(0, least))
+        columns, bias = [], bias.copy()
         for j, (signal, w) in enumerate(reads):
             own = finest[:, j : j + 1]
             codes = np.floor(w * 2.0**own + 0.5)
             bias += (w - codes * 2.0**-own) @ self.ranges[_origin(signal.name)].mean  # what rounding w costs on average
             columns.append(codes.astype(np.int64) << (frac[:, None] - signal.fix.frac - own))
-        weights = np.concatenate(columns, axis=1) if columns else np.zeros((rows, 0), np.int64)
         if (np.abs(bias) * 2.0**frac >= 2.0**ACCUMULATOR_BITS).any():
             raise InputError(
                 f"signal {out.name}: its sum needs more than {ACCUMULATOR_BITS} bits; choose a smaller width"
             )
         bias = np.floor(bias * 2.0**frac + 0.5).astype(np.int64)
-        self.operations.append(
-            Affine(
-                out, tuple(s.name for s, _ in reads), weights, bias, frac, self.formats.rounding, self.formats.overflow
-            )
-        )
+        args, weights = tuple(s.name for s, _ in reads), np.concatenate(columns, axis=1)
+        modes = rounding or self.formats.rounding, overflow or self.formats.overflow
+        self.operations.append(Affine(out, args, weights, bias, frac, *modes))
+
+
+def _values(layer: Layer) -> list[slice]:
+    """Rows of a linear layer or a select that are rounded to its output's format."""
+    return list(sums("", layer).values())[-2:]
 
 
 def _origin(name: str) -> str:

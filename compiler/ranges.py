@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greygate.models.network import ACTIVATIONS, Network
+from greygate.errors import InputError
+from greygate.models.network import ACTIVATIONS, Layer, Network
 from greygate.models.problem import Problem, Record
 
 IMAGE = {
@@ -15,6 +16,7 @@ IMAGE = {
     "hardlims": (-1.0, 1.0),
     "satlin": (0.0, 1.0),
     "radbas": (0.0, 1.0),
+    "select": (-np.inf, np.inf),
 }
 WIDEN_AFTER = 50  # sweeps of interval arithmetic before a signal that still grows is called unbounded
 
@@ -37,13 +39,19 @@ class Range:
         return max(abs(self.low), abs(self.high))
 
 
+def sums(name: str, layer: Layer) -> dict[str, slice]:
+    """What a layer adds up, by signal name, as slices of its rows: `layer.n`, or the three parts of a select."""
+    if layer.activation != "select":
+        return {f"{name}.n": slice(None)}
+    size = layer.size
+    return {f"{name}.{part}": slice(i * size, (i + 1) * size) for i, part in enumerate(("condition", "above", "below"))}
+
+
 def ranges(network: Network, records: list[Record]) -> dict[str, Range]:
-    """Ranges of every input and layer of a flat network, and `layer.n` for every pre-activation."""
+    """Ranges of every input and layer of a flat network, and of every pre-activation by its name in `sums`."""
     problem = Problem(network, records)
     flat, runs = problem.flat, problem.simulate(problem.theta)
     if runs is None:
-        from greygate.errors import InputError
-
         raise InputError(f"network {network.name}: diverges on the records; train it before compiling")
     start = {p.name: np.full(p.size, (p.initial - p.offset) / p.scale) for p in flat.inputs}
     start |= {n: layer.initial for n, layer in flat.modules.items()}
@@ -51,7 +59,7 @@ def ranges(network: Network, records: list[Record]) -> dict[str, Range]:
     for source, delay in flat.feeds().values():
         past[source] = max(past.get(source, 0), delay)
     seen: dict[str, tuple[float, float]] = {}
-    sums: dict[str, np.ndarray] = {}
+    total: dict[str, np.ndarray] = {}
     for record, run in zip(records, runs, strict=True):
         columns = np.split(
             run, np.cumsum([len(start[n]) for n in [*(p.name for p in flat.inputs), *flat.order()]]), axis=1
@@ -68,21 +76,22 @@ def ranges(network: Network, records: list[Record]) -> dict[str, Range]:
         feeds = flat.feeds()
         for name in flat.order():
             layer = flat.modules[name]
-            n = np.broadcast_to(layer.bias, (len(run), layer.size)).copy()
+            n = np.broadcast_to(layer.bias, (len(run), layer.rows)).copy()
             for port, w in layer.weights.items():
                 source, delay = feeds[f"{name}.{port}"]
                 past_rows = history[source] if source in history else signal[source]
                 offset = past.get(source, 0) - delay if source in history else 0
                 n += past_rows[offset : offset + len(run)] @ w.T
-            _extend(seen, f"{name}.n", n)
-            sums[f"{name}.n"] = sums.get(f"{name}.n", 0.0) + n.sum(axis=0)
+            for part, rows in sums(name, layer).items():
+                _extend(seen, part, n[:, rows])
+                total[part] = total.get(part, 0.0) + n[:, rows].sum(axis=0)
         for name, value in signal.items():
-            sums[name] = sums.get(name, 0.0) + value.sum(axis=0)
+            total[name] = total.get(name, 0.0) + value.sum(axis=0)
             _extend(seen, name, value)
             _extend(seen, name, history[name][: past[name]] if past.get(name) else value)
     bounds = _intervals(flat, {p.name: seen[p.name] for p in flat.inputs}, start)
-    total = sum(map(len, runs))
-    return {n: Range(low, high, sums[n] / total, bounds[n]) for n, (low, high) in seen.items()}
+    steps = sum(map(len, runs))
+    return {n: Range(low, high, total[n] / steps, bounds[n]) for n, (low, high) in seen.items()}
 
 
 def _extend(seen: dict[str, tuple[float, float]], name: str, values: np.ndarray) -> None:
@@ -109,10 +118,15 @@ def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dic
                 up, down = np.maximum(w, 0), np.minimum(w, 0)
                 a += (_times(up, low[source]) + _times(down, high[source])).sum(1)
                 b += (_times(up, high[source]) + _times(down, low[source])).sum(1)
-            bounds[f"{name}.n"] = (float(a.min()), float(b.max()))
+            bounds |= {p: (float(a[rows].min()), float(b[rows].max())) for p, rows in sums(name, layer).items()}
             if layer.activation == "radbas":
                 nearest = np.where((a <= 0) & (b >= 0), 0.0, np.minimum(np.abs(a), np.abs(b)))
                 a, b = np.exp(-(np.maximum(np.abs(a), np.abs(b)) ** 2)), np.exp(-(nearest**2))
+            elif layer.activation == "select":
+                never, always = np.split(b, 3)[0] < -1e-12, np.split(a, 3)[0] > 1e-12
+                (_, *a), (_, *b) = np.split(a, 3), np.split(b, 3)
+                a = np.where(always, a[0], np.where(never, a[1], np.minimum(*a)))
+                b = np.where(always, b[0], np.where(never, b[1], np.maximum(*b)))
             else:
                 a, b = (ACTIVATIONS[layer.activation](np, n) for n in (a, b))
             grow_low, grow_high = a < low[name] - 1e-12, b > high[name] + 1e-12

@@ -176,7 +176,7 @@ def test_a_state_that_integrates_gets_fraction_bits_and_the_program_says_why():
     program = quantize(network, ranges(network, [record]), Formats(12))
     assert program.signals["sum"].fix.width > 12
     assert "remembers its rounding" in program.notes["sum"]
-    assert memory(network.modules["sum"], [np.eye(1)]) == math.inf
+    assert memory([np.eye(1)]) == math.inf
     assert loop_gain([np.eye(1)]) == 1  # an exact loop
 
 
