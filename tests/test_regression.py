@@ -73,6 +73,16 @@ def test_one_network_is_narmax_with_a_teacher_and_box_jenkins_of_table_3_1_witho
     np.testing.assert_allclose(found, by_hand(small(), u, y, own=not teacher) - y / 4, atol=1e-12)
 
 
+def test_with_the_same_lags_both_are_one_model_in_other_coordinates():
+    u, y = np.random.default_rng(0).normal(size=(2, 50))
+    shifted = {f"{layer}.e_z1": small().parameters()[f"{layer}.e_z1"] for layer in ("hidden1", "sum")}
+    for name in shifted:  # w_y y + w_e e = w_y y_hat + (w_y + w_e) e
+        shifted[name] = shifted[name] + small().parameters()[name.replace("e_z", "y_z")]
+    record = Record({"u": u}, {"y": y})
+    narmax, nbj = errors(small(), record, True), errors(small().with_parameters(shifted), record, False)
+    np.testing.assert_allclose(nbj, narmax, atol=1e-12)
+
+
 def test_the_free_run_has_no_errors_and_needs_no_measurement():
     u = np.random.default_rng(0).normal(size=50)
     network = free_run(small())
