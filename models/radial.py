@@ -28,13 +28,11 @@ def radial(
     feedback: Sequence[int],
     centres: np.ndarray,
     widths: np.ndarray,
-    reach: np.ndarray | float = 1.0,
 ) -> Network:
     """Gaussian neurons on the taps of `regression`, their output weights zero.
 
     centres: (neurons, taps), normalised as the ports. widths: s, (neurons, taps) or of a shape that broadcasts to it.
-    reach: (taps,) or one for all, largest magnitude of a tap for which its square is at most one: what a fixed-point
-    square of format [-1, 1) must hold. With a teacher it is a NARX network, without one NOE.
+    With a teacher it is a NARX network, without one NOE.
     Raises InputError for other shapes, widths that are not positive, and taps as in `regression`.
     """
     taps = {f"{port.name}_z{d}": (port.name, d) for port, delays in inputs.items() for d in delays}
@@ -45,12 +43,11 @@ def radial(
     if centres.shape[1] != len(taps) or not (np.asarray(widths) > 0).all():
         raise InputError(f"network {name}: centres {centres.shape} for {len(taps)} taps; widths must be positive")
     precision = 1 / np.broadcast_to(widths, centres.shape) ** 2
-    reach = np.broadcast_to(np.asarray(reach, float), len(taps))
-    squares = dict(zip(taps, np.diag(1 / reach)[:, :, None].transpose(1, 0, 2), strict=True))
+    squares = dict(zip(taps, np.eye(len(taps))[:, :, None], strict=True))
     cross = dict(zip(taps, (-2 * precision * centres).T[:, :, None], strict=True))
     network = Network(name, list(inputs), [output])
     network.add("squares", Layer(squares, np.zeros(len(taps)), "square", frozen=frozenset({*taps, "bias"})))
-    kernels = {"squares": precision * reach**2, **cross}
+    kernels = {"squares": precision, **cross}
     network.add("kernels", Layer(kernels, (precision * centres**2).sum(1), "negexp"))
     rest = (output.initial - output.offset) / output.scale
     network.add("sum", Layer({"kernels": np.zeros((1, len(centres)))}, [0.0], initial=rest))
@@ -92,8 +89,7 @@ def rbf(
         raise InputError(f"network {name}: the rows form fewer than {neurons} clusters; take fewer neurons") from None
     apart = np.sort(cdist(centres, centres), axis=1)[:, 1:3]
     widths = overlap * np.sqrt(np.mean(apart**2, axis=1, keepdims=True)) if neurons > 1 else np.full((1, 1), overlap)
-    reach = 2.0 ** np.ceil(np.log2(np.maximum(np.abs(phi.matrix).max(0), 1e-6)))
-    network = radial(name, inputs, output, feedback, centres * spread, widths * spread, reach)
+    network = radial(name, inputs, output, feedback, centres * spread, widths * spread)
     estimator = RecursiveLeastSquares(neurons + 1)
     distance = cdist(phi.matrix / spread, centres) / widths.T
     for row, target in zip(np.exp(-(distance**2)), phi.target, strict=True):

@@ -26,7 +26,7 @@ def identified(neurons=20, **options):
 def test_a_radial_network_is_gaussians_of_distance():
     rng = np.random.default_rng(0)
     centres, widths = rng.uniform(-1, 1, (4, 3)), rng.uniform(0.5, 2, (4, 3))
-    network = radial("r", *TAPS, centres, widths, reach=4.0)
+    network = radial("r", *TAPS, centres, widths)
     weights, bias = rng.normal(size=(1, 4)), rng.normal(size=1)
     network = network.with_parameters({"sum.kernels": weights, "sum.bias": bias})
     u = rng.normal(size=30)
@@ -80,13 +80,9 @@ def test_more_neurons_fit_better_and_training_goes_on_from_there():
     assert np.isfinite(train(narx.network, [benchmark()], epochs=5).history[-1])
 
 
-def test_centres_follow_the_seed_and_squares_stay_within_one():
+def test_the_same_seed_gives_the_same_centres():
     assert identified(seed=1).history != identified(seed=2).history
     assert identified(seed=1).history == identified(seed=1).history
-    fit = identified()
-    problem = Problem(fit.network, [benchmark()], teacher=True)
-    squares = problem.simulate(problem.theta)[0][:, problem.elements()["squares"]]
-    assert 0.2 < squares.max() <= 1
 
 
 def test_one_neuron_is_enough_for_a_constant():
