@@ -4,14 +4,16 @@ Colours are CSS classes of greygate/report.html, so that the pictures follow the
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
+import numpy as np
 from markupsafe import Markup
 
 LEFT, RIGHT, TOP, BOTTOM = 58, 10, 8, 34  # margins of a chart, px
 ROW = 19  # height of one signal in `formats`, px
+CHANGE_DECADES, CHANGE_HEIGHT = 6, 66  # of a row of `weight_changes`: its scale, and px
 
 
 @dataclass(frozen=True)
@@ -213,3 +215,53 @@ def _format_row(s: dict, y: float, left: float, inner: float, scale: Scale) -> s
     worry = f' <tspan class="worry">{events} sat.</tspan>' if events else ""
     parts.append(f'<text class="name" x="{left + inner + 8}" y="{y + 4:.1f}">{s["fix"]}{worry}</text></g>')
     return "".join(parts)
+
+
+def weight_changes(changes: Mapping[str, np.ndarray], width: int = 1160) -> Markup:
+    """Per cent by which each weight changed, logarithmic: a row a module, a bar a weight (thesis 5.14 to 5.16).
+
+    changes: of `models.adaptation.weight_changes`. Blue rose, orange fell; red, full height, was zero before. At the
+    right the module's median and largest change. A bar's name and figure show under the pointer.
+    """
+    rows: dict[str, dict[str, list[tuple[str, float]]]] = {}  # module -> layer -> (weight, change)
+    for name, values in changes.items():
+        path, _, port = name.rpartition(".")
+        module, _, layer = path.rpartition(".")
+        bars = rows.setdefault(module or path, {}).setdefault(layer if module else "", [])
+        bars += [(f"{path}.{port}[{', '.join(map(str, i))}]", float(v)) for i, v in np.ndenumerate(values)]
+    left, right, pitch = 140, 116, CHANGE_HEIGHT + 34
+    largest = max((abs(v) for values in changes.values() for v in values.flat if v and not math.isnan(v)), default=1.0)
+    top = math.ceil(math.log10(largest) - 1e-9)
+    scale = Scale(10.0 ** (top - CHANGE_DECADES), 10.0**top, CHANGE_HEIGHT, log=True)
+    places = max((sum(map(len, layers.values())) + 2 * len(layers) for layers in rows.values()), default=1)
+    step = min((width - left - right) / places, 14.0)
+    height = pitch * len(rows)
+    parts = [f'<svg class="chart" viewBox="0 0 {width} {height}" role="img" aria-label="changes of weights">']
+    for row, (module, layers) in enumerate(rows.items()):
+        base, x = row * pitch + CHANGE_HEIGHT + 10, float(left)
+        middle = base - CHANGE_HEIGHT / 2
+        parts.append(f'<text class="name" x="{left - 48}" y="{middle + 4}" text-anchor="end">{escape(module)}</text>')
+        for power in range(top - CHANGE_DECADES, top + 1, 2):
+            at, label = base - scale(10.0**power), f"{10.0**power:g}"
+            parts.append(f'<path class="grid" d="M{left} {at:.1f}H{width - right}"/>')
+            parts.append(f'<text class="tick" x="{left - 4}" y="{at + 3.5:.1f}" text-anchor="end">{label}</text>')
+        for layer, bars in layers.items():
+            at = x + step * len(bars) / 2
+            parts.append(f'<text class="tick" x="{at:.1f}" y="{base + 13}" text-anchor="middle">{escape(layer)}</text>')
+            parts += [_change_bar(*bar, x + step * i, base, 0.8 * step, scale) for i, bar in enumerate(bars)]
+            x += step * (len(bars) + 2)
+        sizes = [abs(v) for bars in layers.values() for _, v in bars if not math.isnan(v)] or [0.0]
+        for line, (what, value) in enumerate((("median", float(np.median(sizes))), ("max", max(sizes)))):
+            at = middle + 16 * line
+            parts.append(f'<text class="name" x="{width - right + 10}" y="{at}">{what} {number(value, 2)} %</text>')
+    return Markup("".join(parts) + "</svg>")
+
+
+def _change_bar(name: str, value: float, x: float, base: float, width: float, scale: Scale) -> str:
+    if math.isnan(value):
+        kind, tall, says = "worry", scale.length, "was 0"
+    else:
+        kind, tall = ("box" if value > 0 else "sound"), max(scale(abs(value)), 0.0) if value else 0.0
+        says = f"{'+' if value > 0 else ''}{number(value)} %"
+    place = f'x="{x:.1f}" y="{base - tall:.1f}" width="{width:.1f}" height="{tall:.1f}"'
+    return f'<rect class="{kind}" {place}><title>{escape(name)}: {says}</title></rect>'
