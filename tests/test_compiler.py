@@ -236,12 +236,14 @@ def test_the_mean_of_a_removed_neuron_goes_into_the_biases_it_fed():
 
 
 def test_centred_biases_take_the_mean_out_of_one_step_errors():
-    network = simplify(random_network(33, activations=("tansig", "linear")))
-    record = record_of(network, 600, 33)
-    program = quantize(network, ranges(network, [record]), Formats(9))
-    before = [abs(e.mean()) for e in fixed_error(program, record).values()]
-    after = [abs(e.mean()) for e in fixed_error(centre_biases(program, network, [record]), record).values()]
-    assert sum(after) <= sum(before)
+    before = after = 0.0
+    for seed in (20, 33, 35, 41):  # a mean over a record is a statistic: a network may be worse off by chance
+        network = simplify(random_network(seed, activations=("tansig", "linear")))
+        record = record_of(network, 600, seed)
+        program = quantize(network, ranges(network, [record]), Formats(9))
+        before += sum(abs(e.mean()) for e in fixed_error(program, record).values())
+        after += sum(abs(e.mean()) for e in fixed_error(centre_biases(program, network, [record]), record).values())
+    assert after <= 0.5 * before
 
 
 def test_a_budget_gives_the_cheapest_formats_that_meet_it():
