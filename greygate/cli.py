@@ -249,6 +249,30 @@ def report(
     typer.echo(f"written to {out} and {out.with_suffix('.json')}")
 
 
+@app.command()
+def validate(
+    network: Annotated[str, typer.Argument(help="A name of the catalogue, or NAME.toml with --record.")],
+    record: Annotated[list[str], typer.Option(help="FILE.csv or SCENARIO=FILE.csv; the first was learnt from.")] = [],  # noqa: B006
+    out: Annotated[Path, typer.Option(help="HTML page to write.")] = Path("validation.html"),
+    lags: Annotated[int, typer.Option(help="Of the residual tests, in steps.")] = 25,
+    as_json: Json = False,
+) -> None:
+    """Free run, steps ahead, residual tests and long run of a float network, as a table and one HTML page.
+
+    Exit code 1 if a free run is unbounded.
+    """
+    from greygate.project import Source
+    from greygate.validation_page import judge, table, write
+
+    named = [text if "=" in text else f"{Path(text).stem}={text}" for text in record]
+    with _progress(f"validating {network}") as follow:
+        judged = judge(Source(network, _recordings(named)), lags, follow)
+        write(judged, out)
+    _give(judged.figures(), as_json, [*table(judged), f"written to {out}"])
+    if not judged.bounded:
+        raise typer.Exit(1)
+
+
 def run() -> None:
     """Entry point: a user's mistake is one line on stderr and exit code 2."""
     try:

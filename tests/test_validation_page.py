@@ -1,0 +1,131 @@
+"""The validation page and its command."""
+
+import base64
+import json
+import re
+
+import numpy as np
+import pytest
+from test_cli import greygate
+from test_validation import linear, record
+from typer.testing import CliRunner
+
+from greygate import cli
+from greygate.errors import InputError
+from greygate.models.network import Network
+from greygate.models.validation import validate
+from greygate.plants.recording import Recording
+from greygate.project import Source
+from greygate.validation_page import DRAWN, judge, page, rows, run_data, table
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """arx.toml, which is right of train.csv and <test>.csv; wild.toml, which is not."""
+    monkeypatch.chdir(tmp_path)
+    linear(gain=0.95).save("arx")
+    linear(feedback=(1.9,)).save("wild")
+    for seed, name in enumerate(("train", "<test>")):
+        r = record(600, seed=seed, equation_noise=0.2)
+        Recording(1e-2, r.inputs | r.targets, {"u": "V", "y": "m"}).write_csv(f"{name}.csv")
+    return tmp_path
+
+
+def source(name="arx.toml") -> Source:
+    return Source(name, {"train": "train.csv", "<test>": "<test>.csv"})
+
+
+def test_the_table_has_a_row_per_record_and_output_with_the_figures_of_the_validation(folder):
+    judged = judge(source())
+    assert judged.period == 1e-2
+    assert judged.training == ("train",)
+    assert [r["record"] for r in rows(judged)] == ["train*", "<test>"]
+    for row, v in zip(rows(judged), judged.validations, strict=True):
+        assert row["fit %"] == f"{v.fit:.1f}"
+        assert row["1 step"] == f"{v.ahead[1][1]:.1f}"
+        assert row["one step"] == f"{sum(t.passed for t in v.tests['one step ahead'])}/5"
+        assert row["unit"] == "mm"
+        assert float(row["RMS"]) == pytest.approx(1e3 * v.rms, rel=5e-3)
+        assert row["long run"] == "stable"
+    assert any(line.startswith("<test>") for line in table(judged))
+
+
+def test_the_page_needs_nothing_else_and_shows_every_record(folder):
+    html = page(judge(source()))
+    own = re.sub(r"<script>/\*.*?</script>", "", html, flags=re.S)
+    assert len(own) < len(html) / 10  # Plotly, which is most of it, is inside
+    assert "://" not in own
+    assert not re.search(r"<(link|img|iframe)|@import|url\(|src=", own)
+    assert "<test>" not in own
+    assert own.count("&lt;test&gt;") > 3
+    assert own.count("<svg") == own.count("</svg>")
+    assert own.count('class="plot"') == 2
+    assert "nan" not in re.sub(r"<(style|script).*?</\1>", "", own, flags=re.S).lower()
+
+
+def test_a_zoomed_run_holds_every_sample_and_a_long_one_its_extremes():
+    (v,) = validate(linear(), {"run": record(1000, equation_noise=0.1)}, period=0.5)
+    traces = json.loads(run_data(v, 0.5))["traces"]
+    drawn = np.frombuffer(base64.b64decode(traces["measured"]["y"]["bdata"]), "<f4")
+    np.testing.assert_allclose(drawn, 1e3 * v.measured, rtol=1e-6)
+    assert traces["measured"]["dx"] == 0.5
+    (v,) = validate(linear(), {"run": record(3 * DRAWN, equation_noise=0.1)}, period=0.5, horizons=(1,))
+    y, x = (
+        np.frombuffer(base64.b64decode(json.loads(run_data(v, 0.5))["traces"]["error"][axis]["bdata"]), "<f4")
+        for axis in "yx"
+    )
+    e = 1e3 * (v.measured - v.predicted)
+    assert len(x) == len(y) <= DRAWN
+    assert np.all(np.diff(x) > 0)
+    assert (y.min(), y.max()) == pytest.approx((e.min(), e.max()), rel=1e-5)
+
+
+def test_a_network_of_the_catalogue_is_judged_on_what_it_learnt_from_too(folder):
+    channels = {"u_valve": np.sin(np.arange(300.0)), "p_oil": np.cos(np.arange(300.0))}
+    Recording(1.0, channels, {"u_valve": "1", "p_oil": "1"}).write_csv("mine.csv")
+    judged = judge(Source("crane", {"mine": "mine.csv"}))
+    assert [v.record for v in judged.validations] == ["train", "mine"]
+    assert judged.training == ("train",)
+    with pytest.raises(InputError, match="name yours otherwise"):
+        judge(Source("crane", {"train": "mine.csv"}))
+
+
+def test_the_command_prints_a_table_writes_a_page_and_exits_with_0(folder):
+    code, out, error = greygate("validate", "arx.toml", "--record", "train.csv", "--record", "new=<test>.csv")
+    assert (code, error) == (0, "")
+    assert out.splitlines()[-1] == "written to validation.html"
+    assert [line.split()[0] for line in out.splitlines()[2:4]] == ["train*", "new"]
+    assert (folder / "validation.html").read_text().startswith("<!doctype html>")
+
+
+def test_an_unbounded_free_run_is_exit_code_1_with_page_and_json(folder):
+    done = CliRunner().invoke(cli.app, ["validate", "wild.toml", "--record", "train.csv", "--json", "--out", "w.html"])
+    assert done.exit_code == 1
+    found = json.loads(done.stdout)
+    assert found["bounded"] is False
+    assert found["outputs"][0]["rms"] is None
+    assert "unbounded" in (folder / "w.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["arx.toml"], "give recordings"),
+        (["nobody"], "no network is called 'nobody'"),
+        (["arx.toml", "--record", "missing.csv"], "missing.csv: cannot be read"),
+        (["arx.toml", "--record", "train.csv", "--lags", "200"], "600 samples are too few for 200 lags"),
+        (["arx.toml", "--record", "train.csv", "--out", "no/page.html"], "cannot write here"),
+    ],
+)
+def test_wrong_use_is_named_and_nothing_is_written(folder, arguments, message):
+    before = sorted(folder.rglob("*"))
+    with pytest.raises(InputError, match=message):
+        CliRunner().invoke(cli.app, ["validate", *arguments], catch_exceptions=False)
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_a_saved_network_is_validated_as_the_one_in_memory(folder):
+    judged = judge(source())
+    r = record(600, seed=0, equation_noise=0.2)
+    (v,) = validate(Network.load("arx"), {"train": r}, period=1e-2)
+    assert v.rms == judged.validations[0].rms
