@@ -3,8 +3,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 PYTHON ?= python3
 OUT := demo
+PEERS := build/peers
 
-.PHONY: demo test lint bench train clean tools
+.PHONY: demo test lint bench bench-training train clean tools
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -27,6 +28,9 @@ bench: $(VENV)/.ready-dev | tools
 	$(BIN)/python benchmarks/plant.py
 	$(BIN)/python benchmarks/measured.py
 
+bench-training: $(VENV)/.ready-dev $(PEERS)/.ready
+	$(BIN)/python benchmarks/training.py --peers $(PEERS)/bin/python
+
 train: $(VENV)/.ready
 	for name in valve_cylinder mts crane; do $(BIN)/greygate train $$name || exit 1; done
 
@@ -43,6 +47,11 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 
 $(VENV)/.ready-dev: $(VENV)/.ready
 	$(INSTALL) -e '.[dev,synthesis]'
+	@touch $@
+
+$(PEERS)/.ready: benchmarks/peers.txt
+	$(PYTHON) -m venv $(PEERS)
+	$(PEERS)/bin/pip install --quiet --disable-pip-version-check -r benchmarks/peers.txt
 	@touch $@
 
 tools:
