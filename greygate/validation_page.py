@@ -22,7 +22,6 @@ from greygate.project import Source
 from greygate.report import TRUSTED, display, plain, shown
 
 DRAWN = 20_000  # samples of a run that are drawn one by one; of a longer one, least and largest of so many bins
-FAR = 1e30  # a run that diverges is drawn up to there
 BARS = 40  # of the error's histogram
 SYMBOLS = {"phi_ee": "φ(e, e)", "phi_ue": "φ({}, e)", "phi_u2e": "φ({}², e)", "phi_u2e2": "φ({}², e²)",
            "phi_eeu": "φ(e·{}, e)"}  # fmt: skip
@@ -158,7 +157,8 @@ def facts(judged: Judged) -> list[tuple[str, str, bool | None]]:
     fresh = [v for v in judged.validations if v.record not in judged.training] or judged.validations
     worst = min(fresh, key=lambda v: v.fit if not math.isnan(v.fit) else math.inf)
     where = f"{worst.output} on {worst.record}"
-    lines = [(f"{per_cent(worst.fit)} %", f"worst fit of a free run, {where}", None)]
+    fit = f"{per_cent(worst.fit)} %" if math.isfinite(worst.rms) else "diverges"
+    lines = [(fit, f"worst fit of a free run, {where}", None)]
     if ahead := [v for v in fresh if 1 in v.ahead]:
         worst = min(ahead, key=lambda v: v.ahead[1][1])
         where = f"{worst.output} on {worst.record}"
@@ -212,11 +212,11 @@ def run_data(v: Validation, period: float) -> str:
     """What Plotly draws: measured, predicted and error over time, as JSON with binary float32."""
     factor, unit = display(v.unit, float(np.abs(v.measured).max()))
     small, small_unit = display(v.unit, v.rms if math.isfinite(v.rms) else v.spread)
-    traces = {
-        "measured": v.measured * factor,
-        "predicted": v.predicted * factor,
-        "error": (v.measured - v.predicted) * small,
-    }
+    leash = np.mean(v.measured) + LEASH * (np.ptp(v.measured) or np.inf) * np.array(
+        [-1, 1]
+    )  # a run that diverges is drawn so far
+    near = np.where((v.predicted > leash[0]) & (v.predicted < leash[1]), v.predicted, np.nan)
+    traces = {"measured": v.measured * factor, "predicted": near * factor, "error": (v.measured - near) * small}
     drawn = {}
     for name, y in traces.items():
         steps = _thinned(y)
@@ -240,8 +240,7 @@ def _thinned(y: np.ndarray) -> np.ndarray:
 
 
 def _binary(values: np.ndarray) -> dict:
-    values = np.where(np.abs(values) < FAR, values, np.nan).astype("<f4")
-    return {"dtype": "f4", "bdata": base64.b64encode(values.tobytes()).decode()}
+    return {"dtype": "f4", "bdata": base64.b64encode(np.asarray(values, "<f4").tobytes()).decode()}
 
 
 def histogram(error: np.ndarray, unit: str) -> Markup:
