@@ -17,8 +17,9 @@ RIDGE = 1e-9  # of the regression, per sample
 
 @dataclass(frozen=True)
 class Round:
-    """One attempt: the neurons removed, how many are left, and whether it was kept.
+    """One attempt: what it removed, how many neurons are left, and whether it was kept.
 
+    removed: neurons by layer; or single weights by parameter, each counted through its matrix (`saliency.py`).
     error: of each output after training again, RMS over the records, normalised.
     """
 
@@ -50,7 +51,8 @@ def output_errors(network: Network, records: list[Record]) -> np.ndarray:
     if errors is None:
         return np.full(sum(p.size for p in problem.flat.outputs), np.inf)
     used = np.concatenate([e[r.skip :] for e, r in zip(errors, records, strict=True)])
-    return np.sqrt(np.mean(used**2, axis=0))
+    with np.errstate(over="ignore"):  # finite and still too large to square: inf
+        return np.sqrt(np.mean(used**2, axis=0))
 
 
 def remove_neurons(network: Network, records: list[Record], chosen: dict[str, list[int]]) -> Network:
@@ -82,9 +84,9 @@ def remove_neurons(network: Network, records: list[Record], chosen: dict[str, li
     return g.network()
 
 
-def retrained(network: Network, records: list[Record], epochs: int) -> Network:
-    """Trained again; Ctrl-C, which ends a training early, ends the pruning too."""
-    fit = train(network, records, epochs=epochs)
+def retrained(network: Network, records: list[Record], epochs: int, **options) -> Network:
+    """Trained again; Ctrl-C, which ends a training early, ends the pruning too. options: of `train`."""
+    fit = train(network, records, epochs=epochs, **options)
     if fit.outcome is Outcome.INTERRUPTED:
         raise KeyboardInterrupt
     return fit.network

@@ -1,0 +1,380 @@
+"""Pruning of single weights by saliency, after that of neurons by entropy (`prune.py`).
+
+A method says which weights cost least, and how the others make up for them, from the loss to second order about the
+trained weights: E(theta + d) = E + d'Hd / 2 with H = J'J + D + ridge, D the weight decay of the training (Hansen,
+Pedersen 1994; Norgaard 2000). A weight of zero is a pruned weight, everywhere: `nonzero` holds it in training.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg
+
+from greygate.compiler.prune import WORKING_RANGE, Round, output_errors, retrained
+from greygate.compiler.simplify import Graph, fold_constants, parameter_count
+from greygate.errors import InputError
+from greygate.models.network import Network
+from greygate.models.problem import Problem, Record
+from greygate.models.training import blas
+
+RIDGES = (1e-8, 1e-6, 1e-4, 1e-2)  # of the Hessian, times its mean diagonal: far from a quadratic a small one strays
+
+
+def nonzero(network: Network) -> dict[str, np.ndarray]:
+    """{parameter: bool array}, for `train(..., free=...)`: pruned weights, which are zero, stay zero."""
+    return {name: value != 0 for name, value in network.flatten().parameters().items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Unit:
+    """A hidden neuron. outgoing: (n,) its weights in the layers that read it, as positions in `Expansion.weights`.
+
+    cost: parameters that vanish with it.
+    """
+
+    layer: str
+    index: int
+    outgoing: np.ndarray
+    cost: int
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """Half the sum of squared errors about the trained weights, to second order, over the weights that may go.
+
+    theta: (P,) all parameters. weights: (M,) those neither frozen nor pruned, as indices of theta. curvature: (M, M)
+    J'J. ridge: times the mean of its diagonal, is added to it: weights that nothing depends on make it singular.
+    """
+
+    problem: Problem
+    theta: np.ndarray
+    weights: np.ndarray
+    curvature: np.ndarray
+    decay: float = 0.0
+    ridge: float = RIDGES[0]
+
+    @staticmethod
+    def of(network: Network, records: Sequence[Record], decay: float = 0.0, ridge: float = RIDGES[0]) -> "Expansion":
+        """Of a network that is trained. Raises InputError if its free run diverges on a record."""
+        network = fold_constants(network)
+        problem = Problem(network, list(records), free=nonzero(network))
+        if not np.isfinite(problem.squares(problem.theta)):
+            raise InputError(f"network {network.name}: diverges on a record; train it before pruning")
+        curvature, _ = problem.normal_equations(problem.theta)
+        return Expansion(problem, problem.theta, problem.free, curvature, decay, ridge)
+
+    @property
+    def values(self) -> np.ndarray:
+        """(M,)"""
+        return self.theta[self.weights]
+
+    @cached_property
+    def hessian(self) -> np.ndarray:
+        """(M, M) J'J + D + ridge."""
+        mean = np.trace(self.curvature) / len(self.curvature)
+        return self.curvature + (self.decay + self.ridge * (mean or 1.0)) * np.eye(len(self.curvature))
+
+    @cached_property
+    def inverse(self) -> np.ndarray:
+        """(M, M) H^-1. Raises InputError if H is singular."""
+        try:
+            factor = scipy.linalg.cho_factor(self.hessian)
+        except scipy.linalg.LinAlgError:
+            raise InputError("the Hessian is singular: weights act alike or not at all; give a ridge > 0") from None
+        return scipy.linalg.cho_solve(factor, np.eye(len(self.hessian)))
+
+    @cached_property
+    def units(self) -> list[Unit]:
+        """Hidden neurons whose outgoing weights may all go."""
+        flat, place = self.problem.flat, self.problem.slices()
+        graph = Graph(flat)
+        position = np.full(len(self.theta), -1)
+        position[self.weights] = np.arange(len(self.weights))
+        found = []
+        for name, layer in flat.modules.items():
+            if name in graph.shown() or layer.activation not in WORKING_RANGE:
+                continue
+            read = [place[f"{r}.{p}"].reshape(-1, layer.size) for r, p, _ in graph.readers(name)]
+            own = [place[f"{name}.{p}"].reshape(layer.size, -1) for p in (*layer.weights, "bias")]
+            for i in range(layer.size):
+                columns = np.unique(np.concatenate([r[:, i] for r in read]))
+                outgoing = position[columns[self.theta[columns] != 0]]
+                if (outgoing >= 0).all():
+                    rows = np.concatenate([o[i] for o in own])
+                    found.append(Unit(name, i, outgoing, int(np.count_nonzero(self.theta[np.union1d(columns, rows)]))))
+        return found
+
+
+@dataclass(frozen=True)
+class Removal:
+    """What a method takes out.
+
+    weights: (q,) indices of theta, cheapest first. saliency: (q,) of each, or of its neuron, in the method's measure.
+    theta: (P,) the parameters after.
+    """
+
+    weights: np.ndarray
+    saliency: np.ndarray
+    theta: np.ndarray
+
+
+Method = Callable[[Expansion, int], Removal]  # of so many parameters; a neuron that goes whole may make it more
+
+
+def magnitude(e: Expansion, count: int) -> Removal:
+    """The smallest weights."""
+    return _least(e, np.abs(e.values), count)
+
+
+def obd(e: Expansion, count: int) -> Removal:
+    """Optimal brain damage (LeCun, Denker, Solla 1990): saliency w^2 (H_ww / 2 + D), no weight acts on another.
+
+    Decay counts whole: the error's own slope at the minimum of error and decay is -D w (Pedersen, Hansen, Larsen 1996).
+    """
+    return _least(e, (np.diag(e.curvature) / 2 + e.decay) * e.values**2, count)
+
+
+def obs(e: Expansion, count: int) -> Removal:
+    """Optimal brain surgeon (Hassibi, Stork 1993): one weight after the other, each time all others corrected.
+
+    H^-1 is not formed anew in between: it loses a rank with every weight.
+    """
+    surgery, removed, saliency = _Surgery(e), [], []
+    for _ in range(min(count, len(e.weights))):
+        rises = surgery.saliencies()
+        removed.append(int(np.argmin(rises)))
+        saliency.append(rises[removed[-1]])
+        surgery.remove(removed[-1:])
+    return surgery.removal(removed, saliency)
+
+
+def multi_obs(e: Expansion, count: int) -> Removal:
+    """Optimal brain surgeon for a set: the weights of least saliency each, removed at once and corrected for jointly.
+
+    Faster than `obs`, and blind to weights that can stand in for each other.
+    """
+    surgery = _Surgery(e)
+    rises = surgery.saliencies()
+    removed = np.argsort(rises, kind="stable")[:count]
+    surgery.remove(removed)
+    return surgery.removal(removed, rises[removed])
+
+
+def unit_obs(e: Expansion, count: int) -> Removal:
+    """Unit-OBS (Stahlberger, Riedmiller 1997): whole neurons, all outgoing weights of each removed at once."""
+    surgery, removed, saliency = _Surgery(e), [], []
+    left, gone = list(e.units), 0
+    while gone < count and left:
+        rises = [surgery.saliency(u.outgoing) for u in left]
+        unit = left.pop(int(np.argmin(rises)))
+        gone += unit.cost
+        removed += unit.outgoing.tolist()
+        saliency += [min(rises)] * len(unit.outgoing)
+        surgery.remove(unit.outgoing)
+    return surgery.removal(removed, saliency)
+
+
+def smallest_variance(e: Expansion, count: int) -> Removal:
+    """Whole neurons whose output varies least over the records; its mean goes into the biases that they fed (Sietsma,
+    Dow 1991). Neurons that feed a frozen bias stay.
+    """
+    flat, place, theta = e.problem.flat, e.problem.slices(), e.theta.copy()
+    graph = Graph(flat)
+    run = np.concatenate(e.problem.simulate(e.theta))
+    columns = e.problem.elements()
+    signal = {u: run[:, columns[u.layer][u.index]] for u in e.units}
+    removed, saliency, gone = [], [], 0
+    for unit in sorted(e.units, key=lambda u: signal[u].var()):
+        readers = graph.readers(unit.layer)
+        if any("bias" in flat.modules[reader].frozen for reader, _, _ in readers):
+            continue
+        if gone >= count:
+            break
+        gone += unit.cost
+        removed += unit.outgoing.tolist()
+        saliency += [signal[unit].var()] * len(unit.outgoing)
+        for reader, port, _ in readers:
+            w = e.theta[place[f"{reader}.{port}"]].reshape(-1, flat.modules[unit.layer].size)[:, unit.index]
+            theta[place[f"{reader}.bias"]] += w * signal[unit].mean()
+    theta[e.weights[removed]] = 0.0
+    return Removal(e.weights[removed], np.array(saliency), theta)
+
+
+METHODS: dict[str, Method] = {m.__name__: m for m in (magnitude, obd, obs, multi_obs, unit_obs, smallest_variance)}
+
+
+def _least(e: Expansion, saliency: np.ndarray, count: int) -> Removal:
+    order = np.argsort(saliency, kind="stable")[:count]
+    theta = e.theta.copy()
+    theta[e.weights[order]] = 0.0
+    return Removal(e.weights[order], saliency[order], theta)
+
+
+class _Surgery:
+    """Weights and H^-1 of those that are left, while weights are taken out one set after the other."""
+
+    def __init__(self, e: Expansion):
+        self.expansion, self.values, self.inverse, self.decay = e, e.values, e.inverse.copy(), e.decay
+        self.least = 1 / np.diag(e.hessian)  # what the diagonal of the inverse cannot fall below
+        self.left = np.ones(len(self.values), bool)
+
+    def saliencies(self) -> np.ndarray:
+        """(M,) rise of half the sum of squared errors by removing each weight alone; inf for those that are gone.
+
+        With decay the error is not at its minimum, so its slope -D theta counts beside its curvature (Hansen, Pedersen
+        1994).
+        """
+        diagonal = np.maximum(np.diag(self.inverse), self.least)
+        pull = self.values / diagonal
+        rise = pull**2 * diagonal / 2
+        if self.decay:
+            own = np.einsum("ij,ij->i", self.inverse, self.inverse)
+            rise += self.decay * (pull * (self.inverse @ self.values) - pull**2 * own / 2)
+        return np.where(self.left, rise, np.inf)
+
+    def saliency(self, chosen: np.ndarray) -> float:
+        """The same for a set, removed jointly."""
+        columns = self.inverse[:, chosen]
+        pull = np.linalg.solve(columns[chosen], self.values[chosen])
+        step = columns @ pull
+        return float(pull @ self.values[chosen] / 2 + self.decay * (step @ self.values - step @ step / 2))
+
+    def remove(self, chosen: Sequence[int]) -> None:
+        """Zero a set; the others move to the minimum that is left."""
+        columns = self.inverse[:, chosen]
+        share = np.linalg.solve(columns[chosen], columns.T)
+        self.values = self.values - self.values[chosen] @ share
+        self.inverse -= columns @ share
+        self.left[chosen] = False
+        self.values[~self.left] = 0.0
+        self.inverse[~self.left] = 0.0
+        self.inverse[:, ~self.left] = 0.0
+
+    def removal(self, removed: Sequence[int], saliency: Sequence[float]) -> Removal:
+        e = self.expansion
+        theta = e.theta.copy()
+        theta[e.weights] = self.values
+        return Removal(e.weights[list(removed)], np.array(saliency), theta)
+
+
+@dataclass(frozen=True)
+class Step:
+    """A network on the way down. error: of each output, RMS over the records, normalised; held: over held-out ones."""
+
+    network: Network
+    parameters: int
+    neurons: int
+    error: tuple[float, ...]
+    held: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Pruned:
+    """steps: the network as given, then every one that was kept. rounds: every attempt, with the weights it removed."""
+
+    steps: tuple[Step, ...]
+    rounds: tuple[Round, ...]
+
+    @property
+    def network(self) -> Network:
+        """The smallest within the allowed error."""
+        return self.steps[-1].network
+
+    def at(self, parameters: int) -> Network:
+        """The largest with at most so many parameters. Raises InputError if there is none."""
+        for step in self.steps:
+            if step.parameters <= parameters:
+                return step.network
+        raise InputError(f"no network of {parameters} parameters or fewer; the smallest has {step.parameters}")
+
+
+def prune_by_saliency(
+    network: Network,
+    records: Sequence[Record],
+    method: Method,
+    allowed: np.ndarray | float,
+    *,
+    held: Sequence[Record] = (),
+    epochs: int = 20,
+    decay: float = 0.0,
+    share: float = 0.1,
+    goal: int = 0,
+    progress: Callable[[Step], None] | None = None,
+) -> Pruned:
+    """Remove weights and train the rest again, round after round, until the error would exceed `allowed`.
+
+    allowed: RMS error of each output, normalised, over the held-out records, or over `records` if none are held out.
+    A round removes `share` of the parameters; one that misses `allowed` is undone and the next takes half as many; when
+    a single weight (or neuron) cannot be spared the pruning ends. epochs, decay: of each training; the network should
+    come from a training with the same decay. Of several ridges each round takes that whose removal leaves the least
+    error before training. goal: end at so many parameters. Frozen weights stay. Ctrl-C ends it.
+    Raises InputError if the network diverges on a record.
+    """
+    with blas().limit(limits=1, user_api="blas"):
+        steps = [_step(fold_constants(network), records, held)]
+        rounds: list[Round] = []
+        batch, undone = max(1, round(share * steps[0].parameters)), np.array([])
+        while steps[-1].parameters > goal:
+            e = Expansion.of(steps[-1].network, records, decay)
+            removal = _safest(e, method, min(batch, steps[-1].parameters - goal))
+            if not len(removal.weights):
+                break
+            kept = False
+            if not np.array_equal(removal.weights, undone):  # half as many parameters may be the same neuron
+                smaller = fold_constants(e.problem.unpack(removal.theta))
+                trial = _step(_retrained(smaller, records, epochs, decay), records, held)
+                judged = np.array(trial.held or trial.error)
+                kept = bool((np.isfinite(judged) & (judged <= allowed)).all())
+                rounds.append(Round(_named(e.problem, removal.weights), trial.neurons, trial.error, kept))
+            if kept:
+                steps.append(trial)
+                if progress:
+                    progress(trial)
+            elif batch == 1:
+                break
+            else:
+                batch, undone = batch // 2, removal.weights
+    return Pruned(tuple(steps), tuple(rounds))
+
+
+def saliency_pruning(
+    records: Sequence[Record], method: Method, allowed: float, **options
+) -> Callable[[Network], tuple[Network, list[Round]]]:
+    """A pruning pass for `compile_network`. allowed: factor by which the RMS error of each output over the records may
+    rise. options: of `prune_by_saliency`, but for `held`.
+    """
+
+    def prune(network: Network) -> tuple[Network, list[Round]]:
+        error = output_errors(network, list(records))
+        pruned = prune_by_saliency(network, records, method, allowed * error, **options)
+        return pruned.network, list(pruned.rounds)
+
+    return prune
+
+
+def _safest(e: Expansion, method: Method, count: int) -> Removal:
+    """Under the ridge that leaves the least error."""
+    removals = [method(replace(e, ridge=ridge), count) for ridge in RIDGES]
+    return min(removals, key=lambda r: e.problem.squares(r.theta))
+
+
+def _retrained(network: Network, records: Sequence[Record], epochs: int, decay: float) -> Network:
+    free = nonzero(network)
+    if not len(Problem(network, list(records), free=free).free):
+        return network
+    return retrained(network, list(records), epochs, decay=decay, free=free)
+
+
+def _step(network: Network, records: Sequence[Record], held: Sequence[Record]) -> Step:
+    neurons = sum(layer.size for layer in network.modules.values() if layer.activation in WORKING_RANGE)
+    error = output_errors(network, list(records))
+    other = output_errors(network, list(held)) if held else np.array([])
+    return Step(network, parameter_count(network), neurons, tuple(error.tolist()), tuple(other.tolist()))
+
+
+def _named(problem: Problem, weights: np.ndarray) -> dict[str, list[int]]:
+    """Indices of theta by parameter, each flat."""
+    found = {n: np.flatnonzero(np.isin(where, weights)).tolist() for n, where in problem.slices().items()}
+    return {n: which for n, which in found.items() if which}
