@@ -12,10 +12,10 @@ from greygate.models.blocks import divider_record, fit_divider, fit_flow, flow_r
 from greygate.models.cylinder import mean_spool, valve_srnn
 from greygate.models.network import Network
 from greygate.models.problem import Record
-from greygate.models.training import train
 from greygate.plants.excitation import band_limited_noise, prms
 from greygate.plants.scenarios import measure, scenario
 from greygate.plants.valve_cylinder import spool_discrete, valve_cylinder
+from greygate.procedure import OWN, Procedure, bar
 
 SCENARIOS = ("training", "v1", "v2")
 THESIS = {  # RMS in bar, chambers A and B (table 5.4, section 5.3.3)
@@ -46,7 +46,9 @@ def assemble(flow: Network, divider: Network) -> Network:
     plant = valve_cylinder()
     k = {symbol: p.value for symbol, p in plant.parameters.items()}
     training = scenario("training").channels
-    k |= {"p_s": float(np.mean(training["p_s"])), "p_rest": float(training["p_a"][0])}
+    rest = float(training["p_a"][0])
+    k |= {"p_s": float(np.mean(training["p_s"])), "p_a_rest": rest, "p_b_rest": rest}
+    k |= {"area_a": k["area"], "area_b": k["area"]}
     return valve_srnn(k, flow, divider, mean_spool(*spool_discrete(plant), k["u_max"]))
 
 
@@ -59,32 +61,24 @@ def train_srnn(progress: Callable[[str], None] | None = None) -> tuple[Network, 
     def following(step: str):
         return progress and (lambda epoch, loss: progress(f"{step}, epoch {epoch}, loss {loss:.3g}"))
 
-    flow = fit_flow(FLOW_SEED, progress=following("flow"))
-    divider = fit_divider(DIVIDER_SEED, progress=following("divider"))
-    assembled = assemble(flow.network, divider.network)
-    q, d = (replace(r, weight=REHEARSAL) for r in (flow_record(), divider_record()))
-    whole = train(
-        assembled,
-        [records()["training"]],
-        epochs=EPOCHS,
-        decay=1e-6,
-        rehearse={"qa": q, "qb": q, "pa.divider": d, "pb.divider": d},
-        progress=following("the whole"),
-    )
+    q, d = flow_record(), divider_record()
+    snn = Procedure(records(), subsystems=("flow", "divider"))
+    snn.take("flow", fit_flow(FLOW_SEED, progress=following("flow")), q)
+    snn.take("divider", fit_divider(DIVIDER_SEED, progress=following("divider")), d)
+    snn.join(assemble)
+    q, d = (replace(r, weight=REHEARSAL) for r in (q, d))
+    rehearse = {"qa": q, "qb": q, "pa.divider": d, "pb.divider": d}
+    snn.train(epochs=EPOCHS, decay=1e-6, rehearse=rehearse, progress=following("the whole"))
     figures = {
-        "flow_rms": rms(flow.network, flow_record())["y"],
-        "divider_rms": rms(divider.network, divider_record())["y"],
-        "assembled": _bar(assembled),
-        "trained": _bar(whole.network),
+        "flow_rms": snn["flow"].errors[OWN]["y"],
+        "divider_rms": snn["divider"].errors[OWN]["y"],
+        "assembled": bar(snn["joined"].errors),
+        "trained": bar(snn["trained"].errors),
         "thesis": THESIS | {"flow_rms": THESIS_FLOW},
-        "seconds": {"flow": flow.seconds, "divider": divider.seconds, "srnn": whole.seconds},
-        "outcome": whole.outcome.value,
+        "seconds": {"flow": snn["flow"].seconds, "divider": snn["divider"].seconds, "srnn": snn["trained"].seconds},
+        "outcome": snn["trained"].note,
     }
-    return whole.network, figures
-
-
-def _bar(network: Network) -> dict[str, tuple[float, ...]]:
-    return {n: tuple(v / 1e5 for v in rms(network, r).values()) for n, r in records().items()}
+    return snn.network, figures
 
 
 def exercise(network: Network) -> Record:
@@ -116,8 +110,3 @@ def prune(
         return retrained(smaller, kept, PRUNING_EPOCHS)
 
     return prune_by_entropy(network, kept, retrain, allowed * output_errors(network, kept))
-
-
-def rms(network: Network, record: Record) -> dict[str, float]:
-    """RMS error of a free run, by output, in physical units."""
-    return {n: float(np.sqrt(np.mean(e[record.skip :] ** 2))) for n, e in float_error(network, record).items()}

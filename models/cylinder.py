@@ -17,6 +17,8 @@ X_STEP = 5e-6  # m, the linear scale
 X_SCALE = X_STEP * 2**14  # m; a step of the scale is an exact binary fraction
 V_SCALE = 1.5  # V
 V_STEP = 2 * V_SCALE / 2**12  # V, the 12-bit converter
+VOLTAGE = Port("v_c", "V", V_SCALE, resolution=V_STEP)
+POSITION = Port("x", "m", X_SCALE, resolution=X_STEP)
 
 
 def mean_spool(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float, u_max: float) -> Network:
@@ -35,6 +37,19 @@ def mean_spool(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float, u_max: flo
         network.connect("v_c", f"mean.{port}", delay=int(port[1:]))
     for port in own:
         network.connect("mean", f"mean.{port}", delay=int(port[1:]))
+    network.connect("mean", "u")
+    return network
+
+
+def measured_spool() -> Network:
+    """u(k) of a valve whose spool is measured: the mean of its readings at (k-1)T and kT.
+
+    The scale of the port that brings them is the full stroke.
+    """
+    network = Network("spool", [Port("u_measured")], [Port("u")])
+    network.add("mean", Layer({"now": [[0.5]], "before": [[0.5]]}, [0.0], frozen={"now", "before", "bias"}))
+    network.connect("u_measured", "mean.now")
+    network.connect("u_measured", "mean.before", delay=1)
     network.connect("mean", "u")
     return network
 
@@ -63,34 +78,37 @@ def valve_srnn(
     flow: Network,
     divider: Network,
     spool: Network,
+    drive: Port = VOLTAGE,
+    position: Port = POSITION,
     sample_time: float = 1e-3,
     taps: int = 4,
     stretch: float = 8.0,
 ) -> Network:
     """Join flow, divider and spool networks into the SRNN of fig. 5.4.
 
-    k: parameters of the plant in SI units (`p_s`, `bulk_modulus`, `v_a0`, `v_b0`, `area`, `k_valve`, `u_max`,
-    `q_max`) and `p_rest`, the pressure of both chambers before the first step.
+    k: parameters of the plant in SI units (`p_s`, `bulk_modulus`, `v_a0`, `v_b0`, `area_a`, `area_b`, `k_valve`,
+    `u_max`, `q_max`) and `p_a_rest`, `p_b_rest`, the chambers' pressures before the first step.
+    spool: from `drive`, whatever the valve gives, to the mean spool position: `mean_spool` or `measured_spool`.
     taps: backward differences of position that the speed may draw on. stretch: see `pressure`.
-    Inputs `v_c` [V] and `x` [m]; outputs `p_a`, `p_b` [Pa].
+    Inputs `drive` and `position` [m]; outputs `p_a`, `p_b` [Pa].
     """
     g1 = k["k_valve"] * k["u_max"] * np.sqrt(k["p_s"]) / k["q_max"]
-    gv = k["area"] * X_SCALE / (k["q_max"] * sample_time)
     network = Network(
         "valve_srnn",
-        [Port("v_c", "V", V_SCALE, resolution=V_STEP), Port("x", "m", X_SCALE, resolution=X_STEP)],
+        [drive, position],
         [Port("p_a", "Pa", k["p_s"]), Port("p_b", "Pa", k["p_s"])],
     )
     network.add("spool", spool)
     network.add("velocity", Layer({"now": [[1.0]], "before": [[-1.0]]}, [0.0], frozen={"now", "before", "bias"}))
-    network.connect("v_c", "spool")
-    network.connect("x", "velocity.now")
-    network.connect("x", "velocity.before", delay=1)
-    for chamber, sign, volume in (("a", 1.0, k["v_a0"]), ("b", -1.0, k["v_b0"])):
+    network.connect(drive.name, "spool")
+    network.connect(position.name, "velocity.now")
+    network.connect(position.name, "velocity.before", delay=1)
+    for chamber, sign in (("a", 1.0), ("b", -1.0)):
         q, p = f"q{chamber}", f"p{chamber}"
+        volume, displaced = k[f"v_{chamber}0"], k[f"area_{chamber}"] * position.scale
         g2 = k["bulk_modulus"] * k["q_max"] * sample_time / (volume * k["p_s"])
         network.add(q, flow)
-        network.add(p, pressure(divider, g2, k["p_rest"] / k["p_s"], stretch))
+        network.add(p, pressure(divider, g2, k[f"p_{chamber}_rest"] / k["p_s"], stretch))
         network.connect("spool", f"{q}.u", gain=sign)  # Qb is the mirror of Qa: q_b(u, p) = -q_a(-u, p)
         network.connect(p, f"{q}.p", delay=1)
         network.connect(q, f"{p}.omega", gain=g1)
@@ -99,7 +117,7 @@ def valve_srnn(
         network.add(speed, Layer(first, [0.0], frozen={"bias"}))
         for n in range(taps):
             network.connect("velocity", f"{speed}.d{n}", delay=n)
-        network.connect(speed, f"{p}.omega", gain=-sign * gv)
-        network.connect("x", f"{p}.gamma", gain=sign * k["area"] * X_SCALE / volume)
+        network.connect(speed, f"{p}.omega", gain=-sign * displaced / (k["q_max"] * sample_time))
+        network.connect(position.name, f"{p}.gamma", gain=sign * displaced / volume)
         network.connect(p, f"p_{chamber}")
     return network.check()

@@ -27,7 +27,8 @@ def test_links_between_pages_lead_somewhere(page):
 
 
 def test_the_readme_shows_the_figures_of_the_stored_network():
-    from greygate.valve_cylinder import records, rms
+    from greygate.procedure import rms
+    from greygate.valve_cylinder import records
 
     text = (ROOT / "README.md").read_text()
     network = entry("valve_cylinder").network()

@@ -1,0 +1,92 @@
+"""The first machine's SRNN adapted to another machine (thesis 5.4.3), on its simulated rig.
+
+The weights are those that the first machine taught; G1, G2 and the other normalisations follow from the second one's
+data sheets. What its rig does otherwise (`plants/asymmetric_cylinder.py`) the network learns from one record.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from greygate.measured import TRAINED
+from greygate.models.adaptation import adopt
+from greygate.models.blocks import divider_record, feedforward, flow_record
+from greygate.models.cylinder import measured_spool, valve_srnn
+from greygate.models.network import Network, Port
+from greygate.models.problem import Record
+from greygate.models.training import Fit, train
+from greygate.plants.asymmetric_cylinder import CONVERTER, SENSORS, asymmetric_cylinder, record
+from greygate.procedure import Procedure, bar
+
+SCENARIOS = ("training", "validation")
+THESIS = {"adopted": (18.980, 22.064), "training": (1.232, 1.720)}  # RMS in bar, chambers A and B (table 5.7)
+THESIS_MINUTES, THESIS_EPOCHS = 835, 10
+ADOPTED = ("qa", "qb", "pa.divider", "pb.divider")
+LEARNING = (*ADOPTED, "speed_a", "speed_b")
+REHEARSAL = 0.01  # a sample of the parts' own records beside one of the training record; of 0, .01, .1, 1 on `choice`
+STRETCH = 4.0
+EPOCHS = 25
+
+
+@lru_cache
+def records() -> dict[str, Record]:
+    """Training and validation: spool `u` [V], `x` [m]; pressures [Pa]; all as sensors and filters give them."""
+    return {name: _record(name) for name in SCENARIOS}
+
+
+def _record(name: str) -> Record:
+    channels = record(name).channels
+    return Record({n: channels[n] for n in ("u", "x")}, {n: channels[n] for n in ("p_a", "p_b")})
+
+
+def assemble(seed: int = 0) -> Network:
+    """The SRNN with the second machine's nominal parameters, its flow and divider networks with weights from `seed`."""
+    k = {symbol: p.value for symbol, p in asymmetric_cylinder().parameters.items()}
+    training = record("training").channels
+    k |= {"p_s": float(np.mean(training["p_s"]))} | {f"{p}_rest": float(training[p][0]) for p in ("p_a", "p_b")}
+    spool, position = (
+        Port(name, unit, SENSORS[name][0], resolution=SENSORS[name][0] * CONVERTER)
+        for name, unit in (("u", "V"), ("x", "m"))
+    )
+    flow = feedforward("flow", ["u", "p"], [10, 10], seed)
+    divider = feedforward("divider", ["omega", "gamma"], [20], seed)
+    return valve_srnn(k, flow, divider, measured_spool(), spool, position, stretch=STRETCH)
+
+
+def first_machine() -> Network:
+    """The trained SRNN of the first machine."""
+    return Network.load(TRAINED / "valve_cylinder")
+
+
+def fit(network: Network, epochs: int, progress: Callable[[str], None] | None = None) -> Fit:
+    """Free-run training on the 50,001 samples from the weights of `network`; the parts rehearse what they stand for."""
+    q, d = (replace(r, weight=REHEARSAL) for r in (flow_record(), divider_record()))
+    return train(
+        adopt(assemble(), network, LEARNING),
+        [records()["training"]],
+        epochs=epochs,
+        decay=1e-6,
+        rehearse={"qa": q, "qb": q, "pa.divider": d, "pb.divider": d},
+        progress=progress and (lambda epoch, loss: progress(f"epoch {epoch}, loss {loss:.3g}")),
+    )
+
+
+def adapt(progress: Callable[[str], None] | None = None) -> tuple[Network, dict]:
+    """Adopt, then train: the thesis's 10 epochs, and on to `EPOCHS`. Returns the network and its figures.
+
+    Figures: RMS in bar by step and scenario, seconds, per cent by which training changed the weights.
+    """
+    snn = Procedure(records())
+    snn.join(adopt(assemble(), first_machine(), ADOPTED))
+    first = f"{THESIS_EPOCHS} epochs"
+    snn.step(first, lambda: fit(snn.network, THESIS_EPOCHS, progress))
+    snn.step("trained", lambda: fit(snn.network, EPOCHS - THESIS_EPOCHS, progress))
+    names = {"adopted": "joined", first: first, "trained": "trained"}
+    return snn.network, {
+        **{label: bar(snn[name].errors) for label, name in names.items()},
+        "thesis": THESIS,
+        "seconds": {label: snn[name].seconds for label, name in names.items() if name != "joined"},
+        "thesis_minutes": THESIS_MINUTES,
+    }
