@@ -279,7 +279,7 @@ class Pruned:
 
     @property
     def network(self) -> Network:
-        """The smallest within the allowed error."""
+        """The smallest within the allowed error; the one given if no smaller is."""
         return self.steps[-1].network
 
     def at(self, parameters: int) -> Network:
