@@ -10,7 +10,13 @@ from greygate.models.network import Network
 from greygate.models.problem import Problem, Record
 from greygate.models.training import Outcome, train
 
-WORKING_RANGE = {"tansig": (-1.0, 1.0), "logsig": (0.0, 1.0), "satlin": (0.0, 1.0), "radbas": (0.0, 1.0)}
+WORKING_RANGE = {
+    "tansig": (-1.0, 1.0),
+    "logsig": (0.0, 1.0),
+    "satlin": (0.0, 1.0),
+    "radbas": (0.0, 1.0),
+    "negexp": (0.0, 1.0),
+}
 BINS = 100
 RIDGE = 1e-9  # of the regression, per sample
 

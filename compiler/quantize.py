@@ -177,7 +177,8 @@ class _Quantizer:
         """Fix the format of a layer's output before any layer reads it, delayed reads included."""
         layer, width = self.flat.modules[name], self.formats.width
         if layer.activation in FUNCTIONS:
-            fix = self.formats.signals.get(name, output_fix(width))
+            holds = self._square_fix(name) if layer.activation == "square" else output_fix(width)
+            fix = self.formats.signals.get(name, holds)
         elif layer.activation in ("hardlim", "hardlims"):
             fix = Fix(2, 0)
         elif layer.activation == "satlin":
@@ -279,7 +280,7 @@ class _Quantizer:
             if finer:
                 why = f"its feedback multiplies errors by up to {gain:.3g}: weights have {finer} bits more"
                 self.notes[name] = "; ".join(filter(None, [self.notes.get(name), why]))
-            return self._affine(out, layer.bias, reads, finer, least=out.fix.frac)
+            return self._affine(out, layer.bias, reads, finer)
         pre = f"{name}.n"
         if layer.activation in FUNCTIONS:
             frac, reach = self._argument(layer.activation, name, out.fix)
@@ -334,7 +335,7 @@ class _Quantizer:
             if is_condition:
                 self._signed(signal, layer.bias[rows], reads)
             else:
-                self._affine(signal, layer.bias[rows], reads, least=fix.frac)
+                self._affine(signal, layer.bias[rows], reads)
             args.append(part)
         self.operations.append(Select(out, *args, self.formats.rounding))
 
@@ -356,6 +357,11 @@ class _Quantizer:
         alike = [n for n, layer in self.flat.modules.items() if layer.activation == function and frac(n) == frac(name)]
         return frac(name), max(self.fix_bits(f"{n}.n") for n in alike)
 
+    def _square_fix(self, name: str) -> Fix:
+        """A format whose end is a power of four: there the square saturates, at a point of its table."""
+        fix = self.fix(name, self.formats.width)
+        return Fix(fix.width, fix.frac - (fix.width - 1 - fix.frac) % 2)
+
     def fix_bits(self, name: str) -> int:
         r = self.ranges[name]
         return integer_bits(r.magnitude * self.formats.margin)
@@ -366,13 +372,12 @@ class _Quantizer:
         bias: np.ndarray,
         reads: list[tuple[Signal, np.ndarray]],
         finer: int = 0,
-        least: int = 0,
         rounding: Rounding | None = None,
         overflow: Overflow | None = None,
     ) -> None:
         """Weights with `width` significant bits per row and source, but no finer than the result can show.
 
-        finer: bits more than that. least: fraction bits that every accumulator has.
+        finer: bits more than that.
         """
         rows, word = out.size, self.formats.width + finer
         if not reads:  # a constant: an operation reads something, if only to ignore it
@@ -386,7 +391,7 @@ class _Quantizer:
                 fine = min(word - 1 - integer_bits(largest), out.fix.frac + GUARD + finer + reach) if largest else 0
                 finest[r, j] = max(_exact_bits(w[r], fine), -signal.fix.frac)
         frac = np.max(finest + [s.fix.frac for s, _ in reads], axis=1)
-        frac = np.maximum(frac, max(0, least))
+        frac = np.maximum(frac, max(0, out.fix.frac))  # a bias is no coarser than the result
         columns, bias = [], bias.copy()
         for j, (signal, w) in enumerate(reads):
             own = finest[:, j : j + 1]

@@ -16,6 +16,8 @@ IMAGE = {
     "hardlims": (-1.0, 1.0),
     "satlin": (0.0, 1.0),
     "radbas": (0.0, 1.0),
+    "negexp": (0.0, 1.0),
+    "square": (0.0, np.inf),
     "select": (-np.inf, np.inf),
 }
 WIDEN_AFTER = 50  # sweeps of interval arithmetic before a signal that still grows is called unbounded
@@ -119,9 +121,10 @@ def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dic
                 a += (_times(up, low[source]) + _times(down, high[source])).sum(1)
                 b += (_times(up, high[source]) + _times(down, low[source])).sum(1)
             bounds |= {p: (float(a[rows].min()), float(b[rows].max())) for p, rows in sums(name, layer).items()}
-            if layer.activation == "radbas":
+            if layer.activation in ("radbas", "negexp", "square"):  # even, and monotone on either side of zero
                 nearest = np.where((a <= 0) & (b >= 0), 0.0, np.minimum(np.abs(a), np.abs(b)))
-                a, b = np.exp(-(np.maximum(np.abs(a), np.abs(b)) ** 2)), np.exp(-(nearest**2))
+                ends = [ACTIVATIONS[layer.activation](np, n) for n in (nearest, np.maximum(np.abs(a), np.abs(b)))]
+                a, b = np.minimum(*ends), np.maximum(*ends)
             elif layer.activation == "select":
                 never, always = np.split(b, 3)[0] < -1e-12, np.split(a, 3)[0] > 1e-12
                 (_, *a), (_, *b) = np.split(a, 3), np.split(b, 3)

@@ -1,4 +1,4 @@
-"""Lookup tables of the sigmoids: half of a symmetric function, interpolated, with the worst error over every code."""
+"""Lookup tables: half of a symmetric function of one argument, interpolated, with the worst error over every code."""
 
 import math
 from collections.abc import Iterator
@@ -14,6 +14,8 @@ FUNCTIONS = {
     "tansig": (np.tanh, Symmetry.ODD),
     "logsig": (lambda n: 0.5 + 0.5 * np.tanh(0.5 * n), Symmetry.COMPLEMENT),
     "radbas": (lambda n: np.exp(-n * n), Symmetry.EVEN),
+    "negexp": (lambda n: np.exp(-np.abs(n)), Symmetry.EVEN),
+    "square": (np.square, Symmetry.EVEN),
 }
 LARGEST_BITS = 12  # 4096 intervals
 CHUNK = 1 << 20
@@ -30,9 +32,20 @@ def integer_bits(magnitude: float) -> int:
 
 
 def flat_from(function: str, out: Fix) -> float:
-    """Argument beyond which the function is flat to half an LSB of `out`."""
+    """Argument beyond which the function is flat to half an LSB of `out`, or a square more than `out` holds."""
     decades = (out.frac + 1) * math.log(2)  # of f's distance to its limit
-    return {"tansig": 0.5 * (decades + math.log(2)), "logsig": decades, "radbas": math.sqrt(decades)}[function]
+    return {
+        "tansig": 0.5 * (decades + math.log(2)),
+        "logsig": decades,
+        "radbas": math.sqrt(decades),
+        "negexp": decades,
+        "square": math.sqrt(_most(out)),
+    }[function]
+
+
+def _most(out: Fix) -> float:
+    """The end of a format's range, itself one LSB out of reach: what is more saturates."""
+    return 2.0 ** (out.width - 1 - out.frac)
 
 
 @lru_cache(maxsize=256)
@@ -54,12 +67,12 @@ def _table(function: str, arg: Fix, out: Fix, shift: int, bits: int, interpolate
     f, symmetry = FUNCTIONS[function]
     exact = f(np.arange((1 << bits) + 1) * 2.0**shift * arg.lsb)
     points = np.clip(np.floor(exact * 2.0**out.frac + 0.5), 0, out.hi).astype(int)
-    name = f"{function}_{arg.width}_{arg.frac}_{out.width}"
+    name = f"{function}_{arg.width}_{arg.frac}_{out.width}" + (f"_{out.frac}" if out != output_fix(out.width) else "")
     return Table(name, function, symmetry, shift, tuple(points.tolist()), interpolated, arg, out, math.inf)
 
 
 def _worst(table: Table, codes: np.ndarray) -> float:
-    exact = FUNCTIONS[table.function][0](codes * table.arg.lsb)
+    exact = np.minimum(FUNCTIONS[table.function][0](codes * table.arg.lsb), _most(table.out))
     return float(np.abs(lookup(table, codes) * table.out.lsb - exact).max())
 
 

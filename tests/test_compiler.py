@@ -1,5 +1,6 @@
 import math
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -140,7 +141,8 @@ def test_a_negative_shift_is_exact_and_overflow_clips_or_wraps():
 def test_a_table_states_its_worst_error_over_every_code(function, arg, interpolated):
     table = make_table(function, arg, Fix(12, 11), 1.25, interpolated)
     codes = np.arange(arg.lo, arg.hi + 1)
-    error = np.abs(lookup(table, codes) * table.out.lsb - FUNCTIONS[function][0](codes * arg.lsb))
+    true = FUNCTIONS[function][0](codes * arg.lsb)
+    error = np.abs(lookup(table, codes) * table.out.lsb - np.minimum(true, 1.0))  # a square saturates
     assert table.worst_error == pytest.approx(error.max(), rel=1e-12)  # that of the float reference itself
 
 
@@ -183,6 +185,56 @@ def test_a_state_that_integrates_gets_fraction_bits_and_the_program_says_why():
 def test_weights_in_a_loop_get_bits_for_its_worst_frequency():
     assert loop_gain([np.array([[0.9]])]) == pytest.approx(10)
     assert loop_gain([np.zeros((1, 1)), np.array([[-0.99]])]) == pytest.approx(100, rel=1e-3)  # resonance, not DC
+
+
+@pytest.mark.parametrize("activation", ["hardlims", "tansig"])
+def test_a_bias_is_as_fine_as_the_sum_it_belongs_to_even_where_weights_are_whole_numbers(activation):
+    network = Network("both", [Port("u"), Port("v")], [Port("y")])
+    for name, source in (("one", "u"), ("two", "v")):
+        network.add(name, Layer({"x": [[1.0]]}, [0.0], "hardlim"))
+        network.connect(source, f"{name}.x")
+    network.add("y_layer", Layer({"one": [[1.0]], "two": [[1.0]]}, [-1.5], activation))
+    network.connect("one", "y_layer.one")
+    network.connect("two", "y_layer.two")
+    network.connect("y_layer", "y")
+    inputs = {"u": np.array([-1.0, -1, 1, 1]), "v": np.array([-1.0, 1, -1, 1])}
+    record = Record(inputs, network.run(inputs))
+    program = quantize(network, ranges(network, [record]), Formats(16))
+    np.testing.assert_allclose(fixed_error(program, record)["y"], 0, atol=2.0**-14)
+
+
+def test_a_sign_test_has_the_sign_of_the_exact_sum():
+    network = Network("sign", [Port("u"), Port("v")], [Port("y"), Port("z")])
+    network.add("y_layer", Layer({"u": [[1.0]], "v": [[1e-3]]}, [0.0], "hardlims"))
+    parts = {"u": [[1.0], [1.0], [0.0]], "v": [[1e-3], [0.0], [1.0]]}
+    network.add("z_layer", Layer(parts, np.zeros(3), "select"))
+    for source, target in product("uv", ("y_layer", "z_layer")):
+        network.connect(source, f"{target}.{source}")
+    network.connect("y_layer", "y")
+    network.connect("z_layer", "z")
+    lsb = 2.0**-8
+    inputs = {"u": np.array([0.0, 0.0, 0.0, 1.0, -1.0]), "v": np.array([-lsb, 0.0, lsb, -1.0, 1.0])}
+    record = Record(inputs, network.run(inputs))
+    for rounding in Rounding:
+        found = quantize(network, ranges(network, [record]), Formats(10, wide=0, rounding=rounding))
+        out = found.decode(interpret(found, found.encode(inputs)).outputs)
+        np.testing.assert_array_equal(out["y"], [-1, 1, 1, 1, -1])
+        assert found.signals["z_layer"].fix == found.signals["v"].fix
+        np.testing.assert_array_equal(np.sign(out["z"]), [-1, 0, 0, 1, 1])
+
+
+def test_a_latch_holds_its_code_and_needs_no_bits_for_memory():
+    network = Network("latch", [Port("u"), Port("s")], [Port("y")])
+    parts = {"s": [[1.0], [0.0], [0.0]], "u": [[0.0], [1.0], [0.0]], "own": [[0.0], [0.0], [1.0]]}
+    network.add("hold", Layer(parts, np.zeros(3), "select"))
+    for source, port, delay in (("s", "s", 0), ("u", "u", 0), ("hold", "own", 1)):
+        network.connect(source, f"hold.{port}", delay)
+    network.connect("hold", "y")
+    rng = np.random.default_rng(0)
+    inputs = {"u": rng.uniform(-1, 1, 300), "s": rng.uniform(-1, 0.2, 300)}
+    program = quantize(network, ranges(network, [Record(inputs, network.run(inputs))]), Formats(12))
+    assert program.signals["hold"].fix == program.signals["u"].fix
+    assert [o.op for o in program.operations] == ["select"]
 
 
 def test_an_input_has_the_codes_of_its_sensor():

@@ -2,6 +2,8 @@ import numpy as np
 import pytest
 import torch
 
+from greygate.compiler.pipeline import compile_network, fixed_error, float_error
+from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.models.descent import _Swept
 from greygate.models.network import Port
@@ -141,3 +143,20 @@ def test_what_cannot_be_is_refused():
         RecursiveLeastSquares(2, 1.5)
     with pytest.raises(InputError, match="NaN or inf"):
         RecursiveLeastSquares(2).update(np.array([1.0, np.nan]), 1.0)
+
+
+@pytest.fixture(scope="module")
+def compiled():
+    network = train(identified(8).network, [benchmark()], teacher=True, epochs=20).network
+    return compile_network(network, {"training": benchmark()}, Formats(16))
+
+
+def test_sixteen_bits_cost_a_radial_network_little(compiled):
+    true, fixed = float_error(compiled.network, benchmark())["y"], fixed_error(compiled.program, benchmark())["y"]
+    assert np.std(fixed - true) < 0.2 * np.std(true)
+
+
+def test_its_squares_and_gaussians_are_tables_within_their_budget(compiled):
+    tables = {t.function: t for t in compiled.program.tables}
+    assert tables.keys() == {"square", "negexp"}
+    assert all(t.worst_error <= 1.25 * t.out.lsb and len(t.points) <= 1025 for t in tables.values())

@@ -1,19 +1,38 @@
-"""Random networks all the way: compiled, emitted in both architectures, simulated, compared in every bit."""
+"""Random networks, and a radial one, all the way: compiled, emitted in both architectures, compared in every bit."""
 
 from dataclasses import replace
 
+import numpy as np
+from networks import random_inputs
 from test_compiler import random_program
 
+from greygate.compiler.pipeline import compile_network
+from greygate.compiler.quantize import Formats
 from greygate.emulator.engine import run
+from greygate.emulator.program import Program
+from greygate.models.network import Port
+from greygate.models.problem import Record
+from greygate.models.radial import radial
 from greygate.verify import Case, Scenario, verify_many
 
 COUNT = 30
 
 
-def test_hardware_of_random_networks_equals_the_emulator_in_both_architectures(tmp_path):
+def radial_program() -> tuple[Program, np.ndarray]:
+    """Squares of taps and Gaussians of their sums in a loop, 14 bits; and codes to drive it with."""
+    rng = np.random.default_rng(0)
+    network = radial("radial", {Port("u"): (0, 2)}, Port("y"), (1,), rng.uniform(-1, 1, (4, 3)), 0.9)
+    network = network.with_parameters({"sum.kernels": rng.uniform(-1, 1, (1, 4))})
+    inputs = random_inputs(network, 60, 0)
+    record = Record(inputs, network.run(inputs))
+    program = compile_network(network, {"random": record}, Formats(14)).program
+    assert {t.function for t in program.tables} == {"square", "negexp"}
+    return program, program.encode(random_inputs(network, 60, 1))
+
+
+def test_hardware_of_networks_equals_the_emulator_in_both_architectures(tmp_path):
     cases = []
-    for seed in range(COUNT):
-        program, codes = random_program(seed)
+    for seed, (program, codes) in enumerate([*map(random_program, range(COUNT)), radial_program()]):
         answer = run(program, codes)
         scenarios = {"random": Scenario(codes, answer.outputs, answer.states)}
         for architecture in ("parallel", "folded"):
@@ -21,4 +40,4 @@ def test_hardware_of_random_networks_equals_the_emulator_in_both_architectures(t
             cases.append(Case(named, scenarios, architecture, macs=1 + seed % 3))
     result = verify_many(cases, tmp_path, seed=1)
     assert [v.mismatch for v in result.verdicts if v.mismatch] == []
-    assert len(result.verdicts) == 2 * COUNT
+    assert len(result.verdicts) == 2 * COUNT + 2
