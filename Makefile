@@ -32,6 +32,7 @@ bench-training: $(VENV)/.ready-dev $(PEERS)/.ready
 	$(BIN)/python benchmarks/training.py --peers $(PEERS)/bin/python
 
 train: $(VENV)/.ready
+	$(BIN)/python -m greygate.models.library
 	for name in valve_cylinder mts crane; do $(BIN)/greygate train $$name || exit 1; done
 
 clean:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greygate.compiler.centre import centre_biases
+from greygate.compiler.meaning import prove, use_meanings
 from greygate.compiler.prune import Round, output_errors, prune_by_entropy
 from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.ranges import Range, ranges
@@ -23,13 +24,17 @@ EXACT = 1e-9  # error of float, relative to the signal, below which it has none
 
 @dataclass(frozen=True)
 class Pass:
-    """What one pass left: layers, parameters, multiplications; and the largest relative change of an output."""
+    """What one pass left: layers, parameters, multiplications; and the largest relative change of an output.
+
+    remarks: what it has to say of single modules.
+    """
 
     name: str
     layers: int
     parameters: int
     multiplications: int
     change: float
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -52,21 +57,43 @@ def compile_network(
     budget: float | None = None,
     prune: Callable[[Network], tuple[Network, list[Round]]] | None = None,
     generic: bool = False,
+    meanings: bool = True,
     period: float = 1e-3,
 ) -> Compiled:
-    """Simplify, prune, range and quantize a network.
+    """Put logic for library networks, simplify, prune, range and quantize a network.
 
     records: scenarios {name: Record}; every simplification is checked on all of them. ranged_on: those whose ranges
     set the formats (the first, if none is given). budget: instead of a width, the largest factor by which fixed point
     may raise the RMS error on each of `ranged_on`, 1.05 for five per cent. prune: see `entropy_pruning`. generic:
-    merge linear layers even where that costs multiplications.
+    merge linear layers even where that costs multiplications. meanings: let library networks become the logic that they
+    stand for (`meaning.py`), else keep their tanh form.
     """
     if not records:
         raise InputError(f"network {network.name}: no record to compile on; ranges come from one")
+    refused: dict[str, str] = {}
+    while True:  # what the finished program does not bear out is done again without
+        compiled, more = _compile(
+            network, records, formats, ranged_on, budget, prune, generic, meanings, period, refused
+        )
+        if not more:
+            return compiled
+        refused |= more
+
+
+def _compile(
+    network, records, formats, ranged_on, budget, prune, generic, meanings, period, refused
+) -> tuple[Compiled, dict[str, str]]:
+    """One attempt, and the modules whose exact form it does not bear out, with a remark each."""
     training = [records[name] for name in ranged_on or list(records)[:1]]
     before = network.flatten()
     passes = [_summary("as declared", before, 0.0)]
     reference = _outputs(before, records)
+    replaced, remarks = {}, {}
+    if meanings:
+        network, replaced, remarks = use_meanings(network, list(records.values()), refused)
+        logic = _outputs(network, records)
+        passes.append(_summary("use_meanings", network, _change(reference, logic)))
+        reference = logic
     for rewrite in SIMPLIFICATIONS:
         network = merge_linear(network, always=generic) if rewrite is merge_linear else rewrite(network)
         change = _change(reference, _outputs(network, records))
@@ -82,7 +109,11 @@ def compile_network(
         program = quantize_centred(network, found, training, formats or Formats(), period)
     else:
         program = meet_budget(network, found, training, budget, formats or Formats(), period)
-    return Compiled(network, found, program, tuple(passes), tuple(rounds))
+    proved, refused = prove(program, network, replaced)
+    if meanings:
+        told = [f"{path or network.name} {why}" for path, why in sorted((remarks | proved).items())]
+        passes[1] = replace(passes[1], remarks=tuple(told))
+    return Compiled(network, found, program, tuple(passes), tuple(rounds)), refused
 
 
 def entropy_pruning(
