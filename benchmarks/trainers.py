@@ -16,7 +16,7 @@ import numpy as np
 
 @dataclass
 class Case:
-    """u, y: (N,). inputs, feedback: delays. sizes: regressors, neurons of each layer, 1. goal: MSE to reach."""
+    """u, y: (N,). inputs, feedback: delays. sizes: regressors, neurons of each layer, 1. goal: MSE. cap: CPU seconds."""
 
     u: np.ndarray
     y: np.ndarray
@@ -123,7 +123,7 @@ def scipy(case, start):
         if mse < last.get("best", np.inf):
             last.update(best=mse, at=theta.copy())
         last["runs"] = last.get("runs", 0) + 1
-        if mse <= case.goal or watch.read()[0] > case.cap:
+        if mse <= case.goal or watch.read()[1] > case.cap:
             raise EndError
         return e
 
@@ -185,12 +185,12 @@ def pyrenn(case, start):
         if found[1] * scale**2 / len(case.y) < best["mse"]:
             best.update(mse=found[1] * scale**2 / len(case.y), w=net["w"].copy())
         best["epochs"] = best.get("epochs", -1) + 1
-        if best["mse"] <= case.goal or watch.read()[0] > case.cap:
+        if best["mse"] <= case.goal or watch.read()[1] > case.cap:
             raise EndError
         return found
 
     def timed(net, data):
-        if watch.read()[0] > case.cap:
+        if watch.read()[1] > case.cap:
             raise EndError
         return error(net, data)
 
@@ -248,7 +248,7 @@ def jax_sysid(case, start):
             if mse < seen["mse"]:
                 seen.update(mse=mse, z=z)
             seen["last"] = watch.read()
-            if mse <= case.goal or seen["last"][0] > case.cap:
+            if mse <= case.goal or seen["last"][1] > case.cap:
                 raise StopIteration
 
         return watched, None
