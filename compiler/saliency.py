@@ -318,6 +318,8 @@ def prune_by_saliency(
         batch, undone = max(1, round(share * steps[0].parameters)), np.array([])
         while steps[-1].parameters > goal:
             e = Expansion.of(steps[-1].network, records, decay)
+            if not len(e.weights):
+                break
             removal = _safest(e, method, min(batch, steps[-1].parameters - goal))
             if not len(removal.weights):
                 break
@@ -330,6 +332,7 @@ def prune_by_saliency(
                 rounds.append(Round(_named(e.problem, removal.weights), trial.neurons, trial.error, kept))
             if kept:
                 steps.append(trial)
+                undone = np.array([])
                 if progress:
                     progress(trial)
             elif batch == 1:

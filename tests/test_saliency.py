@@ -1,4 +1,5 @@
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -250,6 +251,15 @@ def test_everything_may_go_and_a_constant_remains():
         last = prune_by_saliency(network, [record], method, np.inf, epochs=2).network
         assert parameter_count(last) <= 2
         assert np.ptp(last.run(record.inputs)["y"]) == 0
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_network_that_is_frozen_is_given_back(name):
+    network, record = two_layers(np.ones((2, 3)), np.ones(2), np.ones((1, 2)))
+    for path, layer in network.modules.items():
+        network.modules[path] = replace(layer, frozen=frozenset({*layer.weights, "bias"}))
+    result = prune_by_saliency(network, [record], METHODS[name], np.inf)
+    assert (len(result.steps), result.rounds) == (1, ())
 
 
 def test_a_network_that_diverges_is_named_before_pruning():
