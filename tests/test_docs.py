@@ -9,18 +9,19 @@ import pytest
 from greygate.catalog import CATALOG, entry
 
 ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+BLOCKS = {page.name: re.findall(r"```python\n(.*?)```", page.read_text(), re.S) for page in PAGES}
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/network.md"])
+@pytest.mark.parametrize("page", [name for name, blocks in BLOCKS.items() if blocks])
 def test_the_python_in_a_page_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.S)
-    assert blocks
-    for block in blocks:
-        exec(compile(block, page, "exec"), {})
+    namespace = {}
+    for block in BLOCKS[page]:
+        exec(compile(block, page, "exec"), namespace)
 
 
-@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))], ids=lambda p: p.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_links_between_pages_lead_somewhere(page):
     for target in re.findall(r"\]\((?!http)([^)#]+)\)", page.read_text()):
         assert os.path.exists(page.parent / target), target
