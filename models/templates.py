@@ -73,20 +73,21 @@ def template(
     network = Network(name, list(inputs), [output])
     rest = (output.initial - output.offset) / output.scale
     last = "sum" if form.sum else "g" if form.g else "f"
-    parts = {"x": taps["x"], "y": {tap: (last, d) for tap, (_, d) in taps["y"].items()}} | {
-        p: {p: (p, 0)} for p in "fg"
-    }
+    feeds = {"x": taps["x"], "y": {tap: (last, d) for tap, (_, d) in taps["y"].items()}}
+    feeds |= {part: {part: (part, 0)} for part in "fg"}
+
+    def read(kinds: str) -> dict[str, tuple[str, int]]:
+        return {port: feed for kind in kinds for port, feed in feeds[kind].items()}
+
     for offset, (part, hidden) in enumerate((("f", f), ("g", g))):
-        if read := getattr(form, part):
-            ports = {port: feed for kind in read for port, feed in parts[kind].items()}
+        if ports := read(getattr(form, part)):
             module = feedforward(part, list(ports), hidden, 2 * seed + offset)
             if part == last:
                 module.modules["out"] = replace(module.modules["out"], initial=rest)
             network.add(part, module)
             for port, (source, delay) in ports.items():
                 network.connect(source, f"{part}.{port}", delay)
-    if form.sum:
-        ports = {port: feed for kind in form.sum for port, feed in parts[kind].items()}
+    if ports := read(form.sum):
         own = frozenset(ports.keys() & {"f", "g"})
         weights = {port: [[1.0 if port in own else 0.0]] for port in ports}
         network.add("sum", Layer(weights, [0.0], initial=rest, frozen=own | {"bias"}))

@@ -81,7 +81,7 @@ def test_a_teacher_stands_in_every_feedback_of_a_template(number):
     np.testing.assert_allclose(problem.errors(problem.theta)[0][:, 0] + inside_y[2:], want, atol=1e-13)
 
 
-def test_a_trained_template_keeps_a_part_that_is_frozen_elsewhere():
+def test_f_stays_as_it_is_while_g_learns():
     network = build(6)
     x = np.random.default_rng(0).normal(size=200)
     record = Record({"x": x}, build(6, seed=8).run({"x": x}))
