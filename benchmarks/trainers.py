@@ -16,7 +16,7 @@ import numpy as np
 
 @dataclass
 class Case:
-    """u, y: (N,). inputs, feedback: delays. sizes: regressors, neurons of each layer, 1. goal: MSE. cap: CPU seconds."""
+    """u, y: (N,). inputs, feedback: delays. sizes: regressors, neurons of each layer, 1. goal: MSE. cap: CPU s."""
 
     u: np.ndarray
     y: np.ndarray
