@@ -103,11 +103,12 @@ def test_a_model_that_can_be_exact_becomes_exact(name):
     np.testing.assert_allclose(fit.network.parameters()["sum.own"], 0.25, atol=1e-6)
 
 
-def test_lbfgs_comes_near_what_levenberg_marquardt_finds():
+def test_lbfgs_finds_the_minimum_that_levenberg_marquardt_finds():
     network, record = learner()
-    start = train(network, [record], epochs=4).network
-    fit = lbfgs(start, [record], epochs=400)
-    assert fit.history[-1] < 3 * train(start, [record], epochs=60).history[-1]
+    start = train(network, [record], epochs=10, decay=0.01).network
+    fits = [method(start, [record], decay=0.01, epochs=2000) for method in (train, lbfgs)]
+    assert {f.outcome for f in fits} <= {Outcome.CONVERGED, Outcome.STALLED}
+    assert fits[1].history[-1] == pytest.approx(fits[0].history[-1], rel=1e-3)
 
 
 def test_rtrl_goes_along_the_batch_gradient_as_its_rate_goes_to_zero():
