@@ -193,12 +193,11 @@ def _join(path: str, name: str) -> str:
 
 def _difference(r: Replaced, port: str, values: np.ndarray) -> tuple[float, float]:
     """Largest deviation of the library network from its exact form over values of one port, and the value it is at."""
-    others = replace(r.entry, ranges={p: v for p, v in r.entry.ranges.items() if p != port} or {"none": (0, 0)})
-    worst = 0.0, 0.0
-    grid = others.grid(OTHERS)
-    for k in range(len(next(iter(grid.values())))):
-        inputs = {p: np.full((len(values), 1), v[k]) for p, v in grid.items()} | {port: values[:, None]}
-        inputs = {p: inputs[p] for p in r.entry.ranges}
+    others, worst = {p: v for p, v in r.entry.ranges.items() if p != port}, (0.0, 0.0)
+    grid = replace(r.entry, ranges=others).grid(OTHERS) if others else {}
+    for combination in zip(*grid.values(), strict=True) if others else [()]:
+        inputs = {p: np.full((len(values), 1), v) for p, v in zip(grid, combination, strict=True)}
+        inputs[port] = values[:, None]
         error = np.abs(r.entry.network.run(inputs)["y"] - r.form.run(inputs)["y"])[:, 0]
         worst = max(worst, (float(error.max()), float(values[error.argmax()])))
     return worst
@@ -216,20 +215,22 @@ def sign_values(program: Program, network: Network, layer: str) -> np.ndarray:
             name, delay = feeds[f"{layer}.{port}"]
             weight += float(w[rows][0, 0])
     source = f"{name}.z{delay}" if delay else name
-    return weight * signal_codes(program, source) * program.signals[source].fix.lsb + bias
+    lsb = weight * program.signals[source].fix.lsb
+    return lsb * signal_codes(program, source, round(-bias / lsb)) + bias
 
 
-def signal_codes(program: Program, signal: str) -> np.ndarray:
+def signal_codes(program: Program, signal: str, about: int = 0) -> np.ndarray:
     """Codes that a signal can have: the two answers of a threshold, those of a state's source; else those its format
-    has, or the `MANY` of them about zero and the two ends."""
+    has, or `MANY` of them about one and the two ends."""
     state = next((s for s in program.states if s.signal.name == signal), None)
     if state is not None:
-        return np.unique(np.concatenate([signal_codes(program, state.source), state.initial]))
+        return np.unique(np.concatenate([signal_codes(program, state.source, about), state.initial]))
     operation = next((o for o in program.operations if o.out.name == signal), None)
     if isinstance(operation, Threshold):
         return np.unique([operation.below, operation.above])
     fix = program.signals[signal].fix
-    return np.unique(np.r_[fix.lo, np.arange(max(fix.lo, -MANY // 2), min(fix.hi, MANY // 2) + 1), fix.hi])
+    near = np.arange(max(fix.lo, about - MANY // 2), min(fix.hi, about + MANY // 2) + 1)
+    return np.unique(np.r_[fix.lo, near, fix.hi])
 
 
 def _sum_values(program: Program, o: Affine, row: int) -> np.ndarray:

@@ -76,6 +76,23 @@ def test_a_switch_stays_a_network_where_codes_fall_inside_its_gap(gain, width, l
     assert ("became logic: within 3.33e-05" if logic else "stays: its tanh form is off by") in remark
 
 
+@pytest.mark.parametrize(("width", "logic"), [(16, True), (20, False)])
+@pytest.mark.parametrize("name", ["sign", "switch_2"])
+def test_the_gap_is_looked_for_where_the_tested_sum_is_zero(name, width, logic):
+    """Beyond 2^17 codes those about zero are tried: about the zero of the sum, not of the signal that it is made of."""
+    network = Network("moved", [Port("u"), Port("v")], [Port("y")])
+    network.add("part", library(name))
+    network.add("less", Layer({"v": [[1.0]]}, [-0.75]))
+    network.connect("v", "less.v")
+    network.connect("less", "part.x" if name == "sign" else "part.s")
+    for port in ("u1", "u2") if name == "switch_2" else ():
+        network.connect("u", f"part.{port}", gain=1.0 if port == "u1" else -1.0)
+    network.connect("part", "y")
+    rng = np.random.default_rng(0)
+    result = compiled(network, {"u": rng.uniform(-1, 1, 200), "v": rng.uniform(-0.2, 1, 200)}, width)
+    assert ("became logic" in result.passes[1].remarks[0]) == logic
+
+
 @pytest.mark.parametrize("name", FORMS)
 def test_the_exact_form_is_the_stated_function_everywhere(name):
     found = entry(name)
