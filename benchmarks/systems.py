@@ -1,7 +1,7 @@
 """The thesis's benchmark systems over 10 seeds: training MSE and free-run RMSE, pruned and not, median and worst.
 
-python benchmarks/systems.py [SEEDS] : writes benchmarks/results/systems.csv, a line for each seed and network, and prints the
-table. A seed is the whole procedure, its starts chosen on held-out records (greygate/benchmark_systems.py).
+python benchmarks/systems.py [SEEDS] : writes benchmarks/results/systems.csv, a line for each seed and network, and
+prints the table. A seed is the whole procedure, its starts chosen on held-out records (greygate/benchmark_systems.py).
 """
 
 import csv

@@ -1,0 +1,29 @@
+import json
+
+import pytest
+
+from greygate import catalog
+from greygate.benchmark_systems import SYSTEMS, THESIS, figures, identify, prune
+
+
+def test_the_stored_network_of_b2_has_its_figures_and_the_thesis_is_behind():
+    network = catalog.entry("b2").network()
+    kept, found = json.loads((catalog.TRAINED / "b2.json").read_text()), figures(SYSTEMS["b2"], network, 0)
+    assert found == pytest.approx({name: kept[name] for name in found}, rel=1e-6)
+    assert found["parameters"] == 341
+    assert found["mse"] <= THESIS["b2"]["mse"]
+    assert found["rmse"] <= THESIS["b2"]["rmse"]
+
+
+def test_b1_is_identified_better_than_in_the_thesis_and_the_test_signal_stays_in_bounds():
+    _, found = identify(SYSTEMS["b1_10"], 0)
+    assert found["mse"] <= THESIS["b1_10"]["mse"]
+    assert found["rmse"] < 1e-3
+
+
+def test_b2_loses_a_quarter_of_its_weights_and_stays_better_than_the_thesis():
+    smaller, rounds = prune(SYSTEMS["b2"], 0, catalog.entry("b2").network(), 1.0)
+    found = figures(SYSTEMS["b2"], smaller, 0)
+    assert found["parameters"] <= THESIS["b2"]["pruned_parameters"]
+    assert found["rmse"] <= THESIS["b2"]["rmse"]
+    assert any(r.kept for r in rounds)
