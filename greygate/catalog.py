@@ -3,9 +3,10 @@
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
-from greygate import measured, valve_cylinder
+from greygate import asymmetric_cylinder, benchmark_systems, measured, valve_cylinder
 from greygate.errors import InputError, replacing
 from greygate.models.network import Network
 from greygate.models.problem import Record
@@ -51,6 +52,22 @@ def _identified(study: measured.Study):
     return fit
 
 
+def _benchmark(name: str, title: str) -> Entry:
+    """Benchmark system of the thesis 3.6, as found from its first seed."""
+    system, thesis = benchmark_systems.SYSTEMS[name], benchmark_systems.THESIS[name]
+    return Entry(
+        name,
+        title,
+        lambda progress: benchmark_systems.identify(system, 0, progress),
+        lambda: {"training": system.record(system.excite(0)), "test": system.record(system.test)},
+        ("training",),
+        ("training", "test"),
+        period=1.0,
+        references={"thesis": {"training": {"y": thesis["mse"] ** 0.5}, "test": {"y": thesis["rmse"]}}},
+        prune=partial(benchmark_systems.prune, system, 0),
+    )
+
+
 CATALOG = {
     entry.name: entry
     for entry in (
@@ -66,6 +83,21 @@ CATALOG = {
                 "thesis": {
                     name: dict(zip(("p_a", "p_b"), (1e5 * v for v in valve_cylinder.THESIS[name]), strict=True))
                     for name in valve_cylinder.SCENARIOS
+                }
+            },
+        ),
+        Entry(
+            "asymmetric_cylinder",
+            "Asymmetric cylinder, another machine: the valve-controlled cylinder's network adapted to it",
+            asymmetric_cylinder.adapt,
+            asymmetric_cylinder.records,
+            ("training",),
+            asymmetric_cylinder.SCENARIOS,
+            references={
+                "thesis": {
+                    "training": dict(
+                        zip(("p_a", "p_b"), (1e5 * v for v in asymmetric_cylinder.THESIS["training"]), strict=True)
+                    )
                 }
             },
         ),
@@ -87,6 +119,7 @@ CATALOG = {
             period=measured.CRANE.period,
             references={"published": {"test": {"p_oil": (0.33, 0.50)}}},
         ),
+        _benchmark("b2", "Benchmark system 2 of the thesis: Narendra and Parthasarathy's fourth plant"),
     )
 }
 

@@ -1,12 +1,11 @@
 """The second machine: the asymmetric cylinder with a solenoid valve of thesis section 5.4 (table 5.5), simulated.
 
-`asymmetric_cylinder` is what its data sheets say. `rig` is what stands in the laboratory: the same with the differences
-of `DIFFERENCES`, which no network is told. `record` drives the rig and reads it through noisy sensors, converters and
-the thesis's low-pass filters. The thesis's own recordings were never published.
+`asymmetric_cylinder()` is what its data sheets say; with `DIFFERENCES`, which no network is told, it is the rig in the
+laboratory. `record` drives the rig and reads it through noisy sensors, converters and the thesis's low-pass filters.
+The thesis's own recordings were never published.
 """
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from greygate.errors import InputError
 from greygate.plants.excitation import prms
@@ -134,6 +133,8 @@ def record(name: str) -> Recording:
 
 def smoothed(values: np.ndarray, cutoff: float) -> np.ndarray:
     """`values` (samples,) through a second-order Butterworth low-pass of `cutoff` Hz, forth and back."""
+    from scipy.signal import butter, sosfiltfilt  # takes a second
+
     return sosfiltfilt(butter(2, cutoff, fs=1 / SAMPLE_TIME, output="sos"), values)
 
 
