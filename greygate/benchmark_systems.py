@@ -11,7 +11,7 @@ from time import process_time
 import numpy as np
 
 from greygate.compiler.prune import Round, entropies, remove_neurons
-from greygate.compiler.saliency import obs, prune_by_saliency
+from greygate.compiler.saliency import nonzero, obs, prune_by_saliency
 from greygate.compiler.simplify import parameter_count
 from greygate.models.blocks import nguyen_widrow
 from greygate.models.network import Network, Port
@@ -141,7 +141,9 @@ def prune(
         return _by_entropy(network, training, held, bound, system.goal)
     follow = progress and (lambda step: progress(f"{system.name}: {step.parameters} parameters"))
     found = prune_by_saliency(network, training, obs, bound, held=held, epochs=50, goal=system.goal, progress=follow)
-    return found.network, list(found.rounds)
+    free = nonzero(found.network)
+    fit = train(found.network, training, epochs=500, tolerance=1e-4, held=held, patience=150, free=free)
+    return fit.network, list(found.rounds)
 
 
 def _by_entropy(network: Network, training, held, bound: float, goal: int) -> tuple[Network, list[Round]]:
