@@ -1,0 +1,102 @@
+"""Training times of the thesis's networks beside the thesis's, as the table of docs/training_times.md.
+
+Networks of the thesis's sizes, epochs and samples; where a plant is still to come (chapter 7) the record is a stand-in
+of the same length, so that only the time says something. CPU seconds of both threads together; wall time beside it.
+"""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from greygate import asymmetric_cylinder as second
+from greygate import valve_cylinder as first
+from greygate.models.adaptation import adopt
+from greygate.models.blocks import nguyen_widrow
+from greygate.models.network import Network, Port
+from greygate.models.problem import Record
+from greygate.models.regression import regression
+from greygate.models.training import Fit, train
+from greygate.plants.benchmarks import b1, b1_input, b2, b2_input
+from greygate.plants.excitation import prms
+from greygate.procedure import rms
+
+
+def timed(what: str, thesis: str, work: Callable[[], Fit], figure: Callable[[Fit], str]) -> Fit:
+    """Print one row: ours in CPU and wall seconds, the epochs that were used, the error that was reached."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    fit = work()
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    row = (what, thesis, f"{cpu:.1f} s", f"{wall:.1f} s", str(len(fit.history) - 1), figure(fit))
+    print(f"| {' | '.join(row)} |", flush=True)
+    return fit
+
+
+def regressions() -> None:
+    """Tables 3.3 and 3.4: NARX, and NOE from its weights."""
+    for name, hidden, taps, plant, signal, epochs, thesis in (
+        ("B1, 10", (10,), ((1,), (1, 2)), b1, b1_input, 500, ("57 s, 1.11e-6", "57 s, 1.38e-6")),
+        ("B1, 30", (30,), ((1,), (1, 2)), b1, b1_input, 500, ("98 s, 6.43e-10", "63 s, 7.4e-10")),
+        ("B2, 20 + 10", (20, 10), ((1, 2), (1, 2, 3)), b2, b2_input, 1000, ("64 s, 1.04e-7", "190 s, 8.57e-8")),
+    ):
+        u = signal()
+        record = Record({"u": u}, {"y": plant(u)})
+        network = regression("noe", {Port("u"): taps[0]}, Port("y"), taps[1], hidden=hidden, bypass=False)
+        _narx_noe(name, nguyen_widrow(network, seed=0), record, (epochs, 50), thesis)
+
+
+def slip() -> None:
+    """Tables 7.2 and 7.3, #9: three taps of position and speed, 30 neurons, 9776 samples; a stand-in for the rig."""
+    x = np.cumsum(prms(9776, -0.01, 0.01, (20, 200), seed=0))
+    v = np.diff(x, prepend=0.0) / 0.01
+    e = np.zeros(len(x))
+    for k in range(1, len(x)):
+        e[k] = 0.99 * e[k - 1] + 0.02 * np.tanh(2 * v[k]) * (1 + 0.2 * np.sin(x[k]))
+    inputs = {Port("x", scale=float(np.abs(x).max())): (0, 1, 2), Port("v"): (0, 1, 2)}
+    network = regression("noe", inputs, Port("e"), (1,), hidden=(30,), bypass=False)
+    record = Record({"x": x, "v": v}, {"e": e})
+    _narx_noe("drum, 30", nguyen_widrow(network, seed=0), record, (100, 10), ("29 s", "428 s"), shown=False)
+
+
+def _narx_noe(name, network, record, epochs, thesis, shown=True) -> None:
+    def squares(fit: Fit) -> str:
+        return f"MSE {2 * fit.history[-1]:.2e}" if shown else ""
+
+    narx = timed(f"NARX {name}", thesis[0], lambda: train(network, [record], teacher=True, epochs=epochs[0]), squares)
+    timed(f"NOE {name}", thesis[1], lambda: train(narx.network, [record], epochs=epochs[1]), squares)
+
+
+def bars(network: Network, records: dict[str, Record]) -> str:
+    found = {name: [v / 1e5 for v in rms(network, record).values()] for name, record in records.items()}
+    return ", ".join(f"{name} {a:.3g} / {b:.3g} bar" for name, (a, b) in found.items())
+
+
+def first_machine() -> None:
+    """Tables 5.3 and 5.4."""
+    figures = first.train_srnn()[1]
+    seconds, (a, b) = figures["seconds"], figures["trained"]["training"]
+    print(f"| flow network | < 7 min | | {seconds['flow']:.1f} s | | {figures['flow_rms']:.3g} of Q_max |")
+    reached = f"training {a:.3g} / {b:.3g} bar"
+    print(f"| SRNN, 10,001 samples | 85 min, 0.190 / 0.598 bar | | {seconds['srnn']:.1f} s | | {reached} |", flush=True)
+
+
+def second_machine() -> None:
+    """Table 5.7; and the same from random weights, which the thesis says fail (5.4.3)."""
+    records, epochs = second.records(), second.THESIS_EPOCHS
+    start = adopt(second.assemble(), second.first_machine(), second.ADOPTED)
+    starts = [("adopted weights", start, "835 min, 1.232 / 1.720 bar")]
+    starts += [(f"random weights, seed {seed}", second.assemble(seed), '"totally fail"') for seed in range(3)]
+    print(f"| adopted weights, before | 18.980 / 22.064 bar | | | 0 | {bars(start, records)} |")
+    for label, network, thesis in starts:
+        timed(
+            f"{label}, 50,001 samples",
+            thesis,
+            lambda network=network: second.fit(network, epochs),
+            lambda fit: bars(fit.network, records),
+        )
+
+
+if __name__ == "__main__":
+    print("| network | thesis | CPU | wall | epochs | reached |\n| --- | --- | --- | --- | --- | --- |")
+    for study in (regressions, slip, first_machine, second_machine):
+        study()
