@@ -11,7 +11,8 @@ from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.ranges import ranges
 from greygate.compiler.simplify import simplify
 from greygate.emulator.interpreter import interpret
-from greygate.measured import RECORDINGS, STUDIES, stored
+from greygate.measured import stored
+from greygate.studies import STUDIES
 
 
 def rms(x):
@@ -21,7 +22,7 @@ def rms(x):
 def main(widths):
     for study in STUDIES.values():
         network = simplify(stored(study)[0])
-        training, tests = study.load(RECORDINGS)
+        training, tests = study.runs()
         seen = ranges(network, list(training.values()))
         for width in widths:
             program = quantize(network, seen, Formats(width), study.period)

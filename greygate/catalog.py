@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from greygate import asymmetric_cylinder, benchmark_systems, measured, valve_cylinder
+from greygate import asymmetric_cylinder, benchmark_systems, measured, studies, valve_cylinder
 from greygate.errors import InputError, replacing
 from greygate.models.network import Network
 from greygate.models.problem import Record
@@ -44,12 +44,16 @@ class Entry:
             path.write_text(json.dumps(figures, indent=2) + "\n")
 
 
-def _identified(study: measured.Study):
-    def fit(progress):
+def _measured(
+    study: measured.Study, title: str, training: tuple[str, ...], scenarios: tuple[str, ...], **references: Mapping
+) -> Entry:
+    """A study on a measured recording."""
+
+    def identify(progress):
         result = measured.identify(study, progress=progress)
         return result.network, result.figures
 
-    return fit
+    return Entry(study.name, title, identify, study.records, training, scenarios, study.period, references)
 
 
 def _benchmark(name: str, title: str) -> Entry:
@@ -101,23 +105,18 @@ CATALOG = {
                 }
             },
         ),
-        Entry(
-            "mts",
+        _measured(
+            studies.MTS,
             "Servo-hydraulic test machine, measured: displacement from command",
-            _identified(measured.MTS),
-            measured.MTS.records,
             ("chirp_0A", "15Hz0A"),
             ("chirp_1A", "15Hz1A"),
         ),
-        Entry(
-            "crane",
+        _measured(
+            studies.CRANE,
             "Hydraulic crane actuator, measured: oil pressure from valve opening",
-            _identified(measured.CRANE),
-            measured.CRANE.records,
             ("train",),
             ("train", "test"),
-            period=measured.CRANE.period,
-            references={"published": {"test": {"p_oil": (0.33, 0.50)}}},
+            published={"test": {"p_oil": (0.33, 0.50)}},
         ),
         _benchmark("b2", "Benchmark system 2 of the thesis: Narendra and Parthasarathy's fourth plant"),
     )

@@ -1,13 +1,13 @@
-"""Networks identified on measured recordings: the servo-hydraulic MTS machine and the hydraulic actuator of a crane.
+"""Identification on measured recordings, by rules that keep a test run a test.
 
-Orders, sizes, decay and seed were chosen by the error on the tail of the training part. Test runs enter no criterion,
-but earlier structures had been scored on them too (see `mts`, `crane`). Every free run starts from the ports' rest,
-which the hardware starts from too, and counts from its first sample.
+Structure and seed are chosen by free runs over blocks held out of the training runs; the chosen network is then fitted
+to the whole training runs, and the test runs are scored once. `greygate/studies.py` holds the studies themselves.
 """
 
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import monotonic
 
@@ -15,61 +15,100 @@ import numpy as np
 
 from greygate import models
 from greygate.errors import InputError, replacing
-from greygate.models.network import Network, Port
+from greygate.models.network import Network
 from greygate.models.problem import Problem, Record
-from greygate.models.regression import noe
-from greygate.models.training import train
-from greygate.plants.recording import Recording, read_csv
+from greygate.models.training import Fit, Outcome
 
-RECORDINGS = Path(__file__).resolve().parents[1] / "recordings"
+ROOT = Path(__file__).resolve().parents[1]
 TRAINED = Path(models.__file__).resolve().parent / "trained"
-TAIL = 0.2  # of each training run, at its end: starts are compared there
+PRIOR = 1e-4  # weight of a start that is near rest against one squared normalised error
+
+Runs = Mapping[str, Record]
+
+
+@dataclass(frozen=True)
+class Fold:
+    """pieces: what is fitted. blocks: what judges, each after the `skip` samples that its state may settle in."""
+
+    pieces: Sequence[Record]
+    blocks: Sequence[Record]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A structure. build: seed -> start. fit: (start, records) -> what training makes of it.
+
+    grown: the start takes the weights of the linear baseline wherever it has weights of the same name.
+    """
+
+    build: Callable[[int], Network]
+    fit: Callable[[Network, Sequence[Record]], Fit]
+    grown: bool = False
 
 
 @dataclass(frozen=True)
 class Study:
-    """What is identified from what. Orders as in `noe`; decay, epochs as in `train`; period in s.
+    """What is identified from what.
 
-    load: folder -> ({run: Record} to train on, {run: Record} to test on).
+    recording: folder of the recording; published: where it can be had. load: that folder -> (training runs, test runs)
+    by name. linear: the baseline. start: (network, record) -> the record with the state from which a judged run begins;
+    it may look at the first `skip` samples only. period in s.
     """
 
     name: str
+    recording: str
+    published: str
     load: Callable[[Path], tuple[dict[str, Record], dict[str, Record]]]
-    inputs: Mapping[Port, Sequence[int]]
-    output: Port
-    feedback: Sequence[int]
-    hidden: Sequence[int]
-    linear_loop: bool
+    linear: Candidate
+    candidates: Mapping[str, Candidate]
     seeds: Sequence[int]
-    decay: float
-    epochs: int
+    folds: Callable[[Runs], list[Fold]]
     period: float
+    start: Callable[[Network, Record], Record] = lambda network, record: record
 
-    def records(self, folder: Path = RECORDINGS) -> dict[str, Record]:
-        """Every run by name, training runs first; targets in the unit of `output`. Raises InputError as `read_csv`."""
-        training, tests = self.load(folder)
+    def runs(self, folder: Path | None = None) -> tuple[dict[str, Record], dict[str, Record]]:
+        """Training runs and test runs. Raises InputError where the recording is not there or not as published."""
+        return self.load(folder or find(self.recording, self.published))
+
+    def records(self, folder: Path | None = None) -> dict[str, Record]:
+        """Every run by name, training runs first."""
+        training, tests = self.runs(folder)
         return training | tests
 
-    def network(self, hidden: Sequence[int], seed: int = 0) -> Network:
-        return noe(self.name, self.inputs, self.output, self.feedback, hidden, seed, self.linear_loop)
+    def score(self, network: Network, record: Record) -> float:
+        """RMSE of a free run over the record, after its `skip` samples, in the unit of the output."""
+        return rmse(network, self.start(network, record))
 
 
 @dataclass(frozen=True)
-class Result:
-    """network, and the linear model of the same orders. figures: as in the JSON beside the stored network."""
+class Choice:
+    """What the held-out blocks chose. scores: candidate -> seed -> RMSE over all blocks; linear: the baseline's.
 
-    study: Study
+    network, baseline: as fitted to the last fold.
+    """
+
+    candidate: str
+    seed: int
     network: Network
-    linear: Network
-    training: dict[str, Record]
-    tests: dict[str, Record]
-    figures: dict
+    baseline: Network
+    scores: dict[str, dict[int, float]]
+    linear: float
 
-    def save(self, folder: Path = TRAINED) -> None:
-        """Write NAME.toml, NAME.safetensors and NAME.json. Raises InputError where that cannot be done."""
-        self.network.save(folder / self.study.name)
-        with replacing(folder / f"{self.study.name}.json") as path:
-            path.write_text(json.dumps(self.figures, indent=2) + "\n")
+
+def find(recording: str, published: str) -> Path:
+    """Folder of a recording: in `recordings/`, in $GREYGATE_RECORDINGS, or in ../shared/recordings beside the repo.
+
+    Raises InputError saying where it is published and where to put it.
+    """
+    given = os.environ.get("GREYGATE_RECORDINGS")
+    places = [ROOT / "recordings", *([Path(given)] if given else []), ROOT.parent / "shared" / "recordings"]
+    for place in places:
+        if (place / recording).is_dir():
+            return place / recording
+    raise InputError(
+        f"the recording {recording} is not here; get it from {published} and put its folder into {places[0]} "
+        "or into a folder that GREYGATE_RECORDINGS names"
+    )
 
 
 def rmse(network: Network, record: Record) -> float:
@@ -84,131 +123,186 @@ def rmse(network: Network, record: Record) -> float:
     return network.outputs[0].scale * float(np.sqrt(np.mean(errors[0][record.skip :] ** 2)))
 
 
-def identify(study: Study, folder: Path = RECORDINGS, progress: Callable[[str], None] | None = None) -> Result:
-    """Linear NARX, then linear output error, then with neurons from each seed, all on the heads of the training runs.
+def settled(network: Network, record: Record, prior: float = PRIOR, steps: int = 30) -> Record:
+    """The record with the initial state that fits its first `skip` samples best, and weights as they are.
 
-    The best on the tails goes on with heads and tails, and so does the linear model.
-    progress: called with a line per start. Raises InputError as `read_csv` and `train`.
+    prior: weight of the square of (state - rest), against squared errors, all normalised. Gauss-Newton, halved steps.
+    """
+    held = {name: np.zeros(w.shape, bool) for name, w in network.flatten().parameters().items()}
+    if record.skip < 1:
+        return record
+    window = record.cut(0, record.skip, skip=0)
+    try:
+        problem = Problem(network, [window], free=held, estimate_initial=True)
+    except InputError:  # shorter than the delays: nothing to settle in
+        return record
+    rest = problem.theta[problem.free]
+
+    def cost(theta):
+        return problem.squares(theta) + prior * float(np.sum((theta[problem.free] - rest) ** 2))
+
+    value = cost(problem.theta)
+    for _ in range(steps):
+        problem.squares(problem.theta)
+        hessian, gradient = problem.normal_equations(problem.theta)
+        gradient += prior * (problem.theta[problem.free] - rest)
+        step = -np.linalg.solve(hessian + prior * np.eye(len(rest)), gradient)
+        while (trial := cost(problem.moved(problem.theta, step))) > value and np.abs(step).max() > 1e-9:
+            step /= 2
+        if not trial < value:
+            break
+        problem.theta, value = problem.moved(problem.theta, step), trial
+    return replace(record, initial=record.initial | problem.initial(problem.theta)[0])
+
+
+def resting(network: Network, initial: Mapping[str, np.ndarray]) -> Network:
+    """The flat network whose layers start, in hardware too, from a state of `Fit.initial` (its newest step)."""
+    flat = network.flatten()
+    modules = {n: replace(layer, initial=initial[n][-1]) for n, layer in flat.modules.items()}
+    return replace(flat, modules=modules)
+
+
+# ---- folds
+
+
+def tails(share: float) -> Callable[[Runs], list[Fold]]:
+    """One fold: the end of every run, run into from its beginning."""
+
+    def folds(runs: Runs) -> list[Fold]:
+        heads = {n: int((1 - share) * len(r)) for n, r in runs.items()}
+        blocks = [replace(r, skip=heads[n]) for n, r in runs.items()]
+        return [Fold([r.cut(0, heads[n]) for n, r in runs.items()], blocks)]
+
+    return folds
+
+
+def blocked(count: int, warm: int) -> Callable[[Runs], list[Fold]]:
+    """`count` folds, each without one of as many equal blocks of every run; `warm` samples before a block settle it.
+
+    Of the first block they are its own first samples.
+    """
+
+    def piece(run: Record, start: int, stop: int) -> Record:
+        if start == 0:
+            return run.cut(0, stop)
+        return run.cut(start, stop, skip=0, initial={n: float(v[start - 1]) for n, v in run.inputs.items()})
+
+    def folds(runs: Runs) -> list[Fold]:
+        found = []
+        for i in range(count):
+            pieces, blocks = [], []
+            for run in runs.values():
+                start, stop = (len(run) * k // count for k in (i, i + 1))
+                pieces += [piece(run, a, b) for a, b in ((0, start), (stop, len(run))) if b > a]
+                blocks.append(replace(piece(run, max(start - warm, 0), stop), skip=warm))
+            found.append(Fold(pieces, blocks))
+        return found
+
+    return folds
+
+
+# ---- choice and result
+
+
+def choose(study: Study, training: Runs, progress: Callable[[str], None] | None = None) -> Choice:
+    """Fit every candidate from every seed on every fold; the lowest RMSE over the held-out blocks wins."""
+    say = progress or (lambda line: None)
+    folds = study.folds(training)
+
+    def judge(networks: Sequence[Network]) -> float:
+        pairs = zip(networks, folds, strict=True)
+        squares = [study.score(network, block) ** 2 for network, fold in pairs for block in fold.blocks]
+        return float(np.sqrt(np.mean(squares)))
+
+    linear = [study.linear.fit(study.linear.build(0), fold.pieces).network for fold in folds]
+    baseline = judge(linear)
+    unit = linear[0].outputs[0].unit
+    say(f"{study.name}, linear: {baseline:.4g} {unit} RMSE on held-out blocks")
+    scores: dict[str, dict[int, float]] = {}
+    best = np.inf, "", 0, linear[-1]
+    for name, candidate in study.candidates.items():
+        scores[name] = {}
+        for seed in study.seeds:
+            networks = []
+            for fold, start in zip(folds, linear, strict=True):
+                network = candidate.build(seed)
+                if candidate.grown:
+                    network = network.with_parameters(start.parameters())
+                networks.append(candidate.fit(network, fold.pieces).network)
+            scores[name][seed] = value = judge(networks)
+            say(f"{study.name}, {name}, seed {seed}: {value:.4g} {unit} RMSE on held-out blocks")
+            if value < best[0]:
+                best = value, name, seed, networks[-1]
+    if not np.isfinite(best[0]):
+        raise InputError(f"{study.name}: every candidate diverges on a held-out block; give others")
+    return Choice(best[1], best[2], best[3], linear[-1], scores, baseline)
+
+
+@dataclass(frozen=True)
+class Result:
+    """network, and the linear baseline. figures: as in the JSON beside the stored network."""
+
+    study: Study
+    network: Network
+    linear: Network
+    training: Runs
+    tests: Runs
+    figures: dict
+
+    def save(self, folder: Path = TRAINED) -> None:
+        """Write NAME.toml, NAME.safetensors and NAME.json. Raises InputError where that cannot be done."""
+        self.network.save(folder / self.study.name)
+        with replacing(folder / f"{self.study.name}.json") as path:
+            path.write_text(json.dumps(self.figures, indent=2) + "\n")
+
+
+def identify(study: Study, folder: Path | None = None, progress: Callable[[str], None] | None = None) -> Result:
+    """Choose, fit the chosen network of the last fold to the whole training runs, score the test runs.
+
+    progress: called with a line per start. Raises InputError as `Study.runs`, `choose` and the fits.
     """
     began = monotonic()
-    training, tests = study.load(folder)
-    heads = [_cut(r, 0, _head(r)) for r in training.values()]
-    tails = [Record(r.inputs, r.targets, skip=_head(r)) for r in training.values()]
-    say = progress or (lambda line: None)
-
-    def fitted(network: Network, records: Sequence[Record], teacher: bool = False) -> Network:
-        return train(network, list(records), teacher=teacher, epochs=study.epochs, decay=study.decay).network
-
-    linear = fitted(fitted(study.network(()), heads, teacher=True), heads)
-    starts = {}
-    for seed in study.seeds:
-        network = fitted(study.network(study.hidden, seed).with_parameters(linear.parameters()), heads)
-        starts[seed] = float(np.sqrt(np.mean([rmse(network, r) ** 2 for r in tails]))), network
-        say(f"{study.name}, seed {seed}: {starts[seed][0]:.4g} {study.output.unit} RMSE on the tails")
-    best = min(starts, key=lambda seed: starts[seed][0])
-    network, linear = (fitted(n, training.values()) for n in (starts[best][1], linear))
+    training, tests = study.runs(folder)
+    choice = choose(study, training, progress)
+    fits = [
+        candidate.fit(network, list(training.values()))
+        for candidate, network in (
+            (study.candidates[choice.candidate], choice.network),
+            (study.linear, choice.baseline),
+        )
+    ]
+    for fit in fits:
+        if fit.outcome is Outcome.DIVERGED:
+            raise InputError(f"{study.name}: the last fit diverged; {fit.outcome.value}")
+    network, linear = (fit.network for fit in fits)
     seconds = monotonic() - began
+    output = network.outputs[0]
 
-    def table(model: Network, runs: Mapping[str, Record]) -> dict[str, float]:
-        return {name: rmse(model, r) for name, r in runs.items()}
+    def table(model: Network, runs: Runs) -> dict[str, float]:
+        return {name: study.score(model, r) for name, r in runs.items()}
 
     figures = {
-        "unit": study.output.unit,
-        "signal": {n: float(np.std(r.targets[study.output.name])) for n, r in (training | tests).items()},
+        "unit": output.unit,
+        "signal": {n: float(np.std(r.targets[output.name][r.skip :])) for n, r in (training | tests).items()},
         "train": table(network, training),
-        "tail": dict(zip(training, (rmse(starts[best][1], r) for r in tails), strict=True)),
+        "held_out": choice.scores[choice.candidate][choice.seed],
         "test": table(network, tests),
-        "linear": table(linear, training | tests),
-        "seeds": {str(seed): value for seed, (value, _) in starts.items()},
-        "seed": best,
+        "linear": {"held_out": choice.linear} | table(linear, training | tests),
+        "starts": {name: {str(seed): v for seed, v in of.items()} for name, of in choice.scores.items()},
+        "candidate": choice.candidate,
+        "seed": choice.seed,
+        "parameters": parameters(network),
         "seconds": round(seconds, 1),
     }
     return Result(study, network, linear, training, tests, figures)
+
+
+def parameters(network: Network) -> int:
+    """Weights and biases that training may move."""
+    return len(Problem(network, []).free)
 
 
 def stored(study: Study, folder: Path = TRAINED) -> tuple[Network, dict]:
     """The network kept in the package and its figures. Raises InputError as `Network.load`."""
     network = Network.load(folder / study.name)
     return network, json.loads((folder / f"{study.name}.json").read_text())
-
-
-def _head(record: Record) -> int:
-    return int((1 - TAIL) * len(next(iter(record.targets.values()))))
-
-
-def _cut(record: Record, start: int, stop: int) -> Record:
-    return Record(*({n: v[start:stop] for n, v in part.items()} for part in (record.inputs, record.targets)))
-
-
-def _record(recording: Recording, inputs: Sequence[str], output: str) -> Record:
-    return Record({n: recording[n] for n in inputs}, {output: recording[output]})
-
-
-def _mts(folder: Path) -> tuple[dict[str, Record], dict[str, Record]]:
-    """Trained without coil current (0A), tested with 1 A: another load, whole runs, 1 kHz."""
-
-    def run(name: str) -> Record:
-        path = folder / "servohydraulic-mts" / f"mts_{name}.csv"
-        return _record(read_csv(path, {"x_cmd": "m", "x_meas": "m"}), ["x_cmd"], "x_meas")
-
-    return {n: run(n) for n in ("chirp_0A", "15Hz0A")}, {n: run(n) for n in ("chirp_1A", "15Hz1A")}
-
-
-def _crane(folder: Path) -> tuple[dict[str, Record], dict[str, Record]]:
-    """Samples 1-512 and 513-1024. The file states neither units nor period; x_arm is not used."""
-    path = folder / "hydraulic-actuator-crane" / "actuator.csv"
-    unstated = dict.fromkeys(("u_valve", "p_oil", "x_arm"), "1")
-    recording = read_csv(path, {"u_valve": "1", "p_oil": "1"}, units=unstated, dt=1.0)
-    if recording.samples != 1024:
-        raise InputError(f"{path}: {recording.samples} samples; the split needs the published 1024")
-    whole = _record(recording, ["u_valve"], "p_oil")
-    return {"train": _cut(whole, 0, 512)}, {"test": _cut(whole, 512, 1024)}
-
-
-MTS = Study(
-    "mts",
-    _mts,
-    {Port("x_cmd", "m", 2.048e-3, -2.048e-3): range(1, 20, 3)},
-    Port("x_meas", "m", 2.048e-3, -2.048e-3),
-    feedback=(1, 4),
-    hidden=(4,),
-    linear_loop=True,
-    seeds=range(10),
-    decay=1e-3,
-    epochs=60,
-    period=1e-3,
-)
-CRANE = Study(
-    "crane",
-    _crane,
-    {Port("u_valve", "1", 2.0): (1, 2)},
-    Port("p_oil", "1", 4.0),
-    feedback=(1, 2),
-    hidden=(2,),
-    linear_loop=True,
-    seeds=range(10),
-    decay=1e-2,
-    epochs=200,
-    period=1.0,
-)
-STUDIES = {study.name: study for study in (MTS, CRANE)}
-
-
-def mts(progress: Callable[[str], None] | None = None) -> Result:
-    """The machine's displacement from its command, 1 kHz (D. Maurel, M. Quiroz, UTFSM 2022; lag of about 17 ms).
-
-    The test runs were scored three times: for a loop through the neurons (most starts went astray on the tails: given
-    up), for neurons trained from NARX weights, and for these, which start from the linear output-error model. Of ten
-    seeds one is good on the tail of the chirp; the others extrapolate its highest frequencies badly.
-    """
-    return identify(MTS, progress=progress)
-
-
-def crane(progress: Callable[[str], None] | None = None) -> Result:
-    """Oil pressure from valve opening (Sjoberg 1995; published free-run RMSE 0.33 to 0.50, which this does not reach).
-
-    The test half was scored for four structures before this one: 5.3 and 1.15 (loop through the neurons), 0.96 (no gain
-    over linear), 0.58 (three neurons). This one has the lowest tail of all that were tried; the tail (103 samples, one
-    valve opening) says little about the test half.
-    """
-    return identify(CRANE, progress=progress)

@@ -4,13 +4,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greygate import measured
 from greygate.errors import InputError
-from greygate.measured import CRANE, MTS, STUDIES, identify, rmse, stored
+from greygate.measured import ROOT, identify, rmse, stored
 from greygate.models.network import Port
 from greygate.models.problem import Problem, Record
 from greygate.models.regression import noe
+from greygate.studies import CRANE, MTS, STUDIES
 
+CRANE_FILE = ROOT / "recordings" / "hydraulic-actuator-crane" / "actuator.csv"
 MTS_RUNS = ("chirp_0A", "15Hz0A", "chirp_1A", "15Hz1A")
 
 
@@ -21,7 +22,7 @@ def small(seed=3, **options):
 
 @pytest.fixture(scope="module")
 def mts_runs():
-    return MTS.load(measured.RECORDINGS)
+    return MTS.runs()
 
 
 def test_mts_trains_without_coil_current_and_tests_whole_runs_with_it(mts_runs):
@@ -98,12 +99,10 @@ def test_the_output_cannot_feed_back_without_delay():
 @pytest.fixture
 def crane_file(tmp_path):
     """A copy of the crane recording and a function that writes it with some lines changed."""
-    lines = (measured.RECORDINGS / "hydraulic-actuator-crane" / "actuator.csv").read_text().splitlines()
-    folder = tmp_path / "hydraulic-actuator-crane"
-    folder.mkdir()
+    lines = CRANE_FILE.read_text().splitlines()
 
     def write(change):
-        (folder / "actuator.csv").write_text("\n".join(change(list(lines))) + "\n")
+        (tmp_path / "actuator.csv").write_text("\n".join(change(list(lines))) + "\n")
         return tmp_path
 
     return write
@@ -134,9 +133,8 @@ def test_a_bad_crane_recording_is_refused(fault, crane_file):
     ],
 )
 def test_a_bad_mts_recording_is_refused(text, message, tmp_path):
-    (tmp_path / "servohydraulic-mts").mkdir()
     for run in MTS_RUNS:
-        (tmp_path / "servohydraulic-mts" / f"mts_{run}.csv").write_text(text)
+        (tmp_path / f"mts_{run}.csv").write_text(text)
     with pytest.raises(InputError, match=message):
         MTS.records(tmp_path)
 
@@ -147,10 +145,10 @@ def test_a_recording_that_is_not_there_is_named(tmp_path):
 
 
 def test_training_repeats_from_its_seeds_and_saves_what_it_says(tmp_path):
-    quick = replace(CRANE, seeds=(0, 1), epochs=20)
+    quick = replace(CRANE, seeds=(0, 1))
     lines = []
     first, again = identify(quick, progress=lines.append), identify(quick)
-    assert len(lines) == 2
+    assert len(lines) == 3
     assert first.figures["test"] == again.figures["test"]
     first.save(tmp_path)
     network, figures = stored(quick, tmp_path)
