@@ -308,7 +308,7 @@ def prune_by_saliency(
     allowed: RMS error of each output, normalised, over the held-out records, or over `records` if none are held out.
     A round removes `share` of the parameters; one that misses `allowed` is undone and the next takes half as many; when
     a single weight (or neuron) cannot be spared the pruning ends. epochs, decay: of each training; the network should
-    come from a training with the same decay. Of several ridges each round takes that whose removal leaves the least
+    come from a training with the same decay. Held-out records also choose the epoch. Of several ridges each round takes that whose removal leaves the least
     error before training. goal: end at so many parameters. Frozen weights stay. Ctrl-C ends it.
     Raises InputError if the network diverges on a record.
     """
@@ -326,7 +326,7 @@ def prune_by_saliency(
             kept = False
             if not np.array_equal(removal.weights, undone):  # half as many parameters may be the same neuron
                 smaller = fold_constants(e.problem.unpack(removal.theta))
-                trial = _step(_retrained(smaller, records, epochs, decay), records, held)
+                trial = _step(_retrained(smaller, records, held, epochs, decay), records, held)
                 judged = np.array(trial.held or trial.error)
                 kept = bool((np.isfinite(judged) & (judged <= allowed)).all())
                 rounds.append(Round(_named(e.problem, removal.weights), trial.neurons, trial.error, kept))
@@ -363,11 +363,14 @@ def _safest(e: Expansion, method: Method, count: int) -> Removal:
     return min(removals, key=lambda r: e.problem.squares(r.theta))
 
 
-def _retrained(network: Network, records: Sequence[Record], epochs: int, decay: float) -> Network:
+def _retrained(
+    network: Network, records: Sequence[Record], held: Sequence[Record], epochs: int, decay: float
+) -> Network:
+    """On the records, with the weights of the lowest error over the held-out ones, if any."""
     free = nonzero(network)
     if not len(Problem(network, list(records), free=free).free):
         return network
-    return retrained(network, list(records), epochs, decay=decay, free=free)
+    return retrained(network, list(records), epochs, decay=decay, free=free, held=held, patience=epochs)
 
 
 def _step(network: Network, records: Sequence[Record], held: Sequence[Record]) -> Step:

@@ -22,6 +22,7 @@ from greygate.plants.benchmarks import b1, b1_input, b2, b2_input, b2_test_input
 from greygate.plants.excitation import chirp, prms
 
 U, Y = Port("u"), Port("y")
+SHARES = (0.1, 0.05, 0.03, 0.02)  # of the parameters, to be taken out in one round
 THESIS = {
     "b1_10": {"mse": 1.38e-6, "seconds": 57 + 57},
     "b1_30": {"mse": 7.4e-10, "seconds": 98 + 63, "pruned_neurons": 22},
@@ -139,11 +140,26 @@ def prune(
     bound = allowed * max(rms(network, held), system.spare)
     if system.plant is b1:
         return _by_entropy(network, training, held, bound, system.goal)
-    follow = progress and (lambda step: progress(f"{system.name}: {step.parameters} parameters"))
-    found = prune_by_saliency(network, training, obs, bound, held=held, epochs=50, goal=system.goal, progress=follow)
-    free = nonzero(found.network)
-    fit = train(found.network, training, epochs=500, tolerance=1e-4, held=held, patience=150, free=free)
-    return fit.network, list(found.rounds)
+    return _by_surgery(network, training, held, bound, system, progress)
+
+
+def _by_surgery(
+    network: Network, training, held, bound: float, system: System, progress
+) -> tuple[Network, list[Round]]:
+    """Optimal brain surgery with smaller and smaller rounds, until one way down is good on the held-out records."""
+    ways = []
+    for share in SHARES:
+        found = prune_by_saliency(network, training, obs, bound, held=held, epochs=60, goal=system.goal, share=share)
+        free = nonzero(found.network)
+        fit = train(found.network, training, epochs=300, tolerance=1e-4, held=held, patience=60, free=free)
+        missed = max(parameter_count(found.network) - system.goal, 0)
+        ways.append((missed, rms(fit.network, held), fit.network, list(found.rounds)))
+        if progress:
+            progress(f"{system.name}, {share:.0%} a round: {missed} over the goal, {ways[-1][1]:.3g} held out")
+        if not missed and ways[-1][1] <= system.good:
+            break
+    _, _, smaller, rounds = min(ways, key=lambda way: way[:2])
+    return smaller, rounds
 
 
 def _by_entropy(network: Network, training, held, bound: float, goal: int) -> tuple[Network, list[Round]]:

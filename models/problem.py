@@ -326,6 +326,10 @@ class Problem:
         for i, (columns, h, g, end) in enumerate(
             ways(lambda job: self._window_equations(job[1], theta, job[0] in gaps, spread), jobs)
         ):
+            if len(columns) == size and i not in gaps:
+                hessian += h
+                gradient += g
+                continue
             if i in gaps:  # d gap = end (columns) - d next state
                 after = self.variable[self._windows[i + 1].state]
                 joint = np.concatenate([columns, after])
@@ -365,8 +369,8 @@ class Problem:
         def add(block: np.ndarray, start: int, stop: int) -> None:
             use = slice(max(w.skip - start, 0), stop - start)
             j = narrow(block[use].reshape(-1, n + own))
-            hessian.__iadd__(j.T @ j)
-            gradient.__iadd__(j.T @ error[start:stop][use].ravel())
+            np.add(hessian, j.T @ j, out=hessian)
+            np.add(gradient, j.T @ error[start:stop][use].ravel(), out=gradient)
 
         under_way: Future | None = None
         for i, start in enumerate(range(0, length, CHUNK)):
@@ -383,7 +387,10 @@ class Problem:
         end = None
         if wants_end:
             end = narrow(carried[(length - self._state[:, 1]) % (t.depth + 1), t.row_of[self._state[:, 0]]])
-        return targets, w.weight * hessian, w.weight * gradient, end
+        if w.weight != 1.0:
+            hessian *= w.weight
+            gradient *= w.weight
+        return targets, hessian, gradient, end
 
     # ---- what a person should know of the data
 

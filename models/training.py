@@ -100,7 +100,7 @@ class _Whole:
             h, g = part.normal_equations(theta[index])
             np.add.at(hessian, np.ix_(where, where), h[np.ix_(moving, moving)])
             np.add.at(gradient, where, g[moving])
-        hessian[np.diag_indices_from(hessian)] += self.decay
+        hessian.ravel()[:: len(hessian) + 1] += self.decay
         return hessian, gradient + self.decay * theta[self.main.free]
 
 
@@ -252,7 +252,7 @@ class _Climb:
         moving = np.flatnonzero(~stuck)
         h = hessian[np.ix_(moving, moving)] if stuck.any() else hessian
         damped = h.copy()  # Levenberg's identity, scaled: Marquardt's diagonal gets stuck where neurons are redundant
-        damped[np.diag_indices_from(damped)] += damping * (np.trace(h) / max(len(h), 1) + 1e-300)
+        damped.ravel()[:: len(h) + 1] += damping * (np.trace(h) / max(len(h), 1) + 1e-300)
         try:
             factor = scipy.linalg.cho_factor(damped, overwrite_a=True, check_finite=False)
         except scipy.linalg.LinAlgError:
