@@ -163,20 +163,21 @@ def _by_surgery(
 
 
 def _by_entropy(network: Network, training, held, bound: float, goal: int) -> tuple[Network, list[Round]]:
-    """Two neurons a round, retrained series-parallel; the free run is trained once, at the end. All of it or none.
+    """One neuron a round, or two, or four: retrained series-parallel, and at the end in free run. All of it or none.
 
     An undo after every round ends far earlier: the neuron of least entropy is often not the one best spared.
     """
-    smaller, rounds = network, []
-    while parameter_count(smaller) > goal:
-        ranked = [(float(h), name, i) for name, v in entropies(smaller, training).items() for i, h in enumerate(v)]
-        chosen: dict[str, list[int]] = {}
-        for _, name, i in sorted(ranked)[:2]:
-            chosen.setdefault(name, []).append(i)
-        smaller = remove_neurons(smaller, training, chosen)
-        smaller = train(smaller, training, teacher=True, epochs=60, tolerance=1e-3).network
-        rounds.append(Round(chosen, len(ranked) - 2, (rms(smaller, held),), True))
-    smaller = train(smaller, training, epochs=400, tolerance=1e-4, held=held, patience=150).network
-    if rms(smaller, held) > bound:
-        return network, [replace(r, kept=False) for r in rounds]
-    return smaller, rounds
+    for count in (1, 2, 4):
+        smaller, rounds = network, []
+        while parameter_count(smaller) > goal:
+            ranked = [(float(h), name, i) for name, v in entropies(smaller, training).items() for i, h in enumerate(v)]
+            chosen: dict[str, list[int]] = {}
+            for _, name, i in sorted(ranked)[:count]:
+                chosen.setdefault(name, []).append(i)
+            smaller = remove_neurons(smaller, training, chosen)
+            smaller = train(smaller, training, teacher=True, epochs=60, tolerance=1e-3).network
+            rounds.append(Round(chosen, len(ranked) - count, (rms(smaller, held),), True))
+        smaller = train(smaller, training, epochs=400, tolerance=1e-4, held=held, patience=400).network
+        if rms(smaller, held) <= bound:
+            return smaller, rounds
+    return network, [replace(r, kept=False) for r in rounds]
