@@ -10,7 +10,7 @@ divergence keep the best weights so far. Raises InputError as `Problem`, and for
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from time import monotonic
 
@@ -18,23 +18,9 @@ import numba
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.models.kernels import (
-    HARDLIM,
-    HARDLIMS,
-    LOGSIG,
-    NEGEXP,
-    RADBAS,
-    SATLIN,
-    SELECT,
-    SQUARE,
-    TANSIG,
-    Tables,
-    _sum,
-    forward,
-    sensitivities,
-)
+from greygate.models.kernels import Tables, forward, sensitivities, slope
 from greygate.models.network import ACTIVATIONS, Network
-from greygate.models.problem import Problem, Record
+from greygate.models.problem import Problem, Record, held_out
 from greygate.models.training import Fit, Outcome, blas
 
 RUNAWAY = 10.0  # times the first loss, or that of predicting zero if larger: beyond it a training has diverged
@@ -173,14 +159,7 @@ class _Descent:
     progress: Callable[[int, float], None] | None = None
 
     def __post_init__(self):
-        if not self.records:
-            raise InputError(f"network {self.network.name}: no records to train on")
-        if not 0 <= self.tail < 1:
-            raise InputError(f"tail {self.tail}: a share from 0 up to 1, without 1")
-        heads = [int((1 - self.tail) * len(r)) for r in self.records]
-        pairs = list(zip(self.records, heads, strict=True))
-        judged = [replace(r, skip=max(h, r.skip)) for r, h in pairs if self.tail] + list(self.held)
-        used = [r.cut(0, h) for r, h in pairs] if self.tail else list(self.records)
+        used, judged = held_out(self.network, self.records, self.tail, self.held)
         self.problem = _Swept(self.network, used, self.teacher, self.free, tied=self.tied)
         self.judge = Problem(self.network, judged, self.teacher) if judged else None
         self.engine = _Static(self.problem) if self.problem.is_static else self.problem
@@ -366,23 +345,9 @@ def _back(t: Tables, theta, now, past, forced, error, gradient):  # pragma: no c
             first, size, activation, bias, lo = t.layers[layer]
             hi = t.layers[layer + 1, 4]
             for o in range(size):
-                d, row, y = a[first + o], o, now[at, first + o]
-                if activation == TANSIG:
-                    d *= 1.0 - y * y
-                elif activation == LOGSIG:
-                    d *= y * (1.0 - y)
-                elif activation == SATLIN:
-                    d *= 1.0 if 0.0 < y < 1.0 else 0.0
-                elif activation == RADBAS:
-                    d *= -2.0 * y * _sum(t.links, lo, hi, theta, bias, o, at, now, past)
-                elif activation == SQUARE:
-                    d *= 2.0 * _sum(t.links, lo, hi, theta, bias, o, at, now, past)
-                elif activation == NEGEXP:
-                    d *= -y * np.sign(_sum(t.links, lo, hi, theta, bias, o, at, now, past))
-                elif activation == SELECT:
-                    row += size if _sum(t.links, lo, hi, theta, bias, o, at, now, past) >= 0 else 2 * size
-                elif activation in (HARDLIM, HARDLIMS):
-                    d = 0.0
+                y = now[at, first + o]
+                gain, row = slope(activation, size, t.links, lo, hi, theta, bias, o, at, now, past, y)
+                d = a[first + o] * gain
                 if d == 0.0:
                     continue
                 gradient[bias + row] += d

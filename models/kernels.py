@@ -114,8 +114,8 @@ def _tanh(n):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _sum(links, lo, hi, theta, bias, row, k, now, past):  # pragma: no cover - compiled
-    """One row's pre-activation at step k (row depth + step of now and past)."""
+def preactivation(links, lo, hi, theta, bias, row, k, now, past):  # pragma: no cover - compiled
+    """Of one row, at row k of now and past."""
     n = theta[bias + row]
     for c in range(lo, hi):
         source, width, delay, w = links[c]
@@ -127,6 +127,29 @@ def _sum(links, lo, hi, theta, bias, row, k, now, past):  # pragma: no cover - c
             for i in range(width):
                 n += theta[w + i] * past[k - delay, source + i]
     return n
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def slope(activation, size, links, lo, hi, theta, bias, o, k, now, past, y):  # pragma: no cover - compiled
+    """(derivative of neuron o's output y by its pre-activation at row k, the row of weights that acts)."""
+    if activation == TANSIG:
+        return 1.0 - y * y, o
+    if activation == LOGSIG:
+        return y * (1.0 - y), o
+    if activation == LINEAR:
+        return 1.0, o
+    if activation == SATLIN:
+        return (1.0 if 0.0 < y < 1.0 else 0.0), o
+    if activation in (HARDLIM, HARDLIMS):
+        return 0.0, o
+    n = preactivation(links, lo, hi, theta, bias, o, k, now, past)
+    if activation == RADBAS:
+        return -2.0 * n * y, o
+    if activation == SQUARE:
+        return 2.0 * n, o
+    if activation == NEGEXP:
+        return -np.sign(n) * y, o
+    return 1.0, o + (size if n >= 0 else 2 * size)  # SELECT
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -142,7 +165,7 @@ def forward(layers, links, n_inputs, depth, theta, now, past, forced):  # pragma
             first, size, activation, bias, link0 = layers[layer]
             hi = layers[layer + 1, 4]
             for o in range(size):
-                n = _sum(links, link0, hi, theta, bias, o, k, now, past)
+                n = preactivation(links, link0, hi, theta, bias, o, k, now, past)
                 if activation == TANSIG:
                     n = _tanh(n)
                 elif activation == LOGSIG:
@@ -160,7 +183,7 @@ def forward(layers, links, n_inputs, depth, theta, now, past, forced):  # pragma
                 elif activation == NEGEXP:
                     n = np.exp(-abs(n))
                 elif activation == SELECT:
-                    n = _sum(links, link0, hi, theta, bias, o + (size if n >= 0 else 2 * size), k, now, past)
+                    n = preactivation(links, link0, hi, theta, bias, o + (size if n >= 0 else 2 * size), k, now, past)
                 if not np.isfinite(n):
                     return k - depth
                 now[k, first + o] = n
@@ -197,7 +220,7 @@ def sensitivities(
     """
     n_theta, n_all = len(theta), carried.shape[2]
     ring = depth + 1
-    slope = np.empty(now.shape[1])
+    slopes = np.empty(now.shape[1])
     active = np.zeros(now.shape[1], np.int64)  # the row that acts on an element
     adjoint = np.empty(now.shape[1])
     coupling = np.zeros((depth, len(rows)))
@@ -205,30 +228,12 @@ def sensitivities(
     for k in range(start, stop):
         for layer in range(n_layers):
             first, size, activation, bias, link0 = layers[layer]
-            for e in range(first, first + size):
-                y = now[depth + k, e]
-                active[e] = e - first
-                if activation == TANSIG:
-                    slope[e] = 1.0 - y * y
-                elif activation == LOGSIG:
-                    slope[e] = y * (1.0 - y)
-                elif activation == LINEAR:
-                    slope[e] = 1.0
-                elif activation == SATLIN:
-                    slope[e] = 1.0 if 0.0 < y < 1.0 else 0.0
-                elif activation in (RADBAS, SQUARE, NEGEXP, SELECT):
-                    n = _sum(links, link0, layers[layer + 1, 4], theta, bias, e - first, depth + k, now, past)
-                    if activation == RADBAS:
-                        slope[e] = -2.0 * n * y
-                    elif activation == SQUARE:
-                        slope[e] = 2.0 * n
-                    elif activation == NEGEXP:
-                        slope[e] = -np.sign(n) * y
-                    else:
-                        slope[e] = 1.0
-                        active[e] += size if n >= 0 else 2 * size
-                else:
-                    slope[e] = 0.0
+            hi = layers[layer + 1, 4]
+            for o in range(size):
+                y = now[depth + k, first + o]
+                slopes[first + o], active[first + o] = slope(
+                    activation, size, links, link0, hi, theta, bias, o, depth + k, now, past, y
+                )
         for r in range(len(rows)):
             lo, hi = spans[r]
             out = carried[k % ring, r]
@@ -242,7 +247,7 @@ def sensitivities(
                     continue
                 first, size, _, bias, link0 = layers[layer]
                 for o in range(size):
-                    d = adjoint[first + o] * slope[first + o]
+                    d = adjoint[first + o] * slopes[first + o]
                     if d == 0.0:
                         continue
                     row = active[first + o]

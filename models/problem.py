@@ -40,6 +40,24 @@ class Record:
         return replace(self, **(dict(zip(("inputs", "targets"), parts, strict=True)) | changes))
 
 
+def held_out(
+    network: Network, records: Sequence[Record], tail: float, held: Sequence[Record]
+) -> tuple[list[Record], list[Record]]:
+    """(records to train on, records to judge on): the share `tail` at the end of each is judged, and so is `held`.
+
+    A tail is run from the start of its record. Raises InputError for a share outside [0, 1), or no records.
+    """
+    if not records:
+        raise InputError(f"network {network.name}: no records to train on")
+    if not 0 <= tail < 1:
+        raise InputError(f"tail {tail}: a share from 0 up to 1, without 1")
+    if not tail:
+        return list(records), list(held)
+    heads = [int((1 - tail) * len(r)) for r in records]
+    tails = [replace(r, skip=max(h, r.skip)) for r, h in zip(records, heads, strict=True)]
+    return [r.cut(0, h) for r, h in zip(records, heads, strict=True)], tails + list(held)
+
+
 @dataclass
 class _Window:
     """A run of its own: arrays for the kernels, and the columns of theta that hold its initial state, if any."""

@@ -17,7 +17,7 @@ from threadpoolctl import ThreadpoolController
 
 from greygate.errors import InputError, replacing
 from greygate.models.network import Network
-from greygate.models.problem import Problem, Record
+from greygate.models.problem import Problem, Record, held_out
 
 CONTINUITY = (1.0, 1e1, 1e2, 1e3)  # weights of the gaps, one multiple-shooting stage each
 SAVE_EVERY = 10.0  # s between checkpoints
@@ -176,13 +176,7 @@ def train(
     progress: called with (epoch, loss). Ctrl-C keeps the best weights so far. Raises InputError as `Problem`.
     """
     began = monotonic()
-    if not records:
-        raise InputError(f"network {network.name}: no records to train on")
-    if not 0 <= tail < 1:
-        raise InputError(f"tail {tail}: a share from 0 up to 1, without 1")
-    heads = [int((1 - tail) * len(r)) for r in records]
-    judged = [replace(r, skip=max(h, r.skip)) for r, h in zip(records, heads, strict=True) if tail] + list(held)
-    used = [r.cut(0, h) for r, h in zip(records, heads, strict=True)] if tail else list(records)
+    used, judged = held_out(network, records, tail, held)
     options = {"teacher": teacher, "free": free, "tied": tied}
     judge = Problem(network, judged, teacher, estimate_initial=estimate_initial) if judged else None
 
