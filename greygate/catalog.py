@@ -118,6 +118,13 @@ CATALOG = {
             ("train", "test"),
             published={"test": {"p_oil": (0.33, 0.50)}},
         ),
+        _measured(
+            studies.EMPS,
+            "Linear axis (EMPS), measured: position from motor force",
+            ("train",),
+            ("train", "test"),
+            published={"test": {"position": 2.64e-3}},
+        ),
         _benchmark("b2", "Benchmark system 2 of the thesis: Narendra and Parthasarathy's fourth plant"),
     )
 }

@@ -1,12 +1,17 @@
 """The studies on measured recordings: which runs train and test, which structures compete (`greygate/measured.py`)."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
+
 from greygate.errors import InputError
-from greygate.measured import Candidate, Study, tails
-from greygate.models.network import Port
+from greygate.measured import Candidate, Fold, Runs, Study, tails
+from greygate.models.axis import axis, moving, starting
+from greygate.models.network import Network, Port
 from greygate.models.problem import Record
 from greygate.models.regression import noe
 from greygate.models.training import Fit, train
@@ -101,4 +106,54 @@ CRANE = Study(
 )
 """Oil pressure from valve opening (Sjoberg 1995)."""
 
-STUDIES = {study.name: study for study in (MTS, CRANE)}
+# ---- linear axis
+
+BLOCKS, WINDOW, DROOPS = 5, 20, (12, 25, 50)
+
+
+def _emps(folder: Path) -> tuple[dict[str, Record], dict[str, Record]]:
+    """The same reference motion twice, the second time with pulses of force; each starts as its first samples say."""
+
+    def run(name: str) -> Record:
+        recording = read_csv(folder / f"{name}.csv", {"force": "N", "q_meas": "m"})
+        record = Record({"force": recording["force"]}, {"position": recording["q_meas"]})
+        return moving(record, 0, len(record), WINDOW)
+
+    return {"train": run("emps_train")}, {"test": run("emps_test_pulses")}
+
+
+def _emps_folds(runs: Runs) -> list[Fold]:
+    """Five blocks of 5 s; each piece and block starts as its first samples and the force before it say."""
+    (run,) = runs.values()
+    ends = [len(run) * i // BLOCKS for i in range(BLOCKS + 1)]
+    found = []
+    for start, stop in pairwise(ends):
+        kept = [(a, b) for a, b in ((0, start), (stop, len(run))) if b > a]
+        pieces, blocks = ([moving(run, a, b, WINDOW, DROOPS) for a, b in of] for of in (kept, [(start, stop)]))
+        found.append(Fold(pieces, blocks))
+    return found
+
+
+def _emps_fit(network: Network, records: Sequence[Record], free=None) -> Fit:
+    fit = train(network, list(records), epochs=60, free=free)
+    return replace(fit, network=starting(fit.network, records[0]))
+
+
+EMPS = Study(
+    "emps",
+    "emps",
+    "nonlinearbenchmark.org (EMPS; A. Janot, M. Gautier, M. Brunot, 2019)",
+    _emps,
+    Candidate(
+        lambda seed: axis(coulomb=0.0, droop=None),
+        partial(_emps_fit, free={f"balance.{part}": np.zeros(1, bool) for part in ("sign", "forward")}),
+    ),
+    {"no droop": Candidate(lambda seed: axis(droop=None), _emps_fit)}
+    | {f"droop {s} s": Candidate(lambda seed, s=s: axis(droop=s), _emps_fit) for s in DROOPS},
+    seeds=(0,),
+    folds=_emps_folds,
+    period=1e-3,
+)
+"""Position of a ball-screw axis from the force of its motor, free run over 25 s. Nothing is drawn: one seed."""
+
+STUDIES = {study.name: study for study in (MTS, CRANE, EMPS)}
