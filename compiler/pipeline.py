@@ -103,7 +103,7 @@ def _compile(
     rounds: list[Round] = []
     if prune:
         network, rounds = prune(network)
-        passes.append(_summary("prune_by_entropy", network, _change(reference, _outputs(network, records))))
+        passes.append(_summary("prune", network, _change(reference, _outputs(network, records))))
     found = ranges(network, training)
     if budget is None:
         program = quantize_centred(network, found, training, formats or Formats(), period)

@@ -308,8 +308,9 @@ def prune_by_saliency(
     allowed: RMS error of each output, normalised, over the held-out records, or over `records` if none are held out.
     A round removes `share` of the parameters; one that misses `allowed` is undone and the next takes half as many; when
     a single weight (or neuron) cannot be spared the pruning ends. epochs, decay: of each training; the network should
-    come from a training with the same decay. Held-out records also choose the epoch. Of several ridges each round takes that whose removal leaves the least
-    error before training. goal: end at so many parameters. Frozen weights stay. Ctrl-C ends it.
+    come from a training with the same decay. Held-out records also choose the epoch. Of several ridges each round takes
+    that whose removal leaves the least error before training. goal: end at so many parameters. Frozen weights stay.
+    Ctrl-C ends it.
     Raises InputError if the network diverges on a record.
     """
     with blas().limit(limits=1, user_api="blas"):

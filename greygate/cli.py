@@ -70,25 +70,81 @@ def _progress(title: str) -> Iterator:
         yield lambda *parts: status.update(f"{title}: {' '.join(str(p) for p in parts)}")
 
 
+@contextmanager
+def _bar(title: str, total: int) -> Iterator:
+    """A bar on stderr; gives a function that takes how far the work is and a word on it."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (
+        TextColumn(title),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[word]}"),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title, total=total, word="")
+        yield lambda done, word: bar.update(task, completed=done, word=word)
+
+
 @app.command()
 def train(
-    name: Annotated[str, typer.Argument(help="A network of the catalogue, or `list`.")],
+    name: Annotated[str, typer.Argument(help="A network of the catalogue, `list`, or NAME.toml with --record.")],
+    record: Annotated[list[str], typer.Option(help="FILE.csv to learn from; several may be given.")] = [],  # noqa: B006
+    held: Annotated[list[str], typer.Option(help="FILE.csv that only chooses the epoch.")] = [],  # noqa: B006
+    tail: Annotated[float, typer.Option(help="Share at the end of each record that only chooses the epoch.")] = 0.0,
+    narx: Annotated[bool, typer.Option(help="Learn one step ahead first, then free run from there.")] = True,
+    epochs: Annotated[int, typer.Option(help="Of the free run, at most.")] = 200,
+    decay: Annotated[float, typer.Option(help="Weight decay D of the loss.")] = 0.0,
     out: Annotated[Path | None, typer.Option(help="Folder for NAME.toml, .safetensors, .json.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Train a network of the catalogue from nothing and keep it with its figures."""
+    """Train a network by Levenberg-Marquardt: one of the catalogue from nothing, or your own on your recordings.
+
+    Your own is resumed from OUT/NAME.checkpoint if it was interrupted. Exit code 1 if its free run diverges.
+    """
     from greygate.catalog import CATALOG, TRAINED, entry
 
     if name == "list":
-        _give({n: e.title for n, e in CATALOG.items()}, as_json, [f"{n:16} {e.title}" for n, e in CATALOG.items()])
+        _give({n: e.title for n, e in CATALOG.items()}, as_json, [f"{n:20} {e.title}" for n, e in CATALOG.items()])
+        return
+    if name not in CATALOG and (record or name.endswith(".toml")):
+        _train_own(name, record, held, {"tail": tail, "epochs": epochs, "decay": decay}, narx, out, as_json)
         return
     chosen, out = entry(name), out or TRAINED
+    if record or held:
+        raise InputError(f"{name} is trained on records of its own; --record goes with a NAME.toml file")
     if not out.is_dir():
         raise InputError(f"{out}: no such folder; make it, or leave --out away to write into the package")
     with _progress(f"training {name}") as follow:
         network, figures = chosen.train(follow)
     chosen.save(network, figures, out)
     _give(figures, as_json, [json.dumps(figures, indent=1), f"written to {out / name}.toml"])
+
+
+def _train_own(name, record, held, options, narx, out, as_json) -> None:
+    from greygate.project import Source, train_source
+
+    if not out or not out.is_dir():
+        raise InputError(f"--out {out or ''}: give a folder that exists; the trained network is written there")
+    source = Source(name, _recordings([_named(text) for text in record]))
+    others = _recordings([_named(text) for text in held])
+    with _bar(f"training {Path(name).stem}", options["epochs"]) as follow:
+        trained = train_source(source, out, others, narx=narx, progress=follow, **options)
+    for remark in trained["remarks"]:
+        _say(remark)
+    lines = [f"{r:12} {o:10} RMSE {e:.4g}" for r, errors in trained["rmse"].items() for o, e in errors.items()]
+    _give(
+        trained, as_json, [f"{trained['epochs']} epochs. {trained['outcome']}", *lines, f"written to {trained['out']}"]
+    )
+    if trained["diverged"]:
+        raise typer.Exit(1)
+
+
+def _named(text: str) -> str:
+    """SCENARIO=FILE.csv; a file alone is called by its name."""
+    return text if "=" in text else f"{Path(text).stem}={text}"
 
 
 def _recordings(given: list[str]) -> dict[str, str]:
@@ -111,6 +167,9 @@ def compile(
     width: Annotated[int, typer.Option(help="Word width of signals and weights, 4 to 32 bits.")] = 16,
     budget: Annotated[float | None, typer.Option(help="Instead of a width: RMSE may be so many times float's.")] = None,
     prune: Annotated[float | None, typer.Option(help="Entropy pruning; RMSE may grow by this factor.")] = None,
+    weights: Annotated[
+        str | None, typer.Option(help="Then prune single weights: obs, obd, magnitude, multi_obs, unit_obs, ...")
+    ] = None,
     generic: Annotated[bool, typer.Option(help="Merge linear layers even where that costs multipliers.")] = False,
     architecture: Annotated[Architecture, typer.Option()] = Architecture.BOTH,
     macs: Annotated[int, typer.Option(help="Multipliers of the folded architecture.")] = 4,
@@ -133,18 +192,21 @@ def compile(
             Formats(width),
             budget=budget,
             prune=prune,
+            weights=weights,
             generic=generic,
             architectures=chosen,
             macs=macs,
             progress=follow,
         )
     passes = [
-        {"pass": p.name, "layers": p.layers, "parameters": p.parameters, "multiplications": p.multiplications}
+        {"pass": p.name, "layers": p.layers, "parameters": p.parameters, "multiplications": p.multiplications,
+         "remarks": p.remarks}
         for p in compiled.passes
-    ]
+    ]  # fmt: skip
     signals = {s.name: str(s.fix) for s in compiled.program.signals.values()}
     lines = [f"{p['pass']:18} {p['layers']:4} layers {p['parameters']:6} parameters {p['multiplications']:6} products"
              for p in passes]  # fmt: skip
+    lines += [remark for p in passes for remark in p["remarks"]]
     for r in compiled.pruning:
         gone = ", ".join(f"{layer} {len(which)}" for layer, which in r.removed.items())
         lines.append(f"pruned {gone}: {r.neurons} neurons left, {'kept' if r.kept else 'undone'}")
@@ -264,9 +326,8 @@ def validate(
     from greygate.project import Source
     from greygate.validation_page import judge, table, write
 
-    named = [text if "=" in text else f"{Path(text).stem}={text}" for text in record]
     with _progress(f"validating {network}") as follow:
-        judged = judge(Source(network, _recordings(named)), lags, follow)
+        judged = judge(Source(network, _recordings([_named(text) for text in record])), lags, follow)
         write(judged, out)
     _give(judged.figures(), as_json, [*table(judged), f"written to {out}"])
     if not judged.bounded:

@@ -24,12 +24,15 @@ from greygate.compiler.pipeline import Compiled, Pass, compile_network, entropy_
 from greygate.compiler.prune import retrained
 from greygate.compiler.quantize import Formats
 from greygate.compiler.ranges import ranges
+from greygate.compiler.saliency import METHODS, Step, saliency_pruning
 from greygate.emulator.engine import run
 from greygate.emulator.program import Program
 from greygate.errors import InputError, replacing, replacing_folder
 from greygate.models.network import Network, Port
 from greygate.models.problem import Record
+from greygate.models.training import Outcome, narx_noe, train
 from greygate.plants.recording import read_csv
+from greygate.procedure import rms
 from greygate.synthesis import synthesize
 from greygate.verify import Case, Scenario, Verification, verify_many
 
@@ -104,6 +107,43 @@ class Source:
         return entry(self.name).references if self.name in CATALOG else {}
 
 
+def train_source(
+    source: Source,
+    folder: Path,
+    held: Mapping[str, str],
+    *,
+    narx: bool = True,
+    progress: Callable[[int, str], None] | None = None,
+    **options,
+) -> dict:
+    """Train the network on its recordings and write it, with the figures returned, into the folder.
+
+    held: scenario -> CSV that only chooses the epoch. narx: learn one step ahead first. options: of `train`.
+    Raises InputError as `train`, before anything is written.
+    """
+    network, records = source.network(), source.records()
+    others = {scenario: read_record(network, path) for scenario, path in held.items()}
+    if both := set(records) & set(others):
+        raise InputError(f"{min(both)} is given to learn from and to judge on; name one otherwise")
+    follow = progress and (lambda epoch, loss: progress(epoch, f"loss {loss:.3g}"))
+    learn = narx_noe if narx else train
+    options |= {"held": list(others.values()), "checkpoint": folder / f"{network.name}.checkpoint", "progress": follow}
+    fit = learn(network, list(records.values()), **options)
+    figures = {
+        "outcome": fit.outcome.value,
+        "diverged": fit.outcome is Outcome.DIVERGED,
+        "epochs": len(fit.history) - 1,
+        "loss": fit.history[-1],
+        "seconds": round(fit.seconds, 2),
+        "rmse": {name: rms(fit.network, record) for name, record in (records | others).items()},
+        "remarks": list(fit.remarks),
+        "out": str(folder / f"{network.name}.toml"),
+    }
+    fit.network.save(folder / network.name)
+    _write_json(folder / f"{network.name}.json", figures)
+    return figures
+
+
 def compile_project(
     source: Source,
     folder: Path | str,
@@ -111,6 +151,7 @@ def compile_project(
     *,
     budget: float | None = None,
     prune: float | None = None,
+    weights: str | None = None,
     generic: bool = False,
     architectures: Sequence[str] = ARCHITECTURES,
     macs: int = 4,
@@ -119,8 +160,11 @@ def compile_project(
     """Compile and write the folder. Nothing is written before everything is known to be right.
 
     prune: factor by which entropy pruning may raise the RMS error on the training records, e.g. 1.02.
+    weights: method of `compiler.saliency` that then takes out single weights, within that factor once more.
     """
     say = progress or (lambda text: None)
+    if weights is not None and weights not in METHODS:
+        raise InputError(f"no pruning method {weights!r}; there are {', '.join(METHODS)}")
     network, records = source.network(), source.records()
     training = [records[n] for n in source.training]
     pruning = None
@@ -128,6 +172,10 @@ def compile_project(
         pruning = partial(entry(source.name).prune, allowed=prune, progress=say)
     elif prune is not None:
         pruning = entropy_pruning(training, partial(_retrain, training, say), prune)
+    if weights is not None:
+        pruning = _both(
+            pruning, saliency_pruning(training, METHODS[weights], prune or 1.0, progress=partial(_tell, say))
+        )
     say("compiling")
     compiled = compile_network(
         network,
@@ -160,6 +208,21 @@ def compile_project(
 def _retrain(records: list[Record], say: Callable[[str], None], network: Network) -> Network:
     say(f"retraining with {sum(layer.size for layer in network.modules.values())} neurons")
     return retrained(network, records, RETRAIN_EPOCHS)
+
+
+def _tell(say: Callable[[str], None], step: Step) -> None:
+    say(f"pruning weights: {step.parameters} parameters")
+
+
+def _both(first: Callable | None, second: Callable) -> Callable:
+    """Two pruning passes as one."""
+
+    def prune(network: Network) -> tuple[Network, list]:
+        network, rounds = first(network) if first else (network, [])
+        network, more = second(network)
+        return network, [*rounds, *more]
+
+    return prune
 
 
 @dataclass(frozen=True)

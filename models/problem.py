@@ -13,6 +13,7 @@ from greygate.models.network import Network
 CHUNK = 2048  # steps of Jacobian held at once
 CORES = ThreadPoolExecutor(2, "greygate")  # kernels and BLAS both let go of the interpreter
 WORTH = 2e6  # multiplications below which a second core does not pay
+NARROW = 0.9  # share of free columns from which it is faster to leave out the others after J'J than before
 IN_RANGE = 10.0  # of a normalised signal
 COLLINEAR = 1e-9  # smallest singular value of the scaled regressors, relative to the largest
 
@@ -368,7 +369,8 @@ class Problem:
         columns = np.concatenate([self.variable[:n], self.variable[w.state]])
         used = np.flatnonzero(columns >= 0)
         targets, where = np.unique(columns[used], return_inverse=True)
-        size = len(targets)
+        whole = not self._tied and len(used) > NARROW * len(columns)  # then what is frozen is left out at the end
+        size = len(columns) if whole else len(targets)
         error = w.now[t.depth :, t.rows[t.shown]] - w.target
         length = len(w.target)
         rows = min(CHUNK, length)
@@ -379,14 +381,15 @@ class Problem:
         def narrow(j: np.ndarray) -> np.ndarray:
             """Columns of theta to variables: frozen ones left out, tied ones added up."""
             if not self._tied:
-                return j if len(used) == n + own else np.take(j, used, axis=1)
+                return np.take(j, used, axis=1)
             found = np.zeros((len(j), size))
             np.add.at(found, (slice(None), where), np.take(j, used, axis=1))
             return found
 
         def add(block: np.ndarray, start: int, stop: int) -> None:
             use = slice(max(w.skip - start, 0), stop - start)
-            j = narrow(block[use].reshape(-1, n + own))
+            j = block[use].reshape(-1, n + own)
+            j = j if whole else narrow(j)
             np.add(hessian, j.T @ j, out=hessian)
             np.add(gradient, j.T @ error[start:stop][use].ravel(), out=gradient)
 
@@ -402,6 +405,8 @@ class Problem:
             under_way = CORES.submit(add, block, start, stop)  # while the next block is filled
         if under_way:
             under_way.result()
+        if whole and len(used) < len(columns):
+            hessian, gradient = hessian[np.ix_(used, used)], gradient[used]
         end = None
         if wants_end:
             end = narrow(carried[(length - self._state[:, 1]) % (t.depth + 1), t.row_of[self._state[:, 0]]])

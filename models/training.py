@@ -338,8 +338,12 @@ def narx_noe(network: Network, records: Sequence[Record], narx_epochs: int = 200
     """Series-parallel training first, then free run from its weights (thesis 3.2; Norgaard 2000). options: of `train`.
 
     Where the NARX weights diverge in free run, multiple shooting leads there, in windows of a twentieth of the shortest
-    record.
+    record. A network that feeds no output back has nothing to learn first.
     """
+    feeds = network.flatten().feeds()
+    shown = {feeds[p.name][0] for p in network.outputs}
+    if not any(source in shown and delay for source, delay in feeds.values()):
+        return train(network, records, **options)
     shared = {n: v for n, v in options.items() if n in ("decay", "free", "tied", "bounds", "seconds", "progress")}
     narx = train(network, records, teacher=True, epochs=narx_epochs, **shared)
     if narx.outcome is Outcome.INTERRUPTED:

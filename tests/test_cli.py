@@ -15,6 +15,7 @@ from greygate import __version__, cli
 from greygate.catalog import CATALOG
 from greygate.cli import app
 from greygate.errors import InputError, replacing_folder
+from greygate.models.network import Network
 
 GREYGATE = str(Path(sys.executable).with_name("greygate"))
 
@@ -54,6 +55,32 @@ def test_the_version_and_the_catalogue_are_printed():
     code, out, _ = greygate("train", "list", "--json")
     assert code == 0
     assert set(json.loads(out)) == set(CATALOG)
+
+
+def test_a_users_network_is_trained_on_a_users_recordings(tmp_path, network):
+    """From weights that are off; the recording can be fitted exactly."""
+    start = Network.load(network)
+    off = {name: 0.8 * value + 0.01 for name, value in start.parameters().items()}
+    start.with_parameters(off).save(tmp_path / "off")
+    out, record = tmp_path / "out", recording(tmp_path / "a.csv", steps=300)
+    out.mkdir()
+    code, text, error = greygate("train", tmp_path / "off.toml", "--record", record, "--out", out, "--json")
+    assert code == 0, error
+    figures = json.loads(text)
+    assert figures["rmse"]["a"]["y"] < 1e-4
+    assert json.loads((out / "line.json").read_text()) == figures
+    u = np.linspace(-1, 1, 50)
+    assert Network.load(out / "line").run({"u": u})["y"] == pytest.approx(delay_line().run({"u": u})["y"], abs=1e-3)
+
+
+def test_weights_are_pruned_by_saliency_on_request(tmp_path, network):
+    record = f"train={recording(tmp_path / 'a.csv', steps=300)}"
+    code, out, error = greygate("compile", network, "--record", record, "--weights", "obs", "--out", tmp_path / "b")
+    assert code == 0, error
+    assert "prune" in out
+    code, _, error = greygate("compile", network, "--record", record, "--weights", "guess", "--out", tmp_path / "c")
+    assert code == 2
+    assert "there are magnitude, obd" in error
 
 
 def test_a_users_network_goes_the_whole_road(tmp_path, built):
@@ -206,6 +233,6 @@ def test_a_failure_while_writing_leaves_the_earlier_folder_as_it_was(tmp_path):
 
 def test_help_names_every_command():
     text = CliRunner().invoke(app, ["--help"]).stdout
-    for command in ("train", "compile", "emulate", "verify", "synthesize", "report"):
+    for command in ("train", "compile", "emulate", "verify", "synthesize", "report", "validate"):
         assert command in text
     assert cli.__doc__
