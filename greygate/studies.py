@@ -116,7 +116,7 @@ def _emps(folder: Path) -> tuple[dict[str, Record], dict[str, Record]]:
 
     def run(name: str) -> Record:
         recording = read_csv(folder / f"{name}.csv", {"force": "N", "q_meas": "m"})
-        record = Record({"force": recording["force"]}, {"position": recording["q_meas"]})
+        record = Record({"f_motor": recording["force"]}, {"position": recording["q_meas"]})
         return moving(record, 0, len(record), WINDOW)
 
     return {"train": run("emps_train")}, {"test": run("emps_test_pulses")}

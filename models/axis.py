@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 from greygate.models.network import Layer, Network, Port
 from greygate.models.problem import Record
 
-FORCE = Port("force", "N", 128.0)
+FORCE = Port("f_motor", "N", 128.0)
 POSITION = Port("position", "m", 0.256)
 SPEED = 0.25  # m/s, normal speed: position / (1024 dt), so that a step of the position is speed * 2^-10
 STANDSTILL = 1e-3  # m/s, speed at which Coulomb friction is at tanh(1) of its value
@@ -54,7 +54,7 @@ def axis(
         pole, slow = np.exp(-period / droop), _slow(droop)
         network.add(slow, Layer({"w": [[pole]], "force": [[1 - pole]]}, [0.0], frozen={"w", "force", "bias"}))
         network.connect(slow, f"{slow}.w", delay=1)
-        network.connect("force", f"{slow}.force", delay=1)
+        network.connect(FORCE.name, f"{slow}.force", delay=1)
         parts[slow] = [[0.0]]
     if hidden:
         rng = np.random.default_rng(seed)
@@ -64,7 +64,7 @@ def axis(
         network.connect("place", "residual.q", delay=1)
         parts["residual"] = np.zeros((1, hidden))
     network.add("balance", Layer(parts, [-offset / FORCE.scale], frozen={"force"}))
-    network.connect("force", "balance.force", delay=1)
+    network.connect(FORCE.name, "balance.force", delay=1)
     network.connect("speed", "balance.v", delay=1)
     for part in set(parts) - {"force", "v"}:
         network.connect(part, f"balance.{part}")

