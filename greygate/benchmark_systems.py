@@ -11,7 +11,7 @@ from time import process_time
 import numpy as np
 
 from greygate.compiler.prune import Round, entropies, remove_neurons
-from greygate.compiler.saliency import nonzero, obs, prune_by_saliency
+from greygate.compiler.saliency import Method, nonzero, obs, prune_by_saliency
 from greygate.compiler.simplify import parameter_count
 from greygate.models.blocks import nguyen_widrow
 from greygate.models.network import Network, Port
@@ -129,9 +129,14 @@ def figures(system: System, network: Network, seed: int) -> dict:
 
 
 def prune(
-    system: System, seed: int, network: Network, allowed: float, progress: Callable[[str], None] | None = None
+    system: System,
+    seed: int,
+    network: Network,
+    allowed: float,
+    weights: Method = obs,
+    progress: Callable[[str], None] | None = None,
 ) -> tuple[Network, list[Round]]:
-    """Down to `goal` parameters: B1 loses neurons of least entropy, B2 single weights by optimal brain surgery.
+    """Down to `goal` parameters: B1 loses neurons of least entropy, B2 single weights by a method of saliency.
 
     allowed: factor to which the RMS error over the held-out records may rise from what it is, or from `spare` if that
     is more.
@@ -140,16 +145,16 @@ def prune(
     bound = allowed * max(rms(network, held), system.spare)
     if system.plant is b1:
         return _by_entropy(network, training, held, bound, system.goal)
-    return _by_surgery(network, training, held, bound, system, progress)
+    return _by_saliency(network, training, held, bound, system, weights, progress)
 
 
-def _by_surgery(
-    network: Network, training, held, bound: float, system: System, progress
+def _by_saliency(
+    network: Network, training, held, bound: float, system: System, method: Method, progress
 ) -> tuple[Network, list[Round]]:
-    """Optimal brain surgery with smaller and smaller rounds, until one way down is good on the held-out records."""
+    """With smaller and smaller rounds, until one way down is good on the held-out records."""
     ways = []
     for share in SHARES:
-        found = prune_by_saliency(network, training, obs, bound, held=held, epochs=60, goal=system.goal, share=share)
+        found = prune_by_saliency(network, training, method, bound, held=held, epochs=60, goal=system.goal, share=share)
         free = nonzero(found.network)
         fit = train(found.network, training, epochs=300, tolerance=1e-4, held=held, patience=60, free=free)
         missed = max(parameter_count(found.network) - system.goal, 0)

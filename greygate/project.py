@@ -21,7 +21,7 @@ import numpy as np
 from greygate.catalog import CATALOG, entry
 from greygate.compiler.emit import emit
 from greygate.compiler.pipeline import Compiled, Pass, compile_network, entropy_pruning
-from greygate.compiler.prune import retrained
+from greygate.compiler.prune import Round, retrained
 from greygate.compiler.quantize import Formats
 from greygate.compiler.ranges import ranges
 from greygate.compiler.saliency import METHODS, Step, saliency_pruning
@@ -167,15 +167,16 @@ def compile_project(
         raise InputError(f"no pruning method {weights!r}; there are {', '.join(METHODS)}")
     network, records = source.network(), source.records()
     training = [records[n] for n in source.training]
-    pruning = None
+    passes = []
+    own = {"weights": METHODS[weights]} if weights else {}
     if prune is not None and source.name in CATALOG and entry(source.name).prune:
-        pruning = partial(entry(source.name).prune, allowed=prune, progress=say)
-    elif prune is not None:
-        pruning = entropy_pruning(training, partial(_retrain, training, say), prune)
-    if weights is not None:
-        pruning = _both(
-            pruning, saliency_pruning(training, METHODS[weights], prune or 1.0, progress=partial(_tell, say))
-        )
+        passes.append(partial(entry(source.name).prune, allowed=prune, progress=say, **own))
+    else:
+        if prune is not None:
+            passes.append(entropy_pruning(training, partial(_retrain, training, say), prune))
+        if weights is not None:
+            told = partial(_tell, say)
+            passes.append(saliency_pruning(training, METHODS[weights], prune or 1.0, progress=told))
     say("compiling")
     compiled = compile_network(
         network,
@@ -183,7 +184,7 @@ def compile_project(
         formats,
         ranged_on=source.training,
         budget=budget,
-        prune=pruning,
+        prune=partial(_in_turn, passes) if passes else None,
         generic=generic,
         period=source.period,
     )
@@ -214,15 +215,12 @@ def _tell(say: Callable[[str], None], step: Step) -> None:
     say(f"pruning weights: {step.parameters} parameters")
 
 
-def _both(first: Callable | None, second: Callable) -> Callable:
-    """Two pruning passes as one."""
-
-    def prune(network: Network) -> tuple[Network, list]:
-        network, rounds = first(network) if first else (network, [])
-        network, more = second(network)
-        return network, [*rounds, *more]
-
-    return prune
+def _in_turn(passes: Sequence[Callable], network: Network) -> tuple[Network, list[Round]]:
+    rounds: list[Round] = []
+    for prune in passes:
+        network, more = prune(network)
+        rounds += more
+    return network, rounds
 
 
 @dataclass(frozen=True)

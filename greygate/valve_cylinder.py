@@ -8,6 +8,7 @@ import numpy as np
 
 from greygate.compiler.pipeline import float_error
 from greygate.compiler.prune import Round, output_errors, prune_by_entropy, retrained
+from greygate.compiler.saliency import Method, prune_by_saliency
 from greygate.models.blocks import divider_record, fit_divider, fit_flow, flow_record
 from greygate.models.cylinder import mean_spool, valve_srnn
 from greygate.models.network import Network
@@ -96,17 +97,30 @@ def exercise(network: Network) -> Record:
 
 
 def prune(
-    network: Network, allowed: float, progress: Callable[[str], None] | None = None
+    network: Network, allowed: float, weights: Method | None = None, progress: Callable[[str], None] | None = None
 ) -> tuple[Network, list[Round]]:
-    """Entropy pruning of the generic network; what it does under load is kept by `exercise`.
+    """Entropy pruning of the generic network, then its weights by a method of `compiler.saliency`, if one is given.
 
-    allowed: factor by which each chamber's RMS error over training scenario and exercise may rise.
+    allowed: factor by which each chamber's RMS error over training scenario and `exercise` may rise; the exercise keeps
+    what the network does under load.
     """
     kept = [records()["training"], exercise(network)]
+    say = progress or (lambda line: None)
 
     def retrain(smaller: Network) -> Network:
-        if progress:
-            progress(f"retraining with {sum(layer.size for layer in smaller.modules.values())} neurons")
+        say(f"retraining with {sum(layer.size for layer in smaller.modules.values())} neurons")
         return retrained(smaller, kept, PRUNING_EPOCHS)
 
-    return prune_by_entropy(network, kept, retrain, allowed * output_errors(network, kept))
+    bound = allowed * output_errors(network, kept)
+    network, rounds = prune_by_entropy(network, kept, retrain, bound)
+    if weights:
+        pruned = prune_by_saliency(
+            network,
+            kept,
+            weights,
+            bound,
+            epochs=PRUNING_EPOCHS,
+            progress=lambda step: say(f"{step.parameters} parameters left"),
+        )
+        network, rounds = pruned.network, [*rounds, *pruned.rounds]
+    return network, rounds
