@@ -162,10 +162,30 @@ def forward(layers, links, n_inputs, depth, theta, now, past, forced):  # pragma
     n_layers = len(layers) - 1
     for k in range(depth, len(now)):
         for layer in range(n_layers):
-            first, size, activation, bias, link0 = layers[layer]
+            first, size, activation, bias, lo = layers[layer]
             hi = layers[layer + 1, 4]
             for o in range(size):
-                n = preactivation(links, link0, hi, theta, bias, o, k, now, past)
+                now[k, first + o] = theta[bias + o]
+            for c in range(lo, hi):
+                source, width, delay, w = links[c]
+                if width == 1:  # one tap to all neurons: contiguous in theta
+                    x = now[k, source] if delay == 0 else past[k - delay, source]
+                    for o in range(size):
+                        now[k, first + o] += theta[w + o] * x
+                elif delay == 0:
+                    for o in range(size):
+                        n = now[k, first + o]
+                        for i in range(width):
+                            n += theta[w + o * width + i] * now[k, source + i]
+                        now[k, first + o] = n
+                else:
+                    for o in range(size):
+                        n = now[k, first + o]
+                        for i in range(width):
+                            n += theta[w + o * width + i] * past[k - delay, source + i]
+                        now[k, first + o] = n
+            for o in range(size):
+                n = now[k, first + o]
                 if activation == TANSIG:
                     n = _tanh(n)
                 elif activation == LOGSIG:
@@ -183,7 +203,7 @@ def forward(layers, links, n_inputs, depth, theta, now, past, forced):  # pragma
                 elif activation == NEGEXP:
                     n = np.exp(-abs(n))
                 elif activation == SELECT:
-                    n = preactivation(links, link0, hi, theta, bias, o + (size if n >= 0 else 2 * size), k, now, past)
+                    n = preactivation(links, lo, hi, theta, bias, o + (size if n >= 0 else 2 * size), k, now, past)
                 if not np.isfinite(n):
                     return k - depth
                 now[k, first + o] = n
@@ -223,6 +243,7 @@ def sensitivities(
     slopes = np.empty(now.shape[1])
     active = np.zeros(now.shape[1], np.int64)  # the row that acts on an element
     adjoint = np.empty(now.shape[1])
+    delta = np.empty(now.shape[1])
     coupling = np.zeros((depth, len(rows)))
     n_layers = len(layers) - 1
     for k in range(start, stop):
@@ -245,29 +266,45 @@ def sensitivities(
             for layer in range(top, -1, -1):
                 if not reaches[r, layer]:
                     continue
-                first, size, _, bias, link0 = layers[layer]
+                first, size, activation, bias, link0 = layers[layer]
+                acts = False
                 for o in range(size):
-                    d = adjoint[first + o] * slopes[first + o]
-                    if d == 0.0:
+                    delta[o] = adjoint[first + o] * slopes[first + o]
+                    acts |= delta[o] != 0.0
+                if not acts:
+                    continue
+                for o in range(size):
+                    out[bias + active[first + o]] += delta[o]
+                for c in range(link0, layers[layer + 1, 4]):
+                    source, width, delay, w = links[c]
+                    total = 0.0
+                    if width == 1 and activation != SELECT:  # one tap to all neurons: contiguous in theta
+                        x = now[depth + k, source] if delay == 0 else past[depth + k - delay, source]
+                        for o in range(size):
+                            out[w + o] += delta[o] * x
+                            total += delta[o] * theta[w + o]
+                        if delay == 0:
+                            adjoint[source] += total
+                        elif row_of[source] >= 0:
+                            coupling[delay - 1, row_of[source]] += total
                         continue
-                    row = active[first + o]
-                    out[bias + row] += d
-                    for c in range(link0, layers[layer + 1, 4]):
-                        source, width, delay, w = links[c]
-                        w += row * width
+                    for o in range(size):
+                        d = delta[o]
+                        if d == 0.0:
+                            continue
+                        v = w + active[first + o] * width
                         if delay == 0:
                             for i in range(width):
-                                out[w + i] += d * now[depth + k, source + i]
-                            if source >= n_inputs:
-                                for i in range(width):
-                                    adjoint[source + i] += d * theta[w + i]
+                                out[v + i] += d * now[depth + k, source + i]
+                            for i in range(width):
+                                adjoint[source + i] += d * theta[v + i]
                         else:
                             for i in range(width):
-                                out[w + i] += d * past[depth + k - delay, source + i]
+                                out[v + i] += d * past[depth + k - delay, source + i]
                             for i in range(width):
                                 q = row_of[source + i]
                                 if q >= 0:
-                                    coupling[delay - 1, q] += d * theta[w + i]
+                                    coupling[delay - 1, q] += d * theta[v + i]
             for delay in range(1, depth + 1):
                 for q in range(len(rows)):
                     c = coupling[delay - 1, q]
