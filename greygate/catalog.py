@@ -125,6 +125,20 @@ CATALOG = {
             ("train", "test"),
             published={"test": {"position": 2.64e-3}},
         ),
+        _measured(
+            studies.TANKS,
+            "Cascaded tanks with overflow, measured: level from pump voltage",
+            ("train",),
+            ("train", "test"),
+            published={"test": {"y": (0.18, 0.45)}},
+        ),
+        _measured(
+            studies.CED,
+            "Coupled electric drives, measured: pulley speed from motor voltage",
+            ("low", "high"),
+            ("low_test", "high_test"),
+            published={"low_test": {"z": 0.0969}, "high_test": {"z": 0.0731}},
+        ),
         _benchmark("b2", "Benchmark system 2 of the thesis: Narendra and Parthasarathy's fourth plant"),
     )
 }

@@ -201,6 +201,23 @@ def blocked(count: int, warm: int) -> Callable[[Runs], list[Fold]]:
     return folds
 
 
+def masked(count: int) -> Callable[[Runs], list[Fold]]:
+    """As `blocked`, but runs go through from their first sample, state and all: what is held out does not count."""
+
+    def folds(runs: Runs) -> list[Fold]:
+        found = []
+        for i in range(count):
+            pieces, blocks = [], []
+            for run in runs.values():
+                start, stop = (len(run) * k // count for k in (i, i + 1))
+                pieces += [run.cut(0, start)] * (start > 0) + [replace(run, skip=stop)] * (stop < len(run))
+                blocks.append(run.cut(0, stop, skip=start))
+            found.append(Fold(pieces, blocks))
+        return found
+
+    return folds
+
+
 # ---- choice and result
 
 

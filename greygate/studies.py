@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.measured import Candidate, Fold, Runs, Study, tails
+from greygate.measured import Candidate, Fold, Runs, Study, blocked, masked, resting, settled, tails
 from greygate.models.axis import axis, moving, starting
+from greygate.models.crane import crane
+from greygate.models.drives import PULSES, VOLTAGE, drives
 from greygate.models.network import Network, Port
 from greygate.models.problem import Record
 from greygate.models.regression import noe
+from greygate.models.tanks import LEVEL, PUMP, tanks
 from greygate.models.training import Fit, train
 from greygate.plants.recording import Recording, read_csv
 
@@ -82,14 +85,33 @@ Of ten seeds one is good on the tail of the chirp; the others extrapolate its hi
 
 
 def _crane(folder: Path) -> tuple[dict[str, Record], dict[str, Record]]:
-    """Samples 1-512 and 513-1024. The file states neither units nor period; x_arm is not used."""
+    """Samples 1-512 train; the test is the free run from sample 1, of which 513-1024 count.
+
+    The file states neither units nor period; x_arm is not used.
+    """
     path = folder / "actuator.csv"
     unstated = dict.fromkeys(("u_valve", "p_oil", "x_arm"), "1")
     recording = read_csv(path, {"u_valve": "1", "p_oil": "1"}, units=unstated, dt=1.0)
     if recording.samples != 1024:
         raise InputError(f"{path}: {recording.samples} samples; the split needs the published 1024")
     whole = _record(recording, ["u_valve"], "p_oil")
-    return {"train": whole.cut(0, 512)}, {"test": whole.cut(512, 1024)}
+    return {"train": whole.cut(0, 512)}, {"test": replace(whole, skip=512)}
+
+
+def _crane_folds(runs: Runs) -> list[Fold]:
+    """Eight blocks, each run into from the first sample, as the test is."""
+    (run,) = runs.values()
+    ends = [len(run) * i // 8 for i in range(9)]
+    return [
+        replace(fold, blocks=[run.cut(0, stop, skip=start)])
+        for fold, (start, stop) in zip(blocked(8, 0)(runs), pairwise(ends), strict=True)
+    ]
+
+
+def _crane_fit(network: Network, records: Sequence[Record]) -> Fit:
+    """A piece from the middle has an initial state to be found; the run itself starts from rest."""
+    cut = any(r.initial for r in records)
+    return train(network, list(records), decay=0.02, epochs=200, estimate_initial=cut)
 
 
 CRANE = Study(
@@ -97,11 +119,13 @@ CRANE = Study(
     "hydraulic-actuator-crane",
     "github.com/zhenwendai/RGP, datasets/system_identification/actuator.mat",
     _crane,
-    *_regression(
-        "crane", {Port("u_valve", "1", 2.0): (1, 2)}, Port("p_oil", "1", 4.0), (1, 2), 2, decay=1e-2, epochs=200
-    ),
-    seeds=range(10),
-    folds=tails(0.2),
+    Candidate(lambda seed: crane(0, 0), _crane_fit),
+    {
+        f"friction {n}, delay {d}": Candidate(partial(crane, 1, n, d), _crane_fit)
+        for n, d in ((0, 4), (1, 3), (1, 4), (1, 5), (1, 6))
+    },
+    seeds=range(6),
+    folds=_crane_folds,
     period=1.0,
 )
 """Oil pressure from valve opening (Sjoberg 1995)."""
@@ -156,4 +180,80 @@ EMPS = Study(
 )
 """Position of a ball-screw axis from the force of its motor, free run over 25 s. Nothing is drawn: one seed."""
 
-STUDIES = {study.name: study for study in (MTS, CRANE, EMPS)}
+# ---- cascaded tanks
+
+
+def _tanks(folder: Path) -> tuple[dict[str, Record], dict[str, Record]]:
+    """1024 samples each, 4 s. The test run's first five samples are for its initial levels and do not count."""
+    path = folder / "cascaded_tanks.csv"
+    recording = read_csv(path, {f"{s}_{run}": "V" for s in "uy" for run in ("train", "test")})
+
+    def run(name: str, skip: int) -> Record:
+        u, y = recording[f"u_{name}"], recording[f"y_{name}"]
+        return Record({"u": u}, {"y": y}, {"u": u[0]}, skip)
+
+    return {"train": run("train", 0)}, {"test": run("test", 5)}
+
+
+def _tanks_fit(network: Network, records: Sequence[Record]) -> Fit:
+    fit = train(network, list(records), estimate_initial=True, decay=1e-2, epochs=200)
+    return replace(fit, network=resting(fit.network, fit.initial[0]))
+
+
+TANKS = Study(
+    "tanks",
+    "cascaded-tanks",
+    "nonlinearbenchmark.org (Cascaded tanks; M. Schoukens, P. Mattson, T. Wigren, J.-P. Noel, 2016)",
+    _tanks,
+    _regression("tanks", {PUMP: (1, 2)}, LEVEL, (1, 2), 0, epochs=200, estimate_initial=True)[0],
+    {
+        f"exchange {n}, delay {d}": Candidate(partial(tanks, exchange=n, delay=d), _tanks_fit)
+        for n in (0, 2, 3)
+        for d in (0, 1)
+    },
+    seeds=range(4),
+    folds=blocked(8, 20),
+    period=4.0,
+    start=settled,
+)
+"""Level of the lower of two tanks from the voltage of the pump that fills the upper one."""
+
+# ---- coupled electric drives
+
+
+def _ced(folder: Path) -> tuple[dict[str, Record], dict[str, Record]]:
+    """Two runs of 500 samples, 50 Hz, each from standstill. A test run goes on from the 300 samples trained on."""
+    path = folder / "ced_unif.csv"
+    recording = read_csv(path, {f"{s}{i}": unit for s, unit in (("u", "V"), ("z", "tick/s")) for i in (11, 12)})
+    runs = {n: Record({"u": recording[f"u{i}"]}, {"z": recording[f"z{i}"]}) for n, i in (("low", 11), ("high", 12))}
+    return {n: r.cut(0, 300) for n, r in runs.items()}, {f"{n}_test": replace(r, skip=300) for n, r in runs.items()}
+
+
+def _ced_fit(network: Network, records: Sequence[Record]) -> Fit:
+    return train(network, list(records), decay=1e-4, epochs=200)
+
+
+CED = Study(
+    "ced",
+    "ced",
+    "nonlinearbenchmark.org (Coupled electric drives, DATAUNIF; T. Wigren, M. Schoukens, 2017)",
+    _ced,
+    _regression("ced", {VOLTAGE: (1, 2, 3)}, PULSES, (1, 2, 3), 0, epochs=200)[0],
+    {
+        name: Candidate(partial(drives, **options), _ced_fit)
+        for name, options in {
+            "friction 2": {"friction": 2},
+            "friction 3": {"friction": 3},
+            "friction 2, order 4": {"friction": 2, "order": 4},
+            "friction 2, counter 2": {"friction": 2, "counter": 2},
+            "friction 2, drive 2": {"friction": 2, "drive": 2},
+            "friction 2, counter 2, order 4": {"friction": 2, "counter": 2, "order": 4},
+        }.items()
+    },
+    seeds=range(8),
+    folds=masked(5),
+    period=0.02,
+)
+"""Speed of a belt's pulley, as a pulse counter sees it, from the voltage of the motors."""
+
+STUDIES = {study.name: study for study in (MTS, CRANE, EMPS, TANKS, CED)}
