@@ -25,24 +25,23 @@ def _record(recording: Recording, inputs: Sequence[str], output: str) -> Record:
     return Record({n: recording[n] for n in inputs}, {output: recording[output]})
 
 
-def _regression(
-    name: str, inputs: Mapping[Port, Sequence[int]], output: Port, feedback: Sequence[int], hidden, **options
-):
-    """(linear, {neurons: candidate}): output-error models whose one linear loop is grown by neurons on the inputs."""
+def _linear(name: str, inputs: Mapping[Port, Sequence[int]], output: Port, feedback: Sequence[int], **options):
+    """Linear output-error model, from the weights of its ARX brother. options: of `train`."""
 
-    def build(hidden: Sequence[int], seed: int):
-        return noe(name, inputs, output, feedback, hidden, seed, linear_loop=True)
+    def fit(network: Network, records: Sequence[Record]) -> Fit:
+        taught = train(network, list(records), teacher=True, **options).network
+        return train(taught, list(records), **options)
 
-    def free(network, records) -> Fit:
+    return Candidate(lambda seed: noe(name, inputs, output, feedback), fit)
+
+
+def _hammerstein(hidden: int, *orders, **options) -> dict[str, Candidate]:
+    """`hidden` neurons on the inputs beside the linear model of the same orders, from whose weights they start."""
+
+    def fit(network: Network, records: Sequence[Record]) -> Fit:
         return train(network, list(records), **options)
 
-    def taught_first(network, records) -> Fit:
-        return free(train(network, list(records), teacher=True, **options).network, records)
-
-    return (
-        Candidate(partial(build, ()), taught_first),
-        {f"{hidden} neurons": Candidate(partial(build, (hidden,)), free, grown=True)},
-    )
+    return {f"{hidden} neurons": Candidate(lambda seed: noe(*orders, (hidden,), seed, True), fit, grown=True)}
 
 
 # ---- servo-hydraulic test machine
@@ -57,20 +56,19 @@ def _mts(folder: Path) -> tuple[dict[str, Record], dict[str, Record]]:
     return {n: run(n) for n in ("chirp_0A", "15Hz0A")}, {n: run(n) for n in ("chirp_1A", "15Hz1A")}
 
 
+_MTS = (
+    "mts",
+    {Port("x_cmd", "m", 2.048e-3, -2.048e-3): range(1, 20, 3)},
+    Port("x_meas", "m", 2.048e-3, -2.048e-3),
+    (1, 4),
+)
 MTS = Study(
     "mts",
     "servohydraulic-mts",
     "github.com/DanielMaurelE/vRTHS_AMBC_MRdamper",
     _mts,
-    *_regression(
-        "mts",
-        {Port("x_cmd", "m", 2.048e-3, -2.048e-3): range(1, 20, 3)},
-        Port("x_meas", "m", 2.048e-3, -2.048e-3),
-        (1, 4),
-        4,
-        decay=1e-3,
-        epochs=60,
-    ),
+    _linear(*_MTS, decay=1e-3, epochs=60),
+    _hammerstein(4, *_MTS, decay=1e-3, epochs=60),
     seeds=range(10),
     folds=tails(0.2),
     period=1e-3,
@@ -205,7 +203,7 @@ TANKS = Study(
     "cascaded-tanks",
     "nonlinearbenchmark.org (Cascaded tanks; M. Schoukens, P. Mattson, T. Wigren, J.-P. Noel, 2016)",
     _tanks,
-    _regression("tanks", {PUMP: (1, 2)}, LEVEL, (1, 2), 0, epochs=200, estimate_initial=True)[0],
+    _linear("tanks", {PUMP: (1, 2)}, LEVEL, (1, 2), epochs=200, estimate_initial=True),
     {
         f"exchange {n}, delay {d}": Candidate(partial(tanks, exchange=n, delay=d), _tanks_fit)
         for n in (0, 2, 3)
@@ -238,7 +236,7 @@ CED = Study(
     "ced",
     "nonlinearbenchmark.org (Coupled electric drives, DATAUNIF; T. Wigren, M. Schoukens, 2017)",
     _ced,
-    _regression("ced", {VOLTAGE: (1, 2, 3)}, PULSES, (1, 2, 3), 0, epochs=200)[0],
+    _linear("ced", {VOLTAGE: (1, 2, 3)}, PULSES, (1, 2, 3), epochs=200),
     {
         name: Candidate(partial(drives, **options), _ced_fit)
         for name, options in {

@@ -1,16 +1,16 @@
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from greygate.errors import InputError
-from greygate.measured import ROOT, blocked, find, identify, masked, rmse, settled, stored, tails
+from greygate.measured import ROOT, Candidate, Study, blocked, find, identify, masked, rmse, settled, stored, tails
 from greygate.models.drives import drives
 from greygate.models.network import Port
 from greygate.models.problem import Problem, Record
 from greygate.models.regression import noe
 from greygate.models.tanks import tanks
+from greygate.models.training import train
 from greygate.studies import CRANE, MTS, STUDIES
 
 CRANE_FILE = ROOT / "recordings" / "hydraulic-actuator-crane" / "actuator.csv"
@@ -36,7 +36,7 @@ def test_mts_trains_without_coil_current_and_tests_whole_runs_with_it(mts_runs):
 
 def test_crane_is_split_in_the_published_halves():
     runs = CRANE.records()
-    assert [len(r.targets["p_oil"]) for r in runs.values()] == [512, 512]
+    assert [len(r) - r.skip for r in runs.values()] == [512, 512]
     assert runs["train"].inputs["u_valve"][0] == -0.0068164
     assert runs["test"].targets.keys() == {"p_oil"}
 
@@ -149,16 +149,31 @@ def test_a_recording_that_is_not_there_is_named(tmp_path):
         MTS.records(tmp_path)
 
 
-def test_training_repeats_from_its_seeds_and_saves_what_it_says(tmp_path):
-    quick = replace(CRANE, seeds=(0, 1))
+def test_identification_repeats_and_saves_what_it_says(tmp_path):
+    def load(folder):
+        u = np.random.default_rng(5).normal(size=(2, 120))
+        y = [np.convolve(v, [0, 0.6, 0.3, 0.1])[:120] for v in np.tanh(u)]
+        return {"learnt": Record({"u": u[0]}, {"y": y[0]})}, {"new": Record({"u": u[1]}, {"y": y[1]})}
+
+    def build(hidden):
+        return lambda seed: noe("quick", {Port("u"): (1, 2)}, Port("y"), (1,), hidden, seed)
+
+    def fit(network, records):
+        return train(network, list(records), epochs=15, decay=1e-3)
+
+    candidates = {"1 neuron": Candidate(build((1,)), fit, grown=True), "2 neurons": Candidate(build((2,)), fit)}
+    study = Study("quick", "", "", load, Candidate(build(()), fit), candidates, (0, 1), masked(3), 1.0)
     lines = []
-    first, again = identify(quick, progress=lines.append), identify(quick)
-    assert len(lines) == 3
+    first, again = identify(study, tmp_path, lines.append), identify(study, tmp_path)
+    assert len(lines) == 5
     assert first.figures["test"] == again.figures["test"]
+    lowest = min(v for of in first.figures["starts"].values() for v in of.values())
+    assert first.figures["held_out"] == lowest
+    assert first.figures["test"]["new"] < first.figures["linear"]["new"]
     first.save(tmp_path)
-    network, figures = stored(quick, tmp_path)
+    network, figures = stored(study, tmp_path)
     assert figures == json.loads(json.dumps(first.figures))
-    assert rmse(network, first.tests["test"]) == pytest.approx(first.figures["test"]["test"], rel=1e-12)
+    assert rmse(network, first.tests["new"]) == pytest.approx(first.figures["test"]["new"], rel=1e-12)
 
 
 # ---- the rules of choice
