@@ -126,8 +126,8 @@ def train(
 def _train_own(name, record, held, options, narx, out, as_json) -> None:
     from greygate.project import Source, train_source
 
-    if not out or not out.is_dir():
-        raise InputError(f"--out {out or ''}: give a folder that exists; the trained network is written there")
+    if not out:
+        raise InputError("--out is missing: the folder that the trained network is written into")
     source = Source(name, _recordings([_named(text) for text in record]))
     others = _recordings([_named(text) for text in held])
     with _bar(f"training {Path(name).stem}", options["epochs"]) as follow:
@@ -177,7 +177,7 @@ def compile(
 ) -> None:
     """Simplify, prune, quantize a network and write it as Verilog."""
     from greygate.compiler.quantize import Formats
-    from greygate.project import ARCHITECTURES, Source, compile_project
+    from greygate.project import ARCHITECTURES, Source, compile_project, fixed_and_float
 
     if budget is not None and not 1 < budget < float("inf"):
         raise InputError(f"--budget {budget}: is a factor on the error of float, e.g. 1.05")
@@ -211,7 +211,16 @@ def compile(
         gone = ", ".join(f"{layer} {len(which)}" for layer, which in r.removed.items())
         lines.append(f"pruned {gone}: {r.neurons} neurons left, {'kept' if r.kept else 'undone'}")
     lines += [f"{name}: {why}" for name, why in compiled.program.notes.items()]
-    _give({"folder": str(out), "passes": passes, "signals": signals}, as_json, [*lines, f"written to {out}"])
+    rmse = {}
+    for scenario in source.training:
+        rmse[scenario] = found = fixed_and_float(compiled, source.records()[scenario])
+        lines += [
+            f"{scenario:12} {output:10} RMSE float {e['float']:.4g}, fixed {e['fixed']:.4g} [{e['unit']}]"
+            for output, e in found.items()
+        ]
+    lines += [f"written to {out}, top module {compiled.program.name}"]
+    result = {"folder": str(out), "top": compiled.program.name, "passes": passes, "signals": signals, "rmse": rmse}
+    _give(result, as_json, lines)
 
 
 @app.command()

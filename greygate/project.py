@@ -20,7 +20,14 @@ import numpy as np
 
 from greygate.catalog import CATALOG, entry
 from greygate.compiler.emit import emit
-from greygate.compiler.pipeline import Compiled, Pass, compile_network, entropy_pruning
+from greygate.compiler.pipeline import (
+    Compiled,
+    Pass,
+    compile_network,
+    entropy_pruning,
+    fixed_error,
+    float_error,
+)
 from greygate.compiler.prune import Round, retrained
 from greygate.compiler.quantize import Formats
 from greygate.compiler.ranges import ranges
@@ -127,6 +134,7 @@ def train_source(
         raise InputError(f"{min(both)} is given to learn from and to judge on; name one otherwise")
     follow = progress and (lambda epoch, loss: progress(epoch, f"loss {loss:.3g}"))
     learn = narx_noe if narx else train
+    folder.mkdir(parents=True, exist_ok=True)
     options |= {"held": list(others.values()), "checkpoint": folder / f"{network.name}.checkpoint", "progress": follow}
     fit = learn(network, list(records.values()), **options)
     figures = {
@@ -204,6 +212,16 @@ def compile_project(
         compiled.network.save(new / "network")
         _write_json(new / FACTS, facts)
     return compiled
+
+
+def fixed_and_float(compiled: Compiled, record: Record) -> dict[str, dict]:
+    """RMSE of the program and of the network it was quantized from, by output, in its unit."""
+    both = {"float": float_error(compiled.network, record), "fixed": fixed_error(compiled.program, record)}
+    return {
+        port.name: {"unit": port.unit}
+        | {kind: float(np.sqrt(np.mean(e[port.name][record.skip :] ** 2))) for kind, e in both.items()}
+        for port in compiled.network.outputs
+    }
 
 
 def _retrain(records: list[Record], say: Callable[[str], None], network: Network) -> Network:
