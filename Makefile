@@ -27,9 +27,14 @@ bench: $(VENV)/.ready-dev | tools
 	$(BIN)/python benchmarks/compile_time.py
 	$(BIN)/python benchmarks/plant.py
 	$(BIN)/python benchmarks/measured.py
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/gauss_newton.py
+	$(BIN)/python benchmarks/pruning.py
 
+# An hour: beside other trainers, beside the thesis's minutes, and ten seeds of its benchmark systems.
 bench-training: $(VENV)/.ready-dev $(PEERS)/.ready
 	$(BIN)/python benchmarks/training.py --peers $(PEERS)/bin/python
+	$(BIN)/python benchmarks/training_times.py
+	$(BIN)/python benchmarks/systems.py
 
 train: $(VENV)/.ready
 	$(BIN)/python -m greygate.models.library
