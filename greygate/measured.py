@@ -9,6 +9,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from statistics import median
 from time import monotonic
 
 import numpy as np
@@ -52,7 +53,7 @@ class Study:
 
     recording: folder of the recording; published: where it can be had. load: that folder -> (training runs, test runs)
     by name. linear: the baseline. start: (network, record) -> the record with the state from which a judged run begins;
-    it may look at the first `skip` samples only. period in s.
+    it may look at the first `skip` samples only. period in s. typical: RMSEs of a candidate's seeds -> its own.
     """
 
     name: str
@@ -65,6 +66,7 @@ class Study:
     folds: Callable[[Runs], list[Fold]]
     period: float
     start: Callable[[Network, Record], Record] = lambda network, record: record
+    typical: Callable[[Sequence[float]], float] = median
 
     def runs(self, folder: Path | None = None) -> tuple[dict[str, Record], dict[str, Record]]:
         """Training runs and test runs. Raises InputError where the recording is not there or not as published."""
@@ -222,7 +224,11 @@ def masked(count: int) -> Callable[[Runs], list[Fold]]:
 
 
 def choose(study: Study, training: Runs, progress: Callable[[str], None] | None = None) -> Choice:
-    """Fit every candidate from every seed on every fold; the lowest RMSE over the held-out blocks wins."""
+    """Fit every candidate from every seed on every fold and judge it by its RMSE over the held-out blocks.
+
+    The candidate whose seeds are typically lowest wins (`Study.typical`, the median: many seeds are no advantage), then
+    the lowest of its seeds.
+    """
     say = progress or (lambda line: None)
     folds = study.folds(training)
 
@@ -236,7 +242,7 @@ def choose(study: Study, training: Runs, progress: Callable[[str], None] | None 
     unit = linear[0].outputs[0].unit
     say(f"{study.name}, linear: {baseline:.4g} {unit} RMSE on held-out blocks")
     scores: dict[str, dict[int, float]] = {}
-    best = np.inf, "", 0, linear[-1]
+    best: dict[str, tuple[int, Network]] = {}  # of each candidate
     for name, candidate in study.candidates.items():
         scores[name] = {}
         for seed in study.seeds:
@@ -246,13 +252,16 @@ def choose(study: Study, training: Runs, progress: Callable[[str], None] | None 
                 if candidate.grown:
                     network = network.with_parameters(start.parameters())
                 networks.append(candidate.fit(network, fold.pieces).network)
-            scores[name][seed] = value = judge(networks)
+            value, lowest = judge(networks), min(scores[name].values(), default=np.inf)
+            scores[name][seed] = value
             say(f"{study.name}, {name}, seed {seed}: {value:.4g} {unit} RMSE on held-out blocks")
-            if value < best[0]:
-                best = value, name, seed, networks[-1]
-    if not np.isfinite(best[0]):
+            if value < lowest:
+                best[name] = seed, networks[-1]
+    if not best:
         raise InputError(f"{study.name}: every candidate diverges on a held-out block; give others")
-    return Choice(best[1], best[2], best[3], linear[-1], scores, baseline)
+    name = min(best, key=lambda n: (study.typical(list(scores[n].values())), min(scores[n].values())))
+    seed, network = best[name]
+    return Choice(name, seed, network, linear[-1], scores, baseline)
 
 
 @dataclass(frozen=True)
