@@ -46,19 +46,6 @@ def tabulate(flat: Network, forced: frozenset[str] = frozenset()) -> tuple[Table
     for name in order:
         first[name] = at
         at += flat.modules[name].size
-    layers, links, names, offset = [], [], [], 0
-    for name in order:
-        layer = flat.modules[name]
-        start = len(links)
-        for port, w in layer.weights.items():
-            source, delay = feeds[f"{name}.{port}"]
-            links.append((first[source], w.shape[1], delay, offset))
-            names.append(f"{name}.{port}")
-            offset += w.size
-        layers.append((first[name], layer.size, _CODE[layer.activation], offset, start))
-        names.append(f"{name}.bias")
-        offset += layer.rows
-    layers.append((at, 0, 0, offset, len(links)))  # sentinel
     forced_layers = {feeds[f][0] for f in forced}
     carried = {s for s, d in feeds.values() if d > 0 and s in flat.modules and s not in forced_layers}
     shown = [feeds[p.name][0] for p in flat.outputs]
@@ -86,11 +73,27 @@ def tabulate(flat: Network, forced: frozenset[str] = frozenset()) -> tuple[Table
                 if source in ever and not (delay > 0 and source in forced_layers):
                     ever[name] |= ever[source]
             changed |= len(ever[name]) != size
-    starts = {
-        n: (links[layers[i][4]][3] if layers[i + 1][4] > layers[i][4] else layers[i][3]) for n, i in position.items()
-    }
-    ends = {n: layers[i][3] + flat.modules[n].rows for n, i in position.items()}
-    spans = [(min(starts[m] for m in ever[n]), max(ends[m] for m in ever[n])) for n in owner]
+    reach = {n: [i for i, o in enumerate(shown) if n in ever[o]] or [0] for n in order}
+    names, where = [], {}
+    at_theta = 0
+    for name in sorted(order, key=lambda n: sum(reach[n]) / len(reach[n])):  # what acts on one output stands together
+        layer = flat.modules[name]
+        for port, size in [*((port, w.size) for port, w in layer.weights.items()), ("bias", layer.rows)]:
+            names.append(f"{name}.{port}")
+            where[names[-1]] = slice(at_theta, at_theta + size)
+            at_theta += size
+    layers, links = [], []
+    for name in order:
+        layer = flat.modules[name]
+        layers.append((first[name], layer.size, _CODE[layer.activation], where[f"{name}.bias"].start, len(links)))
+        for port, w in layer.weights.items():
+            source, delay = feeds[f"{name}.{port}"]
+            links.append((first[source], w.shape[1], delay, where[f"{name}.{port}"].start))
+    layers.append((at, 0, 0, at_theta, len(links)))  # sentinel
+    spans = []
+    for n in owner:
+        acting = [where[f"{m}.{port}"] for m in ever[n] for port in (*flat.modules[m].weights, "bias")]
+        spans.append((min(s.start for s in acting), max(s.stop for s in acting)))
     tables = Tables(
         np.array(layers, np.int64),
         np.array(links, np.int64).reshape(-1, 4),

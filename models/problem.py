@@ -13,7 +13,7 @@ from greygate.models.network import Network
 CHUNK = 2048  # steps of Jacobian held at once
 CORES = ThreadPoolExecutor(2, "greygate")  # kernels and BLAS both let go of the interpreter
 WORTH = 2e6  # multiplications below which a second core does not pay
-NARROW = 0.9  # share of free columns from which it is faster to leave out the others after J'J than before
+NARROW = 0.9  # share of free columns above which it is faster to leave out the others after J'J than before
 IN_RANGE = 10.0  # of a normalised signal
 COLLINEAR = 1e-9  # smallest singular value of the scaled regressors, relative to the largest
 
@@ -369,29 +369,21 @@ class Problem:
         columns = np.concatenate([self.variable[:n], self.variable[w.state]])
         used = np.flatnonzero(columns >= 0)
         targets, where = np.unique(columns[used], return_inverse=True)
-        whole = not self._tied and len(used) > NARROW * len(columns)  # then what is frozen is left out at the end
-        size = len(columns) if whole else len(targets)
+        spans = [self._span(row, used, n) for row in t.shown]
         error = w.now[t.depth :, t.rows[t.shown]] - w.target
         length = len(w.target)
         rows = min(CHUNK, length)
-        alone = alone or length * size**2 < WORTH or length <= CHUNK
+        alone = alone or length * len(used) ** 2 < WORTH or length <= CHUNK
         blocks = [np.zeros((rows, len(t.shown), n + own)) for _ in range(1 if alone else 2)]
-        hessian, gradient = np.zeros((size, size)), np.zeros(size)
-
-        def narrow(j: np.ndarray) -> np.ndarray:
-            """Columns of theta to variables: frozen ones left out, tied ones added up."""
-            if not self._tied:
-                return np.take(j, used, axis=1)
-            found = np.zeros((len(j), size))
-            np.add.at(found, (slice(None), where), np.take(j, used, axis=1))
-            return found
+        hessian, gradient = np.zeros((n + own, n + own)), np.zeros(n + own)
 
         def add(block: np.ndarray, start: int, stop: int) -> None:
             use = slice(max(w.skip - start, 0), stop - start)
-            j = block[use].reshape(-1, n + own)
-            j = j if whole else narrow(j)
-            np.add(hessian, j.T @ j, out=hessian)
-            np.add(gradient, j.T @ error[start:stop][use].ravel(), out=gradient)
+            for output, span in enumerate(spans):
+                j = block[use, output, span]
+                here = (span, span) if isinstance(span, slice) else np.ix_(span, span)
+                hessian[here] += j.T @ j
+                gradient[span] += j.T @ error[start:stop][use, output]
 
         under_way: Future | None = None
         for i, start in enumerate(range(0, length, CHUNK)):
@@ -405,15 +397,26 @@ class Problem:
             under_way = CORES.submit(add, block, start, stop)  # while the next block is filled
         if under_way:
             under_way.result()
-        if whole and len(used) < len(columns):
+        if len(used) < len(columns):
             hessian, gradient = hessian[np.ix_(used, used)], gradient[used]
         end = None
         if wants_end:
-            end = narrow(carried[(length - self._state[:, 1]) % (t.depth + 1), t.row_of[self._state[:, 0]]])
+            end = carried[(length - self._state[:, 1]) % (t.depth + 1), t.row_of[self._state[:, 0]]][:, used]
+        if self._tied:
+            sums = np.zeros((len(used), len(targets)))  # each free column of theta to its variable
+            sums[np.arange(len(used)), where] = 1.0
+            hessian, gradient, end = sums.T @ hessian @ sums, sums.T @ gradient, end if end is None else end @ sums
         if w.weight != 1.0:
             hessian *= w.weight
             gradient *= w.weight
         return targets, hessian, gradient, end
+
+    def _span(self, row: int, used: np.ndarray, size: int) -> slice | np.ndarray:
+        """Free columns of theta that act on a row: as a slice, where few of those between are frozen."""
+        lo, hi = self._tables.spans[row]
+        acts = used[((used >= lo) & (used < hi)) | (used >= size)]
+        first, last = (int(acts[0]), int(acts[-1]) + 1) if len(acts) else (0, 0)
+        return slice(first, last) if len(acts) > NARROW * (last - first) else acts
 
     # ---- what a person should know of the data
 
