@@ -63,6 +63,15 @@ def test_the_page_needs_nothing_else_and_shows_every_record(folder):
     assert "nan" not in re.sub(r"<(style|script).*?</\1>", "", own, flags=re.S).lower()
 
 
+def test_a_residual_test_says_how_many_lags_chance_allows_and_why_it_failed(folder):
+    judged = judge(source())
+    found = re.findall(r"(passed|failed)</span><span>(\d+) of \d+ lags outside, chance allows (\d+)(;?)", page(judged))
+    assert len(found) == sum(len(tests) for v in judged.validations for tests in v.tests.values())
+    assert {word for word, *_ in found} == {"passed", "failed"}
+    for word, outside, allowed, too_far in found:
+        assert (word == "failed") == (int(outside) > int(allowed) or too_far == ";")
+
+
 def test_a_zoomed_run_holds_every_sample_and_a_long_one_its_extremes():
     (v,) = validate(linear(), {"run": record(1000, equation_noise=0.1)}, period=0.5)
     traces = json.loads(run_data(v, 0.5))["traces"]
