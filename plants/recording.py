@@ -99,7 +99,8 @@ def read_csv(
     """
     path, units = Path(path), units or {}
     rows = _rows(path)
-    header = [name.strip() for name in rows[0]]
+    lines = [line for line, _ in rows]
+    header = [name.strip() for name in rows[0][1]]
     clock = "k" if dt is not None else "t_s"
     if header[0] not in (clock, clock.removesuffix("_s")):
         wish = "give dt for an index column k" if header[0] == "k" else f"name the first column {clock}"
@@ -113,7 +114,7 @@ def read_csv(
             raise InputError(f"{path}: column {name}_{_SUFFIX.get(unit, unit)} is missing; it has {', '.join(header)}")
         if (found := kinds[names.index(name)]) != unit:
             raise InputError(f"{path}: column {name} is in {found}; convert it to {unit}")
-    dt = _sample_time(path, header[0], table[:, 0]) if dt is None else dt
+    dt = _sample_time(path, header[0], table[:, 0], lines[1:]) if dt is None else dt
     channels = {name: np.ascontiguousarray(table[:, 1 + i]) for i, name in enumerate(names)}
     return Recording(dt, channels, dict(zip(names, kinds, strict=True)), source=str(path))
 
@@ -122,36 +123,39 @@ def _known() -> str:
     return ", ".join(UNITS)
 
 
-def _rows(path: Path) -> list[list[str]]:
+def _rows(path: Path) -> list[tuple[int, list[str]]]:
+    """Rows that are not blank, each with the line it ends on."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = [row for row in csv.reader(file) if row]
+            reader = csv.reader(file)
+            rows = [(reader.line_num, row) for row in reader if row]
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); check the path") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: is not a CSV text file ({error}); export it as UTF-8 CSV") from None
     if not rows:
         raise InputError(f"{path}: the file is empty; give a header row and samples")
-    if len(rows[0]) < 2:
+    if len(rows[0][1]) < 2:
         raise InputError(f"{path}: the header has one column; give a time and at least one channel, comma-separated")
     if len(rows) < 3:
         raise InputError(f"{path}: the recording holds {len(rows) - 1} samples; give at least 2")
     return rows
 
 
-def _numbers(path: Path, header: list[str], rows: list[list[str]]) -> np.ndarray:
-    for number, row in enumerate(rows, start=2):
+def _numbers(path: Path, header: list[str], rows: list[tuple[int, list[str]]]) -> np.ndarray:
+    for line, row in rows:
         if len(row) != len(header):
-            raise InputError(f"{path}: row {number} has {len(row)} cells, the header {len(header)}; mend the row")
+            raise InputError(f"{path}: row {line} has {len(row)} cells, the header {len(header)}; mend the row")
+    cells = [row for _, row in rows]
     try:
-        table = np.array(rows, dtype=np.float64)
+        table = np.array(cells, dtype=np.float64)
     except ValueError:
-        table = np.array([[_number(cell) for cell in row] for row in rows])
+        table = np.array([[_number(cell) for cell in row] for row in cells])
     bad = np.argwhere(~np.isfinite(table))
     if bad.size:
         row, column = bad[0]
         raise InputError(
-            f"{path}: row {row + 2}, column {header[column]}: {rows[row][column]!r} is not a finite number; "
+            f"{path}: row {rows[row][0]}, column {header[column]}: {cells[row][column]!r} is not a finite number; "
             "repair or cut the recording"
         )
     return table
@@ -176,7 +180,7 @@ def _split(path: Path, column: str, units: Mapping[str, str]) -> tuple[str, str]
     raise InputError(f"{path}: column {column}: {problem}; end its name in one of _{', _'.join(UNITS)}")
 
 
-def _sample_time(path: Path, column: str, time: np.ndarray) -> float:
+def _sample_time(path: Path, column: str, time: np.ndarray, lines: list[int]) -> float:
     dt = (time[-1] - time[0]) / (len(time) - 1)
     if not dt > 0:
         raise InputError(f"{path}: column {column} does not increase; give the time of each sample in s")
@@ -185,7 +189,7 @@ def _sample_time(path: Path, column: str, time: np.ndarray) -> float:
         steps = np.diff(time)
         worst = int(np.abs(steps - np.median(steps)).argmax()) + 1
         raise InputError(
-            f"{path}: row {worst + 2}, column {column}: step {steps[worst - 1]:.6g} s where {np.median(steps):.6g} s "
-            "is usual; resample to uniform time"
+            f"{path}: row {lines[worst]}, column {column}: step {steps[worst - 1]:.6g} s where {np.median(steps):.6g} "
+            "s is usual; resample to uniform time"
         )
     return float(f"{dt:.9g}")
