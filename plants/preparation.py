@@ -1,7 +1,7 @@
 """What is done to a recording before it trains or judges a model.
 
 Each function takes a `Recording` and gives a new one whose `history` has one more line, saying what was done.
-channels: which ones, all if left out. A filter on one channel of a plant and not on another becomes part of what is
+channels: which ones, all where they may be left out. A filter on one channel of a plant and not on another becomes part of what is
 identified: filter inputs and outputs alike, or neither.
 """
 
@@ -99,7 +99,7 @@ def without_drift(
 
 def without_outliers(
     recording: Recording,
-    channels: Sequence[str] | None = None,
+    channels: Sequence[str],
     *,
     half_width: int = 5,
     threshold: float = 3.0,
@@ -108,8 +108,10 @@ def without_outliers(
     """Hampel's identifier: a sample too far from the median of its neighbourhood is replaced by that median.
 
     Too far: more than `threshold` times 1.4826 MAD of the 2 half_width + 1 samples, and more than `least` (in the
-    channel's unit; give the sensor's resolution, so that a flickering last bit is none). A true pulse of half_width
-    samples or less falls to it too. Returns how many samples were replaced, by channel (Hampel 1974).
+    channel's unit; give the sensor's resolution, so that a flickering last bit is none). Where most of a neighbourhood
+    is one value, MAD is 0 and says nothing: without `least` such samples stay, and the history counts them. A true
+    pulse of half_width samples or less falls to it too, so name sensors, not commands that step.
+    Returns how many samples were replaced, by channel (Hampel 1974).
     """
     width = 2 * half_width + 1
     if half_width < 1 or not threshold > 0 or least < 0 or recording.samples < width:
@@ -117,16 +119,23 @@ def without_outliers(
             f"{recording.source}: outliers of {recording.samples} samples with half_width {half_width}, threshold "
             f"{threshold}, least {least}; needs half_width >= 1, threshold > 0, least >= 0 and {width} samples"
         )
-    mended, counts = {}, {}
+    mended, counts, unjudged = {}, {}, {}
     for name in _names(recording, channels):
         x = recording[name]
         windows = sliding_window_view(np.pad(x, half_width, mode="reflect"), width)
         median = np.median(windows, axis=1)
         mad = np.median(np.abs(windows - median[:, None]), axis=1)
-        far = np.abs(x - median) > np.maximum(threshold * 1.4826 * mad, least)
-        mended[name], counts[name] = np.where(far, median, x), int(far.sum())
-    replaced = ", ".join(f"{count} samples of {name}" for name, count in counts.items())
-    return _changed(recording, mended, f"replaced {replaced} by the median of {width}"), counts
+        judged = (mad > 0) | (least > 0)
+        far = judged & (np.abs(x - median) > np.maximum(threshold * 1.4826 * mad, least))
+        mended[name], counts[name], unjudged[name] = np.where(far, median, x), int(far.sum()), int((~judged).sum())
+
+    def said(samples: Mapping[str, int]) -> str:
+        return ", ".join(f"{count} samples of {name}" for name, count in samples.items())
+
+    line = f"replaced {said(counts)} by the median of {width}"
+    if flat := {name: count for name, count in unjudged.items() if count}:
+        line += f"; left {said(flat)} unjudged, whose neighbours are equal: give least"
+    return _changed(recording, mended, line), counts
 
 
 def estimated_delay(recording: Recording, source: str, target: str, longest: int, onset: bool = False) -> int:

@@ -101,7 +101,7 @@ def test_outliers_are_replaced_and_counted_and_nothing_else_is():
     spoilt = clean.copy()
     spoilt[[100, 101, 2000, 3999]] += [5.0, -4.0, 9.0, 7.0]
     step = np.r_[np.zeros(2000), np.ones(2000)]
-    done, counts = without_outliers(recording(a=spoilt, step=step), threshold=6.0)
+    done, counts = without_outliers(recording(a=spoilt, step=step), ["a", "step"], threshold=6.0)
     assert counts == {"a": 4, "step": 0}
     assert np.abs(done["a"] - clean).max() < 0.1
     assert np.count_nonzero(done["a"] != spoilt) == 4
@@ -112,8 +112,16 @@ def test_outliers_are_replaced_and_counted_and_nothing_else_is():
 def test_a_flickering_last_bit_is_no_outlier_where_the_resolution_is_given():
     x = np.zeros(200)
     x[50] = 1e-3
-    assert without_outliers(recording(a=x))[1] == {"a": 1}
-    assert without_outliers(recording(a=x), least=1e-3)[1] == {"a": 0}
+    assert without_outliers(recording(a=x), ["a"], least=1e-4)[1] == {"a": 1}
+    assert without_outliers(recording(a=x), ["a"], least=1e-3)[1] == {"a": 0}
+
+
+def test_among_equal_neighbours_nothing_is_an_outlier_and_the_history_says_so():
+    levels = np.repeat(np.random.default_rng(0).integers(0, 2, 512), 4).astype(float)
+    done, counts = without_outliers(recording(u=levels), ["u"])
+    assert counts == {"u": 0}
+    np.testing.assert_array_equal(done["u"], levels)
+    assert done.history[-1].endswith("left 2048 samples of u unjudged, whose neighbours are equal: give least")
 
 
 @pytest.mark.parametrize("delay", [0, 1, 17])
@@ -186,7 +194,7 @@ CONSTANT, SHORT = recording(a=np.ones(4000), b=TIME), Recording(DT, {"a": np.ara
         (lambda: without_offset(SHORT, rest=9), "rest of 9"),
         (lambda: without_drift(SHORT), "give a degree"),
         (lambda: without_drift(SHORT, degree=7), "too few for degree 7"),
-        (lambda: without_outliers(SHORT), "11 samples"),
+        (lambda: without_outliers(SHORT, ["a"]), "11 samples"),
         (lambda: estimated_delay(CONSTANT, "a", "b", 5), "channel a is constant"),
         (lambda: estimated_delay(SHORT, "a", "a", 5), "too few"),
         (lambda: without_delay(SHORT, {"a": 8}), "leave 0"),
