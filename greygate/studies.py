@@ -69,7 +69,7 @@ MTS = Study(
     _mts,
     _linear(*_MTS, decay=1e-3, epochs=60),
     _hammerstein(4, *_MTS, decay=1e-3, epochs=60),
-    seeds=range(10),
+    seeds=range(24),
     folds=tails(0.2),
     period=1e-3,
 )
@@ -130,7 +130,7 @@ CRANE = Study(
 
 # ---- linear axis
 
-BLOCKS, WINDOW, DROOPS = 5, 20, (12, 25, 50)
+BLOCKS, WINDOW = 5, 20
 
 
 def _emps(folder: Path) -> tuple[dict[str, Record], dict[str, Record]]:
@@ -151,7 +151,7 @@ def _emps_folds(runs: Runs) -> list[Fold]:
     found = []
     for start, stop in pairwise(ends):
         kept = [(a, b) for a, b in ((0, start), (stop, len(run))) if b > a]
-        pieces, blocks = ([moving(run, a, b, WINDOW, DROOPS) for a, b in of] for of in (kept, [(start, stop)]))
+        pieces, blocks = ([moving(run, a, b, WINDOW) for a, b in of] for of in (kept, [(start, stop)]))
         found.append(Fold(pieces, blocks))
     return found
 
@@ -167,16 +167,19 @@ EMPS = Study(
     "nonlinearbenchmark.org (EMPS; A. Janot, M. Gautier, M. Brunot, 2019)",
     _emps,
     Candidate(
-        lambda seed: axis(coulomb=0.0, droop=None),
+        lambda seed: axis(coulomb=0.0),
         partial(_emps_fit, free={f"balance.{part}": np.zeros(1, bool) for part in ("sign", "forward")}),
     ),
-    {"no droop": Candidate(lambda seed: axis(droop=None), _emps_fit)}
-    | {f"droop {s} s": Candidate(lambda seed, s=s: axis(droop=s), _emps_fit) for s in DROOPS},
-    seeds=(0,),
+    {f"residual {n}": Candidate(lambda seed, n=n: axis(hidden=n, seed=seed), _emps_fit) for n in (0, 2, 4)},
+    seeds=range(3),
     folds=_emps_folds,
     period=1e-3,
 )
-"""Position of a ball-screw axis from the force of its motor, free run over 25 s. Nothing is drawn: one seed."""
+"""Position of a ball-screw axis from the force of its motor, free run over 25 s.
+
+No state slower than the record is a candidate: one record cannot tell what starts anew with each run from what drifts
+on.
+"""
 
 # ---- cascaded tanks
 

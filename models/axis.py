@@ -1,17 +1,15 @@
-"""A linear axis driven by a force: double integrator, friction that differs by direction, slow droop of the force.
+"""A linear axis driven by a force: double integrator with friction that differs by direction.
 
-    M dv/dt = F - droop w - friction(v, q),   dq/dt = v,   tau dw/dt = F - w
+    M dv/dt = F - friction(v, q),   dq/dt = v
     friction(v, q) = F_v v + F_+ max(v, 0) + F_c tanh(v / v_s) + F_0 + residual(v, q)
 
-Steps are semi-implicit Euler (the new speed moves the position), stable while F_c dt < M v_s. A drive without droop and
-with equal directions is the model of Janot, Gautier, Brunot, Data Set and Reference Models of EMPS (2019).
+Steps are semi-implicit Euler (the new speed moves the position), stable while F_c dt < M v_s. With equal
+directions it is the model of Janot, Gautier, Brunot, Data Set and Reference Models of EMPS (2019).
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from greygate.models.network import Layer, Network, Port
 from greygate.models.problem import Record
@@ -28,15 +26,14 @@ def axis(
     coulomb: float = 20.0,
     offset: float = 0.0,
     *,
-    droop: int | None = 25,
     hidden: int = 0,
     seed: int = 0,
     period: float = 1e-3,
 ) -> Network:
     """Position [m] from force [N]. mass in kg, viscous in N s/m, coulomb and offset in N: where training starts.
 
-    droop: tau in s, None for no droop; the layer that holds w is named by it, `droop25`. hidden: tanh neurons of the
-    residual, which sees speed and position. period in s. Hardware starts at standstill at the origin: see `starting`.
+    hidden: tanh neurons of the residual, which sees speed and position. period in s. Hardware starts at rest at the
+    origin: see `starting`.
     """
     step = period * FORCE.scale / (mass * SPEED)
     network = Network("axis", [FORCE], [POSITION])
@@ -50,12 +47,6 @@ def axis(
     network.add("forward", Layer({"v": [[1.0]]}, [0.0], "satlin", frozen={"v", "bias"}))
     network.connect("speed", "sign.v", delay=1)
     network.connect("speed", "forward.v", delay=1)
-    if droop:
-        pole, slow = np.exp(-period / droop), _slow(droop)
-        network.add(slow, Layer({"w": [[pole]], "force": [[1 - pole]]}, [0.0], frozen={"w", "force", "bias"}))
-        network.connect(slow, f"{slow}.w", delay=1)
-        network.connect(FORCE.name, f"{slow}.force", delay=1)
-        parts[slow] = [[0.0]]
     if hidden:
         rng = np.random.default_rng(seed)
         w = {"v": 2 * rng.normal(size=(hidden, 1)), "q": 2 * rng.normal(size=(hidden, 1))}
@@ -78,23 +69,16 @@ def axis(
     return network.check()
 
 
-def moving(
-    record: Record, start: int, stop: int, window: int, droops: Sequence[int] = (), period: float = 1e-3
-) -> Record:
+def moving(record: Record, start: int, stop: int, window: int, period: float = 1e-3) -> Record:
     """Samples start..stop, which do not count before `window`, with the state that they start from.
 
-    Place and speed are those of a cubic through the first `window` positions, w is what the force before left.
+    Place and speed are those of a cubic through the first `window` positions.
     """
-    force = (record.inputs[FORCE.name] - FORCE.offset) / FORCE.scale
     position = (record.targets[POSITION.name] - POSITION.offset) / POSITION.scale
     steps = 1 + np.arange(window)  # the state is that of the step before
     cubic = np.polyfit(steps, position[start : start + window], 3)
     before, place = np.polyval(cubic, (-1, 0))
     state = {"place": place, "speed": (place - before) * POSITION.scale / (period * SPEED)}
-    for droop in droops:
-        pole = np.exp(-period / droop)
-        past = force[: max(start - 1, 0)]
-        state[_slow(droop)] = float(lfilter([1 - pole], [1, -pole], past)[-1]) if len(past) else 0.0
     drive = {FORCE.name: float(record.inputs[FORCE.name][max(start - 1, 0)])}
     return record.cut(start, stop, initial=drive | state, skip=window)
 
@@ -107,7 +91,3 @@ def starting(network: Network, record: Record) -> Network:
         inputs=[replace(p, initial=state.get(p.name, p.initial)) for p in flat.inputs],
         modules={n: replace(layer, initial=state.get(n, layer.initial)) for n, layer in flat.modules.items()},
     )
-
-
-def _slow(droop: int) -> str:
-    return f"droop{droop}"

@@ -18,9 +18,9 @@ def by_hand(force, place, speed, mass, viscous, coulomb, offset):
     return np.array(found)
 
 
-def test_without_droop_the_axis_is_the_equation_written_by_hand():
+def test_the_axis_is_the_equation_written_by_hand():
     force = 60 * np.sin(np.arange(3000) / 300)
-    network = axis(90.0, 180.0, 15.0, 2.0, droop=None)
+    network = axis(90.0, 180.0, 15.0, 2.0)
     answer = network.run({FORCE.name: force})[POSITION.name]
     np.testing.assert_allclose(np.ravel(answer), by_hand(force, 0.0, 0.0, 90.0, 180.0, 15.0, 2.0), rtol=0, atol=1e-12)
 
@@ -35,18 +35,11 @@ def run():
 @pytest.mark.parametrize("start", [700, 2000])
 def test_a_piece_starts_in_the_state_that_its_first_samples_show(run, start):
     network, whole = run
-    assert rmse(network, moving(whole, start, 4000, 20, (25,))) < 2e-5
-
-
-def test_droop_at_a_piece_is_what_the_force_before_it_left(run):
-    network, whole = run
-    traced = network.run(whole.inputs, trace=True)["droop25"]
-    piece = moving(whole, 2000, 4000, 20, (25,))
-    assert piece.initial["droop25"] == pytest.approx(np.ravel(traced)[1999], rel=1e-9)
+    assert rmse(network, moving(whole, start, 4000, 20)) < 2e-5
 
 
 def test_hardware_starts_as_the_record_does(run):
     network, whole = run
-    piece = moving(whole, 2000, 4000, 20, (25,))
+    piece = moving(whole, 2000, 4000, 20)
     same = starting(network, piece)
     assert rmse(same, Record(piece.inputs, piece.targets, skip=20)) == rmse(network, piece)

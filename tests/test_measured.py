@@ -67,7 +67,7 @@ def test_stored_network_reproduces_its_figures(name):
         assert study.score(network, record) == pytest.approx((figures["train"] | figures["test"])[run], rel=1e-6)
 
 
-@pytest.mark.parametrize("name", [name for name in STUDIES if name != "emps"])  # see docs/measured.md
+@pytest.mark.parametrize("name", STUDIES)
 def test_stored_network_beats_the_linear_model_and_its_weights_quantize(name):
     network, figures = stored(STUDIES[name])
     assert all(value < figures["linear"][run] for run, value in figures["test"].items())
