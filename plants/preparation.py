@@ -1,8 +1,8 @@
 """What is done to a recording before it trains or judges a model.
 
 Each function takes a `Recording` and gives a new one whose `history` has one more line, saying what was done.
-channels: which ones, all where they may be left out. A filter on one channel of a plant and not on another becomes part of what is
-identified: filter inputs and outputs alike, or neither.
+channels: which ones, all where they may be left out. A filter on one channel of a plant and not on another becomes
+part of what is identified: filter inputs and outputs alike, or neither.
 """
 
 from collections.abc import Mapping, Sequence
