@@ -21,10 +21,12 @@ from greygate.errors import InputError
 from greygate.models.kernels import Tables, forward, sensitivities, slope
 from greygate.models.network import ACTIVATIONS, Network
 from greygate.models.problem import Problem, Record, held_out
-from greygate.models.training import Fit, Outcome, blas
+from greygate.models.training import STOP, Fit, Outcome, _Whole, blas
 
 RUNAWAY = 10.0  # times the first loss, or that of predicting zero if larger: beyond it a training has diverged
 SCALE = 1e8  # first loss that L-BFGS sees: torch takes y's <= 1e-10 for no curvature
+RISE, GROWTH, SHRINK = 1.04, 1.05, 0.7  # of gradient descent: loss that a step may reach, rate after a fall, a rise
+SHORTER = 200  # steps it tries, each shorter, before it stays
 WINDOW = 100  # epochs over which the fall of the loss is judged
 
 
@@ -33,14 +35,24 @@ def gradient_descent(
 ) -> Fit:
     """Back-propagation through time over all records at once (Werbos 1990) with momentum (Polyak 1964).
 
-    rate: of the step along the gradient of J, in the normalised units of the ports. options: see the module.
+    rate: of the first step along the gradient of J, in the normalised units of the ports. A step that would raise the
+    loss by more than 4 % is taken anew without momentum at 0.7 times the rate; one that lowers it raises the rate by
+    5 % (Vogl et al. 1988; MATLAB's traingdx). options: see the module.
     """
     descent = _Descent(network, records, **options)
-    speed = np.zeros(descent.size)
+    speed, now = np.zeros(descent.size), rate
 
     def epoch(x: np.ndarray) -> np.ndarray:
-        speed[:] = momentum * speed - rate * descent.gradient(x)
-        return x + speed
+        nonlocal speed, now
+        before, downhill = descent.loss(x), -descent.gradient(x)
+        speed = momentum * speed + now * downhill
+        for _ in range(SHORTER):
+            if (loss := descent.loss(x + speed)) <= RISE * before:
+                now *= GROWTH if loss < before else 1.0
+                return x + speed
+            now *= SHRINK
+            speed = now * downhill
+        return x
 
     return descent.run(epoch, rate)
 
@@ -56,7 +68,7 @@ def rtrl(network: Network, records: Sequence[Record], rate: float = 0.01, **opti
 
     def epoch(x: np.ndarray) -> np.ndarray:
         theta = descent.theta(x)
-        problem.learn_online(theta, rate, descent.decay / problem.samples)
+        problem.learn_online(theta, rate, descent.diagonal / problem.samples)
         return theta[problem.free]
 
     return descent.run(epoch, rate)
@@ -148,7 +160,7 @@ class _Descent:
     teacher: bool = False
     free: Mapping | None = None
     tied: Sequence[Sequence[str]] = ()
-    decay: float = 0.0
+    decay: float | Mapping[str, float] = 0.0
     held: Sequence[Record] = ()
     tail: float = 0.0
     patience: int = 100
@@ -159,12 +171,14 @@ class _Descent:
     progress: Callable[[int, float], None] | None = None
 
     def __post_init__(self):
+        self.began = monotonic()
         used, judged = held_out(self.network, self.records, self.tail, self.held)
         self.problem = _Swept(self.network, used, self.teacher, self.free, tied=self.tied)
         self.judge = Problem(self.network, judged, self.teacher) if judged else None
         self.engine = _Static(self.problem) if self.problem.is_static else self.problem
         self.start = self.problem.theta[self.problem.free]
         self.size = len(self.start)
+        self.diagonal = _Whole(self.problem, self.network, self.decay, {}).decay  # D's diagonal, (size,)
         self._at, self._loss, self._gradient = np.full(self.size, np.nan), np.inf, None  # of the last evaluation
 
     def theta(self, x: np.ndarray) -> np.ndarray:
@@ -172,10 +186,10 @@ class _Descent:
         return np.where(variable >= 0, x[variable], self.problem.theta)
 
     def loss(self, x: np.ndarray) -> float:
-        """J = (1/2N) (sum e^2 + decay x'x); inf where the run diverges."""
+        """J = (1/2N) (sum e^2 + x'Dx); inf where the run diverges."""
         if not np.array_equal(x, self._at):
             with np.errstate(over="ignore", invalid="ignore"):
-                value = (self.engine.squares(self.theta(x)) + self.decay * float(x @ x)) / (2 * self.problem.samples)
+                value = (self.engine.squares(self.theta(x)) + float(self.diagonal @ x**2)) / (2 * self.problem.samples)
             self._at, self._loss, self._gradient = x.copy(), value if np.isfinite(value) else np.inf, None
         return self._loss
 
@@ -196,7 +210,7 @@ class _Descent:
     def _of(self, x: np.ndarray, along_theta: np.ndarray) -> np.ndarray:
         moving = self.problem.variable >= 0
         sums = np.bincount(self.problem.variable[moving], along_theta[moving], self.size)
-        return (sums + self.decay * x) / self.problem.samples
+        return (sums + self.diagonal * x) / self.problem.samples
 
     def score(self, x: np.ndarray, loss: float) -> float:
         """What the best weights have the lowest of: mean squared error held out, or the loss if nothing is."""
@@ -206,7 +220,6 @@ class _Descent:
         """`epoch` maps x to the next x, until one of the stops."""
         if not rate > 0:
             raise InputError(f"rate {rate:g}: give a positive one")
-        began = monotonic()
         x = best = self.start
         remarks = self.problem.remarks()
         with blas().limit(limits=1, user_api="blas"):  # two BLAS threads are slower than one on small matrices
@@ -215,6 +228,8 @@ class _Descent:
             lowest = [history[0]]
             ceiling = RUNAWAY * max(history[0], self.problem.power)
             outcome = Outcome.EPOCHS if np.isfinite(history[0]) else Outcome.DIVERGED
+            if history[0] <= self.goal:
+                outcome = Outcome.REACHED
             leader = 0
             try:
                 while outcome is Outcome.EPOCHS and len(history) <= self.epochs:
@@ -236,7 +251,9 @@ class _Descent:
                         outcome = Outcome.EARLY
                     elif np.array_equal(x, before) or _stands(lowest, self.tolerance):
                         outcome = Outcome.CONVERGED
-                    elif monotonic() - began > self.seconds:
+                    elif STOP.is_set():
+                        outcome = Outcome.INTERRUPTED
+                    elif monotonic() - self.began > self.seconds:
                         outcome = Outcome.TIME
             except KeyboardInterrupt:
                 outcome = Outcome.INTERRUPTED
@@ -246,7 +263,7 @@ class _Descent:
             remarks.append(f"rate {rate:g} is too large for this start: lower it")
         held = tuple(scores) if self.judge else ()
         network = self.problem.unpack(self.theta(best))
-        return Fit(network, outcome, tuple(history), monotonic() - began, held, tuple(remarks))
+        return Fit(network, outcome, tuple(history), monotonic() - self.began, held, tuple(remarks))
 
 
 def _stands(lowest: list[float], tolerance: float) -> bool:
@@ -276,8 +293,8 @@ class _Swept(Problem):
             _back(self._tables, theta, w.now, w.past, self._forced, error, found)
         return found
 
-    def learn_online(self, theta: np.ndarray, rate: float, decay: float) -> None:
-        """Move theta after every sample of every record (RTRL)."""
+    def learn_online(self, theta: np.ndarray, rate: float, decay: np.ndarray) -> None:
+        """Move theta after every sample of every record (RTRL). decay: of each variable."""
         room = np.zeros(len(self.free))
         for w in self._windows:
             step = rate * w.weight
@@ -375,7 +392,7 @@ def _learn(
 ):  # pragma: no cover - compiled
     """Run over a record; after step k theta moves by -rate (e dy/d theta + decay theta), sensitivities as they stand.
 
-    variable: column of theta -> its variable, or -1. room: (variables,). Ends early where the run diverges.
+    variable: column of theta -> its variable, or -1. decay, room: (variables,). Ends early where the run diverges.
     """
     carried = np.zeros((t.depth + 1, len(t.rows), len(theta)))
     jacobian = np.zeros((1, len(t.shown), len(theta)))
@@ -398,4 +415,4 @@ def _learn(
                     room[variable[p]] += e * jacobian[0, j, p]
         for p in range(len(theta)):
             if variable[p] >= 0:
-                theta[p] -= rate * (room[variable[p]] + decay * theta[p])
+                theta[p] -= rate * (room[variable[p]] + decay[variable[p]] * theta[p])

@@ -1,3 +1,5 @@
+from threading import Barrier
+
 import numpy as np
 import pytest
 import torch
@@ -13,7 +15,7 @@ from greygate.models.descent import _Static, _Swept, adam, gradient_descent, lbf
 from greygate.models.network import Network, Port
 from greygate.models.problem import Problem, Record
 from greygate.models.regression import noe
-from greygate.models.training import Outcome, train
+from greygate.models.training import Outcome, multistart, train
 from greygate.plants.benchmarks import b1, b1_input
 
 METHODS = {
@@ -134,7 +136,7 @@ def test_mini_batches_take_many_steps_an_epoch():
         adam(learner()[0], [learner()[1]], batch=10)
 
 
-@pytest.mark.parametrize("name", ["gradient_descent", "rtrl", "adam"])
+@pytest.mark.parametrize("name", ["rtrl", "adam"])
 def test_a_rate_that_is_too_large_is_said_and_costs_no_weights(name):
     method, _ = METHODS[name]
     network, record = learner()
@@ -144,6 +146,17 @@ def test_a_rate_that_is_too_large_is_said_and_costs_no_weights(name):
     assert squares(fit.network, record) <= squares(network, record)
     with pytest.raises(InputError, match="rate 0: give a positive one"):
         method(network, [record], rate=0.0)
+
+
+@pytest.mark.parametrize("rate", [1e-4, None, 100.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_gradient_descent_finds_its_rate_on_an_ordinary_noe_whatever_it_starts_with(seed, rate):
+    network = nguyen_widrow(noe("n", {Port("u"): (1, 2)}, Port("y"), (1, 2), (6,), seed), seed)  # 2 free run wild
+    fit = gradient_descent(network, [learner()[1]], epochs=300, **({} if rate is None else {"rate": rate}))
+    assert fit.outcome is Outcome.EPOCHS
+    assert min(fit.history) < 0.005
+    with pytest.raises(InputError, match="rate 0: give a positive one"):
+        gradient_descent(network, [learner()[1]], rate=0.0)
 
 
 def test_frozen_weights_stay_tied_ones_stay_equal_and_decay_shrinks():
@@ -162,6 +175,22 @@ def test_frozen_weights_stay_tied_ones_stay_equal_and_decay_shrinks():
         assert norms[1] < 0.5 * norms[0]
 
 
+@pytest.mark.parametrize("name", METHODS)
+def test_decay_is_given_by_module_layer_or_parameter(name):
+    method, options = METHODS[name]
+    network, record = learner()
+
+    def fit(decay):
+        return method(network, [record], epochs=30, decay=decay, **options)
+
+    assert fit({"hidden1": 0.5, "sum": 0.5}).history == fit(0.5).history
+    norms = [{n: np.sum(v**2) for n, v in fit(d).network.parameters().items()} for d in (0.0, {"hidden1.bias": 100.0})]
+    assert norms[1]["hidden1.bias"] < 0.5 * norms[0]["hidden1.bias"]
+    assert norms[1]["hidden1.y_z1"] > 0.5 * norms[0]["hidden1.y_z1"]
+    with pytest.raises(InputError, match="decay names nobody"):
+        fit({"nobody": 1.0})
+
+
 def test_training_stops_where_the_held_out_tail_no_longer_improves():
     network, record = learner()
     rng = np.random.default_rng(0)
@@ -169,6 +198,32 @@ def test_training_stops_where_the_held_out_tail_no_longer_improves():
     fit = lbfgs(network, [noisy], epochs=2000, tail=0.3, patience=20)
     assert fit.outcome is Outcome.EARLY
     assert len(fit.held) == len(fit.history) == int(np.argmin(fit.held)) + 21
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_ctrl_c_in_a_multistart_ends_the_starts_under_way(name):
+    method, options = METHODS[name]
+    network, record = learner()
+    both = Barrier(2)
+
+    def fit(seed):
+        both.wait(10)
+        return method(network, [record], epochs=(1, 10**9)[seed], tolerance=0.0, seconds=10.0, **options)
+
+    def interrupt(start):
+        raise KeyboardInterrupt
+
+    ranked = multistart(fit, lambda network: squares(network, record), range(2), progress=interrupt)
+    assert {s.seed: s.fit.outcome for s in ranked} == {0: Outcome.EPOCHS, 1: Outcome.INTERRUPTED}
+
+
+def test_time_and_goal_end_a_training():
+    network, record = learner()
+    late = adam(network, [record], epochs=10**9, seconds=0.05)
+    assert late.outcome is Outcome.TIME
+    assert late.seconds > 0.05
+    done = adam(network, [record], goal=1e9)
+    assert (done.outcome, len(done.history)) == (Outcome.REACHED, 1)
 
 
 def test_an_interrupt_keeps_the_best_weights():
