@@ -1,5 +1,6 @@
 """Residuals, exact Jacobian through time and normal equations of any network on its records."""
 
+import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -114,6 +115,8 @@ class Problem:
             self._outputs[at : at + p.size] = True
         self._forced = self._outputs if teacher else np.zeros(elements, bool)
         self._state = self._state_elements()
+        if shooting is not None and shooting < 1:
+            raise InputError(f"shooting {shooting}: a window has at least one step")
         whole = [self._arrays(r, i, first) for i, r in enumerate(records)]
         self._windows = list(self._windowed(whole, theta, estimate_initial, shooting))
         states = [self._state_of(w.now) for w in self._windows if w.state.stop > w.state.start]
@@ -126,11 +129,15 @@ class Problem:
     # ---- what is free
 
     def _variables(self, free: Mapping, tied: Sequence[Sequence[str]]) -> None:
-        for name in set(free) - set(self._names):
-            raise InputError(f"network {self.flat.name}: no parameter {name} to leave free or hold")
+        shapes = dict(zip(self._names, self._shapes, strict=True))
+        for name, which in free.items():
+            if name not in shapes:
+                raise InputError(f"network {self.flat.name}: no parameter {name} to leave free or hold")
+            if np.size(which) not in (1, int(np.prod(shapes[name]))):
+                raise InputError(f"free: {name} has shape {shapes[name]}, not {np.shape(which)}")
         may_move = np.concatenate(
             [
-                np.full(int(np.prod(shape)), not self._frozen(n)) & np.asarray(free.get(n, True)).ravel()
+                np.full(int(np.prod(shape)), not self._frozen(n)) & np.asarray(free.get(n, True), bool).ravel()
                 for n, shape in zip(self._names, self._shapes, strict=True)
             ]
             + [np.ones(len(self.theta) - self._size, bool)]
@@ -141,7 +148,11 @@ class Problem:
             for name, columns in zip(group[1:], others, strict=True):
                 if len(columns) != len(leader):
                     raise InputError(f"network {self.flat.name}: {name} and {group[0]} differ in shape; no tie")
+                if not (may_move[columns].all() and may_move[leader].all()):
+                    raise InputError(f"network {self.flat.name}: {name} or {group[0]} is held fixed; no tie")
                 like[columns] = like[leader]
+        while (like[like] != like).any():  # groups that share a member
+            like = like[like]
         self.theta[:] = self.theta[like]
         self.free = np.flatnonzero(may_move & (like == np.arange(len(like))))
         position = np.full(len(self.theta), -1)
@@ -180,6 +191,8 @@ class Problem:
 
     def _arrays(self, record: Record, index: int, first: dict[str, int]) -> _Window:
         flat, depth = self.flat, self._tables.depth
+        if not record.weight > 0:
+            raise InputError(f"network {flat.name}: record {index} weighs {record.weight}; give a positive weight")
 
         def signal(kind: str, given: Mapping, p) -> np.ndarray:
             if p.name not in given:
@@ -326,6 +339,30 @@ class Problem:
             )
             total += self.continuity * sum(float(np.sum(gap**2)) for _, gap in self._gaps(theta))
         return total if np.isfinite(total) else np.inf
+
+    @property
+    def power(self) -> float:
+        """The loss of an output of zero."""
+        total = sum(w.weight * float(np.vdot(w.target[w.skip :], w.target[w.skip :])) for w in self._windows)
+        return total / (2 * max(self.samples, 1))
+
+    def fingerprint(self) -> str:
+        """Of the records, what is free, and where theta starts: equal problems have equal ones."""
+        scalars = (self._names, self._shapes, self.teacher, [(w.skip, w.weight) for w in self._windows])
+        found = hashlib.sha256(repr(scalars).encode())
+        for array in (self.theta, self.variable, *(a for w in self._windows for a in (w.past, w.target))):
+            found.update(array.tobytes())
+        return found.hexdigest()
+
+    def taking(self, other: "Problem", theta: np.ndarray, states: bool) -> np.ndarray:
+        """Theta with the weights of another's; states: and the initial states of its records, in their order."""
+        mine = self.theta.copy()
+        mine[: self._size] = theta[: self._size]
+        if states:
+            own, given = ([w.state for w in p._windows if not w.follows] for p in (self, other))
+            for here, there in zip(own, given, strict=True):
+                mine[here] = theta[there]
+        return mine
 
     def _gaps(self, theta: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
         """(window, the state it ends with less the one that the next begins with)."""

@@ -1,7 +1,6 @@
 """Levenberg-Marquardt for any network, feedback included, with exact derivatives through time."""
 
 import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field, fields, replace
@@ -10,6 +9,7 @@ from functools import cache
 from pathlib import Path
 from threading import Event
 from time import monotonic
+from zipfile import BadZipFile
 
 import numpy as np
 import scipy.linalg
@@ -21,6 +21,8 @@ from greygate.models.problem import Problem, Record, held_out
 
 CONTINUITY = (1.0, 1e1, 1e2, 1e3)  # weights of the gaps, one multiple-shooting stage each
 SAVE_EVERY = 10.0  # s between checkpoints
+RUNAWAY = 10.0  # times the loss of predicting zero: a free run that ends above it has diverged
+EXACT = 1e-24  # of the loss of predicting zero: rounding is all that is left
 STOP = Event()  # ends every training under way in other threads, as Ctrl-C does in this one
 
 
@@ -85,6 +87,8 @@ class _Whole:
             for name, columns in place.items():  # the longest name that fits counts
                 fits = [d for d in decay if name == d or name.startswith(d + ".")]
                 diagonal[columns] = decay[max(fits, key=len)] if fits else 0.0
+        if (diagonal < 0).any():
+            raise InputError(f"decay {decay}: a negative one rewards large weights; give 0 or more")
         return diagonal[self.main.free]
 
     def loss(self, theta: np.ndarray) -> float:
@@ -132,9 +136,13 @@ class _Progress:
         try:
             with np.load(path) as data:
                 if str(data["key"]) != key:
-                    raise InputError(f"{path}: a checkpoint of another training; remove it or give another path")
+                    raise InputError(
+                        f"{path}: a checkpoint of other records, options or weights; remove it or give another path"
+                    )
                 values = {f.name: data[f.name] for f in fields(_Progress)}
-        except (OSError, ValueError, KeyError) as error:
+        except InputError:
+            raise
+        except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
             raise InputError(f"{path}: not a readable checkpoint ({error}); remove it") from None
         return _Progress(**{n: v if v.ndim and n in ("theta", "best") else v.tolist() for n, v in values.items()})
 
@@ -176,15 +184,21 @@ def train(
     progress: called with (epoch, loss). Ctrl-C keeps the best weights so far. Raises InputError as `Problem`.
     """
     began = monotonic()
+    if epochs < 0:
+        raise InputError(f"epochs {epochs}: give a number from 0 on")
     used, judged = held_out(network, records, tail, held)
     options = {"teacher": teacher, "free": free, "tied": tied}
-    judge = Problem(network, judged, teacher, estimate_initial=estimate_initial) if judged else None
+    count = len(records) if tail else 0
+    judge = [Problem(network, judged[:count], teacher, estimate_initial=estimate_initial)] if count else []
+    judge += [Problem(network, judged[count:], teacher)] if held else []
 
     def climb(problem: Problem, goal: float, epochs: int, checkpoint: Path | str | None) -> Fit:
         whole = _Whole(problem, network, decay, rehearse or {})
         left = seconds - (monotonic() - began)
         path = Path(checkpoint) if checkpoint else None
-        return _Climb(whole, judge, bounds or {}, patience).run(epochs, goal, left, tolerance, path, progress)
+        return _Climb(whole, judge, count > 0, bounds or {}, patience).run(
+            epochs, goal, left, tolerance, path, progress
+        )
 
     with blas().limit(limits=1, user_api="blas"):  # two BLAS threads are slower than one on matrices this small
         fit = None
@@ -200,7 +214,7 @@ def train(
         if fit is None or fit.outcome not in (Outcome.INTERRUPTED, Outcome.TIME):
             problem = Problem(fit.network if fit else network, used, **options, estimate_initial=estimate_initial)
             fit = climb(problem, goal, epochs, checkpoint)
-    return replace(fit, seconds=monotonic() - began, remarks=tuple(problem.remarks()))
+    return replace(fit, seconds=monotonic() - began, remarks=(*fit.remarks, *problem.remarks()))
 
 
 @cache
@@ -212,14 +226,24 @@ def blas() -> ThreadpoolController:
 class _Climb:
     """One descent of Levenberg-Marquardt from the problem's theta."""
 
-    def __init__(self, whole: _Whole, judge: Problem | None, bounds: Mapping[str, tuple], patience: int):
-        self.whole, self.judge, self.patience = whole, judge, patience
+    def __init__(
+        self, whole: _Whole, judge: Sequence[Problem], tails: bool, bounds: Mapping[str, tuple], patience: int
+    ):
+        self.whole, self.judge, self.tails, self.patience = whole, judge, tails, patience
         problem = self.problem = whole.main
+        if not len(problem.free):
+            raise InputError(f"network {problem.flat.name}: nothing to train; every parameter is frozen or held")
         low, high = np.full(len(problem.theta), -np.inf), np.full(len(problem.theta), np.inf)
         place = problem.slices()
         for name, (lo, hi) in bounds.items():
             if name not in place:
                 raise InputError(f"bounds name {name}, which is no parameter of the network")
+            if not np.isin(place[name], problem.free).all():
+                raise InputError(
+                    f"bounds on {name}, which is frozen, held or tied to another; bound the one that moves"
+                )
+            if any(np.size(b) not in (1, len(place[name])) for b in (lo, hi)):
+                raise InputError(f"bounds on {name}: give two numbers, or arrays of its shape")
             low[place[name]], high[place[name]] = np.ravel(lo), np.ravel(hi)
         if (low > high).any():
             raise InputError("bounds: a lower bound lies above its upper bound")
@@ -229,15 +253,20 @@ class _Climb:
         )
 
     def key(self) -> str:
-        """What must be equal for a checkpoint to fit."""
-        said = [*self.problem.slices(), len(self.problem.theta), len(self.problem.free), self.problem.samples]
-        return hashlib.sha256(json.dumps([*said, self.problem.theta.tolist()]).encode()).hexdigest()[:16]
+        """What must be equal for a checkpoint to fit: records, options and start."""
+        whole = self.whole
+        found = hashlib.sha256(repr([p.fingerprint() for p in (self.problem, *self.judge)]).encode())
+        for array in (whole.decay, self.low, self.high):
+            found.update(array.tobytes())
+        found.update(repr([part.fingerprint() for part, *_ in whole.parts]).encode())
+        return found.hexdigest()[:16]
 
     def held(self, theta: np.ndarray) -> float:
-        full = self.judge.theta.copy()  # its first initial states are those of the training records, others stay
-        count = min(len(theta), len(full))
-        full[:count] = theta[:count]
-        return self.judge.squares(full) / self.judge.samples
+        """Mean squared error on tails, from the state their record starts from, and on held-out records, from rest."""
+        total = sum(
+            p.squares(p.taking(self.problem, theta, states=self.tails and i == 0)) for i, p in enumerate(self.judge)
+        )
+        return total / sum(p.samples for p in self.judge)
 
     def step(self, theta: np.ndarray, hessian: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray | None:
         """The damped Gauss-Newton step within the bounds; None where there is none."""
@@ -261,15 +290,18 @@ class _Climb:
         whole, problem = self.whole, self.problem
         at = _Progress(problem.theta.copy(), problem.theta.copy())
         key = self.key() if checkpoint else ""
-        if checkpoint and checkpoint.exists():
+        resumed = bool(checkpoint and checkpoint.exists())
+        if resumed:
             at = _Progress.load(checkpoint, key)
+            begun = len(at.history) - 1
         else:
             at.history.append(whole.loss(at.theta))
             if self.judge:
                 at.held.append(self.held(at.theta))
         outcome = Outcome.EPOCHS if np.isfinite(whole.loss(at.theta)) else Outcome.DIVERGED
-        if at.history[-1] <= goal:
-            outcome = Outcome.REACHED
+        floor = EXACT * problem.power
+        if at.history[-1] <= max(goal, floor):
+            outcome = Outcome.REACHED if goal else Outcome.CONVERGED
         try:
             while outcome is Outcome.EPOCHS and len(at.history) <= epochs:
                 outcome = self.epoch(at) or outcome
@@ -277,8 +309,8 @@ class _Climb:
                     break
                 if progress:
                     progress(len(at.history) - 1, at.history[-1])
-                if at.history[-1] <= goal:
-                    outcome = Outcome.REACHED
+                if at.history[-1] <= max(goal, floor):
+                    outcome = Outcome.REACHED if goal else Outcome.CONVERGED
                 elif len(at.history) > 10 and at.history[-11] - at.history[-1] < tolerance * at.history[-1]:
                     outcome = Outcome.CONVERGED
                 elif self.judge and len(at.held) - 1 - int(np.argmin(at.held)) >= self.patience:
@@ -297,12 +329,17 @@ class _Climb:
         elif checkpoint:
             checkpoint.unlink(missing_ok=True)
         problem.theta = at.best
+        if outcome in (Outcome.EPOCHS, Outcome.STALLED) and not at.history[-1] <= RUNAWAY * problem.power:
+            outcome = Outcome.DIVERGED
+        if outcome not in (Outcome.INTERRUPTED, Outcome.TIME) and self.judge and not np.isfinite(min(at.held)):
+            outcome = Outcome.DIVERGED
         return Fit(
             problem.unpack(at.best),
             outcome,
             tuple(at.history),
             monotonic() - began,
             held=tuple(at.held),
+            remarks=(f"resumed at epoch {begun}",) if resumed else (),
             initial=tuple(problem.initial(at.best)) if problem.estimate_initial else (),
         )
 
@@ -344,14 +381,21 @@ def narx_noe(network: Network, records: Sequence[Record], narx_epochs: int = 200
     shown = {feeds[p.name][0] for p in network.outputs}
     if not any(source in shown and delay for source, delay in feeds.values()):
         return train(network, records, **options)
-    shared = {n: v for n, v in options.items() if n in ("decay", "free", "tied", "bounds", "seconds", "progress")}
-    narx = train(network, records, teacher=True, epochs=narx_epochs, **shared)
-    if narx.outcome is Outcome.INTERRUPTED:
+    names = ("decay", "free", "tied", "bounds", "seconds", "progress", "held", "tail")
+    shared = {n: v for n, v in options.items() if n in names}
+    if path := options.get("checkpoint"):
+        shared["checkpoint"] = f"{path}.narx"
+    narx = train(network, records, teacher=True, epochs=narx_epochs, patience=narx_epochs, **shared)
+    if narx.outcome in (Outcome.INTERRUPTED, Outcome.TIME):
         return narx
+    if "seconds" in options:
+        options["seconds"] -= narx.seconds
     noe = train(narx.network, records, **options)
     if noe.outcome is Outcome.DIVERGED:
         window = max(min(map(len, records)) // 20, 2)
         noe = train(narx.network, records, **options, shooting=window)
+    if noe.outcome is Outcome.DIVERGED:
+        noe = replace(noe, network=narx.network)
     return replace(noe, seconds=narx.seconds + noe.seconds)
 
 

@@ -68,10 +68,9 @@ def test_stored_network_reproduces_its_figures(name):
 
 
 @pytest.mark.parametrize("name", STUDIES)
-def test_stored_network_beats_the_linear_model_and_its_weights_quantize(name):
-    network, figures = stored(STUDIES[name])
+def test_stored_network_beats_the_linear_model(name):
+    _, figures = stored(STUDIES[name])
     assert all(value < figures["linear"][run] for run, value in figures["test"].items())
-    assert max(np.abs(w).max() for w in network.parameters().values()) < 8
 
 
 def by_hand(network, u, y):

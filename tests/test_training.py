@@ -13,6 +13,7 @@ from greygate.errors import InputError
 from greygate.models.blocks import feedforward, flow_rate, flow_record
 from greygate.models.network import Layer, Network, Port
 from greygate.models.problem import Problem, Record
+from greygate.models.regression import noe
 from greygate.models.training import Outcome, multistart, narx_noe, train
 
 
@@ -291,7 +292,7 @@ def test_a_training_that_was_cut_off_goes_on_from_its_checkpoint_as_if_it_had_no
 
     assert train(start, [flow_record()], epochs=12, checkpoint=path, progress=interrupt).outcome is Outcome.INTERRUPTED
     assert path.exists()
-    with pytest.raises(InputError, match="a checkpoint of another training"):
+    with pytest.raises(InputError, match="checkpoint of other records, options or weights"):
         train(feedforward("f", ["u", "p"], [4], 1), [flow_record()], epochs=12, checkpoint=path)
     resumed = train(start, [flow_record()], epochs=12, checkpoint=path)
     assert resumed.history == whole.history
@@ -320,3 +321,95 @@ def test_narx_then_noe_ends_in_a_free_run_at_the_optimum():
     record = excited(loop(0.9, 1.0), 300)
     fit = narx_noe(loop(0.1, 0.1), [record], goal=1e-22)
     assert fit.outcome is Outcome.REACHED
+
+
+def test_a_checkpoint_of_other_records_or_options_is_refused_and_a_resumed_training_says_so(tmp_path):
+    start, path, record = feedforward("f", ["u", "p"], [4], 0), tmp_path / "training.npz", flow_record()
+
+    def interrupt(epoch, loss):
+        if epoch == 3:
+            raise KeyboardInterrupt
+
+    train(start, [record], checkpoint=path, progress=interrupt)
+    other = replace(record, targets={"y": 2 * record.targets["y"]})
+    for records, options in (([other], {}), ([record], {"decay": 1.0}), ([record], {"held": [other]})):
+        with pytest.raises(InputError, match="checkpoint of other records, options or weights"):
+            train(start, records, checkpoint=path, **options)
+    assert "resumed at epoch 3" in train(start, [record], epochs=5, checkpoint=path).remarks
+
+
+def fed_back(own: float, gain: float) -> Network:
+    """y(k) = own y(k-1) + gain u(k-1): its output is fed back, so that there is a NARX stage."""
+    network = noe("n", {Port("u"): (1,)}, Port("y"), (1,), ())
+    return network.with_parameters({"sum.y_z1": [[own]], "sum.u_z1": [[gain]], "sum.bias": [0.0]})
+
+
+def test_an_interrupted_narx_stage_leaves_its_checkpoint_and_is_taken_up(tmp_path):
+    record, path = excited(fed_back(0.9, 1.0), 300), tmp_path / "training.npz"
+
+    def interrupt(epoch, loss):
+        raise KeyboardInterrupt
+
+    start = fed_back(0.1, 0.1)
+    assert narx_noe(start, [record], checkpoint=path, progress=interrupt).outcome is Outcome.INTERRUPTED
+    assert (tmp_path / "training.npz.narx").exists()
+    assert narx_noe(start, [record], checkpoint=path, goal=1e-22).outcome is Outcome.REACHED
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_narx_stage_does_not_learn_the_tail():
+    record = excited(fed_back(0.9, 1.0), 300)
+    spoilt = replace(record, targets={"y": np.r_[record.targets["y"][:200], 50.0 * np.ones(100)]})
+    fit = narx_noe(fed_back(0.1, 0.1), [spoilt], tail=1 / 3, epochs=0)
+    assert fit.network.parameters()["sum.y_z1"].item() == pytest.approx(0.9, abs=1e-6)
+
+
+def test_held_out_records_are_judged_from_their_own_start_and_tails_from_that_of_their_record():
+    plant, rng = loop(0.9, 1.0), np.random.default_rng(3)
+    u = rng.normal(size=200)
+    moving, resting = (Record({"u": u}, {"y": plant.run({"u": u}, initial=i)["y"]}) for i in ({"s": 5.0}, {}))
+    fit = train(loop(0.9, 1.0), [moving], epochs=20, estimate_initial=True, held=[resting], tolerance=0.0)
+    assert min(fit.held) < 1e-15
+    tail = train(loop(0.9, 1.0), [moving], epochs=20, estimate_initial=True, tail=0.5, tolerance=0.0)
+    assert min(tail.held) < 1e-15
+
+
+def test_ties_that_share_a_member_hold_in_any_order_and_fixed_members_are_refused():
+    record = excited(loop(0.5, 0.5), 100)
+    names = list(Problem(loop(0.5, 0.3), [record]).slices())
+    assert len(names) >= 3
+    a, b, c = names[:3]
+    for groups in ([(a, b), (b, c)], [(b, c), (a, b)]):
+        values = train(loop(0.5, 0.3), [record], tied=groups, epochs=3).network.parameters()
+        assert values[a].item() == values[b].item() == values[c].item()
+    with pytest.raises(InputError, match="held fixed; no tie"):
+        Problem(loop(0.5, 0.3), [record], tied=[(a, b)], free={b: np.zeros(1, bool)})
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"decay": -1.0}, "decay -1.0"),
+        ({"epochs": -3}, "epochs -3"),
+        ({"shooting": -5}, "shooting -5"),
+        ({"bounds": {"s.own": ([0.0, 0.0], 1.0)}}, "two numbers"),
+        ({"bounds": {"s.own": (0.0, 1.0)}, "free": {"s.own": [False]}}, "bounds on s.own, which is frozen"),
+        ({"free": {"s.own": [True, False]}}, "free: s.own has shape"),
+        ({"free": {name: [False] for name in ("s.own", "s.u", "s.bias")}}, "nothing to train"),
+    ],
+)
+def test_senseless_options_are_named(options, said):
+    with pytest.raises(InputError, match=said):
+        train(loop(0.5, 0.3), [excited(loop(0.5, 0.5), 100)], **options)
+
+
+def test_a_fit_to_the_last_bit_has_converged_and_an_absurd_finite_loss_has_diverged():
+    exact = excited(loop(0.9, 1.0), 300)
+    assert train(loop(0.8, 1.0), [exact], tolerance=0.0).outcome is Outcome.CONVERGED
+    assert train(loop(3.0, 1.0), [exact], epochs=0).outcome is Outcome.DIVERGED
+
+
+def test_a_weight_that_is_not_positive_is_refused():
+    record = replace(excited(loop(0.9, 1.0), 100), weight=-1.0)
+    with pytest.raises(InputError, match="weighs -1"):
+        train(loop(0.9, 1.0), [record])
