@@ -117,14 +117,14 @@ def _compile(
 
 
 def entropy_pruning(
-    records: Sequence[Record], retrain: Callable[[Network], Network], allowed: float
+    records: Sequence[Record], retrain: Callable[[Network], Network], allowed: float, held: Sequence[Record] = ()
 ) -> Callable[[Network], tuple[Network, list[Round]]]:
-    """A pruning pass for `compile_network`. allowed: factor by which the RMS error of each output over the
-    records may rise."""
+    """A pruning pass for `compile_network`. allowed: factor by which the RMS error of each output over the held-out
+    records may rise, or over `records` if none are held out."""
 
     def prune(network: Network) -> tuple[Network, list[Round]]:
-        error = output_errors(network, list(records))
-        return prune_by_entropy(network, list(records), retrain, allowed * error)
+        error = output_errors(network, list(held or records))
+        return prune_by_entropy(network, list(records), retrain, allowed * error, held=held)
 
     return prune
 

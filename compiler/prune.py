@@ -1,6 +1,6 @@
 """Entropy pruning (thesis 3.6): neurons that hardly change are replaced by their mean, and the rest trained again."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -104,12 +104,13 @@ def prune_by_entropy(
     retrain: Callable[[Network], Network],
     allowed: np.ndarray,
     low: float = 0.1,
+    held: Sequence[Record] = (),
 ) -> tuple[Network, list[Round]]:
     """Remove neurons of low entropy and train again, round after round, until the error would exceed `allowed`.
 
     A round takes every neuron under `low` of the greatest possible entropy, or the lowest one if none is. allowed: RMS
-    error over the records, normalised, of each output. A round that misses it is undone; the next one takes half as
-    many, and when a single neuron cannot be spared the pruning ends.
+    error of each output, normalised, over the held-out records, or over `records` if none are held out. A round that
+    misses it is undone; the next one takes half as many, and when a single neuron cannot be spared the pruning ends.
     """
     rounds: list[Round] = []
     largest = sum(map(len, entropies(network, records).values()))
@@ -126,7 +127,7 @@ def prune_by_entropy(
                 chosen.setdefault(name, []).append(i)
         trial = retrain(remove_neurons(network, records, chosen))
         error = output_errors(trial, records)
-        kept = bool((error <= allowed).all())
+        kept = bool(((output_errors(trial, list(held)) if held else error) <= allowed).all())
         rounds.append(Round(chosen, len(ranked) - sum(map(len, chosen.values())), tuple(error.tolist()), kept))
         if kept:
             network = trial

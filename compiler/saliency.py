@@ -344,15 +344,15 @@ def prune_by_saliency(
 
 
 def saliency_pruning(
-    records: Sequence[Record], method: Method, allowed: float, **options
+    records: Sequence[Record], method: Method, allowed: float, held: Sequence[Record] = (), **options
 ) -> Callable[[Network], tuple[Network, list[Round]]]:
-    """A pruning pass for `compile_network`. allowed: factor by which the RMS error of each output over the records may
-    rise. options: of `prune_by_saliency`, but for `held`.
+    """A pruning pass for `compile_network`. allowed: factor by which the RMS error of each output over the held-out
+    records may rise, or over `records` if none are held out. options: of `prune_by_saliency`.
     """
 
     def prune(network: Network) -> tuple[Network, list[Round]]:
-        error = output_errors(network, list(records))
-        pruned = prune_by_saliency(network, records, method, allowed * error, **options)
+        error = output_errors(network, list(held or records))
+        pruned = prune_by_saliency(network, records, method, allowed * error, held=held, **options)
         return pruned.network, list(pruned.rounds)
 
     return prune

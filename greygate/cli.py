@@ -163,7 +163,8 @@ def _recordings(given: list[str]) -> dict[str, str]:
 def compile(
     network: Annotated[str, typer.Argument(help="A name of the catalogue, or NAME.toml with --record.")],
     out: Annotated[Path, typer.Option(help="Folder to write; replaced if it is an earlier compilation.")],
-    record: Annotated[list[str], typer.Option(help="SCENARIO=FILE.csv; the first one sets the ranges.")] = [],  # noqa: B006
+    record: Annotated[list[str], typer.Option(help="FILE.csv or SCENARIO=FILE.csv; the first sets the ranges.")] = [],  # noqa: B006
+    held: Annotated[list[str], typer.Option(help="FILE.csv on which, not on the first, pruning is judged.")] = [],  # noqa: B006
     width: Annotated[int, typer.Option(help="Word width of signals and weights, 4 to 32 bits.")] = 16,
     budget: Annotated[float | None, typer.Option(help="Instead of a width: RMSE may be so many times float's.")] = None,
     prune: Annotated[float | None, typer.Option(help="Entropy pruning; RMSE may grow by this factor.")] = None,
@@ -183,8 +184,12 @@ def compile(
         raise InputError(f"--budget {budget}: is a factor on the error of float, e.g. 1.05")
     if prune is not None and not 1 <= prune < float("inf"):
         raise InputError(f"--prune {prune}: is a factor on the error before pruning, e.g. 1.02")
+    pruned = prune is not None or weights is not None
+    if held and not pruned:
+        raise InputError("--held: judges pruning; give --prune or --weights, or name it with --record")
     chosen = ARCHITECTURES if architecture is Architecture.BOTH else (architecture.value,)
-    source = Source(network, _recordings(record))
+    judges = _recordings([_named(text) for text in held])
+    source = Source(network, _recordings([_named(text) for text in (*record, *held)]))
     with _progress(f"compiling {network}") as follow:
         compiled = compile_project(
             source,
@@ -193,6 +198,7 @@ def compile(
             budget=budget,
             prune=prune,
             weights=weights,
+            held=tuple(judges),
             generic=generic,
             architectures=chosen,
             macs=macs,
@@ -212,12 +218,14 @@ def compile(
         lines.append(f"pruned {gone}: {r.neurons} neurons left, {'kept' if r.kept else 'undone'}")
     lines += [f"{name}: {why}" for name, why in compiled.program.notes.items()]
     rmse = {}
-    for scenario in source.training:
-        rmse[scenario] = found = fixed_and_float(compiled, source.records()[scenario])
-        lines += [
-            f"{scenario:12} {output:10} RMSE float {e['float']:.4g}, fixed {e['fixed']:.4g} [{e['unit']}]"
-            for output, e in found.items()
-        ]
+    before = source.network() if pruned else None
+    for scenario, judged in source.records().items():
+        rmse[scenario] = found = fixed_and_float(compiled, judged, before)
+        for output, e in found.items():
+            once = f" ({e['before']:.4g} before pruning)" if pruned else ""
+            lines.append(
+                f"{scenario:12} {output:10} RMSE float {e['float']:.4g}{once}, fixed {e['fixed']:.4g} [{e['unit']}]"
+            )
     lines += [f"written to {out}, top module {compiled.program.name}"]
     result = {"folder": str(out), "top": compiled.program.name, "passes": passes, "signals": signals, "rmse": rmse}
     _give(result, as_json, lines)

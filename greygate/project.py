@@ -46,6 +46,7 @@ from greygate.verify import Case, Scenario, Verification, verify_many
 ARCHITECTURES = ("parallel", "folded")
 FACTS = "compile.json"
 RETRAIN_EPOCHS = 4
+SAME_TIME = 1e-3  # by which sample times may differ, relatively: printed times are rounded
 
 
 def read_record(network: Network, path: Path | str, targets: bool = True) -> Record:
@@ -53,6 +54,22 @@ def read_record(network: Network, path: Path | str, targets: bool = True) -> Rec
 
     Raises InputError for a missing column or unit, NaN, non-uniform time, an empty file.
     """
+    return _read(network, path, targets)[0]
+
+
+def read_records(network: Network, paths: Mapping[str, Path | str]) -> dict[str, Record]:
+    """Recordings by scenario, as `read_record`. Raises InputError if their sample times differ."""
+    found = {scenario: _read(network, path) for scenario, path in paths.items()}
+    times = {path: dt for path, (_, dt) in zip(paths.values(), found.values(), strict=True)}
+    for path, dt in times.items():
+        first, expected = next(iter(times.items()))
+        if abs(dt - expected) > SAME_TIME * expected:
+            raise InputError(f"{path}: sampled every {dt:g} s, {first} every {expected:g} s; resample one of them")
+    return {scenario: record for scenario, (record, _) in found.items()}
+
+
+def _read(network: Network, path: Path | str, targets: bool = True) -> tuple[Record, float]:
+    """The record and its sample time in s."""
     for port in network.inputs + network.outputs:
         if port.size > 1:
             raise InputError(f"port {port.name} has {port.size} elements, a CSV column holds one; use scalar ports")
@@ -62,7 +79,7 @@ def read_record(network: Network, path: Path | str, targets: bool = True) -> Rec
     def channels(ports: list[Port]) -> dict[str, np.ndarray]:
         return {p.name: recording[p.name] for p in ports}
 
-    return Record(channels(network.inputs), channels(network.outputs) if targets else {})
+    return Record(channels(network.inputs), channels(network.outputs) if targets else {}), recording.dt
 
 
 @dataclass(frozen=True)
@@ -82,10 +99,9 @@ class Source:
     def records(self) -> dict[str, Record]:
         if not self.recordings:
             if self.name not in CATALOG:
-                raise InputError(f"{self.name}: give recordings, --record training=FILE.csv; ranges come from them")
+                raise InputError(f"{self.name}: give recordings of it, --record FILE.csv")
             return dict(entry(self.name).records())
-        network = self.network()
-        return {scenario: read_record(network, path) for scenario, path in self.recordings.items()}
+        return read_records(self.network(), self.recordings)
 
     @property
     def title(self) -> str:
@@ -160,6 +176,7 @@ def compile_project(
     budget: float | None = None,
     prune: float | None = None,
     weights: str | None = None,
+    held: Sequence[str] = (),
     generic: bool = False,
     architectures: Sequence[str] = ARCHITECTURES,
     macs: int = 4,
@@ -169,22 +186,25 @@ def compile_project(
 
     prune: factor by which entropy pruning may raise the RMS error on the training records, e.g. 1.02.
     weights: method of `compiler.saliency` that then takes out single weights, within that factor once more.
+    held: scenarios that bound the error of pruning instead, other than the training ones.
     """
     say = progress or (lambda text: None)
     if weights is not None and weights not in METHODS:
         raise InputError(f"no pruning method {weights!r}; there are {', '.join(METHODS)}")
     network, records = source.network(), source.records()
-    training = [records[n] for n in source.training]
+    if learnt := set(held) & set(source.training):
+        raise InputError(f"{min(learnt)} sets the ranges and cannot be held out; give another recording before it")
+    training, judges = ([records[n] for n in names] for names in (source.training, held))
     passes = []
     own = {"weights": METHODS[weights]} if weights else {}
-    if prune is not None and source.name in CATALOG and entry(source.name).prune:
+    if prune is not None and not held and source.name in CATALOG and entry(source.name).prune:
         passes.append(partial(entry(source.name).prune, allowed=prune, progress=say, **own))
     else:
         if prune is not None:
-            passes.append(entropy_pruning(training, partial(_retrain, training, say), prune))
+            passes.append(entropy_pruning(training, partial(_retrain, training, say), prune, judges))
         if weights is not None:
             told = partial(_tell, say)
-            passes.append(saliency_pruning(training, METHODS[weights], prune or 1.0, progress=told))
+            passes.append(saliency_pruning(training, METHODS[weights], prune or 1.0, judges, progress=told))
     say("compiling")
     compiled = compile_network(
         network,
@@ -214,12 +234,13 @@ def compile_project(
     return compiled
 
 
-def fixed_and_float(compiled: Compiled, record: Record) -> dict[str, dict]:
-    """RMSE of the program and of the network it was quantized from, by output, in its unit."""
-    both = {"float": float_error(compiled.network, record), "fixed": fixed_error(compiled.program, record)}
+def fixed_and_float(compiled: Compiled, record: Record, before: Network | None = None) -> dict[str, dict]:
+    """RMSE of the program, of the network it was quantized from, and of that before pruning, by output, in its unit."""
+    errors = {"before": float_error(before, record)} if before else {}
+    errors |= {"float": float_error(compiled.network, record), "fixed": fixed_error(compiled.program, record)}
     return {
         port.name: {"unit": port.unit}
-        | {kind: float(np.sqrt(np.mean(e[port.name][record.skip :] ** 2))) for kind, e in both.items()}
+        | {kind: float(np.sqrt(np.mean(e[port.name][record.skip :] ** 2))) for kind, e in errors.items()}
         for port in compiled.network.outputs
     }
 

@@ -15,7 +15,8 @@ from greygate import __version__, cli
 from greygate.catalog import CATALOG
 from greygate.cli import app
 from greygate.errors import InputError, replacing_folder
-from greygate.models.network import Network
+from greygate.models.network import Layer, Network, Port
+from greygate.plants.recording import Recording
 
 GREYGATE = str(Path(sys.executable).with_name("greygate"))
 
@@ -26,11 +27,13 @@ def greygate(*arguments, cwd=None):
     return done.returncode, done.stdout, done.stderr
 
 
-def recording(path: Path, header: str = "t_s,u_V,y_m", steps: int = 60, spoil=lambda rows: rows, reach=3) -> Path:
+def recording(
+    path: Path, header: str = "t_s,u_V,y_m", steps: int = 60, spoil=lambda rows: rows, reach=3, dt=1e-3
+) -> Path:
     rng = np.random.default_rng(0)
     u = rng.uniform(-1, reach, steps)
     y = delay_line().run({"u": u})["y"] if steps else u
-    rows = [[f"{k * 1e-3:.3f}", repr(float(a)), repr(float(b))] for k, (a, b) in enumerate(zip(u, y, strict=True))]
+    rows = [[f"{k * dt:.3f}", repr(float(a)), repr(float(b))] for k, (a, b) in enumerate(zip(u, y, strict=True))]
     path.write_text("\n".join([header, *map(",".join, spoil(rows))]) + "\n")
     return path
 
@@ -83,6 +86,35 @@ def test_weights_are_pruned_by_saliency_on_request(tmp_path, network):
     assert "there are magnitude, obd" in error
 
 
+@pytest.mark.parametrize("how", [("--weights", "obs"), ("--prune", "1.02")])
+def test_pruning_keeps_what_a_held_recording_shows_and_every_recording_is_printed(tmp_path, how):
+    """v moves in the second recording alone; what it acts through looks idle in the first."""
+    network = Network("two", [Port("u", "V"), Port("v", "V")], [Port("y", "m")])
+    network.add("hidden", Layer({"u": [[0.5], [0.0]], "v": [[0.0], [0.5]]}, [0.1, 0.0], "tansig"))
+    network.add("out", Layer({"hidden": [[1.0, 1.0]]}, [0.0]))
+    for source, target in (("u", "hidden.u"), ("v", "hidden.v"), ("hidden", "out.hidden"), ("out", "y")):
+        network.connect(source, target)
+    network.save(tmp_path / "two")
+    rng = np.random.default_rng(0)
+    for name, reach in (("still", 0.0), ("moved", 1.0)):
+        inputs = {"u": rng.uniform(-1, 1, 200), "v": reach * rng.uniform(-1, 1, 200)}
+        y = network.run(inputs)["y"] + 0.01 * rng.normal(size=200)
+        Recording(1e-3, inputs | {"y": y}, {"u": "V", "v": "V", "y": "m"}).write_csv(tmp_path / f"{name}.csv")
+
+    def moved(*arguments) -> dict:
+        given = ["compile", "two.toml", "--record", "still.csv", *how, *arguments, "--json", "--out", "b"]
+        code, out, error = greygate(*given, cwd=tmp_path)
+        assert code == 0, error
+        rmse = json.loads(out)["rmse"]
+        assert list(rmse) == ["still", "moved"]
+        return rmse["moved"]["y"]
+
+    blind, seen = moved("--record", "moved.csv"), moved("--held", "moved.csv")
+    assert blind["before"] == seen["before"] == pytest.approx(0.01, rel=0.1)
+    assert blind["float"] > 20 * blind["before"]
+    assert seen["float"] <= 1.02 * seen["before"]
+
+
 def test_a_users_network_goes_the_whole_road(tmp_path, built):
     code, out, _ = greygate("verify", built, "--seed", 1, "--json")
     assert code == 0
@@ -119,6 +151,9 @@ def test_compiling_again_replaces_the_folder_and_forgets_what_was_verified(tmp_p
     assert code == 0
     assert not (built / "verify.json").exists()
     assert not (built / "rtl" / "parallel").exists()
+
+
+TWO_TIMES = "slow.csv: sampled every 0.01 s, a.csv every 0.001 s; resample one of them"
 
 
 def swapped(rows, row, column, text):
@@ -158,7 +193,12 @@ def test_a_bad_recording_is_named_in_one_line_and_nothing_is_written(tmp_path, n
         (["compile", "nobody", "--out", "b"], "no network is called 'nobody'"),
         (["compile", "missing.toml", "--record", "t=a.csv", "--out", "b"], "missing.toml: no such file"),
         (["compile", "line.toml", "--out", "b"], "give recordings"),
-        (["compile", "line.toml", "--record", "a.csv", "--out", "b"], "write SCENARIO=FILE.csv"),
+        (["compile", "line.toml", "--record", "=a.csv", "--out", "b"], "write SCENARIO=FILE.csv"),
+        (["validate", "line.toml"], "line.toml: give recordings of it, --record FILE.csv\n"),
+        (["compile", "line.toml", "--record", "a.csv", "--record", "slow.csv", "--out", "b"], TWO_TIMES),
+        (["validate", "line.toml", "--record", "a.csv", "--record", "slow.csv"], TWO_TIMES),
+        (["compile", "line.toml", "--record", "a.csv", "--held", "big.csv", "--out", "b"], "give --prune or --weights"),
+        (["compile", "line.toml", "--held", "a.csv", "--prune", "1.1", "--out", "b"], "a sets the ranges"),
         (["compile", "line.toml", "--record", "t=a.csv", "--width", "3", "--out", "b"], "choose 4 to 32 bits"),
         (["compile", "line.toml", "--record", "t=big.csv", "--width", "8", "--out", "b"], "8 bits cannot hold"),
         (["compile", "line.toml", "--record", "t=a.csv", "--budget", "0.5", "--out", "b"], "--budget 0.5"),
@@ -176,6 +216,7 @@ def test_a_bad_recording_is_named_in_one_line_and_nothing_is_written(tmp_path, n
 def test_wrong_use_is_one_line_with_exit_code_2_and_nothing_is_left(tmp_path, network, arguments, message):
     recording(tmp_path / "a.csv")
     recording(tmp_path / "big.csv", reach=900)
+    recording(tmp_path / "slow.csv", dt=1e-2)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes.txt").write_text("mine")
     before = sorted(tmp_path.rglob("*"))
