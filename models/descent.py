@@ -278,12 +278,6 @@ class _Swept(Problem):
         """No sample depends on what the network said at another."""
         return not (self._tables.row_of >= 0).any()
 
-    @property
-    def power(self) -> float:
-        """The loss of an output of zero."""
-        total = sum(w.weight * float(np.vdot(w.target[w.skip :], w.target[w.skip :])) for w in self._windows)
-        return total / (2 * self.samples)
-
     def gradient(self, theta: np.ndarray) -> np.ndarray:
         """J'e over theta. Call after `squares` at the same theta (it uses that run)."""
         found = np.zeros(len(theta))
