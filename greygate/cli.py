@@ -97,6 +97,9 @@ def train(
     narx: Annotated[bool, typer.Option(help="Learn one step ahead first, then free run from there.")] = True,
     epochs: Annotated[int, typer.Option(help="Of the free run, at most.")] = 200,
     decay: Annotated[float, typer.Option(help="Weight decay D of the loss.")] = 0.0,
+    settle: Annotated[int, typer.Option(help="First samples of each record that only tell its initial state.")] = 0,
+    shooting: Annotated[int | None, typer.Option(help="Multiple shooting in windows of so many samples.")] = None,
+    seconds: Annotated[float, typer.Option(help="Time limit.")] = float("inf"),
     out: Annotated[Path | None, typer.Option(help="Folder for NAME.toml, .safetensors, .json.")] = None,
     as_json: Json = False,
 ) -> None:
@@ -110,7 +113,8 @@ def train(
         _give({n: e.title for n, e in CATALOG.items()}, as_json, [f"{n:20} {e.title}" for n, e in CATALOG.items()])
         return
     if name not in CATALOG and (record or name.endswith(".toml")):
-        _train_own(name, record, held, {"tail": tail, "epochs": epochs, "decay": decay}, narx, out, as_json)
+        options = {"tail": tail, "epochs": epochs, "decay": decay, "shooting": shooting, "seconds": seconds}
+        _train_own(name, record, held, settle, narx, options, out, as_json)
         return
     chosen, out = entry(name), out or TRAINED
     if record or held:
@@ -123,22 +127,26 @@ def train(
     _give(figures, as_json, [json.dumps(figures, indent=1), f"written to {out / name}.toml"])
 
 
-def _train_own(name, record, held, options, narx, out, as_json) -> None:
+def _train_own(name, record, held, settle, narx, options, out, as_json) -> None:
     from greygate.project import Source, train_source
 
     if not out:
         raise InputError("--out is missing: the folder that the trained network is written into")
-    source = Source(name, _recordings([_named(text) for text in record]))
+    source = Source(name, _recordings([_named(text) for text in record]), settle)
     others = _recordings([_named(text) for text in held])
     with _bar(f"training {Path(name).stem}", options["epochs"]) as follow:
         trained = train_source(source, out, others, narx=narx, progress=follow, **options)
     for remark in trained["remarks"]:
         _say(remark)
-    lines = [f"{r:12} {o:10} RMSE {e:.4g}" for r, errors in trained["rmse"].items() for o, e in errors.items()]
+    lines = [
+        f"{r:12} {o:10} RMSE {'inf' if e is None else f'{e:.4g}'}"
+        for r, errors in trained["rmse"].items()
+        for o, e in errors.items()
+    ]
     _give(
-        trained, as_json, [f"{trained['epochs']} epochs. {trained['outcome']}", *lines, f"written to {trained['out']}"]
+        trained, as_json, [f"{trained['epochs']} epochs. {trained['sentence']}", *lines, f"written to {trained['out']}"]
     )
-    if trained["diverged"]:
+    if trained["outcome"] == "diverged":
         raise typer.Exit(1)
 
 
@@ -334,6 +342,7 @@ def validate(
     record: Annotated[list[str], typer.Option(help="FILE.csv or SCENARIO=FILE.csv; the first was learnt from.")] = [],  # noqa: B006
     out: Annotated[Path, typer.Option(help="HTML page to write.")] = Path("validation.html"),
     lags: Annotated[int, typer.Option(help="Of the residual tests, in steps.")] = 25,
+    settle: Annotated[int, typer.Option(help="First samples of each record that only tell its initial state.")] = 0,
     as_json: Json = False,
 ) -> None:
     """Free run, steps ahead, residual tests and long run of a float network, as a table and one HTML page.
@@ -344,7 +353,7 @@ def validate(
     from greygate.validation_page import judge, table, write
 
     with _progress(f"validating {network}") as follow:
-        judged = judge(Source(network, _recordings([_named(text) for text in record])), lags, follow)
+        judged = judge(Source(network, _recordings([_named(text) for text in record]), settle), lags, follow)
         write(judged, out)
     _give(judged.figures(), as_json, [*table(judged), f"written to {out}"])
     if not judged.bounded:

@@ -12,7 +12,7 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -35,11 +35,13 @@ from greygate.compiler.saliency import METHODS, Step, saliency_pruning
 from greygate.emulator.engine import run
 from greygate.emulator.program import Program
 from greygate.errors import InputError, replacing, replacing_folder
+from greygate.measured import settled
 from greygate.models.network import Network, Port
 from greygate.models.problem import Record
-from greygate.models.training import Outcome, narx_noe, train
+from greygate.models.training import narx_noe, train
 from greygate.plants.recording import read_csv
 from greygate.procedure import rms
+from greygate.report import plain
 from greygate.synthesis import synthesize
 from greygate.verify import Case, Scenario, Verification, verify_many
 
@@ -88,6 +90,7 @@ class Source:
 
     name: str
     recordings: Mapping[str, str]  # scenario -> CSV; empty for the catalogue's own
+    settle: int = 0  # first samples of each recording that only tell the state it starts from
 
     def network(self) -> Network:
         if self.name in CATALOG:
@@ -101,7 +104,8 @@ class Source:
             if self.name not in CATALOG:
                 raise InputError(f"{self.name}: give recordings of it, --record FILE.csv")
             return dict(entry(self.name).records())
-        return read_records(self.network(), self.recordings)
+        records = read_records(self.network(), self.recordings)
+        return {scenario: replace(record, skip=self.settle) for scenario, record in records.items()}
 
     @property
     def title(self) -> str:
@@ -141,31 +145,50 @@ def train_source(
 ) -> dict:
     """Train the network on its recordings and write it, with the figures returned, into the folder.
 
-    held: scenario -> CSV that only chooses the epoch. narx: learn one step ahead first. options: of `train`.
+    held: scenario -> CSV that only chooses the epoch. narx: learn one step ahead first. options: of `train`. If the
+    source settles, the state before each recording is estimated, in training and for the figures.
     Raises InputError as `train`, before anything is written.
     """
-    network, records = source.network(), source.records()
-    others = {scenario: read_record(network, path) for scenario, path in held.items()}
-    if both := set(records) & set(others):
+    if both := set(source.recordings) & set(held):
         raise InputError(f"{min(both)} is given to learn from and to judge on; name one otherwise")
+    paths = {name: Path(path).resolve() for name, path in (source.recordings | held).items()}
+    if len(set(paths.values())) < len(paths):
+        raise InputError("one file is given twice, under two names; give another to judge on")
+    network, found = source.network(), replace(source, recordings=source.recordings | held).records()
+    records, others = ({name: found[name] for name in names} for names in (source.recordings, held))
     follow = progress and (lambda epoch, loss: progress(epoch, f"loss {loss:.3g}"))
-    learn = narx_noe if narx else train
-    folder.mkdir(parents=True, exist_ok=True)
-    options |= {"held": list(others.values()), "checkpoint": folder / f"{network.name}.checkpoint", "progress": follow}
-    fit = learn(network, list(records.values()), **options)
+    learn = narx_noe if narx and not options.get("shooting") else train
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot make this folder ({error.strerror})") from None
+    fit = learn(
+        network,
+        list(records.values()),
+        held=list(others.values()),
+        checkpoint=folder / f"{network.name}.checkpoint",
+        progress=follow,
+        estimate_initial=source.settle > 0,
+        **options,
+    )
+    trained = network.with_parameters(fit.network.parameters())  # as it was declared, meanings and modules kept
+    share = options.get("tail", 0.0)
+    tails = {f"{n} tail": replace(r, skip=int((1 - share) * len(r))) for n, r in records.items() if share}
+    judged = {name: settled(trained, record) for name, record in found.items()}
+    judged |= {name: replace(judged[name.removesuffix(" tail")], skip=r.skip) for name, r in tails.items()}
     figures = {
-        "outcome": fit.outcome.value,
-        "diverged": fit.outcome is Outcome.DIVERGED,
+        "outcome": fit.outcome.name.lower(),
+        "sentence": fit.outcome.value,
         "epochs": len(fit.history) - 1,
         "loss": fit.history[-1],
         "seconds": round(fit.seconds, 2),
-        "rmse": {name: rms(fit.network, record) for name, record in (records | others).items()},
+        "rmse": {name: rms(trained, record) for name, record in judged.items()},
         "remarks": list(fit.remarks),
         "out": str(folder / f"{network.name}.toml"),
     }
-    fit.network.save(folder / network.name)
-    _write_json(folder / f"{network.name}.json", figures)
-    return figures
+    trained.save(folder / network.name)
+    _write_json(folder / f"{network.name}.json", plain(figures))
+    return plain(figures)
 
 
 def compile_project(

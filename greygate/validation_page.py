@@ -17,6 +17,7 @@ from greygate import figures
 from greygate.catalog import CATALOG, entry
 from greygate.errors import InputError, replacing
 from greygate.figures import Line
+from greygate.measured import settled
 from greygate.models.validation import LEASH, Correlation, Range, Validation, coverage, validate
 from greygate.project import Source
 from greygate.report import TRUSTED, display, plain, shown
@@ -63,6 +64,7 @@ def judge(source: Source, lags: int = 25, progress: Callable[[str], None] | None
         if taken := set(training) & set(records):
             raise InputError(f"record {min(taken)}: {source.name} learnt from one of that name; name yours otherwise")
         records = {n: own[n] for n in training} | records
+    records = {name: settled(network, record) for name, record in records.items()}
     validations = validate(network, records, period=source.period, lags=lags, progress=progress)
     size = sum(v.size for v in network.flatten().parameters().values())
     ranges = coverage(network, records, training)

@@ -15,6 +15,7 @@ from greygate import __version__, cli
 from greygate.catalog import CATALOG
 from greygate.cli import app
 from greygate.errors import InputError, replacing_folder
+from greygate.models.library import library
 from greygate.models.network import Layer, Network, Port
 from greygate.plants.recording import Recording
 
@@ -74,6 +75,52 @@ def test_a_users_network_is_trained_on_a_users_recordings(tmp_path, network):
     assert json.loads((out / "line.json").read_text()) == figures
     u = np.linspace(-1, 1, 50)
     assert Network.load(out / "line").run({"u": u})["y"] == pytest.approx(delay_line().run({"u": u})["y"], abs=1e-3)
+
+
+def test_a_recording_that_starts_in_motion_is_trained_and_judged_from_a_state_of_its_own(tmp_path, network):
+    def moving(path, state):
+        u = np.random.default_rng(0).uniform(-1, 3, 200)
+        y = delay_line().run({"u": u}, initial={"sum": state})["y"]
+        rows = [f"{k * 1e-3:.3f},{float(a)!r},{float(b)!r}" for k, (a, b) in enumerate(zip(u, y, strict=True))]
+        path.write_text("\n".join(["t_s,u_V,y_m", *rows]) + "\n")
+        return path
+
+    files = moving(tmp_path / "a.csv", 40.0), moving(tmp_path / "b.csv", -30.0)
+    common = ["train", network, "--record", files[0], "--held", files[1], "--json", "--epochs", "30"]
+    for settle, good in ((0, False), (20, True)):
+        code, text, error = greygate(*common, "--settle", settle, "--out", tmp_path / "new" / str(settle))
+        assert code == 0, error
+        assert all((errors["y"] < 1e-3) == good for errors in json.loads(text)["rmse"].values())
+    code, _, error = greygate(
+        "train", network, "--record", files[0], "--held", f"x={files[0]}", "--out", tmp_path / "n"
+    )
+    assert (code, "given twice" in error) == (2, True)
+
+
+def test_a_library_network_that_is_trained_within_a_whole_keeps_its_meaning(tmp_path):
+    whole = Network("whole", [Port("s"), Port("a"), Port("b")], [Port("y")])
+    whole.add("switch", library("switch_2"))
+    whole.add("gain", Layer({"x": [[0.5]]}, [0.0]))
+    for port, name in zip(whole.modules["switch"].inputs, ("s", "a", "b"), strict=True):
+        whole.connect(name, f"switch.{port.name}")
+    whole.connect("switch", "gain.x")
+    whole.connect("gain", "y")
+    whole.save(tmp_path / "whole")
+    rng = np.random.default_rng(0)
+    signals = {n: np.round(rng.uniform(-0.9, 0.9, 100), 3) for n in "sab"}
+    y = 2.0 * whole.run(signals)["y"]
+    lines = ["t_s,s_1,a_1,b_1,y_1"]
+    lines += [
+        ",".join(map(repr, map(float, row))) for row in zip(np.arange(100) / 1000, *signals.values(), y, strict=True)
+    ]
+    (tmp_path / "r.csv").write_text("\n".join(lines) + "\n")
+    code, _, error = greygate(
+        "train", tmp_path / "whole.toml", "--record", tmp_path / "r.csv", "--out", tmp_path / "out"
+    )
+    assert code == 0, error
+    trained = Network.load(tmp_path / "out" / "whole")
+    assert trained.modules["switch"].meaning == whole.modules["switch"].meaning
+    assert trained.parameters()["gain.x"].item() == pytest.approx(1.0, abs=1e-6)
 
 
 def test_weights_are_pruned_by_saliency_on_request(tmp_path, network):
