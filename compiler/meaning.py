@@ -3,8 +3,9 @@
 A module whose `meaning` names a library network (models/library.py), and whose weights are still those of the library,
 is replaced by the form below that computes its function exactly. That is proved twice: its inputs stay within the
 library's stated range on every record; and for every code that the tested signal can have in the finished program, the
-library network and the exact form differ by no more than the library's stated worst error. A module that fails keeps
-its network, and a remark says why. What was trained (sine, flow, ...) has no exact form and stays as it is.
+library network and the exact form differ by no more than the library's stated worst error. In a gap, where the library
+network is not what it stands for, it is the function that the exact form has to equal. A module that fails keeps its
+network, and a remark says why. What was trained (sine, flow, ...) has no exact form and stays as it is.
 """
 
 import math
@@ -16,7 +17,7 @@ import numpy as np
 
 from greygate.compiler.ranges import ranges, sums
 from greygate.emulator.program import Affine, Program, Threshold
-from greygate.models.library import Entry, recalled
+from greygate.models.library import Entry, recalled, rounded_up
 from greygate.models.network import Layer, Network
 from greygate.models.problem import Record
 
@@ -117,8 +118,9 @@ def use_meanings(
                 for port, (low, high) in entry.ranges.items():
                     least, most = seen(path, module, port)
                     if least < low - 1e-9 or most > high + 1e-9:
+                        cure = entry.cure if port in entry.gaps else f"give it reach={rounded_up(max(-least, most), 3)}"
                         why = f"stays: {port} reaches {least:.4g}..{most:.4g}, beyond its range {low:g}..{high:g}"
-                        remarks.setdefault(path, why)
+                        remarks.setdefault(path, f"{why}; {cure}")
                 if path in remarks:
                     return module
                 form = FORMS[name][0](module)
@@ -167,7 +169,7 @@ def prove(
         if len(tested) < len(FORMS[r.name][1]):
             for other, kin in replaced.items():
                 tested |= present[other] if kin.name == r.name else {}
-        count, worst, at = 0, 0.0, ""
+        count, worst, at, inside = 0, 0.0, "", {}
         for layer, port in tested.items():
             values = sign_values(program, network, layer) * (-1 if layer.endswith("_down") else 1)
             low, high = r.entry.ranges[port]
@@ -175,32 +177,51 @@ def prove(
             if not len(values):
                 continue
             count += len(values)
-            error, value = _difference(r, port, values)
-            if error > worst:
-                worst, at = error, f"{port} = {value:.4g}"
+            off, right = _differences(r, port, values)
+            gap = np.any([(a < values) & (values < b) for a, b in r.entry.gaps.get(port, ())], axis=0)
+            error = np.where(gap, right, off)
+            if error.max() > worst:
+                worst, at = error.max(), f"{port} = {values[error.argmax()]:.4g}"
+            if gap.any():
+                inside[port] = values[gap], off[gap]
         if worst > r.entry.worst_error * (1 + 1e-6) + 1e-9:
-            refused[path] = f"stays: its tanh form is off by {worst:.3g} at {at}, a code of this program inside its gap"
+            refused[path] = f"stays: it is not told what {at}, a code of this program, means; {r.entry.cure}"
         elif count:
             proved[path] = f"became logic: within {worst:.3g} of its library form on all {count} codes tested"
+            proved[path] += "".join(_inside(r, port, *found) for port, found in inside.items())
         else:
             proved[path] = "became logic: the same for every number"
     return proved, refused
+
+
+def _inside(r: Replaced, port: str, values: np.ndarray, off: np.ndarray) -> str:
+    """What is to be said of codes inside the gap, where `off` is by how much the library form misses the function."""
+    larger = max(abs(v) for gap in r.entry.gaps[port] for v in gap) / np.abs(values).min()
+    return (
+        f", but for {len(values)} inside its gap, where the tanh form is off by up to {off.max():.3g} (at {port} = "
+        f"{values[off.argmax()]:.4g}) and the logic is right; so is tanh with a gain, or a signal, "
+        f"{rounded_up(larger, 3)} times as large"
+    )
 
 
 def _join(path: str, name: str) -> str:
     return f"{path}.{name}" if path else name
 
 
-def _difference(r: Replaced, port: str, values: np.ndarray) -> tuple[float, float]:
-    """Largest deviation of the library network from its exact form over values of one port, and the value it is at."""
-    others, worst = {p: v for p, v in r.entry.ranges.items() if p != port}, (0.0, 0.0)
+def _differences(r: Replaced, port: str, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Deviations of the library network, and of the function, from the exact form at values of one port: the largest
+    whatever the others carry, (N,) each; inf where the function has no answer."""
+    others = {p: v for p, v in r.entry.ranges.items() if p != port}
+    off, right = np.zeros((2, len(values)))
     grid = replace(r.entry, ranges=others).grid(OTHERS) if others else {}
     for combination in zip(*grid.values(), strict=True) if others else [()]:
         inputs = {p: np.full((len(values), 1), v) for p, v in zip(grid, combination, strict=True)}
         inputs[port] = values[:, None]
-        error = np.abs(r.entry.network.run(inputs)["y"] - r.form.run(inputs)["y"])[:, 0]
-        worst = max(worst, (float(error.max()), float(values[error.argmax()])))
-    return worst
+        exact = r.form.run(inputs)["y"][:, 0]
+        off = np.maximum(off, np.abs(r.entry.network.run(inputs)["y"][:, 0] - exact))
+        answer = r.entry.function(**{p: v[:, 0] for p, v in inputs.items()})
+        right = np.maximum(right, np.nan_to_num(np.abs(answer - exact), nan=np.inf))
+    return off, right
 
 
 def sign_values(program: Program, network: Network, layer: str) -> np.ndarray:

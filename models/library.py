@@ -2,7 +2,7 @@
 
 Switches, logic and limits are constructed; where there is no construction a small tanh network was trained once and is
 kept in `trained/library` (`python -m greygate.models.library` trains them again). Each states the function it stands
-for, the range of its ports and its worst error there, and carries its name as `Network.meaning`, from which the
+for, the range of its ports and a bound of its error there, and carries its name as `Network.meaning`, from which the
 compiler emits a multiplexer or a comparator instead (compiler/meaning.py). Constructed weights are frozen.
 """
 
@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from decimal import ROUND_CEILING, Context, Decimal, localcontext
 from pathlib import Path
 
 import numpy as np
@@ -25,17 +26,20 @@ TRAINED = Path(__file__).parent / "trained" / "library"
 ERRORS = TRAINED / "errors.json"  # name -> worst error of each trained network
 SATURATED = 15.0  # tanh is 1 to 2e-13 from here on
 PASSED = 100.0  # a signal divided by it passes the linear part of tanh (kappa of 3.4, 1/0.01 of 3.7)
+ANY = (-math.inf, math.inf)
 FAR = 10.0  # how far grids go where a range has no end
 DENSE = {1: 20_001, 2: 401, 3: 41}  # points an axis, by the number of ports
+ROUNDING = 1e-15  # of a few float operations, relative
 
 
 @dataclass(frozen=True)
 class Entry:
     """A library network and what it promises.
 
-    function: the exact answer to arrays given by port name. text: the same in a line. ranges: port -> (low, high), in
-    the port's unit. gaps: port -> open intervals of its range in which the network is on its way from one value to the
-    other. worst_error: largest deviation from the function over the ranges, gaps left out. hardware: its operations.
+    function: the exact answer to arrays given by port name, NaN where it has none. text: the same in a line. ranges:
+    port -> (low, high), in the port's unit. gaps: port -> open intervals of its range in which the network is on its
+    way from one value to the other. worst_error: no deviation from the function over the ranges is larger, gaps left
+    out. cure: what moves values out of the gaps. hardware: its operations.
     """
 
     network: Network
@@ -45,6 +49,7 @@ class Entry:
     worst_error: float
     hardware: str
     gaps: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
+    cure: str = ""
 
     @property
     def neurons(self) -> int:
@@ -61,11 +66,14 @@ class Entry:
             axes.append(np.unique(axis))
         return {p: v.ravel() for p, v in zip(self.ranges, np.meshgrid(*axes), strict=True)}
 
+    def errors(self, at: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Deviation from the function at values given by port name, (N,)."""
+        answer = self.network.run({p: v[:, None] for p, v in at.items()})["y"][:, 0]
+        return np.abs(answer - self.function(**at))
+
     def measured_error(self, points: int | None = None) -> float:
         """The worst error on that grid."""
-        at = self.grid(points)
-        answer = self.network.run({p: v[:, None] for p, v in at.items()})["y"][:, 0]
-        return float(np.abs(answer - self.function(**at)).max())
+        return float(self.errors(self.grid(points)).max())
 
 
 # ---- constructed
@@ -88,50 +96,53 @@ def _positive(name: str, **values: float) -> None:
             raise InputError(f"library network {name}: {key} = {value} must be a positive number")
 
 
-def _passing_error() -> float:
-    return 1 - PASSED * math.tanh(1 / PASSED)
+def _passing_error(reach: float) -> float:
+    """Of tanh that passes a signal, and of a saturated gate that is not quite 1, times 10 and 100."""
+    return reach * (1 - PASSED * math.tanh(1 / PASSED) + 2 * PASSED * 10 * (1 - math.tanh(SATURATED)))
 
 
-def switch_1() -> Entry:
-    """Switching network type 1 (3.4), kappa = 100: y = u1 for s = 1, u2 for s = -1."""
-    k = PASSED
-    gates = Layer({"u1": [[1 / k], [0]], "u2": [[0], [1 / k]], "s": [[k], [k]]}, [-k, k], "tansig")
-    out = Layer({"gates": [[k, k]], "s": [[-k]]}, [0.0])
+def switch_1(reach: float = 1.0) -> Entry:
+    """Switching network type 1 (3.4), kappa = 100: y = u1 for s = 1, u2 for s = -1. reach: of u1 and u2."""
+    _positive("switch_1", reach=reach)
+    k, r = PASSED, PASSED * reach
+    gates = Layer({"u1": [[1 / r], [0]], "u2": [[0], [1 / r]], "s": [[k], [k]]}, [-k, k], "tansig")
+    out = Layer({"gates": [[r, r]], "s": [[-r]]}, [0.0])
     layers = {"gates": (gates, {"u1": "u1", "u2": "u2", "s": "s"}), "out": (out, {"gates": "gates", "s": "s"})}
     return Entry(
         _network("switch_1", "u1 u2 s", layers),
-        lambda u1, u2, s: np.where(s > 0, u1, u2),
+        lambda u1, u2, s: np.select([s == 1, s == -1], [u1, u2], np.nan),
         "u1 for s = 1, u2 for s = -1",
-        {"u1": (-1, 1), "u2": (-1, 1), "s": (-1, 1)},
-        _passing_error(),
+        {"u1": (-reach, reach), "u2": (-reach, reach), "s": (-1, 1)},
+        _passing_error(reach),
         "1 multiplexer",
         {"s": ((-1, 1),)},
+        "put library network sign before s, or take switch_2",
     )
 
 
-def switch_2(gain: float = 1e6) -> Entry:
+def switch_2(gain: float = 1e6, reach: float = 1.0) -> Entry:
     """Switching network type 2 (3.5 to 3.7): y = u1 for s >= 0, u2 for s < 0.
 
     The thesis writes it as a recurrent layer whose third neuron feeds the other two one update later; here that neuron
     stands before them, so that y answers within the step. Its bias is 15 instead of 0: at s = 0 it says "not negative",
     where the thesis's would give 0, neither u1 nor u2. Between -30/gain and 0 it is on its way, and y is far off.
-    gain: 1e5 in the thesis.
+    gain: 1e5 in the thesis. reach: of u1 and u2.
     """
-    _positive("switch_2", gain=gain)
-    k = PASSED
+    _positive("switch_2", gain=gain, reach=reach)
+    r = PASSED * reach
     gate = Layer({"s": [[gain]]}, [SATURATED], "tansig")
-    values = Layer({"u1": [[1 / k], [0]], "u2": [[0], [1 / k]], "gate": [[10.0], [10.0]]}, [-10.0, 10.0], "tansig")
+    values = Layer({"u1": [[1 / r], [0]], "u2": [[0], [1 / r]], "gate": [[10.0], [10.0]]}, [-10.0, 10.0], "tansig")
     layers = {
         "gate": (gate, {"s": "s"}),
         "values": (values, {"u1": "u1", "u2": "u2", "gate": "gate"}),
-        "out": (Layer({"values": [[k, k]], "gate": [[-k]]}, [0.0]), {"values": "values", "gate": "gate"}),
+        "out": (Layer({"values": [[r, r]], "gate": [[-r]]}, [0.0]), {"values": "values", "gate": "gate"}),
     }
     return Entry(
         _network("switch_2", "u1 u2 s", layers),
         lambda u1, u2, s: np.where(s >= 0, u1, u2),
         "u1 for s >= 0, else u2",
-        {"u1": (-1, 1), "u2": (-1, 1), "s": (-1, 1)},
-        _passing_error(),
+        {"u1": (-reach, reach), "u2": (-reach, reach), "s": ANY},
+        _passing_error(reach),
         "1 multiplexer",
         {"s": ((-2 * SATURATED / gain, 0.0),)},
     )
@@ -156,7 +167,7 @@ def xor(gain: float = 1e5) -> Entry:
         _network("xor", "u1 u2", layers),
         lambda u1, u2: np.where(np.sign(u1) == np.sign(u2), -1.0, 1.0),
         "-1 if sgn(u1) = sgn(u2), else 1; sgn(0) = 0",
-        {"u1": (-1, 1), "u2": (-1, 1)},
+        {"u1": ANY, "u2": ANY},
         0.0,
         "7 comparators",
         dict.fromkeys(("u1", "u2"), ((-gap, 0.0), (0.0, gap))),
@@ -171,7 +182,7 @@ def sign(gain: float = 1e6) -> Entry:
         _network("sign", "x", layers),
         lambda x: np.where(x >= 0, 1.0, -1.0),
         "1 for x >= 0, else -1",
-        {"x": (-1, 1)},
+        {"x": ANY},
         1 - math.tanh(SATURATED),
         "1 comparator",
         {"x": ((-2 * SATURATED / gain, 0.0),)},
@@ -190,7 +201,7 @@ def zero_region(threshold: float = 1e-3) -> Entry:
         _network("zero_region", "x", layers),
         lambda x: np.where(np.abs(x) <= threshold, 1.0, -1.0),
         f"1 for |x| <= {threshold:g}, else -1",
-        {"x": (-math.inf, math.inf)},
+        {"x": ANY},
         0.0,
         "3 comparators",
     )
@@ -203,28 +214,33 @@ def absolute(reach: float = 1.0) -> Entry:
         "halves": (Layer({"x": [[1 / reach], [-1 / reach]]}, [0.0, 0.0], "satlin"), {"x": "x"}),
         "out": (Layer({"halves": [[reach, reach]]}, [0.0]), {"halves": "halves"}),
     }
-    ranges = {"x": (-reach, reach)}
-    return Entry(_network("absolute", "x", layers), lambda x: np.abs(x), "|x|", ranges, 0.0, "1 multiplexer")
+    ranges, error = {"x": (-reach, reach)}, ROUNDING * reach
+    return Entry(_network("absolute", "x", layers), lambda x: np.abs(x), "|x|", ranges, error, "1 multiplexer")
 
 
 def limiter(lo: float = 0.0, hi: float = 1.0) -> Entry:
-    """y = min(hi, max(x, lo)), by one saturating neuron."""
-    _positive("limiter", **{"hi - lo": hi - lo})
-    span = hi - lo
+    """y = min(hi, max(x, lo)), by one saturating neuron; by a multiplexer if lo is -inf or hi is inf."""
+    if not lo < hi or (lo == -math.inf and hi == math.inf):
+        raise InputError(f"library network limiter: lo = {lo}, hi = {hi}; give lo < hi, one of them may be infinite")
+    span, text, error = hi - lo, f"min({hi:g}, max(x, {lo:g}))", ROUNDING * (abs(lo) + abs(hi))
     layers = {
         "part": (Layer({"x": [[1 / span]]}, [-lo / span], "satlin"), {"x": "x"}),
         "out": (Layer({"part": [[span]]}, [lo]), {"part": "part"}),
     }
-    text, ranges = f"min({hi:g}, max(x, {lo:g}))", {"x": (-math.inf, math.inf)}
-    return Entry(_network("limiter", "x", layers), lambda x: np.clip(x, lo, hi), text, ranges, 0.0, "1 clamp")
+    hardware = "1 clamp"
+    if math.isinf(span):
+        end, side, text = (lo, 1.0, f"max(x, {lo:g})") if math.isinf(hi) else (hi, -1.0, f"min(x, {hi:g})")
+        chosen = Layer({"x": [[side], [1.0], [0.0]]}, [-side * end, 0.0, end], "select")
+        layers, hardware, error = {"out": (chosen, {"x": "x"})}, "1 multiplexer", 0.0
+    return Entry(_network("limiter", "x", layers), lambda x: np.clip(x, lo, hi), text, {"x": ANY}, error, hardware)
 
 
 def gaussian() -> Entry:
     """y = exp(-x^2 / 2), by one radial neuron."""
     layers = {"out": (Layer({"x": [[1 / math.sqrt(2)]]}, [0.0], "radbas"), {"x": "x"})}
-    ranges = {"x": (-math.inf, math.inf)}
     network = _network("gaussian", "x", layers)
-    return Entry(network, lambda x: np.exp(-(x**2) / 2), "exp(-x^2 / 2)", ranges, 0.0, "1 table look-up")
+    function, text = (lambda x: np.exp(-(x**2) / 2)), "exp(-x^2 / 2)"
+    return Entry(network, function, text, {"x": ANY}, ROUNDING, "1 table look-up")
 
 
 # ---- trained
@@ -363,6 +379,12 @@ def recalled(meaning: str) -> tuple[str, Entry]:
         raise InputError(f"meaning {meaning!r} names no library network; remove it ({error})") from None
 
 
+def rounded_up(value: float, digits: int) -> str:
+    """The least number of so many digits that is not below value."""
+    with localcontext(Context(prec=digits, rounding=ROUND_CEILING)):
+        return f"{float(+Decimal(repr(float(value)))):g}"
+
+
 def listing() -> list[dict[str, str]]:
     """Every library network with its default arguments, a row each, in words."""
     rows = []
@@ -371,13 +393,14 @@ def listing() -> list[dict[str, str]]:
         spans = []
         for port, (low, high) in e.ranges.items():
             gaps = "".join(f" without ({a:.2g}, {b:.2g})" for a, b in e.gaps.get(port, ()))
-            spans.append(f"{port} any" if math.isinf(high) else f"{port} {low:.4g}..{high:.4g}{gaps}")
+            span = "any" if math.isinf(high) else f"{low:.4g}..{high:.4g}"
+            spans.append(f"{port} {span}{gaps}")
         rows.append(
             {
                 "network": name,
                 "y": e.text,
                 "range": "; ".join(spans),
-                "worst error": f"{e.worst_error:.2g}",
+                "worst error": rounded_up(e.worst_error, 2),
                 "neurons": str(e.neurons),
                 "in hardware": e.hardware,
             }
@@ -392,6 +415,24 @@ def markdown() -> str:
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines) + "\n"
 
 
+def bound(found: Entry, zooms: int = 6) -> float:
+    """The worst error between grid points too: about the worst points of the grid, finer and finer grids."""
+    at = found.grid()
+    steps = {p: (high - low) / (DENSE[len(at)] - 1) for p, (low, high) in found.ranges.items()}
+    worst = 0.0
+    for _ in range(zooms):
+        errors = found.errors(at)
+        worst = max(worst, float(errors.max()))
+        near = np.stack(np.meshgrid(*[np.linspace(-1, 1, 9)] * len(at)), -1).reshape(-1, len(at))
+        chosen = np.argsort(errors)[-100:]
+        at = {
+            p: np.clip((v[chosen, None] + step * offset).ravel(), *found.ranges[p])
+            for (p, v), step, offset in zip(at.items(), steps.values(), near.T, strict=True)
+        }
+        steps = {p: step / 4 for p, step in steps.items()}
+    return worst
+
+
 def fit_library(progress: Callable[[str], None] = print) -> None:
     """Train what is trained, of several seeds the one with the lowest worst error, and keep it in `TRAINED`."""
     errors = {}
@@ -404,7 +445,7 @@ def fit_library(progress: Callable[[str], None] = print) -> None:
         errors[name] = 0.0
     with replacing(ERRORS) as path:
         path.write_text(json.dumps(errors))
-    errors = {name: float(f"{entry(name).measured_error():.3g}") for name in networks}
+    errors = {name: float(rounded_up(bound(entry(name)), 3)) for name in networks}
     with replacing(ERRORS) as path:
         path.write_text(json.dumps(errors, indent=1) + "\n")
     for name, error in errors.items():

@@ -63,22 +63,53 @@ def test_switch_1_becomes_a_multiplexer_behind_a_sign_and_stays_behind_anything_
     assert operations(chosen.program)["table look-up"] == 0
     alone = compiled(library("switch_1"), inputs_of("switch_1"))
     assert operations(alone.program)["multiplexer"] == 0
-    assert "inside its gap" in alone.passes[1].remarks[0]
+    assert "put library network sign before s" in alone.passes[1].remarks[0]
 
 
 @pytest.mark.parametrize(
-    ("gain", "width", "logic"), [(1e5, 12, True), (1e5, 16, False), (1e6, 16, True), (1e6, 20, False)]
+    ("gain", "width", "larger"), [(1e5, 12, None), (1e5, 16, 9.84), (1e6, 16, None), (1e6, 20, 15.8)]
 )
-def test_a_switch_stays_a_network_where_codes_fall_inside_its_gap(gain, width, logic):
-    result = compiled(library("switch_2", gain=gain), inputs_of("switch_2"), width)
-    assert bool(operations(result.program)["multiplexer"]) == logic
+def test_codes_inside_the_gap_of_a_switch_are_answered_as_it_says_and_the_remark_names_the_gain(gain, width, larger):
+    inputs = inputs_of("switch_2")
+    result = compiled(library("switch_2", gain=gain), inputs, width)
+    assert operations(result.program)["multiplexer"] == 1
     (remark,) = result.passes[1].remarks
-    assert ("became logic: within 3.33e-05" if logic else "stays: its tanh form is off by") in remark
+    assert "became logic: within 3.33e-05" in remark
+    assert ("inside its gap" in remark) == bool(larger)
+    if larger:
+        assert f"a gain, or a signal, {larger} times as large" in remark
+        (remark,) = compiled(library("switch_2", gain=larger * gain), inputs, width).passes[1].remarks
+        assert "inside its gap" not in remark
 
 
-@pytest.mark.parametrize(("width", "logic"), [(16, True), (20, False)])
+@pytest.mark.parametrize("scale", [1e-9, 1e-3, 1e3])
+def test_a_switch_is_a_multiplexer_on_a_signal_of_any_size(scale):
+    network = Network("chosen", [Port("u1"), Port("u2"), Port("s")], [Port("y")])
+    network.add("switch", library("switch_2", reach=7.0))
+    for port in ("u1", "u2", "s"):
+        network.connect(port, f"switch.{port}")
+    network.connect("switch", "y")
+    rng = np.random.default_rng(0)
+    inputs = {"u1": rng.uniform(-7, 7, 300), "u2": rng.uniform(-7, 7, 300), "s": scale * rng.uniform(-1, 1, 300)}
+    program = compiled(network, inputs).program
+    assert operations(program) == {"multiplexer": 1}
+    codes = program.encode(inputs)
+    chosen = np.where(codes[:, 2] >= 0, codes[:, 0], codes[:, 1])
+    np.testing.assert_array_equal(interpret(program, codes).outputs[:, 0], chosen)
+
+
+def test_a_limit_at_one_end_is_a_multiplexer():
+    inputs = {"x": np.linspace(-1, 1, 200)}
+    for args, expected in (({"hi": np.inf}, np.maximum), ({"lo": -np.inf, "hi": 0.0}, np.minimum)):
+        program = compiled(library("limiter", **args), inputs).program
+        assert operations(program) == {"multiplexer": 1}
+        codes = program.encode(inputs)
+        np.testing.assert_array_equal(interpret(program, codes).outputs, expected(codes, 0))
+
+
+@pytest.mark.parametrize(("width", "clear"), [(16, True), (20, False)])
 @pytest.mark.parametrize("name", ["sign", "switch_2"])
-def test_the_gap_is_looked_for_where_the_tested_sum_is_zero(name, width, logic):
+def test_the_gap_is_looked_for_where_the_tested_sum_is_zero(name, width, clear):
     """Beyond 2^17 codes those about zero are tried: about the zero of the sum, not of the signal that it is made of."""
     network = Network("moved", [Port("u"), Port("v")], [Port("y")])
     network.add("part", library(name))
@@ -90,7 +121,7 @@ def test_the_gap_is_looked_for_where_the_tested_sum_is_zero(name, width, logic):
     network.connect("part", "y")
     rng = np.random.default_rng(0)
     result = compiled(network, {"u": rng.uniform(-1, 1, 200), "v": rng.uniform(-0.2, 1, 200)}, width)
-    assert ("became logic" in result.passes[1].remarks[0]) == logic
+    assert ("inside its gap" not in result.passes[1].remarks[0]) == clear
 
 
 @pytest.mark.parametrize("name", FORMS)
@@ -115,6 +146,7 @@ def test_what_was_trained_again_or_leaves_its_range_stays_and_the_pass_says_so()
     far = inputs_of("switch_2")
     (remark,) = compiled(network, far | {"u2": 3 * far["u2"]}).passes[1].remarks
     assert "stays: u2 reaches -2.9" in remark
+    assert remark.endswith("beyond its range -1..1; give it reach=3")
 
 
 def test_the_pass_is_listed_with_its_change_and_can_be_left_out():
