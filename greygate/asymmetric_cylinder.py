@@ -12,9 +12,9 @@ import numpy as np
 from greygate.measured import TRAINED
 from greygate.models.adaptation import adopt
 from greygate.models.blocks import feedforward
-from greygate.models.cylinder import measured_spool, valve_srnn
 from greygate.models.network import Network, Port
 from greygate.models.problem import Record
+from greygate.models.structures.cylinder import measured_spool, valve_srnn
 from greygate.models.training import Fit, train
 from greygate.plants.asymmetric_cylinder import CONVERTER, SENSORS, asymmetric_cylinder, record
 from greygate.procedure import Procedure, bar

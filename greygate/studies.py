@@ -10,13 +10,13 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.measured import Candidate, Fold, Runs, Study, blocked, masked, resting, settled, tails
-from greygate.models.axis import axis, moving, starting
-from greygate.models.crane import crane
-from greygate.models.drives import PULSES, VOLTAGE, drives
 from greygate.models.network import Network, Port
 from greygate.models.problem import Record
 from greygate.models.regression import noe
-from greygate.models.tanks import LEVEL, PUMP, pumped, tanks
+from greygate.models.structures.axis import axis, moving, starting
+from greygate.models.structures.crane import crane
+from greygate.models.structures.drives import PULSES, VOLTAGE, drives
+from greygate.models.structures.tanks import LEVEL, PUMP, pumped, tanks
 from greygate.models.training import Fit, train
 from greygate.plants.recording import Recording, read_csv
 

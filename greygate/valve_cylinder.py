@@ -10,9 +10,9 @@ from greygate.compiler.pipeline import float_error
 from greygate.compiler.prune import Round, output_errors, prune_by_entropy, retrained
 from greygate.compiler.saliency import Method, prune_by_saliency
 from greygate.models.blocks import divider_record, fit_divider, fit_flow, flow_record
-from greygate.models.cylinder import mean_spool, valve_srnn
 from greygate.models.network import Network
 from greygate.models.problem import Record
+from greygate.models.structures.cylinder import mean_spool, valve_srnn
 from greygate.plants.excitation import band_limited_noise, prms
 from greygate.plants.scenarios import measure, scenario
 from greygate.plants.valve_cylinder import spool_discrete, valve_cylinder

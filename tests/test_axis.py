@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from greygate.measured import rmse
-from greygate.models.axis import FORCE, POSITION, axis, moving, starting
 from greygate.models.problem import Record
+from greygate.models.structures.axis import FORCE, POSITION, axis, moving, starting
 
 PERIOD = 1e-3
 

@@ -19,11 +19,11 @@ from greygate.measured import (
     stored,
     tails,
 )
-from greygate.models.drives import drives
 from greygate.models.network import Layer, Network, Port
 from greygate.models.problem import Problem, Record
 from greygate.models.regression import noe
-from greygate.models.tanks import MEAN, PUMP, pumped, square_root, tanks
+from greygate.models.structures.drives import drives
+from greygate.models.structures.tanks import MEAN, PUMP, pumped, square_root, tanks
 from greygate.models.training import Fit, Outcome, train
 from greygate.studies import CRANE, MTS, STUDIES
 
