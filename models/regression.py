@@ -47,6 +47,7 @@ def regression(
 ) -> Network:
     """A network on the taps u(k-d), d in `inputs[port]` >= 0, and y(k-d), e(k-d), d in `feedback` and `noise` >= 1.
 
+    Several inputs are several ports; several outputs are one port of that size, each of which sees the past of all.
     hidden: neurons of each hidden layer; none gives the linear model of the same orders. Taps need not be neighbours:
     with wider spacing a slow plant sampled fast does not cancel large weights against each other.
     linear_loop: the first hidden layer sees the inputs alone (Hammerstein form): the only loop is linear, so free run
@@ -57,13 +58,14 @@ def regression(
     """
     taps = {f"{port.name}_z{d}": (port.name, d) for port, delays in inputs.items() for d in delays}
     taps |= {f"{output.name}_z{d}": ("sum", d) for d in feedback} | {f"e_z{d}": ("e", d) for d in noise}
+    sizes = {port.name: port.size for port in inputs} | dict.fromkeys(("sum", "e"), output.size)
     if any(d < (source in ("sum", "e")) for source, d in taps.values()):
         raise InputError(f"network {name}: taps {', '.join(taps)}; an input's start at 0, the output's own at 1")
     rng = np.random.default_rng(seed)
     network = Network(name, list(inputs), [output])
     last = {port: tap for port, tap in taps.items() if not (linear_loop and tap[0] in ("sum", "e"))}
     direct = {port: tap for port, tap in taps.items() if bypass or not hidden or port not in last}
-    fed = dict.fromkeys(last, 1)
+    fed = {port: sizes[source] for port, (source, _) in last.items()}
     for depth, size in enumerate(hidden, 1):
         layer, fan_in = f"hidden{depth}", sum(fed.values())
         weights = {port: rng.normal(size=(size, n)) / np.sqrt(fan_in) for port, n in fed.items()}
@@ -71,12 +73,12 @@ def regression(
         for port, (source, delay) in last.items():
             network.connect(source, f"{layer}.{port}", delay)
         fed, last = {layer: size}, {layer: (layer, 0)}
-    weights = {port: [[0.0]] for port in direct}
+    weights = {port: np.zeros((output.size, sizes[source])) for port, (source, _) in direct.items()}
     if feedback and f"{output.name}_z{feedback[0]}" in direct:
-        weights[f"{output.name}_z{feedback[0]}"] = [[1.0]]
+        weights[f"{output.name}_z{feedback[0]}"] = np.eye(output.size)
     if hidden:
-        weights |= {port: 0.01 * rng.normal(size=(1, n)) for port, n in fed.items()}
-    network.add("sum", Layer(weights, [0.0], initial=_rest(output)))
+        weights |= {port: 0.01 * rng.normal(size=(output.size, n)) for port, n in fed.items()}
+    network.add("sum", Layer(weights, np.zeros(output.size), initial=_rest(output)))
     for port, (source, delay) in (direct | last).items():
         network.connect(source, f"sum.{port}", delay)
     network.connect("sum", output.name)
@@ -135,8 +137,8 @@ def box_jenkins(plant: Network, noise: Sequence[int], shaping: Sequence[int]) ->
     train without a teacher, on records `with_measured`. The filter starts at zero.
     Raises InputError for a delay below 1 or a plant of several outputs.
     """
-    if len(plant.outputs) != 1 or min((*noise, *shaping), default=1) < 1:
-        raise InputError(f"network {plant.name}: a noise filter needs one output and delays of 1 or more")
+    if [p.size for p in plant.outputs] != [1] or min((*noise, *shaping), default=1) < 1:
+        raise InputError(f"network {plant.name}: a noise filter needs one scalar output and delays of 1 or more")
     flat = plant.flatten()
     output = plant.outputs[0]
     source, delay = flat.feeds()[output.name]
@@ -191,9 +193,11 @@ def _measured(output: Port) -> Port:
 def _measure(network: Network, name: str, of: str) -> None:
     """Add layer `name`: measured output less layer `of`, at this step."""
     port = _measured(network.outputs[0])
+    one = np.eye(port.size)
     if port not in network.inputs:
         network.inputs.append(port)
-    network.add(name, Layer({"measured": [[1.0]], "model": [[-1.0]]}, [0.0], frozen={"measured", "model", "bias"}))
+    frozen = {"measured", "model", "bias"}
+    network.add(name, Layer({"measured": one, "model": -one}, np.zeros(port.size), frozen=frozen))
     network.connect(port.name, f"{name}.measured")
     network.connect(of, f"{name}.model")
 
@@ -307,7 +311,7 @@ def armax(
     name: str = "armax",
 ) -> Fit:
     """`arx` with e(k) + sum c_d e(k-d) for its noise, trained from the ARX solution. Raises as `arx`."""
-    start = arx(records, inputs, output, feedback).network
+    start = arx(records, inputs, output, feedback, name).network
     network = narmax(name, inputs, output, feedback, noise).with_parameters(start.parameters())
     given = [with_measured(r, network) for r in settled(records, inputs, (*feedback, *noise))]
     return train(network, given, teacher=True, epochs=300)
@@ -319,7 +323,7 @@ def oe(records: Sequence[Record], inputs: Taps, output: Port, feedback: Sequence
     The free run starts from rest, so a record that does not should `skip` its beginning. An ARX solution that is
     unstable has its poles drawn inside the unit circle first. Raises as `arx`.
     """
-    weights = _stable(arx(records, inputs, output, feedback).network.parameters(), output, feedback)
+    weights = _stable(arx(records, inputs, output, feedback, name).network.parameters(), output, feedback)
     start = noe(name, inputs, output, feedback).with_parameters(weights)
     return train(start, settled(records, inputs, feedback), epochs=300)
 

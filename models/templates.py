@@ -60,6 +60,10 @@ def template(
     """
     if number not in TEMPLATES:
         raise InputError(f"network {name}: no template {number}; table 3.2 has 1 to 8")
+    if vectors := [port.name for port in (*inputs, output) if port.size > 1]:
+        raise InputError(
+            f"network {name}: template ports are scalars, {vectors[0]} is not; `regression.noe` takes vectors"
+        )
     form = TEMPLATES[number]
     reads = form.g + form.f + form.sum
     if bool(feedback) != ("y" in reads):

@@ -244,6 +244,40 @@ def test_what_keeps_a_regression_from_one_answer_is_named(u, y, message):
         arx([Record({"u": u}, {"y": y})], {Port("u"): (0, 1, 2)}, Port("y"), (1, 3))
 
 
+@pytest.mark.parametrize(
+    ("fit", "orders"), [(arx, ((1,),)), (armax, ((1,), (1,))), (oe, ((1,),)), (bj, ((1,), (1,), (1,))), (fir, ())]
+)
+def test_an_error_names_the_model_that_was_asked_for(fit, orders):
+    with pytest.raises(InputError, match=f"^{fit.__name__}: u is constant"):
+        fit([Record({"u": np.ones(50)}, {"y": GOOD})], {U: (1,)}, Y, *orders)
+
+
+@pytest.mark.parametrize("hidden", [(), (3,)])
+def test_outputs_of_one_vector_port_are_learnt_together(hidden):
+    u = np.random.default_rng(0).normal(size=(400, 2))
+    y = np.zeros((400, 2))
+    a, b = np.array([[0.6, -0.3], [0.2, 0.5]]), np.array([[1.0, 0.2], [0.0, -0.5]])
+    for k in range(1, 400):
+        y[k] = a @ y[k - 1] + b @ u[k - 1]
+    network = noe("pair", {Port("u", size=2): (1,)}, Port("y", size=2), (1,), hidden)
+    trained = train(network, [Record({"u": u}, {"y": y})], epochs=60).network
+    np.testing.assert_allclose(trained.run({"u": u})["y"], y, atol=1e-3)
+    if not hidden:
+        np.testing.assert_allclose(trained.parameters()["sum.y_z1"], a, atol=1e-4)
+
+
+def test_errors_of_a_vector_output_are_measured_each():
+    network = narmax("pair", {U: (1,)}, Port("y", size=2), (1,), (1,))
+    y = np.random.default_rng(0).normal(size=(30, 2))
+    weights = network.parameters() | {"sum.y_z1": np.zeros((2, 2)), "sum.e_z1": np.eye(2)}
+    record = with_measured(Record({"u": np.zeros(30)}, {"y": y}), network)
+    got = network.with_parameters(weights).run(record.inputs)["y"]
+    expected = np.zeros((30, 2))
+    for k in range(1, 30):
+        expected[k] = y[k - 1] - expected[k - 1]
+    np.testing.assert_allclose(got, expected, atol=1e-12)
+
+
 def test_a_signal_that_is_missing_is_named():
     with pytest.raises(InputError, match=r"u .* is missing; given: v"):
         arx([Record({"v": GOOD}, {"y": GOOD})], *PLAIN)

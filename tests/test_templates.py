@@ -107,6 +107,11 @@ def test_a_template_that_cannot_be_is_refused(number, inputs, feedback, message)
         template(number, "t", inputs, Y, feedback)
 
 
+def test_a_vector_port_is_refused_and_told_what_takes_it():
+    with pytest.raises(InputError, match="template ports are scalars, y is not"):
+        template(2, "t", {X: (1,)}, Port("y", size=2), (1,))
+
+
 def test_elman_is_its_equation():
     network = elman("e", {X: (0, 1)}, [Y], (3,), seed=2)
     p = network.parameters()
