@@ -463,6 +463,10 @@ class Problem:
         found = []
         if self.samples < len(self.free):
             found.append(f"{self.samples} samples for {len(self.free)} free weights: more data, fewer weights or decay")
+        columns = [f"{p.name}[{i}]" if p.size > 1 else p.name for p in self.flat.outputs for i in range(p.size)]
+        for label, target in zip(columns, np.concatenate([w.target for w in self._windows]).T, strict=True):
+            if np.ptp(target) <= 1e-12 * (1 + np.abs(target).max()):
+                found.append(f"target {label} is constant: a bias alone fits it; record it while it moves")
         names, taps = [], []
         t, place = self._tables, self.elements()
         for name, columns in place.items():

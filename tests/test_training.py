@@ -413,3 +413,9 @@ def test_a_weight_that_is_not_positive_is_refused():
     record = replace(excited(loop(0.9, 1.0), 100), weight=-1.0)
     with pytest.raises(InputError, match="weighs -1"):
         train(loop(0.9, 1.0), [record])
+
+
+def test_a_constant_target_is_remarked_on():
+    record = excited(loop(0.9, 1.0), 100)
+    fit = train(loop(0.5, 1.0), [replace(record, targets={"y": np.full(100, 3.0)})], epochs=3)
+    assert any("target y is constant" in remark for remark in fit.remarks)
