@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from greygate import asymmetric_cylinder, benchmark_systems, measured, studies, valve_cylinder
+from greygate import asymmetric_cylinder, benchmark_systems, cable_drum, measured, pump_cylinder, studies, valve_cylinder
 from greygate.errors import InputError, replacing
 from greygate.models.network import Network
 from greygate.models.problem import Record
@@ -104,6 +104,24 @@ CATALOG = {
                     )
                 }
             },
+        ),
+        Entry(
+            "cable_drum",
+            "Cable-drum sensor: position error of a carriage from the drum's encoder alone",
+            cable_drum.train_snn,
+            cable_drum.records,
+            cable_drum.TRAINING,
+            cable_drum.SCENARIOS,
+            cable_drum.SAMPLE_TIME,
+            {"thesis": {name: {"e": 1e-6 * cable_drum.THESIS[name]} for name in ("validation", "home")}},
+        ),
+        Entry(
+            "pump_cylinder",
+            "Pump-controlled cylinder: chamber pressures from pump speeds and position, without a pressure sensor",
+            pump_cylinder.train_srnn,
+            pump_cylinder.records,
+            pump_cylinder.TRAINING,
+            pump_cylinder.SCENARIOS,
         ),
         _measured(
             studies.MTS,
