@@ -6,7 +6,16 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from greygate import asymmetric_cylinder, benchmark_systems, cable_drum, measured, pump_cylinder, studies, valve_cylinder
+from greygate import (
+    asymmetric_cylinder,
+    belt_drive,
+    benchmark_systems,
+    cable_drum,
+    measured,
+    pump_cylinder,
+    studies,
+    valve_cylinder,
+)
 from greygate.errors import InputError, replacing
 from greygate.models.network import Network
 from greygate.models.problem import Record
@@ -122,6 +131,21 @@ CATALOG = {
             pump_cylinder.records,
             pump_cylinder.TRAINING,
             pump_cylinder.SCENARIOS,
+        ),
+        Entry(
+            "belt_drive",
+            "Timing-belt drive: position error of the carriage from the motor's encoder, by a machine of eight experts",
+            belt_drive.train_machine,
+            belt_drive.records,
+            ("training", "boundaries"),
+            belt_drive.SCENARIOS,
+            period=belt_drive.rig.SAMPLE_TIME,
+            references={
+                "thesis": {
+                    name: {"e": 1e-6 * um}
+                    for name, um in zip(belt_drive.SCENARIOS, belt_drive.THESIS["fnn"]["overall"], strict=True)
+                }
+            },
         ),
         _measured(
             studies.MTS,
