@@ -1,0 +1,109 @@
+"""The cable-drum sensor's SNN: rest, home, and what is kept of it, in float and in fixed point."""
+
+import json
+
+import numpy as np
+import pytest
+
+from greygate import catalog
+from greygate.cable_drum import (
+    ARCHITECTURES,
+    HELD,
+    THESIS,
+    at_rest,
+    black_box_record,
+    drift_at_rest,
+    drum,
+    fnn,
+    micrometres,
+    records,
+    recurrent,
+    residual,
+    unswitched,
+)
+from greygate.compiler.pipeline import compile_network
+from greygate.emulator.engine import run
+from greygate.measured import rmse
+from greygate.models.problem import Problem
+from greygate.models.training import train
+
+KEPT = json.loads((catalog.TRAINED / "cable_drum.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def snn():
+    return catalog.entry("cable_drum").network()
+
+
+@pytest.fixture(scope="module")
+def program(snn):
+    entry = catalog.entry("cable_drum")
+    return compile_network(snn, entry.records(), ranged_on=entry.training, period=entry.period)
+
+
+def test_the_kept_network_gives_the_kept_figures(snn):
+    for name in ("training", "validation", "home"):
+        assert micrometres(snn, name) == pytest.approx(KEPT["um"][name], rel=1e-6)
+    assert KEPT["um"]["validation"] <= THESIS["validation"]
+
+
+def test_nothing_drifts_in_a_minute_of_rest(snn):
+    assert drift_at_rest(snn, records()["training"]) < 1e-4  # um; the tanh switch of the loop forgets so much
+    assert drift_at_rest(snn, records()["home"]) < 1e-4
+    assert unswitched(snn)["at_rest_um"] > 1.0
+
+
+def test_in_hardware_nothing_moves_at_rest_and_detector_and_switches_are_logic(snn, program):
+    remarks = [r for p in program.passes for r in p.remarks]
+    assert sorted(r.split()[0] for r in remarks if "became logic" in r) == ["at_rest", "error", "moving"]
+    stop = 700
+    inputs = {n: np.append(v[:stop], np.full(HELD, v[stop])) for n, v in records()["home"].inputs.items()}
+    moved = np.flatnonzero(np.diff(inputs["x_pe"]))[-1]
+    codes = run(program.program, program.program.encode(inputs)).outputs[:, 0]
+    assert np.ptp(codes[moved + 4 :]) == 0
+    assert np.ptp(codes[:moved]) > 0
+
+
+def test_at_home_the_answer_is_the_known_position_less_the_encoder(snn):
+    r = records()["home"]
+    answer = residual(snn, "home") + r.targets["e"]
+    home = r.inputs["home"] == 1
+    assert home.sum() > 200
+    np.testing.assert_allclose(answer[home], -r.inputs["x_pe"][home], atol=1e-9)
+    without = residual(snn, "validation") + r.targets["e"]
+    assert np.abs(without[home] - answer[home]).max() > 10e-6
+
+
+def test_only_slip_is_trained():
+    network = drum((3,), 0)
+    found = train(network, [records()["training"].cut(0, 600)], epochs=3)
+    before, after = network.parameters(), found.network.parameters()
+    changed = {n for n, v in before.items() if n in after and not np.array_equal(v, after[n])}
+    assert changed
+    assert {n.split(".")[0] for n in changed} == {"slip"}
+
+
+def test_black_boxes_have_the_regressors_of_the_tables():
+    assert len(ARCHITECTURES) == 9
+    assert [c.target for c in fnn(2, 10).connections if c.target.startswith("hidden1.")] == [
+        f"hidden1.{n}_z{d}" for n in ("x_pe", "v_pe") for d in (0, 1)
+    ]
+    assert Problem(recurrent(3, 30, turning=True), []).flat.modules["hidden1"].weights.keys() == {
+        *(f"{n}_z{d}" for n in ("x_pe", "v_pe") for d in range(3)),
+        "cos_z0",
+        "sin_z0",
+        "e_z1",
+    }
+
+
+def test_a_narx_is_good_one_step_ahead_and_an_fnn_cannot_know_the_past():
+    r = black_box_record("training")
+    narx = train(recurrent(1, 10), [r], teacher=True, epochs=15).network
+    problem = Problem(narx, [r], teacher=True)
+    ahead = 1e3 * np.sqrt(problem.squares(problem.theta) / problem.samples)
+    assert ahead < 15
+    assert 1e6 * rmse(train(fnn(1, 10), [r], epochs=15).network, r) > 10 * ahead
+
+
+def test_a_rest_follows_the_longest_rest(snn):
+    assert len(at_rest(snn, records()["training"])) >= HELD
