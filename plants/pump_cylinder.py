@@ -35,7 +35,7 @@ PUMP_CYLINDER = {
     "warming": Parameter(0.0, "1", meaning="rise of laminar leakage once the oil is warm"),
     "t_warm": Parameter(60.0, "s", meaning="time constant of the oil's warming"),
     "t_drive": Parameter(3e-3, "s", meaning="lag of a drive's speed"),
-    "n_max": Parameter(40.0, "rev/s", meaning="limit of a drive's speed"),
+    "n_max": Parameter(20.0, "rev/s", meaning="limit of a drive's speed"),
     "sigma0": Parameter(12e5, "N/m", meaning="LuGre bristle stiffness"),
     "sigma1": Parameter(2600.0, "N s/m", meaning="LuGre bristle damping"),
     "sigma2": Parameter(2600.0, "N s/m", meaning="LuGre viscous friction"),
@@ -190,7 +190,7 @@ def pump_cylinder(**values: float) -> Plant:
 def record(name: str) -> Recording:
     """One of `RECORDS`: `training` and `chirp` of table 6.1, the others of the rig; 1 kHz; see `measure`.
 
-    Training, choice and random: a staircase of pump speed, held 0.05 to 0.5 s, one of position and one of the sum of
+    Training, choice and random: a staircase of pump speed, held 0.03 to 0.4 s, one of position and one of the sum of
     the pressures. Chirp: 10 mm of position, 0.1 to 10 Hz in 50 s, at 12 MPa. Open: the chirp at 4 mm with the sum of
     the pressures fed forward alone. Raises InputError for another name.
     """
@@ -205,7 +205,7 @@ def record(name: str) -> Recording:
         x_ref = np.concatenate([still, chirp(samples, amplitude, 0.1, 10.0, SAMPLE_TIME)])
         values = values | ({"k_sum": 0.0} if name.endswith("open") else {})
     else:
-        n_ref = np.concatenate([still, prms(samples, -4.0, 4.0, (50, 500), seed + 100)])
+        n_ref = np.concatenate([still, prms(samples, -16.0, 16.0, (30, 400), seed + 100)])
         x_ref = smoothed(np.concatenate([still, prms(samples, -0.03, 0.03, (1000, 4000), seed + 200)]), 1.5)
         p_ref[SETTLING:] = prms(samples, 9e6, 14e6, (1000, 3000), seed + 300)
     return measure(pump_cylinder(**values), x_ref, n_ref, p_ref, seed, SETTLING, name)

@@ -1,0 +1,102 @@
+"""The SRNN of the pump-controlled cylinder: trained on the nominal plant, adapted to its simulated rig (thesis ch. 6).
+
+No pressure sensor takes part in a prediction; `sensor_backup` gives the other chamber's pressure, as the thesis had to.
+"""
+
+from collections.abc import Callable
+from functools import lru_cache, partial
+
+import numpy as np
+
+from greygate.models.library import library
+from greygate.models.network import Network, Port
+from greygate.models.problem import Record
+from greygate.models.structures.pump_cylinder import leakage_bounds, pump_srnn
+from greygate.models.training import Fit, train
+from greygate.plants.pump_cylinder import PUMP_CYLINDER, RECORDS, SENSORS, pump_cylinder, record
+from greygate.procedure import Procedure, rms
+
+TRAINING = ("rig_training",)
+SCENARIOS = ("rig_training", "rig_chirp", "rig_random", "rig_open")
+THESIS = {  # RMS in Pa, chambers A and B
+    "chirp": (0.0547e6, 0.0911e6),  # simulated plant (6.3.3)
+    "sensor_training": (0.092e6, 0.116e6),  # the other chamber measured (table 6.4)
+    "sensor_validation": (0.112e6, 0.195e6),  # the same (6.4); without a sensor it diverged
+}
+Q_MAX, P_MAX = 3e-4, 2e7  # m^3/s, Pa; the networks' normalisation
+X_SCALE = 5e-6 * 2**14  # m; a step of the sensor is an exact binary fraction
+EPOCHS = 40
+NARX = {number: ((number - 1) // 3 + 1, (5, 10, 15)[(number - 1) % 3]) for number in range(1, 10)}
+"""Table 6.2: architecture -> samples of each signal, neurons."""
+NARX_EPOCHS, NOE_EPOCHS = 100, 30
+THESIS_NARX = (0.07e6, 0.07e6, 0.07e6, 0.02e6, 0.01e6, 8e3, 0.01e6, 5e3, 6e3)  # Pa, in training (table 6.2)
+THESIS_NOE = 0.2e6  # Pa, in training
+
+
+@lru_cache
+def recording(name: str, known: str = "") -> Record:
+    """Speeds `n_1`, `n_2` [rev/s] and position `x` [m] as sensors give them; targets: measured pressures [Pa].
+
+    known: chamber whose sensor's reading is an input, `p_a_measured` or `p_b_measured`, and no target.
+    """
+    c = record(name).channels
+    inputs = {n: c[n] for n in ("n_1", "n_2", "x")} | ({f"p_{known}_measured": c[f"p_{known}"]} if known else {})
+    return Record(inputs, {f"p_{chamber}": c[f"p_{chamber}"] for chamber in "ab" if chamber != known})
+
+
+def records() -> dict[str, Record]:
+    """The rig's training record and its three validation scenarios."""
+    return {name: recording(name) for name in SCENARIOS}
+
+
+def assemble(known: str = "") -> Network:
+    """The SRNN with the parameters of table 6.1, at rest at 12 MPa. known: as for `pump_srnn`."""
+    plant = pump_cylinder()
+    k = {symbol: p.value for symbol, p in PUMP_CYLINDER.items()} | {"q_max": Q_MAX, "p_max": P_MAX}
+    k |= {f"p_{c}_rest": plant.constant(plant.states[f"p_{c}"].initial) for c in "ab"}
+    rest = plant.initial()
+    speeds = tuple(Port(n, "rev/s", SENSORS[n][0], initial=rest[n], resolution=SENSORS[n][2]) for n in ("n_1", "n_2"))
+    return pump_srnn(k, library("divider"), speeds, Port("x", "m", X_SCALE, resolution=SENSORS["x"][2]), known)
+
+
+def fit(network: Network, name: str, known: str = "", progress: Callable | None = None) -> Fit:
+    """Free-run training on one record, the leakage kept as `assemble` bounds it."""
+    bounds = leakage_bounds(assemble(known))
+    follow = progress and (lambda epoch, loss: progress(f"{name}, epoch {epoch}, loss {loss:.3g}"))
+    return train(network, [recording(name, known)], epochs=EPOCHS, bounds=bounds, progress=follow)
+
+
+def train_srnn(progress: Callable[[str], None] | None = None) -> tuple[Network, dict]:
+    """Train on the nominal plant, adapt on the rig's training record. Returns the network and its figures.
+
+    Figures: RMS in Pa, chambers A and B, by step and record; `constant`: of the training record's mean pressures.
+    """
+    snn = Procedure({name: recording(name) for name in RECORDS})
+    snn.join(assemble)
+    snn.step("nominal", partial(fit, snn.network, "training", progress=progress))
+    snn.step("adapted", partial(fit, snn.network, "rig_training", progress=progress))
+    figures = {name: {r: tuple(e.values()) for r, e in snn[name].errors.items()} for name in ("joined", "nominal")}
+    figures["adapted"] = {r: tuple(e.values()) for r, e in snn["adapted"].errors.items()}
+    figures |= {"constant": constant(), "sensor_backup": sensor_backup(progress), "thesis": THESIS}
+    figures["seconds"] = {name: snn[name].seconds for name in ("nominal", "adapted")}
+    return snn.network, figures
+
+
+def constant() -> dict[str, tuple[float, ...]]:
+    """RMS in Pa of the least that a model can say: the mean pressures of the rig's training record."""
+    mean = {p: v.mean() for p, v in recording("rig_training").targets.items()}
+    return {
+        name: tuple(float(np.sqrt(np.mean((v - mean[p]) ** 2))) for p, v in recording(name).targets.items())
+        for name in SCENARIOS
+    }
+
+
+def sensor_backup(progress: Callable[[str], None] | None = None) -> dict[str, tuple[float, ...]]:
+    """RMS in Pa of `RNN P_A` and `RNN P_B`, each with the other chamber's sensor (figs. 6.5, 6.6, table 6.4)."""
+    found: dict[str, tuple[float, ...]] = dict.fromkeys(SCENARIOS, ())
+    for known in "ba":
+        network = fit(assemble(known), "training", known, progress).network
+        network = fit(network, "rig_training", known, progress).network
+        for name in SCENARIOS:
+            found[name] += tuple(rms(network, recording(name, known)).values())
+    return found
