@@ -8,7 +8,7 @@ The thesis's own recordings were never published.
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.plants.excitation import prms
+from greygate.plants.excitation import chirp, prms
 from greygate.plants.plant import Equation, Parameter, Plant, State
 from greygate.plants.recording import Recording
 from greygate.plants.simulate import simulate
@@ -65,8 +65,9 @@ SENSORS = {"u": (10.0, 0.01), "x": (0.05, 2e-5), "p_a": (4e7, 4e4), "p_b": (4e7,
 CUTOFF = {"u": 100.0, "x": 20.0, "p_a": 100.0, "p_b": 100.0, "p_s": 100.0}
 """Hz, of second-order Butterworth filters run forth and back, so that nothing is delayed (5.4.2)."""
 
-SAMPLES = {"training": 50_001, "choice": 20_000, "validation": 10_000}
-_SEEDS = {"training": 1, "choice": 3, "validation": 2}
+SAMPLES = {"training": 50_001, "choice": 20_000, "v3": 2_500, "v4": 10_000, "v5": 10_000, "v6": 50_000}
+_SEEDS = {"training": 1, "choice": 3, "v3": 2, "v4": 4, "v6": 6}
+LOOP = {"v4": 200.0, "v5": 200.0, "v6": 200.0}  # V/m, gain of the position loop of the closed-loop runs
 
 
 def asymmetric_cylinder(**values: float) -> Plant:
@@ -116,18 +117,28 @@ def asymmetric_cylinder(**values: float) -> Plant:
 
 
 def record(name: str) -> Recording:
-    """One of `training` (50,001 samples), `choice` (20,000) and `validation` (10,000) of the rig, 1 kHz; see `measure`.
+    """One run of the rig, 1 kHz; see `measure`. Raises InputError for an unknown name.
 
-    The valve follows a random staircase, held 0.08 to 0.6 s, smoothed at 8 Hz, while a slow position loop keeps the
-    piston off its stops and moves its middle about; each has seeds of its own. `choice` is there for what a training
-    leaves to be chosen, so that `validation` is never chosen on. Raises InputError for another name.
+    training (50,001 samples), choice (20,000), v3 (2,500): the valve follows a random staircase, held 0.08 to 0.6 s,
+    smoothed at 8 Hz, while a slow position loop keeps the piston off its stops and moves its middle about. `choice` is
+    there for what a training leaves to be chosen, so that no validation run is ever chosen on.
+    v4, v5 (10,000), v6 (50,000): closed position loop, as the thesis's: a random staircase of 60 mm, a chirp of 40 mm,
+    0.1 to 3 Hz, and a staircase with a sine of 10 mm and 1.3 Hz upon it.
     """
     if name not in SAMPLES:
         raise InputError(f"record {name!r} is unknown; give one of {', '.join(SAMPLES)}")
-    samples, seed = SAMPLES[name], _SEEDS[name]
-    v_c = smoothed(prms(samples, -2.5, 2.5, (80, 600), seed), 8.0)
-    x_ref = smoothed(prms(samples, -0.025, 0.025, (500, 3000), seed + 1000), 1.0)
-    rig = asymmetric_cylinder(**DIFFERENCES, k_position=60.0)
+    samples, seed = SAMPLES[name], _SEEDS.get(name, 0)
+    v_c = np.zeros(samples)
+    if name not in LOOP:
+        v_c = smoothed(prms(samples, -2.5, 2.5, (80, 600), seed), 8.0)
+        x_ref = smoothed(prms(samples, -0.025, 0.025, (500, 3000), seed + 1000), 1.0)
+    elif name == "v5":
+        x_ref = chirp(samples, 0.02, 0.1, 3.0, SAMPLE_TIME)
+    else:
+        x_ref = smoothed(prms(samples, -0.03, 0.03, (400, 2000), seed), 4.0)
+    if name == "v6":
+        x_ref += 0.005 * np.sin(2 * np.pi * 1.3 * SAMPLE_TIME * np.arange(samples))
+    rig = asymmetric_cylinder(**DIFFERENCES, k_position=LOOP.get(name, 60.0))
     return measure(rig, v_c, x_ref, np.zeros(samples), seed + 2000, source=name)
 
 

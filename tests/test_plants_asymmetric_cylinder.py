@@ -69,9 +69,14 @@ def test_sensors_add_noise_and_the_filters_delay_nothing():
     np.testing.assert_array_equal(read["p_b"], again["p_b"])
 
 
-def test_validation_stays_off_the_stops_and_an_unknown_record_is_refused():
-    found = record("validation")
-    assert found.samples == 10_000
+@pytest.mark.parametrize(("name", "samples"), [("v3", 2_500), ("v5", 10_000), ("v6", 50_000)])
+def test_validation_runs_stay_off_the_stops(name, samples):
+    found = record(name)
+    assert found.samples == samples
     assert np.abs(found["x_true"]).max() < 0.0499
-    with pytest.raises(InputError, match="unknown; give one of training, choice, validation"):
-        record("v3")
+    assert found["p_a_true"].min() > 1e5
+
+
+def test_an_unknown_record_is_refused():
+    with pytest.raises(InputError, match="unknown; give one of training, choice, v3, v4, v5, v6"):
+        record("validation")
