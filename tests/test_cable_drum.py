@@ -11,7 +11,7 @@ from greygate.cable_drum import (
     HELD,
     THESIS,
     at_rest,
-    black_box_record,
+    black_box,
     drift_at_rest,
     drum,
     fnn,
@@ -97,7 +97,7 @@ def test_black_boxes_have_the_regressors_of_the_tables():
 
 
 def test_a_narx_is_good_one_step_ahead_and_an_fnn_cannot_know_the_past():
-    r = black_box_record("training")
+    r = black_box(records()["training"])
     narx = train(recurrent(1, 10), [r], teacher=True, epochs=15).network
     problem = Problem(narx, [r], teacher=True)
     ahead = 1e3 * np.sqrt(problem.squares(problem.theta) / problem.samples)
