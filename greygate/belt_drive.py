@@ -11,10 +11,13 @@ from greygate.compiler.pipeline import float_error
 from greygate.models.blocks import feedforward
 from greygate.models.network import Layer, Network, Port
 from greygate.models.problem import Record
+from greygate.models.radial import rbf as radial_fit
+from greygate.models.regression import noe
 from greygate.models.structures.belt_drive import DIRECTIONS, REACH, E, X, belt_machine
-from greygate.models.training import train
+from greygate.models.templates import elman, frnn
+from greygate.models.training import Fit, train
 from greygate.plants import belt_drive as rig
-from greygate.procedure import Procedure
+from greygate.procedure import Procedure, rms
 
 SCENARIOS = ("s1", "s2", "s3", "s4")
 THESIS = {  # um RMS, tables 4.3 and 4.4
@@ -56,8 +59,7 @@ def normalised(record: Record) -> tuple[np.ndarray, np.ndarray]:
 
 def answer(network: Network, **inputs: np.ndarray) -> np.ndarray:
     """An expert's answer to (N,) values by port: (N,), or (N, size)."""
-    found = network.run({n: v[:, None] for n, v in inputs.items()})["y"]
-    return found[:, 0] if found.shape[1] == 1 else found
+    return network.run({n: v[:, None] for n, v in inputs.items()})["y"][:, 0]
 
 
 def boundary_data(way: str) -> Record:
@@ -134,6 +136,7 @@ def start_data(experts: Mapping[str, Network], way: str) -> Record:
     return Record({"x": x[inside], "e": e[inside]}, {"y": np.stack([-away, began], 1)[inside]})
 
 
+RADIAL = {"e": 24, "d": 60}
 DECAY = {"e": 1e-3, "d": 1e-2, "sp": 1e-4, "b": 1e-2}
 
 
@@ -148,6 +151,15 @@ def fnn(part: str, inputs: tuple[str, ...], data: Record, seed: int) -> Network:
     return train(network, [data], epochs=300, decay=DECAY[part]).network
 
 
+def rbf(part: str, inputs: tuple[str, ...], data: Record, seed: int) -> Network:
+    """A radial network: centres by k-means, output by recursive least squares; the play's stays a tanh network."""
+    if data.targets["y"].ndim > 1 or part == "b":
+        return fnn(part, inputs, data, seed)
+    taps = {Port(i): (0,) for i in inputs}
+    return radial_fit([data], taps, Port("y"), (), RADIAL[part], seed, name=part).network
+
+
+KINDS = {"fnn": fnn, "rbf": rbf}
 INPUTS = {"e": ("x",), "b": ("x",), "d": ("start", "away"), "sp": ("x", "e")}
 
 
@@ -187,15 +199,54 @@ def scores(network: Network, names: tuple[str, ...] = SCENARIOS) -> dict[str, tu
     return {label: tuple(values) for label, values in found.items()}
 
 
+BASELINES = ("elman", "noe", "frnn")
+BASELINE_STEP = 40  # samples of the training recording to one of the baselines', about as many as the thesis's 1067
+THESIS_BASELINES = {"elman": (23, 19, 15), "noe": (34, 33, 28), "frnn": (27, 22, 17)}  # um, table 4.1
+
+
+def baseline(kind: str, neurons: int, seed: int = 0, epochs: int = 125) -> Fit:
+    """A black box of table 4.1 on x(k), x(k-1), x(k-2), trained for the thesis's epochs on its number of samples."""
+    taps = {X: (0, 1, 2)}
+    if kind == "noe":
+        network = noe("noe", taps, E, (1,), [neurons], seed, bypass=False)
+    else:
+        network = {"elman": elman, "frnn": frnn}[kind](kind, taps, [E], [neurons], seed)
+    sparse = thinned(records()["training"])
+    return train(network, [sparse], epochs=epochs, decay=1e-6)
+
+
+def thinned(record: Record) -> Record:
+    """Every `BASELINE_STEP`-th sample."""
+    parts = ({n: v[::BASELINE_STEP] for n, v in part.items()} for part in (record.inputs, record.targets))
+    return Record(*parts)
+
+
+def baselines(sizes: tuple[int, ...] = (10, 25, 50), progress: Callable[[str], None] | None = None) -> dict[str, dict]:
+    """RMS in um of each black box: on the samples it was trained on, and on s1 to s4 at the same rate; seconds."""
+    found = {}
+    for kind in BASELINES:
+        for neurons in sizes:
+            fit = baseline(kind, neurons)
+            names = ("training", *SCENARIOS)
+            um = [1e6 * rms(fit.network, thinned(records()[name]))["e"] for name in names]
+            found[f"{kind} {neurons}"] = {"um": dict(zip(names, um, strict=True)), "seconds": fit.seconds}
+            if progress:
+                progress(f"{kind} {neurons}: " + " ".join(f"{v:.1f}" for v in um) + f" um, {fit.seconds:.0f} s")
+    return found
+
+
 def train_machine(progress: Callable[[str], None] | None = None) -> tuple[Network, dict]:
-    """Train the experts, join them. Returns the machine and its figures: `scores` by scenario, seconds, sizes."""
+    """Train the experts, join them. Returns the machine and its figures: `scores` by scenario, of a machine with
+    radial experts too, seconds, sizes."""
     began = monotonic()
     parts = experts(progress=progress)
     seconds = monotonic() - began
+    radial = belt_machine(experts(rbf, progress))
     snn = Procedure(records())
     machine = snn.join(belt_machine(parts))
     return machine, {
         "machine": scores(machine),
+        "radial machine": scores(radial),
         "choice": scores(machine, ("choice",)),
         "training": scores(machine, ("training",)),
         "thesis": THESIS,
