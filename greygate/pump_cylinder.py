@@ -4,16 +4,19 @@ No pressure sensor takes part in a prediction; `sensor_backup` gives the other c
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache, partial
 
 import numpy as np
 
+from greygate.models.blocks import nguyen_widrow
 from greygate.models.library import library
 from greygate.models.network import Network, Port
 from greygate.models.problem import Record
+from greygate.models.regression import noe
 from greygate.models.structures.pump_cylinder import leakage_bounds, pump_srnn
 from greygate.models.training import Fit, train
-from greygate.plants.pump_cylinder import PUMP_CYLINDER, RECORDS, SENSORS, pump_cylinder, record
+from greygate.plants.pump_cylinder import PUMP_CYLINDER, RECORDS, SAMPLE_TIME, SENSORS, pump_cylinder, record
 from greygate.procedure import Procedure, rms
 
 TRAINING = ("rig_training",)
@@ -78,6 +81,7 @@ def train_srnn(progress: Callable[[str], None] | None = None) -> tuple[Network, 
     figures = {name: {r: tuple(e.values()) for r, e in snn[name].errors.items()} for name in ("joined", "nominal")}
     figures["adapted"] = {r: tuple(e.values()) for r, e in snn["adapted"].errors.items()}
     figures |= {"constant": constant(), "sensor_backup": sensor_backup(progress), "thesis": THESIS}
+    figures |= {"black_boxes": black_boxes(progress), "noisy_position": noisy_position(snn["nominal"].network)}
     figures["seconds"] = {name: snn[name].seconds for name in ("nominal", "adapted")}
     return snn.network, figures
 
@@ -100,3 +104,64 @@ def sensor_backup(progress: Callable[[str], None] | None = None) -> dict[str, tu
         for name in SCENARIOS:
             found[name] += tuple(rms(network, recording(name, known)).values())
     return found
+
+
+def noisy_position(nominal: Network) -> dict[str, tuple[float, ...]]:
+    """RMS in Pa of the adaptation repeated with five times the noise of position, by record."""
+
+    def noisier(name: str) -> Record:
+        r, (_, noise, _) = recording(name), SENSORS["x"]
+        more = np.sqrt(24.0) * noise * np.random.default_rng(RECORDS[name][1] + 500).standard_normal(len(r))
+        return replace(r, inputs=r.inputs | {"x": r.inputs["x"] + more})
+
+    bounds = leakage_bounds(assemble())
+    network = train(nominal, [noisier("rig_training")], epochs=EPOCHS, bounds=bounds).network
+    return {name: tuple(rms(network, noisier(name)).values()) for name in SCENARIOS}
+
+
+def black_box(name: str) -> Record:
+    """What table 6.2 gives its networks: `recording` with the speed `v` [m/s], both pressures one port `p`."""
+    r = recording(name)
+    v = np.diff(r.inputs["x"], prepend=r.inputs["x"][0]) / SAMPLE_TIME
+    return Record(r.inputs | {"v": v}, {"p": np.stack([r.targets["p_a"], r.targets["p_b"]], axis=1)})
+
+
+def narx(samples: int, neurons: int, seed: int = 0) -> Network:
+    """An architecture of table 6.2: so many samples of each signal, one hidden layer of tansig neurons; 0: linear."""
+    ports = {n: Port(n, "rev/s", SENSORS[n][0]) for n in ("n_1", "n_2")}
+    inputs = [*ports.values(), Port("x", "m", X_SCALE), Port("v", "m/s", 0.5)]
+    taps = {port: range(samples) for port in inputs}
+    output = Port("p", "Pa", P_MAX, size=2, initial=6e6)
+    past = range(1, samples + 1)
+    if not neurons:
+        return noe("linear", taps, output, past)
+    return nguyen_widrow(noe("narx", taps, output, past, (neurons,), bypass=False), seed)
+
+
+def black_boxes(progress: Callable[[str], None] | None = None) -> dict:
+    """Table 6.2 and the NOE of 6.3.1 on the nominal plant, a linear rival on the rig; RMS in Pa of both chambers.
+
+    `narx`: by architecture, one step ahead in training, and the same network's free run of the chirp (inf: diverges).
+    `noe`: the architecture of the lowest training error, trained on in free run, by record.
+    `linear`: two samples of each signal and no neurons, ARX and then OE, trained and judged as the SRNN is.
+    """
+    training, chirp = black_box("training"), black_box("chirp")
+    found, fits = {}, {}
+    for number, (samples, neurons) in NARX.items():
+        follow = progress and (lambda epoch, loss, n=number: progress(f"NARX {n}, epoch {epoch}, loss {loss:.3g}"))
+        fits[number] = train(narx(samples, neurons), [training], teacher=True, epochs=NARX_EPOCHS, progress=follow)
+        ahead = float(np.sqrt(2 * fits[number].history[-1])) * P_MAX
+        found[number] = {"ahead": ahead, "chirp": _both(fits[number].network, chirp), "seconds": fits[number].seconds}
+    best = min(found, key=lambda n: found[n]["ahead"])
+    follow = progress and (lambda epoch, loss: progress(f"NOE, epoch {epoch}, loss {loss:.3g}"))
+    fit = train(fits[best].network, [training], epochs=NOE_EPOCHS, progress=follow)
+    errors = {"training": _both(fit.network, training), "chirp": _both(fit.network, chirp)}
+    own = {"architecture": best, "seconds": fit.seconds, "outcome": fit.outcome.value}
+    ahead = train(narx(2, 0), [black_box("rig_training")], teacher=True, epochs=EPOCHS).network
+    linear = train(ahead, [black_box("rig_training")], epochs=EPOCHS).network
+    rival = {name: _both(linear, black_box(name)) for name in SCENARIOS}
+    return {"narx": found, "noe": errors | own, "linear": rival, "thesis": {"narx": THESIS_NARX, "noe": THESIS_NOE}}
+
+
+def _both(network: Network, record: Record) -> float:
+    return rms(network, record)["p"]
