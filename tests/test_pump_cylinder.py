@@ -10,7 +10,7 @@ from greygate.models.problem import Record
 from greygate.models.structures.pump_cylinder import leakage_bounds
 from greygate.models.training import train
 from greygate.procedure import rms
-from greygate.pump_cylinder import assemble, recording
+from greygate.pump_cylinder import assemble, black_box, narx, recording
 
 
 def worst(network):
@@ -77,3 +77,10 @@ def test_training_lowers_the_error_on_the_rig_and_keeps_the_bounds():
     fit = train(network, [record], epochs=3, bounds=bounds)
     assert fit.history[-1] < 0.2 * fit.history[0]
     assert all(low <= fit.network.parameters()[n].item() <= high for n, (low, high) in bounds.items())
+
+
+def test_a_black_box_of_table_6_2_learns_one_step_ahead_from_the_same_signals():
+    record = black_box("training").cut(0, 2000)
+    assert set(record.inputs) == {"n_1", "n_2", "x", "v"}
+    fit = train(narx(2, 5), [record], teacher=True, epochs=15)
+    assert np.sqrt(2 * fit.history[-1]) * 2e7 < 0.1e6
