@@ -165,3 +165,22 @@ def black_boxes(progress: Callable[[str], None] | None = None) -> dict:
 
 def _both(network: Network, record: Record) -> float:
     return rms(network, record)["p"]
+
+
+def random_starts(bounded: bool, seeds: range = range(3)) -> list[tuple[float, ...]]:
+    """RMS in Pa on `rig_chirp` of SRNNs trained on `rig_training` from random weights of flow, speed and place.
+
+    bounded: whether the leakage is kept as `leakage_bounds` says; without it some diverge.
+    """
+    start, found = assemble(), []
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        drawn = {
+            name: 0.5 * rng.normal(size=w.shape)
+            for name, w in start.parameters().items()
+            if name[0] == "q" or (name.startswith(("speed", "gamma")) and not name.endswith("bias"))
+        }
+        bounds = leakage_bounds(start) if bounded else None
+        network = train(start.with_parameters(drawn), [recording("rig_training")], epochs=EPOCHS, bounds=bounds).network
+        found.append(tuple(rms(network, recording("rig_chirp")).values()))
+    return found
