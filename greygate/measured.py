@@ -8,6 +8,7 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from statistics import median
 from time import monotonic
@@ -189,35 +190,30 @@ def blocked(count: int, warm: int) -> Callable[[Runs], list[Fold]]:
             return run.cut(0, stop)
         return run.cut(start, stop, skip=0, initial={n: float(v[start - 1]) for n, v in run.inputs.items()})
 
-    def folds(runs: Runs) -> list[Fold]:
-        found = []
-        for i in range(count):
-            pieces, blocks = [], []
-            for run in runs.values():
-                start, stop = (len(run) * k // count for k in (i, i + 1))
-                pieces += [piece(run, a, b) for a, b in ((0, start), (stop, len(run))) if b > a]
-                blocks.append(replace(piece(run, max(start - warm, 0), stop), skip=warm))
-            found.append(Fold(pieces, blocks))
-        return found
+    def part(run: Record, start: int, stop: int) -> tuple[list[Record], Record]:
+        kept = [piece(run, a, b) for a, b in ((0, start), (stop, len(run))) if b > a]
+        return kept, replace(piece(run, max(start - warm, 0), stop), skip=warm)
 
-    return folds
+    return partial(_each, count, part)
 
 
 def masked(count: int) -> Callable[[Runs], list[Fold]]:
     """As `blocked`, but runs go through from their first sample, state and all: what is held out does not count."""
 
-    def folds(runs: Runs) -> list[Fold]:
-        found = []
-        for i in range(count):
-            pieces, blocks = [], []
-            for run in runs.values():
-                start, stop = (len(run) * k // count for k in (i, i + 1))
-                pieces += [run.cut(0, start)] * (start > 0) + [replace(run, skip=stop)] * (stop < len(run))
-                blocks.append(run.cut(0, stop, skip=start))
-            found.append(Fold(pieces, blocks))
-        return found
+    def part(run: Record, start: int, stop: int) -> tuple[list[Record], Record]:
+        kept = [run.cut(0, start)] * (start > 0) + [replace(run, skip=stop)] * (stop < len(run))
+        return kept, run.cut(0, stop, skip=start)
 
-    return folds
+    return partial(_each, count, part)
+
+
+def _each(count: int, part: Callable, runs: Runs) -> list[Fold]:
+    """part: (run, start, stop) -> (pieces to fit, block to judge) for the block start..stop."""
+    found = []
+    for i in range(count):
+        parts = [part(run, *(len(run) * k // count for k in (i, i + 1))) for run in runs.values()]
+        found.append(Fold([piece for kept, _ in parts for piece in kept], [block for _, block in parts]))
+    return found
 
 
 # ---- choice and result

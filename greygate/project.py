@@ -37,7 +37,7 @@ from greygate.emulator.program import Program
 from greygate.errors import InputError, replacing, replacing_folder
 from greygate.measured import settled
 from greygate.models.network import Network, Port
-from greygate.models.problem import Record
+from greygate.models.problem import Record, held_out
 from greygate.models.training import narx_noe, train
 from greygate.plants.recording import read_csv
 from greygate.procedure import rms
@@ -158,24 +158,29 @@ def train_source(
     records, others = ({name: found[name] for name in names} for names in (source.recordings, held))
     follow = progress and (lambda epoch, loss: progress(epoch, f"loss {loss:.3g}"))
     learn = narx_noe if narx and not options.get("shooting") else train
+    made = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot make this folder ({error.strerror})") from None
-    fit = learn(
-        network,
-        list(records.values()),
-        held=list(others.values()),
-        checkpoint=folder / f"{network.name}.checkpoint",
-        progress=follow,
-        estimate_initial=source.settle > 0,
-        **options,
-    )
+    try:
+        fit = learn(
+            network,
+            list(records.values()),
+            held=list(others.values()),
+            checkpoint=folder / f"{network.name}.checkpoint",
+            progress=follow,
+            estimate_initial=source.settle > 0,
+            **options,
+        )
+    except InputError:
+        if made and not any(folder.iterdir()):
+            folder.rmdir()
+        raise
     trained = network.with_parameters(fit.network.parameters())  # as it was declared, meanings and modules kept
-    share = options.get("tail", 0.0)
-    tails = {f"{n} tail": replace(r, skip=int((1 - share) * len(r))) for n, r in records.items() if share}
+    _, ends = held_out(network, list(records.values()), options.get("tail", 0.0), ())
     judged = {name: settled(trained, record) for name, record in found.items()}
-    judged |= {name: replace(judged[name.removesuffix(" tail")], skip=r.skip) for name, r in tails.items()}
+    judged |= {f"{name} tail": replace(judged[name], skip=end.skip) for name, end in zip(records, ends, strict=False)}
     figures = {
         "outcome": fit.outcome.name.lower(),
         "sentence": fit.outcome.value,

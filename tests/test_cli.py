@@ -97,6 +97,13 @@ def test_a_recording_that_starts_in_motion_is_trained_and_judged_from_a_state_of
     assert (code, "given twice" in error) == (2, True)
 
 
+def test_a_training_that_is_refused_leaves_no_folder(tmp_path, network):
+    record, out = recording(tmp_path / "a.csv"), tmp_path / "new"
+    code, _, error = greygate("train", network, "--record", record, "--decay", "-1", "--out", out)
+    assert (code, "decay -1" in error) == (2, True)
+    assert not out.exists()
+
+
 def test_a_library_network_that_is_trained_within_a_whole_keeps_its_meaning(tmp_path):
     whole = Network("whole", [Port("s"), Port("a"), Port("b")], [Port("y")])
     whole.add("switch", library("switch_2"))
