@@ -1,0 +1,1 @@
+"""Rigs that conceal an effect: own equations, integrator, steps and sensors, nothing shared with the diagnoser."""

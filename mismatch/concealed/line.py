@@ -1,0 +1,230 @@
+"""Belt drive and cable drum: an error between motor and load that depends on the path travelled."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from .rig import SAMPLE_TIME, Channel, Columns, Effect, Rig, motion, smoothed_difference
+
+FINE = 10  # steps of the true motion a recorded sample
+TURN = 2 * np.pi
+PHASE = (0.0, TURN)
+WHERE = ("transmission",)
+
+
+class Belt(NamedTuple):
+    """Parameters of the belt drive, SI."""
+
+    band: float
+    closing: float
+    play: float = 0.0
+    offset: float = 0.0
+
+
+class BeltEffects(NamedTuple):
+    """What the belt drive may conceal, SI; all zero: nothing. The last lines are outside the vocabulary."""
+
+    form: float = 0.0
+    ripple: float = 0.0
+    pitch: float = 1.0
+    ripple_phase: float = 0.0
+    ecc: float = 0.0
+    pulley_rev: float = 1.0
+    ecc_phase: float = 0.0
+    guide: float = 0.0
+    guide_period: float = 1.0
+    guide_phase: float = 0.0
+    inertia: float = 0.0
+    thermal: float = 0.0
+    scale: float = 0.0
+    rate_band: float = 0.0
+    drift: float = 0.0
+    play: float = 0.0
+    bump: float = 0.0
+    bump_at: float = 0.0
+    bump_width: float = 1.0
+    speed_stretch: float = 0.0
+    speed_from: float = 0.0
+    drag: float = 0.0
+
+
+@njit(cache=True)
+def _belt(x, v, a, dt, plant, e):
+    """Load position (samples,) from motor position, velocity, acceleration; the micro-slip law solved along dx."""
+    y = np.empty(len(x))
+    play = plant.play + e.play
+    h, g = -1.0, -play
+    bend, rate = 0.0, 0.0
+    turn = 2 * np.pi
+    for k in range(len(x)):
+        dx = x[k] - x[k - 1] if k else 0.0
+        before = g
+        g = min(max(g - dx, -play), play)
+        # variant: the belt slips on the pinion by what is left of the motion after the backlash
+        slid = dx + (g - before) if e.form and e.play else dx
+        if slid != 0.0:
+            to = -np.sign(slid) * (1 + (e.rate_band * abs(v[k]) if e.form else 0.0))
+            h = to + (h - to) * np.exp(-abs(slid) / plant.closing)
+        band = plant.band * (1.0 if e.form else 1 + e.rate_band * abs(v[k]))
+        error = plant.offset + band * h + g
+        error += e.ripple * np.sin(turn * x[k] / e.pitch + e.ripple_phase)
+        if e.form:  # variant: teeth and pulleys are not quite sinusoidal
+            error += 0.25 * e.ripple * np.sin(2 * turn * x[k] / e.pitch + e.ripple_phase)
+            error += 0.1 * e.guide * np.sin(2 * turn * x[k] / e.guide_period)
+        error += e.ecc * np.sin(turn * x[k] / e.pulley_rev + e.ecc_phase)
+        error += e.guide * np.sin(turn * x[k] / e.guide_period + e.guide_phase)
+        if e.form and e.inertia > 0:  # variant: the stretch is a damped mode, not its static limit
+            rate += dt * ((-e.inertia * a[k] - bend) / e.inertia - 0.6 * rate / np.sqrt(e.inertia))
+            bend += dt * rate
+        else:
+            bend = -e.inertia * a[k]
+        error += bend
+        t = k * dt
+        error += e.thermal * x[k] * (30 * (1 - np.exp(-t / 30)) if e.form else t)
+        error += e.drift * (40 * (1 - np.exp(-t / 40)) if e.form else t)
+        error += e.scale * x[k]
+        error += e.bump * np.exp(-(((x[k] - e.bump_at) / e.bump_width) ** 2))
+        error -= e.speed_stretch * np.sign(v[k]) * max(abs(v[k]) - e.speed_from, 0.0)
+        error -= e.drag * v[k] * (0.4 - x[k])
+        y[k] = x[k] + error
+    return y
+
+
+class Drum(NamedTuple):
+    """Parameters of the cable drum, SI."""
+
+    radius: float
+    creep: float
+
+
+class DrumEffects(NamedTuple):
+    """What the cable drum may conceal, SI; all zero: nothing. The last lines are outside the vocabulary."""
+
+    form: float = 0.0
+    ecc: float = 0.0
+    ecc_phase: float = 0.0
+    speed_slip: float = 0.0
+    asym: float = 0.0
+    drift: float = 0.0
+    accel_slip: float = 0.0
+    stretch: float = 0.0
+    length: float = 0.0
+    rest_relax: float = 0.0
+    rest_time: float = 1.0
+    winding: float = 0.0
+    step: float = 0.0
+    step_at: float = 0.0
+    warmth: float = 0.0
+    cycle: float = 1.0
+    cycle_phase: float = 0.0
+
+
+@njit(cache=True)
+def _drum(x, v, a, dt, plant, e):
+    """Load position (samples,) from drum position, velocity, acceleration."""
+    y = np.empty(len(x))
+    slip, wound, slow = 0.0, 0.0, 0.0
+    fast, hard = 0.0, 0.0
+    turn = 2 * np.pi
+    for k in range(len(x)):
+        dx = x[k] - x[k - 1] if k else 0.0
+        # variant: slip follows speed and acceleration through 20 ms
+        fast = fast + min(dt / 0.02, 1.0) * (abs(v[k]) - fast) if e.form else abs(v[k])
+        hard = hard + min(dt / 0.02, 1.0) * (abs(a[k]) - hard) if e.form else abs(a[k])
+        back = e.asym * (plant.creep if e.form else 1.0) if dx < 0 else 0.0
+        slip += (plant.creep + back + e.speed_slip * fast + e.accel_slip * hard) * dx
+        # variant: half of the wind-up relaxes three times more slowly
+        share = 0.5 if e.form else 1.0
+        wound += share * e.rest_relax * dx - dt * wound / e.rest_time
+        slow += (1 - share) * e.rest_relax * dx - dt * slow / (3 * e.rest_time)
+        t = k * dt
+        error = slip + wound + slow + e.ecc * (np.sin(x[k] / plant.radius + e.ecc_phase) - np.sin(e.ecc_phase))
+        if e.form:
+            error += 0.15 * e.ecc * np.sin(2 * x[k] / plant.radius)
+        error += e.drift * (40 * (1 - np.exp(-t / 40)) if e.form else t)
+        error -= e.stretch * a[k] * (e.length + x[k] if e.form else 0.8 - x[k])
+        error += e.winding * x[k] * x[k] + (e.step if x[k] > e.step_at else 0.0)
+        error += e.warmth * (np.sin(turn * t / e.cycle + e.cycle_phase) - np.sin(e.cycle_phase))
+        y[k] = x[k] + error
+    return y
+
+
+def _pair(kernel, plant, effects, motor: str, motions: tuple[float, float, float]):
+    """`record` and `predict` of a rig whose load follows a motor; `motions` bounds travel, speed, acceleration."""
+
+    def record(parameters, extra, form, seconds, rng) -> Columns:
+        dt = SAMPLE_TIME / FINE
+        travel = rng.uniform(0.5, 1.0) * motions[0]
+        x, v, a = motion(rng, seconds + SAMPLE_TIME, dt, travel, rng.uniform(0.6, 1.0) * motions[1], motions[2])
+        x, v, a = (np.concatenate([np.zeros(1), s]) for s in (x, v, a))
+        y = kernel(x, v, a, dt, plant(**parameters), effects(form=form, **extra))
+        samples = round(seconds / SAMPLE_TIME) + 1
+        return {motor: x[::FINE][:samples], "x_load": y[::FINE][:samples]}
+
+    def predict(columns, parameters, extra, form, every=1) -> Columns:
+        x = columns[motor]
+        v = smoothed_difference(x, 8)
+        a = smoothed_difference(v, 8)
+        return {"x_load": kernel(x, v, a, SAMPLE_TIME, plant(**parameters), effects(form=form, **extra))}
+
+    return record, predict
+
+
+def _effect(sizes: dict, on: str, others: dict | None = None, **options) -> Effect:
+    return Effect(WHERE, tuple(on.split()), sizes, others or {}, **options)
+
+
+_belt_record, _belt_predict = _pair(_belt, Belt, BeltEffects, "x_motor", (0.30, 0.07, 0.2))
+BELT = Rig(
+    plant="belt_drive",
+    parameters={"band": 0.00015, "closing": 0.004, "play": 6e-05, "offset": 0.0},
+    tolerance={"band": 0.08, "closing": 0.15, "play": 0.08},
+    places={"band": WHERE, "closing": WHERE, "play": WHERE},
+    channels=(Channel("x_motor", "m", "input", resolution=1e-6), Channel("x_load", "m", "output", noise=1e-6)),
+    window=None,
+    record=_belt_record,
+    predict=_belt_predict,
+    effects={
+        "tooth_ripple": _effect({"ripple": (1.0e-6, 3e-5)}, "x", {"pitch": (0.003, 0.008), "ripple_phase": PHASE}),
+        "pulley_eccentricity": _effect({"ecc": (1.5e-6, 6e-5)}, "x", {"pulley_rev": (0.07, 0.14), "ecc_phase": PHASE}),
+        "guide_error": _effect({"guide": (1.5e-6, 4e-5)}, "x", {"guide_period": (0.016, 0.05), "guide_phase": PHASE}),
+        "inertial_stretch": _effect({"inertia": (1e-5, 4e-4)}, "a"),
+        "thermal_growth": _effect({"thermal": (1.5e-6, 8e-5)}, "x t", signed=True),
+        "scale_error": _effect({"scale": (1.2e-5, 8e-4)}, "x", signed=True),
+        "rate_dependent_band": _effect({"rate_band": (0.4, 12.0)}, "v"),
+        "drift": _effect({"drift": (2e-7, 8e-6)}, "t", signed=True),
+        "reversal_play": _effect({"play": (2.5e-6, 1e-4)}, "x v", without=("play",)),
+    },
+    foreign={
+        "damaged_tooth": _effect({"bump": (1e-5, 8e-5)}, "x", {"bump_at": (0.02, 0.1), "bump_width": (0.004, 0.012)}),
+        "speed_stretch": _effect({"speed_stretch": (2e-4, 4e-3)}, "v", {"speed_from": (0.005, 0.015)}),
+        "guide_drag": _effect({"drag": (2e-4, 6e-3)}, "v x"),
+    },
+)
+
+_drum_record, _drum_predict = _pair(_drum, Drum, DrumEffects, "x_drum", (0.60, 0.12, 0.3))
+DRUM = Rig(
+    plant="cable_drum",
+    parameters={"radius": 0.025, "creep": 0.0002},
+    tolerance={"creep": 0.25},
+    places={"creep": WHERE},
+    channels=(Channel("x_drum", "m", "input", resolution=2e-6), Channel("x_load", "m", "output", noise=1e-6)),
+    window=None,
+    record=_drum_record,
+    predict=_drum_predict,
+    effects={
+        "drum_eccentricity": _effect({"ecc": (1.5e-6, 6e-5)}, "x", {"ecc_phase": PHASE}),
+        "speed_slip": _effect({"speed_slip": (2e-4, 8e-3)}, "v", signed=True),
+        "direction_slip": _effect({"asym": (5e-6, 3e-4)}, "v"),
+        "drift": _effect({"drift": (2e-7, 8e-6)}, "t", signed=True),
+        "acceleration_slip": _effect({"accel_slip": (3e-4, 1e-2)}, "a"),
+        "cable_stretch": _effect({"stretch": (3e-5, 1e-3)}, "a x", {"length": (0.2, 0.5)}),
+        "rest_relaxation": _effect({"rest_relax": (4e-5, 1e-3)}, "x t", {"rest_time": (0.5, 2.5)}),
+    },
+    foreign={
+        "winding_layers": _effect({"winding": (6e-5, 1.5e-3)}, "x", signed=True),
+        "wind_up_step": _effect({"step": (4e-6, 6e-5)}, "x", {"step_at": (0.03, 0.15)}),
+        "temperature_cycle": _effect({"warmth": (4e-6, 5e-5)}, "t", {"cycle": (4.0, 9.0), "cycle_phase": PHASE}),
+    },
+)

@@ -1,0 +1,177 @@
+"""What a rig with a concealed effect is made of, and what the four of them share: sensors, velocities, calibration."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+
+Columns = dict[str, np.ndarray]
+
+SAMPLE_TIME = 1e-3
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One thing that a simulation may lack: where it enters, what it depends on, how large it may be.
+
+    `sizes` are drawn log-uniformly between their bounds (with either sign if `signed`), `others` (periods, phases,
+    places) uniformly. Their keys are fields of the plant's effect tuple. `without` names the datasheet values that a
+    rig with this effect does not give.
+    """
+
+    equation: tuple[str, ...]
+    depends_on: tuple[str, ...]
+    sizes: dict[str, tuple[float, float]]
+    others: dict[str, tuple[float, float]] = field(default_factory=dict)
+    signed: bool = False
+    without: tuple[str, ...] = ()
+
+    def draw(self, rng: np.random.Generator) -> dict[str, float]:
+        """Parameters of the effect: name to value, SI. Sizes of one effect keep the same place in their ranges."""
+        place, sign = rng.uniform(), rng.choice([-1.0, 1.0]) if self.signed else 1.0
+        sizes = {name: sign * low * (high / low) ** place for name, (low, high) in self.sizes.items()}
+        return sizes | {name: rng.uniform(*bounds) for name, bounds in self.others.items()}
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A recorded signal: `resolution` is rounded to, `noise` is Gaussian with that RMS; both in `unit`."""
+
+    name: str
+    unit: str
+    role: str
+    resolution: float = 0.0
+    noise: float = 0.0
+
+    @property
+    def error(self) -> float:
+        """RMS of what the sensor adds."""
+        return float(np.hypot(self.noise, self.resolution / np.sqrt(12)))
+
+    def measure(self, signal: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """What the recorder writes: noise first, then the converter's grid (16 bits of 40 MPa for pressures)."""
+        step = self.resolution or (self.noise / 2 if self.unit == "m" else 40e6 / 2**16)
+        noisy = signal + self.noise * rng.standard_normal(len(signal)) if self.noise else signal
+        rounded = step * np.round(noisy / step)
+        return np.round(rounded) if self.unit == "Pa" else rounded
+
+
+@dataclass(frozen=True)
+class Rig:
+    """One plant as its maker knows it.
+
+    `record(parameters, effects, form, seconds, rng)` gives the true signals of a campaign, `predict(columns,
+    parameters, effects, form)` the predicted channels by the comparison rule of the rigs. `form` is 0 for the standard
+    form of every effect and 1 for its variant. `places` is the equation of each parameter with a tolerance.
+    """
+
+    plant: str
+    parameters: dict[str, float]
+    tolerance: dict[str, float]
+    places: dict[str, tuple[str, ...]]
+    channels: tuple[Channel, ...]
+    window: float | None
+    effects: dict[str, Effect]
+    foreign: dict[str, Effect]
+    record: Callable[..., Columns]
+    predict: Callable[..., Columns]
+    same: tuple[frozenset[str], ...] = ()
+
+    @property
+    def predicted(self) -> list[Channel]:
+        """The channels that a simulation predicts."""
+        return [channel for channel in self.channels if channel.role == "output"]
+
+
+def errors(rig: Rig, columns: Columns, parameters: dict, effects: dict, form: float, every: int = 1) -> Columns:
+    """Simulated minus recorded, channel by channel; of every `every`-th window only (0.25 s, else of the whole)."""
+    simulated = rig.predict(columns, parameters, effects, form, every)
+    return {name: simulated[name] - columns[name] for name in simulated}
+
+
+def rms(error: np.ndarray) -> float:
+    """Root mean square of the finite values."""
+    return float(np.sqrt(np.nanmean(np.square(error))))
+
+
+def calibrate(rig: Rig, columns: Columns, known: dict[str, float], rounds: int = 2, every: int = 1) -> dict[str, float]:
+    """Parameters without any effect that fit `columns` best under the tolerance as prior (sigma = tolerance / 2).
+
+    Gauss-Newton on relative changes, weighted by what is left in each channel; stops where a round does not help.
+    """
+    names = [name for name in rig.tolerance if name in known]
+    sigma = np.array([rig.tolerance[name] / 2 for name in names])
+    if "offset" in known:
+        names, sigma = [*names, "offset"], np.append(sigma, np.inf)
+
+    def at(change: np.ndarray) -> dict[str, float]:
+        scale = [known[name] or 1.0 for name in names]
+        return known | {n: known[n] + s * c for n, s, c in zip(names, scale, change, strict=True)}
+
+    def residual(change: np.ndarray) -> np.ndarray:
+        return np.concatenate([e[np.isfinite(e)] / w for e, w in zip(raw(change), weights, strict=True)])
+
+    def raw(change: np.ndarray) -> list[np.ndarray]:
+        return list(errors(rig, columns, at(change), {}, 0.0, every).values())
+
+    step = np.array([1e-6 if name == "offset" else 1e-3 for name in names])
+    best, weights = np.zeros(len(names)), [1.0] * len(rig.predicted)
+    for _ in range(rounds):
+        weights = [max(rms(e), c.error) for e, c in zip(raw(best), rig.predicted, strict=True)]
+        r = residual(best)
+        slopes = np.stack([(residual(best + d) - r) / h for d, h in zip(np.diag(step), step, strict=True)], axis=1)
+        move = -np.linalg.solve(slopes.T @ slopes + np.diag(sigma**-2), slopes.T @ r + best / sigma**2)
+        trial = np.clip(best + move, -2 * sigma, 2 * sigma)
+        if not np.mean(residual(trial) ** 2) < np.mean(r**2):
+            break
+        best = trial
+    return at(best)
+
+
+def smoothed_difference(position: np.ndarray, half: int = 5) -> np.ndarray:
+    """Velocity [unit/s] of a recorded position: slope of a line through 2 `half` + 1 samples."""
+    weights = np.arange(half, -half - 1, -1) / (2 * np.sum(np.arange(1, half + 1) ** 2) * SAMPLE_TIME)
+    return np.convolve(np.pad(position, half, mode="reflect", reflect_type="odd"), weights, mode="valid")
+
+
+def motion(rng: np.random.Generator, seconds: float, dt: float, travel: float, speed: float, hardness: float):
+    """Positions, velocities and accelerations (samples,) of moves with trapezoidal speed between rests, from 0.
+
+    Moves are short or long, in [0, `travel`] m, at up to `speed` m/s and `hardness` m/s^2, each with its own; the
+    second goes back, every fifth goes home. Half of the axes follow through a lag of second order.
+    """
+    moves, samples = [], round(seconds / dt)
+    at, clock = 0.0, 0.0
+    while clock < seconds:
+        a, v = hardness * rng.uniform(0.3, 1.0), speed * rng.uniform(0.35, 1.0)
+        long = rng.uniform() < 0.6
+        reach = min(rng.uniform(0.2, 1.0) * travel, 2.5 * v) if long else rng.uniform(0.01, 0.06) * travel
+        way = [-1.0, 1.0][int(len(moves) != 1 and (at - reach < 0 or rng.uniform() < 0.5))]
+        to = 0.0 if rng.uniform() < 0.2 else float(np.clip(at + way * reach, 0, travel))
+        if abs(to - at) < 1e-4:
+            continue
+        v = min(v, np.sqrt(a * abs(to - at)))
+        moves.append((clock, at, to, v, a))
+        clock += abs(to - at) / v + v / a + rng.choice([0.0, rng.uniform(0.02, 0.5)])
+        at = to
+    v, t = np.zeros(samples), np.arange(samples) * dt
+    for start, begin, end, top, hard in moves:
+        duration = abs(end - begin) / top + top / hard
+        into = t - start
+        v += np.sign(end - begin) * np.clip(np.minimum(hard * into, hard * (duration - into)), 0, top)
+    if rng.uniform() < 0.5:
+        v = _lag(v, dt, rng.uniform(40, 90), rng.uniform(0.7, 1.0))
+    return np.cumsum(v) * dt, v, np.gradient(v, dt)
+
+
+@njit(cache=True)
+def _lag(signal, dt, omega, zeta):
+    """Second-order lag of unit gain, semi-implicit Euler."""
+    out = np.empty_like(signal)
+    y, rate = 0.0, 0.0
+    for k in range(len(signal)):
+        rate += dt * (omega * omega * (signal[k] - y) - 2 * zeta * omega * rate)
+        y += dt * rate
+        out[k] = y
+    return out

@@ -1,0 +1,175 @@
+"""Concealed rigs: what is written, that it is what it says, and that a diagnosis is scored for what it claims."""
+
+import json
+import shutil
+import tomllib
+
+import numpy as np
+import pytest
+
+from greygate.errors import InputError
+from greygate.mismatch.conceal import KINDS, RIGS, conceal, reveal
+
+FILES = {"rig.toml", "identify.csv", "holdout.csv", "third.csv", "sealed.json", "sealed.json.sha256"}
+
+
+@pytest.fixture(scope="module")
+def belt(tmp_path_factory):
+    """A belt drive with a large tooth ripple."""
+    return conceal("belt_drive", 3, tmp_path_factory.mktemp("belt") / "case", effect="tooth_ripple")
+
+
+def answer(folder):
+    return json.loads((folder / "sealed.json").read_text())
+
+
+def diagnosis(folder, **changes):
+    """The diagnosis that says what is concealed in `folder`, with `changes`."""
+    true = answer(folder)
+    interval = {k: {"value": v, "ci95": [v - abs(v) / 9, v + abs(v) / 9]} for k, v in true["effects_true"].items()}
+    claim = {
+        "verdict": true["verdict"],
+        "where": [{"equation": name, "depends_on": true["depends_on"]} for name in true["equation"]],
+        "effects": [{"id": name, "parameters": interval, "not_told_apart_from": []} for name in true["effects"]],
+        "parameters": {k: {"value": v, "ci95": [v * 0.9, v * 1.1]} for k, v in true["parameters_true"].items()},
+    }
+    path = folder / "diagnosis.json"
+    path.write_text(json.dumps(claim | changes))
+    return path
+
+
+def recorded(path):
+    with path.open() as file:
+        return file.readline().strip().split(","), np.loadtxt(file, delimiter=",")
+
+
+def test_a_case_is_a_campaign_as_the_shared_rigs_are(belt):
+    assert {path.name for path in belt.iterdir()} >= FILES
+    rig = tomllib.loads((belt / "rig.toml").read_text())
+    assert set(rig) == {"plant", "sample_time_s", "predict", "parameters", "tolerance", "channels"}
+    for name, samples in (("identify", 20001), ("holdout", 8001), ("third", 8001)):
+        names, table = recorded(belt / f"{name}.csv")
+        assert names == ["t", *rig["channels"]]
+        assert table.shape == (samples, len(names))
+        np.testing.assert_array_equal(np.round(table[:, 0] * 1000), np.arange(samples))
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(belt, tmp_path):
+    again = conceal("belt_drive", 3, tmp_path / "again", effect="tooth_ripple")
+    other = conceal("belt_drive", 4, tmp_path / "other", effect="tooth_ripple")
+    for name in FILES:
+        assert (again / name).read_bytes() == (belt / name).read_bytes()
+    assert (other / "identify.csv").read_bytes() != (belt / "identify.csv").read_bytes()
+
+
+@pytest.mark.parametrize("plant", RIGS)
+def test_the_true_simulation_leaves_the_sensors_and_the_datasheet_does_not(plant, tmp_path):
+    true = answer(conceal(plant, 1, tmp_path / "case", kind="parameter"))
+    for fit in true["third"].values():
+        assert fit["true"] <= fit["calibrated"] <= fit["simulation"]
+    assert true["verdict"] == "parameter_error"
+    name = true["parameter"]
+    rig = RIGS[plant]
+    off = abs(true["parameters_true"][name] / rig.parameters[name] - 1) / rig.tolerance[name]
+    assert 3 <= off <= 6
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_kind_is_what_is_concealed(kind, tmp_path):
+    true = answer(conceal("cable_drum", 0, tmp_path / "case", kind=kind))
+    counts = {"clean": 0, "parameter": 0, "one": 1, "two": 2, "foreign": 0}
+    assert len(true["effects"]) == counts[kind]
+    assert len(set(true["concealed"])) == max(counts[kind], kind == "foreign")
+    assert set(true["concealed"]) <= set(
+        RIGS["cable_drum"].foreign if kind == "foreign" else RIGS["cable_drum"].effects
+    )
+
+
+def test_play_that_is_concealed_is_not_in_the_datasheet(tmp_path):
+    folder = conceal("belt_drive", 0, tmp_path / "case", effect="reversal_play")
+    rig = tomllib.loads((folder / "rig.toml").read_text())
+    assert "play" not in rig["parameters"]
+    assert "play" not in rig["tolerance"]
+    assert answer(folder)["effects_true"]["play"] > 0
+
+
+def test_the_right_diagnosis_has_full_marks(belt):
+    score = reveal(belt, diagnosis(belt))
+    for name in ("right_verdict", "right_first", "all_named", "in_set", "right_equation", "right_place"):
+        assert score[name] is True
+    assert score["false_effects"] == []
+    assert score["depends_on"] == 1.0
+    assert all(score["inside"].values())
+    assert set(score["inside"]) == {"band", "closing", "play", *answer(belt)["effects_true"]}
+    assert score["removed"] is None
+
+
+def test_a_wrong_name_costs_marks_and_a_set_that_holds_the_right_one_is_seen(belt):
+    wrong = [{"id": "drift", "parameters": {}, "not_told_apart_from": ["tooth_ripple"]}]
+    score = reveal(belt, diagnosis(belt, effects=wrong, where=[{"equation": "motion", "depends_on": ["t"]}]))
+    assert score["right_verdict"]
+    assert not score["right_first"]
+    assert not score["all_named"]
+    assert score["in_set"]
+    assert score["false_effects"] == ["drift"]
+    assert not score["right_place"]
+    assert score["depends_on"] == 0
+
+
+def test_a_phase_whole_turns_away_is_inside_and_half_a_turn_is_not(belt):
+    phase = answer(belt)["effects_true"]["ripple_phase"]
+    for turns, inside in ((-2, True), (0.5, False)):
+        middle = phase + turns * 2 * np.pi
+        claim = {"ripple_phase": {"value": middle, "ci95": [middle - 0.1, middle + 0.1]}}
+        effects = [{"id": "tooth_ripple", "parameters": claim, "not_told_apart_from": []}]
+        assert reveal(belt, diagnosis(belt, effects=effects))["inside"]["ripple_phase"] is inside
+
+
+def test_the_share_removed_is_one_for_the_truth_and_nothing_for_the_calibrated(belt, tmp_path):
+    _, table = recorded(belt / "third.csv")
+    fit = answer(belt)["third"]["x_load"]
+    noise = np.random.default_rng(0).standard_normal(len(table))
+    for error, share in (("true", 1.0), ("calibrated", 0.0)):
+        wave = noise / np.sqrt(np.mean(noise**2)) * fit[error]
+        path = tmp_path / f"{error}.csv"
+        np.savetxt(path, np.c_[table[:, 0], table[:, 2] + wave], delimiter=",", header="t,x_load", comments="")
+        assert reveal(belt, diagnosis(belt), {"corrected": path})["removed"] == pytest.approx(share, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("boat", 0, {}), "no plant 'boat'; there are"),
+        (("belt_drive", 0, {"effect": "rust"}), "belt_drive has no effect 'rust'"),
+        (("belt_drive", 0, {"kind": "three"}), "no kind 'three'; there are"),
+        (("belt_drive", 0, {"kind": "clean", "effect": "drift"}), "no case of kind 'clean'; use one or two"),
+        (("belt_drive", -1, {}), "seed -1"),
+    ],
+)
+def test_what_cannot_be_concealed_is_named_before_anything_is_written(arguments, message, tmp_path):
+    plant, seed, options = arguments
+    with pytest.raises(InputError, match=message):
+        conceal(plant, seed, tmp_path / "case", **options)
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_folder_of_something_else_is_left_alone(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="holds other files"):
+        conceal("belt_drive", 0, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_a_broken_seal_and_a_missing_diagnosis_are_refused(belt, tmp_path):
+    broken = tmp_path / "broken"
+    shutil.copytree(belt, broken)
+    claim = diagnosis(broken)
+    (broken / "sealed.json").write_text((broken / "sealed.json").read_text().replace("tooth_ripple", "drift"))
+    with pytest.raises(InputError, match="SHA-256 differs"):
+        reveal(broken, claim)
+    with pytest.raises(InputError, match="holds no sealed answer"):
+        reveal(tmp_path, claim)
+    with pytest.raises(InputError, match="cannot be read"):
+        reveal(belt, tmp_path / "none.json")
+    with pytest.raises(InputError, match="'effects' is missing"):
+        reveal(belt, diagnosis(belt, effects=None))
