@@ -125,6 +125,7 @@ CATALOG = {
             pump_cylinder.records,
             pump_cylinder.TRAINING,
             pump_cylinder.SCENARIOS,
+            references=pump_cylinder.REFERENCES,
         ),
         Entry(
             "belt_drive",
@@ -178,6 +179,9 @@ CATALOG = {
         _benchmark("b2", "Benchmark system 2 of the thesis: Narendra and Parthasarathy's fourth plant"),
     )
 }
+
+PLANTS = ("valve_cylinder", "asymmetric_cylinder", "pump_cylinder", "belt_drive", "cable_drum")
+"""The thesis's machines, chapters 5 to 7 and 4."""
 
 
 def entry(name: str) -> Entry:

@@ -297,6 +297,8 @@ def synthesize(
     folder: Folder,
     target: Annotated[Target, typer.Option()] = Target.ECP5,
     clock: Annotated[bool, typer.Option(help="Place and route with nextpnr for the clock rate (ECP5).")] = False,
+    limit: Annotated[float | None, typer.Option(help="Stop each design's tools after so many seconds.")] = None,
+    keep: Annotated[bool, typer.Option(help="Keep the figures in the package, for `report --all`.")] = False,
     as_json: Json = False,
 ) -> None:
     """Count LUTs, flip-flops, DSPs and block RAM with Yosys. Slow: minutes."""
@@ -304,36 +306,66 @@ def synthesize(
 
     project = Project.open(folder)
     with _progress(f"synthesizing {project.program.name} for {target.value}"):
-        found = synthesize_project(project, target.value, clock)
+        found = synthesize_project(project, target.value, clock, limit, keep)
     lines = [f"{name}: " + ", ".join(f"{k} {v}" for k, v in figures.items()) for name, figures in found.items()]
     _give(found, as_json, lines)
 
 
 @app.command()
 def report(
-    folders: Annotated[list[Path], typer.Argument(help="Folders that `greygate compile` wrote.")],
+    folders: Annotated[list[Path], typer.Argument(help="Folders that `greygate compile` wrote.")] = [],  # noqa: B006
+    every: Annotated[
+        bool,
+        typer.Option("--all", help="The thesis's plants side by side, from FOLDER/NAME; compiled if need be."),
+    ] = False,
+    check: Annotated[bool, typer.Option("--verify", help="Verify first what has not been verified.")] = False,
     out: Annotated[Path, typer.Option(help="HTML page to write; the JSON goes beside it.")] = Path("report.html"),
     as_json: Json = False,
 ) -> None:
-    """What quantization cost, per plant and scenario, as one HTML page and one JSON."""
-    from greygate.project import Project, study_project
-    from greygate.report import display, write
+    """What quantization cost, per plant and scenario, as one HTML page and one JSON.
 
-    projects = [Project.open(folder) for folder in folders]
+    With --all one FOLDER, `hardware` if none is given. Exit code 1 if --verify finds a differing bit.
+    """
+    from greygate.project import Project, plants, study_project, verify_project
+    from greygate.report import write
+    from greygate.summary import WIDTHS, aligned, designs, results
+
+    if every and len(folders) > 1:
+        raise InputError(f"--all takes one folder that holds a folder for each plant, not {len(folders)}")
+    if not every and not folders:
+        raise InputError("report: give folders that `greygate compile` wrote, or --all")
+    passed = True
     with _progress("measuring") as follow:
-        studies = [study_project(project, follow) for project in projects]
-    write(studies, out, out.with_suffix(".json"))
+        projects = plants((folders or [Path("hardware")])[0], follow) if every else [Project.open(f) for f in folders]
+        for project in projects if check else ():
+            if project.hardware is None:
+                follow(f"simulating {project.program.name}")
+                passed &= all(result.passed for result in verify_project(project).values())
+        studies = [study_project(project, follow, **{"widths": WIDTHS} if every else {}) for project in projects]
+    tables = [results(studies), designs(studies)] if every else []
+    write(studies, out, out.with_suffix(".json"), tables)
     if as_json:
         typer.echo(out.with_suffix(".json").read_text())
-        return
+    else:
+        lines = [line for table in tables for line in (*aligned(table), "")] or _errors(studies)
+        typer.echo("\n".join([*lines, f"written to {out} and {out.with_suffix('.json')}"]))
+    if not passed:
+        raise typer.Exit(1)
+
+
+def _errors(studies: list[dict]) -> list[str]:
+    """RMSE of float and fixed, a line for each plant, scenario and output."""
+    from greygate.report import display
+
+    lines = []
     for study in studies:
-        typer.echo(study["title"])
+        lines.append(study["title"])
         for name, scenario in study["scenarios"].items():
             for label, figures in scenario["outputs"].items():
-                rmse, (factor, unit) = figures["rmse"], display(figures["unit"])
-                float_, fixed = rmse["float"] * factor, rmse["fixed"] * factor
-                typer.echo(f"  {name:10} {label:8} RMSE float {float_:8.4g} {unit}, fixed {fixed:8.4g} {unit}")
-    typer.echo(f"written to {out} and {out.with_suffix('.json')}")
+                factor, unit = display(figures["unit"])
+                float_, fixed = (factor * figures["rmse"][kind] for kind in ("float", "fixed"))
+                lines.append(f"  {name:10} {label:8} RMSE float {float_:8.4g} {unit}, fixed {fixed:8.4g} {unit}")
+    return lines
 
 
 @app.command()

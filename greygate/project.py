@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.catalog import CATALOG, entry
+from greygate.catalog import CATALOG, PLANTS, TRAINED, entry
 from greygate.compiler.emit import emit
 from greygate.compiler.pipeline import (
     Compiled,
@@ -41,7 +41,7 @@ from greygate.models.problem import Record, held_out
 from greygate.models.training import narx_noe, train
 from greygate.plants.recording import read_csv
 from greygate.procedure import rms
-from greygate.report import plain
+from greygate.report import plain, size
 from greygate.synthesis import synthesize
 from greygate.verify import Case, Scenario, Verification, verify_many
 
@@ -339,8 +339,38 @@ class Project:
 
     @property
     def resources(self) -> dict | None:
+        """What `synthesize` found, by "architecture, target", here or else of a program of this size, or None."""
         path = self.folder / "resources.json"
-        return json.loads(path.read_text()) if path.exists() else None
+        if path.exists():
+            return json.loads(path.read_text())
+        kept = _kept(self.source.name)
+        if self.source.name not in CATALOG or not kept.exists():
+            return None
+        found = json.loads(kept.read_text())
+        return found["resources"] if found["size"] == size(self.program) else None
+
+
+def _kept(name: str) -> Path:
+    """Resources that are kept in the package beside the network."""
+    return TRAINED / f"{name}.resources.json"
+
+
+def plants(folder: Path, progress: Callable[[str], None] | None = None) -> list[Project]:
+    """The plants of the catalogue, each from folder/NAME, compiled there if it is not yet.
+
+    Raises InputError where that folder holds something else.
+    """
+    found = []
+    for name in PLANTS:
+        if not (folder / name / FACTS).exists():
+            if progress:
+                progress(f"compiling {name}")
+            compile_project(Source(name, {}), folder / name, Formats())
+        project = Project.open(folder / name)
+        if project.source != Source(name, {}):
+            raise InputError(f"{folder / name}: holds {project.source.name}; give a folder in which {name} is {name}")
+        found.append(project)
+    return found
 
 
 def verify_project(project: Project, names: tuple[str, ...] = (), seed: int | None = None) -> dict[str, Verification]:
@@ -372,18 +402,29 @@ def verify_project(project: Project, names: tuple[str, ...] = (), seed: int | No
     return results
 
 
-def synthesize_project(project: Project, target: str, clock_rate: bool = False) -> dict[str, dict]:
-    """Resources of each architecture by Yosys (and nextpnr); adds to resources.json."""
+def synthesize_project(
+    project: Project, target: str, clock_rate: bool = False, limit: float | None = None, keep: bool = False
+) -> dict[str, dict]:
+    """Resources of each architecture by Yosys (and nextpnr); adds to resources.json.
+
+    limit: seconds for each design; one that takes longer is told as {"stopped_after_s": limit}.
+    keep: add them to those in the package too. Raises InputError there for a program that is not the catalogue's.
+    """
+    name = project.source.name
+    if keep and (name not in CATALOG or project.source.recordings):
+        raise InputError(f"{project.folder}: only resources of a network of the catalogue are kept, not of {name}")
     found = project.resources or {}
-    for architecture in project.facts["architectures"]:
+    for architecture in reversed(project.facts["architectures"]):
         folder = project.folder / "rtl" / architecture
-        found[f"{architecture}, {target}"] = synthesize(folder, project.program.name, target, clock_rate)
+        found[f"{architecture}, {target}"] = synthesize(folder, project.program.name, target, clock_rate, limit)
     _write_json(project.folder / "resources.json", found)
+    if keep:
+        _write_json(_kept(name), {"size": size(project.program), "resources": found})
     return found
 
 
-def study_project(project: Project, progress: Callable[[str], None] | None = None) -> dict:
-    """What the report says of one project: see `greygate.report.study`."""
+def study_project(project: Project, progress: Callable[[str], None] | None = None, **options) -> dict:
+    """What the report says of one project: see `greygate.report.study`, which takes the options."""
     from greygate.report import study  # brings scipy.signal, which takes a second
 
     records = project.source.records()
@@ -393,10 +434,12 @@ def study_project(project: Project, progress: Callable[[str], None] | None = Non
         records,
         ranged_on=project.source.training,
         period=project.program.period,
+        called=Path(project.source.name).stem,
         references=project.source.references,
         hardware=project.hardware,
         resources=project.resources,
         progress=progress,
+        **options,
     )
 
 

@@ -26,6 +26,18 @@ THESIS = {  # RMS in Pa, chambers A and B
     "sensor_training": (0.092e6, 0.116e6),  # the other chamber measured (table 6.4)
     "sensor_validation": (0.112e6, 0.195e6),  # the same (6.4); without a sensor it diverged
 }
+_COMPARED = {  # with which of these a scenario can be compared; for its rig without a sensor the thesis has none
+    "thesis, simulated plant": {"rig_chirp": "chirp"},
+    "thesis, with a sensor": {
+        "rig_training": "sensor_training",
+        "rig_chirp": "sensor_validation",
+        "rig_random": "sensor_validation",
+    },
+}
+REFERENCES = {
+    source: {name: dict(zip(("p_a", "p_b"), THESIS[figure], strict=True)) for name, figure in scenarios.items()}
+    for source, scenarios in _COMPARED.items()
+}
 Q_MAX, P_MAX = 3e-4, 2e7  # m^3/s, Pa; the networks' normalisation
 X_SCALE = 5e-6 * 2**14  # m; a step of the sensor is an exact binary fraction
 EPOCHS = 40

