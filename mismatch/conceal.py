@@ -15,9 +15,10 @@ import numpy as np
 from greygate.errors import InputError, replacing_folder
 
 from .concealed.line import BELT, DRUM
-from .concealed.rig import Columns, Rig, calibrate, errors, rms
+from .concealed.rig import SAMPLE_TIME, Columns, Rig, calibrate, errors, rms
+from .concealed.valve import VALVE
 
-RIGS: dict[str, Rig] = {rig.plant: rig for rig in (BELT, DRUM)}
+RIGS: dict[str, Rig] = {rig.plant: rig for rig in (BELT, DRUM, VALVE)}
 KINDS = {"clean": 0.15, "parameter": 0.1, "one": 0.5, "two": 0.1, "foreign": 0.15}
 RECORDINGS = {"identify": 20.0, "holdout": 8.0, "third": 8.0}  # seconds
 DECIMALS = {"V": 5, "m": 7, "rev/s": 4, "Pa": 0}
@@ -49,6 +50,7 @@ def conceal(plant: str, seed: int, out: Path, *, effect: str | None = None, kind
     values = {name: known[name].draw(rng) for name in names}
     concealed = {key: value for drawn in values.values() for key, value in drawn.items()}
     missing = {key for name in names for key in known[name].without}
+    missing |= set(rig.optional) if rng.uniform() < 0.1 else set()
     datasheet = {key: value for key, value in rig.parameters.items() if key not in missing}
     rig = replace(rig, tolerance={key: value for key, value in rig.tolerance.items() if key in datasheet})
 
@@ -204,7 +206,7 @@ def _relative(fit: dict[str, float], third: dict) -> float:
 def _fits(rig: Rig, recordings: dict[str, Columns], datasheet: dict, true: dict, concealed: dict, form: float) -> dict:
     """Fit of datasheet, calibrated and true simulation on `third`, and what the concealed effect does there."""
     third = recordings["third"]
-    calibrated = calibrate(rig, recordings["identify"], datasheet, every=4)
+    calibrated = calibrate(rig, recordings["identify"], datasheet, every=8)
     fits = {
         "simulation": errors(rig, third, datasheet, {}, 0.0),
         "calibrated": errors(rig, third, calibrated, {}, 0.0),
@@ -291,7 +293,7 @@ def _toml(rig: Rig, datasheet: dict[str, float]) -> str:
 
 def _write(path: Path, rig: Rig, columns: Columns) -> None:
     table = np.column_stack(
-        [np.arange(len(columns[rig.channels[0].name])) * 1e-3, *(columns[c.name] for c in rig.channels)]
+        [np.arange(len(columns[rig.channels[0].name])) * SAMPLE_TIME, *(columns[c.name] for c in rig.channels)]
     )
     formats = ["%.3f", *(f"%.{DECIMALS[c.unit]}f" for c in rig.channels)]
     np.savetxt(path, table, fmt=formats, delimiter=",", header=",".join(["t", *columns]), comments="")

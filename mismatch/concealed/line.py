@@ -183,6 +183,7 @@ BELT = Rig(
     places={"band": WHERE, "closing": WHERE, "play": WHERE},
     channels=(Channel("x_motor", "m", "input", resolution=1e-6), Channel("x_load", "m", "output", noise=1e-6)),
     window=None,
+    optional=("play",),
     record=_belt_record,
     predict=_belt_predict,
     effects={

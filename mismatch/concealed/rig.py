@@ -63,7 +63,8 @@ class Rig:
 
     `record(parameters, effects, form, seconds, rng)` gives the true signals of a campaign, `predict(columns,
     parameters, effects, form)` the predicted channels by the comparison rule of the rigs. `form` is 0 for the standard
-    form of every effect and 1 for its variant. `places` is the equation of each parameter with a tolerance.
+    form of every effect and 1 for its variant. `places` is the equation of each parameter with a tolerance, `same` the
+    effects that are one claim, `optional` the parameters of something that one rig in ten has not got.
     """
 
     plant: str
@@ -77,6 +78,7 @@ class Rig:
     record: Callable[..., Columns]
     predict: Callable[..., Columns]
     same: tuple[frozenset[str], ...] = ()
+    optional: tuple[str, ...] = ()
 
     @property
     def predicted(self) -> list[Channel]:
@@ -161,12 +163,12 @@ def motion(rng: np.random.Generator, seconds: float, dt: float, travel: float, s
         into = t - start
         v += np.sign(end - begin) * np.clip(np.minimum(hard * into, hard * (duration - into)), 0, top)
     if rng.uniform() < 0.5:
-        v = _lag(v, dt, rng.uniform(40, 90), rng.uniform(0.7, 1.0))
+        v = lag(v, dt, rng.uniform(40, 90), rng.uniform(0.7, 1.0))
     return np.cumsum(v) * dt, v, np.gradient(v, dt)
 
 
 @njit(cache=True)
-def _lag(signal, dt, omega, zeta):
+def lag(signal, dt, omega, zeta):
     """Second-order lag of unit gain, semi-implicit Euler."""
     out = np.empty_like(signal)
     y, rate = 0.0, 0.0

@@ -1,0 +1,365 @@
+"""Valve-controlled cylinder: Runge-Kutta 4 at 40 us (simulations at 62.5 us), under digital position control."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from .excite import reference
+from .rig import SAMPLE_TIME, Channel, Columns, Effect, Rig, smoothed_difference
+
+FINE, COARSE = 25, 16  # steps a sample: the true rig, a simulation of it
+VOLT = 10 / 2**11  # 12 bits of +-10 V: the plant sees the rounded command
+CURRENT, SPOOL, RATE, P_A, P_B, X, V, BRISTLE, SUPPLY, SENSED, STATES = range(11)
+
+
+class Valve(NamedTuple):
+    """Parameters of the valve-controlled cylinder, SI; without dry friction as long as `f_coulomb` is 0."""
+
+    mass: float
+    viscous: float
+    stiffness: float
+    area: float
+    p_supply: float
+    p_tank: float
+    k_valve: float
+    bulk_modulus: float
+    v_a0: float
+    v_b0: float
+    k_h: float
+    omega_n: float
+    zeta: float
+    l_coil: float
+    r_coil: float
+    i_max: float
+    u_max: float
+    sigma0: float = 1.2e6
+    sigma1: float = 300.0
+    sigma2: float = 60.0
+    f_coulomb: float = 0.0
+    f_static: float = 0.0
+    v_stribeck: float = 0.1
+
+
+class ValveEffects(NamedTuple):
+    """What the rig may conceal, SI; all zero: nothing. The last lines are outside the vocabulary."""
+
+    form: float = 0.0
+    c_internal: float = 0.0
+    c_external: float = 0.0
+    overlap: float = 0.0
+    orifice_asym: float = 0.0
+    air_fraction: float = 0.0
+    droop: float = 0.0
+    delay: float = 0.0
+    f_coulomb: float = 0.0
+    f_static: float = 0.0
+    f_load: float = 0.0
+    k_cubic: float = 0.0
+    cushion: float = 0.0
+    pa_offset: float = 0.0
+    pa_gain: float = 0.0
+    hysteresis: float = 0.0
+    f_position: float = 0.0
+    thinning: float = 0.0
+    sinking: float = 0.0
+    pb_lag: float = 0.0
+
+
+@njit(cache=True, inline="always")
+def _edge(spool, overlap, rounded):
+    """Opening of one edge [m]: sharp, or (variant) rounded over 4 um where the lap is not zero."""
+    opening = spool - overlap
+    if rounded and overlap != 0.0:
+        return 0.5 * (opening + np.sqrt(opening * opening + 1.6e-11))
+    return max(opening, 0.0)
+
+
+@njit(cache=True, inline="always")
+def _orifice(opening, high, low):
+    drop = high - low
+    return opening * np.sqrt(drop) if drop >= 0 else -opening * np.sqrt(-drop)
+
+
+@njit(cache=True, inline="always")
+def _supplied(opening, supply, chamber, droop):
+    """Flow over k through a supply edge where the supply sags by `droop` times that flow: the root of a quadratic."""
+    drop = supply - chamber
+    if drop <= 0 or droop == 0.0:
+        return _orifice(opening, supply, chamber)
+    c = opening * opening
+    return 0.5 * (np.sqrt(c * c * droop * droop + 4 * c * drop) - c * droop)
+
+
+@njit(cache=True, inline="always")
+def _bulk(modulus, pressure, air, variant):
+    """Effective bulk modulus with free air, isothermal or (variant) polytropic with exponent 1.4."""
+    if air == 0.0:
+        return modulus
+    above = max(pressure, 0.0) + 1e5
+    if variant:
+        return modulus / (1 + air * modulus / (1.4 * above) * (1e5 / above) ** (1 / 1.4))
+    return modulus / (1 + air * modulus * 1e5 / (above * above))
+
+
+@njit(cache=True, inline="always")
+def _seep(coefficient, drop, variant):
+    """Laminar flow, or (variant) one that turns turbulent around 8 MPa."""
+    return coefficient * drop / np.sqrt(1 + abs(drop) / 8e6) if variant else coefficient * drop
+
+
+@njit(cache=True, inline="always")
+def _stribeck(v, coulomb, static, speed):
+    return coulomb + (static - coulomb) * np.exp(-((v / speed) ** 2))
+
+
+@njit(cache=True)
+def _slopes(s, volt, t, p, e, d):
+    """Derivatives d (STATES,) of the states s at time t [s] under the command `volt`."""
+    u, p_a, p_b, x, v = s[SPOOL], s[P_A], s[P_B], s[X], s[V]
+    variant = e.form != 0.0
+    d[CURRENT] = (volt - p.r_coil * s[CURRENT]) / p.l_coil
+    d[SPOOL] = s[RATE]
+    d[RATE] = p.omega_n**2 * (p.k_h * s[CURRENT] - u) - 2 * p.zeta * p.omega_n * s[RATE]
+
+    full = p.p_supply * (np.exp(-e.sinking * t) if e.sinking > 0 else 1.0)
+    supply, sag = (s[SUPPLY], 0.0) if variant and e.droop > 0 else (full, e.droop * p.k_valve)
+    rich = 1 + e.orifice_asym * (0.5 if variant else 1.0)
+    poor = 1 - 0.5 * e.orifice_asym if variant else 1.0
+    out, back = _edge(u, e.overlap, variant), _edge(-u, e.overlap, variant)
+    from_a, from_b = rich * _supplied(out, supply, p_a, sag), rich * _supplied(back, supply, p_b, sag)
+    to_a, to_b = poor * _orifice(back, p_a, p.p_tank), poor * _orifice(out, p_b, p.p_tank)
+    near = max(abs(x) - 0.018, 0.0) / 0.0319
+    throttle = 1 / (1 + e.cushion * near * near)
+    if variant:  # only the way out of the chamber that closes
+        to_a, to_b = (to_a, to_b * throttle) if x > 0 else (to_a * throttle, to_b)
+    else:
+        from_a, from_b, to_a, to_b = from_a * throttle, from_b * throttle, to_a * throttle, to_b * throttle
+    drawn = p.k_valve * (max(from_a, 0.0) + max(from_b, 0.0))
+    d[SUPPLY] = (full - e.droop * drawn - s[SUPPLY]) / 0.02
+
+    across = _seep(e.c_internal, p_a - p_b, variant)
+    q_a = p.k_valve * (from_a - to_a) - across - _seep(e.c_external, p_a - p.p_tank, variant)
+    q_b = p.k_valve * (from_b - to_b) + across - _seep(e.c_external, p_b - p.p_tank, variant)
+    d[P_A] = _bulk(p.bulk_modulus, p_a, e.air_fraction, variant) / (p.v_a0 + p.area * x) * (q_a - p.area * v)
+    d[P_B] = _bulk(p.bulk_modulus, p_b, e.air_fraction, variant) / (p.v_b0 - p.area * x) * (q_b + p.area * v)
+    d[SENSED] = (p_b - s[SENSED]) / e.pb_lag if e.pb_lag > 0 else 0.0
+
+    coulomb, static = max(p.f_coulomb, e.f_coulomb), max(p.f_static, e.f_static)
+    friction = e.f_position * abs(x) * np.tanh(v / 0.003) if e.f_position > 0 else 0.0
+    d[BRISTLE] = 0.0
+    if coulomb > 0:
+        level = _stribeck(v, coulomb, static, p.v_stribeck)
+        if variant and e.f_coulomb > 0:  # a curve over speed instead of bristles
+            friction += level * np.tanh(v / 0.002)
+        else:
+            d[BRISTLE] = v - abs(v) * s[BRISTLE] * p.sigma0 / level
+            friction += p.sigma0 * s[BRISTLE] + p.sigma1 * d[BRISTLE] + p.sigma2 * v
+    viscous = p.viscous * (np.exp(-e.thinning * t) if e.thinning > 0 else 1.0)
+    force = (p_a - p_b) * p.area - viscous * v - p.stiffness * x - friction - e.f_load - e.k_cubic * x**3
+    d[X] = v
+    d[V] = force / p.mass
+
+
+@njit(cache=True)
+def _step(s, volt, t, dt, p, e, work):
+    """One step of Runge-Kutta 4, then the limits of current, spool, pressures and stroke. work: (5, STATES)."""
+    k1, k2, k3, k4, mid = work[0], work[1], work[2], work[3], work[4]
+    _slopes(s, volt, t, p, e, k1)
+    for n in range(STATES):
+        mid[n] = s[n] + 0.5 * dt * k1[n]
+    _slopes(mid, volt, t + 0.5 * dt, p, e, k2)
+    for n in range(STATES):
+        mid[n] = s[n] + 0.5 * dt * k2[n]
+    _slopes(mid, volt, t + 0.5 * dt, p, e, k3)
+    for n in range(STATES):
+        mid[n] = s[n] + dt * k3[n]
+    _slopes(mid, volt, t + dt, p, e, k4)
+    for n in range(STATES):
+        s[n] += dt / 6 * (k1[n] + 2 * k2[n] + 2 * k3[n] + k4[n])
+    s[CURRENT] = min(max(s[CURRENT], -p.i_max), p.i_max)
+    if abs(s[SPOOL]) > p.u_max:
+        s[SPOOL] = np.sign(s[SPOOL]) * p.u_max
+        s[RATE] = 0.0
+    s[P_A], s[P_B] = max(s[P_A], 0.0), max(s[P_B], 0.0)
+    if abs(s[X]) > 0.0499:
+        s[X] = np.sign(s[X]) * 0.0499
+        s[V] = 0.0
+
+
+@njit(cache=True)
+def _held(command, k, into, delay):
+    """The command that acts `into` seconds after sample k, `delay` late."""
+    late = k + int(np.floor((into - delay) / 1e-3 + 1e-9))
+    return command[max(late, 0)]
+
+
+@njit(cache=True)
+def _record(target, gain, reset, p, e, fine):
+    """Signals (4, samples) v_c, x, p_a, p_b of a rig that follows `target` [m] under P or PI control at 1 kHz."""
+    samples = len(target)
+    out, command = np.empty((4, samples)), np.empty(samples)
+    s, work = np.zeros(STATES), np.empty((5, STATES))
+    s[P_A] = s[P_B] = s[SENSED] = 0.5 * p.p_supply
+    s[SUPPLY] = p.p_supply
+    total, felt = 0.0, 0.0
+    for k in range(samples):
+        seen = 5e-6 * np.round(s[X] / 5e-6)
+        volt = gain * (target[k] - seen) + total
+        if abs(volt) < 1.5:
+            total += reset * 1e-3 * (target[k] - seen)
+        volt = VOLT * np.round(min(max(volt, -1.499), 1.499) / VOLT)
+        out[0, k], out[1, k] = volt, s[X]
+        out[2, k] = (s[P_A] * (1 + e.pa_gain)) + e.pa_offset
+        out[3, k] = s[SENSED] if e.pb_lag > 0 else s[P_B]
+        felt = min(max(felt, volt - e.hysteresis), volt + e.hysteresis)
+        command[k] = felt
+        for n in range(fine):
+            into = n * 1e-3 / fine
+            _step(s, _held(command, k, into, e.delay), k * 1e-3 + into, 1e-3 / fine, p, e, work)
+    return out
+
+
+@njit(cache=True)
+def _predict(volts, x, p_a, p_b, speed, window, every, p, e, fine):
+    """Simulated x, p_a, p_b (3, samples): restarted from the record every `window` samples, NaN in windows left out."""
+    samples = len(volts)
+    out = np.full((3, samples), np.nan)
+    s, work = np.zeros(STATES), np.empty((5, STATES))
+    command = np.empty(samples)
+    felt = 0.0
+    for k in range(samples):
+        felt = min(max(felt, volts[k] - e.hysteresis), volts[k] + e.hysteresis)
+        command[k] = felt
+    for first in range(0, samples, window * every):
+        acting = _held(command, first, 0.0, e.delay)
+        s[CURRENT] = min(max(acting / p.r_coil, -p.i_max), p.i_max)
+        s[SPOOL] = min(max(p.k_h * s[CURRENT], -p.u_max), p.u_max)
+        s[RATE] = 0.0
+        s[P_A] = (p_a[first] - e.pa_offset) / (1 + e.pa_gain)
+        s[P_B] = s[SENSED] = p_b[first]
+        s[X], s[V] = x[first], speed[first]
+        coulomb = max(p.f_coulomb, e.f_coulomb)
+        level = _stribeck(s[V], coulomb, max(p.f_static, e.f_static), p.v_stribeck)
+        s[BRISTLE] = np.sign(s[V]) * level / p.sigma0
+        flow = p.k_valve * np.sqrt(max(p.p_supply - (s[P_A] if s[SPOOL] > 0 else s[P_B]), 0.0)) * abs(s[SPOOL])
+        s[SUPPLY] = p.p_supply - e.droop * flow
+        for k in range(first, min(first + window, samples)):
+            out[0, k], out[1, k] = s[X], s[P_A] * (1 + e.pa_gain) + e.pa_offset
+            out[2, k] = s[SENSED] if e.pb_lag > 0 else s[P_B]
+            for n in range(fine):
+                into = n * 1e-3 / fine
+                _step(s, _held(command, k, into, e.delay), k * 1e-3 + into, 1e-3 / fine, p, e, work)
+    return out
+
+
+def record(parameters: dict, extra: dict, form: float, seconds: float, rng: np.random.Generator) -> Columns:
+    """True signals of one campaign from rest at mid-stroke, `seconds` + one sample long."""
+    target = reference(rng, round(seconds / SAMPLE_TIME) + 1, 0.036)
+    reset = rng.uniform(20, 120) if rng.uniform() < 0.4 else 0.0
+    out = _record(target, rng.uniform(60, 130), reset, Valve(**parameters), ValveEffects(form=form, **extra), FINE)
+    return dict(zip(("v_c", "x", "p_a", "p_b"), out, strict=True))
+
+
+def predict(columns: Columns, parameters: dict, extra: dict, form: float, every: int = 1) -> Columns:
+    """x, p_a, p_b by the comparison rule: restarted every 0.25 s from the recorded state."""
+    speed = smoothed_difference(columns["x"])
+    signals = (columns[name] for name in ("v_c", "x", "p_a", "p_b"))
+    out = _predict(*signals, speed, 250, every, Valve(**parameters), ValveEffects(form=form, **extra), COARSE)
+    return dict(zip(("x", "p_a", "p_b"), out, strict=True))
+
+
+SPOOL_EQ, FLOWS, FILLS, MOTION = ("spool",), ("flow_a", "flow_b"), ("continuity_a", "continuity_b"), ("motion",)
+
+
+def _effect(equation: tuple[str, ...], on: str, others: dict | None = None, **options) -> Effect:
+    signed, without = options.pop("signed", False), options.pop("without", ())
+    return Effect(equation, tuple(on.split()), options, others or {}, signed=signed, without=without)
+
+
+FRICTION = {
+    "sigma0": 1.2e6,
+    "sigma1": 300.0,
+    "sigma2": 60.0,
+    "f_coulomb": 100.0,
+    "f_static": 130.0,
+    "v_stribeck": 0.1,
+}
+VALVE = Rig(
+    plant="valve_hydraulic",
+    parameters={
+        "mass": 9.0,
+        "viscous": 2000.0,
+        "stiffness": 10.0,
+        "area": 0.000645,
+        "p_supply": 20e6,
+        "p_tank": 0.0,
+        "k_valve": 3.2e-05,
+        "bulk_modulus": 1.4e9,
+        "v_a0": 5e-05,
+        "v_b0": 5e-05,
+        "k_h": 0.0401,
+        "omega_n": 1256.0,
+        "zeta": 0.7,
+        "l_coil": 0.59,
+        "r_coil": 100.0,
+        "i_max": 0.015,
+        "u_max": 0.0006,
+        **FRICTION,
+    },
+    optional=tuple(FRICTION),
+    tolerance={
+        "viscous": 0.1,
+        "k_valve": 0.04,
+        "bulk_modulus": 0.08,
+        "v_a0": 0.04,
+        "v_b0": 0.04,
+        "p_supply": 0.02,
+        "omega_n": 0.1,
+    },
+    places={
+        "viscous": MOTION,
+        "k_valve": FLOWS,
+        "bulk_modulus": FILLS,
+        "v_a0": ("continuity_a",),
+        "v_b0": ("continuity_b",),
+        "p_supply": FLOWS,
+        "omega_n": SPOOL_EQ,
+    },
+    channels=(
+        Channel("v_c", "V", "input", resolution=VOLT),
+        Channel("x", "m", "output", resolution=5e-6),
+        Channel("p_a", "Pa", "output", noise=12e3),
+        Channel("p_b", "Pa", "output", noise=12e3),
+    ),
+    window=0.25,
+    record=record,
+    predict=predict,
+    same=(
+        frozenset({"valve_overlap", "valve_underlap"}),
+        frozenset({"sensor_offset_p_a", "sensor_gain_p_a"}),
+    ),
+    effects={
+        "internal_leakage": _effect(FILLS, "p_a p_b", c_internal=(6e-13, 1.5e-11)),
+        "external_leakage": _effect(FILLS, "p_a p_b", c_external=(6e-15, 3e-13)),
+        "valve_overlap": _effect(FLOWS, "v_c", overlap=(3e-6, 1e-4)),
+        "valve_underlap": _effect(FLOWS, "v_c", overlap=(-3e-6, -1e-4)),
+        "orifice_asymmetry": _effect(FLOWS, "v_c p_a p_b", orifice_asym=(0.025, 0.4), signed=True),
+        "entrained_air": _effect(FILLS, "p_a p_b", air_fraction=(0.02, 0.3)),
+        "supply_droop": _effect(FLOWS, "v_c", droop=(1.5e9, 8e10)),
+        "input_delay": _effect(SPOOL_EQ, "v_c", delay=(4e-4, 1.2e-2)),
+        "dry_friction": _effect(MOTION, "v", f_coulomb=(15.0, 250.0), f_static=(20.0, 330.0), without=tuple(FRICTION)),
+        "constant_load": _effect(MOTION, "", f_load=(10.0, 1000.0)),
+        "hardening_spring": _effect(MOTION, "x", k_cubic=(1.5e6, 8e7)),
+        "end_cushion": _effect(FLOWS, "x", cushion=(0.3, 30.0)),
+        "sensor_offset_p_a": _effect(("sensor_p_a",), "", pa_offset=(1.5e4, 6e5), signed=True),
+        "sensor_gain_p_a": _effect(("sensor_p_a",), "p_a", pa_gain=(1.5e-3, 6e-2), signed=True),
+    },
+    foreign={
+        "valve_hysteresis": _effect(SPOOL_EQ, "v_c", hysteresis=(0.006, 0.2)),
+        "position_friction": _effect(MOTION, "x v", f_position=(1200.0, 2e4)),
+        "viscosity_drift": _effect(MOTION, "v t", thinning=(0.015, 0.15)),
+        "supply_drift": _effect(FLOWS, "t", sinking=(3e-4, 1.5e-2)),
+        "sensor_lag_p_b": _effect(("sensor_p_b",), "p_b", pb_lag=(0.005, 0.15)),
+    },
+)
