@@ -15,10 +15,11 @@ import numpy as np
 from greygate.errors import InputError, replacing_folder
 
 from .concealed.line import BELT, DRUM
+from .concealed.pump import PUMP
 from .concealed.rig import SAMPLE_TIME, Columns, Rig, calibrate, errors, rms
 from .concealed.valve import VALVE
 
-RIGS: dict[str, Rig] = {rig.plant: rig for rig in (BELT, DRUM, VALVE)}
+RIGS: dict[str, Rig] = {rig.plant: rig for rig in (VALVE, PUMP, BELT, DRUM)}
 KINDS = {"clean": 0.15, "parameter": 0.1, "one": 0.5, "two": 0.1, "foreign": 0.15}
 RECORDINGS = {"identify": 20.0, "holdout": 8.0, "third": 8.0}  # seconds
 DECIMALS = {"V": 5, "m": 7, "rev/s": 4, "Pa": 0}

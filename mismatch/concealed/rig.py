@@ -16,8 +16,8 @@ class Effect:
     """One thing that a simulation may lack: where it enters, what it depends on, how large it may be.
 
     `sizes` are drawn log-uniformly between their bounds (with either sign if `signed`), `others` (periods, phases,
-    places) uniformly. Their keys are fields of the plant's effect tuple. `without` names the datasheet values that a
-    rig with this effect does not give.
+    places) uniformly, as whole numbers if the bounds are. Their keys are fields of the plant's effect tuple. `without`
+    names the datasheet values that a rig with this effect does not give.
     """
 
     equation: tuple[str, ...]
@@ -31,7 +31,11 @@ class Effect:
         """Parameters of the effect: name to value, SI. Sizes of one effect keep the same place in their ranges."""
         place, sign = rng.uniform(), rng.choice([-1.0, 1.0]) if self.signed else 1.0
         sizes = {name: sign * low * (high / low) ** place for name, (low, high) in self.sizes.items()}
-        return sizes | {name: rng.uniform(*bounds) for name, bounds in self.others.items()}
+        others = {
+            name: float(rng.integers(*bounds) if isinstance(bounds[0], int) else rng.uniform(*bounds))
+            for name, bounds in self.others.items()
+        }
+        return sizes | others
 
 
 @dataclass(frozen=True)

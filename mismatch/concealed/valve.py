@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from .excite import reference
+from .cylinder import bulk, held, reference, seep, stribeck
 from .rig import SAMPLE_TIME, Channel, Columns, Effect, Rig, smoothed_difference
 
 FINE, COARSE = 25, 16  # steps a sample: the true rig, a simulation of it
@@ -91,28 +91,6 @@ def _supplied(opening, supply, chamber, droop):
     return 0.5 * (np.sqrt(c * c * droop * droop + 4 * c * drop) - c * droop)
 
 
-@njit(cache=True, inline="always")
-def _bulk(modulus, pressure, air, variant):
-    """Effective bulk modulus with free air, isothermal or (variant) polytropic with exponent 1.4."""
-    if air == 0.0:
-        return modulus
-    above = max(pressure, 0.0) + 1e5
-    if variant:
-        return modulus / (1 + air * modulus / (1.4 * above) * (1e5 / above) ** (1 / 1.4))
-    return modulus / (1 + air * modulus * 1e5 / (above * above))
-
-
-@njit(cache=True, inline="always")
-def _seep(coefficient, drop, variant):
-    """Laminar flow, or (variant) one that turns turbulent around 8 MPa."""
-    return coefficient * drop / np.sqrt(1 + abs(drop) / 8e6) if variant else coefficient * drop
-
-
-@njit(cache=True, inline="always")
-def _stribeck(v, coulomb, static, speed):
-    return coulomb + (static - coulomb) * np.exp(-((v / speed) ** 2))
-
-
 @njit(cache=True)
 def _slopes(s, volt, t, p, e, d):
     """Derivatives d (STATES,) of the states s at time t [s] under the command `volt`."""
@@ -138,18 +116,18 @@ def _slopes(s, volt, t, p, e, d):
     drawn = p.k_valve * (max(from_a, 0.0) + max(from_b, 0.0))
     d[SUPPLY] = (full - e.droop * drawn - s[SUPPLY]) / 0.02
 
-    across = _seep(e.c_internal, p_a - p_b, variant)
-    q_a = p.k_valve * (from_a - to_a) - across - _seep(e.c_external, p_a - p.p_tank, variant)
-    q_b = p.k_valve * (from_b - to_b) + across - _seep(e.c_external, p_b - p.p_tank, variant)
-    d[P_A] = _bulk(p.bulk_modulus, p_a, e.air_fraction, variant) / (p.v_a0 + p.area * x) * (q_a - p.area * v)
-    d[P_B] = _bulk(p.bulk_modulus, p_b, e.air_fraction, variant) / (p.v_b0 - p.area * x) * (q_b + p.area * v)
+    across = seep(e.c_internal, p_a - p_b, variant)
+    q_a = p.k_valve * (from_a - to_a) - across - seep(e.c_external, p_a - p.p_tank, variant)
+    q_b = p.k_valve * (from_b - to_b) + across - seep(e.c_external, p_b - p.p_tank, variant)
+    d[P_A] = bulk(p.bulk_modulus, p_a, e.air_fraction, variant) / (p.v_a0 + p.area * x) * (q_a - p.area * v)
+    d[P_B] = bulk(p.bulk_modulus, p_b, e.air_fraction, variant) / (p.v_b0 - p.area * x) * (q_b + p.area * v)
     d[SENSED] = (p_b - s[SENSED]) / e.pb_lag if e.pb_lag > 0 else 0.0
 
     coulomb, static = max(p.f_coulomb, e.f_coulomb), max(p.f_static, e.f_static)
     friction = e.f_position * abs(x) * np.tanh(v / 0.003) if e.f_position > 0 else 0.0
     d[BRISTLE] = 0.0
     if coulomb > 0:
-        level = _stribeck(v, coulomb, static, p.v_stribeck)
+        level = stribeck(v, coulomb, static, p.v_stribeck)
         if variant and e.f_coulomb > 0:  # a curve over speed instead of bristles
             friction += level * np.tanh(v / 0.002)
         else:
@@ -188,13 +166,6 @@ def _step(s, volt, t, dt, p, e, work):
 
 
 @njit(cache=True)
-def _held(command, k, into, delay):
-    """The command that acts `into` seconds after sample k, `delay` late."""
-    late = k + int(np.floor((into - delay) / 1e-3 + 1e-9))
-    return command[max(late, 0)]
-
-
-@njit(cache=True)
 def _record(target, gain, reset, p, e, fine):
     """Signals (4, samples) v_c, x, p_a, p_b of a rig that follows `target` [m] under P or PI control at 1 kHz."""
     samples = len(target)
@@ -216,7 +187,7 @@ def _record(target, gain, reset, p, e, fine):
         command[k] = felt
         for n in range(fine):
             into = n * 1e-3 / fine
-            _step(s, _held(command, k, into, e.delay), k * 1e-3 + into, 1e-3 / fine, p, e, work)
+            _step(s, held(command, k, into, e.delay), k * 1e-3 + into, 1e-3 / fine, p, e, work)
     return out
 
 
@@ -232,7 +203,7 @@ def _predict(volts, x, p_a, p_b, speed, window, every, p, e, fine):
         felt = min(max(felt, volts[k] - e.hysteresis), volts[k] + e.hysteresis)
         command[k] = felt
     for first in range(0, samples, window * every):
-        acting = _held(command, first, 0.0, e.delay)
+        acting = held(command, first, 0.0, e.delay)
         s[CURRENT] = min(max(acting / p.r_coil, -p.i_max), p.i_max)
         s[SPOOL] = min(max(p.k_h * s[CURRENT], -p.u_max), p.u_max)
         s[RATE] = 0.0
@@ -240,7 +211,7 @@ def _predict(volts, x, p_a, p_b, speed, window, every, p, e, fine):
         s[P_B] = s[SENSED] = p_b[first]
         s[X], s[V] = x[first], speed[first]
         coulomb = max(p.f_coulomb, e.f_coulomb)
-        level = _stribeck(s[V], coulomb, max(p.f_static, e.f_static), p.v_stribeck)
+        level = stribeck(s[V], coulomb, max(p.f_static, e.f_static), p.v_stribeck)
         s[BRISTLE] = np.sign(s[V]) * level / p.sigma0
         flow = p.k_valve * np.sqrt(max(p.p_supply - (s[P_A] if s[SPOOL] > 0 else s[P_B]), 0.0)) * abs(s[SPOOL])
         s[SUPPLY] = p.p_supply - e.droop * flow
@@ -249,13 +220,13 @@ def _predict(volts, x, p_a, p_b, speed, window, every, p, e, fine):
             out[2, k] = s[SENSED] if e.pb_lag > 0 else s[P_B]
             for n in range(fine):
                 into = n * 1e-3 / fine
-                _step(s, _held(command, k, into, e.delay), k * 1e-3 + into, 1e-3 / fine, p, e, work)
+                _step(s, held(command, k, into, e.delay), k * 1e-3 + into, 1e-3 / fine, p, e, work)
     return out
 
 
 def record(parameters: dict, extra: dict, form: float, seconds: float, rng: np.random.Generator) -> Columns:
     """True signals of one campaign from rest at mid-stroke, `seconds` + one sample long."""
-    target = reference(rng, round(seconds / SAMPLE_TIME) + 1, 0.036)
+    target = reference(rng, round(seconds / SAMPLE_TIME) + 1, 0.036, (8, 40))
     reset = rng.uniform(20, 120) if rng.uniform() < 0.4 else 0.0
     out = _record(target, rng.uniform(60, 130), reset, Valve(**parameters), ValveEffects(form=form, **extra), FINE)
     return dict(zip(("v_c", "x", "p_a", "p_b"), out, strict=True))

@@ -1,0 +1,297 @@
+"""Pump-controlled cylinder: Runge-Kutta 4 at 40 us (simulations at 62.5 us), under digital control of position, and in
+half of the rigs of the sum of the pressures, as in chapter 6 of the thesis."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from .cylinder import bulk, held, reference, seep, stribeck
+from .rig import SAMPLE_TIME, Channel, Columns, Effect, Rig, smoothed_difference
+
+FINE, COARSE = 25, 16  # steps a sample: the true rig, a simulation of it
+OFFSETS = -1.2294  # lambda: offset speed of pump 1 over that of pump 2
+P_A, P_B, X, V, BRISTLE, TURN_1, TURN_2, N_1, N_2, M_1, M_2, SENSED, STATES = range(13)
+
+
+class Pump(NamedTuple):
+    """Parameters of the pump-controlled cylinder, SI and rev/s."""
+
+    mass: float
+    viscous: float
+    gravity: float
+    area_a: float
+    area_b: float
+    v_a0: float
+    v_b0: float
+    bulk_modulus: float
+    displacement: float
+    c_i: float
+    c_ea: float
+    c_eb: float
+    sigma0: float
+    sigma1: float
+    sigma2: float
+    f_coulomb: float
+    f_static: float
+    v_stribeck: float
+
+
+class PumpEffects(NamedTuple):
+    """What the rig may conceal, SI; all zero: nothing. The last lines are outside the vocabulary."""
+
+    form: float = 0.0
+    c_cyl: float = 0.0
+    c_turb: float = 0.0
+    air_fraction: float = 0.0
+    delay: float = 0.0
+    f_load: float = 0.0
+    ripple: float = 0.0
+    teeth: float = 1.0
+    ripple_phase: float = 0.0
+    speed_lag: float = 0.0
+    disp_loss: float = 0.0
+    f_position: float = 0.0
+    warming: float = 0.0
+    n1_offset: float = 0.0
+    pb_lag: float = 0.0
+
+
+@njit(cache=True, inline="always")
+def _pulse(turn, ripple, teeth, phase):
+    """Displacement over its mean at `turn` revolutions."""
+    return 1 + ripple * np.sin(2 * np.pi * teeth * turn + phase) if ripple > 0 else 1.0
+
+
+@njit(cache=True)
+def _slopes(s, n_1, n_2, t, p, e, d):
+    """Derivatives d (STATES,) of the states s at time t [s] under the commanded speeds [rev/s]."""
+    p_a, p_b, x, v = s[P_A], s[P_B], s[X], s[V]
+    variant = e.form != 0.0
+    if e.speed_lag > 0:
+        poles = 2.0 if variant else 1.0  # variant: two equal lags of half the time
+        d[N_1], d[N_2] = poles * (n_1 - s[N_1]) / e.speed_lag, poles * (n_2 - s[N_2]) / e.speed_lag
+        d[M_1], d[M_2] = poles * (s[N_1] - s[M_1]) / e.speed_lag, poles * (s[N_2] - s[M_2]) / e.speed_lag
+        n_1, n_2 = (s[M_1], s[M_2]) if variant else (s[N_1], s[N_2])
+    else:
+        d[N_1] = d[N_2] = d[M_1] = d[M_2] = 0.0
+    d[TURN_1], d[TURN_2] = n_1, n_2
+
+    # the loss grows with the pressure across each pump; variant: with that at its port of higher pressure
+    high = max(p_a, p_b) if variant else abs(p_a - p_b)
+    other = e.ripple_phase + (1.0 if variant else 0.0)
+    flow_1 = p.displacement * n_1 * (1 - e.disp_loss * p_a / 1e7) * _pulse(s[TURN_1], e.ripple, e.teeth, other)
+    flow_2 = (
+        p.displacement * n_2 * (1 - e.disp_loss * high / 1e7) * _pulse(s[TURN_2], e.ripple, e.teeth, e.ripple_phase)
+    )
+    drop = p_a - p_b
+    c_i = p.c_i * (1 + e.warming * t)
+    back = c_i * drop
+    if e.c_turb > 0:  # variant: laminar below 0.1 MPa
+        back += e.c_turb * drop / np.sqrt(abs(drop) + (1e5 if variant else 1.0))
+    across = seep(e.c_cyl, drop, variant)
+    q_a = flow_2 - back - p.c_ea * p_a + flow_1 - c_i * p_a - p.c_ea * p_a
+    q_b = flow_2 - back + p.c_eb * p_b
+    stiff_a = bulk(p.bulk_modulus, p_a, e.air_fraction, variant) / (p.v_a0 + p.area_a * x)
+    stiff_b = bulk(p.bulk_modulus, p_b, e.air_fraction, variant) / (p.v_b0 - p.area_b * x)
+    d[P_A] = stiff_a * (q_a - p.area_a * v - across)
+    d[P_B] = stiff_b * (p.area_b * v - q_b + across)
+    d[SENSED] = (p_b - s[SENSED]) / e.pb_lag if e.pb_lag > 0 else 0.0
+
+    level = stribeck(v, p.f_coulomb, p.f_static, p.v_stribeck)
+    d[BRISTLE] = v - abs(v) * s[BRISTLE] * p.sigma0 / level
+    friction = p.sigma0 * s[BRISTLE] + p.sigma1 * d[BRISTLE] + p.sigma2 * v
+    if e.f_position > 0:
+        friction += e.f_position * abs(x) * np.tanh(v / 0.003)
+    d[X] = v
+    pull = p.viscous * v + p.mass * p.gravity + friction + e.f_load
+    d[V] = (p.area_a * p_a - p.area_b * p_b - pull) / p.mass
+
+
+@njit(cache=True)
+def _step(s, n_1, n_2, t, dt, p, e, work):
+    """One step of Runge-Kutta 4, then the limits of pressures and stroke. work: (5, STATES)."""
+    k1, k2, k3, k4, mid = work[0], work[1], work[2], work[3], work[4]
+    _slopes(s, n_1, n_2, t, p, e, k1)
+    for n in range(STATES):
+        mid[n] = s[n] + 0.5 * dt * k1[n]
+    _slopes(mid, n_1, n_2, t + 0.5 * dt, p, e, k2)
+    for n in range(STATES):
+        mid[n] = s[n] + 0.5 * dt * k2[n]
+    _slopes(mid, n_1, n_2, t + 0.5 * dt, p, e, k3)
+    for n in range(STATES):
+        mid[n] = s[n] + dt * k3[n]
+    _slopes(mid, n_1, n_2, t + dt, p, e, k4)
+    for n in range(STATES):
+        s[n] += dt / 6 * (k1[n] + 2 * k2[n] + 2 * k3[n] + k4[n])
+    s[P_A], s[P_B] = max(s[P_A], 0.0), max(s[P_B], 0.0)
+    if abs(s[X]) > 0.0499:
+        s[X] = np.sign(s[X]) * 0.0499
+        s[V] = 0.0
+
+
+@njit(cache=True)
+def _record(target, gain, offset, total, gain_sum, reset_sum, p, e, fine):
+    """Signals (5, samples) n_1, n_2, x, p_a, p_b of a rig that follows `target` [m].
+
+    n_1 - (gamma - 1) n_2 is `offset` [rev/s] plus a PI controller of the sum of the pressures about `total` [Pa], whose
+    gains may be zero.
+    """
+    samples = len(target)
+    out, n_1, n_2 = np.empty((5, samples)), np.empty(samples), np.empty(samples)
+    s, work = np.zeros(STATES), np.empty((5, STATES))
+    s[P_A], s[P_B], s[SENSED] = 5e6, 6e6, 6e6
+    ratio = p.area_a / p.area_b - 1
+    summed = 0.0
+    for k in range(samples):
+        short = total - s[P_A] - s[P_B]
+        summed += reset_sum * 1e-3 * short
+        bias = min(max(offset + gain_sum * short + summed, 0.3 * offset), 2 * offset)
+        n_20 = bias / (OFFSETS - ratio)
+        moving = min(max(gain * (target[k] - 5e-6 * np.round(s[X] / 5e-6)), -7.0), 7.0)
+        n_2[k], n_1[k] = moving + n_20, ratio * moving + OFFSETS * n_20
+        if k == 0:
+            s[N_1] = s[M_1] = n_1[0]
+            s[N_2] = s[M_2] = n_2[0]
+        out[0, k], out[1, k], out[2, k], out[3, k] = n_1[k] + e.n1_offset * np.sign(n_1[k]), n_2[k], s[X], s[P_A]
+        out[4, k] = s[SENSED] if e.pb_lag > 0 else s[P_B]
+        for n in range(fine):
+            into = n * 1e-3 / fine
+            first, second = held(n_1, k, into, e.delay), held(n_2, k, into, e.delay)
+            _step(s, first, second, k * 1e-3 + into, 1e-3 / fine, p, e, work)
+    return out
+
+
+@njit(cache=True)
+def _predict(n_1, n_2, x, p_a, p_b, speed, window, every, p, e, fine):
+    """Simulated x, p_a, p_b (3, samples): restarted from the record every `window` samples, NaN in windows left out."""
+    samples = len(n_1)
+    out = np.full((3, samples), np.nan)
+    s, work = np.zeros(STATES), np.empty((5, STATES))
+    n_1 = n_1 - e.n1_offset * np.sign(n_1)
+    turn_1, turn_2 = np.cumsum(n_1) * 1e-3, np.cumsum(n_2) * 1e-3
+    for start in range(0, samples, window * every):
+        s[P_A], s[P_B], s[SENSED] = p_a[start], p_b[start], p_b[start]
+        s[X], s[V] = x[start], speed[start]
+        s[BRISTLE] = np.sign(s[V]) * stribeck(s[V], p.f_coulomb, p.f_static, p.v_stribeck) / p.sigma0
+        s[N_1] = s[M_1] = held(n_1, start, 0.0, e.delay)
+        s[N_2] = s[M_2] = held(n_2, start, 0.0, e.delay)
+        s[TURN_1], s[TURN_2] = turn_1[start] - n_1[start] * 1e-3, turn_2[start] - n_2[start] * 1e-3
+        for k in range(start, min(start + window, samples)):
+            out[0, k], out[1, k] = s[X], s[P_A]
+            out[2, k] = s[SENSED] if e.pb_lag > 0 else s[P_B]
+            for n in range(fine):
+                into = n * 1e-3 / fine
+                first, second = held(n_1, k, into, e.delay), held(n_2, k, into, e.delay)
+                _step(s, first, second, k * 1e-3 + into, 1e-3 / fine, p, e, work)
+    return out
+
+
+def _offset(p: Pump, e: PumpEffects, total: float) -> float:
+    """n_1 - (gamma - 1) n_2 [rev/s] that keeps the sum of the pressures at `total` [Pa] while the cylinder rests."""
+    p_a = (total * p.area_b + p.mass * p.gravity + e.f_load) / (p.area_a + p.area_b)
+    p_b = total - p_a
+    drop = p_a - p_b
+    back = p.c_i * drop + e.c_turb * drop / np.sqrt(abs(drop)) + e.c_cyl * drop
+    flow_2 = back - p.c_eb * p_b
+    flow_1 = back - flow_2 + (2 * p.c_ea + p.c_i) * p_a
+    return (flow_1 - (p.area_a / p.area_b - 1) * flow_2) / p.displacement
+
+
+def record(parameters: dict, extra: dict, form: float, seconds: float, rng: np.random.Generator) -> Columns:
+    """True signals of one campaign from mid-stroke, 5 and 6 MPa, `seconds` + one sample long."""
+    target = reference(rng, round(seconds / SAMPLE_TIME) + 1, 0.032, (5, 15))
+    p, e = Pump(**parameters), PumpEffects(form=form, **extra)
+    total = rng.uniform(16e6, 36e6)
+    regulated = float(rng.uniform() < 0.5)
+    gains = regulated * rng.uniform(2e-8, 8e-8), regulated * rng.uniform(2e-8, 2e-7)
+    out = _record(target, rng.uniform(150, 350), _offset(p, e, total), total, *gains, p, e, FINE)
+    return dict(zip(("n_1", "n_2", "x", "p_a", "p_b"), out, strict=True))
+
+
+def predict(columns: Columns, parameters: dict, extra: dict, form: float, every: int = 1) -> Columns:
+    """x, p_a, p_b by the comparison rule: restarted every 0.25 s from the recorded state."""
+    speed = smoothed_difference(columns["x"])
+    signals = (columns[name] for name in ("n_1", "n_2", "x", "p_a", "p_b"))
+    out = _predict(*signals, speed, 250, every, Pump(**parameters), PumpEffects(form=form, **extra), COARSE)
+    return dict(zip(("x", "p_a", "p_b"), out, strict=True))
+
+
+FLOWS, FILLS, MOTION = ("flow_a", "flow_b"), ("continuity_a", "continuity_b"), ("motion",)
+
+
+def _effect(equation: tuple[str, ...], on: str, others: dict | None = None, signed: bool = False, **sizes) -> Effect:
+    return Effect(equation, tuple(on.split()), sizes, others or {}, signed=signed)
+
+
+PUMP = Rig(
+    plant="pump_hydraulic",
+    parameters={
+        "mass": 12.3,
+        "viscous": 2600.0,
+        "gravity": 9.81,
+        "area_a": 0.0019635,
+        "area_b": 0.0010014,
+        "v_a0": 0.00014258,
+        "v_b0": 7.6821e-05,
+        "bulk_modulus": 1.3e9,
+        "displacement": 1.56e-05,
+        "c_i": 1.027e-12,
+        "c_ea": 1.2e-13,
+        "c_eb": 1.2e-13,
+        "sigma0": 1.2e6,
+        "sigma1": 2600.0,
+        "sigma2": 0.0,
+        "f_coulomb": 330.0,
+        "f_static": 360.0,
+        "v_stribeck": 0.1,
+    },
+    tolerance={
+        "viscous": 0.1,
+        "bulk_modulus": 0.08,
+        "displacement": 0.02,
+        "c_i": 0.08,
+        "v_a0": 0.04,
+        "v_b0": 0.04,
+        "f_coulomb": 0.08,
+        "f_static": 0.05,
+    },
+    places={
+        "viscous": MOTION,
+        "bulk_modulus": FILLS,
+        "displacement": FLOWS,
+        "c_i": FLOWS,
+        "v_a0": ("continuity_a",),
+        "v_b0": ("continuity_b",),
+        "f_coulomb": MOTION,
+        "f_static": MOTION,
+    },
+    channels=(
+        Channel("n_1", "rev/s", "input", resolution=0.001),
+        Channel("n_2", "rev/s", "input", resolution=0.001),
+        Channel("x", "m", "output", resolution=5e-6),
+        Channel("p_a", "Pa", "output", noise=12e3),
+        Channel("p_b", "Pa", "output", noise=12e3),
+    ),
+    window=0.25,
+    record=record,
+    predict=predict,
+    effects={
+        "cylinder_leakage": _effect(FILLS, "p_a p_b", c_cyl=(2e-14, 4e-12)),
+        "turbulent_leakage": _effect(FLOWS, "p_a p_b", c_turb=(6e-11, 1e-8)),
+        "entrained_air": _effect(FILLS, "p_a p_b", air_fraction=(0.02, 0.3)),
+        "input_delay": _effect(FLOWS, "n_1 n_2", delay=(6e-4, 1.5e-2)),
+        "constant_load": _effect(MOTION, "", f_load=(30.0, 2000.0)),
+        "pump_ripple": _effect(
+            FLOWS, "n_1 n_2", {"teeth": (7, 14), "ripple_phase": (0.0, 2 * np.pi)}, ripple=(0.01, 0.2)
+        ),
+        "motor_lag": _effect(FLOWS, "n_1 n_2", speed_lag=(1e-3, 4e-2)),
+        "displacement_loss": _effect(FLOWS, "p_a p_b n_1 n_2", disp_loss=(0.006, 0.12)),
+    },
+    foreign={
+        "position_friction": _effect(MOTION, "x v", f_position=(4000.0, 6e4)),
+        "leakage_drift": _effect(FLOWS, "p_a p_b t", warming=(0.003, 0.1)),
+        "speed_sensor_offset_n_1": _effect(FLOWS, "n_1", n1_offset=(0.005, 0.2)),
+        "sensor_lag_p_b": _effect(("sensor_p_b",), "p_b", pb_lag=(0.002, 0.06)),
+    },
+)
