@@ -1,0 +1,73 @@
+"""The pages of the plants say what the stored networks do, and show it."""
+
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from greygate import belt_drive, cable_drum, pictures
+from greygate.catalog import entry
+from greygate.errors import InputError
+from greygate.procedure import rms
+
+DOCS = Path(__file__).parents[1] / "docs"
+
+
+def cells(page: str, label: str) -> list[str]:
+    """What follows the first cell, which is this or begins so before a comma, in the first such row of the page."""
+    lines = (DOCS / page).read_text().replace("**", "").splitlines()
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
+    return next(row[1:] for row in rows if row[0] == label or row[0].startswith(f"{label},"))
+
+
+def test_the_belt_drives_page_has_the_figures_of_its_machine():
+    scores = belt_drive.scores(entry("belt_drive").network())
+    for label, thesis in belt_drive.THESIS["fnn"].items():
+        said = [f"{a} / {b:.1f}" for a, b in zip(thesis, scores[label], strict=True)]
+        assert cells("belt_drive.md", f"FNN {label}") == said, label
+    for label in ("max", "min"):
+        assert [c.split(" / ")[1] for c in cells("belt_drive.md", f"FNN {label}")] == [
+            f"{v:.0f}" for v in scores[label]
+        ]
+
+
+@pytest.mark.parametrize("scenario", ["rig_chirp", "rig_random", "rig_open"])
+def test_the_pump_cylinders_page_has_the_figures_of_its_network(scenario):
+    chosen = entry("pump_cylinder")
+    a, b = (1e-6 * v for v in rms(chosen.network(), chosen.records()[scenario]).values())
+    assert cells("pump_cylinder.md", f"rig, no pressure sensor, `{scenario}`")[1] == f"{a:.3f} / {b:.3f}"
+
+
+def test_the_cable_drums_page_has_the_figures_of_its_network():
+    network = entry("cable_drum").network()
+    for label, scenario in (
+        ("training", "training"),
+        ("random motion", "validation"),
+        ("the same with the beacon at home", "home"),
+    ):
+        thesis, ours, largest, _ = cells("cable_drum.md", label)
+        error = 1e6 * cable_drum.residual(network, scenario)
+        assert ours == f"{np.sqrt(np.mean(error**2)):.1f} um"
+        if scenario != "training":
+            assert thesis == f"{cable_drum.THESIS[scenario]:.0f} um"
+            assert largest.startswith(f"{np.abs(error).max():.0f} um")
+
+
+@pytest.mark.parametrize("name", pictures.PICTURES)
+def test_a_page_shows_the_picture_that_the_command_draws(name):
+    """To a pixel: another machine's arithmetic may round otherwise."""
+    stored = (DOCS / "pictures" / f"{name}.svg").read_text()
+    assert f"](pictures/{name}.svg)" in (DOCS / f"{name}.md").read_text()
+    drawn = pictures.PICTURES[name]()
+    ElementTree.fromstring(drawn)  # well-formed
+    number = re.compile(r"-?\d+\.?\d*")
+    assert number.sub("", drawn) == number.sub("", stored)
+    then, now = (np.array([float(v) for v in number.findall(text)]) for text in (stored, drawn))
+    np.testing.assert_allclose(now, then, atol=1.0)
+
+
+def test_a_folder_that_does_not_exist_is_named(tmp_path):
+    with pytest.raises(InputError, match="no such folder"):
+        pictures.draw(tmp_path / "none")
