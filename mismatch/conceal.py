@@ -21,6 +21,7 @@ from .concealed.valve import VALVE
 
 RIGS: dict[str, Rig] = {rig.plant: rig for rig in (VALVE, PUMP, BELT, DRUM)}
 KINDS = {"clean": 0.15, "parameter": 0.1, "one": 0.5, "two": 0.1, "foreign": 0.15}
+LEAST = {"two": 0.4, "foreign": 0.3}  # where the sizes begin, of their range: a pair or an unknown is to be seen
 RECORDINGS = {"identify": 20.0, "holdout": 8.0, "third": 8.0}  # seconds
 DECIMALS = {"V": 5, "m": 7, "rev/s": 4, "Pa": 0}
 
@@ -48,7 +49,7 @@ def conceal(plant: str, seed: int, out: Path, *, effect: str | None = None, kind
     names = _effects(rig, kind, effect, rng)
     form = float(rng.integers(2))
     known = rig.effects | rig.foreign
-    values = {name: known[name].draw(rng) for name in names}
+    values = {name: known[name].draw(rng, LEAST.get(kind, 0.0)) for name in names}
     concealed = {key: value for drawn in values.values() for key, value in drawn.items()}
     missing = {key for name in names for key in known[name].without}
     missing |= set(rig.optional) if rng.uniform() < 0.1 else set()
@@ -82,7 +83,8 @@ def conceal(plant: str, seed: int, out: Path, *, effect: str | None = None, kind
         "form": "variant" if form else "standard",
         "seed": seed,
     }
-    answer |= _fits(rig, recordings, datasheet, true, concealed, form)
+    bare = {name: datasheet[name] if name == off else true[name] for name in datasheet}
+    answer |= _fits(rig, recordings, datasheet, bare, true, concealed, form)
 
     with replacing_folder(out, "sealed.json") as folder:
         (folder / "rig.toml").write_text(_toml(rig, datasheet))
@@ -204,8 +206,10 @@ def _relative(fit: dict[str, float], third: dict) -> float:
     return float(np.mean([fit[channel] / third[channel]["true"] for channel in third]))
 
 
-def _fits(rig: Rig, recordings: dict[str, Columns], datasheet: dict, true: dict, concealed: dict, form: float) -> dict:
-    """Fit of datasheet, calibrated and true simulation on `third`, and what the concealed effect does there."""
+def _fits(
+    rig: Rig, recordings: dict[str, Columns], datasheet: dict, bare: dict, true: dict, concealed: dict, form: float
+) -> dict:
+    """Fit of datasheet, calibrated and true simulation on `third`, and what is concealed does there beside `bare`."""
     third = recordings["third"]
     calibrated = calibrate(rig, recordings["identify"], datasheet, every=8)
     fits = {
@@ -213,11 +217,15 @@ def _fits(rig: Rig, recordings: dict[str, Columns], datasheet: dict, true: dict,
         "calibrated": errors(rig, third, calibrated, {}, 0.0),
         "true": errors(rig, third, true, concealed, form),
     }
-    bare = errors(rig, third, {key: true[key] for key in datasheet}, {}, 0.0)
+    without = errors(rig, third, bare, {}, 0.0)
     fit = {c.name: {key: rms(e[c.name]) for key, e in fits.items()} | {"unit": c.unit} for c in rig.predicted}
-    strength = {c.name: rms(fits["true"][c.name] - bare[c.name]) / c.error for c in rig.predicted}
+    strength = {c.name: rms(fits["true"][c.name] - without[c.name]) / c.error for c in rig.predicted}
     whole = _relative({name: values["calibrated"] for name, values in fit.items()}, fit)
-    return {"strength": strength, "removable": max(0.0, 1 - 1 / whole) if concealed else 0.0, "third": fit}
+    return {
+        "strength": strength,
+        "removable": max(0.0, 1 - 1 / whole) if concealed or bare != true else 0.0,
+        "third": fit,
+    }
 
 
 def _rig(plant: str) -> Rig:

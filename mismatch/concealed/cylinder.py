@@ -43,7 +43,7 @@ def reference(rng: np.random.Generator, samples: int, reach: float, quick: tuple
     reach *= rng.uniform(0.65, 1.0)
     levels, holds = rng.uniform(-1, 1, samples), rng.uniform(0.15, rng.uniform(0.6, 1.5), samples)
     target = reach * levels[np.searchsorted(np.cumsum(holds), t)]
-    swing = rng.uniform(0.4, 1.0)
+    swing = rng.uniform(0.6, 1.0)
     target = swing * (target[0] + lag(target - target[0], SAMPLE_TIME, rng.uniform(*quick), 1.0))
     kind = rng.choice(3)
     if kind == 0:

@@ -132,7 +132,8 @@ def _drum(x, v, a, dt, plant, e):
         # variant: slip follows speed and acceleration through 20 ms
         fast = fast + min(dt / 0.02, 1.0) * (abs(v[k]) - fast) if e.form else abs(v[k])
         hard = hard + min(dt / 0.02, 1.0) * (abs(a[k]) - hard) if e.form else abs(a[k])
-        back = e.asym * (plant.creep if e.form else 1.0) if dx < 0 else 0.0
+        # variant: the extra slip is in proportion to the creep, whose datasheet value is 2e-4
+        back = e.asym * (plant.creep / 2e-4 if e.form else 1.0) if dx < 0 else 0.0
         slip += (plant.creep + back + e.speed_slip * fast + e.accel_slip * hard) * dx
         # variant: half of the wind-up relaxes three times more slowly
         share = 0.5 if e.form else 1.0
@@ -216,10 +217,10 @@ DRUM = Rig(
     predict=_drum_predict,
     effects={
         "drum_eccentricity": _effect({"ecc": (1.5e-6, 6e-5)}, "x", {"ecc_phase": PHASE}),
-        "speed_slip": _effect({"speed_slip": (2e-4, 8e-3)}, "v", signed=True),
-        "direction_slip": _effect({"asym": (5e-6, 3e-4)}, "v"),
-        "drift": _effect({"drift": (2e-7, 8e-6)}, "t", signed=True),
-        "acceleration_slip": _effect({"accel_slip": (3e-4, 1e-2)}, "a"),
+        "speed_slip": _effect({"speed_slip": (4e-4, 1e-2)}, "v", signed=True),
+        "direction_slip": _effect({"asym": (1e-5, 4e-4)}, "v"),
+        "drift": _effect({"drift": (3e-7, 8e-6)}, "t", signed=True),
+        "acceleration_slip": _effect({"accel_slip": (5e-4, 1.5e-2)}, "a"),
         "cable_stretch": _effect({"stretch": (3e-5, 1e-3)}, "a x", {"length": (0.2, 0.5)}),
         "rest_relaxation": _effect({"rest_relax": (4e-5, 1e-3)}, "x t", {"rest_time": (0.5, 2.5)}),
     },

@@ -27,9 +27,10 @@ class Effect:
     signed: bool = False
     without: tuple[str, ...] = ()
 
-    def draw(self, rng: np.random.Generator) -> dict[str, float]:
-        """Parameters of the effect: name to value, SI. Sizes of one effect keep the same place in their ranges."""
-        place, sign = rng.uniform(), rng.choice([-1.0, 1.0]) if self.signed else 1.0
+    def draw(self, rng: np.random.Generator, least: float = 0.0) -> dict[str, float]:
+        """Parameters of the effect: name to value, SI. Sizes of one effect keep the same place in their ranges, from
+        `least` (0: barely seen) to 1 (dominant)."""
+        place, sign = rng.uniform(least, 1.0), rng.choice([-1.0, 1.0]) if self.signed else 1.0
         sizes = {name: sign * low * (high / low) ** place for name, (low, high) in self.sizes.items()}
         others = {
             name: float(rng.integers(*bounds) if isinstance(bounds[0], int) else rng.uniform(*bounds))
