@@ -67,7 +67,8 @@ CUTOFF = {"u": 100.0, "x": 20.0, "p_a": 100.0, "p_b": 100.0, "p_s": 100.0}
 
 SAMPLES = {"training": 50_001, "choice": 20_000, "v3": 2_500, "v4": 10_000, "v5": 10_000, "v6": 50_000}
 _SEEDS = {"training": 1, "choice": 3, "v3": 2, "v4": 4, "v6": 6}
-LOOP = {"v4": 200.0, "v5": 200.0, "v6": 200.0}  # V/m, gain of the position loop of the closed-loop runs
+CLOSED, SLOW = 200.0, 60.0  # V/m, gain of the position loop; slow in v3
+MOVES = RESTS = (500, 1500)  # samples: the training run's staircase goes on so long, then pauses so long
 
 
 def asymmetric_cylinder(**values: float) -> Plant:
@@ -120,8 +121,9 @@ def record(name: str) -> Recording:
     """One run of the rig, 1 kHz; see `measure`. Raises InputError for an unknown name.
 
     training (50,001 samples), choice (20,000), v3 (2,500): the valve follows a random staircase, held 0.08 to 0.6 s,
-    smoothed at 8 Hz, while a slow position loop keeps the piston off its stops and moves its middle about. `choice` is
-    there for what a training leaves to be chosen, so that no validation run is ever chosen on.
+    smoothed at 8 Hz, while a position loop keeps the piston off its stops and moves its middle about. In training and
+    choice the staircase pauses, and its reference stands: the loop brings the piston to rest and the valve to its lap.
+    `choice` is there for what a training leaves to be chosen, so that no validation run is ever chosen on.
     v4, v5 (10,000), v6 (50,000): closed position loop, as the thesis's: a random staircase of 60 mm, a chirp of 40 mm,
     0.1 to 3 Hz, and a staircase with a sine of 10 mm and 1.3 Hz upon it.
     """
@@ -129,17 +131,26 @@ def record(name: str) -> Recording:
         raise InputError(f"record {name!r} is unknown; give one of {', '.join(SAMPLES)}")
     samples, seed = SAMPLES[name], _SEEDS.get(name, 0)
     v_c = np.zeros(samples)
-    if name not in LOOP:
-        v_c = smoothed(prms(samples, -2.5, 2.5, (80, 600), seed), 8.0)
-        x_ref = smoothed(prms(samples, -0.025, 0.025, (500, 3000), seed + 1000), 1.0)
+    if name in ("training", "choice", "v3"):
+        moving = np.ones(samples, bool) if name == "v3" else moves(samples, seed + 3000)
+        v_c = smoothed(prms(samples, -2.5, 2.5, (80, 600), seed) * moving, 8.0)
+        last = np.maximum.accumulate(np.where(moving, np.arange(samples), 0))  # sample at which it moved
+        x_ref = smoothed(prms(samples, -0.025, 0.025, (500, 3000), seed + 1000)[last], 1.0)
     elif name == "v5":
         x_ref = chirp(samples, 0.02, 0.1, 3.0, SAMPLE_TIME)
     else:
         x_ref = smoothed(prms(samples, -0.03, 0.03, (400, 2000), seed), 4.0)
     if name == "v6":
         x_ref += 0.005 * np.sin(2 * np.pi * 1.3 * SAMPLE_TIME * np.arange(samples))
-    rig = asymmetric_cylinder(**DIFFERENCES, k_position=LOOP.get(name, 60.0))
+    rig = asymmetric_cylinder(**DIFFERENCES, k_position=SLOW if name == "v3" else CLOSED)
     return measure(rig, v_c, x_ref, np.zeros(samples), seed + 2000, source=name)
+
+
+def moves(samples: int, seed: int) -> np.ndarray:
+    """Whether the staircase goes on or pauses (samples,), in turn, each for a random while of `MOVES` and `RESTS`."""
+    rng = np.random.default_rng(seed)
+    turns = [rng.integers(*span) for _ in range(samples // MOVES[0] + 1) for span in (MOVES, RESTS)]
+    return np.repeat(np.arange(len(turns)) % 2 == 0, turns)[:samples]
 
 
 def smoothed(values: np.ndarray, cutoff: float) -> np.ndarray:

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from greygate.errors import InputError
-from greygate.plants.asymmetric_cylinder import DIFFERENCES, SENSORS, asymmetric_cylinder, measure, record, smoothed
+from greygate.plants.asymmetric_cylinder import (
+    DIFFERENCES,
+    SENSORS,
+    asymmetric_cylinder,
+    measure,
+    moves,
+    record,
+    smoothed,
+)
 from greygate.plants.simulate import simulate
 
 STATES = ("x", "v", "p_a", "p_b", "p_s", "q_a", "q_b")
@@ -75,6 +83,21 @@ def test_validation_runs_stay_off_the_stops(name, samples):
     assert found.samples == samples
     assert np.abs(found["x_true"]).max() < 0.0499
     assert found["p_a_true"].min() > 1e5
+
+
+@pytest.mark.parametrize(("name", "least", "most"), [("training", 0.08, 0.2), ("choice", 0.08, 0.2), ("v3", 0.0, 0.0)])
+def test_the_valve_rests_in_what_is_trained_on(name, least, most):
+    near = np.convolve(np.abs(record(name)["u"]), np.full(100, 0.01), "valid") < 0.05
+    assert least <= near.mean() <= most
+
+
+def test_moves_and_rests_alternate():
+    moving = moves(20_000, 7)
+    lengths = np.diff(np.flatnonzero(np.diff(moving.astype(int))))
+    assert len(moving) == 20_000
+    assert moving[0]
+    assert (lengths >= 500).all()
+    assert (lengths < 1500).all()
 
 
 def test_an_unknown_record_is_refused():
