@@ -1,14 +1,19 @@
 """Concealed rigs: what is written, that it is what it says, and that a diagnosis is scored for what it claims."""
 
+import ast
+import importlib
 import json
 import shutil
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from greygate.errors import InputError
+from greygate.mismatch import concealed
 from greygate.mismatch.conceal import KINDS, RIGS, conceal, reveal
+from greygate.mismatch.concealed.rig import rms
 
 FILES = {"rig.toml", "identify.csv", "holdout.csv", "third.csv", "sealed.json", "sealed.json.sha256"}
 
@@ -83,6 +88,64 @@ def test_the_kind_is_what_is_concealed(kind, tmp_path):
     assert set(true["concealed"]) <= set(
         RIGS["cable_drum"].foreign if kind == "foreign" else RIGS["cable_drum"].effects
     )
+
+
+@pytest.mark.parametrize("plant", RIGS)
+def test_every_effect_changes_what_its_plant_records(plant):
+    rig = RIGS[plant]
+
+    seconds = 3.0 if rig.window else 10.0
+
+    def recorded(form, effects):
+        return rig.record(rig.parameters, effects, form, seconds, np.random.default_rng(5))
+
+    nothing = recorded(0.0, {})
+    for name, effect in (rig.effects | rig.foreign).items():
+        for form in (0.0, 1.0):
+            true = recorded(form, effect.draw(np.random.default_rng(1), least=0.9))
+            change = max(rms(true[c.name] - nothing[c.name]) / c.error for c in rig.channels)
+            assert np.isfinite(change), name
+            assert change > 1, (name, form)
+
+
+@pytest.mark.parametrize("plant", ["valve_hydraulic", "pump_hydraulic"])
+def test_a_simulation_restarts_from_the_record_and_leaves_out_windows(plant):
+    rig = RIGS[plant]
+    true = rig.record(rig.parameters, {}, 0.0, 2.0, np.random.default_rng(5))
+    every, fourth = (rig.predict(true, rig.parameters, {}, 0.0, n) for n in (1, 4))
+    for name in ("x", "p_a", "p_b"):
+        np.testing.assert_array_equal(every[name][::250], true[name][::250])
+        np.testing.assert_array_equal(fourth[name][:250], every[name][:250])
+        assert np.isnan(fourth[name][250:1000]).all()
+
+
+@pytest.mark.parametrize("plant", ["valve_hydraulic", "pump_hydraulic"])
+def test_the_steps_are_fine_enough_for_the_sensors(plant, monkeypatch):
+    rig = RIGS[plant]
+    equations = importlib.import_module(rig.predict.__module__)
+    true = rig.record(rig.parameters, {}, 0.0, 1.0, np.random.default_rng(5))
+    coarse = rig.predict(true, rig.parameters, {}, 0.0)
+    monkeypatch.setattr(equations, "COARSE", 4 * equations.COARSE)
+    fine = rig.predict(true, rig.parameters, {}, 0.0)
+    for channel in rig.predicted:
+        assert rms(coarse[channel.name] - fine[channel.name]) < 0.01 * channel.error
+
+
+def test_the_generator_shares_nothing_with_the_diagnoser_or_the_plants():
+    folder = Path(concealed.__file__).parent
+    imported = set()
+    for path in [*folder.glob("*.py"), folder.parent / "conceal.py"]:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                imported.add("." * node.level + (node.module or ""))
+    own = {name for name in imported if name.startswith((".", "greygate"))}
+    assert own == {
+        "greygate.errors",
+        *(".rig", ".cylinder"),
+        *(".concealed.rig", ".concealed.line", ".concealed.valve", ".concealed.pump"),
+    }
 
 
 def test_play_that_is_concealed_is_not_in_the_datasheet(tmp_path):

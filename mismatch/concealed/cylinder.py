@@ -6,7 +6,7 @@ from numba import njit
 from .rig import SAMPLE_TIME, lag
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def bulk(modulus, pressure, air, variant):
     """Effective bulk modulus with free air, isothermal or (variant) polytropic with exponent 1.4."""
     if air == 0.0:
@@ -17,13 +17,13 @@ def bulk(modulus, pressure, air, variant):
     return modulus / (1 + air * modulus * 1e5 / (above * above))
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def seep(coefficient, drop, variant):
     """Laminar flow, or (variant) one that turns turbulent around 8 MPa."""
     return coefficient * drop / np.sqrt(1 + abs(drop) / 8e6) if variant else coefficient * drop
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def stribeck(v, coulomb, static, speed):
     """Friction force [N] at a steady speed."""
     return coulomb + (static - coulomb) * np.exp(-((v / speed) ** 2))
@@ -40,10 +40,10 @@ def reference(rng: np.random.Generator, samples: int, reach: float, quick: tuple
     """Position reference (samples,) in m, inside +-`reach`: levels held 0.15 to 1.5 s and approached through a lag of
     `quick` rad/s, and on them, by the draw, band-limited noise, a sine, or nothing (then the cylinder rests)."""
     t = np.arange(samples) * SAMPLE_TIME
-    reach *= rng.uniform(0.65, 1.0)
+    reach *= rng.uniform(0.75, 1.0)
     levels, holds = rng.uniform(-1, 1, samples), rng.uniform(0.15, rng.uniform(0.6, 1.5), samples)
     target = reach * levels[np.searchsorted(np.cumsum(holds), t)]
-    swing = rng.uniform(0.6, 1.0)
+    swing = rng.uniform(0.75, 1.0)
     target = swing * (target[0] + lag(target - target[0], SAMPLE_TIME, rng.uniform(*quick), 1.0))
     kind = rng.choice(3)
     if kind == 0:

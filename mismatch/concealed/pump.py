@@ -57,7 +57,7 @@ class PumpEffects(NamedTuple):
     pb_lag: float = 0.0
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _pulse(turn, ripple, teeth, phase):
     """Displacement over its mean at `turn` revolutions."""
     return 1 + ripple * np.sin(2 * np.pi * teeth * turn + phase) if ripple > 0 else 1.0
@@ -200,7 +200,7 @@ def _offset(p: Pump, e: PumpEffects, total: float) -> float:
 
 def record(parameters: dict, extra: dict, form: float, seconds: float, rng: np.random.Generator) -> Columns:
     """True signals of one campaign from mid-stroke, 5 and 6 MPa, `seconds` + one sample long."""
-    target = reference(rng, round(seconds / SAMPLE_TIME) + 1, 0.032, (5, 15))
+    target = reference(rng, round(seconds / SAMPLE_TIME) + 1, 0.032, (8, 25))
     p, e = Pump(**parameters), PumpEffects(form=form, **extra)
     total = rng.uniform(16e6, 36e6)
     regulated = float(rng.uniform() < 0.5)
@@ -276,6 +276,7 @@ PUMP = Rig(
     window=0.25,
     record=record,
     predict=predict,
+    same=(frozenset({"cylinder_leakage", "turbulent_leakage"}), frozenset({"input_delay", "motor_lag"})),
     effects={
         "cylinder_leakage": _effect(FILLS, "p_a p_b", c_cyl=(2e-14, 4e-12)),
         "turbulent_leakage": _effect(FLOWS, "p_a p_b", c_turb=(6e-11, 1e-8)),

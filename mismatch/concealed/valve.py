@@ -66,7 +66,7 @@ class ValveEffects(NamedTuple):
     pb_lag: float = 0.0
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _edge(spool, overlap, rounded):
     """Opening of one edge [m]: sharp, or (variant) rounded over 4 um where the lap is not zero."""
     opening = spool - overlap
@@ -75,13 +75,13 @@ def _edge(spool, overlap, rounded):
     return max(opening, 0.0)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _orifice(opening, high, low):
     drop = high - low
     return opening * np.sqrt(drop) if drop >= 0 else -opening * np.sqrt(-drop)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True)
 def _supplied(opening, supply, chamber, droop):
     """Flow over k through a supply edge where the supply sags by `droop` times that flow: the root of a quadratic."""
     drop = supply - chamber
@@ -226,7 +226,7 @@ def _predict(volts, x, p_a, p_b, speed, window, every, p, e, fine):
 
 def record(parameters: dict, extra: dict, form: float, seconds: float, rng: np.random.Generator) -> Columns:
     """True signals of one campaign from rest at mid-stroke, `seconds` + one sample long."""
-    target = reference(rng, round(seconds / SAMPLE_TIME) + 1, 0.036, (8, 40))
+    target = reference(rng, round(seconds / SAMPLE_TIME) + 1, 0.036, (12, 80))
     reset = rng.uniform(20, 120) if rng.uniform() < 0.4 else 0.0
     out = _record(target, rng.uniform(60, 130), reset, Valve(**parameters), ValveEffects(form=form, **extra), FINE)
     return dict(zip(("v_c", "x", "p_a", "p_b"), out, strict=True))
