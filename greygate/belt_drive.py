@@ -58,18 +58,19 @@ def normalised(record: Record) -> tuple[np.ndarray, np.ndarray]:
 
 
 def answer(network: Network, **inputs: np.ndarray) -> np.ndarray:
-    """An expert's answer to (N,) values by port: (N,), or (N, size)."""
-    return network.run({n: v[:, None] for n, v in inputs.items()})["y"][:, 0]
+    """An expert's answer to (N,) values by port: (N,), or (N, size); of one with a memory, what it settles to."""
+    steps = SETTLED if any(c.delay for c in network.connections) else 1
+    return network.run({n: np.repeat(v[:, None], steps, axis=1) for n, v in inputs.items()})["y"][:, -1]
 
 
-def boundary_data(way: str) -> Record:
-    """x -> e, of round trips, where the carriage is engaged."""
+def boundary_data(way: str, every: int = 5) -> Record:
+    """x -> e, of round trips, where the carriage is engaged; in the order of travel, one sample of so many."""
     record = records()["boundaries"]
     x, e = normalised(record)
     rows = [
         k
         for a, b, found in legs(record.inputs["x"])
-        for k in range(a, b, 5)
+        for k in range(a, b, every)
         if found == way and (a == 0 or abs(x[k] - x[a]) > ENGAGED / X.scale)
     ]
     return Record({"x": x[rows]}, {"y": e[rows]})
@@ -101,8 +102,11 @@ def start_error(experts: Mapping[str, Network], way: str, x: np.ndarray) -> np.n
     return answer(experts[f"e_{other}"], x=x) + answer(experts[f"b_{way}"], x=x)
 
 
-def path_data(experts: Mapping[str, Network], way: str) -> Record:
-    """start, away -> error since the start of a path, up to its boundary and, at a slope, across it."""
+def path_data(experts: Mapping[str, Network], way: str, every: int = 3) -> Record:
+    """start, away -> error since the start of a path, up to its boundary and, at a slope, across it.
+
+    In the order of travel, one sample of so many.
+    """
     x, e = normalised(records()["training"])
     parts = []
     for a, b in turns(way):
@@ -119,7 +123,7 @@ def path_data(experts: Mapping[str, Network], way: str) -> Record:
         target = error.copy()
         target[end:] = bound[end:] - BEYOND * (away[end:] - away[end - 1])
         parts.append((np.full(len(away), start[0]), away / REACH, target - start_error(experts, way, start)))
-    start, away, target = (np.concatenate(p)[::3] for p in zip(*parts, strict=True))
+    start, away, target = (np.concatenate(p)[::every] for p in zip(*parts, strict=True))
     anywhere = np.linspace(-1, 1, 200)  # a path begins at 0, wherever
     start, away, target = (
         np.append(p, q) for p, q in ((start, anywhere), (away, 0 * anywhere), (target, 0 * anywhere))
@@ -137,6 +141,9 @@ def start_data(experts: Mapping[str, Network], way: str) -> Record:
 
 
 RADIAL = {"e": 24, "d": 60}
+RECURRENT_EPOCHS = 15
+FADING = 0.8
+SETTLED = 40  # steps over which an expert with a memory is held where its answer is wanted
 DECAY = {"e": 1e-3, "d": 1e-2, "sp": 1e-4, "b": 1e-2}
 
 
@@ -159,19 +166,40 @@ def rbf(part: str, inputs: tuple[str, ...], data: Record, seed: int) -> Network:
     return radial_fit([data], taps, Port("y"), (), RADIAL[part], seed, name=part).network
 
 
-KINDS = {"fnn": fnn, "rbf": rbf}
+def rnn(part: str, inputs: tuple[str, ...], data: Record, seed: int) -> Network:
+    """An Elman network for `e` and `d`, as in table 4.2; `sp` and `b`, asked only where motion turns, have no memory.
+
+    It starts as the tanh network of its neurons with no weight on its past, and learns the rows in the order of travel
+    and once more backwards: in the machine it runs in both directions. A neuron's weights on the past sum to `FADING`
+    at most, so that two runs on the same inputs come together whatever they began with.
+    """
+    still = fnn(part, inputs, data, seed)
+    if part not in ("e", "d"):
+        return still
+    network = elman(part, {Port(i): (0,) for i in inputs}, [Port("y")], [NEURONS[part]], seed)
+    known = {n.replace("out.", "y_layer."): v for n, v in still.parameters().items()}
+    known |= {f"hidden1.{i}_z0": known.pop(f"hidden1.{i}") for i in inputs}
+    known["hidden1.hidden1_past"] = np.zeros((NEURONS[part], NEURONS[part]))
+    fading = {"hidden1.hidden1_past": (-FADING / NEURONS[part], FADING / NEURONS[part])}
+    both = [{n: np.append(v, v[::-1]) for n, v in values.items()} for values in (data.inputs, data.targets)]
+    options = {"epochs": RECURRENT_EPOCHS, "decay": DECAY[part], "bounds": fading}
+    return train(network.with_parameters(known), [Record(*both)], **options).network
+
+
+KINDS = {"fnn": fnn, "rbf": rbf, "rnn": rnn}
 INPUTS = {"e": ("x",), "b": ("x",), "d": ("start", "away"), "sp": ("x", "e")}
 
 
 def experts(kind: Callable = fnn, progress: Callable[[str], None] | None = None, seed: int = 0) -> dict[str, Network]:
     """The eight experts, each trained on its part of the training recordings. kind: what builds and trains one."""
     found: dict[str, Network] = {}
+    thinning = {"every": 1} if kind is rnn else {}  # a memory counts steps of the machine
     for part in ("e", "b", "d", "sp"):
         for way in DIRECTIONS:
             data = {
-                "e": lambda w: boundary_data(w),
+                "e": lambda w: boundary_data(w, **thinning),
                 "b": lambda w: play_data(w),
-                "d": lambda w: path_data(found, w),
+                "d": lambda w: path_data(found, w, **thinning),
                 "sp": lambda w: start_data(found, w),
             }[part](way)
             network = kind(part, INPUTS[part], data, seed)
@@ -204,15 +232,18 @@ BASELINE_STEP = 40  # samples of the training recording to one of the baselines'
 THESIS_BASELINES = {"elman": (23, 19, 15), "noe": (34, 33, 28), "frnn": (27, 22, 17)}  # um, table 4.1
 
 
-def baseline(kind: str, neurons: int, seed: int = 0, epochs: int = 125) -> Fit:
-    """A black box of table 4.1 on x(k), x(k-1), x(k-2), trained for the thesis's epochs on its number of samples."""
+def baseline(kind: str, neurons: int, seed: int = 0, epochs: int = 125, seconds: float = 900.0) -> Fit:
+    """A black box of table 4.1 on x(k), x(k-1), x(k-2), trained for the thesis's epochs on its number of samples.
+
+    seconds: after so many it is stopped with the weights it has.
+    """
     taps = {X: (0, 1, 2)}
     if kind == "noe":
         network = noe("noe", taps, E, (1,), [neurons], seed, bypass=False)
     else:
         network = {"elman": elman, "frnn": frnn}[kind](kind, taps, [E], [neurons], seed)
     sparse = thinned(records()["training"])
-    return train(network, [sparse], epochs=epochs, decay=1e-6)
+    return train(network, [sparse], epochs=epochs, decay=1e-6, seconds=seconds)
 
 
 def thinned(record: Record) -> Record:
@@ -222,31 +253,34 @@ def thinned(record: Record) -> Record:
 
 
 def baselines(sizes: tuple[int, ...] = (10, 25, 50), progress: Callable[[str], None] | None = None) -> dict[str, dict]:
-    """RMS in um of each black box: on the samples it was trained on, and on s1 to s4 at the same rate; seconds."""
+    """RMS in um of each black box: on the samples it was trained on, and on s1 to s4 at the same rate."""
     found = {}
     for kind in BASELINES:
         for neurons in sizes:
             fit = baseline(kind, neurons)
             names = ("training", *SCENARIOS)
             um = [1e6 * rms(fit.network, thinned(records()[name]))["e"] for name in names]
-            found[f"{kind} {neurons}"] = {"um": dict(zip(names, um, strict=True)), "seconds": fit.seconds}
+            done = {"epochs": len(fit.history) - 1, "seconds": fit.seconds}
+            found[f"{kind} {neurons}"] = {"um": dict(zip(names, um, strict=True))} | done
             if progress:
-                progress(f"{kind} {neurons}: " + " ".join(f"{v:.1f}" for v in um) + f" um, {fit.seconds:.0f} s")
+                told = " ".join(f"{v:.1f}" for v in um)
+                progress(f"{kind} {neurons}: {told} um, {done['epochs']} epochs, {fit.seconds:.0f} s")
     return found
 
 
 def train_machine(progress: Callable[[str], None] | None = None) -> tuple[Network, dict]:
-    """Train the experts, join them. Returns the machine and its figures: `scores` by scenario, of a machine with
-    radial experts too, seconds, sizes."""
+    """Train the experts, join them. Returns the machine and its figures: `scores` by scenario, of machines with radial
+    and with recurrent experts too, seconds, sizes."""
     began = monotonic()
     parts = experts(progress=progress)
     seconds = monotonic() - began
-    radial = belt_machine(experts(rbf, progress))
+    others = {kind: belt_machine(experts(KINDS[kind], progress)) for kind in ("rbf", "rnn")}
     snn = Procedure(records())
     machine = snn.join(belt_machine(parts))
     return machine, {
         "machine": scores(machine),
-        "radial machine": scores(radial),
+        "radial machine": scores(others["rbf"]),
+        "recurrent machine": scores(others["rnn"]),
         "choice": scores(machine, ("choice",)),
         "training": scores(machine, ("training",)),
         "thesis": THESIS,

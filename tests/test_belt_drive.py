@@ -10,6 +10,7 @@ from greygate.catalog import entry
 from greygate.compiler.pipeline import compile_network, fixed_error, float_error
 from greygate.errors import InputError
 from greygate.models.network import Layer, Network, Port
+from greygate.models.problem import Record
 from greygate.models.structures.belt_drive import EXPERTS, REACH, E, X, belt_machine
 
 SLOPE = 2.0  # of a path, error over `REACH`
@@ -109,3 +110,16 @@ def test_an_experts_data_are_those_of_its_own_part_of_the_band():
     jumps = study.play_data("backward").targets["y"] * E.scale
     np.testing.assert_allclose(jumps, 120e-6, atol=15e-6)
     assert set(EXPERTS) == {f"{part}_{way}" for part in study.NEURONS for way in study.DIRECTIONS}
+
+
+def test_an_expert_with_a_memory_forgets_how_it_began_and_is_asked_when_settled(monkeypatch):
+    monkeypatch.setattr(study, "RECURRENT_EPOCHS", 4)
+    x = np.sin(np.linspace(0, 9, 300))
+    expert = study.rnn("e", ("x",), Record({"x": x}, {"y": np.tanh(2 * x)}), 0)
+    past = expert.parameters()["hidden1.hidden1_past"]
+    assert 0 < np.abs(past).sum(axis=1).max() <= study.FADING
+    held = np.full(200, 0.3)
+    there, here = (expert.run({"x": held}, initial={"hidden1": value})["y"] for value in (-1.0, 1.0))
+    assert abs(there[0] - here[0]) > 1e-3
+    assert there[-1] == here[-1]
+    assert study.answer(expert, x=held[:1])[0] == pytest.approx(here[-1], abs=1e-4)

@@ -1,5 +1,6 @@
 """The pages of the plants say what the stored networks do, and show it."""
 
+import json
 import re
 from pathlib import Path
 from xml.etree import ElementTree
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from greygate import belt_drive, cable_drum, pictures
-from greygate.catalog import entry
+from greygate.catalog import TRAINED, entry
 from greygate.errors import InputError
 from greygate.procedure import rms
 
@@ -31,6 +32,14 @@ def test_the_belt_drives_page_has_the_figures_of_its_machine():
         assert [c.split(" / ")[1] for c in cells("belt_drive.md", f"FNN {label}")] == [
             f"{v:.0f}" for v in scores[label]
         ]
+
+
+@pytest.mark.parametrize(("row", "kind"), [("RBF", "radial machine"), ("RNN", "recurrent machine")])
+def test_the_belt_drives_page_has_the_figures_that_training_left_of_other_experts(row, kind):
+    stored = json.loads((TRAINED / "belt_drive.json").read_text())[kind]
+    for label, thesis in belt_drive.THESIS[row.lower()].items():
+        said = [cell.split(" / ") for cell in cells("belt_drive.md", f"{row} {label}")]
+        assert said == [[str(a), f"{b:.1f}"] for a, b in zip(thesis, stored[label], strict=True)], label
 
 
 @pytest.mark.parametrize("scenario", ["rig_chirp", "rig_random", "rig_open"])
