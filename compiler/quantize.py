@@ -38,11 +38,14 @@ GUARD = 3  # bits that a product may be finer than the sum it goes into
 class Formats:
     """How numbers are kept. `width`: word of signals and significant bits of weights, 4 to 32.
 
+    finer: bits that weights and the outputs of neurons have beyond the word. A network that only adds up where its
+    plant stands still needs them: what rounding does there is the same in every step. 16 + 2 is an FPGA's multiplier.
     margin: room above the observed range (1.25 = a quarter). wide: extra fraction bits of pre-activations.
     signals: formats the user (or the search for a budget) fixes, by signal name.
     """
 
     width: int = 16
+    finer: int = 0
     margin: float = 1.25
     wide: int = 2
     rounding: Rounding = Rounding.HALF_UP
@@ -93,6 +96,8 @@ def quantize(
     """
     if not 4 <= formats.width <= 32:
         raise InputError(f"width {formats.width}: choose 4 to 32 bits")
+    if not 0 <= formats.finer <= 32 - formats.width:
+        raise InputError(f"finer {formats.finer}: choose 0 to {32 - formats.width} bits beyond the {formats.width}")
     return _Quantizer(network.flatten(), ranges, formats, period).program()
 
 
@@ -177,7 +182,7 @@ class _Quantizer:
         """Fix the format of a layer's output before any layer reads it, delayed reads included."""
         layer, width = self.flat.modules[name], self.formats.width
         if layer.activation in FUNCTIONS:
-            holds = self._square_fix(name) if layer.activation == "square" else output_fix(width)
+            holds = self._square_fix(name) if layer.activation == "square" else output_fix(width + self.formats.finer)
             fix = self.formats.signals.get(name, holds)
         elif layer.activation in ("hardlim", "hardlims"):
             fix = Fix(2, 0)
@@ -375,10 +380,11 @@ class _Quantizer:
         rounding: Rounding | None = None,
         overflow: Overflow | None = None,
     ) -> None:
-        """Weights with `width` significant bits per row and source, but no finer than the result can show.
+        """Weights with `width + finer` significant bits per row and source, but no finer than the result can show.
 
         finer: bits more than that.
         """
+        finer += self.formats.finer
         rows, word = out.size, self.formats.width + finer
         if not reads:  # a constant: an operation reads something, if only to ignore it
             first = self.signals[self.flat.inputs[0].name]

@@ -174,6 +174,9 @@ def compile(
     record: Annotated[list[str], typer.Option(help="FILE.csv or SCENARIO=FILE.csv; the first sets the ranges.")] = [],  # noqa: B006
     held: Annotated[list[str], typer.Option(help="FILE.csv on which, not on the first, pruning is judged.")] = [],  # noqa: B006
     width: Annotated[int, typer.Option(help="Word width of signals and weights, 4 to 32 bits.")] = 16,
+    finer: Annotated[
+        int | None, typer.Option(help="Bits more for weights and neurons; the catalogue's choice if not given, else 0.")
+    ] = None,
     budget: Annotated[float | None, typer.Option(help="Instead of a width: RMSE may be so many times float's.")] = None,
     prune: Annotated[float | None, typer.Option(help="Entropy pruning; RMSE may grow by this factor.")] = None,
     weights: Annotated[
@@ -185,7 +188,6 @@ def compile(
     as_json: Json = False,
 ) -> None:
     """Simplify, prune, quantize a network and write it as Verilog."""
-    from greygate.compiler.quantize import Formats
     from greygate.project import ARCHITECTURES, Source, compile_project, fixed_and_float
 
     if budget is not None and not 1 < budget < float("inf"):
@@ -202,7 +204,7 @@ def compile(
         compiled = compile_project(
             source,
             out,
-            Formats(width),
+            source.formats(width, finer),
             budget=budget,
             prune=prune,
             weights=weights,

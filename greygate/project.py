@@ -129,6 +129,11 @@ class Source:
             return entry(self.name).scenarios
         return tuple(self.recordings)
 
+    def formats(self, width: int = 16, finer: int | None = None) -> Formats:
+        """Formats of that word; finer: as in `Formats`, what the catalogue says of the network if not given."""
+        own = entry(self.name).finer if self.name in CATALOG else 0
+        return Formats(width, own if finer is None else finer)
+
     @property
     def references(self) -> Mapping[str, Mapping]:
         return entry(self.name).references if self.name in CATALOG else {}
@@ -250,6 +255,7 @@ def compile_project(
         "title": source.title,
         "architectures": list(architectures),
         "macs": macs,
+        "finer": formats.finer,
         "passes": [asdict(p) for p in compiled.passes],
         "pruning": [asdict(r) for r in compiled.pruning],
     }
@@ -365,7 +371,7 @@ def plants(folder: Path, progress: Callable[[str], None] | None = None) -> list[
         if not (folder / name / FACTS).exists():
             if progress:
                 progress(f"compiling {name}")
-            compile_project(Source(name, {}), folder / name, Formats())
+            compile_project(Source(name, {}), folder / name, Source(name, {}).formats())
         project = Project.open(folder / name)
         if project.source != Source(name, {}):
             raise InputError(f"{folder / name}: holds {project.source.name}; give a folder in which {name} is {name}")
@@ -439,7 +445,7 @@ def study_project(project: Project, progress: Callable[[str], None] | None = Non
         hardware=project.hardware,
         resources=project.resources,
         progress=progress,
-        **options,
+        **{"formats": Formats(finer=project.facts.get("finer", 0))} | options,
     )
 
 

@@ -7,8 +7,10 @@ import pytest
 
 from greygate.asymmetric_cylinder import ADOPTED, CLOSED, SCENARIOS, THESIS, assemble, first_machine, fit, records
 from greygate.catalog import TRAINED, entry
+from greygate.compiler.pipeline import compile_network
 from greygate.models.adaptation import adopt
 from greygate.procedure import bar, rms
+from greygate.project import Source, fixed_and_float
 
 
 def adopted():
@@ -38,3 +40,13 @@ def test_training_lowers_the_error_and_keeps_the_modules():
     found = fit(start, 1)
     assert found.history[-1] < found.history[0]
     assert found.network.modules.keys() == start.modules.keys()
+
+
+@pytest.mark.parametrize("name", ["valve_cylinder", "asymmetric_cylinder"])
+def test_sixteen_bits_cost_at_most_five_per_cent_on_every_scenario(name):
+    source = Source(name, {})
+    records = source.records()
+    compiled = compile_network(source.network(), records, source.formats(), ranged_on=source.training)
+    for record in records.values():
+        for errors in fixed_and_float(compiled, record).values():
+            assert errors["fixed"] <= 1.05 * errors["float"]

@@ -40,6 +40,7 @@ def random_formats(seed: int) -> Formats:
         rounding=Rounding(rng.choice(list(Rounding))),
         overflow=Overflow(rng.choice(list(Overflow))),
         interpolated=bool(rng.random() < 0.7),
+        finer=int(rng.integers(0, 4)),
     )
 
 
@@ -339,6 +340,26 @@ def test_a_width_out_of_reach_is_refused(width):
     network = simplify(delay_line())
     with pytest.raises(InputError, match="choose 4 to 32 bits"):
         quantize(network, ranges(network, [record_of(network, 20, 0)]), Formats(width))
+
+
+def test_finer_weights_and_neurons_leave_the_word_as_it_is():
+    network = feedforward("flow", ["u", "p"], [5], seed=3).flatten()
+    plain, finer = (quantize(network, ranges(network, [flow_record()]), Formats(12, finer=f)) for f in (0, 2))
+    before, after = plain.signals, finer.signals
+    assert (before["hidden1"].fix, after["hidden1"].fix) == (Fix(12, 11), Fix(14, 13))
+    assert all(before[n].fix == after[n].fix for n in ("u", "p", "out"))
+    exact = np.hstack([network.modules["hidden1"].weights[n] for n in ("u", "p")])
+    inputs = 2.0 ** np.array([before["u"].fix.frac, before["p"].fix.frac])
+    found = (next(o for o in p.operations if o.out.name == "hidden1.n") for p in (plain, finer))
+    rounded, closer = (np.abs(o.weights * 2.0 ** -o.frac[:, None] * inputs - exact).max() for o in found)
+    assert closer < 0.5 * rounded
+
+
+@pytest.mark.parametrize("finer", [-1, 17])
+def test_bits_beyond_the_word_are_refused_out_of_reach(finer):
+    network = simplify(delay_line())
+    with pytest.raises(InputError, match="choose 0 to 16 bits beyond the 16"):
+        quantize(network, ranges(network, [record_of(network, 20, 0)]), Formats(16, finer=finer))
 
 
 def test_a_width_that_cannot_hold_the_range_names_the_signal():
