@@ -7,9 +7,11 @@ switching of single terms (`without`, `with_term`) all work on this one declarat
 
 import ast
 import keyword
+import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
+from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
@@ -27,6 +29,7 @@ FUNCTIONS = {
     "abs": ("x", "np.abs(x)"),
     "min": ("x, y", "np.minimum(x, y)"),
     "max": ("x, y", "np.maximum(x, y)"),
+    "when": ("condition, x", "np.where(condition != 0.0, x, 0.0)"),
     "orifice": ("u, p_1, p_2", "np.maximum(u, 0.0) * np.sign(p_1 - p_2) * np.sqrt(np.abs(p_1 - p_2))"),
 }
 """Function of an expression -> (arguments, body): one text for NumPy arrays and for the compiled simulation."""
@@ -54,6 +57,7 @@ class State:
 
     The state is held within [`low`, `high`]; on a bound neither it nor the state `rate`, its velocity, moves further
     outward. A stroke stop, a saturation, a pressure that cannot fall below zero.
+    start: where it begins when a run starts within a recording, from parameters, inputs, states and definitions.
     """
 
     unit: str
@@ -61,6 +65,7 @@ class State:
     low: float | str | None = None
     high: float | str | None = None
     rate: str | None = None
+    start: str | None = None
 
 
 @dataclass(frozen=True)
@@ -91,6 +96,9 @@ class Plant:
     definitions: name -> Definition, each using only those before it
     equations:  name -> Equation
     outputs:    symbols (states, definitions or inputs) that a simulation returns
+    derived:    input -> how it is made of a recorded one, "rate x_motor" (`Plant.derive`)
+    switches:   parameter -> the parameter whose value in a data sheet turns it from 0 to 1
+    step:       of integration that suits it, s
 
     All names are checked here. Raises InputError naming plant, equation and term.
     """
@@ -102,6 +110,9 @@ class Plant:
     equations: Mapping[str, Equation]
     outputs: tuple[str, ...]
     definitions: Mapping[str, Definition] = field(default_factory=dict)
+    derived: Mapping[str, str] = field(default_factory=dict)
+    switches: Mapping[str, str] = field(default_factory=dict)
+    step: float = 1e-4
 
     def __post_init__(self):
         symbols: set[str] = set()
@@ -119,6 +130,12 @@ class Plant:
                     self._check(f"state {symbol}, {which}", bound, set(self.parameters))
             if state.rate is not None and state.rate not in self.states:
                 self._fail(f"state {symbol}", f"rate {state.rate!r} is no state; name the state that is its velocity")
+            if state.start is not None:
+                self._check(f"state {symbol}, start", state.start, symbols)
+        for table, owners in (("derived", self.inputs), ("switches", self.parameters)):
+            for symbol in getattr(self, table):
+                if symbol not in owners:
+                    self._fail(table, f"{symbol!r} is not among {', '.join(owners)}")
         for name, equation in self.equations.items():
             if name in self.definitions:
                 self._fail(f"equation {name}", "a definition has this name too; rename one")
@@ -133,6 +150,40 @@ class Plant:
         for output in self.outputs:
             if output not in symbols - set(self.parameters):
                 self._fail("outputs", f"{output!r} is no state, definition or input")
+
+    @classmethod
+    def read(cls, path: Path | str) -> "Plant":
+        """The plant of a TOML file, as `plants/rigs/*.toml`; its name is the file's.
+
+        Raises InputError naming file, line or entry.
+        """
+        path = Path(path)
+        try:
+            table = tomllib.loads(path.read_text())
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror}); give a plant's TOML file") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise InputError(f"{path}: is no TOML ({error}); mend that line") from None
+        known = ("step", "outputs", "inputs", "derived", "parameters", "switches", "states", "definitions", "equations")
+        for key in table:
+            if key not in known:
+                raise InputError(f"{path}: unknown entry {key!r}; a plant file has {', '.join(known)}")
+        entries = _Entries(path)
+        return cls(
+            path.stem,
+            {s: Parameter(*entries.numbered(f"parameters.{s}", v)) for s, v in table.get("parameters", {}).items()},
+            {s: entries.text(f"inputs.{s}", v) for s, v in table.get("inputs", {}).items()},
+            {s: entries.made(State, f"states.{s}", v) for s, v in table.get("states", {}).items()},
+            {n: Equation(*entries.sum(f"equations.{n}", v, "storage")) for n, v in table.get("equations", {}).items()},
+            tuple(table.get("outputs", ())),
+            {
+                n: Definition(*entries.sum(f"definitions.{n}", v, "unit"))
+                for n, v in table.get("definitions", {}).items()
+            },
+            {s: entries.text(f"derived.{s}", v) for s, v in table.get("derived", {}).items()},
+            {s: entries.text(f"switches.{s}", v) for s, v in table.get("switches", {}).items()},
+            float(table.get("step", cls.step)),
+        )
 
     # -- switching terms ---------------------------------------------------------------------------------------------
 
@@ -260,6 +311,46 @@ class Plant:
     def _hint(self, name: str) -> str:
         defined = {definition.symbol for definition in self.definitions.values()}
         return "; it is defined further down, move it up" if name in defined else "; declare it or mend the spelling"
+
+
+@dataclass(frozen=True)
+class _Entries:
+    """Checked entries of the plant file `path`."""
+
+    path: Path
+
+    def fail(self, where: str, problem: str) -> NoReturn:
+        raise InputError(f"{self.path}: {where}: {problem}")
+
+    def text(self, where: str, value) -> str:
+        if not isinstance(value, str):
+            self.fail(where, f"{value!r} is no text; write it in quotes")
+        return value
+
+    def numbered(self, where: str, value) -> tuple:
+        """(value, unit, ...) of `[1.4e9, "Pa"]`."""
+        if not (isinstance(value, list) and len(value) > 1 and type(value[0]) in (int, float)):
+            self.fail(where, f'{value!r}; write [value, "unit"]')
+        return float(value[0]), *value[1:]
+
+    def made(self, kind: type, where: str, value):
+        try:
+            return kind(**value)
+        except TypeError as error:
+            self.fail(where, f"{value!r} ({error}); write {{ unit = ... }}")
+
+    def sum(self, where: str, table, extra: str) -> tuple:
+        """(symbol, ...) of `symbol = { extra = ..., term = "expression", ... }`."""
+        if not (isinstance(table, dict) and len(table) == 1 and isinstance(next(iter(table.values())), dict)):
+            self.fail(where, 'write one line, symbol = { term = "expression", ... }')
+        symbol, terms = next(iter(table.items()))
+        terms = {name: self.text(f"{where}, {name}", text) for name, text in terms.items()}
+        if extra == "storage":
+            storage = terms.pop(extra, "1")
+            return symbol, terms, storage
+        if extra not in terms:
+            self.fail(where, f"has no {extra}; write {symbol} = {{ {extra} = ..., ... }}")
+        return symbol, terms.pop(extra), terms
 
 
 class _Values(dict):

@@ -15,7 +15,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.generated import load
-from greygate.plants.plant import FUNCTIONS, Definition, Equation, Plant
+from greygate.plants.plant import FUNCTIONS, Definition, Equation, Plant, _Values
 from greygate.plants.recording import Recording
 
 # Dormand and Prince (1980), the six stages that the fifth-order solution needs.
@@ -86,6 +86,46 @@ def simulate(
     return Recording(sample_time, recorded, {name: plant.unit(name) for name in names}, source=plant.name)
 
 
+class Restarted:
+    """A plant compiled for many runs over one recording, restarted at some samples and then free.
+
+    restarts: rising sample indices, the first 0. reset: which states begin anew at a restart, (states,); the others go
+    on. sample_time, step: as in `simulate`.
+    """
+
+    def __init__(self, plant: Plant, restarts: np.ndarray, reset: np.ndarray, sample_time: float, step: float):
+        self.plant, self.restarts, self.reset = plant, restarts, reset
+        self.substeps = max(round(sample_time / step), 1)
+        self.step = sample_time / self.substeps
+        symbols = list(plant.states)
+        self.rate = np.array([-1 if s.rate is None else symbols.index(s.rate) for s in plant.states.values()])
+        self.module = _module(source(plant))
+
+    def run(self, inputs: np.ndarray, starts: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
+        """States (samples, states); from the first one on that is not finite, all are NaN.
+
+        starts: (restarts, states). values: symbol -> value of every parameter of the plant.
+        """
+        scope = _Values(self.plant, {})
+        scope.update(values)
+
+        def bounds(which: str, free: float) -> np.ndarray:
+            given = (getattr(state, which) for state in self.plant.states.values())
+            return np.array(
+                [free if b is None else scope.evaluate(b) if isinstance(b, str) else b for b in given], float
+            )
+
+        out = np.empty((len(inputs), len(self.plant.states)))
+        parameters = np.array([values[symbol] for symbol in self.plant.parameters])
+        failed = self.module.restarted(
+            np.ascontiguousarray(starts, dtype=float), self.restarts, self.reset, inputs, parameters,
+            bounds("low", -np.inf), bounds("high", np.inf), self.rate, self.step, self.substeps, out,
+        )  # fmt: skip
+        if failed >= 0:
+            out[failed:] = np.nan
+        return out
+
+
 def _inputs(plant: Plant, inputs: Mapping[str, np.ndarray]) -> np.ndarray:
     if set(inputs) != set(plant.inputs):
         raise InputError(f"plant {plant.name}: inputs are {sorted(inputs)}; give {sorted(plant.inputs)}")
@@ -104,15 +144,34 @@ def source(plant: Plant) -> str:
     lines = ["import numpy as np", "from numba import njit", ""]
     lines += ["jit = njit(cache=True, error_model='numpy', nogil=True)", ""]
     for name, (arguments, body) in FUNCTIONS.items():
+        if name == "when":
+            continue
         lines += ["@jit", f"def {name}({arguments}):", f"    return {body}", ""]
     lines += ["@jit", "def derivative(_x, _u, _p, _dx):"]
     for array, symbols in (("_p", plant.parameters), ("_u", plant.inputs), ("_x", plant.states)):
         lines += [f"    {symbol} = {array}[{i}]" for i, symbol in enumerate(symbols)]
-    lines += [f"    {d.symbol} = {_sum(d)}" for d in plant.definitions.values()]
+    lines += [f"    {d.symbol} = {_sum(d)}" for d in _needed(plant)]
     states = list(plant.states)
     for equation in plant.equations.values():
         lines.append(f"    _dx[{states.index(equation.state)}] = ({_sum(equation)}) / ({_text(equation.storage)})")
     return "\n".join(lines) + _RUN
+
+
+def _needed(plant: Plant) -> list[Definition]:
+    """Definitions on which an equation depends, in the order of the plant."""
+    texts = [text for e in plant.equations.values() for text in (e.storage, *e.terms.values())]
+    needed: list[Definition] = []
+    for definition in reversed(plant.definitions.values()):
+        if definition.symbol in names(texts):
+            needed.insert(0, definition)
+            texts += definition.terms.values()
+    return needed
+
+
+def names(expressions: Iterable[str]) -> set[str]:
+    """Every name in the expressions."""
+    trees = (ast.parse(text.strip(), mode="eval") for text in expressions)
+    return {node.id for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Name)}
 
 
 def _sum(place: Equation | Definition) -> str:
@@ -120,8 +179,17 @@ def _sum(place: Equation | Definition) -> str:
 
 
 def _text(expression: str) -> str:
-    """`expression` on one line, without comments."""
-    return ast.unparse(ast.parse(expression.strip(), mode="eval"))
+    """`expression` on one line, without comments; what stands in `when(c, x)` is computed only where c is not 0."""
+    return ast.unparse(ast.fix_missing_locations(_Lazy().visit(ast.parse(expression.strip(), mode="eval"))))
+
+
+class _Lazy(ast.NodeTransformer):
+    def visit_Call(self, node: ast.Call) -> ast.expr:
+        self.generic_visit(node)
+        if not (isinstance(node.func, ast.Name) and node.func.id == "when"):
+            return node
+        condition, value = node.args
+        return ast.IfExp(ast.Compare(condition, [ast.NotEq()], [ast.Constant(0.0)]), value, ast.Constant(0.0))
 
 
 def _combination(weights: Iterable[str]) -> str:
@@ -179,6 +247,24 @@ def run(x, inputs, parameters, low, high, rate, h, substeps, out):
         out[sample + 1] = x
         if not np.isfinite(x).all():
             return sample + 1
+    return -1
+
+
+@jit
+def restarted(starts, restarts, reset, inputs, parameters, low, high, rate, h, substeps, out):
+    """`run` piece by piece: at restarts[i] the states in `reset` become starts[i]; the others go on."""
+    x = starts[0].copy()
+    for piece in range(len(restarts)):
+        first = restarts[piece]
+        last = restarts[piece + 1] + 1 if piece + 1 < len(restarts) else len(inputs)
+        if piece > 0:
+            x = out[first].copy()
+        for j in range(len(x)):
+            if reset[j]:
+                x[j] = starts[piece, j]
+        failed = run(x, inputs[first:last], parameters, low, high, rate, h, substeps, out[first:last])
+        if failed >= 0:
+            return first + failed
     return -1
 '''
 

@@ -1,0 +1,335 @@
+"""What a recording says about a plant: the verdict, its grounds, and the file that keeps them (`diagnosis.json`).
+
+Forward selection over the hypotheses of `search`, a claim only where its evidence is strong and little is left, and
+`unexplained` where structure stays that no effect of the table has.
+"""
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from greygate.errors import InputError, replacing
+from greygate.mismatch import effects as table
+from greygate.mismatch.closure import closure
+from greygate.mismatch.effects import Effect
+from greygate.mismatch.fit import Fit, Problem
+from greygate.mismatch.model import Model
+from greygate.mismatch.rig import Rig
+from greygate.mismatch.search import Hypothesis, Search
+
+SCHEMA = "diagnosis/1"
+EVIDENCE = 30.0  # of cost, robust, that an effect must save; some thirty hypotheses are tried
+APART = 12.0  # of cost, within which two hypotheses are not told apart
+EFFECTS = 3  # at most
+STRUCTURE = 0.3  # of slow error over white error, above which structure is left
+SHARE = 0.98  # of what can be explained, which a named effect explains though structure is left
+FIRST, LATER = 6, 4  # hypotheses of the first round and of later ones that are fitted in full
+SLOW = 0.02  # s of a mean that tells slow errors from white ones
+
+
+@dataclass
+class Diagnosis:
+    """Everything found; `as_dict` is the file's content."""
+
+    rig: Rig
+    verdict: str
+    best: Hypothesis
+    calibrated: Fit
+    corrected: Fit
+    rivals: dict[Hypothesis, float]
+    structure: dict[str, float]
+    explained: float
+    search: Search
+    unknown: dict | None = None
+    fits: dict = field(default_factory=dict)
+    seconds: float = 0.0
+
+    # -- the file ----------------------------------------------------------------------------------------------------
+
+    def as_dict(self) -> dict:
+        """Content of diagnosis.json, keys as in docs/diagnosis.md."""
+        return {
+            "schema": SCHEMA,
+            "plant": self.rig.plant.name,
+            "verdict": self.verdict,
+            "where": self._where(),
+            "effects": self._effects(),
+            "parameters": self._parameters(),
+            "fit": self.fits,
+            "remaining": self._remaining(),
+            "seconds": round(self.seconds, 2),
+        }
+
+    def write(self, path: Path | str) -> None:
+        """Write diagnosis.json, whole or not at all."""
+        with replacing(path) as temporary:
+            temporary.write_text(json.dumps(self.as_dict(), indent=1) + "\n")
+
+    def _where(self) -> list[dict]:
+        if self.verdict == "unexplained":
+            return [dict(place) for place in self.unknown["where"]]
+        places: dict[str, dict] = {}
+        for key in self.best.effects:
+            effect = self.search.effects[key]
+            for equation in effect.equations:
+                place = places.setdefault(equation, {"equation": equation, "depends_on": [], "regime": effect.means})
+                place["depends_on"] += [v for v in effect.depends_on if v not in place["depends_on"]]
+        return list(places.values())
+
+    def _effects(self) -> list[dict]:
+        if self.verdict == "unexplained":
+            return [self.unknown["effect"]] if self.unknown.get("effect") else []
+        if self.verdict not in ("missing_physics",):
+            return []
+        out = []
+        for key in self.best.effects:
+            effect = self.search.effects[key]
+            rivals = self._rivals(key)
+            out.append(
+                {
+                    "id": effect.id,
+                    "equations": list(effect.equations),
+                    "confidence": round(self._confidence(rivals), 4),
+                    "form": key,
+                    "parameters": reported(effect, self.corrected),
+                    "not_told_apart_from": sorted(name for name, gap in rivals.items() if gap < APART),
+                }
+            )
+        return out
+
+    def _rivals(self, key: str) -> dict[str, float]:
+        """Other explanations in the place of effect `key` -> cost above the best."""
+        mine = self.search.effects[key].id
+        rest = [k for k in self.best.effects if k != key]
+        out: dict[str, float] = {}
+        best = self.rivals[self.best]
+        for hypothesis, cost in self.rivals.items():
+            if hypothesis.size != self.best.size or not set(rest) <= set(hypothesis.effects):
+                continue
+            others = [k for k in hypothesis.effects if k not in rest]
+            names = [self.search.effects[k].id for k in others] + list(hypothesis.released)
+            for name in names:
+                if name != mine and name not in self.best.released:
+                    out[name] = min(out.get(name, np.inf), cost - best)
+        return out
+
+    def _confidence(self, rivals: Mapping[str, float]) -> float:
+        return float(1.0 / (1.0 + sum(np.exp(-min(max(gap, 0.0), 1400.0) / 2) for gap in rivals.values())))
+
+    def _parameters(self) -> dict:
+        out = {}
+        fit, plant = self.corrected, self.rig.plant
+        named = {f.symbol for key in self.best.effects for f in self.search.effects[key].free}
+        for u in sorted(fit.unknowns, key=lambda u: u.symbol not in self.best.released):
+            p = plant.parameters.get(u.symbol)
+            if p is None or not p.tolerance or u.symbol in named:
+                continue
+            value, deviation = fit.values[u.symbol], fit.deviation(u.symbol)
+            out[u.symbol] = {"value": value, "ci95": _interval(value, deviation), "unit": p.unit}
+            if u.symbol in self.best.released:
+                out[u.symbol]["outside_tolerance"] = True
+        return out
+
+    def _remaining(self) -> str:
+        left = {name: ratio for name, ratio in self.structure.items() if ratio > STRUCTURE}
+        return "; ".join(
+            f"{name}: slow errors {1 + ratio:.2g} times those of white noise" for name, ratio in left.items()
+        )
+
+
+def _interval(value: float, deviation: float) -> list[float]:
+    return [value - 1.96 * deviation, value + 1.96 * deviation]
+
+
+def reported(effect: Effect, fit: Fit) -> dict:
+    """An effect's parameters as the diagnosis names them: value, ci95, unit."""
+    symbols = [u.symbol for u in fit.unknowns]
+    scales = np.array([abs(u.scale) for u in fit.unknowns])
+    covariance = fit.covariance * np.outer(scales, scales)
+    waves = {s for pair in effect.wave.values() for s in pair}
+    out = {}
+    for name, (sine, cosine) in effect.wave.items():
+        s, c = fit.values[sine], fit.values[cosine]
+        at = [symbols.index(sine), symbols.index(cosine)]
+        size = max(float(np.hypot(s, c)), 1e-300)
+        inner = covariance[np.ix_(at, at)]
+        along, across = np.array([s, c]) / size, np.array([-c, s]) / size**2
+        unit = next(f.unit for f in effect.free if f.symbol == sine)
+        out[name] = {"value": size, "ci95": _interval(size, float(np.sqrt(along @ inner @ along))), "unit": unit}
+        phase = float(np.arctan2(c, s))
+        out[f"{name}_phase"] = {
+            "value": phase, "ci95": _interval(phase, float(np.sqrt(across @ inner @ across))), "unit": "rad",
+        }  # fmt: skip
+    for f in effect.free:
+        if f.symbol in waves:
+            continue
+        value = fit.values[f.symbol]
+        deviation = 0.0 if f.whole else fit.deviation(f.symbol)
+        unit = f.unit or fit.problem.model.plant.parameters[f.symbol].unit
+        out[f.reported] = {"value": value, "ci95": _interval(value, deviation), "unit": unit}
+    return out
+
+
+def recovered(effect: Effect, found: Mapping[str, Mapping]) -> dict[str, float]:
+    """Symbols' values from what a diagnosis reports of an effect; the inverse of `reported`."""
+    values = dict(effect.set)
+    for name, (sine, cosine) in effect.wave.items():
+        size, phase = found[name]["value"], found[f"{name}_phase"]["value"]
+        values[sine], values[cosine] = float(size * np.cos(phase)), float(size * np.sin(phase))
+    for f in effect.free:
+        if f.symbol not in values:
+            if f.reported not in found:
+                raise InputError(f"diagnosis: effect {effect.id} has no {f.reported}; give one that diagnose wrote")
+            values[f.symbol] = float(found[f.reported]["value"])
+    return values
+
+
+# -- finding it ------------------------------------------------------------------------------------------------------
+
+
+def structure(problem: Problem, fit: Fit) -> dict[str, float]:
+    """Per channel, how much larger slow errors are than white noise would have them, less one."""
+    channels = problem.model.rig.predict
+    projected = fit.projected[:, : problem.block * len(channels)].reshape(-1, problem.block, len(channels))
+    size = max(round(SLOW / problem.model.rig.dt), 2)
+    out = {}
+    for i, name in enumerate(channels):
+        e = projected[:, :, i]
+        e = e[np.abs(e).sum(axis=1) > 0]
+        pieces = e[:, : e.shape[1] // size * size].reshape(-1, size)
+        out[name] = float(np.mean(pieces.mean(axis=1) ** 2) * size / max(1.0, _fast(e))) - 1.0
+    return out
+
+
+def _fast(e: np.ndarray) -> float:
+    """Variance of what is fast in `e`."""
+    return float(np.mean(np.diff(e, axis=1) ** 2) / 2)
+
+
+def diagnose(
+    rig: Rig, effects: Mapping[str, Effect] | None = None, say: Callable[[str, float], None] | None = None
+) -> Diagnosis:
+    """Explain `rig.folder`/identify.csv; look at holdout.csv for the report alone.
+
+    say: called with what is being done and how far it is (0 to 1).
+    """
+    began = time.perf_counter()
+    say = say or (lambda text, share: None)
+    effects = table.read() if effects is None else effects
+    recording = rig.recording(rig.folder / "identify.csv")
+    say("compiling the plant", 0.0)
+    search = Search(rig, recording, effects)
+    screen = search.screen
+    say("calibrating", 0.05)
+    nothing = Hypothesis()
+    base = search.base(screen)
+    plain = search.fit(screen, nothing, base.values, base.shifts)
+    costs: dict[Hypothesis, float] = {nothing: plain.cost}
+    steps: list[tuple[Hypothesis, Fit]] = [(nothing, plain)]
+    start = base
+    while len(steps) <= EFFECTS and not (len(steps) > 1 and whole(screen, steps[-1][1])):
+        best, current = steps[-1]
+        ranked = search.scores(screen, start, best)
+        share = 0.15 + 0.2 * len(steps)
+        say(f"scored {len(ranked)} hypotheses", share)
+        promising = [s for s in ranked if s.gain > EVIDENCE / 3][: FIRST if len(steps) == 1 else LATER]
+        found: list[tuple[float, Hypothesis, Fit]] = []
+        for score in promising:
+            hypothesis = best.plus(score.hypothesis)
+            say(f"fitting {hypothesis}", share)
+            rival = min((f[0] for f in found), default=np.inf)
+            fit = search.fit(screen, hypothesis, {**start.values, **score.values}, start.shifts, rival=rival)
+            costs[hypothesis] = fit.cost
+            found.append((fit.cost, hypothesis, fit))
+        if not found:
+            break
+        cost, hypothesis, fit = min(found, key=lambda f: f[0])
+        if current.cost - cost < EVIDENCE * inflation(fit):
+            break
+        steps.append((hypothesis, fit))
+        start = fit
+    best, current = steps[-1]
+    if best.size > 1:
+        best, current = eliminate(search, best, current, costs, say)
+        if not whole(screen, current):  # several effects, and still not all: then not even the first is sure
+            best, current = steps[1]
+    say("fitting over the rig's windows", 0.85)
+    final = search.final
+    calibrated = search.fit(final, nothing, plain.values)
+    corrected = calibrated if best == nothing else search.fit(final, best, current.values)
+    rivals = {h: c / inflation(current) for h, c in costs.items()}
+    left = structure(final, corrected)
+    floor = final.count * 0.95
+    explained = (calibrated.cost - corrected.cost) / max(calibrated.cost - floor, 1.0)
+    open_ = max(left.values()) > STRUCTURE
+    unknown = None
+    if best == nothing and not open_:
+        verdict = "consistent"
+    elif open_ and explained < SHARE:
+        verdict = "unexplained"
+        say("looking for the equation", 0.9)
+        unknown, corrected = closure(search, calibrated)
+        best = nothing
+    elif best.effects:
+        verdict = "missing_physics"
+    else:
+        verdict = "parameter_error"
+    result = Diagnosis(rig, verdict, best, calibrated, corrected, rivals, left, explained, search, unknown)
+    say("predicting the recordings", 0.95)
+    result.fits = fits(result, recording)
+    result.seconds = time.perf_counter() - began
+    return result
+
+
+def inflation(fit: Fit) -> float:
+    """By how much errors that depend on each other widen the evidence on the last unknown."""
+    bread = np.linalg.pinv(fit.information, hermitian=True, rcond=1e-14)
+    return float(np.clip(fit.covariance[-1, -1] / max(bread[-1, -1], 1e-300), 1.0, 20.0))
+
+
+def whole(problem: Problem, fit: Fit) -> bool:
+    """Nothing is left to be explained."""
+    return max(structure(problem, fit).values()) < STRUCTURE
+
+
+def eliminate(search, best: Hypothesis, fit: Fit, costs, say) -> tuple[Hypothesis, Fit]:
+    """Drop effects without which the fit is as good."""
+    screen = search.screen
+    changed = True
+    while changed and best.size > 1:
+        changed = False
+        for drop in (*best.effects, *best.released):
+            less = Hypothesis(tuple(k for k in best.effects if k != drop), tuple(s for s in best.released if s != drop))
+            say(f"trying without {drop}", 0.8)
+            tried = search.fit(screen, less, fit.values, fit.shifts, rival=fit.cost + EVIDENCE)
+            costs[less] = min(tried.cost, costs.get(less, np.inf))
+            if tried.cost < fit.cost + EVIDENCE:
+                best, fit, changed = less, tried, True
+                break
+    return best, fit
+
+
+def fits(result: Diagnosis, identify) -> dict:
+    """RMS of every predicted channel by the rule of the rigs: data sheet, calibrated, corrected."""
+    rig = result.rig
+    recordings = {"identify": identify}
+    if (rig.folder / "holdout.csv").exists():
+        recordings["holdout"] = rig.recording(rig.folder / "holdout.csv")
+    out = {}
+    for name, recording in recordings.items():
+        model = Model(rig, recording, result.corrected.problem.model.effects)
+        kinds = {"simulation": {}, "calibrated": result.calibrated.values, "corrected": result.corrected.values}
+        rms = {}
+        for kind, values in kinds.items():
+            known = {s: v for s, v in values.items() if s in model.values}
+            error = model.predict({**model.values, **known}) - model.target
+            rms[kind] = np.sqrt(np.mean(error**2, axis=0))
+        out[name] = {
+            channel: {**{kind: float(rms[kind][i]) for kind in kinds}, "unit": rig.channels[channel].unit}
+            for i, channel in enumerate(rig.predict)
+        }
+    return out

@@ -1,0 +1,217 @@
+"""One recording under one plant: what the plant predicts where it restarts, for any values of its parameters.
+
+A run restarts every window from the recorded state and is free in between (the rule of the rigs), or runs free from the
+first sample to the last where the rig has no window.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from greygate.errors import InputError
+from greygate.mismatch.effects import Effect, join
+from greygate.mismatch.rig import Rig
+from greygate.plants.plant import Parameter, _Values
+from greygate.plants.recording import Recording
+from greygate.plants.simulate import Restarted, names
+
+TIMING = "input_timing"  # s by which inputs act later than the recording says: a nuisance, known to a hundredth sample
+SMOOTH = 0.02  # s on either side of a sample, of which a smoothed rate is made
+
+
+class Model:
+    """The rig's plant with all its effects joined, at null, over one recording.
+
+    values: symbol -> value at which the plant is that of the data sheet.
+    locals: the states that begin at every restart as recorded; a fit may shift them.
+    """
+
+    def __init__(self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], window: int | None = None):
+        self.rig, self.recording, self.effects = rig, recording, effects
+        self.plant, self.readings = join(rig.plant, effects.values())
+        if rig.window:
+            self.plant = replace(self.plant, parameters={**self.plant.parameters, TIMING: Parameter(0.0, "s")})
+        self.values = {symbol: p.value for symbol, p in self.plant.parameters.items()}
+        self.window = rig.window if window is None else window
+        samples = recording.samples
+        pieces = max(samples // self.window, 1) if self.window else 1
+        self.restarts = np.arange(pieces) * (self.window or 0)
+        states = self.plant.states
+        rates = {s.rate: symbol for symbol, s in states.items() if s.rate is not None}
+        self.measured = [s for s in states if s in rig.channels] if self.window else []
+        self.rates = {v: x for v, x in rates.items() if x in self.measured}
+        self.locals = [*self.measured, *self.rates]
+        self.reset = np.array([s in self.locals for s in states])
+        self._filters = {}
+        for effect in effects.values():
+            for name, text in effect.filters.items():
+                self._filters.setdefault(name, []).append(text.split())
+        for name in rig.inputs if rig.window else ():
+            self._filters.setdefault(name, []).append(["delay", TIMING])
+        self._inputs = {name: self._input(name) for name in self.plant.inputs}
+        self._compiled = Restarted(self.plant, self.restarts, self.reset, rig.dt, self.plant.step)
+        self.target = np.stack([recording[name] for name in rig.predict], axis=1)
+        self.moving = self._moving()
+        self._last = (None, None)
+        self.runs = 0
+
+    def _moving(self) -> list[str]:
+        """Parameters that change the states: all but those that stand in outputs and sensors alone."""
+        plant = self.plant
+        outputs = {name for name, d in plant.definitions.items() if d.symbol in self.rig.predict}
+        texts = [text for name, d in plant.definitions.items() if name not in outputs for text in d.terms.values()]
+        texts += [text for e in plant.equations.values() for text in (e.storage, *e.terms.values())]
+        texts += [str(b) for s in plant.states.values() for b in (s.initial, s.start, s.low, s.high)]
+        filters = {symbol for kinds in self._filters.values() for _, symbol in kinds}
+        used = names(texts) | filters
+        return [s for s in plant.parameters if s in used or any(s in t for t in self._sensor_texts())]
+
+    def _sensor_texts(self) -> list[str]:
+        return [text for channel in self.measured for text in self.readings.get(channel, {}).values()]
+
+    def _input(self, name: str) -> np.ndarray:
+        if name in self.recording.channels:
+            return self.recording[name]
+        if name == "t":
+            return self.recording.time
+        how, _, source = self.plant.derived[name].partition(" ")
+        signal, dt = self.recording[source], self.rig.dt
+        half = max(round(SMOOTH / dt), 2)
+        match how:
+            case "rate":
+                return np.append(np.diff(signal) / dt, 0.0)
+            case "integral":
+                return np.concatenate(([0.0], np.cumsum(signal[:-1]) * dt))
+            case "smooth_rate":
+                return savgol_filter(signal, 2 * half + 1, 2, deriv=1, delta=dt)
+            case "smooth_acceleration":
+                return savgol_filter(signal, 2 * half + 1, 3, deriv=2, delta=dt)
+        raise InputError(f"plant {self.plant.name}: derived {name}: {how!r}; give rate, integral, smooth_rate or so")
+
+    def _signals(self, values: Mapping[str, float]) -> dict[str, np.ndarray]:
+        signals = dict(self._inputs)
+        for name, filters in self._filters.items():
+            for kind, symbol in filters:
+                if values[symbol] != 0.0:
+                    signals[name] = FILTERS[kind](signals[name], values[symbol], self.rig.dt)
+        return signals
+
+    def starts(self, values: Mapping[str, float], signals: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Where each state begins at each restart, (restarts, states), by the rule of the rigs."""
+        at = self.restarts
+        scope = _Values(self.plant, {name: signal[at] for name, signal in signals.items()})
+        scope.update(values)
+        for state in self.measured:
+            scope[state] = self._unread(state, self.recording[state][at], values)
+        for rate, state in self.rates.items():
+            scope[rate] = self.smooth_rate(state)[at]
+        out = np.empty((len(at), len(self.plant.states)))
+        for j, (symbol, state) in enumerate(self.plant.states.items()):
+            if symbol not in scope:
+                expression = state.start if self.window and state.start is not None else state.initial
+                scope[symbol] = scope.evaluate(expression) if isinstance(expression, str) else float(expression)
+                for bound, take in ((state.low, np.maximum), (state.high, np.minimum)):
+                    if bound is not None:
+                        scope[symbol] = take(scope[symbol], scope.evaluate(bound) if isinstance(bound, str) else bound)
+            out[:, j] = scope[symbol]
+        return out
+
+    def smooth_rate(self, channel: str) -> np.ndarray:
+        half = max(round(0.01 / self.rig.dt), 2)
+        return savgol_filter(self.recording[channel], 2 * half + 1, 2, deriv=1, delta=self.rig.dt)
+
+    def _unread(self, channel: str, read: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
+        """The state that a channel shows as `read`."""
+        state = read
+        for _ in range(3 if channel in self.readings else 0):
+            state = read - self._reading(channel, state, values)
+        return state
+
+    def _reading(self, channel: str, state: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
+        """What the channel's sensor adds to the state."""
+        scope = _Values(self.plant, {channel: state})
+        scope.update(values)
+        return sum(scope.evaluate(text) for text in self.readings[channel].values())
+
+    def states(self, values: Mapping[str, float], shifts: np.ndarray | None = None) -> tuple[np.ndarray, dict]:
+        """(states (samples, states), input signals). shifts: (restarts, locals) added to where the locals begin."""
+        signals = self._signals(values)
+        starts = self.starts(values, signals)
+        if shifts is not None and len(self.locals):
+            symbols = list(self.plant.states)
+            starts[:, [symbols.index(s) for s in self.locals]] += shifts
+        key = (tuple(values[s] for s in self.moving), None if shifts is None else shifts.tobytes())
+        if key != self._last[0]:
+            self.runs += 1
+            inputs = np.ascontiguousarray(np.stack([signals[name] for name in self.plant.inputs], axis=1))
+            self._last = key, self._compiled.run(inputs, starts, values)
+        return self._last[1], signals
+
+    def predict(self, values: Mapping[str, float], shifts: np.ndarray | None = None) -> np.ndarray:
+        """Predicted channels (samples, predict), in the order of `rig.predict`."""
+        states, signals = self.states(values, shifts)
+        scope = None
+        columns = []
+        for channel in self.rig.predict:
+            if channel in self.plant.states:
+                column = states[:, list(self.plant.states).index(channel)]
+                if any(values[s] for s in self._sensor_parameters(channel)):
+                    column = column + self._reading(channel, column, values)
+            else:
+                if scope is None:
+                    scope = _Values(self.plant, {**signals, **dict(zip(self.plant.states, states.T, strict=True))})
+                    scope.update(values)
+                column = np.broadcast_to(scope[channel], len(states))
+            columns.append(column)
+        return np.stack(columns, axis=1)
+
+    def added(self, effect: Effect, values: Mapping[str, float]) -> Callable[[Mapping[str, float]], np.ndarray] | None:
+        """For an effect that is only added to predicted channels: its strengths and shapes -> what it adds.
+
+        The function gives (samples, predict); None where the effect does more than that. values: of all others.
+        """
+        places = {name: d.symbol for name, d in self.plant.definitions.items() if d.symbol in self.rig.predict}
+        if effect.definitions or effect.states or effect.filters or effect.frees:
+            return None
+        if not all(path.partition(".")[0] in places for path in effect.terms):
+            return None
+        states, signals = self.states({**self.values, **values})
+        scope = _Values(self.plant, {**signals, **dict(zip(self.plant.states, states.T, strict=True))})
+        scope.update({**self.values, **values})
+
+        def give(own: Mapping[str, float]) -> np.ndarray:
+            scope.update(own)
+            out = np.zeros((len(states), len(self.rig.predict)))
+            for path, expression in effect.terms.items():
+                symbol = places[path.partition(".")[0]]
+                out[:, self.rig.predict.index(symbol)] += scope.evaluate(" ".join(expression.split()))
+            return out
+
+        return give
+
+    def _sensor_parameters(self, channel: str) -> list[str]:
+        texts = self.readings.get(channel, {}).values()
+        return [s for s in self.plant.parameters if any(s in text for text in texts)]
+
+
+def delayed(signal: np.ndarray, delay: float, dt: float) -> np.ndarray:
+    """A held input `delay` s late: the mean over each sample of what is then held, at rest before the first one."""
+    whole, part = divmod(delay / dt, 1.0)
+    k = np.arange(len(signal)) - int(whole)
+    late, later = signal[np.clip(k, 0, len(k) - 1)], signal[np.clip(k - 1, 0, len(k) - 1)]
+    return (1.0 - part) * late + part * later
+
+
+def lagged(signal: np.ndarray, lag: float, dt: float) -> np.ndarray:
+    """A held input behind a first-order lag of `lag` s, its mean over each sample; at rest before the first sample."""
+    from scipy.signal import lfilter
+
+    decay = np.exp(-dt / lag)
+    end, _ = lfilter([1.0 - decay], [1.0, -decay], signal, zi=[decay * signal[0]])
+    begin = np.concatenate((signal[:1], end[:-1]))
+    return signal + (begin - signal) * (lag / dt) * (1.0 - decay)
+
+
+FILTERS = {"delay": delayed, "lag": lagged}

@@ -1,0 +1,187 @@
+"""A rig: what the engineer knows of it (`rig.toml`), and its recordings.
+
+The layout is that of `docs/diagnosis.md`: `rig.toml`, `identify.csv`, `holdout.csv`.
+"""
+
+import csv
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from greygate.errors import InputError
+from greygate.plants.plant import Parameter, Plant
+from greygate.plants.recording import Recording
+
+PLANTS = Path(__file__).parent.parent / "plants" / "rigs"
+SHORTEST = 2.0  # s of recording below which nothing is diagnosed
+UNIFORM = 1e-3  # of a sample interval
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A recorded signal. resolution: its quantum; noise: its white noise, RMS; both in `unit`, 0 where not stated."""
+
+    unit: str
+    role: str
+    resolution: float = 0.0
+    noise: float = 0.0
+
+    @property
+    def sigma(self) -> float:
+        """RMS of noise and rounding."""
+        return float(np.hypot(self.noise, self.resolution / np.sqrt(12)))
+
+
+@dataclass(frozen=True)
+class Rig:
+    """plant: with the data sheet's values and tolerances. datasheet: symbol -> value as `rig.toml` gives it.
+
+    window: samples between restarts of the simulation, None for one run from the first sample to the last.
+    """
+
+    plant: Plant
+    datasheet: Mapping[str, float]
+    channels: Mapping[str, Channel]
+    predict: tuple[str, ...]
+    dt: float
+    window: int | None
+    folder: Path
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        return tuple(name for name, channel in self.channels.items() if channel.role == "input")
+
+    def recording(self, path: Path | str) -> Recording:
+        """A recording of this rig: first column `t` in s, then one column a channel.
+
+        Raises InputError for missing or unknown channels, NaN, time that is not uniform, too short a recording.
+        """
+        path = Path(path)
+        try:
+            with path.open(newline="") as file:
+                header, *rows = list(csv.reader(file))
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            raise InputError(f"{path}: cannot be read ({error}); give a CSV of this rig") from None
+        except ValueError:
+            raise InputError(f"{path}: is empty; give a CSV of this rig") from None
+        if not header or header[0] != "t":
+            raise InputError(f"{path}: first column {header[:1]}; it must be t, in s")
+        if missing := [name for name in self.channels if name not in header]:
+            raise InputError(f"{path}: no column {', '.join(missing)}; rig.toml names these channels")
+        if unknown := [name for name in header[1:] if name not in self.channels]:
+            raise InputError(f"{path}: column {', '.join(unknown)} is no channel of rig.toml; declare or drop it")
+        bad = next((i for i, row in enumerate(rows) if len(row) != len(header)), None)
+        if bad is not None:
+            raise InputError(f"{path}: line {bad + 2} has {len(rows[bad])} values, the header {len(header)}; mend it")
+        try:
+            table = np.array(rows, dtype=float).reshape(len(rows), len(header))
+        except ValueError as error:
+            raise InputError(f"{path}: {error}; write numbers only") from None
+        if len(table) * self.dt < SHORTEST:
+            raise InputError(
+                f"{path}: {len(table)} samples, {len(table) * self.dt:g} s; record at least {SHORTEST:g} s"
+            )
+        if not np.isfinite(table).all():
+            row, column = np.argwhere(~np.isfinite(table))[0]
+            raise InputError(f"{path}: line {row + 2}, {header[column]} is {table[row, column]}; repair or cut it")
+        steps = np.diff(table[:, 0])
+        if (off := np.abs(steps - self.dt) > UNIFORM * self.dt + 1e-12).any():
+            at = int(np.flatnonzero(off)[0])
+            raise InputError(
+                f"{path}: time steps by {steps[at]:g} s at line {at + 3}, rig.toml says {self.dt:g} s; resample it"
+            )
+        channels = {name: table[:, header.index(name)] for name in self.channels}
+        return Recording(self.dt, channels, {n: c.unit for n, c in self.channels.items()}, source=str(path))
+
+
+def load(folder: Path | str, plants: Path | None = None) -> Rig:
+    """The rig of `folder`/rig.toml; its plant is one of `plants/rigs`, or a TOML file named beside it.
+
+    Raises InputError naming file and entry.
+    """
+    folder = Path(folder)
+    path = folder / "rig.toml"
+    try:
+        table = tomllib.loads(path.read_text())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give the folder of a rig") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: is no TOML ({error}); mend that line") from None
+
+    def fail(where: str, problem: str):
+        raise InputError(f"{path}: {where}: {problem}")
+
+    for key in ("plant", "sample_time_s", "predict", "parameters", "channels"):
+        if key not in table:
+            fail(key, "is missing; see docs/diagnosis.md")
+    plant = _plant(path, table["plant"])
+    dt = table["sample_time_s"]
+    if not (isinstance(dt, int | float) and dt > 0):
+        fail("sample_time_s", f"{dt!r}; give seconds")
+    datasheet, tolerance = table["parameters"], table.get("tolerance", {})
+    for symbol, value in datasheet.items():
+        if symbol not in plant.parameters:
+            fail(f"parameters.{symbol}", f"{plant.name} has {', '.join(plant.parameters)}")
+        if type(value) not in (int, float) or not np.isfinite(value):
+            fail(f"parameters.{symbol}", f"{value!r} is no number; give it in {plant.parameters[symbol].unit}")
+    if missing := [s for s, p in plant.parameters.items() if p.value is None and s not in datasheet]:
+        fail("parameters", f"{', '.join(missing)} missing; {plant.name} needs them")
+    for symbol, value in tolerance.items():
+        if symbol not in datasheet:
+            fail(f"tolerance.{symbol}", "is no entry of [parameters]; give its value there")
+        if type(value) not in (int, float) or not 0 <= value < 1:
+            fail(f"tolerance.{symbol}", f"{value!r}; give a relative uncertainty, 0 to 1")
+    channels = {}
+    for name, entry in table["channels"].items():
+        if entry.get("role") not in ("input", "output"):
+            fail(f"channels.{name}", f"role {entry.get('role')!r}; give 'input' or 'output'")
+        known = plant.inputs.get(name) if entry["role"] == "input" else _unit(plant, name)
+        if known is None:
+            fail(f"channels.{name}", f"{plant.name} has no {entry['role']} of that name")
+        if entry.get("unit") != known:
+            fail(f"channels.{name}", f"unit {entry.get('unit')!r}, {plant.name} has it in {known}; convert it")
+        channels[name] = Channel(known, entry["role"], entry.get("resolution", 0.0), entry.get("noise_rms", 0.0))
+    for name in plant.inputs:
+        if name not in channels and name not in plant.derived and name != "t":
+            fail(f"channels.{name}", f"is missing; it is an input of {plant.name}")
+    for name in table["predict"]:
+        if name not in channels or channels[name].role != "output":
+            fail("predict", f"{name!r} is no output channel")
+        if channels[name].sigma <= 0:
+            fail(f"channels.{name}", "give its resolution or noise_rms: what a misfit is, is measured by it")
+    switched = {on: 1.0 for on, by in plant.switches.items() if datasheet.get(by)}
+    parameters = {
+        symbol: Parameter(
+            float(switched.get(symbol, datasheet.get(symbol, p.value))), p.unit, tolerance.get(symbol, 0.0), p.meaning
+        )
+        for symbol, p in plant.parameters.items()
+    }
+    window = table.get("window_s")
+    return Rig(
+        replace(plant, parameters=parameters),
+        dict(datasheet),
+        channels,
+        tuple(table["predict"]),
+        float(dt),
+        None if window is None else round(window / dt),
+        folder,
+    )
+
+
+def _unit(plant: Plant, name: str) -> str | None:
+    try:
+        return plant.unit(name)
+    except KeyError:
+        return None
+
+
+def _plant(rig: Path, name: str) -> Plant:
+    own = rig.parent / name
+    path = own if name.endswith(".toml") else PLANTS / f"{name}.toml"
+    if not path.exists():
+        known = ", ".join(sorted(p.stem for p in PLANTS.glob("*.toml")))
+        raise InputError(f"{rig}: plant {name!r} is unknown; give {known}, or a plant file beside rig.toml")
+    return Plant.read(path)

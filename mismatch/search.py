@@ -1,0 +1,224 @@
+"""Hypotheses on what a plant leaves out, scored cheaply and fitted in full, one effect after another.
+
+A hypothesis is a set of effects and, at most, one parameter let out of its tolerance. A screen over short windows, in
+which a wrong model stays near the recording, ranks them; the final fit is over the rig's own windows.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from greygate.mismatch.effects import Effect, Free, fitting
+from greygate.mismatch.fit import Fit, Problem, Unknown
+from greygate.mismatch.model import TIMING, Model
+from greygate.mismatch.rig import Rig
+from greygate.plants.recording import Recording
+
+SHORT = 0.04  # s of a window in the screen
+LONG_WINDOW = 0.1  # s of a window in the last fit: what integrators differ by does not add up yet
+WITHIN = 4.0  # standard deviations within which a toleranced parameter is looked for
+FULL = 6  # hypotheses of a round that are fitted in full
+EXACT = 0.01  # of a sample, to which the instant is known at which an input acts, RMS
+LONG = 0.75  # of the travel: the longest period of a wave
+WAVES = 1.0  # cycles over the travel by which neighbouring periods of a scan differ, inverse
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """effects: keys of the table. released: parameters whose tolerance is lifted. points: where a fit starts."""
+
+    effects: tuple[str, ...] = ()
+    released: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return " + ".join((*self.effects, *(f"{s} outside its tolerance" for s in self.released))) or "nothing"
+
+    @property
+    def size(self) -> int:
+        return len(self.effects) + len(self.released)
+
+    def plus(self, other: "Hypothesis") -> "Hypothesis":
+        return Hypothesis((*self.effects, *other.effects), (*self.released, *other.released))
+
+
+@dataclass(frozen=True)
+class Score:
+    """gain: of cost that the linearised fit promises. values: where the full fit starts."""
+
+    hypothesis: Hypothesis
+    gain: float
+    values: Mapping[str, float]
+
+
+class Search:
+    """All hypotheses on one recording of one rig."""
+
+    def __init__(self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], say: Callable | None = None):
+        self.rig, self.say = rig, say or (lambda text: None)
+        self.effects = fitting(rig.plant, rig.datasheet, effects)
+        self.travel = max(float(np.ptp(recording[name])) for name in rig.inputs)
+        self.toleranced = [s for s, p in rig.plant.parameters.items() if p.tolerance]
+
+        def over(seconds: float) -> Problem:
+            return Problem(Model(rig, recording, self.effects, min(max(round(seconds / rig.dt), 10), rig.window)))
+
+        self.final = over(LONG_WINDOW) if rig.window else Problem(Model(rig, recording, self.effects))
+        self.screen = over(SHORT) if rig.window else self.final
+        self.fits: dict[Hypothesis, Fit] = {}
+
+    # -- unknowns ----------------------------------------------------------------------------------------------------
+
+    def unknowns(self, hypothesis: Hypothesis, within: float = WITHIN) -> list[Unknown]:
+        """What a hypothesis leaves to be fitted."""
+        found = []
+        for symbol in self.toleranced:
+            p = self.rig.plant.parameters[symbol]
+            scale = abs(p.value) * p.tolerance / 2
+            if symbol in hypothesis.released:
+                low, high = sorted((p.value / 20, p.value * 20))
+                found.append(Unknown(symbol, p.value, scale, np.inf, low, high))
+            else:
+                reach = within * scale
+                found.append(Unknown(symbol, p.value, scale, 1.0, p.value - reach, p.value + reach))
+        if self.rig.window:
+            found.append(Unknown(TIMING, 0.0, EXACT * self.rig.dt, 1.0))
+        for key in hypothesis.effects:
+            for f in self.effects[key].free:
+                if not f.whole and f.symbol not in (u.symbol for u in found):
+                    found.append(self._unknown(f))
+        return found
+
+    def _unknown(self, f: Free) -> Unknown:
+        origin = f.typical if f.shape else 0.0
+        if f.shape and f.scan == "wave":
+            longest = max(min(f.high, LONG * self.travel), f.low)
+            return Unknown(f.symbol, origin, 1e-3 * f.typical, np.inf, f.low, longest)
+        return Unknown(f.symbol, origin, f.typical * (0.1 if f.shape else 1.0), np.inf, f.low, f.high)
+
+    def constants(self, hypothesis: Hypothesis) -> dict[str, float]:
+        return {s: v for key in hypothesis.effects for s, v in self.effects[key].set.items()}
+
+    # -- cheap scores ------------------------------------------------------------------------------------------------
+
+    def candidates(self, given: Hypothesis) -> list[Hypothesis]:
+        """What may be added to a hypothesis."""
+        ids = {self.effects[key].id for key in given.effects}
+        symbols = {f.symbol for key in given.effects for f in self.effects[key].free}
+        out = [
+            Hypothesis((key,))
+            for key, effect in self.effects.items()
+            if effect.id not in ids and not symbols & {f.symbol for f in effect.free}
+        ]
+        if not given.released:
+            out += [Hypothesis((), (s,)) for s in self.toleranced]
+        return out
+
+    def scores(self, problem: Problem, fit: Fit, given: Hypothesis) -> list[Score]:
+        """Every candidate's promise at `fit`, best first."""
+        fit.slopes, fit.projected  # noqa: B018  (made before others are)
+        problem.temper = fit.temper
+        ranked = []
+        for candidate in self.candidates(given):
+            best = max(self._promises(problem, fit, candidate), key=lambda s: s.gain, default=None)
+            if best is not None and best.gain > 0:
+                ranked.append(best)
+        return sorted(ranked, key=lambda s: -s.gain)
+
+    def _promises(self, problem: Problem, fit: Fit, candidate: Hypothesis) -> Iterable[Score]:
+        bounds = np.array([(u.number(u.low), u.number(u.high)) for u in fit.unknowns]).reshape(-1, 2)
+        bounds -= fit.numbers[:, None]
+        nothing = np.zeros((*fit.projected.shape, 0))
+        _, plain = _solve(fit, nothing, bounds, fit.weight)
+        if candidate.released:
+            j = [u.symbol for u in fit.unknowns].index(candidate.released[0])
+            weight, wide = fit.weight.copy(), bounds.copy()
+            weight[j], wide[j] = 0.0, (-1e3, 1e3)
+            prior = float(fit.weight[j] * fit.numbers[j] ** 2)
+            step, gain = _solve(fit, nothing, wide, weight)
+            unknown = fit.unknowns[j]
+            yield Score(candidate, gain + prior - plain, {unknown.symbol: unknown.value(fit.numbers[j] + step[j])})
+            return
+        effect = self.effects[candidate.effects[0]]
+        low, high = ({f.symbol: getattr(f, b) for f in effect.free} for b in ("low", "high"))
+        add = None if self._points(effect) != [{}] else problem.model.added(effect, fit.values)
+        for shape in self._shapes(effect):
+            values = {**fit.values, **effect.set, **shape}
+            for point in self._points(effect):
+                if point:  # a secant, from nothing to this size
+                    moved = problem.errors({**values, **point}, fit.shifts)
+                    columns = problem.rows(np.nan_to_num(moved - fit.errors))[:, :, None]
+                    reach = [(0.0, 3.0)]
+                elif add is not None:
+                    null = {f.symbol: 0.0 for f in effect.strengths}
+                    made = [add({**shape, **null, f.symbol: f.typical}) for f in effect.strengths]
+                    columns = problem.rows(-np.stack(made, axis=2) / problem.sigma[:, :, None])
+                    reach = [(f.low / f.typical, f.high / f.typical) for f in effect.strengths]
+                else:
+                    start = {**values, **{f.symbol: 0.0 for f in effect.strengths}}
+                    unknowns = [self._unknown(f) for f in effect.strengths]
+                    columns = problem.slopes(unknowns, start, fit.shifts, fit.errors)
+                    reach = [(f.low / f.typical, f.high / f.typical) for f in effect.strengths]
+                columns, _ = problem.eliminate(columns, None, fit.basis)
+                step, gain = _solve(fit, columns, np.concatenate([bounds, reach]), fit.weight)
+                size = step[len(fit.unknowns) :]
+                if point:
+                    found = {s: v * float(size[0]) for s, v in point.items()}
+                else:
+                    found = {f.symbol: f.typical * float(x) for f, x in zip(effect.strengths, size, strict=True)}
+                found = {s: float(np.clip(v, low[s], high[s])) for s, v in found.items()}
+                yield Score(candidate, gain - plain, {**shape, **found})
+
+    def _points(self, effect: Effect) -> list[dict[str, float]]:
+        guesses = {f.symbol: f.guess for f in effect.strengths if f.guess}
+        if not guesses:
+            if effect.frees:
+                return [{f.symbol: f.typical * m for f in effect.free} for m in (0.3, 1.0, 3.0)]
+            return [{}]
+        return [dict(zip(guesses, values, strict=True)) for values in product(*guesses.values())]
+
+    def _shapes(self, effect: Effect) -> list[dict[str, float]]:
+        grids = {}
+        for f in effect.free:
+            if not f.shape:
+                continue
+            if f.scan == "wave":
+                longest = min(f.high, LONG * self.travel)
+                if longest <= f.low:
+                    return []
+                first, last = 1.0 / longest, 1.0 / f.low
+                count = max(int((last - first) * self.travel * 2 / WAVES), 4)
+                grids[f.symbol] = 1.0 / np.linspace(first, last, count)
+            else:
+                grids[f.symbol] = f.guess or (f.typical,)
+        return [dict(zip(grids, map(float, v), strict=True)) for v in product(*grids.values())]
+
+    # -- full fits ---------------------------------------------------------------------------------------------------
+
+    def base(self, problem: Problem) -> Fit:
+        """The plant as it stands, its parameters kept near the data sheet."""
+        return problem.fit(self.unknowns(Hypothesis(), 2.0), tempered=True, iterations=6)
+
+    def fit(self, problem: Problem, hypothesis: Hypothesis, values: Mapping[str, float], shifts=None, **options) -> Fit:
+        """The full fit of a hypothesis, from `values` on."""
+        free = {f.symbol for key in hypothesis.effects for f in self.effects[key].free}
+        start = {s: v for s, v in values.items() if s in free or s in self.toleranced or s == TIMING}
+        start.update(self.constants(hypothesis))
+        return problem.fit(self.unknowns(hypothesis), start, shifts, **options)
+
+
+def _solve(fit: Fit, columns: np.ndarray, bounds: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, float]:
+    """(step of the unknowns and of `columns`, cost that the linearised fit saves), within `bounds` (k + n, 2)."""
+    k = len(fit.unknowns)
+    flat = np.concatenate([fit.slopes, columns], axis=2).reshape(-1, k + columns.shape[2])
+    normal, right = flat.T @ flat, -(flat.T @ fit.projected.reshape(-1))
+    normal[np.diag_indices(k)] += weight
+    right[:k] -= weight * fit.numbers
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    normal, right = normal / np.outer(scale, scale), right / scale
+    root = np.linalg.cholesky(normal + 1e-10 * np.eye(len(normal)))
+    low, high = (bounds * scale[:, None]).T
+    found = lsq_linear(root.T, np.linalg.solve(root, right), (low - 1e-9, high + 1e-9)).x
+    return found / scale, float(2 * right @ found - found @ normal @ found)
