@@ -10,25 +10,25 @@ after the slashes ("same": there is one form).
     input_delay                            late by `delay`, also between samples // same
     constant_load, hardening_spring        f_load against extension, k_cubic x^3 // same
     motor_lag                              first order // two equal lags of half the time
-    pump_ripple                            1 + ripple sin(2 pi teeth turns + phase), both pumps // pump 1 1 rad ahead
-    displacement_loss                      pump 1 by p_a, pump 2 by |p_a - p_b| // pump 2 by max(p_a, p_b)
+    pump_ripple                            1 + ripple sin(2 pi teeth turns + phase) // pump 1 half a rad ahead
+    displacement_loss                      pump 1 by p_a, pump 2 by |p_a - p_b| // both by p_a
     valve
     overlap, underlap                      edges open at s u - overlap, sharp // rounded over 4 um
     orifice_asymmetry                      supply edges 1 + asym // supply 1 + asym / 2, tank 1 - asym / 2
     supply_droop                           of the chamber's own draw, at once // of both, through 20 ms
-    dry_friction                           LuGre with the usual bristles // Stribeck curve times tanh(v / 2 mm/s)
-    end_cushion                            over 1 + cushion ((|x| - 18 mm) / 31.9 mm)^2 // only out of the closing side
+    dry_friction                           LuGre with the usual bristles // half as stiff, half the Stribeck speed
+    end_cushion                            over 1 + cushion ((|x| - 18 mm) / 31.9 mm)^2 // 1 + cushion (|x| - 20 mm) / 50 mm
     sensor_offset_p_a, sensor_gain_p_a     p_a (1 + gain) + offset // same
     belt
-    tooth_ripple, guide_error              sine of x // with a second harmonic of 25 %, 10 %
+    tooth_ripple, guide_error              sine of x // with a second harmonic of 10 %
     pulley_eccentricity, scale_error       sine of x, scale x // same
-    inertial_stretch                       -inertia a // a mode of frequency 1 / sqrt(inertia), damping 0.3
+    inertial_stretch                       -inertia a // through 5 ms
     thermal_growth                         thermal x t // with 30 s of saturation
     rate_dependent_band                    band (1 + rate_band |v|) at once // as the level that the micro-slip tends to
     drift                                  drift t // with 40 s of saturation (drum: likewise)
     reversal_play                          belt slips by the motor's path // by what the play leaves of it
     drum
-    drum_eccentricity                      sin(x / radius + phase) - sin(phase) // with 15 % second harmonic
+    drum_eccentricity                      sin(x / radius + phase) - sin(phase) // with a second harmonic of 10 %
     speed_slip, acceleration_slip          k |v| dx, k |a| dx // |v|, |a| through 20 ms
     direction_slip                         asym dx backward // asym dx creep / 2e-4
     cable_stretch                          -stretch a (0.8 m - x) // (length + x)

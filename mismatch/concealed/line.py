@@ -55,7 +55,7 @@ def _belt(x, v, a, dt, plant, e):
     y = np.empty(len(x))
     play = plant.play + e.play
     h, g = -1.0, -play
-    bend, rate = 0.0, 0.0
+    bend = 0.0
     turn = 2 * np.pi
     for k in range(len(x)):
         dx = x[k] - x[k - 1] if k else 0.0
@@ -70,15 +70,12 @@ def _belt(x, v, a, dt, plant, e):
         error = plant.offset + band * h + g
         error += e.ripple * np.sin(turn * x[k] / e.pitch + e.ripple_phase)
         if e.form:  # variant: teeth and pulleys are not quite sinusoidal
-            error += 0.25 * e.ripple * np.sin(2 * turn * x[k] / e.pitch + e.ripple_phase)
+            error += 0.1 * e.ripple * np.sin(2 * turn * x[k] / e.pitch + e.ripple_phase)
             error += 0.1 * e.guide * np.sin(2 * turn * x[k] / e.guide_period)
         error += e.ecc * np.sin(turn * x[k] / e.pulley_rev + e.ecc_phase)
         error += e.guide * np.sin(turn * x[k] / e.guide_period + e.guide_phase)
-        if e.form and e.inertia > 0:  # variant: the stretch is a damped mode, not its static limit
-            rate += dt * ((-e.inertia * a[k] - bend) / e.inertia - 0.6 * rate / np.sqrt(e.inertia))
-            bend += dt * rate
-        else:
-            bend = -e.inertia * a[k]
+        # variant: the belt is damped, the stretch follows through 5 ms
+        bend += min(dt / 0.005, 1.0) * (-e.inertia * a[k] - bend) if e.form else -e.inertia * a[k] - bend
         error += bend
         t = k * dt
         error += e.thermal * x[k] * (30 * (1 - np.exp(-t / 30)) if e.form else t)
@@ -142,7 +139,7 @@ def _drum(x, v, a, dt, plant, e):
         t = k * dt
         error = slip + wound + slow + e.ecc * (np.sin(x[k] / plant.radius + e.ecc_phase) - np.sin(e.ecc_phase))
         if e.form:
-            error += 0.15 * e.ecc * np.sin(2 * x[k] / plant.radius)
+            error += 0.1 * e.ecc * np.sin(2 * x[k] / plant.radius)
         error += e.drift * (40 * (1 - np.exp(-t / 40)) if e.form else t)
         error -= e.stretch * a[k] * (e.length + x[k] if e.form else 0.8 - x[k])
         error += e.winding * x[k] * x[k] + (e.step if x[k] > e.step_at else 0.0)

@@ -77,9 +77,9 @@ def _slopes(s, n_1, n_2, t, p, e, d):
         d[N_1] = d[N_2] = d[M_1] = d[M_2] = 0.0
     d[TURN_1], d[TURN_2] = n_1, n_2
 
-    # the loss grows with the pressure across each pump; variant: with that at its port of higher pressure
-    high = max(p_a, p_b) if variant else abs(p_a - p_b)
-    other = e.ripple_phase + (1.0 if variant else 0.0)
+    # the loss grows with the pressure across each pump; variant: with p_a for both
+    high = p_a if variant else abs(p_a - p_b)
+    other = e.ripple_phase + (0.5 if variant else 0.0)
     flow_1 = p.displacement * n_1 * (1 - e.disp_loss * p_a / 1e7) * _pulse(s[TURN_1], e.ripple, e.teeth, other)
     flow_2 = (
         p.displacement * n_2 * (1 - e.disp_loss * high / 1e7) * _pulse(s[TURN_2], e.ripple, e.teeth, e.ripple_phase)

@@ -107,12 +107,9 @@ def _slopes(s, volt, t, p, e, d):
     out, back = _edge(u, e.overlap, variant), _edge(-u, e.overlap, variant)
     from_a, from_b = rich * _supplied(out, supply, p_a, sag), rich * _supplied(back, supply, p_b, sag)
     to_a, to_b = poor * _orifice(back, p_a, p.p_tank), poor * _orifice(out, p_b, p.p_tank)
-    near = max(abs(x) - 0.018, 0.0) / 0.0319
-    throttle = 1 / (1 + e.cushion * near * near)
-    if variant:  # only the way out of the chamber that closes
-        to_a, to_b = (to_a, to_b * throttle) if x > 0 else (to_a * throttle, to_b)
-    else:
-        from_a, from_b, to_a, to_b = from_a * throttle, from_b * throttle, to_a * throttle, to_b * throttle
+    near = max(abs(x) - 0.018, 0.0) / 0.0319  # variant: begins later, without the square
+    throttle = 1 / (1 + e.cushion * (max(abs(x) - 0.02, 0.0) / 0.05 if variant else near * near))
+    from_a, from_b, to_a, to_b = from_a * throttle, from_b * throttle, to_a * throttle, to_b * throttle
     drawn = p.k_valve * (max(from_a, 0.0) + max(from_b, 0.0))
     d[SUPPLY] = (full - e.droop * drawn - s[SUPPLY]) / 0.02
 
@@ -127,12 +124,11 @@ def _slopes(s, volt, t, p, e, d):
     friction = e.f_position * abs(x) * np.tanh(v / 0.003) if e.f_position > 0 else 0.0
     d[BRISTLE] = 0.0
     if coulomb > 0:
-        level = stribeck(v, coulomb, static, p.v_stribeck)
-        if variant and e.f_coulomb > 0:  # a curve over speed instead of bristles
-            friction += level * np.tanh(v / 0.002)
-        else:
-            d[BRISTLE] = v - abs(v) * s[BRISTLE] * p.sigma0 / level
-            friction += p.sigma0 * s[BRISTLE] + p.sigma1 * d[BRISTLE] + p.sigma2 * v
+        # variant: softer bristles and a lower Stribeck speed than the usual ones
+        soft, speed = (0.5, 0.5 * p.v_stribeck) if variant and e.f_coulomb > 0 else (1.0, p.v_stribeck)
+        level = stribeck(v, coulomb, static, speed)
+        d[BRISTLE] = v - abs(v) * s[BRISTLE] * soft * p.sigma0 / level
+        friction += soft * p.sigma0 * s[BRISTLE] + p.sigma1 * d[BRISTLE] + p.sigma2 * v
     viscous = p.viscous * (np.exp(-e.thinning * t) if e.thinning > 0 else 1.0)
     force = (p_a - p_b) * p.area - viscous * v - p.stiffness * x - friction - e.f_load - e.k_cubic * x**3
     d[X] = v
@@ -211,8 +207,9 @@ def _predict(volts, x, p_a, p_b, speed, window, every, p, e, fine):
         s[P_B] = s[SENSED] = p_b[first]
         s[X], s[V] = x[first], speed[first]
         coulomb = max(p.f_coulomb, e.f_coulomb)
-        level = stribeck(s[V], coulomb, max(p.f_static, e.f_static), p.v_stribeck)
-        s[BRISTLE] = np.sign(s[V]) * level / p.sigma0
+        soft, slow = (0.5, 0.5 * p.v_stribeck) if e.form != 0.0 and e.f_coulomb > 0 else (1.0, p.v_stribeck)
+        level = stribeck(s[V], coulomb, max(p.f_static, e.f_static), slow)
+        s[BRISTLE] = np.sign(s[V]) * level / (soft * p.sigma0)
         flow = p.k_valve * np.sqrt(max(p.p_supply - (s[P_A] if s[SPOOL] > 0 else s[P_B]), 0.0)) * abs(s[SPOOL])
         s[SUPPLY] = p.p_supply - e.droop * flow
         for k in range(first, min(first + window, samples)):
@@ -322,7 +319,7 @@ VALVE = Rig(
         "dry_friction": _effect(MOTION, "v", f_coulomb=(15.0, 250.0), f_static=(20.0, 330.0), without=tuple(FRICTION)),
         "constant_load": _effect(MOTION, "", f_load=(25.0, 1200.0)),
         "hardening_spring": _effect(MOTION, "x", k_cubic=(4e6, 1e8)),
-        "end_cushion": _effect(FLOWS, "x", cushion=(0.6, 40.0)),
+        "end_cushion": _effect(FLOWS, "x", cushion=(1.5, 80.0)),
         "sensor_offset_p_a": _effect(("sensor_p_a",), "", pa_offset=(2.5e4, 6e5), signed=True),
         "sensor_gain_p_a": _effect(("sensor_p_a",), "p_a", pa_gain=(2.5e-3, 7e-2), signed=True),
     },
