@@ -17,7 +17,7 @@ after the slashes ("same": there is one form).
     orifice_asymmetry                      supply edges 1 + asym // supply 1 + asym / 2, tank 1 - asym / 2
     supply_droop                           of the chamber's own draw, at once // of both, through 20 ms
     dry_friction                           LuGre with the usual bristles // half as stiff, half the Stribeck speed
-    end_cushion                            over 1 + cushion ((|x| - 18 mm) / 31.9 mm)^2 // 1 + cushion (|x| - 20 mm) / 50 mm
+    end_cushion                            over 1 + cushion ((|x| - 18 mm) / 31.9 mm)^2 // linear, (|x| - 20 mm) / 50 mm
     sensor_offset_p_a, sensor_gain_p_a     p_a (1 + gain) + offset // same
     belt
     tooth_ripple, guide_error              sine of x // with a second harmonic of 10 %

@@ -200,6 +200,22 @@ def test_the_share_removed_is_one_for_the_truth_and_nothing_for_the_calibrated(b
 
 
 @pytest.mark.parametrize(
+    ("plant", "effect"), [("valve_hydraulic", "external_leakage"), ("pump_hydraulic", "motor_lag")]
+)
+def test_the_sealed_truth_run_on_the_recording_kept_back_removes_all(plant, effect, tmp_path):
+    folder = conceal(plant, 3, tmp_path / "case", effect=effect)
+    true, rig = answer(folder), RIGS[plant]
+    names, table = recorded(folder / "third.csv")
+    parameters = tomllib.loads((folder / "rig.toml").read_text())["parameters"] | true["parameters_true"]
+    columns = dict(zip(names, table.T, strict=True))
+    simulated = rig.predict(columns, parameters, true["effects_true"], float(true["form"] == "variant"))
+    path = tmp_path / "predicted.csv"
+    np.savetxt(path, np.c_[columns["t"], *simulated.values()], delimiter=",", header="t,x,p_a,p_b", comments="")
+    assert true["removable"] > 0.1
+    assert reveal(folder, diagnosis(folder), {"corrected": path})["removed"] == pytest.approx(1, abs=1e-3)
+
+
+@pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (("boat", 0, {}), "no plant 'boat'; there are"),
