@@ -94,10 +94,10 @@ def test_the_kind_is_what_is_concealed(kind, tmp_path):
 def test_every_effect_changes_what_its_plant_records(plant):
     rig = RIGS[plant]
 
-    seconds = 3.0 if rig.window else 10.0
+    seconds = 1.0 if rig.window else 10.0
 
     def recorded(form, effects):
-        return rig.record(rig.parameters, effects, form, seconds, np.random.default_rng(5))
+        return rig.record(rig.parameters, effects, form, seconds, np.random.default_rng(1))
 
     nothing = recorded(0.0, {})
     for name, effect in (rig.effects | rig.foreign).items():
