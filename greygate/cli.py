@@ -394,6 +394,120 @@ def validate(
         raise typer.Exit(1)
 
 
+@app.command()
+def diagnose(
+    rigs: Annotated[list[Path], typer.Argument(metavar="RIG_FOLDER...", help="Folders of rig.toml, identify.csv.")],
+    out: Annotated[
+        Path | None, typer.Option(help="diagnosis.json to write; of several rigs a folder of NAME.json.")
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option(help="Page that argues the case; of several rigs a folder of NAME.html.")
+    ] = None,
+    effects: Annotated[list[Path], typer.Option(help="TOML file that extends the table of effects.")] = [],  # noqa: B006
+    jobs: Annotated[int, typer.Option(min=1, help="Rigs diagnosed at a time.")] = 1,
+    as_json: Json = False,
+) -> None:
+    """Say where a simulation and a recording differ, what physics is left out, and how much better it fits with it.
+
+    The files: docs/diagnosis.md. Exit code 0 whatever the verdict.
+    """
+    from joblib import Parallel, delayed
+
+    from greygate.explain import explain
+
+    for folder in (out, html) if len(rigs) > 1 else ():
+        if folder is not None and not folder.is_dir():
+            raise InputError(f"{folder}: no such folder; of several rigs --out and --html name folders, make it")
+    names = [path.resolve().name for path in rigs]
+    if twice := next((n for n in names if names.count(n) > 1), None):
+        raise InputError(f"{twice}: two rigs of that name; diagnose them one by one")
+
+    def place(folder: Path | None, name: str, suffix: str) -> Path | None:
+        return folder / f"{name}{suffix}" if folder is not None and len(rigs) > 1 else folder
+
+    asked = [
+        (rig, place(out, n, ".json"), place(html, n, ".html"), effects) for rig, n in zip(rigs, names, strict=True)
+    ]
+    if len(rigs) == 1:
+        with _bar("diagnosing", 100) as follow:
+            results = [explain(*asked[0], lambda text, share: follow(round(100 * share), text))]
+    else:
+        results = []
+        with _bar("diagnosing", len(rigs)) as follow:
+            for result in Parallel(jobs, return_as="generator")(delayed(explain)(*a) for a in asked):
+                results.append(result)
+                follow(len(results), names[len(results) - 1])
+    found = [content for content, _ in results]
+    lines = [line for _, text in results for line in (*text, "")][:-1]
+    lines += [f"written to {path}" for path in (out, html) if path is not None]
+    _give(found[0] if len(rigs) == 1 else dict(zip(names, found, strict=True)), as_json, lines)
+
+
+Rig = Annotated[Path, typer.Argument(metavar="RIG_FOLDER", help="Folder of rig.toml.")]
+
+
+@app.command()
+def simulate(
+    rig: Rig,
+    recording: Annotated[Path, typer.Option(help="CSV of this rig: inputs, and the states that runs begin from.")],
+    out: Annotated[Path, typer.Option(help="CSV to write: t and the predicted channels.")],
+    diagnosis: Annotated[Path | None, typer.Option(help="Of this plant: the simulation as it corrects it.")] = None,
+    effects: Annotated[list[Path], typer.Option(help="Tables that the diagnosis had, too.")] = [],  # noqa: B006
+    as_json: Json = False,
+) -> None:
+    """Simulate a recording with the data sheet's values, or as a diagnosis corrects the plant.
+
+    Exit code 1 if the simulation diverges; what it wrote ends in nan.
+    """
+    from greygate.explain import predict
+
+    rms = predict(rig, recording, diagnosis, out, effects)
+    lines = [f"{name:10} RMS of simulated minus recorded {e['rms']:.5g} {e['unit']}" for name, e in rms.items()]
+    _give({"out": str(out), "rms": rms}, as_json, [*lines, f"written to {out}"])
+    if not all(e["finite"] for e in rms.values()):
+        _say("greygate: the simulation diverges")
+        raise typer.Exit(1)
+
+
+@app.command()
+def conceal(
+    plant: Annotated[str, typer.Argument(help="valve_hydraulic, pump_hydraulic, belt_drive or cable_drum.")],
+    seed: Annotated[int, typer.Option(help="Draws everything.")],
+    out: Annotated[Path, typer.Option(help="Folder to write; replaced if it is an earlier case.")],
+    kind: Annotated[str, typer.Option(help="clean, parameter, one, two, foreign, or any.")] = "any",
+    effect: Annotated[str | None, typer.Option(help="The (first) effect, by name; drawn if not given.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Write recordings of a rig with something concealed in it, and the sealed answer."""
+    from greygate.mismatch.conceal import conceal as write
+
+    with _progress(f"recording {plant}"):
+        write(plant, seed, out, kind=kind, effect=effect)
+    seal = (out / "sealed.json.sha256").read_text().split()[0]
+    _give({"out": str(out), "sha256": seal}, as_json, [f"written to {out}", f"answer sealed with SHA-256 {seal}"])
+
+
+@app.command()
+def reveal(
+    folder: Annotated[Path, typer.Argument(help="A folder that `greygate conceal` wrote.")],
+    diagnosis: Annotated[
+        Path | None, typer.Option(help="diagnosis.json to be scored; FOLDER/diagnosis.json if it is there.")
+    ] = None,
+    effects: Annotated[list[Path], typer.Option(help="Tables that the diagnosis had, too.")] = [],  # noqa: B006
+    as_json: Json = False,
+) -> None:
+    """Open the sealed answer, and score a diagnosis against it.
+
+    Exit code 1 if the diagnosis is wrong: its verdict, its effects, or the parameter.
+    """
+    from greygate.explain import score
+
+    found, lines, right = score(folder, diagnosis, effects)
+    _give(found, as_json, lines)
+    if not right:
+        raise typer.Exit(1)
+
+
 def run() -> None:
     """Entry point: a user's mistake is one line on stderr and exit code 2."""
     try:

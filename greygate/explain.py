@@ -1,0 +1,282 @@
+"""From the folder of a rig to a diagnosis that a person reads: printed lines, `diagnosis.json`, a page."""
+
+import csv
+import math
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from greygate.errors import InputError, replacing
+from greygate.mismatch import effects as table
+from greygate.mismatch.conceal import _sealed as sealed
+from greygate.mismatch.conceal import reveal
+from greygate.mismatch.diagnosis import APART, Diagnosis, diagnose
+from greygate.mismatch.effects import Effect
+from greygate.mismatch.excitation import check, unseen
+from greygate.mismatch.rig import load
+from greygate.mismatch.simulation import read, simulate
+from greygate.plants.simulate import names
+
+VERDICTS = {
+    "consistent": "consistent: the parameters, inside their tolerances, explain the recording",
+    "parameter_error": "parameter error: one parameter lies outside its tolerance, and that explains the recording",
+    "missing_physics": "missing physics: the simulation leaves out what is named here",
+    "unexplained": "unexplained: something is missing that no effect of the table has",
+}
+"""What a verdict says."""
+
+EXPERIMENTS = {
+    "x": "the same moves on another part of the travel, up to its ends",
+    "v": "the same path slower and faster",
+    "a": "the same path at the same speed with harder and softer starts",
+    "t": "the same moves again minutes later",
+    "p_a": "holding still under a load, so that the pressures stand apart without flow",
+    "p_b": "holding still under a load, so that the pressures stand apart without flow",
+}
+"""Variable -> the experiment in which it alone changes."""
+
+
+def table_of(paths: Iterable[Path]) -> dict[str, Effect]:
+    """The table of effects, extended by files of one's own."""
+    effects = table.read()
+    for path in paths:
+        effects = {**effects, **table.read(path)}
+    return effects
+
+
+def explain(
+    folder: Path,
+    out: Path | None = None,
+    html: Path | None = None,
+    own: Sequence[Path] = (),
+    say: Callable[[str, float], None] | None = None,
+) -> tuple[dict, list[str]]:
+    """Diagnose the rig in `folder` and write what is asked for; (content of diagnosis.json, lines to print).
+
+    Raises InputError, before anything is written, for a rig, recording or table that cannot serve.
+    """
+    effects = table_of(own)
+    rig = load(folder)
+    for path in (out, html):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise InputError(f"{path.parent}: no such folder; make it, or write elsewhere")
+    check(rig, rig.recording(rig.folder / "identify.csv"), effects)
+    result = diagnose(rig, effects, say)
+    if out is not None:
+        result.write(out)
+    if html is not None:
+        from greygate.diagnosis_page import write
+
+        write(result, html)
+    return result.as_dict(), lines(result)
+
+
+def predict(
+    folder: Path, recording: Path, diagnosis: Path | None, out: Path, own: Sequence[Path] = ()
+) -> dict[str, dict]:
+    """Write `t`, as it stands in `recording`, and the predicted channels to the CSV file `out`.
+
+    Returns channel -> rms of simulated minus recorded (None where it diverges), unit, finite.
+    """
+    effects, rig = table_of(own), load(folder)
+    measured = rig.recording(recording)
+    found = simulate(rig, measured, None if diagnosis is None else read(diagnosis), effects)
+    with Path(recording).open(newline="") as file:
+        clock = [row[0] for row in csv.reader(file)][1:]
+    with replacing(out) as temporary, temporary.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["t", *found])
+        writer.writerows(zip(clock, *(values.tolist() for values in found.values()), strict=True))
+    rms = {}
+    for name, values in found.items():
+        error = float(np.sqrt(np.mean((values - measured[name]) ** 2)))
+        finite = math.isfinite(error)
+        rms[name] = {"rms": error if finite else None, "unit": rig.channels[name].unit, "finite": finite}
+    return rms
+
+
+def score(folder: Path, diagnosis: Path | None, own: Sequence[Path] = ()) -> tuple[dict, list[str], bool]:
+    """(answer and score, lines to print, whether the diagnosis is right) of a concealed case.
+
+    Without a diagnosis, and none in the folder, the answer alone.
+    """
+    answer = sealed(folder)
+    what = ", ".join(answer["concealed"]) or answer["parameter"] or "nothing"
+    out = [_row("concealed", f"{what} ({answer['kind']}, {answer['form']} form, {answer['plant']})")]
+    true = {**answer["effects_true"], **({answer["parameter"]: answer["parameters_true"][answer["parameter"]]}
+                                         if answer["parameter"] else {})}  # fmt: skip
+    out.append(_row("", ", ".join(f"{name} = {value:.5g}" for name, value in true.items()))) if true else None
+    if diagnosis is None:
+        diagnosis = Path(folder) / "diagnosis.json"
+        if not diagnosis.exists():
+            return {"answer": answer}, out, True
+    reveal(folder, diagnosis)  # what is wrong with the file is said before anything is simulated
+    with tempfile.TemporaryDirectory() as scratch:
+        corrected = Path(scratch) / "corrected.csv"
+        predict(folder, Path(folder) / "third.csv", diagnosis, corrected, own)
+        found = reveal(folder, diagnosis, {"corrected": corrected})
+    right = (
+        found["right_verdict"]
+        and found["all_named"] is not False
+        and found["right_parameter"] is not False
+        and not found["false_effects"]
+    )
+    said = {True: "right", False: "wrong", None: "–"}
+    out.append(_row("claimed", ", ".join(found["named"]) or "no effect"))
+    for key in ("verdict", "first", "equation", "parameter"):
+        out.append(_row(key, said[found[f"right_{key}"]])) if found[f"right_{key}"] is not None else None
+    if found["false_effects"]:
+        out.append(_row("false", ", ".join(found["false_effects"])))
+    inside = found["inside"]
+    out.append(_row("intervals", f"{sum(inside.values())} of {len(inside)} hold the true value"))
+    if found["removed"] is not None:
+        out.append(_row("removed", f"{100 * found['removed']:.1f} % of the removable error on the recording kept back"))
+    return {"answer": answer, **found, "right": right}, out, right
+
+
+# -- for people ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Amount:
+    """A value in the unit that a person reads, written to two digits of its uncertainty."""
+
+    value: str
+    low: str
+    high: str
+    unit: str
+
+    def __str__(self) -> str:
+        between = f" [{self.low}, {self.high}]" if self.low else ""
+        return f"{self.value}{between}{' ' * bool(self.unit)}{self.unit}"
+
+
+def amount(value: float, ci95: Sequence[float] | None, unit: str) -> Amount:
+    """`value` with its interval as a person reads it."""
+    factor, label = scaled(unit, abs(value))
+    value = value * factor
+    low, high = (None, None) if ci95 is None else (b * factor for b in ci95)
+    half = 0.0 if low is None else (high - low) / 2
+    power = math.floor(math.log10(max(abs(value), half, 1e-300)))
+    power = 0 if -3 <= power < 6 else power
+    digits = 1 - math.floor(math.log10(half)) + power if half else 3 - math.floor(math.log10(abs(value) or 1)) + power
+    digits = min(max(digits, 0), 7)
+
+    def text(v: float | None) -> str:
+        return "" if v is None else f"{v / 10.0**power:.{digits}f}" + (f"e{power}" if power else "")
+
+    return Amount(text(value), text(low), text(high), label)
+
+
+def scaled(unit: str, reach: float) -> tuple[float, str]:
+    """(factor, label) from SI to what a person reads: bar, µm or mm, ms."""
+    if unit == "Pa":
+        return 1e-5, "bar"
+    if unit == "m":
+        return (1e3, "mm") if reach >= 1e-3 else (1e6, "µm")
+    if unit == "s" and reach < 1.0:
+        return 1e3, "ms"
+    return 1.0, "" if unit == "1" else unit
+
+
+def means(result: Diagnosis, entry: Mapping) -> str:
+    """An effect of the diagnosis in words."""
+    effect = result.search.effects.get(entry.get("form", entry["id"]))
+    return effect.means if effect else "a fitted term that the table does not have"
+
+
+def lines(result: Diagnosis) -> list[str]:
+    """The diagnosis on one screen."""
+    found = result.as_dict()
+    seconds = result.calibrated.problem.model.recording.samples * result.rig.dt
+    out = [
+        f"{result.rig.folder.resolve().name} ({found['plant']}), {seconds:.4g} s of recording",
+        VERDICTS[found["verdict"]],
+    ]
+    out += [_row("where", where(found))] if found["where"] else []
+    for entry in found["effects"]:
+        sure = f" (confidence {entry['confidence']:.3g})" if entry["id"] != "unknown" else ""
+        out.append(_row("effect", f"{entry['id']}: {means(result, entry)}{sure}"))
+        for name, p in entry["parameters"].items():
+            term = f"  {p['place']}: {p['term']}" if "term" in p else ""
+            out.append(_row("", f"{name:<14} {amount(p['value'], p['ci95'], p['unit'])}{term}"))
+    for i, (name, p) in enumerate(found["parameters"].items()):
+        out.append(_row("" if i else "parameters", parameter(result, name, p)))
+    out += fit_table(found["fit"])
+    for i, text in enumerate(alike(result, found)):
+        out.append(_row("" if i else "also possible", text))
+    if hidden := unseen(result.calibrated):
+        out.append(_row("cannot show", ", ".join(hidden)))
+    out.append(_row("remains", found["remaining"] or "nothing above what the sensors' noise makes"))
+    return [*out, f"{found['seconds']:.1f} s"]
+
+
+def _row(head: str, text: str) -> str:
+    return f"  {head:<14}{text}"
+
+
+def where(found: Mapping) -> str:
+    """Equations and variables, those with the same variables together."""
+    places: dict[tuple, list[str]] = {}
+    for place in found["where"]:
+        places.setdefault(tuple(place["depends_on"]), []).append(place["equation"])
+    return "; ".join(
+        f"{' and '.join(equations)}, depends on {', '.join(on) or 'nothing that is recorded'}"
+        for on, equations in places.items()
+    )
+
+
+def parameter(result: Diagnosis, name: str, found: Mapping) -> str:
+    """A fitted parameter beside its data sheet."""
+    given = result.rig.plant.parameters[name]
+    factor, _ = scaled(given.unit, abs(found["value"]))
+    off = " OUTSIDE ITS TOLERANCE" if found.get("outside_tolerance") else ""
+    sheet = f"data sheet {given.value * factor:.5g} ± {100 * given.tolerance:g} %"
+    return f"{name:<14} {amount(found['value'], found['ci95'], found['unit'])}  ({sheet}){off}"
+
+
+def fit_table(fit: Mapping) -> list[str]:
+    """RMS of simulated minus recorded, a line a recording and channel."""
+    out = [_row("fit (RMS)", f"{'':22}{'data sheet':>11}{'calibrated':>12}{'corrected':>11}")]
+    for recording, channels in fit.items():
+        for channel, rms in channels.items():
+            values = [rms[kind] for kind in ("simulation", "calibrated", "corrected")]
+            factor, unit = scaled(rms["unit"], max((v for v in values if math.isfinite(v)), default=0.0))
+            texts = [f"{factor * v:.4g}" for v in values]
+            out.append(_row("", f"{recording:<10}{channel:<8}{unit:<4}{texts[0]:>11}{texts[1]:>12}{texts[2]:>11}"))
+    return out
+
+
+def alike(result: Diagnosis, found: Mapping) -> list[str]:
+    """Every explanation that is about as good as the best, with the experiment that would tell them apart."""
+    out = []
+    for entry in found["effects"]:
+        for other in entry["not_told_apart_from"]:
+            out.append(f"{other} in place of {entry['id']}; apart by {experiment(result, entry['id'], other)}")
+    if not found["effects"]:
+        best = result.rivals.get(result.best, 0.0)
+        rivals = sorted((cost - best, str(h)) for h, cost in result.rivals.items() if h != result.best)
+        out += [f"{name} (evidence against it only {gap:.3g})" for gap, name in rivals if gap < APART][:3]
+    return out
+
+
+def experiment(result: Diagnosis, one: str, other: str) -> str:
+    """The experiment in which a variable changes that only one of two effects depends on."""
+    first, second = (_depends(result, name) for name in (one, other))
+    differ = [v for v in (*first, *second) if (v in first) != (v in second)] or [*first, *second]
+    tests = [EXPERIMENTS.get(v, f"steps of {v}, small and large") for v in differ]
+    return ", or ".join(list(dict.fromkeys(tests))[:2]) or "a longer recording with larger moves"
+
+
+def _depends(result: Diagnosis, name: str) -> tuple[str, ...]:
+    """Variables that an effect, or the equation of a parameter, depends on."""
+    for effect in result.search.effects.values():
+        if effect.id == name:
+            return effect.depends_on
+    plant = result.rig.plant
+    texts = [t for e in plant.equations.values() for t in e.terms.values() if name in names([t])]
+    texts += [t for d in plant.definitions.values() for t in d.terms.values() if name in names([t])]
+    return tuple(v for v in ("x", "v", *result.rig.channels) if v in names(texts))
