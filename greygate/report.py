@@ -276,7 +276,7 @@ def _curve(
                 ratio[name][label].append(_ratio(error, now["rmse"]["float"]))
                 same = same and error == now["rmse"]["fixed"]
         word = width if same else word
-    return {"width": widths, "ratio": ratio, "word": word}
+    return {"width": widths, "ratio": ratio, "word": word, "finer": formats.finer}
 
 
 def _signals(compiled: Compiled, record: Record, saturations: Mapping[str, Mapping[str, int]]) -> list[dict]:

@@ -49,7 +49,8 @@ def _result(s: dict, name: str, label: str, o: dict, columns: tuple[int, ...]) -
 
 
 def designs(studies: Sequence[dict]) -> list[dict[str, str]]:
-    """A row per plant, architecture and target of synthesis: clocks a step, resources."""
+    """A row per plant, architecture and target of synthesis: clocks a step, those resources that one of them has."""
+    counted = [n for n in COUNTED if any(counts.get(n) is not None for s in studies for *_, counts in _synthesized(s))]
     return [
         {
             "plant": s["name"],
@@ -57,7 +58,7 @@ def designs(studies: Sequence[dict]) -> list[dict[str, str]]:
             "word": word(s),
             "clocks a step": figure(s["hardware"].get(architecture, {}).get("clocks_per_step")),
             "target": target,
-            **{name.replace("_", " "): figure(counts.get(name)) for name in COUNTED},
+            **{name.replace("_", " "): figure(counts.get(name)) for name in counted},
         }
         for s in studies
         for architecture, target, counts in _synthesized(s)
@@ -75,8 +76,9 @@ def _synthesized(s: dict) -> Iterator[tuple[str, str, dict]]:
 
 
 def word(s: dict) -> str:
-    """Bits of signals and weights, if the program's formats follow from a width alone that was tried."""
-    return str(s["widths"]["word"] or NONE)
+    """Bits of signals, and how many more of weights and neurons, if the program's formats follow from a width tried."""
+    bits, finer = s["widths"]["word"], s["widths"]["finer"]
+    return f"{bits} + {finer}" if bits and finer else str(bits or NONE)
 
 
 def _times(ratio: float | None) -> str:

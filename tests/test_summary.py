@@ -71,11 +71,21 @@ def test_rows_of_programs_of_different_words_have_the_same_columns(told):
     assert [r["word"] for r in rows] == ["12"] * 6 + ["14"] * 6
 
 
+def test_bits_beyond_the_word_are_told(records):
+    formats = Formats(12, finer=2)
+    made = compile_network(network(), {"training": records["training"]}, formats, period=PERIOD)
+    common = {"ranged_on": ["training"], "period": PERIOD, "widths": (12,)}
+    rows = results([study("finer", made, records, **common, formats=formats)])
+    assert {r["word"] for r in rows} == {"12 + 2"}
+    assert {r["word"] for r in results([study("plain", made, records, **common)])} == {"–"}
+
+
 def test_a_design_that_was_stopped_or_never_synthesized_is_named(told):
     rows = {(r["plant"], r["word"], r["design"]): r for r in designs(told)}
     assert rows["narrow", "12", "–"]["target"] == "not synthesized"
     parallel, folded = rows["tiny", "14", "parallel"], rows["tiny", "14", "folded"]
-    assert (parallel["clocks a step"], parallel["luts"], parallel["flip flops"]) == ("9", "1,234", "–")
+    assert (parallel["clocks a step"], parallel["luts"], parallel["dsps"]) == ("9", "1,234", "5")
+    assert "flip flops" not in parallel
     assert (folded["clocks a step"], folded["luts"]) == ("70", "–")
     assert folded["target"] == "ecp5, stopped after 300 s"
 
@@ -126,10 +136,10 @@ def test_what_is_missing_is_compiled_and_what_was_left_is_read(plants):
     }
     kept = plants / "kept" / f"{NAME}.resources.json"
     kept.write_text(json.dumps(found))
-    assert " 77 " in ran("report", "--all")
+    assert " 77\n" in ran("report", "--all")
     assert program.stat().st_mtime_ns == left
     kept.write_text(json.dumps(found | {"size": found["size"] | {"operations": 1}}))
-    assert " 77 " not in ran("report", "--all")
+    assert " 77\n" not in ran("report", "--all")
     data = json.loads((plants / "report.json").read_text())
     assert [s["title"] for s in data] == ["Small"]
     assert data[0]["widths"]["width"] == [12, 16, 18]
