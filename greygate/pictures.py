@@ -84,14 +84,32 @@ def belt_drive() -> str:
     return picture(panels, [("reference", "linear scale less encoder"), ("fixed", "machine of experts")])
 
 
+def _pressure(name: str, views: Sequence[tuple[str, str, str, slice]], unit: str, scale: float) -> str:
+    """A chamber's pressure at 1 kHz and what the network says of it; views: (scenario, output, title, samples)."""
+    panels = []
+    for scenario, output, title, part in views:
+        _, truth, told = predicted(name, scenario, output)
+        lines = [_over_time(scale * p, part, 1e-3, k) for p, k in ((truth, "reference"), (told, "fixed"))]
+        panels.append((f"{scenario}, {title}", _panel(lines, "time [s]", f"{output} [{unit}]")))
+    return picture(panels, [("reference", "pressure sensor"), ("fixed", "network, no sensor")])
+
+
 def pump_cylinder() -> str:
     """Chamber B on the rig's chirp: five seconds of its middle and half a second of its end."""
-    _, truth, told = predicted("pump_cylinder", "rig_chirp", "p_b")
-    panels = []
-    for title, part in (("20 to 25 s", slice(20_000, 25_000)), ("the last 0.5 s", slice(49_500, 50_000))):
-        lines = [_over_time(1e-6 * p, part, 1e-3, k) for p, k in ((truth, "reference"), (told, "fixed"))]
-        panels.append((f"rig_chirp, {title}", _panel(lines, "time [s]", "p_b [MPa]")))
-    return picture(panels, [("reference", "pressure sensor"), ("fixed", "network, no sensor")])
+    spans = (("20 to 25 s", slice(20_000, 25_000)), ("the last 0.5 s", slice(49_500, 50_000)))
+    return _pressure("pump_cylinder", [("rig_chirp", "p_b", *span) for span in spans], "MPa", 1e-6)
+
+
+def first_cylinder() -> str:
+    """Chamber A: v1, and v2 under its load."""
+    views = [("v1", "p_a", "other excitation", slice(0, 1000)), ("v2", "p_a", "under 3000 N", slice(0, 5000))]
+    return _pressure("valve_cylinder", views, "bar", 1e-5)
+
+
+def second_cylinder() -> str:
+    """Chamber B: v4, which rests, and the end of v6."""
+    views = [("v4", "p_b", "moving and standing", slice(0, 10_000)), ("v6", "p_b", "end", slice(47_000, 50_000))]
+    return _pressure("asymmetric_cylinder", views, "bar", 1e-5)
 
 
 def drum() -> str:
@@ -108,7 +126,13 @@ def drum() -> str:
     return picture(panels, [("reference", "linear scale less drum"), ("fixed", "SNN"), ("cost", "SNN less scale")])
 
 
-PICTURES: dict[str, Callable[[], str]] = {"belt_drive": belt_drive, "pump_cylinder": pump_cylinder, "cable_drum": drum}
+PICTURES: dict[str, Callable[[], str]] = {
+    "belt_drive": belt_drive,
+    "valve_cylinder": first_cylinder,
+    "asymmetric_cylinder": second_cylinder,
+    "pump_cylinder": pump_cylinder,
+    "cable_drum": drum,
+}
 
 
 def draw(folder: Path = FOLDER) -> None:

@@ -9,7 +9,8 @@ import numpy as np
 from greygate.compiler.pipeline import float_error
 from greygate.compiler.prune import Round, output_errors, prune_by_entropy, retrained
 from greygate.compiler.saliency import Method, prune_by_saliency
-from greygate.models.blocks import divider_record, fit_divider, fit_flow, flow_record
+from greygate.models.adaptation import adopt
+from greygate.models.blocks import divider_record, feedforward, fit_divider, fit_flow, flow_record
 from greygate.models.network import Network
 from greygate.models.problem import Record
 from greygate.models.structures.cylinder import mean_spool, valve_srnn
@@ -80,6 +81,12 @@ def train_srnn(progress: Callable[[str], None] | None = None) -> tuple[Network, 
         "outcome": snn["trained"].note,
     }
     return snn.network, figures
+
+
+def swap_flow(network: Network, flow: Network) -> Network:
+    """The SRNN with another valve's flow network in the place of both of its own (thesis 5.4.3)."""
+    divider = feedforward("divider", ["omega", "gamma"], [20], 0)
+    return adopt(assemble(flow, divider), network, ("pa.divider", "pb.divider", "speed_a", "speed_b"))
 
 
 def exercise(network: Network) -> Record:

@@ -65,15 +65,18 @@ def _shared_out(rng: np.random.Generator, size: int, fan_in: int) -> tuple[np.nd
     return w, reach * np.linspace(-1, 1, size) * np.sign(rng.normal(size=size))
 
 
-def flow_rate(u: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Flow into a chamber, normalised: u sqrt(1 - p) for u > 0, u sqrt(p) else (thesis 5.3.2.1)."""
-    return np.where(u > 0, u * np.sqrt(1 - p), u * np.sqrt(p))
+def flow_rate(u: np.ndarray, p: np.ndarray, lap: float = 0.0) -> np.ndarray:
+    """Flow into a chamber, normalised: u sqrt(1 - p) for u > 0, u sqrt(p) else (thesis 5.3.2.1).
+
+    lap: of both edges, as u: > 0 closed centre (overlapped), < 0 open centre (underlapped).
+    """
+    return np.maximum(u - lap, 0) * np.sqrt(1 - p) - np.maximum(-u - lap, 0) * np.sqrt(p)
 
 
-def flow_record() -> Record:
-    """99 x 99 grid of spool in [-1, 1] and pressure in [0.01, 0.99]."""
+def flow_record(lap: float = 0.0) -> Record:
+    """99 x 99 grid of spool in [-1, 1] and pressure in [0.01, 0.99]. lap: as for `flow_rate`."""
     u, p = (a.ravel() for a in np.meshgrid(np.linspace(-1, 1, 99), np.linspace(0.01, 0.99, 99)))
-    return Record({"u": u, "p": p}, {"y": flow_rate(u, p)})
+    return Record({"u": u, "p": p}, {"y": flow_rate(u, p, lap)})
 
 
 def divider_record() -> Record:
@@ -82,13 +85,13 @@ def divider_record() -> Record:
     return Record({"omega": omega, "gamma": gamma}, {"y": omega / (gamma + 1)})
 
 
-def fit_flow(seed: int, epochs: int = 800, progress=None) -> Fit:
-    """`Network Qa`: 2-10-10-1 on `flow_record` (table 5.3, #4).
+def fit_flow(seed: int, epochs: int = 800, progress=None, lap: float = 0.0) -> Fit:
+    """`Network Qa`: 2-10-10-1 on `flow_record` (table 5.3, #4). lap: as for `flow_rate`.
 
     `Network Qb` is its mirror: q_b(u, p) = -q_a(-u, p).
     """
     network = feedforward("flow", ["u", "p"], [10, 10], seed)
-    return train(network, [flow_record()], epochs=epochs, decay=1e-6, progress=progress)
+    return train(network, [flow_record(lap)], epochs=epochs, decay=1e-6, progress=progress)
 
 
 def fit_divider(seed: int, epochs: int = 500, progress=None) -> Fit:

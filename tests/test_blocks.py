@@ -1,8 +1,10 @@
 import numpy as np
 
-from greygate.models.blocks import nguyen_widrow
+from greygate.catalog import entry
+from greygate.models.blocks import feedforward, flow_rate, flow_record, nguyen_widrow
 from greygate.models.network import Layer, Port
 from greygate.models.regression import noe
+from greygate.valve_cylinder import swap_flow
 
 
 def test_neurons_of_a_sigmoid_layer_share_out_their_input_range():
@@ -22,3 +24,24 @@ def test_a_new_start_leaves_frozen_weights_and_linear_paths_alone():
     before, after = network.parameters(), nguyen_widrow(network, 0).parameters()
     moved = {n for n in before if not np.array_equal(before[n], after[n])}
     assert moved == {"hidden1.y_z1", "sum.hidden1"}
+
+
+def test_the_lap_of_a_valve_closes_or_opens_its_centre():
+    p = np.linspace(0.01, 0.99, 9)
+    centre = np.zeros(9)
+    assert not flow_rate(centre, p, 0.05).any()
+    assert not flow_rate(centre + 0.05, p, 0.05).any()
+    np.testing.assert_allclose(flow_rate(centre, p, -0.05), 0.05 * (np.sqrt(1 - p) - np.sqrt(p)))
+    np.testing.assert_allclose(flow_rate(centre + 0.5, p, 0.05), 0.45 * np.sqrt(1 - p))
+    np.testing.assert_allclose(flow_rate(centre - 0.5, p, 0.05), -0.45 * np.sqrt(p))
+    u, p = (flow_record().inputs[n] for n in "up")
+    np.testing.assert_array_equal(flow_record().targets["y"], np.where(u > 0, u * np.sqrt(1 - p), u * np.sqrt(p)))
+
+
+def test_a_swapped_flow_network_stands_in_both_places_and_the_rest_stays_as_trained():
+    trained, flow = entry("valve_cylinder").network(), feedforward("flow", ["u", "p"], [10, 10], seed=5)
+    before, after, own = trained.parameters(), swap_flow(trained, flow).parameters(), flow.parameters()
+    for name, value in after.items():
+        part, _, inner = name.partition(".")
+        expected = own[inner] if part in ("qa", "qb") and inner in own else before[name]
+        np.testing.assert_array_equal(value, expected, err_msg=name)

@@ -64,6 +64,17 @@ def test_the_cable_drums_page_has_the_figures_of_its_network():
             assert largest.startswith(f"{np.abs(error).max():.0f} um")
 
 
+def test_the_asymmetric_cylinders_page_has_the_figures_of_its_training():
+    stored = json.loads((TRAINED / "asymmetric_cylinder.json").read_text())
+    for label, step in (
+        ("ours, weights adopted", "adopted"),
+        ("ours, after 10 epochs", "10 epochs"),
+        ("ours, after 50 epochs", "trained"),
+    ):
+        said = [f"{a:.2f} / {b:.2f}" for a, b in stored[step].values()]
+        assert cells("asymmetric_cylinder.md", label)[:5] == said, label
+
+
 @pytest.mark.parametrize("name", pictures.PICTURES)
 def test_a_page_shows_the_picture_that_the_command_draws(name):
     """To a pixel: another machine's arithmetic may round otherwise."""
