@@ -16,8 +16,9 @@ from greygate.mismatch.conceal import reveal
 from greygate.mismatch.diagnosis import APART, Diagnosis, diagnose
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.excitation import check, unseen
-from greygate.mismatch.rig import load
+from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.simulation import read, simulate
+from greygate.plants.recording import Recording
 from greygate.plants.simulate import names
 
 VERDICTS = {
@@ -39,9 +40,9 @@ EXPERIMENTS = {
 """Variable -> the experiment in which it alone changes."""
 
 
-def table_of(paths: Iterable[Path]) -> dict[str, Effect]:
-    """The table of effects, extended by files of one's own."""
-    effects = table.read()
+def table_of(paths: Iterable[Path], rig: Rig, recording: Recording) -> dict[str, Effect]:
+    """The effects to be tried on a rig: the table's, extended by files of one's own."""
+    effects = table.known(rig, recording) if hasattr(table, "known") else table.read()
     for path in paths:
         effects = {**effects, **table.read(path)}
     return effects
@@ -58,12 +59,13 @@ def explain(
 
     Raises InputError, before anything is written, for a rig, recording or table that cannot serve.
     """
-    effects = table_of(own)
     rig = load(folder)
+    recording = rig.recording(rig.folder / "identify.csv")
+    effects = table_of(own, rig, recording)
     for path in (out, html):
         if path is not None and not path.absolute().parent.is_dir():
             raise InputError(f"{path.parent}: no such folder; make it, or write elsewhere")
-    check(rig, rig.recording(rig.folder / "identify.csv"), effects)
+    check(rig, recording, effects)
     result = diagnose(rig, effects, say)
     if out is not None:
         result.write(out)
@@ -81,8 +83,9 @@ def predict(
 
     Returns channel -> rms of simulated minus recorded (None where it diverges), unit, finite.
     """
-    effects, rig = table_of(own), load(folder)
+    rig = load(folder)
     measured = rig.recording(recording)
+    effects = table_of(own, rig, measured)
     found = simulate(rig, measured, None if diagnosis is None else read(diagnosis), effects)
     with Path(recording).open(newline="") as file:
         clock = [row[0] for row in csv.reader(file)][1:]
@@ -157,18 +160,15 @@ class Amount:
 def amount(value: float, ci95: Sequence[float] | None, unit: str) -> Amount:
     """`value` with its interval as a person reads it."""
     factor, label = scaled(unit, abs(value))
-    value = value * factor
-    low, high = (None, None) if ci95 is None else (b * factor for b in ci95)
-    half = 0.0 if low is None else (high - low) / 2
-    power = math.floor(math.log10(max(abs(value), half, 1e-300)))
+    value, (low, high) = value * factor, (b * factor for b in ci95 or (value, value))
+    half = (high - low) / 2
+    if not half > 0:
+        return Amount(f"{value:.4g}", "", "", label)
+    power = math.floor(math.log10(max(abs(value), half)))
     power = 0 if -3 <= power < 6 else power
-    digits = 1 - math.floor(math.log10(half)) + power if half else 3 - math.floor(math.log10(abs(value) or 1)) + power
-    digits = min(max(digits, 0), 7)
-
-    def text(v: float | None) -> str:
-        return "" if v is None else f"{v / 10.0**power:.{digits}f}" + (f"e{power}" if power else "")
-
-    return Amount(text(value), text(low), text(high), label)
+    digits = min(max(1 - math.floor(math.log10(half)) + power, 0), 7)
+    texts = (f"{v / 10.0**power:.{digits}f}" + (f"e{power}" if power else "") for v in (value, low, high))
+    return Amount(*texts, label)
 
 
 def scaled(unit: str, reach: float) -> tuple[float, str]:
@@ -207,7 +207,7 @@ def lines(result: Diagnosis) -> list[str]:
         out.append(_row("" if i else "parameters", parameter(result, name, p)))
     out += fit_table(found["fit"])
     for i, text in enumerate(alike(result, found)):
-        out.append(_row("" if i else "also possible", text))
+        out.append(_row("" if i else "not told apart", text))
     if hidden := unseen(result.calibrated):
         out.append(_row("cannot show", ", ".join(hidden)))
     out.append(_row("remains", found["remaining"] or "nothing above what the sensors' noise makes"))
@@ -259,7 +259,7 @@ def alike(result: Diagnosis, found: Mapping) -> list[str]:
     if not found["effects"]:
         best = result.rivals.get(result.best, 0.0)
         rivals = sorted((cost - best, str(h)) for h, cost in result.rivals.items() if h != result.best)
-        out += [f"{name} (evidence against it only {gap:.3g})" for gap, name in rivals if gap < APART][:3]
+        out += [f"with {name} a little better, too little for a claim" for gap, name in rivals if gap < -APART][:3]
     return out
 
 

@@ -37,6 +37,13 @@ class Free:
     whole: bool = False
     reported: str = ""
 
+    def __post_init__(self):
+        for name in ("typical", "low", "high"):
+            if type(value := getattr(self, name)) not in (int, float):
+                raise TypeError(f"{self.symbol}, {name}: {value!r} is no number")
+        if not self.typical > 0:
+            raise TypeError(f"{self.symbol}, typical: {self.typical!r}; give a size above 0")
+
 
 @dataclass(frozen=True)
 class Effect:
@@ -57,6 +64,11 @@ class Effect:
     wave: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     frees: bool = False
     of: str = ""
+
+    def __post_init__(self):
+        for where, text in self.terms.items():
+            if not isinstance(text, str):
+                raise TypeError(f"term {where}: {text!r} is no expression in quotes")
 
     @property
     def id(self) -> str:
@@ -86,11 +98,12 @@ def read(path: Path | str = TABLE) -> dict[str, Effect]:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give a table of effects") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: is no TOML ({error}); mend that line") from None
-    return {key: _effect(path, key, dict(entry)) for key, entry in table.items()}
+    return {key: _effect(path, key, entry) for key, entry in table.items()}
 
 
 def _effect(path: Path, key: str, entry: dict) -> Effect:
     try:
+        entry = dict(entry)
         released = entry.pop("frees", {})
         free = tuple(
             Free(symbol, reported=f.pop("as", symbol), guess=tuple(f.pop("guess", ())), **f)
@@ -99,7 +112,9 @@ def _effect(path: Path, key: str, entry: dict) -> Effect:
         for name in ("plants", "equations", "depends_on"):
             entry[name] = tuple(entry[name])
         return Effect(key, free=free, frees=bool(released), **entry)
-    except (KeyError, TypeError, AttributeError) as error:
+    except KeyError as error:
+        raise InputError(f"{path}: effect {key}: {error} is missing; see the entries of {TABLE}") from None
+    except (TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{path}: effect {key}: {error}; see the entries of {TABLE}") from None
 
 

@@ -7,6 +7,7 @@ import csv
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ from greygate.plants.recording import Recording
 PLANTS = Path(__file__).parent.parent / "plants" / "rigs"
 SHORTEST = 2.0  # s of recording below which nothing is diagnosed
 UNIFORM = 1e-3  # of a sample interval
+FEWEST = 10  # samples of a window
+KEYS = ("plant", "sample_time_s", "window_s", "settle_s", "predict", "parameters", "tolerance", "channels")
 
 
 @dataclass(frozen=True)
@@ -61,28 +64,38 @@ class Rig:
         """
         path = Path(path)
         try:
-            with path.open(newline="") as file:
-                header, *rows = list(csv.reader(file))
+            with path.open(newline="", encoding="utf-8-sig") as file:
+                header, *rows = list(csv.reader(file)) or [[]]
         except (OSError, UnicodeDecodeError, csv.Error) as error:
-            raise InputError(f"{path}: cannot be read ({error}); give a CSV of this rig") from None
-        except ValueError:
-            raise InputError(f"{path}: is empty; give a CSV of this rig") from None
-        if not header or header[0] != "t":
+            why = getattr(error, "strerror", None) or error
+            raise InputError(f"{path}: cannot be read ({why}); give a CSV of this rig") from None
+        header = [name.strip() for name in header]
+        while rows and not rows[-1]:
+            rows.pop()
+        if not header:
+            raise InputError(f"{path}: is empty; give a CSV of this rig")
+        if header[0] != "t":
             raise InputError(f"{path}: first column {header[:1]}; it must be t, in s")
         if missing := [name for name in self.channels if name not in header]:
             raise InputError(f"{path}: no column {', '.join(missing)}; rig.toml names these channels")
         if unknown := [name for name in header[1:] if name not in self.channels]:
             raise InputError(f"{path}: column {', '.join(unknown)} is no channel of rig.toml; declare or drop it")
+        if twice := next((name for name in header if header.count(name) > 1), None):
+            raise InputError(f"{path}: column {twice} stands there twice; drop one")
         bad = next((i for i, row in enumerate(rows) if len(row) != len(header)), None)
         if bad is not None:
             raise InputError(f"{path}: line {bad + 2} has {len(rows[bad])} values, the header {len(header)}; mend it")
         try:
             table = np.array(rows, dtype=float).reshape(len(rows), len(header))
-        except ValueError as error:
-            raise InputError(f"{path}: {error}; write numbers only") from None
-        if len(table) * self.dt < SHORTEST:
+        except ValueError:
+            row, column = next((i, j) for i, row in enumerate(rows) for j, c in enumerate(row) if not _is_number(c))
             raise InputError(
-                f"{path}: {len(table)} samples, {len(table) * self.dt:g} s; record at least {SHORTEST:g} s"
+                f"{path}: line {row + 2}, {header[column]} is {rows[row][column]!r}; write numbers only"
+            ) from None
+        shortest = max(SHORTEST, (self.window or 0) * self.dt)
+        if len(table) * self.dt < shortest:
+            raise InputError(
+                f"{path}: {len(table)} samples, {len(table) * self.dt:g} s; record at least {shortest:g} s"
             )
         if not np.isfinite(table).all():
             row, column = np.argwhere(~np.isfinite(table))[0]
@@ -114,21 +127,41 @@ def load(folder: Path | str, plants: Path | None = None) -> Rig:
     def fail(where: str, problem: str):
         raise InputError(f"{path}: {where}: {problem}")
 
+    def number(where: str, value, low: float = -np.inf, wish: str = "give a number") -> float:
+        if type(value) not in (int, float) or not (np.isfinite(value) and value >= low):
+            fail(where, f"{value!r}; {wish}")
+        return float(value)
+
+    def spelt(where: str, keys, known) -> None:
+        for key in keys:
+            if key not in known and (near := get_close_matches(key, known, 1, 0.75)):
+                fail(f"{where}{key}", f"is no entry; write {near[0]} if that is meant")
+
+    spelt("", table, KEYS)
     for key in ("plant", "sample_time_s", "predict", "parameters", "channels"):
         if key not in table:
             fail(key, "is missing; see docs/diagnosis.md")
+    for key in ("parameters", "tolerance", "channels"):
+        if not isinstance(table.get(key, {}), dict):
+            fail(key, f"{table[key]!r} is no table; write [{key}], see docs/diagnosis.md")
+    if not isinstance(table["plant"], str):
+        fail("plant", f"{table['plant']!r}; name a plant in quotes")
+    predict = table["predict"]
+    if not (isinstance(predict, list) and predict and all(isinstance(name, str) for name in predict)):
+        fail("predict", f"{predict!r}; list the channels that a simulation predicts")
     plant = _plant(path, table["plant"])
-    dt = table["sample_time_s"]
-    if not (isinstance(dt, int | float) and dt > 0):
-        fail("sample_time_s", f"{dt!r}; give seconds")
+    dt = number("sample_time_s", table["sample_time_s"], 1e-9, "give seconds")
+    window = table.get("window_s")
+    if window is not None:
+        number("window_s", window, FEWEST * dt, f"give at least {FEWEST} samples, in s")
     datasheet, tolerance = table["parameters"], table.get("tolerance", {})
     for symbol, value in datasheet.items():
         if symbol not in plant.parameters:
             fail(f"parameters.{symbol}", f"{plant.name} has {', '.join(plant.parameters)}")
         if type(value) not in (int, float) or not np.isfinite(value):
             fail(f"parameters.{symbol}", f"{value!r} is no number; give it in {plant.parameters[symbol].unit}")
-    if missing := [s for s, p in plant.parameters.items() if p.value is None and s not in datasheet]:
-        fail("parameters", f"{', '.join(missing)} missing; {plant.name} needs them")
+    if missing := [s for s in plant.required if s not in datasheet]:
+        fail("parameters", f"{', '.join(missing)} missing; {plant.name} needs {'it' if len(missing) == 1 else 'them'}")
     for symbol, value in tolerance.items():
         if symbol not in datasheet:
             fail(f"tolerance.{symbol}", "is no entry of [parameters]; give its value there")
@@ -136,14 +169,22 @@ def load(folder: Path | str, plants: Path | None = None) -> Rig:
             fail(f"tolerance.{symbol}", f"{value!r}; give a relative uncertainty, 0 to 1")
     channels = {}
     for name, entry in table["channels"].items():
+        if not isinstance(entry, dict):
+            fail(f"channels.{name}", f"{entry!r} is no table; give its unit and role")
+        spelt(f"channels.{name}.", entry, ("unit", "role", "resolution", "noise_rms"))
         if entry.get("role") not in ("input", "output"):
             fail(f"channels.{name}", f"role {entry.get('role')!r}; give 'input' or 'output'")
         known = plant.inputs.get(name) if entry["role"] == "input" else _unit(plant, name)
         if known is None:
-            fail(f"channels.{name}", f"{plant.name} has no {entry['role']} of that name")
-        if entry.get("unit") != known:
-            fail(f"channels.{name}", f"unit {entry.get('unit')!r}, {plant.name} has it in {known}; convert it")
-        channels[name] = Channel(known, entry["role"], entry.get("resolution", 0.0), entry.get("noise_rms", 0.0))
+            there = [n for n in plant.inputs if n not in plant.derived] if entry["role"] == "input" else plant.outputs
+            fail(f"channels.{name}", f"{plant.name} has no {entry['role']} of that name; it has {', '.join(there)}")
+        if "unit" not in entry:
+            fail(f"channels.{name}", f"unit is missing; {plant.name} has it in {known}")
+        if entry["unit"] != known:
+            fail(f"channels.{name}", f"unit {entry['unit']!r}, {plant.name} has it in {known}; convert it")
+        wish = f"give it in {known}, 0 or more"
+        errors = [number(f"channels.{name}.{k}", entry.get(k, 0.0), 0.0, wish) for k in ("resolution", "noise_rms")]
+        channels[name] = Channel(known, entry["role"], *errors)
     for name in plant.inputs:
         if name not in channels and name not in plant.derived and name != "t":
             fail(f"channels.{name}", f"is missing; it is an input of {plant.name}")
@@ -159,7 +200,6 @@ def load(folder: Path | str, plants: Path | None = None) -> Rig:
         )
         for symbol, p in plant.parameters.items()
     }
-    window = table.get("window_s")
     return Rig(
         replace(plant, parameters=parameters),
         dict(datasheet),
@@ -169,6 +209,14 @@ def load(folder: Path | str, plants: Path | None = None) -> Rig:
         None if window is None else round(window / dt),
         folder,
     )
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _unit(plant: Plant, name: str) -> str | None:

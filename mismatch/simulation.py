@@ -26,8 +26,7 @@ def simulate(
     known = fitting(rig.plant, rig.datasheet, table.read() if effects is None else effects)
     values: dict[str, float] = {}
     if diagnosis is not None:
-        if diagnosis.get("schema") != SCHEMA:
-            raise InputError(f"diagnosis: schema {diagnosis.get('schema')!r}; give a file of schema {SCHEMA}")
+        check(diagnosis)
         if diagnosis["plant"] != rig.plant.name:
             raise InputError(f"diagnosis: is of {diagnosis['plant']}, the rig is {rig.plant.name}; give the rig's own")
         values = {symbol: float(p["value"]) for symbol, p in diagnosis["parameters"].items()}
@@ -56,6 +55,34 @@ def read(path: Path | str) -> dict:
         raise InputError(f"{path}: is no JSON ({error}); give a diagnosis.json") from None
 
 
+def check(diagnosis) -> None:
+    """Raises InputError where `diagnosis` is no content of a diagnosis.json that can be simulated."""
+
+    def number(value) -> bool:
+        return type(value) in (int, float) and np.isfinite(value)
+
+    def parameters(where: str, table) -> None:
+        if not isinstance(table, dict):
+            raise InputError(f"diagnosis: {where} is missing or no table; give a file that diagnose wrote")
+        for symbol, p in table.items():
+            if not (isinstance(p, dict) and number(p.get("value"))):
+                raise InputError(f"diagnosis: {where}.{symbol} has no number as value; give a file that diagnose wrote")
+
+    if not isinstance(diagnosis, dict) or diagnosis.get("schema") != SCHEMA:
+        found = diagnosis.get("schema") if isinstance(diagnosis, dict) else diagnosis
+        raise InputError(f"diagnosis: schema {found!r}; give a file of schema {SCHEMA}")
+    for key, kind in (("plant", str), ("effects", list)):
+        if not isinstance(diagnosis.get(key), kind):
+            raise InputError(f"diagnosis: {key} is missing or no {kind.__name__}; give a file that diagnose wrote")
+    parameters("parameters", diagnosis.get("parameters"))
+    for i, entry in enumerate(diagnosis["effects"]):
+        if not (isinstance(entry, dict) and isinstance(entry.get("id"), str)):
+            raise InputError(f"diagnosis: effects[{i}] has no id; give a file that diagnose wrote")
+        parameters(f"effects[{i}].parameters", entry.get("parameters"))
+        if entry["id"] == "unknown" and not all({"place", "term"} <= set(p) for p in entry["parameters"].values()):
+            raise InputError(f"diagnosis: effects[{i}] is unknown and has no term; give a file that diagnose wrote")
+
+
 def _form(known: Mapping[str, Effect], entry: Mapping) -> Effect:
     """The effect of that name in the form that the diagnosis chose."""
     forms = [e for e in known.values() if e.id == entry["id"]]
@@ -63,7 +90,7 @@ def _form(known: Mapping[str, Effect], entry: Mapping) -> Effect:
         if effect.key == entry.get("form", entry["id"]):
             return effect
     if not forms:
-        raise InputError(f"diagnosis: effect {entry['id']!r} is unknown here; there are {', '.join(known)}")
+        raise InputError(f"diagnosis: effect {entry['id']!r} is unknown here; give --effects with the table it is of")
     return forms[0]
 
 

@@ -98,6 +98,7 @@ class Plant:
     outputs:    symbols (states, definitions or inputs) that a simulation returns
     derived:    input -> how it is made of a recorded one, "rate x_motor" (`Plant.derive`)
     switches:   parameter -> the parameter whose value in a data sheet turns it from 0 to 1
+    required:   parameters that a data sheet must give
     step:       of integration that suits it, s
 
     All names are checked here. Raises InputError naming plant, equation and term.
@@ -113,6 +114,7 @@ class Plant:
     derived: Mapping[str, str] = field(default_factory=dict)
     switches: Mapping[str, str] = field(default_factory=dict)
     step: float = 1e-4
+    required: tuple[str, ...] = ()
 
     def __post_init__(self):
         symbols: set[str] = set()
@@ -132,7 +134,11 @@ class Plant:
                 self._fail(f"state {symbol}", f"rate {state.rate!r} is no state; name the state that is its velocity")
             if state.start is not None:
                 self._check(f"state {symbol}, start", state.start, symbols)
-        for table, owners in (("derived", self.inputs), ("switches", self.parameters)):
+        for table, owners in (
+            ("derived", self.inputs),
+            ("switches", self.parameters),
+            ("required", self.parameters),
+        ):
             for symbol in getattr(self, table):
                 if symbol not in owners:
                     self._fail(table, f"{symbol!r} is not among {', '.join(owners)}")
@@ -164,7 +170,10 @@ class Plant:
             raise InputError(f"{path}: cannot be read ({error.strerror}); give a plant's TOML file") from None
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise InputError(f"{path}: is no TOML ({error}); mend that line") from None
-        known = ("step", "outputs", "inputs", "derived", "parameters", "switches", "states", "definitions", "equations")
+        known = (
+            "step", "outputs", "inputs", "derived", "parameters", "required", "switches", "states", "definitions",
+            "equations",
+        )  # fmt: skip
         for key in table:
             if key not in known:
                 raise InputError(f"{path}: unknown entry {key!r}; a plant file has {', '.join(known)}")
@@ -183,6 +192,7 @@ class Plant:
             {s: entries.text(f"derived.{s}", v) for s, v in table.get("derived", {}).items()},
             {s: entries.text(f"switches.{s}", v) for s, v in table.get("switches", {}).items()},
             float(table.get("step", cls.step)),
+            tuple(table.get("required", ())),
         )
 
     # -- switching terms ---------------------------------------------------------------------------------------------
