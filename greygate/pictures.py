@@ -84,14 +84,19 @@ def belt_drive() -> str:
     return picture(panels, [("reference", "linear scale less encoder"), ("fixed", "machine of experts")])
 
 
-def _pressure(name: str, views: Sequence[tuple[str, str, str, slice]], unit: str, scale: float) -> str:
-    """A chamber's pressure at 1 kHz and what the network says of it; views: (scenario, output, title, samples)."""
+def _pressure(
+    name: str, views: Sequence[tuple[str, str, str, slice]], unit: str, scale: float, truth: str = "pressure sensor"
+) -> str:
+    """A chamber's pressure at 1 kHz and what the network says of it; views: (scenario, output, title, samples).
+
+    truth: what the records' pressures are.
+    """
     panels = []
     for scenario, output, title, part in views:
-        _, truth, told = predicted(name, scenario, output)
-        lines = [_over_time(scale * p, part, 1e-3, k) for p, k in ((truth, "reference"), (told, "fixed"))]
+        _, pressure, told = predicted(name, scenario, output)
+        lines = [_over_time(scale * p, part, 1e-3, k) for p, k in ((pressure, "reference"), (told, "fixed"))]
         panels.append((f"{scenario}, {title}", _panel(lines, "time [s]", f"{output} [{unit}]")))
-    return picture(panels, [("reference", "pressure sensor"), ("fixed", "network, no sensor")])
+    return picture(panels, [("reference", truth), ("fixed", "network, no sensor")])
 
 
 def pump_cylinder() -> str:
@@ -103,7 +108,7 @@ def pump_cylinder() -> str:
 def first_cylinder() -> str:
     """Chamber A: v1, and v2 under its load."""
     views = [("v1", "p_a", "other excitation", slice(0, 1000)), ("v2", "p_a", "under 3000 N", slice(0, 5000))]
-    return _pressure("valve_cylinder", views, "bar", 1e-5)
+    return _pressure("valve_cylinder", views, "bar", 1e-5, "true pressure")
 
 
 def second_cylinder() -> str:
