@@ -15,6 +15,7 @@ import numpy as np
 from greygate.errors import InputError, replacing
 from greygate.mismatch import effects as table
 from greygate.mismatch.closure import closure
+from greygate.mismatch.coloured import Coloured, explain, settled
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.fit import Fit, Problem
 from greygate.mismatch.model import Model
@@ -49,6 +50,7 @@ class Diagnosis:
     seconds: float = 0.0
 
     # -- the file ----------------------------------------------------------------------------------------------------
+    left: str = ""
 
     def as_dict(self) -> dict:
         """Content of diagnosis.json, keys as in docs/diagnosis.md."""
@@ -137,6 +139,8 @@ class Diagnosis:
     def _remaining(self) -> str:
         left = {name: ratio for name, ratio in self.structure.items() if ratio > STRUCTURE}
         return "; ".join(
+        if self.left:
+            return self.left
             f"{name}: slow errors {1 + ratio:.2g} times those of white noise" for name, ratio in left.items()
         )
 
@@ -222,7 +226,10 @@ def diagnose(
     effects = table.read() if effects is None else effects
     recording = rig.recording(rig.folder / "identify.csv")
     say("compiling the plant", 0.0)
+    effects = table.known(rig, recording) if effects is None else effects
     search = Search(rig, recording, effects)
+    if not rig.stated:
+        return _coloured(Search(rig, recording, effects, whole=Coloured), recording, began, say)
     screen = search.screen
     say("calibrating", 0.05)
     nothing = Hypothesis()
@@ -285,6 +292,22 @@ def diagnose(
     return result
 
 
+def _coloured(search: Search, recording, began: float, say) -> Diagnosis:
+    """`diagnose` where the noise is not told."""
+    found = explain(search, say)
+    unknown = None
+    if found.verdict == "unexplained":
+        unknown = {"where": [{"equation": "", "depends_on": [], "regime": found.left}]}
+    result = Diagnosis(
+        search.rig, found.verdict, found.best, found.calibrated, found.corrected, found.costs, {},
+        1.0, search, unknown, left=found.left,
+    )  # fmt: skip
+    say("predicting the recordings", 0.95)
+    result.fits = fits(result, recording)
+    result.seconds = time.perf_counter() - began
+    return result
+
+
 def inflation(fit: Fit) -> float:
     """By how much errors that depend on each other widen the evidence on the last unknown."""
     bread = np.linalg.pinv(fit.information, hermitian=True, rcond=1e-14)
@@ -326,7 +349,8 @@ def fits(result: Diagnosis, identify) -> dict:
         rms = {}
         for kind, values in kinds.items():
             known = {s: v for s, v in values.items() if s in model.values}
-            error = model.predict({**model.values, **known}) - model.target
+            skip = rig.settle if name == "holdout" else 0
+            error = (model.predict(settled(model, known, skip)) - model.target)[skip:]
             rms[kind] = np.sqrt(np.mean(error**2, axis=0))
         out[name] = {
             channel: {**{kind: float(rms[kind][i]) for kind in kinds}, "unit": rig.channels[channel].unit}

@@ -10,10 +10,14 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+
 from greygate.errors import InputError
 from greygate.plants.plant import Definition, Equation, Parameter, Plant, State
 
 TABLE = Path(__file__).parent / "effects.toml"
+GENERAL = Path(__file__).parent / "general.toml"
+ANY = "*"  # among `plants`: for every plant
 SENSOR = "sensor_"  # the place of a term that changes a channel's reading
 
 
@@ -92,13 +96,68 @@ def read(path: Path | str = TABLE) -> dict[str, Effect]:
     Raises InputError naming file and entry.
     """
     path = Path(path)
+    return {key: _effect(path, key, entry) for key, entry in _table(path).items()}
+
+
+def _table(path: Path) -> dict:
     try:
-        table = tomllib.loads(path.read_text())
+        return tomllib.loads(path.read_text())
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give a table of effects") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: is no TOML ({error}); mend that line") from None
-    return {key: _effect(path, key, entry) for key, entry in table.items()}
+
+
+def known(rig, recording) -> dict[str, Effect]:
+    """The effects to be tried on a rig: the table's, and those of `effects.toml` in its folder.
+
+    Where the rig's noise is not told, also the general ones in every place of its plant that they fit.
+    """
+    effects = read()
+    if not rig.stated:
+        effects |= general(rig, recording)
+    own = rig.folder / "effects.toml"
+    return effects | read(own) if own.exists() else effects
+
+
+def general(rig, recording) -> dict[str, Effect]:
+    """The general effects in every place of the rig's plant that they fit; the head of `general.toml` tells places."""
+    plant, out = rig.plant, {}
+    balance = {e.state: name for name, e in plant.equations.items()}
+    places = {
+        "u": [{"u": name} for name in rig.inputs],
+        "y": [{"y": name} for name in rig.predict if name in plant.states],
+        "level": [{"y": name} for name in rig.predict if name in plant.states and not plant.states[name].rate],
+        "v": [{"x": x, "v": s.rate, "motion": balance[s.rate]} for x, s in plant.states.items() if s.rate],
+    }
+    for key, entry in _table(GENERAL).items():
+        at = places[entry.pop("at")]
+        for place in at:
+            name = key if len(at) == 1 else f"{key}_{next(iter(place.values()))}"
+            made = _placed(entry, place, rig, recording)
+            out[name] = _effect(GENERAL, name, {"plants": [plant.name], **made})
+    return out
+
+
+def _placed(entry, place: Mapping[str, str], rig, recording):
+    """`entry` with names for placeholders, and for "rate 0.5 {x}" that quantile of the channel's rate, or of itself."""
+    match entry:
+        case dict():
+            return {_placed(k, place, rig, recording): _placed(v, place, rig, recording) for k, v in entry.items()}
+        case list():
+            return [_placed(v, place, rig, recording) for v in entry]
+        case str():
+            for name, symbol in place.items():
+                entry = entry.replace(f"{{{name}}}", symbol)
+            kind, _, rest = entry.partition(" ")
+            if kind not in ("rate", "level"):
+                return entry
+            share, channel = rest.split()
+            signal = recording[channel] if channel in recording.channels else recording[rig.predict[0]]
+            if kind == "rate":
+                signal = np.abs(np.gradient(signal, rig.dt))
+            return float(np.quantile(signal, float(share)))
+    return entry
 
 
 def _effect(path: Path, key: str, entry: dict) -> Effect:
@@ -110,7 +169,7 @@ def _effect(path: Path, key: str, entry: dict) -> Effect:
             for symbol, f in ((s, dict(f)) for s, f in {**entry.pop("parameters", {}), **released}.items())
         )
         for name in ("plants", "equations", "depends_on"):
-            entry[name] = tuple(entry[name])
+            entry[name] = tuple(entry.get(name, (ANY,)) if name == "plants" else entry[name])
         return Effect(key, free=free, frees=bool(released), **entry)
     except KeyError as error:
         raise InputError(f"{path}: effect {key}: {error} is missing; see the entries of {TABLE}") from None
@@ -122,7 +181,7 @@ def fitting(plant: Plant, datasheet: Mapping[str, float], effects: Mapping[str, 
     """Those effects that may enter `plant`, as its `datasheet` (symbol -> value) tells it."""
     chosen = {}
     for key, effect in effects.items():
-        if plant.name not in effect.plants:
+        if plant.name not in effect.plants and ANY not in effect.plants:
             continue
         if effect.frees and any(datasheet.get(f.symbol, 0.0) for f in effect.free):
             continue  # it is there already

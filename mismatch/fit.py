@@ -154,7 +154,11 @@ class Problem:
     def errors(self, values: Mapping[str, float], shifts: np.ndarray) -> np.ndarray:
         """(target - prediction) / sigma, (samples, channels)."""
         predicted = self.model.predict({**self.model.values, **values}, shifts * self.local_scale)
-        return (self.model.target - predicted) / self.sigma
+        return self.white(self.model.target - predicted)
+
+    def white(self, what: np.ndarray) -> np.ndarray:
+        """`what` (samples, channels, ...) in units of the noise."""
+        return what / self.sigma[(..., *(None,) * (what.ndim - 2))]
 
     def nothing(self) -> np.ndarray:
         return np.zeros((len(self.model.restarts), len(self.model.locals)))

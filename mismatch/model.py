@@ -214,4 +214,26 @@ def lagged(signal: np.ndarray, lag: float, dt: float) -> np.ndarray:
     return signal + (begin - signal) * (lag / dt) * (1.0 - decay)
 
 
-FILTERS = {"delay": delayed, "lag": lagged}
+def dead(signal: np.ndarray, width: float, dt: float) -> np.ndarray:
+    """An input of which `width` on either side of zero does nothing."""
+    return np.sign(signal) * np.maximum(np.abs(signal) - width, 0.0)
+
+
+def played(signal: np.ndarray, width: float, dt: float) -> np.ndarray:
+    """An input behind a play of half width `width`, in its middle at the first sample."""
+    out = np.empty_like(signal)
+    at = signal[0]
+    for k, x in enumerate(signal.tolist()):
+        at = min(max(at, x - width), x + width)
+        out[k] = at
+    return out
+
+
+FILTERS = {
+    "delay": delayed,
+    "lag": lagged,
+    "offset": lambda signal, by, dt: signal + by,
+    "dead_zone": dead,
+    "play": played,
+    "skew": lambda signal, by, dt: signal + by * np.abs(signal),
+}

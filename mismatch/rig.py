@@ -43,6 +43,7 @@ class Rig:
     """plant: with the data sheet's values and tolerances. datasheet: symbol -> value as `rig.toml` gives it.
 
     window: samples between restarts of the simulation, None for one run from the first sample to the last.
+    settle: samples of holdout.csv that the initial states are fitted to, and that do not count.
     """
 
     plant: Plant
@@ -52,6 +53,12 @@ class Rig:
     dt: float
     window: int | None
     folder: Path
+    settle: int = 0
+
+    @property
+    def stated(self) -> bool:
+        """The noise of every predicted channel is told; else it is estimated from what a fit leaves."""
+        return all(self.channels[name].sigma > 0 for name in self.predict)
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -191,8 +198,8 @@ def load(folder: Path | str, plants: Path | None = None) -> Rig:
     for name in table["predict"]:
         if name not in channels or channels[name].role != "output":
             fail("predict", f"{name!r} is no output channel")
-        if channels[name].sigma <= 0:
-            fail(f"channels.{name}", "give its resolution or noise_rms: what a misfit is, is measured by it")
+    if not all(channels[name].sigma > 0 for name in table["predict"]) and "window_s" in table:
+        fail("window_s", "needs resolution or noise_rms of every predicted channel; give these, or run free")
     switched = {on: 1.0 for on, by in plant.switches.items() if datasheet.get(by)}
     parameters = {
         symbol: Parameter(
@@ -208,6 +215,7 @@ def load(folder: Path | str, plants: Path | None = None) -> Rig:
         float(dt),
         None if window is None else round(window / dt),
         folder,
+        round(table.get("settle_s", 0.0) / dt),
     )
 
 

@@ -54,9 +54,16 @@ class Score:
 
 
 class Search:
-    """All hypotheses on one recording of one rig."""
+    """All hypotheses on one recording of one rig. whole: the problem of a rig that runs free."""
 
-    def __init__(self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], say: Callable | None = None):
+    def __init__(
+        self,
+        rig: Rig,
+        recording: Recording,
+        effects: Mapping[str, Effect],
+        say: Callable | None = None,
+        whole: type[Problem] = Problem,
+    ):
         self.rig, self.say = rig, say or (lambda text: None)
         self.effects = fitting(rig.plant, rig.datasheet, effects)
         self.travel = max(float(np.ptp(recording[name])) for name in rig.inputs)
@@ -65,7 +72,7 @@ class Search:
         def over(seconds: float) -> Problem:
             return Problem(Model(rig, recording, self.effects, min(max(round(seconds / rig.dt), 10), rig.window)))
 
-        self.final = over(LONG_WINDOW) if rig.window else Problem(Model(rig, recording, self.effects))
+        self.final = over(LONG_WINDOW) if rig.window else whole(Model(rig, recording, self.effects))
         self.screen = over(SHORT) if rig.window else self.final
         self.fits: dict[Hypothesis, Fit] = {}
 
@@ -154,7 +161,7 @@ class Search:
                 elif add is not None:
                     null = {f.symbol: 0.0 for f in effect.strengths}
                     made = [add({**shape, **null, f.symbol: f.typical}) for f in effect.strengths]
-                    columns = problem.rows(-np.stack(made, axis=2) / problem.sigma[:, :, None])
+                    columns = problem.rows(-problem.white(np.stack(made, axis=2)))
                     reach = [(f.low / f.typical, f.high / f.typical) for f in effect.strengths]
                 else:
                     start = {**values, **{f.symbol: 0.0 for f in effect.strengths}}
