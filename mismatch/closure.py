@@ -1,9 +1,11 @@
 """Where no effect of the table fits: in which equation something is missing, on what it depends, and a term for it.
 
-Each equation in turn is given a sum of basis functions of the measured signals; the one whose sum removes most of the
-misfit is where it is. Of its functions a few are chosen forward, and they are the term called `unknown`.
+Each equation, and each sensor, in turn is given a sum of a few basis functions of the signals, chosen and judged on
+stretches of the recording that its coefficients did not see. The one that removes most of the misfit is where it is;
+in an equation its sum is the term called `unknown`.
 """
 
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -12,6 +14,7 @@ from greygate.mismatch.effects import Effect, Free
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.search import Hypothesis, Search
 
+STRETCH = 1.0  # s of recording that are learnt from, then judged on, by turns
 TERMS = 4  # basis functions in a closure, at most
 DURATION, SPEED, ACCELERATION = 20.0, 0.1, 1.0  # s, m/s, m/s^2: by which signals are scaled
 WORTH = 0.03  # of the misfit that a further function must remove
@@ -47,8 +50,12 @@ def bases(search: Search) -> dict[str, dict[str, tuple[str, tuple[str, ...]]]]:
         if "slip" in plant.states:
             out["slip"] = {n: (f"({e}) * travel", d) for n, (e, d) in basis.items() if not n.startswith("bump")}
         return out
-    x, v = "x / 0.03", f"v / {SPEED}"
-    a, b = "(p_a - 1e7) / 1e7", "(p_b - 1e7) / 1e7"
+
+    def held(symbol: str) -> str:  # beyond what was seen it stays as it was
+        return f"min(max({symbol}, seen_low_{symbol}), seen_high_{symbol})"
+
+    x, v = f"{held('x')} / 0.03", f"{held('v')} / {SPEED}"
+    a, b = f"({held('p_a')} - 1e7) / 1e7", f"({held('p_b')} - 1e7) / 1e7"
     t = f"t / {DURATION}"
     u = f"{rig.inputs[-1]} / {1.5 if rig.inputs[-1] == 'v_c' else 6.0}"
     basis = {
@@ -69,96 +76,160 @@ def bases(search: Search) -> dict[str, dict[str, tuple[str, tuple[str, ...]]]]:
     return out
 
 
-def _normal(base: Fit, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normal matrix and right side of the base's unknowns and the basis functions, scaled to a unit diagonal."""
-    k = len(base.unknowns)
-    flat = np.concatenate([base.slopes, columns], axis=2).reshape(-1, k + columns.shape[2])
-    gram, pull = flat.T @ flat, -(flat.T @ base.projected.reshape(-1))
-    gram[np.diag_indices(k)] += base.weight
-    pull[:k] -= base.weight * base.numbers
-    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
-    return gram / np.outer(scale, scale), pull / scale
+@dataclass(frozen=True)
+class _Halves:
+    """Normal matrices and right sides of all columns over alternate stretches, scaled; k come from the base."""
+
+    gram: np.ndarray  # (2, n, n)
+    pull: np.ndarray  # (2, n)
+    k: int
+
+    @classmethod
+    def of(cls, base: Fit, columns: np.ndarray) -> "_Halves":
+        k, windows = len(base.unknowns), len(base.slopes)
+        both = np.concatenate([base.slopes, columns], axis=2)
+        problem = base.problem
+        stretch = max(round(STRETCH / (problem.block * problem.model.rig.dt)), 1)
+        even = (np.arange(windows) // stretch) % 2 == 0
+        gram, pull = [], []
+        for half in (even, ~even):
+            flat, e = both[half].reshape(-1, both.shape[2]), base.projected[half].reshape(-1)
+            g, p = flat.T @ flat, -(flat.T @ e)
+            g[np.diag_indices(k)] += base.weight / 2
+            p[:k] -= base.weight * base.numbers / 2
+            gram.append(g)
+            pull.append(p)
+        scale = np.sqrt(np.maximum(np.diag(gram[0] + gram[1]), 1e-300))
+        return cls(np.array(gram) / np.outer(scale, scale), np.array(pull) / scale, k)
+
+    def saved(self, chosen: list[int]) -> float:
+        """Cost that the chosen columns save on the half that their coefficients were not fitted to, both ways."""
+        use = [*range(self.k), *chosen]
+        total = 0.0
+        for learn, judge in ((0, 1), (1, 0)):
+            g = self.gram[learn][np.ix_(use, use)] + 1e-6 * np.eye(len(use))
+            step = np.linalg.solve(g, self.pull[learn][use])
+            total += float(2 * self.pull[judge][use] @ step - step @ self.gram[judge][np.ix_(use, use)] @ step)
+        return total
+
+    def subset(self, mine: list[int], total: float) -> tuple[float, list[int]]:
+        """(cost saved, columns): the smallest set of `mine` to which a further function adds little."""
+        plain = self.saved([])
+        gain, chosen = max((self.saved([j]) - plain, [j]) for j in mine)
+        for size in range(2, TERMS + 1):
+            if size == 2:
+                trials = [list(pair) for pair in combinations(mine, 2)]
+            else:
+                trials = [[*chosen, j] for j in mine if j not in chosen]
+            saved = [(self.saved(use) - plain, use) for use in trials]
+            most = max(saved)[0]
+            if most - gain < WORTH * total:
+                break
+            # of those nearly as good the ones declared first: plain powers before waves and bumps
+            gain, chosen = min(((g, use) for g, use in saved if g > most - WORTH / 3 * total), key=lambda t: sum(t[1]))
+        return gain, chosen
 
 
-def _saved(gram: np.ndarray, pull: np.ndarray, use) -> float:
-    """Cost that these columns together save."""
-    use = list(use)
-    inner = gram[np.ix_(use, use)] + 1e-9 * np.eye(len(use))
-    return float(pull[use] @ np.linalg.solve(inner, pull[use]))
+def _sensors(search: Search, base: Fit) -> dict[tuple[str, str], np.ndarray]:
+    """(place, function) -> what a sensor at fault would add to the errors, (samples, channels)."""
+    problem, rig = base.problem, search.rig
+    predicted = problem.model.target - np.where(np.isfinite(problem.sigma), base.errors * problem.sigma, 0.0)
+    out = {}
+    for i, channel in enumerate(rig.predict):
+        signal = predicted[:, i]
+        rate = np.gradient(signal, rig.dt)
+        shapes = {
+            "one": np.ones_like(signal),
+            "value": signal - signal.mean(),
+            "rate": rate,
+            "t": problem.model.recording.time,
+        }
+        for name, shape in shapes.items():
+            column = np.zeros_like(base.errors)
+            column[:, i] = (
+                -shape / max(float(np.std(shape)), 1e-12 * float(np.abs(shape).max()) + 1e-300) / problem.sigma[:, i]
+            )
+            out[f"sensor_{channel}", name] = column
+    return out
 
 
-def _subset(gram, pull, k: int, mine: list[int], plain: float, total: float) -> tuple[float, list[int]]:
-    """(cost saved, columns): the smallest set of `mine` to which a further function adds little."""
-    fixed = list(range(k))
-    singles = sorted(mine, key=lambda j: -_saved(gram, pull, [*fixed, j]))
-    chosen, gain = [singles[0]], _saved(gram, pull, [*fixed, singles[0]]) - plain
-    for size in range(2, TERMS + 1):
-        if size == 2:
-            trials = [list(pair) for pair in combinations(mine, 2)]
-        else:
-            trials = [[*chosen, j] for j in mine if j not in chosen]
-        saved = [(_saved(gram, pull, [*fixed, *use]) - plain, use) for use in trials]
-        most, use = max(saved)
-        if most - gain < WORTH * total:
-            break
-        # of those nearly as good, the one declared first: plain powers before waves and bumps
-        near = [u for g, u in saved if g > most - 0.01 * total]
-        use = min(near, key=sum)
-        chosen, gain = use, _saved(gram, pull, [*fixed, *use]) - plain
-    return gain, chosen
-
-
-def closure(search: Search, calibrated: Fit) -> tuple[dict, Fit]:
+def closure(search: Search) -> tuple[dict, Fit]:
     """(where and effect for the diagnosis, fit with the unknown term)."""
+    rig, model = search.rig, search.final.model
+    states, _ = model.states(model.values)
+    seen = {}
+    for symbol in ("x", "v", "p_a", "p_b") if rig.window else ():
+        signal = rig_signal(search, symbol, states)
+        seen |= {f"seen_low_{symbol}": float(signal.min()), f"seen_high_{symbol}": float(signal.max())}
     effects: dict[str, Effect] = {}
     for equation, basis in bases(search).items():
+        small = 1.0 if rig.window else 1e-4 if equation == "slip" else 1e-6
         for name, (expression, depends) in basis.items():
             symbol = f"unknown_{equation}_{name}"
+            free = (Free(symbol, small, "", reported=symbol),)
+            term = {f"{equation}.{symbol}": f"{symbol} * ({expression})"}
             effects[symbol] = Effect(
-                symbol, f"unknown term in {equation}", (search.rig.plant.name,), (equation,), depends,
-                (Free(symbol, 1e-6 if search.rig.window is None and equation != "slip" else
-                      1e-4 if search.rig.window is None else 1.0, "", reported=symbol),),
-                terms={f"{equation}.{symbol}": f"{symbol} * ({expression})"}, of="unknown",
-            )  # fmt: skip
-    joined = {**search.effects, **effects}
-    again = Search(search.rig, search.final.model.recording, joined)
+                symbol, f"unknown term in {equation}", (rig.plant.name,), (equation,), depends, free, term, of="unknown"
+            )
+    limits = tuple(Free(symbol, value, shape=True) for symbol, value in seen.items())
+    joined = {**search.effects, **effects, "seen": Effect("seen", "", (rig.plant.name,), (), (), limits)}
+    again = Search(rig, model.recording, joined)
     again.effects = joined
     problem = again.screen
     base = again.base(problem)
-    columns, keys = [], list(effects)
-    for key in keys:
+    keys = [(effect.equations[0], key) for key, effect in effects.items()]
+    columns = []
+    base.slopes, base.projected  # noqa: B018
+    for _, key in keys:
         unknowns = [again._unknown(f) for f in effects[key].free]
         start = {**base.values, **{f.symbol: 0.0 for f in effects[key].free}}
-        column, _ = problem.eliminate(problem.slopes(unknowns, start, base.shifts, base.errors), None, base.basis)
-        columns.append(column)
-    gram, pull = _normal(base, np.concatenate(columns, axis=2))
-    k = len(base.unknowns)
-    plain = _saved(gram, pull, range(k))
-    total = float(np.sum(base.projected**2)) - problem.count * 0.9 / float(np.mean(base.temper**2)) - plain
-    best: dict[str, tuple[float, list[str]]] = {}
-    for equation in {effects[key].equations[0] for key in keys}:
-        mine = [k + j for j, key in enumerate(keys) if effects[key].equations[0] == equation]
-        best[equation] = _subset(gram, pull, k, mine, plain, total)
-    equation, (gain, at) = max(best.items(), key=lambda item: item[1][0])
-    chosen = [keys[j - k] for j in at]
-    hypothesis = Hypothesis(tuple(chosen))
-    fit = again.fit(problem, hypothesis, base.values, base.shifts)
-    fit = again.fit(again.final, hypothesis, fit.values)
-    depends = list(dict.fromkeys(v for key in chosen for v in effects[key].depends_on))
-    reported = "transmission" if search.rig.window is None else equation
-    effect = {
-        "id": "unknown",
-        "equations": [reported],
-        "confidence": round(min(gain / max(total, 1e-9), 1.0), 4),
-        "parameters": {
-            s: {"value": fit.values[s], "ci95": [fit.values[s] - 1.96 * fit.deviation(s),
-                                                 fit.values[s] + 1.96 * fit.deviation(s)], "unit": "",
-                 "place": effects[s].equations[0],
-                "term": effects[s].terms[f"{effects[s].equations[0]}.{s}"]}
-            for s in chosen
-        },
-        "not_told_apart_from": [],
-    }  # fmt: skip
-    regime = f"a term of {', '.join(depends) or 'constant size'}"
+        columns.append(problem.slopes(unknowns, start, base.shifts, base.errors))
+    if rig.window:
+        for (place, name), column in _sensors(search=again, base=base).items():
+            keys.append((place, name))
+            columns.append(problem.rows(column[:, :, None]))
+    columns = problem.eliminate(np.concatenate(columns, axis=2), None, base.basis)[0]
+    halves = _Halves.of(base, columns)
+    total = float(np.sum(base.projected**2)) - problem.count * 0.9 / float(np.mean(base.temper**2)) - halves.saved([])
+    best = {
+        place: halves.subset([halves.k + j for j, key in enumerate(keys) if key[0] == place], total)
+        for place in dict.fromkeys(place for place, _ in keys)
+    }
+    place, (gain, at) = max(best.items(), key=lambda item: item[1][0])
+    chosen = [keys[j - halves.k][1] for j in sorted(at)]
+    share = float(np.clip(gain / max(total, 1e-9), 0.0, 1.0))
+    reported = place if rig.window else "transmission"
+    if place.startswith("sensor_"):
+        depends, effect, fit = [place.removeprefix("sensor_")], None, None
+    else:
+        depends = list(dict.fromkeys(v for key in chosen for v in effects[key].depends_on))
+        fit = again.fit(problem, Hypothesis(tuple(chosen)), base.values, base.shifts)
+        fit = again.fit(again.final, Hypothesis(tuple(chosen)), fit.values)
+        effect = {
+            "id": "unknown",
+            "equations": [reported],
+            "confidence": round(share, 4),
+            "parameters": {s: _parameter(effects[s], fit, seen) for s in chosen},
+            "not_told_apart_from": [],
+        }
+    regime = f"a term of {', '.join(depends) or 'constant size'}, which takes {share:.0%} of the misfit"
     where = [{"equation": reported, "depends_on": depends, "regime": regime}]
-    return {"where": where, "effect": effect, "gain": gain / max(total, 1e-9)}, fit
+    return {"where": where, "effect": effect}, fit
+
+
+def rig_signal(search: Search, symbol: str, states: np.ndarray) -> np.ndarray:
+    """A state's signal: as recorded, or, for a velocity, the smoothed rate of what was recorded."""
+    model = search.final.model
+    if symbol in model.recording.channels:
+        return model.recording[symbol]
+    return model.smooth_rate(model.rates[symbol])
+
+
+def _parameter(effect: Effect, fit: Fit, seen: dict[str, float]) -> dict:
+    """A coefficient as the diagnosis keeps it, with the term it stands in, its limits as numbers."""
+    symbol = effect.key
+    place, term = effect.equations[0], effect.terms[f"{effect.equations[0]}.{symbol}"]
+    for name, value in seen.items():
+        term = term.replace(name, repr(value))
+    value, reach = fit.values[symbol], 1.96 * fit.deviation(symbol)
+    return {"value": value, "ci95": [value - reach, value + reach], "unit": "", "place": place, "term": term}

@@ -28,6 +28,8 @@ APART = 12.0  # of cost, within which two hypotheses are not told apart
 EFFECTS = 3  # at most
 STRUCTURE = 0.3  # of slow error over white error, above which structure is left
 SHARE = 0.98  # of what can be explained, which a named effect explains though structure is left
+FLOOR = 0.92  # of the count of readings: cost of a fit that leaves nothing
+FAR = 0.3  # of the most promising hypothesis's gain
 FIRST, LATER = 6, 4  # hypotheses of the first round and of later ones that are fitted in full
 SLOW = 0.02  # s of a mean that tells slow errors from white ones
 
@@ -48,9 +50,9 @@ class Diagnosis:
     unknown: dict | None = None
     fits: dict = field(default_factory=dict)
     seconds: float = 0.0
+    left: str = ""
 
     # -- the file ----------------------------------------------------------------------------------------------------
-    left: str = ""
 
     def as_dict(self) -> dict:
         """Content of diagnosis.json, keys as in docs/diagnosis.md."""
@@ -75,6 +77,10 @@ class Diagnosis:
         if self.verdict == "unexplained":
             return [dict(place) for place in self.unknown["where"]]
         places: dict[str, dict] = {}
+        for symbol in self.best.released:
+            for equation in self.search.places(symbol):
+                regime = f"everywhere: {symbol} is not what the data sheet says"
+                places[equation] = {"equation": equation, "depends_on": [], "regime": regime}
         for key in self.best.effects:
             effect = self.search.effects[key]
             for equation in effect.equations:
@@ -137,10 +143,10 @@ class Diagnosis:
         return out
 
     def _remaining(self) -> str:
-        left = {name: ratio for name, ratio in self.structure.items() if ratio > STRUCTURE}
-        return "; ".join(
         if self.left:
             return self.left
+        left = {name: ratio for name, ratio in self.structure.items() if ratio > STRUCTURE}
+        return "; ".join(
             f"{name}: slow errors {1 + ratio:.2g} times those of white noise" for name, ratio in left.items()
         )
 
@@ -223,18 +229,17 @@ def diagnose(
     """
     began = time.perf_counter()
     say = say or (lambda text, share: None)
-    effects = table.read() if effects is None else effects
     recording = rig.recording(rig.folder / "identify.csv")
-    say("compiling the plant", 0.0)
     effects = table.known(rig, recording) if effects is None else effects
-    search = Search(rig, recording, effects)
+    say("compiling the plant", 0.0)
     if not rig.stated:
         return _coloured(Search(rig, recording, effects, whole=Coloured), recording, began, say)
+    search = Search(rig, recording, effects)
     screen = search.screen
     say("calibrating", 0.05)
     nothing = Hypothesis()
     base = search.base(screen)
-    plain = search.fit(screen, nothing, base.values, base.shifts)
+    plain = search.fit(screen, nothing, base.values, base.shifts, enough=EVIDENCE / 10)
     costs: dict[Hypothesis, float] = {nothing: plain.cost}
     steps: list[tuple[Hypothesis, Fit]] = [(nothing, plain)]
     start = base
@@ -246,6 +251,8 @@ def diagnose(
         promising = [s for s in ranked if s.gain > EVIDENCE / 3][: FIRST if len(steps) == 1 else LATER]
         found: list[tuple[float, Hypothesis, Fit]] = []
         for score in promising:
+            if found and score.gain < FAR * promising[0].gain and whole(screen, min(found, key=lambda f: f[0])[2]):
+                break  # one explains all, and this one promises little
             hypothesis = best.plus(score.hypothesis)
             say(f"fitting {hypothesis}", share)
             rival = min((f[0] for f in found), default=np.inf)
@@ -266,12 +273,11 @@ def diagnose(
             best, current = steps[1]
     say("fitting over the rig's windows", 0.85)
     final = search.final
-    calibrated = search.fit(final, nothing, plain.values)
-    corrected = calibrated if best == nothing else search.fit(final, best, current.values)
+    corrected = search.fit(final, best, current.values)
     rivals = {h: c / inflation(current) for h, c in costs.items()}
     left = structure(final, corrected)
-    floor = final.count * 0.95
-    explained = (calibrated.cost - corrected.cost) / max(calibrated.cost - floor, 1.0)
+    floor = screen.count * FLOOR
+    explained = (plain.cost - current.cost) / max(plain.cost - floor, 1.0)
     open_ = max(left.values()) > STRUCTURE
     unknown = None
     if best == nothing and not open_:
@@ -279,13 +285,14 @@ def diagnose(
     elif open_ and explained < SHARE:
         verdict = "unexplained"
         say("looking for the equation", 0.9)
-        unknown, corrected = closure(search, calibrated)
+        unknown, closed = closure(search)
+        corrected = closed or search.fit(final, nothing, plain.values)
         best = nothing
     elif best.effects:
         verdict = "missing_physics"
     else:
         verdict = "parameter_error"
-    result = Diagnosis(rig, verdict, best, calibrated, corrected, rivals, left, explained, search, unknown)
+    result = Diagnosis(rig, verdict, best, plain, corrected, rivals, left, explained, search, unknown)
     say("predicting the recordings", 0.95)
     result.fits = fits(result, recording)
     result.seconds = time.perf_counter() - began

@@ -45,7 +45,7 @@ class Free:
         for name in ("typical", "low", "high"):
             if type(value := getattr(self, name)) not in (int, float):
                 raise TypeError(f"{self.symbol}, {name}: {value!r} is no number")
-        if not self.typical > 0:
+        if not (self.typical > 0 or self.shape):
             raise TypeError(f"{self.symbol}, typical: {self.typical!r}; give a size above 0")
 
 

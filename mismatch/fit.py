@@ -19,7 +19,7 @@ LOOSE = 0.05  # m/s by which a smoothed velocity may be off where a window begin
 LONGEST = 200  # samples of one recorded code that are counted as one reading
 STEP = 1e-3  # of a parameter's scale, for differences
 BLOCK = 0.25  # s within which errors may depend on each other, for intervals where there are no windows
-ENOUGH = 0.02  # of cost, below which a further step is not taken
+ENOUGH = 0.05  # of cost, below which a further step is not taken
 
 
 @dataclass(frozen=True)
@@ -218,11 +218,13 @@ class Problem:
         iterations: int = 15,
         tempered: bool = False,
         rival: float = np.inf,
+        enough: float = ENOUGH,
     ) -> Fit:
         """The best fit near `values` (of unknowns and others that stay) and `shifts`.
 
-        rival: a cost; a fit that is on no way to it gives up. tempered: errors above the sensors' are laid to what the
-        plant leaves out, so that they count less and the data sheet more.
+        enough: gain of cost below which a further step is not taken. rival: a cost; a fit that is on no way to it
+        gives up. tempered: errors above the sensors' are laid to what the plant leaves out, so that they count less
+        and the data sheet more.
         """
         self.temper = np.ones(self.sigma.shape[1])
         unknowns, values = tuple(unknowns), dict(values or {})
@@ -242,8 +244,8 @@ class Problem:
             return e, self.cost(e, s) + float(np.sum(weight * n**2))
 
         errors, cost = at(numbers, shifts)
-        damping, converged, fresh, slopes, basis = 0.0, False, False, None, None
-        for _ in range(iterations):
+        damping, converged, slopes, basis, fresh = 0.0, False, None, None, False
+        for iteration in range(iterations):
             if tempered:
                 self.temper = np.maximum(np.sqrt(np.sum(errors**2, axis=0) / (self.count / errors.shape[1])), 1.0)
                 cost = self.cost(errors, shifts) + float(np.sum(weight * numbers**2))
@@ -251,57 +253,49 @@ class Problem:
             if slopes is None:
                 basis = self.basis(full(numbers), shifts, errors)
                 slopes, inside = self.eliminate(self.slopes(unknowns, full(numbers), shifts, errors), None, basis)
-                normal0 = np.einsum("wri,wrj->ij", slopes, slopes, optimize=True)
-                fresh = True
+                flat = slopes.reshape(-1, k)
+                curvature, fresh = flat.T @ flat, True
             tail = None if basis is None else (np.sqrt(self.heavy) * shifts)[:, :, None]
             e, pulled = self.eliminate(self.rows(errors)[:, :, None], tail, basis)
-            right = -np.einsum("wrk,wr->k", slopes, e[:, :, 0]) - weight * numbers
+            right = -(e.reshape(-1) @ flat) - weight * numbers
             held = ((numbers <= low) & (right < 0)) | ((numbers >= high) & (right > 0))
             taken = None
             while damping < 1e8:
-                normal = normal0 + np.diag(weight + damping * (np.diag(normal0) + weight) + 1e-9)
+                normal = curvature + np.diag(weight + damping * (np.diag(curvature) + weight) + 1e-9)
                 step = np.zeros(k)
                 if (~held).any():
                     step[~held] = np.linalg.solve(normal[np.ix_(~held, ~held)], right[~held])
                 moved = np.clip(numbers + step, low, high)
                 step = moved - numbers
+                promised = float(right @ step) + float(np.sum(pulled**2))
+                if promised < enough:
+                    converged = True
+                    break
+                s = shifts
                 if basis is not None:
                     wanted = pulled[:, :, 0] + inside @ step
                     s = shifts - np.linalg.solve(basis[1], wanted[:, :, None])[:, :, 0] / (1 + damping)
-                else:
-                    s = shifts
-                e, c = at(moved, s)
-                if c < cost + 1e-9 * abs(cost):
-                    taken = (moved, s, e, c)
+                trial, c = at(moved, s)
+                if c < cost:
+                    taken = (moved, s, trial, c)
                     break
                 if not fresh:
                     break
                 damping = max(damping * 10, 1e-2)
-            if taken is None and not fresh:
-                slopes = None
-                continue
-            if taken is None:
+            if converged or (taken is None and fresh):
                 converged = True
                 break
+            if taken is None:
+                slopes = None
+                continue
             gain = cost - taken[3]
-            if fresh and taken[3] > 1.1 * rival and gain < 0.25 * (cost - rival):
-                numbers, shifts, errors, cost = taken
-                break
-            small = gain < ENOUGH + 1e-6 * cost
             numbers, shifts, errors, cost = taken
             damping = damping / 10 if damping > 1e-3 else 0.0
-            if small and not tempered:
-                converged = True
-                if fresh:
-                    break
-                slopes = None
-                continue
-            fresh = False
-            if gain < 0.5 * (cost + gain - self.count * 0.9) or damping > 0:
-                slopes = None  # the chord no longer serves
-            if small:
-                converged = True
+            if iteration and cost - 2 * gain > 1.1 * rival:
                 break
+            fresh = False
+            if gain < 0.7 * promised or damping > 0:
+                slopes = None  # the plant bends: made anew where it stands now
         return Fit(self, unknowns, values, numbers, shifts, errors, weight, cost, converged, self.temper)
 
 

@@ -16,6 +16,7 @@ from greygate.mismatch.fit import Fit, Problem, Unknown
 from greygate.mismatch.model import TIMING, Model
 from greygate.mismatch.rig import Rig
 from greygate.plants.recording import Recording
+from greygate.plants.simulate import names
 
 SHORT = 0.04  # s of a window in the screen
 LONG_WINDOW = 0.1  # s of a window in the last fit: what integrators differ by does not add up yet
@@ -108,16 +109,41 @@ class Search:
     def constants(self, hypothesis: Hypothesis) -> dict[str, float]:
         return {s: v for key in hypothesis.effects for s, v in self.effects[key].set.items()}
 
+    def places(self, symbol: str) -> list[str]:
+        """Equations, of those that effects name, in which a parameter acts."""
+        named = {place for effect in self.effects.values() for place in effect.equations}
+        plant = self.rig.plant
+        texts = {name: (d.symbol, d.terms.values()) for name, d in plant.definitions.items()}
+        for name, e in plant.equations.items():
+            state = plant.states[e.state]
+            bounds = [b for b in (state.low, state.high) if isinstance(b, str)]
+            texts[name] = (e.state, (e.storage, *e.terms.values(), *bounds))
+        found, new, seen = [], [symbol], set()
+        while new:
+            used = new.pop()
+            for place, (makes, expressions) in texts.items():
+                if place in seen or used not in names(expressions):
+                    continue
+                seen.add(place)
+                if place in named:
+                    found.append(place)
+                else:
+                    new.append(makes)
+        return sorted(found, key=list(texts).index)
+
     # -- cheap scores ------------------------------------------------------------------------------------------------
 
     def candidates(self, given: Hypothesis) -> list[Hypothesis]:
         """What may be added to a hypothesis."""
         ids = {self.effects[key].id for key in given.effects}
         symbols = {f.symbol for key in given.effects for f in self.effects[key].free}
+        filtered = {name for key in given.effects for name in self.effects[key].filters}
         out = [
             Hypothesis((key,))
             for key, effect in self.effects.items()
-            if effect.id not in ids and not symbols & {f.symbol for f in effect.free}
+            if effect.id not in ids
+            and not symbols & {f.symbol for f in effect.free}
+            and not filtered & set(effect.filters)  # a delay and a lag of one input are one claim
         ]
         if not given.released:
             out += [Hypothesis((), (s,)) for s in self.toleranced]
@@ -206,7 +232,7 @@ class Search:
 
     def base(self, problem: Problem) -> Fit:
         """The plant as it stands, its parameters kept near the data sheet."""
-        return problem.fit(self.unknowns(Hypothesis(), 2.0), tempered=True, iterations=6)
+        return problem.fit(self.unknowns(Hypothesis(), 2.0), tempered=True, iterations=4)
 
     def fit(self, problem: Problem, hypothesis: Hypothesis, values: Mapping[str, float], shifts=None, **options) -> Fit:
         """The full fit of a hypothesis, from `values` on."""

@@ -106,6 +106,8 @@ class Restarted:
 
         starts: (restarts, states). values: symbol -> value of every parameter of the plant.
         """
+        if not self.plant.states:
+            return np.empty((len(inputs), 0))
         scope = _Values(self.plant, {})
         scope.update(values)
 
@@ -170,8 +172,13 @@ def _needed(plant: Plant) -> list[Definition]:
 
 def names(expressions: Iterable[str]) -> set[str]:
     """Every name in the expressions."""
-    trees = (ast.parse(text.strip(), mode="eval") for text in expressions)
-    return {node.id for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Name)}
+    return set().union(*map(_names, expressions))
+
+
+@lru_cache(maxsize=4096)
+def _names(expression: str) -> frozenset[str]:
+    tree = ast.parse(expression.strip(), mode="eval")
+    return frozenset(node.id for node in ast.walk(tree) if isinstance(node, ast.Name))
 
 
 def _sum(place: Equation | Definition) -> str:
