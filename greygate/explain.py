@@ -42,7 +42,7 @@ EXPERIMENTS = {
 
 def table_of(paths: Iterable[Path], rig: Rig, recording: Recording) -> dict[str, Effect]:
     """The effects to be tried on a rig: the table's, extended by files of one's own."""
-    effects = table.known(rig, recording) if hasattr(table, "known") else table.read()
+    effects = table.known(rig, recording)
     for path in paths:
         effects = {**effects, **table.read(path)}
     return effects
@@ -177,6 +177,8 @@ def scaled(unit: str, reach: float) -> tuple[float, str]:
         return 1e-5, "bar"
     if unit == "m":
         return (1e3, "mm") if reach >= 1e-3 else (1e6, "µm")
+    if unit == "m/s" and reach < 0.1:
+        return (1e3, "mm/s") if reach >= 1e-3 else (1e6, "µm/s")
     if unit == "s" and reach < 1.0:
         return 1e3, "ms"
     return 1.0, "" if unit == "1" else unit
@@ -201,8 +203,8 @@ def lines(result: Diagnosis) -> list[str]:
         sure = f" (confidence {entry['confidence']:.3g})" if entry["id"] != "unknown" else ""
         out.append(_row("effect", f"{entry['id']}: {means(result, entry)}{sure}"))
         for name, p in entry["parameters"].items():
-            term = f"  {p['place']}: {p['term']}" if "term" in p else ""
-            out.append(_row("", f"{name:<14} {amount(p['value'], p['ci95'], p['unit'])}{term}"))
+            name = name.removeprefix(f"unknown_{p.get('place')}_")  # the term itself stands in the file
+            out.append(_row("", f"{name:<14} {amount(p['value'], p['ci95'], p['unit'])}"))
     for i, (name, p) in enumerate(found["parameters"].items()):
         out.append(_row("" if i else "parameters", parameter(result, name, p)))
     out += fit_table(found["fit"])

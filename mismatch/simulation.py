@@ -23,7 +23,7 @@ def simulate(
     diagnosis: content of a diagnosis.json for this plant; None for the data sheet.
     Raises InputError when it is of another plant, or names an effect or parameter that is unknown.
     """
-    known = fitting(rig.plant, rig.datasheet, table.read() if effects is None else effects)
+    known = fitting(rig.plant, rig.datasheet, table.known(rig, recording) if effects is None else effects)
     values: dict[str, float] = {}
     if diagnosis is not None:
         check(diagnosis)

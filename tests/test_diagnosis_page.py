@@ -1,0 +1,138 @@
+"""The page that argues the case of a diagnosis."""
+
+import re
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+from greygate import diagnosis_page
+from greygate.mismatch import rig
+from greygate.mismatch.conceal import conceal
+from greygate.mismatch.diagnosis import diagnose
+
+PLANT = """step = 1e-3
+outputs = ["x"]
+[inputs]
+force = "N"
+[parameters]
+mass = [20.0, "kg"]
+viscous = [400.0, "N s/m"]
+[states]
+x = { unit = "m", rate = "v" }
+v = { unit = "m/s" }
+[equations.position]
+x = { velocity = "v" }
+[equations.motion]
+v = { storage = "mass", drive = "force", viscous = "-viscous * v" }
+"""
+RIG = """plant = "axis.toml"
+sample_time_s = 0.005
+window_s = 0.5
+predict = ["x"]
+parameters = { mass = 20.0, viscous = 400.0 }
+tolerance = { viscous = 0.1 }
+channels.force = { unit = "N", role = "input", resolution = 1e-3 }
+channels.x = { unit = "m", role = "output", noise_rms = 2e-6 }
+"""
+SPRING = """[spring]
+means = "a spring"
+plants = ["axis"]
+equations = ["motion"]
+depends_on = ["x"]
+parameters.k = { unit = "N/m", typical = 100.0, low = 0.0 }
+terms."motion.spring" = "-k * x"
+"""
+
+
+@pytest.fixture(scope="module")
+def drum(tmp_path_factory):
+    """Diagnosis of a drum that conceals a slip that grows with speed, and its page."""
+    folder = conceal("cable_drum", 3, tmp_path_factory.mktemp("drum") / "case", effect="speed_slip", kind="one")
+    result = diagnose(rig.load(folder))
+    diagnosis_page.write(result, folder / "page.html")
+    return result, (folder / "page.html").read_text()
+
+
+@pytest.fixture(scope="module")
+def axis(tmp_path_factory):
+    """Diagnosis of a rig that restarts, with a plant and a table of its own."""
+    from greygate.mismatch import effects
+    from greygate.plants.plant import Plant
+    from greygate.plants.simulate import simulate
+
+    folder = tmp_path_factory.mktemp("axis")
+    for name, text in (("axis.toml", PLANT), ("rig.toml", RIG), ("mine.toml", SPRING)):
+        (folder / name).write_text(text)
+    rng = np.random.default_rng(2)
+    real = Plant.read(folder / "axis.toml").with_term("motion", "spring", "-600 * x")
+    for name, samples in (("identify", 1200), ("holdout", 800)):
+        force = 60 * np.repeat(rng.standard_normal(samples // 40), 40)
+        x = simulate(real, {"force": force}, sample_time=5e-3, step=1e-3)["x"] + 2e-6 * rng.standard_normal(samples)
+        columns = np.column_stack([np.arange(samples) * 5e-3, force, x])
+        np.savetxt(folder / f"{name}.csv", columns, delimiter=",", header="t,force,x", comments="", fmt="%.9g")
+    return diagnose(rig.load(folder), effects.read(folder / "mine.toml"))
+
+
+def charts(page: str) -> list[str]:
+    return re.findall(r'(<svg class="chart".*?</svg>)\s*</figure>', page, re.S)
+
+
+def test_the_page_needs_nothing_else_and_every_picture_is_whole(drum):
+    _, page = drum
+    assert not re.search(r'(src|href)="(?!#)', page)
+    assert "prefers-color-scheme: dark" in page
+    pictures = charts(page)
+    assert len(pictures) == 2 + 4 + 4 + 1  # before and after, x v a t, maps, ladder
+    for picture in pictures:
+        ElementTree.fromstring(picture)
+        assert "nan" not in picture
+
+
+def test_the_page_says_what_the_diagnosis_says(drum):
+    result, page = drum
+    found = result.as_dict()
+    assert found["verdict"] == "missing_physics"
+    assert "<b>speed_slip</b>: slip per travel that grows with speed" in page
+    value = found["effects"][0]["parameters"]["speed_slip"]
+    assert diagnosis_page.explain.amount(value["value"], value["ci95"], value["unit"]).value in page
+    framed = re.findall(r'<figure class="told"><figcaption><b>(\w+)</b>', page)
+    assert framed == found["where"][0]["depends_on"]
+
+
+def test_every_hypothesis_that_was_fitted_stands_on_the_ladder_the_one_taken_first(drum):
+    result, page = drum
+    ladder = charts(page)[-1]
+    for hypothesis in result.rivals:
+        assert f">{hypothesis}<" in ladder
+    assert re.search(r'font-weight="600">speed_slip</text>', ladder)
+    assert ladder.count("good-dot") == 1
+
+
+def test_a_concealed_dependence_is_seen_before_and_gone_after(axis):
+    """Of a rig that restarts, the drift of its position tells the force that is missing."""
+    before, after = diagnosis_page.residuals(axis, [axis.calibrated, axis.corrected])
+    assert [e["id"] for e in axis.as_dict()["effects"]] == ["spring"]
+    assert list(before.errors) == ["x drifts"]
+    assert before.units["x drifts"] == "m/s"
+    x = before.variables["x"]
+    assert diagnosis_page.dependence(x, before.errors["x drifts"]) > 0.9
+    size = [np.median(np.abs(r.errors["x drifts"])) for r in (before, after)]
+    assert size[1] < 0.05 * size[0]
+    assert np.corrcoef(x, before.errors["x drifts"])[0, 1] < -0.9  # it pulls back
+    assert "x drifts" in diagnosis_page.page(axis)
+
+
+def test_quartiles_are_those_of_what_lies_in_a_part():
+    x, y = np.repeat([1.0, 2.0, 3.0], 100), np.tile(np.arange(100.0), 3)
+    middle, quartiles = diagnosis_page.binned(x, y + 1000 * x)
+    assert len(middle) == 3
+    np.testing.assert_allclose(quartiles[0], 1000 + np.percentile(np.arange(100.0), (25, 50, 75)))
+
+
+def test_a_variable_that_says_nothing_explains_nothing():
+    rng = np.random.default_rng(0)
+    x, y = rng.standard_normal((2, 5000))
+    assert diagnosis_page.dependence(x, y) < 0.02
+    assert diagnosis_page.dependence(x, x) > 0.9
+    assert diagnosis_page.dependence(x, np.ones(5000)) == 0.0
