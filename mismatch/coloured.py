@@ -25,8 +25,9 @@ MEMORY = 0.02  # of a recording, within which noise forgets
 PIECES = 40  # of a recording, within which innovations may depend on each other, for intervals
 ROUNDS = 6  # of plant and noise in turn, at most
 EFFECTS = 4  # at most
-TRIED = 6  # hypotheses of a round that are fitted in full
-EXCHANGED = 4  # hypotheses that are tried in the place of an earlier one
+TRIED = 5  # hypotheses of a round that are fitted in full, by each of two scores
+DRAWS = 50  # from the data sheet's tolerance, the best of which starts a fit
+EXCHANGED = 3  # hypotheses that are tried in the place of an earlier one
 SURE = 10.0  # of cost that an effect must save beyond what its parameters and the number of hypotheses cost
 HELD = 5  # folds that are held out in turn
 BLOCKS = 4  # of a fold
@@ -145,7 +146,7 @@ def explain(search: Search, say: Callable[[str, float], None]) -> Found:
     """Forward selection and backward elimination over the hypotheses of `search`, whose noise is not told."""
     nothing = Hypothesis()
     say("calibrating", 0.05)
-    calibrated = search.fit(search.final, nothing, {})
+    calibrated = search.fit(search.final, nothing, drawn(search, search.final, nothing, {}))
     for _ in range(2):
         problem = calibrated.problem.ordered(calibrated.problem.residual(calibrated.values))
         calibrated = search.fit(problem, nothing, calibrated.values)
@@ -155,17 +156,18 @@ def explain(search: Search, say: Callable[[str, float], None]) -> Found:
     gains: dict[str, tuple[float, float]] = {}
     best, fit, start = nothing, calibrated, set(beginnings(search.final.model))
     for round_ in range(EFFECTS):
-        problem, taken = fit.problem, None
-        ranked = [s for s in search.scores(problem, fit, best) if not set(s.hypothesis.released) & start]
-        say(f"scored {len(ranked)} hypotheses", 0.1 + 0.15 * round_)
+        taken = None
+        ranked = [s for s in promising(search, fit, best, TRIED) if not set(s.hypothesis.released) & start]
+        say(f"fitting {len(ranked)} hypotheses", 0.1 + 0.15 * round_)
         found = []
-        for score in ranked[:TRIED]:
+        for score in ranked:
             hypothesis = best.plus(score.hypothesis)
-            richer = search.fit(problem, hypothesis, {**fit.values, **score.values})
+            richer = fitted(search, fit, hypothesis, score.values)
             if not np.isfinite(richer.cost):
                 continue
-            tried[hypothesis] = richer
-            price = SURE + 2 * np.log(max(len(ranked), 1)) + _price(richer, fit)
+            if richer.cost < getattr(tried.get(hypothesis), "cost", np.inf):
+                tried[hypothesis] = richer
+            price = SURE + 2 * np.log(len(search.effects)) + _price(richer, fit)
             if fit.cost - richer.cost > price:
                 found.append((richer.cost + price, hypothesis, richer))
         for _, hypothesis, richer in sorted(found, key=lambda f: f[0]):
@@ -189,17 +191,59 @@ def explain(search: Search, say: Callable[[str, float], None]) -> Found:
     return Found(verdict, best, calibrated, fit, costs, gains, left, search)
 
 
+def promising(search: Search, fit: Fit, given: Hypothesis, count: int) -> list:
+    """The hypotheses of best score under the noise of `fit`, and under white noise, each with where it starts.
+
+    Noise learnt from a wrong plant takes slow errors for its own, and would rank their cause last.
+    """
+    plain = fit.problem.learnt(fit.problem.residual(fit.values), 0)
+    white = replace(fit, problem=plain, errors=plain.errors(fit.values, fit.shifts))
+    ranked = [search.scores(f.problem, f, given)[:count] for f in (fit, white)]
+    return [*ranked[0], *ranked[1]]
+
+
+def fitted(search: Search, fit: Fit, hypothesis: Hypothesis, values: Mapping[str, float]) -> Fit:
+    """The best of three fits: from `values` on with the noise of `fit`, and with white noise first, from there and
+    from the data sheet (the parameters of a plant that lacks something may be far off)."""
+    found = [search.fit(fit.problem, hypothesis, {**fit.values, **values})]
+    white = fit.problem.learnt(fit.problem.residual(fit.values), 0)
+    for start in ({**fit.values, **values}, drawn(search, white, hypothesis, values)):
+        plain = search.fit(white, hypothesis, start)
+        if np.isfinite(plain.cost):
+            coloured = plain.problem.learnt(plain.problem.residual(plain.values), fit.problem.order)
+            found.append(search.fit(coloured, hypothesis, plain.values))
+    return min(found, key=lambda f: f.cost)
+
+
+def drawn(search: Search, problem: Coloured, hypothesis: Hypothesis, values: Mapping[str, float]) -> dict[str, float]:
+    """`values` with parameters drawn within the data sheet's tolerance, the best of DRAWS."""
+    rng = np.random.default_rng(0)
+    own = {u.symbol: u for u in search.unknowns(hypothesis) if u.symbol in search.toleranced}
+    constants = search.constants(hypothesis)
+    best, least = dict(values), np.inf
+    for k in range(DRAWS):
+        numbers = rng.uniform(-2.0, 2.0, len(own)) * (k > 0)
+        tried = {s: float(np.clip(u.value(x), u.low, u.high)) for (s, u), x in zip(own.items(), numbers, strict=True)}
+        residual = problem.residual({**constants, **tried, **values})
+        cost = float(np.sum(np.mean(residual**2, axis=0) / np.var(problem.model.target, axis=0)))
+        if cost < least:
+            best, least = {**tried, **values}, cost
+    return best
+
+
 def _exchanged(search: Search, best: Hypothesis, fit: Fit, fits) -> tuple[Hypothesis, Fit]:
     """With earlier effects replaced by others that do better now that the last one is there."""
     for drop in best.effects[:-1]:
         less = Hypothesis(tuple(k for k in best.effects if k != drop), best.released)
         without = fits.get(less) or search.fit(fit.problem, less, fit.values)
         fits[less] = without
-        for score in search.scores(without.problem, without, less)[:EXCHANGED]:
+        for score in promising(search, without, less, EXCHANGED):
             hypothesis = less.plus(score.hypothesis)
             if not score.hypothesis.effects or set(hypothesis.effects) == set(best.effects):
                 continue
-            other = search.fit(fit.problem, hypothesis, {**without.values, **score.values})
+            if hypothesis in fits:
+                continue
+            other = fitted(search, without, hypothesis, score.values)
             fits[hypothesis] = other
             if other.cost + _price(other, fit) < fit.cost:
                 best, fit = hypothesis, other
@@ -296,13 +340,13 @@ def remaining(fit: Fit) -> str:
 
 
 def beginnings(model: Model) -> list[str]:
-    """Parameters that are the initial values of states."""
+    """Parameters that every recording has anew: initial values of states, and those that the rig names."""
     initial = {s.initial for s in model.plant.states.values() if isinstance(s.initial, str)}
-    return [symbol for symbol in model.plant.parameters if symbol in initial]
+    return [symbol for symbol in model.plant.parameters if symbol in initial or symbol in model.rig.anew]
 
 
 def settled(model: Model, values: Mapping[str, float], samples: int) -> dict[str, float]:
-    """`values` with the initial states that fit the first `samples` of the recording best, by least squares."""
+    """`values` with those that every recording has anew fitted to its first `samples`, by least squares."""
     values = {**model.values, **values}
     symbols = beginnings(model)
     if not symbols or not samples:

@@ -20,7 +20,7 @@ PLANTS = Path(__file__).parent.parent / "plants" / "rigs"
 SHORTEST = 2.0  # s of recording below which nothing is diagnosed
 UNIFORM = 1e-3  # of a sample interval
 FEWEST = 10  # samples of a window
-KEYS = ("plant", "sample_time_s", "window_s", "settle_s", "predict", "parameters", "tolerance", "channels")
+KEYS = ("plant", "sample_time_s", "window_s", "settle_s", "anew", "predict", "parameters", "tolerance", "channels")
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,8 @@ class Rig:
     """plant: with the data sheet's values and tolerances. datasheet: symbol -> value as `rig.toml` gives it.
 
     window: samples between restarts of the simulation, None for one run from the first sample to the last.
-    settle: samples of holdout.csv that the initial states are fitted to, and that do not count.
+    settle: samples of holdout.csv that do not count: to them are fitted the initial states, and the parameters in
+    `anew`, which every recording has of its own.
     """
 
     plant: Plant
@@ -54,6 +55,7 @@ class Rig:
     window: int | None
     folder: Path
     settle: int = 0
+    anew: tuple[str, ...] = ()
 
     @property
     def stated(self) -> bool:
@@ -200,6 +202,9 @@ def load(folder: Path | str, plants: Path | None = None) -> Rig:
             fail("predict", f"{name!r} is no output channel")
     if not all(channels[name].sigma > 0 for name in table["predict"]) and "window_s" in table:
         fail("window_s", "needs resolution or noise_rms of every predicted channel; give these, or run free")
+    for symbol in table.get("anew", ()):
+        if symbol not in datasheet:
+            fail("anew", f"{symbol!r} is no entry of [parameters]; give its value there")
     switched = {on: 1.0 for on, by in plant.switches.items() if datasheet.get(by)}
     parameters = {
         symbol: Parameter(
@@ -215,7 +220,8 @@ def load(folder: Path | str, plants: Path | None = None) -> Rig:
         float(dt),
         None if window is None else round(window / dt),
         folder,
-        round(table.get("settle_s", 0.0) / dt),
+        round(number("settle_s", table.get("settle_s", 0.0), 0.0, "give seconds") / dt),
+        tuple(table.get("anew", ())),
     )
 
 

@@ -1,0 +1,152 @@
+"""Diagnose the measured recordings of `recordings/rigs`, and write benchmarks/results/measured_mismatch.csv.
+
+`python benchmarks/measured_mismatch.py [NAME ...]`: identify.csv and holdout.csv are made from the published
+recordings (`recordings/NAME`, $GREYGATE_RECORDINGS or ../shared/recordings) in a temporary folder, then diagnosed.
+"""
+
+import csv
+import json
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from greygate.measured import ROOT, find
+from greygate.mismatch.diagnosis import diagnose
+from greygate.mismatch.rig import load
+
+RIGS = ROOT / "recordings" / "rigs"
+RESULTS = ROOT / "benchmarks" / "results" / "measured_mismatch.csv"
+
+Columns = dict[str, np.ndarray]
+
+
+def read(folder: str, name: str) -> Columns:
+    with (find(folder, "its SOURCE.md") / name).open(newline="") as file:
+        header, *rows = list(csv.reader(file))
+    table = np.array(rows, dtype=float)
+    return {column: table[:, i] for i, column in enumerate(header)}
+
+
+def thinned(columns: Columns, every: int, held: tuple[str, ...] = ()) -> Columns:
+    """Every `every`-th sample; inputs in `held` are averaged over the time until the next."""
+    n = len(next(iter(columns.values()))) // every * every
+    return {
+        name: c[:n].reshape(-1, every).mean(axis=1) if name in held else c[:n:every].copy()
+        for name, c in columns.items()
+    }
+
+
+def emps() -> tuple[Columns, Columns]:
+    runs = (read("emps", name) for name in ("emps_train.csv", "emps_test_pulses.csv"))
+    return tuple(thinned({"force": r["force_N"], "x": r["q_meas_m"]}, 10, ("force",)) for r in runs)
+
+
+def tanks() -> tuple[Columns, Columns]:
+    r = read("cascaded-tanks", "cascaded_tanks.csv")
+    return tuple({"u": r[f"u_{which}_V"], "y": r[f"y_{which}_V"]} for which in ("train", "test"))
+
+
+def ced() -> tuple[Columns, Columns]:
+    """The first binary run: its first half, and all of it, of which the second half counts."""
+    r = read("ced", "ced_prbs.csv")
+    whole = {"u": r["u1_V"], "z": r["z1_ticks_per_s"]}
+    return {name: c[:250] for name, c in whole.items()}, whole
+
+
+def ced_uniform() -> tuple[Columns, Columns]:
+    """The high uniform run: its first 300 samples, and all of it, of which the rest counts."""
+    r = read("ced", "ced_unif.csv")
+    whole = {"u": r["u12_V"], "z": r["z12_ticks_per_s"]}
+    return {name: c[:300] for name, c in whole.items()}, whole
+
+
+def crane() -> tuple[Columns, Columns]:
+    """The first half, and all, of which the second half counts."""
+    r = read("hydraulic-actuator-crane", "actuator.csv")
+    whole = {"u": r["u_valve"], "p": r["p_oil"]}
+    return {name: c[:512] for name, c in whole.items()}, whole
+
+
+def mts() -> tuple[Columns, Columns]:
+    names = {"x_cmd": "x_cmd_m", "force": "force_N", "x": "x_meas_m"}
+    runs = (read("servohydraulic-mts", f"mts_chirp_{load}.csv") for load in ("0A", "1A"))
+    return tuple(thinned({n: r[c] for n, c in names.items()}, 5, ("x_cmd", "force")) for r in runs)
+
+
+def kuka(axis: int) -> tuple[Columns, Columns]:
+    """Trajectories A and B, one after the other, without a step of the motor between them; C.
+
+    The torque is its mean over 0.1 s: what the current controller does faster, the gear's spring does not pass on.
+    """
+    runs = {}
+    for name in "ABC":
+        r = read("kuka-kr300-dual-encoder", f"traj_{name}.csv")
+        torque = uniform_filter1d(r[f"tau{axis}_motor_Nm"], 25)
+        runs[name] = {"motor": r[f"q{axis}_motor_enc_rad"], "torque": torque, "link": r[f"q{axis}_link_enc_rad"]}
+    step = runs["B"]["motor"][0] - runs["A"]["motor"][-1]
+    for name in ("motor", "link"):
+        runs["B"][name] = runs["B"][name] - step
+    return {n: np.concatenate((c, runs["B"][n])) for n, c in runs["A"].items()}, runs["C"]
+
+
+def davinci() -> tuple[Columns, Columns]:
+    names = {"drum": "be_angle_rad", "torque": "be_torque_Nm", "load": "fe_torque_Nm", "jaw": "fe_angle_rad"}
+    runs = (read("davinci-cable-tool", f"L2_{name}.csv") for name in ("11", "12"))
+    return tuple(thinned({n: r[c] for n, c in names.items()}, 10) for r in runs)
+
+
+MAKERS: dict[str, Callable[[], tuple[Columns, Columns]]] = {
+    "emps": emps,
+    "ced": ced,
+    "ced-uniform": ced_uniform,
+    "tanks": tanks,
+    "mts": mts,
+    **{f"kuka-{axis}": partial(kuka, axis) for axis in (1, 2, 3)},
+    "davinci": davinci,
+    "crane": crane,
+}
+
+
+def make(name: str, folder: Path) -> Path:
+    """The rig `name` in `folder`, with its recordings."""
+    shutil.copytree(RIGS / name, folder, dirs_exist_ok=True)
+    rig = load(folder)
+    for file, columns in zip(("identify.csv", "holdout.csv"), MAKERS[name](), strict=True):
+        with (folder / file).open("w", newline="") as out:
+            writer = csv.writer(out, lineterminator="\n")
+            writer.writerow(["t", *columns])
+            for k, row in enumerate(zip(*columns.values(), strict=True)):
+                writer.writerow([f"{k * rig.dt:.9g}", *(f"{v:.9g}" for v in row)])
+    return folder
+
+
+def main(names: list[str]) -> None:
+    rows, kinds = [], ("simulation", "calibrated", "corrected")
+    for name in names or list(MAKERS):
+        with tempfile.TemporaryDirectory() as folder:
+            rig = load(make(name, Path(folder) / name))
+            found = diagnose(rig)
+            said = found.as_dict()
+        print(name, json.dumps(said, indent=1))
+        for channel, fit in said["fit"]["holdout"].items():
+            rows.append({
+                "rig": name, "verdict": said["verdict"], "effects": " + ".join(e["form"] for e in said["effects"]),
+                "channel": channel, **{f"holdout_{k}": fit[k] for k in kinds},
+                **{f"identify_{k}": said["fit"]["identify"][channel][k] for k in kinds},
+                "unit": fit["unit"], "seconds": said["seconds"],
+            })  # fmt: skip
+    if not names:
+        with RESULTS.open("w", newline="") as out:
+            writer = csv.DictWriter(out, rows[0], lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
