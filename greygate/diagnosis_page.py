@@ -14,6 +14,7 @@ from scipy.signal import savgol_filter
 from greygate import explain, figures
 from greygate.errors import replacing
 from greygate.figures import Line, Scale
+from greygate.mismatch.coloured import settled
 from greygate.mismatch.diagnosis import APART, Diagnosis
 from greygate.mismatch.excitation import unseen
 from greygate.mismatch.fit import Fit
@@ -46,7 +47,7 @@ def page(result: Diagnosis) -> str:
         loader=PackageLoader("greygate", "."), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
     found = result.as_dict()
-    fits = [result.calibrated, *([result.corrected] if result.corrected is not result.calibrated else [])]
+    fits = [result.calibrated, *([result.corrected] if changed(result) else [])]
     before, after, *_ = [*residuals(result, fits), None]
     told = [v for place in found["where"] for v in place["depends_on"] if v in before.variables]
     return environment.get_template("diagnosis.html").render(
@@ -64,7 +65,13 @@ def page(result: Diagnosis) -> str:
         maps=maps(before, after, told),
         ladder=ladder(result),
         windowed=result.rig.window is not None,
+        changed=changed(result),
     )
+
+
+def changed(result: Diagnosis) -> bool:
+    """The diagnosis corrects more than parameters inside their tolerances."""
+    return result.verdict != "consistent" and (result.best.size > 0 or bool(result.as_dict()["effects"]))
 
 
 def amounts(parameters: Mapping) -> list[tuple[str, explain.Amount, str]]:
@@ -92,7 +99,7 @@ def facts(result: Diagnosis, found: Mapping) -> list[tuple[str, str, bool | None
     channel, rms = min(found["fit"][record].items(), key=lambda item: item[1]["corrected"] / item[1]["calibrated"])
     factor, unit = explain.scaled(rms["unit"], rms["calibrated"])
     was, now = (figures.number(factor * rms[kind]) for kind in ("calibrated", "corrected"))
-    if found["effects"]:
+    if changed(result):
         better = rms["corrected"] < 0.98 * rms["calibrated"]
         text = f"RMS error of {channel} on {record}, calibrated → corrected"
         lines.append((f"{was} → {now} {unit}", text, better or None))
@@ -372,9 +379,10 @@ def runs(result: Diagnosis) -> list[dict]:
     recording: Recording = rig.recording(path if path.exists() else rig.folder / "identify.csv")
     model = Model(rig, recording, result.corrected.problem.model.effects)
     kinds = {"calibrated": result.calibrated, "corrected": result.corrected}
-    if result.corrected is result.calibrated:
+    if not changed(result):
         del kinds["corrected"]
-    predicted = {kind: model.predict(known(model, fit)) for kind, fit in kinds.items()}
+    skip = rig.settle if path.exists() else 0
+    predicted = {kind: model.predict(settled(model, known(model, fit), skip)) for kind, fit in kinds.items()}
     rows = []
     for i, channel in enumerate(rig.predict):
         target = model.target[:, i]

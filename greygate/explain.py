@@ -226,8 +226,7 @@ def where(found: Mapping) -> str:
     for place in found["where"]:
         places.setdefault(tuple(place["depends_on"]), []).append(place["equation"])
     return "; ".join(
-        f"{' and '.join(equations)}, depends on {', '.join(on) or 'nothing that is recorded'}"
-        for on, equations in places.items()
+        " and ".join(equations) + (f", depends on {', '.join(on)}" if on else "") for on, equations in places.items()
     )
 
 

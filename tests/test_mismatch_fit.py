@@ -1,0 +1,165 @@
+"""The fit: shifts of windows are eliminated as a joint least squares would, and intervals hold what they say."""
+
+import numpy as np
+import pytest
+
+from greygate.mismatch import rig
+from greygate.mismatch.effects import Effect, Free
+from greygate.mismatch.fit import LONGEST, Problem, Unknown, roughness, runs
+from greygate.mismatch.model import Model, delayed, lagged
+from greygate.plants.plant import Plant
+from greygate.plants.simulate import simulate
+
+PLANT = """step = 5e-3
+outputs = ["x"]
+[inputs]
+force = "N"
+[parameters]
+mass = [20.0, "kg"]
+viscous = [300.0, "N s/m"]
+[states]
+x = { unit = "m", rate = "v" }
+v = { unit = "m/s" }
+[equations.position]
+x = { velocity = "v" }
+[equations.motion]
+v = { storage = "mass", drive = "force", viscous = "-viscous * v" }
+"""
+RIG = """plant = "slide.toml"
+sample_time_s = 0.01
+predict = ["x"]
+parameters = { mass = 20.0, viscous = 300.0 }
+tolerance = { mass = 0.1, viscous = 0.2 }
+channels.force = { unit = "N", role = "input" }
+channels.x = { unit = "m", role = "output", noise_rms = 1e-5 }
+"""
+SPRING = Effect(
+    "spring", "a spring", ("slide",), ("motion",), ("x",), (Free("stiffness", 50.0, "N/m", reported="stiffness"),),
+    terms={"motion.spring": "-stiffness * x"},
+)  # fmt: skip
+TRUE = {"mass": 20.7, "viscous": 285.0, "stiffness": 120.0}
+NOISE = 1e-5
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A slide with a spring that its plant leaves out."""
+    out = tmp_path_factory.mktemp("slide")
+    (out / "slide.toml").write_text(PLANT)
+    (out / "rig.toml").write_text(RIG)
+    return out
+
+
+def recorded(folder, seed: int, samples: int = 300) -> None:
+    rng = np.random.default_rng(seed)
+    real = Plant.read(folder / "slide.toml").with_parameters(mass=TRUE["mass"], viscous=TRUE["viscous"])
+    real = real.with_term("motion", "spring", f"-{TRUE['stiffness']} * x")
+    force = 80 * np.repeat(rng.standard_normal(samples // 10), 10)
+    x = simulate(real, {"force": force}, sample_time=0.01, step=5e-3)["x"] + NOISE * rng.standard_normal(samples)
+    table = np.column_stack([np.arange(samples) * 0.01, force, x])
+    np.savetxt(folder / "identify.csv", table, delimiter=",", header="t,force,x", comments="", fmt="%.10g")
+
+
+def problem(folder, window: float | None, seed: int = 0) -> Problem:
+    recorded(folder, seed)
+    (folder / "rig.toml").write_text(RIG if window is None else RIG.replace("predict", f"window_s = {window}\npredict"))
+    loaded = rig.load(folder)
+    return Problem(Model(loaded, loaded.recording(folder / "identify.csv"), {"spring": SPRING}))
+
+
+def unknowns(spring: bool = True) -> list[Unknown]:
+    free = [Unknown("mass", 20.0, 1.0, 1.0), Unknown("viscous", 300.0, 30.0, 1.0)]
+    return [*free, Unknown("stiffness", 0.0, 50.0)] if spring else free
+
+
+def test_a_step_is_that_of_the_joint_least_squares_over_parameters_and_every_windows_start(folder):
+    p = problem(folder, 0.25)
+    asked = unknowns()
+    values, shifts = {u.symbol: u.value(0.0) for u in asked}, p.nothing()
+    errors = p.errors(values, shifts)
+    basis = p.basis(values, shifts, errors)
+    raw = p.slopes(asked, values, shifts, errors)
+    slopes, _ = p.eliminate(raw, None, basis)
+    left, _ = p.eliminate(p.rows(errors)[:, :, None], None, basis)
+    prior = np.diag([0.0 if np.isinf(u.prior) else u.prior**-2 for u in asked])
+    flat = slopes.reshape(-1, len(asked))
+    step = -np.linalg.solve(flat.T @ flat + prior, flat.T @ left.reshape(-1))
+
+    windows, locals_ = shifts.shape
+    rows, k = raw.shape[1], len(asked)
+    joint = np.zeros((windows * rows + windows * locals_ + k, k + windows * locals_))
+    right = np.zeros(len(joint))
+    for w in range(windows):
+        here, own = slice(w * rows, (w + 1) * rows), slice(k + w * locals_, k + (w + 1) * locals_)
+        joint[here, :k], right[here] = raw[w], -p.rows(errors)[w]
+        for j in range(locals_):
+            moved = shifts.copy()
+            moved[w, j] += 0.1
+            joint[here, k + w * locals_ + j] = p.rows(p.errors(values, moved) - errors)[w] / 0.1
+        joint[windows * rows + w * locals_ : windows * rows + (w + 1) * locals_, own] = np.diag(np.sqrt(p.heavy))
+    joint[-k:, :k] = np.sqrt(prior)
+    expected = np.linalg.lstsq(joint, right, rcond=None)[0][:k]
+    np.testing.assert_allclose(step, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("window", [None, 0.25])
+def test_parameters_and_effect_are_found_within_their_intervals(folder, window):
+    fit = problem(folder, window).fit(unknowns())
+    assert fit.converged
+    for symbol, true in TRUE.items():
+        assert abs(fit.values[symbol] - true) < 3 * fit.deviation(symbol), symbol
+        assert fit.deviation(symbol) < 0.05 * true
+    assert fit.cost == pytest.approx(fit.problem.count, rel=0.25)
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say(folder):
+    fits = [problem(folder, None, seed).fit(unknowns()) for seed in range(40)]
+    scores = np.array([[(f.values[s] - TRUE[s]) / f.deviation(s) for s in TRUE] for f in fits])
+    assert 0.9 < np.mean(np.abs(scores) < 1.96) < 0.995
+    assert np.abs(scores.mean(axis=0)).max() < 0.6
+
+
+def test_a_smaller_problem_fits_worse_and_one_that_starts_elsewhere_fits_as_well(folder):
+    p = problem(folder, None)
+    whole, less = p.fit(unknowns()), p.fit(unknowns(spring=False))
+    assert less.cost > whole.cost + 1000
+    elsewhere = p.fit(unknowns(), {"mass": 22.0, "viscous": 330.0, "stiffness": 20.0}, iterations=30)
+    assert elsewhere.cost == pytest.approx(whole.cost, abs=0.5)
+    assert elsewhere.values["stiffness"] == pytest.approx(whole.values["stiffness"], rel=1e-3)
+
+
+def test_a_bound_holds(folder):
+    held = [*unknowns(spring=False), Unknown("stiffness", 0.0, 50.0, np.inf, 0.0, 60.0)]
+    fit = problem(folder, None).fit(held)
+    assert fit.values["stiffness"] == 60.0
+
+
+def test_the_data_sheet_holds_a_parameter_that_the_recording_does_not_tell(folder):
+    p = problem(folder, None)
+    little = Unknown("stiffness", TRUE["stiffness"], 1e-9, 1.0)  # of that size the recording says nothing
+    fit = p.fit([*unknowns(spring=False), little])
+    assert fit.values["stiffness"] == pytest.approx(TRUE["stiffness"], abs=1e-9)
+    assert fit.deviation("stiffness") == pytest.approx(1e-9, rel=0.15)
+
+
+def test_runs_are_as_long_as_the_signal_rests_and_roughness_is_that_of_the_noise():
+    np.testing.assert_array_equal(runs(np.array([1, 1, 2, 3, 3, 3.0])), [2, 2, 1, 3, 3, 3])
+    assert runs(np.zeros(1000)).max() == LONGEST
+    rng = np.random.default_rng(0)
+    signal = np.sin(np.arange(20000) / 300) + 0.01 * rng.standard_normal(20000)
+    assert roughness(signal, 0.01) == pytest.approx(1.0, abs=0.05)
+    assert roughness(signal, 0.001) == pytest.approx(10.0, rel=0.05)
+
+
+def test_a_delay_and_a_lag_of_a_held_input_are_those_of_its_continuous_signal():
+    """Against the same input on a grid a hundred times as fine."""
+    dt, fine = 1e-3, 100
+    u = np.random.default_rng(0).standard_normal(50)
+    held = np.repeat(u, fine)
+    late = np.concatenate([np.full(170, u[0]), held])[: len(held)]  # 1.7 samples
+    np.testing.assert_allclose(delayed(u, 1.7e-3, dt), late.reshape(-1, fine).mean(axis=1), atol=1e-12)
+    y, out = u[0], []
+    for value in held:
+        begin, y = y, value + (y - value) * np.exp(-dt / fine / 2.5e-3)
+        out.append(value + (begin - value) * (2.5e-3 * fine / dt) * (1 - np.exp(-dt / fine / 2.5e-3)))
+    np.testing.assert_allclose(lagged(u, 2.5e-3, dt), np.reshape(out, (-1, fine)).mean(axis=1), atol=1e-9)
