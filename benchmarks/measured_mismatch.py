@@ -2,6 +2,7 @@
 
 `python benchmarks/measured_mismatch.py [NAME ...]`: identify.csv and holdout.csv are made from the published
 recordings (`recordings/NAME`, $GREYGATE_RECORDINGS or ../shared/recordings) in a temporary folder, then diagnosed.
+Every diagnosis is kept in benchmarks/results/measured_mismatch.
 """
 
 import csv
@@ -21,7 +22,8 @@ from greygate.mismatch.diagnosis import diagnose
 from greygate.mismatch.rig import load
 
 RIGS = ROOT / "recordings" / "rigs"
-RESULTS = ROOT / "benchmarks" / "results" / "measured_mismatch.csv"
+KEPT = ROOT / "benchmarks" / "results" / "measured_mismatch"
+RESULTS = KEPT.with_suffix(".csv")
 
 Columns = dict[str, np.ndarray]
 
@@ -76,7 +78,7 @@ def crane() -> tuple[Columns, Columns]:
 def mts() -> tuple[Columns, Columns]:
     names = {"x_cmd": "x_cmd_m", "force": "force_N", "x": "x_meas_m"}
     runs = (read("servohydraulic-mts", f"mts_chirp_{load}.csv") for load in ("0A", "1A"))
-    return tuple(thinned({n: r[c] for n, c in names.items()}, 5, ("x_cmd", "force")) for r in runs)
+    return tuple(thinned({n: r[c] for n, c in names.items()}, 10, ("x_cmd", "force")) for r in runs)
 
 
 def kuka(axis: int) -> tuple[Columns, Columns]:
@@ -126,26 +128,37 @@ def make(name: str, folder: Path) -> Path:
     return folder
 
 
+def row(name: str, said: dict) -> dict:
+    """Line of the table: the only predicted channel of a rig."""
+    ((channel, held),) = said["fit"]["holdout"].items()
+    own = said["fit"]["identify"][channel]
+    kinds = ("simulation", "calibrated", "corrected")
+    return {
+        "rig": name,
+        "verdict": said["verdict"],
+        "effects": " + ".join(e["form"] for e in said["effects"]),
+        "channel": channel,
+        "unit": held["unit"],
+        **{f"identify_{kind}": f"{own[kind]:.5g}" for kind in kinds},
+        **{f"holdout_{kind}": f"{held[kind]:.5g}" for kind in kinds},
+        "seconds": f"{said['seconds']:.0f}",
+    }
+
+
 def main(names: list[str]) -> None:
-    rows, kinds = [], ("simulation", "calibrated", "corrected")
+    """Diagnose the named rigs, all if none is named; keep every diagnosis, and the table of all that are kept."""
+    KEPT.mkdir(parents=True, exist_ok=True)
     for name in names or list(MAKERS):
         with tempfile.TemporaryDirectory() as folder:
-            rig = load(make(name, Path(folder) / name))
-            found = diagnose(rig)
-            said = found.as_dict()
-        print(name, json.dumps(said, indent=1))
-        for channel, fit in said["fit"]["holdout"].items():
-            rows.append({
-                "rig": name, "verdict": said["verdict"], "effects": " + ".join(e["form"] for e in said["effects"]),
-                "channel": channel, **{f"holdout_{k}": fit[k] for k in kinds},
-                **{f"identify_{k}": said["fit"]["identify"][channel][k] for k in kinds},
-                "unit": fit["unit"], "seconds": said["seconds"],
-            })  # fmt: skip
-    if not names:
-        with RESULTS.open("w", newline="") as out:
-            writer = csv.DictWriter(out, rows[0], lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+            found = diagnose(load(make(name, Path(folder) / name)))
+        found.write(KEPT / f"{name}.json")
+        print(row(name, found.as_dict()), flush=True)
+    kept = {name: KEPT / f"{name}.json" for name in MAKERS}
+    rows = [row(name, json.loads(path.read_text())) for name, path in kept.items() if path.exists()]
+    with RESULTS.open("w", newline="") as out:
+        writer = csv.DictWriter(out, rows[0], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 if __name__ == "__main__":
