@@ -12,9 +12,11 @@ import numpy as np
 
 from greygate.mismatch.effects import Effect, Free
 from greygate.mismatch.fit import Fit
+from greygate.mismatch.model import lagged
 from greygate.mismatch.search import Hypothesis, Search
 
 STRETCH = 1.0  # s of recording that are learnt from, then judged on, by turns
+LAGS = (0.002, 0.005, 0.015)  # s of a sensor that answers late
 TERMS = 4  # basis functions in a closure, at most
 DURATION, SPEED, ACCELERATION = 20.0, 0.1, 1.0  # s, m/s, m/s^2: by which signals are scaled
 WORTH = 0.03  # of the misfit that a further function must remove
@@ -133,7 +135,9 @@ class _Halves:
 def _sensors(search: Search, base: Fit) -> dict[tuple[str, str], np.ndarray]:
     """(place, function) -> what a sensor at fault would add to the errors, (samples, channels)."""
     problem, rig = base.problem, search.rig
-    predicted = problem.model.target - np.where(np.isfinite(problem.sigma), base.errors * problem.sigma, 0.0)
+    predicted = problem.model.target - np.where(np.isfinite(problem.sigma), base.errors, 0.0) * np.where(
+        np.isfinite(problem.sigma), problem.sigma, 0.0
+    )
     out = {}
     for i, channel in enumerate(rig.predict):
         signal = predicted[:, i]
@@ -144,6 +148,7 @@ def _sensors(search: Search, base: Fit) -> dict[tuple[str, str], np.ndarray]:
             "rate": rate,
             "t": problem.model.recording.time,
         }
+        shapes |= {f"lag_{1e3 * lag:.0f}_ms": lagged(signal, lag, rig.dt) - signal for lag in LAGS}
         for name, shape in shapes.items():
             column = np.zeros_like(base.errors)
             column[:, i] = (
@@ -175,7 +180,7 @@ def closure(search: Search) -> tuple[dict, Fit]:
     joined = {**search.effects, **effects, "seen": Effect("seen", "", (rig.plant.name,), (), (), limits)}
     again = Search(rig, model.recording, joined)
     again.effects = joined
-    problem = again.screen
+    problem = again.final
     base = again.base(problem)
     keys = [(effect.equations[0], key) for key, effect in effects.items()]
     columns = []
@@ -195,7 +200,7 @@ def closure(search: Search) -> tuple[dict, Fit]:
         place: halves.subset([halves.k + j for j, key in enumerate(keys) if key[0] == place], total)
         for place in dict.fromkeys(place for place, _ in keys)
     }
-    place, (gain, at) = max(best.items(), key=lambda item: item[1][0])
+    place, (gain, at) = max(best.items(), key=lambda item: item[1][0] - WORTH * total * len(item[1][1]))
     chosen = [keys[j - halves.k][1] for j in sorted(at)]
     share = float(np.clip(gain / max(total, 1e-9), 0.0, 1.0))
     reported = place if rig.window else "transmission"
@@ -204,7 +209,6 @@ def closure(search: Search) -> tuple[dict, Fit]:
     else:
         depends = list(dict.fromkeys(v for key in chosen for v in effects[key].depends_on))
         fit = again.fit(problem, Hypothesis(tuple(chosen)), base.values, base.shifts)
-        fit = again.fit(again.final, Hypothesis(tuple(chosen)), fit.values)
         effect = {
             "id": "unknown",
             "equations": [reported],
