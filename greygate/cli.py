@@ -470,6 +470,30 @@ def simulate(
 
 
 @app.command()
+def augment(
+    rig: Annotated[Path, typer.Argument(metavar="RIG_FOLDER", help="Folder of rig.toml and both recordings.")],
+    diagnosis: Annotated[Path, typer.Option(help="Of this rig, as `greygate diagnose` wrote it.")],
+    out: Annotated[Path, typer.Option(help="Folder to write; replaced if it is an earlier one.")],
+    as_json: Json = False,
+) -> None:
+    """Train the network of a rig's plant without and with a module of the physics that a diagnosis named.
+
+    Writes both as NAME.toml for `greygate compile`, and the recordings as they read them.
+    """
+    from greygate.augmented import augment as join
+    from greygate.mismatch.simulation import read
+
+    with _progress("augmenting") as follow:
+        facts = join(rig, read(diagnosis), out, follow)
+    lines = []
+    for name, figures in facts["networks"].items():
+        lines.append(f"{name}: {figures['neurons']} neurons, {figures['seconds']} s. {figures['outcome']}")
+        for recording, errors in figures["trained"].items():
+            lines += [f"  {recording:10} {output:8} RMSE {e:.4g}" for output, e in errors.items()]
+    _give(facts, as_json, [*lines, f"written to {out}"])
+
+
+@app.command()
 def conceal(
     plant: Annotated[str, typer.Argument(help="valve_hydraulic, pump_hydraulic, belt_drive or cable_drum.")],
     seed: Annotated[int, typer.Option(help="Draws everything.")],

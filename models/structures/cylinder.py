@@ -21,15 +21,16 @@ VOLTAGE = Port("v_c", "V", V_SCALE, resolution=V_STEP)
 POSITION = Port("x", "m", X_SCALE, resolution=X_STEP)
 
 
-def mean_spool(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float, u_max: float) -> Network:
+def mean_spool(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float, u_max: float, scale: float = V_SCALE) -> Network:
     """u(k) = sum_n a_n u(k-n) + b_n v_c(k-n): the mean spool position over [(k-1)T, kT], normalised (compare 5.12).
 
     a (3, 3), b (3,), c (3,), d: exact discretisation s(k) = a s(k-1) + b v_c(k-1), mean(k) = c s(k-1) + d v_c(k-1).
+    scale: V, of the port that brings `v_c`.
     """
     denominator = np.poly(a)
     numerator = np.poly(a - np.outer(b, c)) + (d - 1) * denominator
     order = len(a)
-    taps = {f"v{n}": [[numerator[n - 1] * V_SCALE / u_max]] for n in range(1, order + 2)}
+    taps = {f"v{n}": [[numerator[n - 1] * scale / u_max]] for n in range(1, order + 2)}
     own = {f"u{n}": [[-denominator[n]]] for n in range(1, order + 1)}
     network = Network("spool", [Port("v_c")], [Port("u")])
     network.add("mean", Layer(taps | own, [0.0], frozen={*taps, *own, "bias"}))
@@ -83,6 +84,7 @@ def valve_srnn(
     sample_time: float = 1e-3,
     taps: int = 4,
     stretch: float = 8.0,
+    leakage: tuple[Network, str, float, float] | None = None,
 ) -> Network:
     """Join flow, divider and spool networks into the SRNN of fig. 5.4.
 
@@ -90,6 +92,8 @@ def valve_srnn(
     `u_max`, `q_max`) and `p_a_rest`, `p_b_rest`, the chambers' pressures before the first step.
     spool: from `drive`, whatever the valve gives, to the mean spool position: `mean_spool` or `measured_spool`.
     taps: backward differences of position that the speed may draw on. stretch: see `pressure`.
+    leakage: (module from port `s` to `y`, reads, reach, size): size q_max y leaves chamber A and enters B, where s is
+    (p_a - p_b) / reach and reads "between"; with "outward" it leaves either, and s is that one's p / reach.
     Inputs `drive` and `position` [m]; outputs `p_a`, `p_b` [Pa].
     """
     g1 = k["k_valve"] * k["u_max"] * np.sqrt(k["p_s"]) / k["q_max"]
@@ -120,4 +124,15 @@ def valve_srnn(
         network.connect(speed, f"{p}.omega", gain=-sign * displaced / (k["q_max"] * sample_time))
         network.connect(position.name, f"{p}.gamma", gain=sign * displaced / volume)
         network.connect(p, f"p_{chamber}")
+    if leakage:
+        _leak(network, *leakage, k["p_s"])
     return network.check()
+
+
+def _leak(network: Network, module: Network, reads: str, reach: float, size: float, p_s: float) -> None:
+    """Join a leakage into the flow sums of both chambers; see `valve_srnn`."""
+    for name, chambers in {"leak": "ab"}.items() if reads == "between" else {"leak_a": "a", "leak_b": "b"}.items():
+        network.add(name, module)
+        for chamber, sign in zip(chambers, (1.0, -1.0), strict=False):  # what leaves A enters B
+            network.connect(f"p{chamber}", f"{name}.s", delay=1, gain=sign * p_s / reach)
+            network.connect(name, f"p{chamber}.omega", gain=-sign * size)
