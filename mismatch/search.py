@@ -176,33 +176,39 @@ class Search:
             return
         effect = self.effects[candidate.effects[0]]
         low, high = ({f.symbol: getattr(f, b) for f in effect.free} for b in ("low", "high"))
+        for shape, point, columns in self.directions(problem, fit, effect):
+            reach = [(0.0, 3.0)] if point else [(f.low / f.typical, f.high / f.typical) for f in effect.strengths]
+            step, gain = _solve(fit, columns, np.concatenate([bounds, reach]), fit.weight)
+            size = step[len(fit.unknowns) :]
+            if point:
+                found = {s: v * float(size[0]) for s, v in point.items()}
+            else:
+                found = {f.symbol: f.typical * float(x) for f, x in zip(effect.strengths, size, strict=True)}
+            found = {s: float(np.clip(v, low[s], high[s])) for s, v in found.items()}
+            yield Score(candidate, gain - plain, {**shape, **found})
+
+    def directions(self, problem: Problem, fit: Fit, effect: Effect) -> Iterable[tuple[dict, dict, np.ndarray]]:
+        """(shape, point, columns): in which directions an effect moves the errors, for every shape on its grid.
+
+        point: the sizes from which a secant is drawn, one column; empty where columns are slopes, one a strength.
+        columns: (windows, rows, n), the windows' shifts eliminated.
+        """
         add = None if self._points(effect) != [{}] else problem.model.added(effect, fit.values)
         for shape in self._shapes(effect):
             values = {**fit.values, **effect.set, **shape}
             for point in self._points(effect):
-                if point:  # a secant, from nothing to this size
+                if point:
                     moved = problem.errors({**values, **point}, fit.shifts)
                     columns = problem.rows(np.nan_to_num(moved - fit.errors))[:, :, None]
-                    reach = [(0.0, 3.0)]
                 elif add is not None:
                     null = {f.symbol: 0.0 for f in effect.strengths}
                     made = [add({**shape, **null, f.symbol: f.typical}) for f in effect.strengths]
                     columns = problem.rows(-problem.white(np.stack(made, axis=2)))
-                    reach = [(f.low / f.typical, f.high / f.typical) for f in effect.strengths]
                 else:
                     start = {**values, **{f.symbol: 0.0 for f in effect.strengths}}
                     unknowns = [self._unknown(f) for f in effect.strengths]
                     columns = problem.slopes(unknowns, start, fit.shifts, fit.errors)
-                    reach = [(f.low / f.typical, f.high / f.typical) for f in effect.strengths]
-                columns, _ = problem.eliminate(columns, None, fit.basis)
-                step, gain = _solve(fit, columns, np.concatenate([bounds, reach]), fit.weight)
-                size = step[len(fit.unknowns) :]
-                if point:
-                    found = {s: v * float(size[0]) for s, v in point.items()}
-                else:
-                    found = {f.symbol: f.typical * float(x) for f, x in zip(effect.strengths, size, strict=True)}
-                found = {s: float(np.clip(v, low[s], high[s])) for s, v in found.items()}
-                yield Score(candidate, gain - plain, {**shape, **found})
+                yield shape, point, problem.eliminate(columns, None, fit.basis)[0]
 
     def _points(self, effect: Effect) -> list[dict[str, float]]:
         guesses = {f.symbol: f.guess for f in effect.strengths if f.guess}
