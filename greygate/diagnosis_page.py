@@ -30,6 +30,7 @@ CELLS = {False: (36, 20), True: (16, 12)}  # of a map, by whether its points are
 FEW = 2000  # points
 FEWEST = 5  # points in a part that is drawn
 ZOOM = 2.0  # s drawn where the misfit is largest; two windows where a rig has them
+SHORTEST = 150  # samples of that
 LADDER = 12  # hypotheses drawn
 KINDS = ("simulation", "calibrated", "corrected")
 
@@ -425,7 +426,7 @@ def run_picture(errors: Mapping[str, np.ndarray], result: Diagnosis, channel: st
 def zoom_picture(result: Diagnosis, target: np.ndarray, predicted: Mapping[str, np.ndarray], channel: str) -> Markup:
     """What the calibrated simulation misses where it errs most, and what the correction adds to it."""
     dt, window = result.rig.dt, result.rig.window
-    length = min(2 * window if window else round(ZOOM / dt), len(target))
+    length = min(2 * window if window else max(round(ZOOM / dt), SHORTEST), len(target))
     missed = np.nan_to_num(target - predicted["calibrated"])
     power = np.concatenate(([0.0], np.cumsum(missed**2)))
     starts = np.arange(window or 0, len(target) - length + 1, window or max(length // 4, 1))

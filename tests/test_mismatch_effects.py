@@ -110,7 +110,10 @@ def test_what_is_reported_of_an_effect_gives_its_values_back(key, models):
     search = Search(model.rig, model.recording, TABLE)
     problem = search.screen
     unknowns = [search._unknown(f) for f in effect.free if not f.whole]
-    values = {f.symbol: f.typical if f.whole else f.low / 2 if f.high <= 0 else 0.8 * f.typical for f in effect.free}
+    values = {
+        f.symbol: f.typical if f.whole else f.low / 2 if f.high <= 0 else (0.6 + 0.1 * i) * f.typical
+        for i, f in enumerate(effect.free)
+    }
     fit = problem.fit(unknowns, {**values, **effect.set}, iterations=0)
     given = {f.symbol: fit.values[f.symbol] for f in effect.free}
     assert all(given.values())
