@@ -96,7 +96,7 @@ class Coloured(Problem):
         """Plant and noise in turn until neither gains. `cost` is the joint -2 log likelihood and the priors'."""
         options = {k: v for k, v in options.items() if k not in ("rival", "tempered")}
         problem, values, best = self, dict(values or {}), None
-        for _ in range(ROUNDS):
+        for _ in range(ROUNDS if self.order else 2):
             fit = Problem.fit(problem, unknowns, values, shifts, **options)
             residual = problem.residual(fit.values)
             if not np.isfinite(residual).all():
@@ -108,7 +108,7 @@ class Coloured(Problem):
             gain = np.inf if best is None else best.cost - joint
             if gain > 0:
                 best = fit
-            if gain < 0.2:
+            if gain < 1.0:
                 break
         return best
 
@@ -203,11 +203,17 @@ def promising(search: Search, fit: Fit, given: Hypothesis, count: int) -> list:
 
 
 def fitted(search: Search, fit: Fit, hypothesis: Hypothesis, values: Mapping[str, float]) -> Fit:
-    """The best of three fits: from `values` on with the noise of `fit`, and with white noise first, from there and
-    from the data sheet (the parameters of a plant that lacks something may be far off)."""
+    """The best of two fits from `values` on: with the noise of `fit`, and with white noise first.
+
+    A first effect has a third, from the best draw from the data sheet: the parameters of a plant that lacks something
+    may be far off.
+    """
     found = [search.fit(fit.problem, hypothesis, {**fit.values, **values})]
     white = fit.problem.learnt(fit.problem.residual(fit.values), 0)
-    for start in ({**fit.values, **values}, drawn(search, white, hypothesis, values)):
+    starts = [{**fit.values, **values}]
+    if hypothesis.size == 1:
+        starts.append(drawn(search, white, hypothesis, values))
+    for start in starts:
         plain = search.fit(white, hypothesis, start)
         if np.isfinite(plain.cost):
             coloured = plain.problem.learnt(plain.problem.residual(plain.values), fit.problem.order)
