@@ -327,7 +327,7 @@ def heat(residual: Residual, channel: str, pair: tuple[str, str], reach: float, 
 # -- evidence --------------------------------------------------------------------------------------------------------
 
 
-def ladder(result: Diagnosis, width: int = 780) -> Markup:
+def ladder(result: Diagnosis, width: int = 980) -> Markup:
     """Every hypothesis that was fitted in full, by how much worse than the best it is, on a logarithmic scale."""
     if len(result.rivals) < 2:
         return Markup("")
@@ -335,7 +335,8 @@ def ladder(result: Diagnosis, width: int = 780) -> Markup:
     taken = None if result.verdict == "unexplained" else result.best
     rungs = sorted((cost - best, str(h), h == taken) for h, cost in result.rivals.items())
     rungs = [*rungs[:LADDER], *(rung for rung in rungs[LADDER:] if rung[1] == "nothing")]
-    left, right, row, below = 330, 70, 22, 40
+    right, row, below = 70, 22, 40
+    left = min(max(6 * max(len(name) for _, name, _ in rungs) + 20, 160), width - 400)
     height = row * len(rungs) + below
     top = max(max(gap for gap, _, _ in rungs), 100.0)
     scale = Scale(1.0, top, width - left - right, log=True)

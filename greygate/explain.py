@@ -209,7 +209,7 @@ def lines(result: Diagnosis) -> list[str]:
         out.append(_row("" if i else "parameters", parameter(result, name, p)))
     out += fit_table(found["fit"])
     for i, text in enumerate(alike(result, found)):
-        out.append(_row("" if i else "not told apart", text))
+        out.append(_row("" if i else "alternatives", text))
     if hidden := unseen(result.calibrated):
         out.append(_row("cannot show", ", ".join(hidden)))
     out.append(_row("remains", found["remaining"] or "nothing above what the sensors' noise makes"))
