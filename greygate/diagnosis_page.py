@@ -336,7 +336,7 @@ def ladder(result: Diagnosis, width: int = 980) -> Markup:
     rungs = sorted((cost - best, str(h), h == taken) for h, cost in result.rivals.items())
     rungs = [*rungs[:LADDER], *(rung for rung in rungs[LADDER:] if rung[1] == "nothing")]
     right, row, below = 70, 22, 40
-    left = min(max(6 * max(len(name) for _, name, _ in rungs) + 20, 160), width - 400)
+    left = min(max(round(6.8 * max(len(name) for _, name, _ in rungs)) + 20, 160), width - 400)
     height = row * len(rungs) + below
     top = max(max(gap for gap, _, _ in rungs), 100.0)
     scale = Scale(1.0, top, width - left - right, log=True)
