@@ -262,7 +262,7 @@ def diagnose(
         if not found:
             break
         cost, hypothesis, fit = min(found, key=lambda f: f[0])
-        if current.cost - cost < EVIDENCE * inflation(fit):
+        if current.cost - cost < EVIDENCE * inflation(fit) or fit.held_out() > current.held_out():
             break
         steps.append((hypothesis, fit))
         start = fit

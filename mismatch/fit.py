@@ -109,6 +109,21 @@ class Fit:
         white = bread * max(1.0, float(np.mean(self.projected**2)))
         return _larger(robust, white)
 
+    def held_out(self, stretch: float = 1.0) -> float:
+        """Cost of every other `stretch` s of the recording with the parameters that the rest alone would give.
+
+        Both halves are judged so, each by the other; the step from the whole recording's parameters is linearised.
+        """
+        block = self.problem.block * self.problem.model.rig.dt
+        even = (np.arange(len(self.slopes)) // max(round(stretch / block), 1)) % 2 == 0
+        total = 0.0
+        for learn in (even, ~even):
+            flat, errors = self.slopes[learn].reshape(-1, len(self.numbers)), self.projected[learn].reshape(-1)
+            normal = flat.T @ flat + np.diag(self.weight + 1e-9)
+            step = np.linalg.lstsq(normal, -(flat.T @ errors) - self.weight * self.numbers, rcond=1e-13)[0]
+            total += float(np.sum((self.projected[~learn] + self.slopes[~learn] @ step) ** 2))
+        return total
+
     def deviation(self, symbol: str) -> float:
         """Standard deviation of a value."""
         j = [u.symbol for u in self.unknowns].index(symbol)

@@ -23,6 +23,7 @@ LONG_WINDOW = 0.1  # s of a window in the last fit: what integrators differ by d
 WITHIN = 4.0  # standard deviations within which a toleranced parameter is looked for
 FULL = 6  # hypotheses of a round that are fitted in full
 EXACT = 0.01  # of a sample, to which the instant is known at which an input acts, RMS
+ROUGH = 0.5  # of cost, below which a fit that only ranks is not made better
 LONG = 0.75  # of the travel: the longest period of a wave
 WAVES = 1.0  # cycles over the travel by which neighbouring periods of a scan differ, inverse
 
@@ -245,6 +246,8 @@ class Search:
         free = {f.symbol for key in hypothesis.effects for f in self.effects[key].free}
         start = {s: v for s, v in values.items() if s in free or s in self.toleranced or s == TIMING}
         start.update(self.constants(hypothesis))
+        if problem is self.screen and problem is not self.final:
+            options = {"enough": ROUGH, **options}
         return problem.fit(self.unknowns(hypothesis), start, shifts, **options)
 
 
