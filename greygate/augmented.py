@@ -7,7 +7,7 @@ of the table of effects; where the recording does not reach, the module rehearse
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -198,7 +198,7 @@ def augment(folder: Path | str, diagnosis: Mapping, out: Path | str, say: Callab
             epochs=EPOCHS,
             decay=DECAY,
             rehearse={n: replace(law.record(), weight=REHEARSAL) for n in own},
-            tied=(*kind.tied, *([own] if len(own) > 1 else [])),
+            tied=(*kind.tied, *_alike(own)),
             progress=lambda epoch, loss, name=name: say(f"{name}, epoch {epoch}, loss {loss:.3g}"),
         )
         networks[name] = joined.with_parameters(fit.network.parameters())
@@ -237,6 +237,12 @@ def _named(rig: Rig, diagnosis: Mapping) -> tuple[Effect, dict[str, float]]:
     entry = diagnosis["effects"][0]
     effect = form(table.read(), entry)
     return effect, recovered(effect, entry["parameters"])
+
+
+def _alike(modules: Sequence[str]) -> list[list[str]]:
+    """Parameters of modules that stand for one law, to be tied."""
+    names = feedforward("missing", ["s"], [HIDDEN], SEED).parameters()
+    return [[f"{module}.{name}" for module in modules] for name in names] if len(modules) > 1 else []
 
 
 def _grid() -> np.ndarray:
