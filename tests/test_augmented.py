@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from greygate import cli
+from greygate import augmented, cli
 from greygate.augmented import PLANTS, Law, augment
 from greygate.emulator.engine import run
 from greygate.errors import InputError
@@ -156,3 +156,22 @@ def test_the_command_writes_both_networks_and_names_their_errors(drum, tmp_path,
     assert "holdout    slip     RMSE" in printed
     wanted = {"cable_drum", "cable_drum_speed_slip"}
     assert {p.stem for p in out.glob("*.toml")} == {p.stem for p in out.glob("*.safetensors")} == wanted
+
+
+def test_a_leakage_outward_is_a_module_at_either_chamber(tmp_path, monkeypatch):
+    monkeypatch.setattr(augmented, "EPOCHS", 3)
+    rig = conceal("valve_hydraulic", 1, tmp_path / "rig", kind="one", effect="external_leakage")
+    answer = json.loads((rig / "sealed.json").read_text())
+    for name in ("identify", "holdout"):  # three seconds
+        lines = (rig / f"{name}.csv").read_text().splitlines()
+        (rig / f"{name}.csv").write_text("\n".join(lines[:3001]) + "\n")
+    true = {key: {"value": value} for key, value in answer["parameters_true"].items()}
+    found = {key: {"value": value} for key, value in answer["effects_true"].items()}
+    told = named("external_leakage", plant="valve_hydraulic") | {"parameters": true}
+    told["effects"][0]["parameters"] = found
+    without, with_it = augment(rig, told, tmp_path / "out")["networks"].values()
+    for output in ("p_a", "p_b"):
+        assert with_it["trained"]["holdout"][output] < 0.2 * without["trained"]["holdout"][output]
+    parameters = Network.load(tmp_path / "out" / "valve_hydraulic_external_leakage").parameters()
+    for name in ("hidden1.s", "hidden1.bias", "out.hidden1", "out.bias"):
+        assert np.array_equal(parameters[f"leak_a.{name}"], parameters[f"leak_b.{name}"])
