@@ -2,7 +2,7 @@
 
 `python benchmarks/measured_mismatch.py [NAME ...]`: identify.csv and holdout.csv are made from the published
 recordings (`recordings/NAME`, $GREYGATE_RECORDINGS or ../shared/recordings) in a temporary folder, then diagnosed.
-Every diagnosis is kept in benchmarks/results/measured_mismatch. `pictures` instead of names draws the page's picture.
+Every diagnosis is kept in benchmarks/results/measured_mismatch.
 """
 
 import csv
@@ -17,14 +17,9 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from greygate.figures import Line, chart
 from greygate.measured import ROOT, find
-from greygate.mismatch import effects
-from greygate.mismatch.coloured import settled
-from greygate.mismatch.diagnosis import diagnose, recovered
-from greygate.mismatch.model import Model
+from greygate.mismatch.diagnosis import diagnose
 from greygate.mismatch.rig import load
-from greygate.pictures import FOLDER, HEIGHT, WIDTH, picture
 
 RIGS = ROOT / "recordings" / "rigs"
 KEPT = ROOT / "benchmarks" / "results" / "measured_mismatch"
@@ -150,36 +145,6 @@ def row(name: str, said: dict) -> dict:
     }
 
 
-def shown(name: str, start: float, stop: float) -> tuple[str, object]:
-    """Panel of a rig's holdout.csv from `start` to `stop` s: recorded, calibrated, corrected."""
-    with tempfile.TemporaryDirectory() as folder:
-        rig = load(make(name, Path(folder) / name))
-        known = effects.fitting(
-            rig.plant, rig.datasheet, effects.known(rig, rig.recording(rig.folder / "identify.csv"))
-        )
-        recording = rig.recording(rig.folder / "holdout.csv")
-        calibrated = diagnose(rig, {}).calibrated.values
-    said = json.loads((KEPT / f"{name}.json").read_text())
-    corrected = {symbol: p["value"] for symbol, p in said["parameters"].items()}
-    for entry in said["effects"]:
-        corrected |= recovered(known[entry["form"]], entry["parameters"])
-    model = Model(rig, recording, known)
-    part = slice(round(start / rig.dt), round(stop / rig.dt))
-    curves = {"reference": model.target}
-    for kind, values in (("cost", calibrated), ("fixed", corrected)):
-        curves[kind] = model.predict(settled(model, values, rig.settle))
-    lines = [Line(list(recording.time[part]), list(c[part, 0]), kind) for kind, c in curves.items()]
-    y = f"{rig.predict[0]} [{rig.channels[rig.predict[0]].unit}]"
-    return f"{name}, held out", chart(lines, x="time [s]", y=y, width=WIDTH, height=HEIGHT)
-
-
-def pictures() -> None:
-    """docs/pictures/measured_mismatch.svg."""
-    keys = [("reference", "recorded"), ("cost", "calibrated"), ("fixed", "with what was left out")]
-    drawn = picture([shown("ced", 5.0, 10.0), shown("tanks", 1000.0, 2400.0)], keys)
-    (FOLDER / "measured_mismatch.svg").write_text(drawn)
-
-
 def main(names: list[str]) -> None:
     """Diagnose the named rigs, all if none is named; keep every diagnosis, and the table of all that are kept."""
     KEPT.mkdir(parents=True, exist_ok=True)
@@ -197,4 +162,4 @@ def main(names: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    pictures() if sys.argv[1:] == ["pictures"] else main(sys.argv[1:])
+    main(sys.argv[1:])
