@@ -161,6 +161,10 @@ def _sensors(search: Search, base: Fit) -> dict[tuple[str, str], np.ndarray]:
 def closure(search: Search) -> tuple[dict, Fit]:
     """(where and effect for the diagnosis, fit with the unknown term)."""
     rig, model = search.rig, search.final.model
+    known = {*model.plant.equations, *model.plant.definitions}
+    places = ("motion", "continuity_a", "continuity_b") if rig.window else ("transmission",)
+    if not known.issuperset(places):
+        return {"where": [{"equation": "", "depends_on": [], "regime": "somewhere: this plant has no closures"}]}, None
     states, _ = model.states(model.values)
     seen = {}
     for symbol in ("x", "v", "p_a", "p_b") if rig.window else ():

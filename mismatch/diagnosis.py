@@ -28,6 +28,7 @@ APART = 12.0  # of cost, within which two hypotheses are not told apart
 EFFECTS = 3  # at most
 STRUCTURE = 0.3  # of slow error over white error, above which structure is left
 SHARE = 0.98  # of what can be explained, which a named effect explains though structure is left
+OWN = 0.05  # of what can be explained, which a second effect must explain by itself where the two leave something
 FLOOR = 0.92  # of the count of readings: cost of a fit that leaves nothing
 FAR = 0.3  # of the most promising hypothesis's gain
 FIRST, LATER = 6, 4  # hypotheses of the first round and of later ones that are fitted in full
@@ -267,18 +268,21 @@ def diagnose(
         steps.append((hypothesis, fit))
         start = fit
     best, current = steps[-1]
+    floor = screen.count * FLOOR
     if best.size > 1:
         best, current = eliminate(search, best, current, costs, say)
-        if not whole(screen, current):  # several effects, and still not all: then not even the first is sure
-            best, current = steps[1]
+        if not whole(screen, current) and len(steps) > 2:  # several effects, and still not all
+            pair, two = steps[2]
+            alone = min((c for h, c in costs.items() if h.size == 1), default=np.inf)
+            weighty = alone - two.cost > OWN * (plain.cost - floor)
+            best, current = (pair, two) if weighty else steps[1]
     say("fitting over the rig's windows", 0.85)
     final = search.final
     corrected = search.fit(final, best, current.values)
     rivals = {h: c / inflation(current) for h, c in costs.items()}
     left = structure(final, corrected)
-    floor = screen.count * FLOOR
     explained = (plain.cost - current.cost) / max(plain.cost - floor, 1.0)
-    open_ = max(left.values()) > STRUCTURE
+    open_ = max(left.values()) > STRUCTURE and not whole(screen, current)
     unknown = None
     if best == nothing and not open_:
         verdict = "consistent"
@@ -322,8 +326,9 @@ def inflation(fit: Fit) -> float:
 
 
 def whole(problem: Problem, fit: Fit) -> bool:
-    """Nothing is left to be explained."""
-    return max(structure(problem, fit).values()) < STRUCTURE
+    """Nothing is left to be explained: no slow errors, or few, and no more error than the sensors make."""
+    slow = max(structure(problem, fit).values())
+    return slow < STRUCTURE or (slow < 1.0 and fit.cost < problem.count)
 
 
 def eliminate(search, best: Hypothesis, fit: Fit, costs, say) -> tuple[Hypothesis, Fit]:
