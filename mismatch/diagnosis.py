@@ -259,7 +259,8 @@ def diagnose(
             rival = min((f[0] for f in found), default=np.inf)
             fit = search.fit(screen, hypothesis, {**start.values, **score.values}, start.shifts, rival=rival)
             costs[hypothesis] = fit.cost
-            found.append((fit.cost, hypothesis, fit))
+            if possible(search, score.hypothesis, fit):
+                found.append((fit.cost, hypothesis, fit))
         if not found:
             break
         cost, hypothesis, fit = min(found, key=lambda f: f[0])
@@ -323,6 +324,12 @@ def inflation(fit: Fit) -> float:
     """By how much errors that depend on each other widen the evidence on the last unknown."""
     bread = np.linalg.pinv(fit.information, hermitian=True, rcond=1e-14)
     return float(np.clip(fit.covariance[-1, -1] / max(bread[-1, -1], 1e-300), 1.0, 20.0))
+
+
+def possible(search: Search, hypothesis: Hypothesis, fit: Fit) -> bool:
+    """No size of the effect lies on its physical bound."""
+    free = [f for key in hypothesis.effects for f in search.effects[key].strengths]
+    return not any(b and np.isclose(fit.values[f.symbol], b, rtol=1e-6) for f in free for b in (f.low, f.high))
 
 
 def whole(problem: Problem, fit: Fit) -> bool:

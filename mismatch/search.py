@@ -24,7 +24,7 @@ WITHIN = 4.0  # standard deviations within which a toleranced parameter is looke
 FULL = 6  # hypotheses of a round that are fitted in full
 EXACT = 0.01  # of a sample, to which the instant is known at which an input acts, RMS
 ROUGH = 0.5  # of cost, below which a fit that only ranks is not made better
-LONG = 0.75  # of the travel: the longest period of a wave
+LONG = 1.5  # of the travel: the longest period of a wave
 WAVES = 1.0  # cycles over the travel by which neighbouring periods of a scan differ, inverse
 
 
