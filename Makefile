@@ -5,7 +5,7 @@ PYTHON ?= python3
 OUT := demo
 PEERS := build/peers
 
-.PHONY: demo test lint bench bench-training train clean tools
+.PHONY: demo test lint bench bench-training bench-diagnosis train clean tools
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -29,6 +29,11 @@ bench: $(VENV)/.ready-dev | tools
 	$(BIN)/python benchmarks/measured.py
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/gauss_newton.py
 	$(BIN)/python benchmarks/pruning.py
+
+# An hour: concealed effects by the hundred, and the measured rigs.
+bench-diagnosis: $(VENV)/.ready-dev
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/concealed.py
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/measured_mismatch.py
 
 # An hour: beside other trainers, beside the thesis's minutes, and ten seeds of its benchmark systems.
 bench-training: $(VENV)/.ready-dev $(PEERS)/.ready
