@@ -28,6 +28,7 @@ APART = 12.0  # of cost, within which two hypotheses are not told apart
 EFFECTS = 3  # at most
 STRUCTURE = 0.3  # of slow error over white error, above which structure is left
 SHARE = 0.98  # of what can be explained, which a named effect explains though structure is left
+WIDER = 1.25  # by which intervals are widened: then 95 % of the true values of concealed cases are inside
 OWN = 0.05  # of what can be explained, which a second effect must explain by itself where the two leave something
 FLOOR = 0.92  # of the count of readings: cost of a fit that leaves nothing
 FAR = 0.3  # of the most promising hypothesis's gain
@@ -153,7 +154,8 @@ class Diagnosis:
 
 
 def _interval(value: float, deviation: float) -> list[float]:
-    return [value - 1.96 * deviation, value + 1.96 * deviation]
+    reach = 1.96 * WIDER * deviation
+    return [value - reach, value + reach]
 
 
 def reported(effect: Effect, fit: Fit) -> dict:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import savgol_filter
+from scipy.signal import lfilter, savgol_filter
 
 from greygate.errors import InputError
 from greygate.mismatch.effects import Effect, join
@@ -204,13 +204,15 @@ def delayed(signal: np.ndarray, delay: float, dt: float) -> np.ndarray:
     return (1.0 - part) * late + part * later
 
 
-def lagged(signal: np.ndarray, lag: float, dt: float) -> np.ndarray:
-    """A held input behind a first-order lag of `lag` s, its mean over each sample; at rest before the first sample."""
-    from scipy.signal import lfilter
+def lagged(signal: np.ndarray, lag: float, dt: float, start: float | None = None) -> np.ndarray:
+    """A held input behind a first-order lag of `lag` s, its mean over each sample.
 
+    start: what it has come to when the recording begins, by default the first sample.
+    """
+    first = signal[0] if start is None else start
     decay = np.exp(-dt / lag)
-    end, _ = lfilter([1.0 - decay], [1.0, -decay], signal, zi=[decay * signal[0]])
-    begin = np.concatenate((signal[:1], end[:-1]))
+    end, _ = lfilter([1.0 - decay], [1.0, -decay], signal, zi=[decay * first])
+    begin = np.concatenate(([first], end[:-1]))
     return signal + (begin - signal) * (lag / dt) * (1.0 - decay)
 
 
@@ -232,6 +234,7 @@ def played(signal: np.ndarray, width: float, dt: float) -> np.ndarray:
 FILTERS = {
     "delay": delayed,
     "lag": lagged,
+    "lag_from_rest": lambda signal, lag, dt: lagged(signal, lag, dt, 0.0),
     "offset": lambda signal, by, dt: signal + by,
     "dead_zone": dead,
     "play": played,
