@@ -29,7 +29,7 @@ from greygate.models.structures.cable_drum import held
 from greygate.models.structures.cylinder import mean_spool, valve_srnn
 from greygate.models.structures.slip import slip_sum
 from greygate.models.training import train
-from greygate.plants.plant import _Values
+from greygate.plants.plant import Values
 from greygate.plants.recording import Recording
 from greygate.plants.valve_cylinder import spool_discrete
 from greygate.procedure import rms
@@ -178,7 +178,7 @@ def augment(folder: Path | str, diagnosis: Mapping, out: Path | str, say: Callab
     plant, _ = join(rig.plant, [effect])
 
     def term(**signals) -> np.ndarray:
-        scope = _Values(plant, signals)
+        scope = Values(plant, signals)
         scope.update({s: v for s, v in values.items() if s in plant.parameters})
         return np.asarray(scope.evaluate(effect.lazily(effect.terms[f"{place}.{effect.key}"])), float)
 

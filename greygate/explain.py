@@ -11,8 +11,7 @@ import numpy as np
 
 from greygate.errors import InputError, replacing
 from greygate.mismatch import effects as table
-from greygate.mismatch.conceal import _sealed as sealed
-from greygate.mismatch.conceal import reveal
+from greygate.mismatch.conceal import reveal, sealed
 from greygate.mismatch.diagnosis import APART, Diagnosis, diagnose
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.excitation import check, unseen

@@ -188,15 +188,14 @@ def closure(search: Search) -> tuple[dict, Fit]:
     base = again.base(problem)
     keys = [(effect.equations[0], key) for key, effect in effects.items()]
     columns = []
-    base.slopes, base.projected  # noqa: B018
     for _, key in keys:
         unknowns = [again._unknown(f) for f in effects[key].free]
         start = {**base.values, **{f.symbol: 0.0 for f in effects[key].free}}
-        columns.append(problem.slopes(unknowns, start, base.shifts, base.errors))
+        columns.append(problem.slopes(unknowns, start, base.shifts, base.errors, base.temper))
     if rig.window:
         for (place, name), column in _sensors(search=again, base=base).items():
             keys.append((place, name))
-            columns.append(problem.rows(column[:, :, None]))
+            columns.append(problem.rows(column[:, :, None], base.temper))
     columns = problem.eliminate(np.concatenate(columns, axis=2), None, base.basis)[0]
     halves = _Halves.of(base, columns)
     total = float(np.sum(base.projected**2)) - problem.count * 0.9 / float(np.mean(base.temper**2)) - halves.saved([])

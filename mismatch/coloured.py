@@ -48,7 +48,7 @@ class Coloured(Problem):
         samples, channels = model.target.shape
         self.block = max(samples // PIECES, 2)
         self.windows = samples // self.block
-        self.temper, self.sigma = np.ones(channels), np.ones(model.target.shape)
+        self.sigma = np.ones(model.target.shape)
         self.ar, self.scale = [np.zeros(0)] * channels, np.std(model.target, axis=0)
         self.mask = np.arange(samples) < self.windows * self.block  # samples that count
         self.decay = np.exp(-1.0 / (MEMORY * samples))

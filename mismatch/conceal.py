@@ -144,7 +144,7 @@ def reveal(folder: Path, diagnosis: Path, predicted: dict[str, Path] | None = No
     Raises InputError for a folder without a sealed answer, a broken seal, or files that do not hold what they should.
     """
     folder = Path(folder)
-    answer = _sealed(folder)
+    answer = sealed(folder)
     claim = _json(Path(diagnosis))
     for key, kind in (("verdict", str), ("effects", list), ("where", list), ("parameters", dict)):
         if not isinstance(claim.get(key), kind):
@@ -360,7 +360,7 @@ def _json(path: Path) -> dict:
     return content
 
 
-def _sealed(folder: Path) -> dict:
+def sealed(folder: Path) -> dict:
     """The answer in `folder`, if its seal is whole."""
     path = folder / "sealed.json"
     try:

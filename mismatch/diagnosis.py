@@ -294,7 +294,7 @@ def diagnose(
         say("looking for the equation", 0.9)
         unknown, closed = closure(search)
         corrected = closed or search.fit(final, nothing, plain.values)
-        best = nothing
+        best, left = nothing, structure(corrected.problem, corrected)
     elif best.effects:
         verdict = "missing_physics"
     else:

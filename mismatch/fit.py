@@ -66,22 +66,18 @@ class Fit:
     @cached_property
     def basis(self):
         """Of each window's shifts."""
-        self.problem.temper = self.temper
-        return self.problem.basis(self.values, self.shifts, self.errors)
+        return self.problem.basis(self.values, self.shifts, self.errors, self.temper)
 
     @cached_property
     def slopes(self) -> np.ndarray:
-        basis = self.basis
-        self.problem.temper = self.temper
-        slopes = self.problem.slopes(self.unknowns, self.values, self.shifts, self.errors)
-        return self.problem.eliminate(slopes, None, basis)[0]
+        slopes = self.problem.slopes(self.unknowns, self.values, self.shifts, self.errors, self.temper)
+        return self.problem.eliminate(slopes, None, self.basis)[0]
 
     @cached_property
     def projected(self) -> np.ndarray:
-        basis = self.basis
-        self.problem.temper = self.temper
-        tail = None if basis is None else (np.sqrt(self.problem.heavy) * self.shifts)[:, :, None]
-        return self.problem.eliminate(self.problem.rows(self.errors)[:, :, None], tail, basis)[0][:, :, 0]
+        tail = None if self.basis is None else (np.sqrt(self.problem.heavy) * self.shifts)[:, :, None]
+        rows = self.problem.rows(self.errors, self.temper)[:, :, None]
+        return self.problem.eliminate(rows, tail, self.basis)[0][:, :, 0]
 
     @cached_property
     def values(self) -> dict[str, float]:
@@ -150,6 +146,8 @@ class Problem:
             if channel.resolution:
                 variance += channel.resolution**2 / 12 * runs(model.target[:, i])
             for given in rig.inputs if free else ():
+                if rig.channels[given].unit != channel.unit:
+                    continue  # how much of its rounding arrives the plant alone knows
                 variance += rig.channels[given].resolution ** 2 / 12 * runs(model.recording[given])
             sigma.append(np.sqrt(variance) * (1.0 if channel.noise else roughness(model.target[:, i], channel.sigma)))
         self.sigma = np.stack(sigma, axis=1)
@@ -164,7 +162,6 @@ class Problem:
             counted[: max(model.window, round(WARM / rig.dt))] = False  # states that no sensor shows settle
         self.sigma[~counted] = np.inf
         self.count = int(counted.sum()) * self.sigma.shape[1]
-        self.temper = np.ones(self.sigma.shape[1])
 
     def errors(self, values: Mapping[str, float], shifts: np.ndarray) -> np.ndarray:
         """(target - prediction) / sigma, (samples, channels)."""
@@ -178,17 +175,18 @@ class Problem:
     def nothing(self) -> np.ndarray:
         return np.zeros((len(self.model.restarts), len(self.model.locals)))
 
-    def cost(self, errors: np.ndarray, shifts: np.ndarray) -> float:
-        cost = float(np.sum((errors / self.temper) ** 2) + np.sum(self.heavy * shifts**2))
+    def cost(self, errors: np.ndarray, shifts: np.ndarray, temper: np.ndarray) -> float:
+        """Sum of squares of the tempered errors and of the shifts' prior, inf where the run diverged."""
+        cost = float(np.sum((errors / temper) ** 2) + np.sum(self.heavy * shifts**2))
         return cost if np.isfinite(cost) else np.inf
 
-    def rows(self, what: np.ndarray) -> np.ndarray:
-        """(windows, rows, ...) of (samples, channels, ...)."""
-        scaled = what / self.temper[(slice(None), *(None,) * (what.ndim - 2))]
+    def rows(self, what: np.ndarray, temper: np.ndarray) -> np.ndarray:
+        """(windows, rows, ...) of (samples, channels, ...), each channel divided by its `temper`."""
+        scaled = what / temper[(slice(None), *(None,) * (what.ndim - 2))]
         kept = scaled[: self.windows * self.block]
         return kept.reshape(self.windows, self.block * what.shape[1], *what.shape[2:])
 
-    def basis(self, values: Mapping[str, float], shifts: np.ndarray, errors: np.ndarray):
+    def basis(self, values: Mapping[str, float], shifts: np.ndarray, errors: np.ndarray, temper: np.ndarray):
         """(q, r) of each window's own shifts, their prior in the last rows; None where nothing is shifted."""
         count = shifts.shape[1]
         if count == 0:
@@ -197,7 +195,7 @@ class Problem:
         for j in range(count):
             moved = shifts.copy()
             moved[:, j] += 0.1
-            columns.append(self.rows(np.nan_to_num(self.errors(values, moved) - errors) / 0.1))
+            columns.append(self.rows(np.nan_to_num(self.errors(values, moved) - errors) / 0.1, temper))
         local = np.stack(columns, axis=2)
         prior = np.broadcast_to(np.diag(np.sqrt(self.heavy)), (self.windows, count, count))
         return np.linalg.qr(np.concatenate([local, prior], axis=1))
@@ -213,14 +211,14 @@ class Problem:
         inside = np.swapaxes(q, 1, 2) @ rows
         return rows - q @ inside, inside
 
-    def slopes(self, symbols: Sequence[Unknown], values: Mapping[str, float], shifts, errors) -> np.ndarray:
+    def slopes(self, symbols: Sequence[Unknown], values: Mapping[str, float], shifts, errors, temper) -> np.ndarray:
         """Of `errors` by each unknown's number, (windows, rows, k)."""
         columns = []
         for u in symbols:
             value = values[u.symbol]
             size = STEP * u.scale * (-1 if value + STEP * u.scale > u.high else 1)
             moved = self.errors({**values, u.symbol: value + size}, shifts)
-            columns.append(self.rows(np.nan_to_num(moved - errors) / (size / u.scale)))
+            columns.append(self.rows(np.nan_to_num(moved - errors) / (size / u.scale), temper))
         if not columns:
             return np.zeros((self.windows, self.block * errors.shape[1], 0))
         return np.stack(columns, axis=2)
@@ -241,7 +239,7 @@ class Problem:
         gives up. tempered: errors above the sensors' are laid to what the plant leaves out, so that they count less
         and the data sheet more.
         """
-        self.temper = np.ones(self.sigma.shape[1])
+        temper = np.ones(self.sigma.shape[1])
         unknowns, values = tuple(unknowns), dict(values or {})
         k = len(unknowns)
         numbers = np.array([u.number(values.pop(u.symbol, u.origin)) for u in unknowns])
@@ -256,22 +254,23 @@ class Problem:
 
         def at(n, s):
             e = self.errors(full(n), s)
-            return e, self.cost(e, s) + float(np.sum(weight * n**2))
+            return e, self.cost(e, s, temper) + float(np.sum(weight * n**2))
 
         errors, cost = at(numbers, shifts)
         damping, converged, slopes, basis, fresh = 0.0, False, None, None, False
         for iteration in range(iterations):
             if tempered:
-                self.temper = np.maximum(np.sqrt(np.sum(errors**2, axis=0) / (self.count / errors.shape[1])), 1.0)
-                cost = self.cost(errors, shifts) + float(np.sum(weight * numbers**2))
+                temper = np.maximum(np.sqrt(np.sum(errors**2, axis=0) / (self.count / errors.shape[1])), 1.0)
+                cost = self.cost(errors, shifts, temper) + float(np.sum(weight * numbers**2))
                 slopes = None
             if slopes is None:
-                basis = self.basis(full(numbers), shifts, errors)
-                slopes, inside = self.eliminate(self.slopes(unknowns, full(numbers), shifts, errors), None, basis)
+                basis = self.basis(full(numbers), shifts, errors, temper)
+                slopes = self.slopes(unknowns, full(numbers), shifts, errors, temper)
+                slopes, inside = self.eliminate(slopes, None, basis)
                 flat = slopes.reshape(-1, k)
                 curvature, fresh = flat.T @ flat, True
             tail = None if basis is None else (np.sqrt(self.heavy) * shifts)[:, :, None]
-            e, pulled = self.eliminate(self.rows(errors)[:, :, None], tail, basis)
+            e, pulled = self.eliminate(self.rows(errors, temper)[:, :, None], tail, basis)
             right = -(e.reshape(-1) @ flat) - weight * numbers
             held = ((numbers <= low) & (right < 0)) | ((numbers >= high) & (right > 0))
             taken = None
@@ -311,7 +310,7 @@ class Problem:
             fresh = False
             if gain < 0.7 * promised or damping > 0:
                 slopes = None  # the plant bends: made anew where it stands now
-        return Fit(self, unknowns, values, numbers, shifts, errors, weight, cost, converged, self.temper)
+        return Fit(self, unknowns, values, numbers, shifts, errors, weight, cost, converged, temper)
 
 
 def runs(signal: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from scipy.signal import lfilter, savgol_filter
 from greygate.errors import InputError
 from greygate.mismatch.effects import Effect, join
 from greygate.mismatch.rig import Rig
-from greygate.plants.plant import Parameter, _Values
+from greygate.plants.plant import Parameter, Values
 from greygate.plants.recording import Recording
 from greygate.plants.simulate import Restarted, names
 
@@ -65,11 +65,9 @@ class Model:
         texts += [text for e in plant.equations.values() for text in (e.storage, *e.terms.values())]
         texts += [str(b) for s in plant.states.values() for b in (s.initial, s.start, s.low, s.high)]
         filters = {symbol for kinds in self._filters.values() for _, symbol in kinds}
+        texts += [text for channel in self.measured for text in self.readings.get(channel, {}).values()]
         used = names(texts) | filters
-        return [s for s in plant.parameters if s in used or any(s in t for t in self._sensor_texts())]
-
-    def _sensor_texts(self) -> list[str]:
-        return [text for channel in self.measured for text in self.readings.get(channel, {}).values()]
+        return [s for s in plant.parameters if s in used]
 
     def _input(self, name: str) -> np.ndarray:
         if name in self.recording.channels:
@@ -101,7 +99,7 @@ class Model:
     def starts(self, values: Mapping[str, float], signals: Mapping[str, np.ndarray]) -> np.ndarray:
         """Where each state begins at each restart, (restarts, states), by the rule of the rigs."""
         at = self.restarts
-        scope = _Values(self.plant, {name: signal[at] for name, signal in signals.items()})
+        scope = Values(self.plant, {name: signal[at] for name, signal in signals.items()})
         scope.update(values)
         for state in self.measured:
             scope[state] = self._unread(state, self.recording[state][at], values)
@@ -131,7 +129,7 @@ class Model:
 
     def _reading(self, channel: str, state: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
         """What the channel's sensor adds to the state."""
-        scope = _Values(self.plant, {channel: state})
+        scope = Values(self.plant, {channel: state})
         scope.update(values)
         return sum(scope.evaluate(text) for text in self.readings[channel].values())
 
@@ -161,7 +159,7 @@ class Model:
                     column = column + self._reading(channel, column, values)
             else:
                 if scope is None:
-                    scope = _Values(self.plant, {**signals, **dict(zip(self.plant.states, states.T, strict=True))})
+                    scope = Values(self.plant, {**signals, **dict(zip(self.plant.states, states.T, strict=True))})
                     scope.update(values)
                 column = np.broadcast_to(scope[channel], len(states))
             columns.append(column)
@@ -178,7 +176,7 @@ class Model:
         if not all(path.partition(".")[0] in places for path in effect.terms):
             return None
         states, signals = self.states({**self.values, **values})
-        scope = _Values(self.plant, {**signals, **dict(zip(self.plant.states, states.T, strict=True))})
+        scope = Values(self.plant, {**signals, **dict(zip(self.plant.states, states.T, strict=True))})
         scope.update({**self.values, **values})
 
         def give(own: Mapping[str, float]) -> np.ndarray:
@@ -192,8 +190,8 @@ class Model:
         return give
 
     def _sensor_parameters(self, channel: str) -> list[str]:
-        texts = self.readings.get(channel, {}).values()
-        return [s for s in self.plant.parameters if any(s in text for text in texts)]
+        used = names(self.readings.get(channel, {}).values())
+        return [s for s in self.plant.parameters if s in used]
 
 
 def delayed(signal: np.ndarray, delay: float, dt: float) -> np.ndarray:

@@ -21,7 +21,6 @@ from greygate.plants.simulate import names
 SHORT = 0.04  # s of a window in the screen
 LONG_WINDOW = 0.1  # s of a window in the last fit: what integrators differ by does not add up yet
 WITHIN = 4.0  # standard deviations within which a toleranced parameter is looked for
-FULL = 6  # hypotheses of a round that are fitted in full
 EXACT = 0.01  # of a sample, to which the instant is known at which an input acts, RMS
 ROUGH = 0.5  # of cost, below which a fit that only ranks is not made better
 LONG = 1.5  # of the travel: the longest period of a wave
@@ -30,7 +29,7 @@ WAVES = 1.0  # cycles over the travel by which neighbouring periods of a scan di
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """effects: keys of the table. released: parameters whose tolerance is lifted. points: where a fit starts."""
+    """effects: keys of the table. released: parameters whose tolerance is lifted."""
 
     effects: tuple[str, ...] = ()
     released: tuple[str, ...] = ()
@@ -152,8 +151,6 @@ class Search:
 
     def scores(self, problem: Problem, fit: Fit, given: Hypothesis) -> list[Score]:
         """Every candidate's promise at `fit`, best first."""
-        fit.slopes, fit.projected  # noqa: B018  (made before others are)
-        problem.temper = fit.temper
         ranked = []
         for candidate in self.candidates(given):
             best = max(self._promises(problem, fit, candidate), key=lambda s: s.gain, default=None)
@@ -200,15 +197,15 @@ class Search:
             for point in self._points(effect):
                 if point:
                     moved = problem.errors({**values, **point}, fit.shifts)
-                    columns = problem.rows(np.nan_to_num(moved - fit.errors))[:, :, None]
+                    columns = problem.rows(np.nan_to_num(moved - fit.errors), fit.temper)[:, :, None]
                 elif add is not None:
                     null = {f.symbol: 0.0 for f in effect.strengths}
                     made = [add({**shape, **null, f.symbol: f.typical}) for f in effect.strengths]
-                    columns = problem.rows(-problem.white(np.stack(made, axis=2)))
+                    columns = problem.rows(-problem.white(np.stack(made, axis=2)), fit.temper)
                 else:
                     start = {**values, **{f.symbol: 0.0 for f in effect.strengths}}
                     unknowns = [self._unknown(f) for f in effect.strengths]
-                    columns = problem.slopes(unknowns, start, fit.shifts, fit.errors)
+                    columns = problem.slopes(unknowns, start, fit.shifts, fit.errors, fit.temper)
                 yield shape, point, problem.eliminate(columns, None, fit.basis)[0]
 
     def _points(self, effect: Effect) -> list[dict[str, float]]:

@@ -245,7 +245,7 @@ class Plant:
 
     def values(self, symbols: Iterable[str], signals: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Each symbol from `signals` where it is there, else computed from its definition; shapes as in `signals`."""
-        known = _Values(self, signals)
+        known = Values(self, signals)
         return {symbol: known[symbol] for symbol in symbols}
 
     def residual(self, where: str, signals: Mapping[str, np.ndarray], dt: float) -> np.ndarray:
@@ -257,7 +257,7 @@ class Plant:
         signals: inputs and states sampled every `dt` s, and any definition's symbol that was measured.
         Raises InputError naming the signal that is missing.
         """
-        known, place = _Values(self, signals), self._place(where)
+        known, place = Values(self, signals), self._place(where)
         total = sum((known.evaluate(text) for text in place.terms.values()), start=0.0)
         if isinstance(place, Definition):
             if place.symbol not in signals:
@@ -271,7 +271,7 @@ class Plant:
 
     def constant(self, expression: float | str) -> float:
         """Value of a number or of an expression in the parameters."""
-        return float(_Values(self, {}).evaluate(expression) if isinstance(expression, str) else expression)
+        return float(Values(self, {}).evaluate(expression) if isinstance(expression, str) else expression)
 
     @cached_property
     def _units(self) -> dict[str, str]:
@@ -363,7 +363,7 @@ class _Entries:
         return symbol, terms.pop(extra), terms
 
 
-class _Values(dict):
+class Values(dict):
     """Symbol -> array: given signals first, then parameters, then definitions, computed when first asked for."""
 
     def __init__(self, plant: Plant, signals: Mapping[str, np.ndarray]):

@@ -15,7 +15,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.generated import load
-from greygate.plants.plant import FUNCTIONS, Definition, Equation, Plant, _Values
+from greygate.plants.plant import FUNCTIONS, Definition, Equation, Plant, Values
 from greygate.plants.recording import Recording
 
 # Dormand and Prince (1980), the six stages that the fifth-order solution needs.
@@ -108,7 +108,7 @@ class Restarted:
         """
         if not self.plant.states:
             return np.empty((len(inputs), 0))
-        scope = _Values(self.plant, {})
+        scope = Values(self.plant, {})
         scope.update(values)
 
         def bounds(which: str, free: float) -> np.ndarray:

@@ -77,10 +77,11 @@ def test_a_step_is_that_of_the_joint_least_squares_over_parameters_and_every_win
     asked = unknowns()
     values, shifts = {u.symbol: u.value(0.0) for u in asked}, p.nothing()
     errors = p.errors(values, shifts)
-    basis = p.basis(values, shifts, errors)
-    raw = p.slopes(asked, values, shifts, errors)
+    even = np.ones(errors.shape[1])
+    basis = p.basis(values, shifts, errors, even)
+    raw = p.slopes(asked, values, shifts, errors, even)
     slopes, _ = p.eliminate(raw, None, basis)
-    left, _ = p.eliminate(p.rows(errors)[:, :, None], None, basis)
+    left, _ = p.eliminate(p.rows(errors, even)[:, :, None], None, basis)
     prior = np.diag([0.0 if np.isinf(u.prior) else u.prior**-2 for u in asked])
     flat = slopes.reshape(-1, len(asked))
     step = -np.linalg.solve(flat.T @ flat + prior, flat.T @ left.reshape(-1))
@@ -91,11 +92,11 @@ def test_a_step_is_that_of_the_joint_least_squares_over_parameters_and_every_win
     right = np.zeros(len(joint))
     for w in range(windows):
         here, own = slice(w * rows, (w + 1) * rows), slice(k + w * locals_, k + (w + 1) * locals_)
-        joint[here, :k], right[here] = raw[w], -p.rows(errors)[w]
+        joint[here, :k], right[here] = raw[w], -p.rows(errors, even)[w]
         for j in range(locals_):
             moved = shifts.copy()
             moved[w, j] += 0.1
-            joint[here, k + w * locals_ + j] = p.rows(p.errors(values, moved) - errors)[w] / 0.1
+            joint[here, k + w * locals_ + j] = p.rows(p.errors(values, moved) - errors, even)[w] / 0.1
         joint[windows * rows + w * locals_ : windows * rows + (w + 1) * locals_, own] = np.diag(np.sqrt(p.heavy))
     joint[-k:, :k] = np.sqrt(prior)
     expected = np.linalg.lstsq(joint, right, rcond=None)[0][:k]
