@@ -57,7 +57,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(INSTALL) -e '.[dev,synthesis]'
+	$(INSTALL) -e '.[dev,synthesis,cluster]'
 	@touch $@
 
 $(PEERS)/.ready: benchmarks/peers.txt

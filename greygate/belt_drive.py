@@ -229,7 +229,6 @@ def scores(network: Network, names: tuple[str, ...] = SCENARIOS) -> dict[str, tu
 
 BASELINES = ("elman", "noe", "frnn")
 BASELINE_STEP = 40  # samples of the training recording to one of the baselines', about as many as the thesis's 1067
-THESIS_BASELINES = {"elman": (23, 19, 15), "noe": (34, 33, 28), "frnn": (27, 22, 17)}  # um, table 4.1
 
 
 def baseline(kind: str, neurons: int, seed: int = 0, epochs: int = 125, seconds: float = 900.0) -> Fit:

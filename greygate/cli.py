@@ -1,6 +1,7 @@
 """The command line. Results go to stdout, messages to stderr; exit 0 done, 1 the answer is no, 2 wrong use."""
 
 import json
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -32,6 +33,13 @@ class Target(StrEnum):
     ICE40 = "ice40"
     XILINX = "xilinx"
 
+
+class Backend(StrEnum):
+    LOKY = "loky"
+    DASK = "dask"
+
+
+REACHED = 10.0  # s in which a cluster's scheduler answers
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Folder = Annotated[Path, typer.Argument(help="A folder that `greygate compile` wrote.")]
@@ -404,46 +412,84 @@ def diagnose(
         Path | None, typer.Option(help="Page that argues the case; of several rigs a folder of NAME.html.")
     ] = None,
     effects: Annotated[list[Path], typer.Option(help="TOML file that extends the table of effects.")] = [],  # noqa: B006
-    jobs: Annotated[int, typer.Option(min=1, help="Rigs diagnosed at a time.")] = 1,
+    jobs: Annotated[int, typer.Option(min=1, help="Rigs diagnosed at a time; dask takes all its workers.")] = 1,
+    backend: Annotated[Backend, typer.Option(help="Processes of this machine, or a cluster.")] = Backend.LOKY,
+    scheduler: Annotated[str | None, typer.Option(help="Of the dask cluster: tcp://HOST:PORT.")] = None,
     as_json: Json = False,
 ) -> None:
     """Say where a simulation and a recording differ, what physics is left out, and how much better it fits with it.
 
     The files: docs/diagnosis.md. Exit code 0 whatever the verdict.
     """
-    from joblib import Parallel, delayed
+    from greygate.explain import explain, explain_all
 
-    from greygate.explain import explain
-
-    for folder in (out, html) if len(rigs) > 1 else ():
-        if folder is not None and not folder.is_dir():
-            raise InputError(f"{folder}: no such folder; of several rigs --out and --html name folders, make it")
-    names = [path.resolve().name for path in rigs]
-    if twice := next((n for n in names if names.count(n) > 1), None):
-        raise InputError(f"{twice}: two rigs of that name; diagnose them one by one")
-
-    def place(folder: Path | None, name: str, suffix: str) -> Path | None:
-        return folder / f"{name}{suffix}" if folder is not None and len(rigs) > 1 else folder
-
-    asked = [
-        (rig, place(out, n, ".json"), place(html, n, ".html"), effects) for rig, n in zip(rigs, names, strict=True)
-    ]
-    if len(rigs) == 1:
+    if len(rigs) == 1 and backend is Backend.LOKY and scheduler is None:
         with _bar("diagnosing", 100) as follow:
-            results = [explain(*asked[0], lambda text, share: follow(round(100 * share), text))]
+            found, lines = explain(rigs[0], out, html, effects, lambda text, share: follow(round(100 * share), text))
     else:
-        results = []
-        with _bar("diagnosing", len(rigs)) as follow:
-            for result in Parallel(jobs, return_as="generator")(delayed(explain)(*a) for a in asked):
-                results.append(result)
-                follow(len(results), names[len(results) - 1])
-    found = [content for content, _ in results]
-    lines = [line for _, text in results for line in (*text, "")][:-1]
+        with _joblib(backend, scheduler), _bar("diagnosing", len(rigs)) as follow:
+            results = explain_all(rigs, out, html, effects, jobs, follow)
+        found = {name: content for name, (content, _) in results.items()}
+        found = found if len(rigs) > 1 else next(iter(found.values()))
+        lines = [line for _, text in results.values() for line in (*text, "")][:-1]
     lines += [f"written to {path}" for path in (out, html) if path is not None]
-    _give(found[0] if len(rigs) == 1 else dict(zip(names, found, strict=True)), as_json, lines)
+    _give(found, as_json, lines)
+
+
+@contextmanager
+def _joblib(backend: Backend, scheduler: str | None) -> Iterator[None]:
+    """Have joblib run its tasks there. Raises InputError where the cluster cannot be had."""
+    import joblib
+
+    if backend is Backend.LOKY:
+        if scheduler is not None:
+            raise InputError("--scheduler: the processes of this machine have none; add --backend dask")
+        yield
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise InputError("--backend dask: distributed is not installed; pip install 'greygate[cluster]'") from None
+    if not re.fullmatch(r"(\w+://)?[^/]+:\d+", scheduler or ""):
+        raise InputError(f"--scheduler {scheduler}: give the address of the cluster's scheduler, tcp://HOST:PORT")
+    try:
+        client = Client(scheduler, timeout=REACHED, set_as_default=False)
+    except (OSError, TimeoutError) as error:
+        raise InputError(f"--scheduler {scheduler}: no answer ({error}); start `dask scheduler` there") from None
+    with client, joblib.parallel_config(backend="dask", client=client):
+        yield
 
 
 Rig = Annotated[Path, typer.Argument(metavar="RIG_FOLDER", help="Folder of rig.toml.")]
+
+
+@app.command()
+def isolability(
+    rig: Rig,
+    effects: Annotated[list[Path], typer.Option(help="TOML file that extends the table of effects.")] = [],  # noqa: B006
+    ranges: Annotated[
+        list[str], typer.Option("--range", help="NAME=LOW:HIGH of every input: motions by rule, before data.")
+    ] = [],  # noqa: B006
+    as_json: Json = False,
+) -> None:
+    """Say which effects a rig's sensors and its identify.csv cannot tell apart, and which experiment or sensor would.
+
+    Without identify.csv, what motions within the inputs' ranges could tell.
+    """
+    from greygate.explain import isolable
+
+    with _progress("simulating"):
+        found, lines = isolable(rig, effects, dict(map(_range, ranges)))
+    _give(found, as_json, lines)
+
+
+def _range(text: str) -> tuple[str, tuple[float, float]]:
+    name, _, span = text.partition("=")
+    low, _, high = span.partition(":")
+    try:
+        return name, (float(low), float(high))
+    except ValueError:
+        raise InputError(f"--range {text}: give NAME=LOW:HIGH, in the input's unit") from None
 
 
 @app.command()

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
-from scipy.signal import savgol_filter
 
 from greygate import explain, figures
 from greygate.errors import replacing
@@ -18,7 +17,8 @@ from greygate.mismatch.coloured import settled
 from greygate.mismatch.diagnosis import APART, Diagnosis
 from greygate.mismatch.excitation import unseen
 from greygate.mismatch.fit import Fit
-from greygate.mismatch.model import SMOOTH, Model
+from greygate.mismatch.locate import signals
+from greygate.mismatch.model import Model
 from greygate.plants.recording import Recording
 from greygate.report import BINS, envelope, shortened
 
@@ -61,6 +61,7 @@ def page(result: Diagnosis) -> str:
         fit=explain.fit_table(found["fit"]),
         alike=explain.alike(result, found),
         unseen=unseen(result.calibrated),
+        where=explain.where(found),
         runs=runs(result),
         against=against(before, after, told),
         maps=maps(before, after, told),
@@ -131,7 +132,7 @@ def residuals(result: Diagnosis, fits: Sequence[Fit]) -> list[Residual]:
     rig, recording = result.rig, result.calibrated.problem.model.recording
     piece = max(round(PIECE / rig.dt), 10) if rig.window else None
     model = Model(rig, recording, result.corrected.problem.model.effects, piece)
-    signals, units = variables(model)
+    variables, units = signals(model)
     found = []
     for fit in fits:
         left = model.target - model.predict(known(model, fit))
@@ -149,11 +150,11 @@ def residuals(result: Diagnosis, fits: Sequence[Fit]) -> list[Residual]:
                 name, values = f"{channel} left", rows[:, round(SETTLED * piece) :].mean(axis=1)
             errors[name], kinds[name] = values, unit
         if piece is None:
-            points = signals
+            points = variables
         else:
             samples = recording.samples // piece * piece
             first = round(SKIP / PIECE)
-            points = {n: v[:samples].reshape(-1, piece).mean(axis=1)[first:] for n, v in signals.items()}
+            points = {n: v[:samples].reshape(-1, piece).mean(axis=1)[first:] for n, v in variables.items()}
         found.append(Residual(errors, points, {**units, **kinds}))
     return found
 
@@ -161,28 +162,6 @@ def residuals(result: Diagnosis, fits: Sequence[Fit]) -> list[Residual]:
 def known(model: Model, fit: Fit) -> dict[str, float]:
     """A fit's values for the parameters of `model`."""
     return {**model.values, **{s: v for s, v in fit.values.items() if s in model.values}}
-
-
-def variables(model: Model) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """(name -> signal, name -> unit): the channels, position, velocity and acceleration, time."""
-    rig, recording, plant = model.rig, model.recording, model.plant
-    found, units = {}, {}
-    half = max(round(SMOOTH / rig.dt), 2)
-    moved = next((x for x, s in plant.states.items() if s.rate and x in rig.channels), None)
-    moved = moved or next((n for n in (*rig.inputs, *rig.channels) if rig.channels[n].unit == "m"), None)
-    if moved is not None:
-        x = recording[moved]
-        found["x"], units["x"] = x, "m"
-        for order, (name, unit) in enumerate((("v", "m/s"), ("a", "m/s^2")), start=1):
-            found[name] = savgol_filter(x, 2 * half + 1, order + 1, deriv=order, delta=rig.dt)
-            units[name] = unit
-    for name, channel in rig.channels.items():
-        if name != moved and (channel.role == "input" or channel.unit != "m"):
-            signal = recording[name]  # an output smoothed: its noise is in its residual, too
-            found[name] = savgol_filter(signal, 2 * half + 1, 2) if channel.role == "output" else signal
-            units[name] = channel.unit
-    found["t"], units["t"] = recording.time, "s"
-    return found, units
 
 
 def edges_of(values: np.ndarray, parts: int) -> np.ndarray:
@@ -231,8 +210,8 @@ def against(before: Residual, after: Residual | None, told: Sequence[str]) -> li
     rows = []
     for channel, error in before.errors.items():
         drawn = {name: binned(x, error) for name, x in before.variables.items()}
-        reach = max((float(np.abs(q).max()) for _, q in drawn.values() if len(q)), default=1.0) or 1.0
-        factor, unit = explain.scaled(before.units[channel], reach)
+        values = np.concatenate([[0.0], *(q.ravel() for _, q in drawn.values())])
+        factor, unit = explain.scaled(before.units[channel], float(np.abs(values).max()) or 1.0)
         pictures = []
         for name, (middle, quartiles) in drawn.items():
             scale, label = explain.scaled(before.units[name], float(np.abs(before.variables[name]).max()))
@@ -245,7 +224,7 @@ def against(before: Residual, after: Residual | None, told: Sequence[str]) -> li
                 lines,
                 x=_label(name, label),
                 y=_label(channel, unit),
-                y_limits=(-1.08 * reach * factor, 1.08 * reach * factor),
+                y_limits=figures.span([factor * values.min(), factor * values.max()]),
                 levels=[(0.0, "")],
                 width=285,
                 height=170,
@@ -319,7 +298,7 @@ def heat(residual: Residual, channel: str, pair: tuple[str, str], reach: float, 
         parts.append(
             f'<rect class="{"above" if value > 0 else "below"}" x="{figures.LEFT + i * wide:.1f}" '
             f'y="{figures.TOP + inner[1] - (j + 1) * tall:.1f}" width="{wide + 0.2:.1f}" height="{tall + 0.2:.1f}" '
-            f'fill-opacity="{0.06 + 0.94 * strength:.2f}"/>'
+            f'fill-opacity="{0.1 + 0.9 * strength:.2f}"/>'
         )
     return Markup(str(frame).removesuffix("</svg>") + "".join(parts) + "</svg>")
 

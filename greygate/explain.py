@@ -1,6 +1,7 @@
 """From the folder of a rig to a diagnosis that a person reads: printed lines, `diagnosis.json`, a page."""
 
 import csv
+import json
 import math
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -8,14 +9,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from joblib import Parallel, delayed
 
 from greygate.errors import InputError, replacing
 from greygate.mismatch import effects as table
+from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.conceal import reveal, sealed
 from greygate.mismatch.diagnosis import APART, Diagnosis, diagnose
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.excitation import check, unseen
+from greygate.mismatch.experiment import nominal
+from greygate.mismatch.fit import Problem
+from greygate.mismatch.isolability import isolability
+from greygate.mismatch.locate import scaled
 from greygate.mismatch.rig import Rig, load
+from greygate.mismatch.search import Search
+from greygate.mismatch.separation import separations
 from greygate.mismatch.simulation import read, simulate
 from greygate.plants.recording import Recording
 from greygate.plants.simulate import names
@@ -38,8 +47,10 @@ EXPERIMENTS = {
 }
 """Variable -> the experiment in which it alone changes."""
 
+SIMULATED = 3  # alternatives whose experiment is found by simulation
 
-def table_of(paths: Iterable[Path], rig: Rig, recording: Recording) -> dict[str, Effect]:
+
+def table_of(paths: Iterable[Path], rig: Rig, recording: Recording | None) -> dict[str, Effect]:
     """The effects to be tried on a rig: the table's, extended by files of one's own."""
     effects = table.known(rig, recording)
     for path in paths:
@@ -58,21 +69,99 @@ def explain(
 
     Raises InputError, before anything is written, for a rig, recording or table that cannot serve.
     """
-    rig = load(folder)
-    recording = rig.recording(rig.folder / "identify.csv")
-    effects = table_of(own, rig, recording)
     for path in (out, html):
         if path is not None and not path.absolute().parent.is_dir():
             raise InputError(f"{path.parent}: no such folder; make it, or write elsewhere")
-    check(rig, recording, effects)
-    result = diagnose(rig, effects, say)
-    if out is not None:
-        result.write(out)
-    if html is not None:
-        from greygate.diagnosis_page import write
+    made = Explained.of(folder, html is not None, own, say)
+    made.write(out, html)
+    return made.found, made.lines
 
-        write(result, html)
-    return result.as_dict(), lines(result)
+
+def explain_all(
+    folders: Sequence[Path],
+    out: Path | None = None,
+    html: Path | None = None,
+    own: Sequence[Path] = (),
+    jobs: int | None = None,
+    follow: Callable[[int, str], None] | None = None,
+) -> dict[str, tuple[dict, list[str]]]:
+    """`explain` for several rigs: name of the folder -> (content of diagnosis.json, lines to print).
+
+    out, html: of one rig a file, of several a folder of NAME.json, NAME.html; each is written as soon as it is found.
+    jobs: rigs at a time. They run where joblib is told to, so that `with joblib.parallel_config(backend="dask")` sends
+    them to a cluster, whose workers read the rigs at the same paths. follow: called with how many are done and the last
+    one's name.
+
+    Raises InputError for two rigs of one name, no folder to write to, and whatever `explain` does.
+    """
+    folders, own = ([Path(path).resolve() for path in paths] for paths in (folders, own))
+    names, several = [folder.name for folder in folders], len(folders) > 1
+    if twice := next((n for n in names if names.count(n) > 1), None):
+        raise InputError(f"{twice}: two rigs of that name; diagnose them one by one")
+    for path in (out, html) if several else ():
+        if path is not None and not path.is_dir():
+            raise InputError(f"{path}: no such folder; of several rigs --out and --html name folders, make it")
+    tasks = (delayed(Explained.of)(folder, html is not None, own) for folder in folders)
+    results = {}
+    for name, made in zip(names, Parallel(jobs, return_as="generator")(tasks), strict=True):
+        made.write(*(p / (name + end) if p and several else p for p, end in ((out, ".json"), (html, ".html"))))
+        results[name] = made.found, made.lines
+        if follow is not None:
+            follow(len(results), name)
+    return results
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A rig's diagnosis, to be sent and written: content of diagnosis.json, lines to print, page if it was wanted."""
+
+    found: dict
+    lines: list[str]
+    page: str | None
+
+    @classmethod
+    def of(cls, folder: Path, page: bool = False, own: Sequence[Path] = (), say: Callable | None = None) -> "Explained":
+        rig = load(folder)
+        recording = rig.recording(rig.folder / "identify.csv")
+        effects = table_of(own, rig, recording)
+        check(rig, recording, effects)
+        result = diagnose(rig, effects, say)
+        from greygate import diagnosis_page  # which imports this module
+
+        return cls(result.as_dict(), lines(result), diagnosis_page.page(result) if page else None)
+
+    def write(self, out: Path | None, html: Path | None) -> None:
+        """Each file whole or not at all."""
+        for path, text in ((out, json.dumps(self.found, indent=1) + "\n"), (html, self.page)):
+            if path is not None:
+                with replacing(path) as temporary:
+                    temporary.write_text(text, encoding="utf-8")
+
+
+def isolable(
+    folder: Path, own: Sequence[Path] = (), ranges: Mapping[str, tuple[float, float]] | None = None
+) -> tuple[dict, list[str]]:
+    """What the rig in `folder` can show of the effects; (groups, unseen, singular values, ..., lines to print).
+
+    By its identify.csv or, before data, by motions within `ranges` of the inputs (in their units) on the data sheet's
+    plant. Raises InputError for a rig, recording, table or ranges that cannot serve.
+    """
+    rig = load(folder)
+    path = rig.folder / "identify.csv"
+    if not ranges and not path.exists():
+        wish = " ".join(f"--range {name}=LOW:HIGH" for name in rig.inputs)
+        raise InputError(f"{path}: there is none; record it, or, before data, give {wish}")
+    if ranges:
+        recording = nominal(rig, table_of(own, rig, None), ranges)
+    else:
+        recording = rig.recording(path)
+    effects = table_of(own, rig, recording)
+    check(rig, recording, effects)
+    found = isolability(Search(rig, recording, effects, whole=Problem if rig.stated else Coloured))
+    seconds = recording.samples * recording.dt
+    motion = "motion by rule" if ranges else "recording"
+    head = f"{rig.folder.resolve().name} ({rig.plant.name}), {seconds:.4g} s of {motion}"
+    return {"plant": rig.plant.name, **found.as_dict()}, [head, *(f"  {line}" for line in found.lines())]
 
 
 def predict(
@@ -170,19 +259,6 @@ def amount(value: float, ci95: Sequence[float] | None, unit: str) -> Amount:
     return Amount(*texts, label)
 
 
-def scaled(unit: str, reach: float) -> tuple[float, str]:
-    """(factor, label) from SI to what a person reads: bar, µm or mm, ms."""
-    if unit == "Pa":
-        return 1e-5, "bar"
-    if unit == "m":
-        return (1e3, "mm") if reach >= 1e-3 else (1e6, "µm")
-    if unit == "m/s" and reach < 0.1:
-        return (1e3, "mm/s") if reach >= 1e-3 else (1e6, "µm/s")
-    if unit == "s" and reach < 1.0:
-        return 1e3, "ms"
-    return 1.0, "" if unit == "1" else unit
-
-
 def means(result: Diagnosis, entry: Mapping) -> str:
     """An effect of the diagnosis in words."""
     effect = result.search.effects.get(entry.get("form", entry["id"]))
@@ -197,7 +273,9 @@ def lines(result: Diagnosis) -> list[str]:
         f"{result.rig.folder.resolve().name} ({found['plant']}), {seconds:.4g} s of recording",
         VERDICTS[found["verdict"]],
     ]
-    out += [_row("where", where(found))] if found["where"] else []
+    for i, (place, acts) in enumerate(where(found)):
+        out.append(_row("" if i else "where", place))
+        out += [_row("", f"  {acts}")] if acts else []
     for entry in found["effects"]:
         sure = f" (confidence {entry['confidence']:.3g})" if entry["id"] != "unknown" else ""
         out.append(_row("effect", f"{entry['id']}: {means(result, entry)}{sure}"))
@@ -219,14 +297,17 @@ def _row(head: str, text: str) -> str:
     return f"  {head:<14}{text}"
 
 
-def where(found: Mapping) -> str:
-    """Equations and variables, those with the same variables together."""
+def where(found: Mapping) -> list[tuple[str, str]]:
+    """(equations and variables; in which regime, when, in which band), places that share all that together."""
     places: dict[tuple, list[str]] = {}
     for place in found["where"]:
-        places.setdefault(tuple(place["depends_on"]), []).append(place["equation"])
-    return "; ".join(
-        " and ".join(equations) + (f", depends on {', '.join(on)}" if on else "") for on, equations in places.items()
-    )
+        regime = place["regime"].rpartition("; ")[2]  # where, after what acts there
+        acts = ", ".join((regime, place["time"], place["band"])) if "time" in place else ""
+        places.setdefault((tuple(place["depends_on"]), acts), []).append(place["equation"])
+    return [
+        (" and ".join(equations) + (f", depends on {', '.join(on)}" if on else ""), acts)
+        for (on, acts), equations in places.items()
+    ]
 
 
 def parameter(result: Diagnosis, name: str, found: Mapping) -> str:
@@ -252,10 +333,15 @@ def fit_table(fit: Mapping) -> list[str]:
 
 def alike(result: Diagnosis, found: Mapping) -> list[str]:
     """Every explanation that is about as good as the best, with the experiment that would tell them apart."""
-    out = []
+    out, told = [], separations(result, found["effects"], SIMULATED)
+    units = {name: channel.unit for name, channel in result.rig.channels.items()}
     for entry in found["effects"]:
         for other in entry["not_told_apart_from"]:
-            out.append(f"{other} in place of {entry['id']}; apart by {experiment(result, entry['id'], other)}")
+            by = told.get((entry["id"], other))
+            how = f"apart by {by.words(units) if by else experiment(result, entry['id'], other)}"
+            if by and not by.tells:
+                how = "no experiment that was tried tells them apart"
+            out.append(f"{other} in place of {entry['id']}; {how}")
     if not found["effects"]:
         best = result.rivals.get(result.best, 0.0)
         rivals = sorted((cost - best, str(h)) for h, cost in result.rivals.items() if h != result.best)

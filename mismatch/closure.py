@@ -5,6 +5,7 @@ stretches of the recording that its coefficients did not see. The one that remov
 in an equation its sum is the term called `unknown`.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -13,49 +14,66 @@ import numpy as np
 from greygate.mismatch.effects import Effect, Free
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.model import lagged
+from greygate.mismatch.rig import Rig
 from greygate.mismatch.search import Hypothesis, Search
+from greygate.plants.plant import Values
 
 STRETCH = 1.0  # s of recording that are learnt from, then judged on, by turns
 LAGS = (0.002, 0.005, 0.015)  # s of a sensor that answers late
 TERMS = 4  # basis functions in a closure, at most
 DURATION, SPEED, ACCELERATION = 20.0, 0.1, 1.0  # s, m/s, m/s^2: by which signals are scaled
+SURE = 5.0  # standard deviations of a coefficient, below which its function goes again
 WORTH = 0.03  # of the misfit that a further function must remove
 
 
-def bases(search: Search) -> dict[str, dict[str, tuple[str, tuple[str, ...]]]]:
-    """Equation -> name -> (expression of unit size, what it depends on)."""
-    rig = search.rig
+Basis = dict[str, tuple[str, tuple[str, ...]]]
+"""Name -> (expression of unit size, what it depends on)."""
+
+
+def bases(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]:
+    """Equation -> functions that may be missing there. signals: states and inputs along the recording (samples,)."""
     plant = search.final.model.plant
-    out: dict[str, dict[str, tuple[str, tuple[str, ...]]]] = {}
-    if rig.window is None:
-        given = rig.inputs[0]
-        reach = float(np.ptp(search.final.model.recording[given]))
-        x = f"min(max({given}, 0.0), {reach})"  # beyond what was seen it stays as it was
-        basis = {"t": (f"t / {DURATION}", ("t",)), "t2": (f"(t / {DURATION})**2", ("t",)),
-                 "x": (f"{x} / {reach}", ("x",)), "x2": (f"({x} / {reach})**2", ("x",)),
-                 "x3": (f"({x} / {reach})**3", ("x",)),
-                 "v": (f"v / {SPEED}", ("v",)), "abs_v": (f"abs(v) / {SPEED}", ("v",)),
-                 "sign_v": (f"tanh(20 * v / {SPEED})", ("v",)),
-                 "fast": (f"max(abs(v) / {SPEED} - 0.5, 0.0)", ("v",)),
-                 "a": (f"a / {ACCELERATION}", ("a",)), "abs_a": (f"abs(a) / {ACCELERATION}", ("a",)),
-                 "xt": (f"{x} * t / {reach * DURATION}", ("x", "t")),
-                 "xv": (f"{x} * v / {reach * SPEED}", ("x", "v")),
-                 "sin_t": (f"sin(6.283185307179586 * t / {DURATION})", ("t",)),
-                 "cos_t": (f"cos(6.283185307179586 * t / {DURATION})", ("t",))}  # fmt: skip
-        for k in range(1, 13):
-            basis[f"sin{k}"] = (f"sin({k} * 3.141592653589793 * {x} / {reach})", ("x",))
-            basis[f"cos{k}"] = (f"cos({k} * 3.141592653589793 * {x} / {reach})", ("x",))
-        for k in range(24):
-            at = (k + 0.5) / 24 * reach
-            basis[f"bump{k}"] = (f"exp(-(({x} - {at}) / {reach / 24})**2)", ("x",))
-        out["transmission"] = basis
-        if "slip" in plant.states:
-            out["slip"] = {n: (f"({e}) * travel", d) for n, (e, d) in basis.items() if not n.startswith("bump")}
-        return out
+    places = {*plant.equations, *plant.definitions}
+    if search.rig.window and places >= {"motion", "continuity_a", "continuity_b"}:
+        return _cylinder(search.rig)
+    if not search.rig.window and "transmission" in places:
+        return _line(search)
+    return _any(search, signals)
 
-    def held(symbol: str) -> str:  # beyond what was seen it stays as it was
-        return f"min(max({symbol}, seen_low_{symbol}), seen_high_{symbol})"
 
+def held(symbol: str) -> str:
+    """A signal that stays as it was beyond what was seen."""
+    return f"min(max({symbol}, seen_low_{symbol}), seen_high_{symbol})"
+
+
+def _line(search: Search) -> dict[str, Basis]:
+    out: dict[str, Basis] = {}
+    given = search.rig.inputs[0]
+    x, reach = f"({held(given)} - seen_low_{given})", f"(seen_high_{given} - seen_low_{given})"
+    basis = {"t": (f"t / {DURATION}", ("t",)), "t2": (f"(t / {DURATION})**2", ("t",)),
+             "x": (f"{x} / {reach}", ("x",)), "x2": (f"({x} / {reach})**2", ("x",)),
+             "x3": (f"({x} / {reach})**3", ("x",)),
+             "v": (f"v / {SPEED}", ("v",)), "abs_v": (f"abs(v) / {SPEED}", ("v",)),
+             "sign_v": (f"tanh(20 * v / {SPEED})", ("v",)),
+             "fast": (f"max(abs(v) / {SPEED} - 0.5, 0.0)", ("v",)),
+             "a": (f"a / {ACCELERATION}", ("a",)), "abs_a": (f"abs(a) / {ACCELERATION}", ("a",)),
+             "xt": (f"{x} * t / ({reach} * {DURATION})", ("x", "t")),
+             "xv": (f"{x} * v / ({reach} * {SPEED})", ("x", "v")),
+             "sin_t": (f"sin(6.283185307179586 * t / {DURATION})", ("t",)),
+             "cos_t": (f"cos(6.283185307179586 * t / {DURATION})", ("t",))}  # fmt: skip
+    for k in range(1, 13):
+        basis[f"sin{k}"] = (f"sin({k} * 3.141592653589793 * {x} / {reach})", ("x",))
+        basis[f"cos{k}"] = (f"cos({k} * 3.141592653589793 * {x} / {reach})", ("x",))
+    for k in range(24):
+        basis[f"bump{k}"] = (f"exp(-(24.0 * {x} / {reach} - {k + 0.5})**2)", ("x",))
+    out["transmission"] = basis
+    if "slip" in search.final.model.plant.states:
+        out["slip"] = {n: (f"({e}) * travel", d) for n, (e, d) in basis.items() if not n.startswith("bump")}
+    return out
+
+
+def _cylinder(rig: Rig) -> dict[str, Basis]:
+    out: dict[str, Basis] = {}
     x, v = f"{held('x')} / 0.03", f"{held('v')} / {SPEED}"
     a, b = f"({held('p_a')} - 1e7) / 1e7", f"({held('p_b')} - 1e7) / 1e7"
     t = f"t / {DURATION}"
@@ -75,6 +93,29 @@ def bases(search: Search) -> dict[str, dict[str, tuple[str, tuple[str, ...]]]]:
     scales = {"motion": 300.0, "continuity_a": 1e-6, "continuity_b": 1e-6}
     for equation in scales:
         out[equation] = {name: (f"{scales[equation]} * ({e})", d) for name, (e, d) in basis.items()}
+    return out
+
+
+def _any(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]:
+    """For every balance but that of a position, powers of each signal, as large as the largest term that is there."""
+    model = search.final.model
+    plant = model.plant
+    rates = {state.rate for state in plant.states.values() if state.rate}
+    scope = Values(plant, dict(signals))
+    scope.update(model.values)
+    out: dict[str, Basis] = {}
+    for name, equation in plant.equations.items():
+        if plant.states[equation.state].rate:
+            continue
+        size = max(float(np.sqrt(np.mean(np.square(scope.evaluate(term))))) for term in equation.terms.values())
+        scale = f"{10.0 ** round(np.log10(max(size, 1e-300)))!r}"
+        basis = {"one": ("1.0", ())}
+        for s in signals:
+            z = f"((2.0 * {held(s)} - seen_low_{s} - seen_high_{s}) / (seen_high_{s} - seen_low_{s}))"
+            basis |= {s: (z, (s,)), f"{s}2": (f"{z}**2", (s,)), f"{s}3": (f"{z}**3", (s,))}
+            if s in rates:
+                basis[f"sign_{s}"] = (f"tanh(20.0 * {s} / seen_high_{s})", (s,))
+        out[name] = {key: (f"{scale} * ({e})", on) for key, (e, on) in basis.items()}
     return out
 
 
@@ -161,18 +202,12 @@ def _sensors(search: Search, base: Fit) -> dict[tuple[str, str], np.ndarray]:
 def closure(search: Search) -> tuple[dict, Fit]:
     """(where and effect for the diagnosis, fit with the unknown term)."""
     rig, model = search.rig, search.final.model
-    known = {*model.plant.equations, *model.plant.definitions}
-    places = ("motion", "continuity_a", "continuity_b") if rig.window else ("transmission",)
-    if not known.issuperset(places):
-        return {"where": [{"equation": "", "depends_on": [], "regime": "somewhere: this plant has no closures"}]}, None
-    states, _ = model.states(model.values)
-    seen = {}
-    for symbol in ("x", "v", "p_a", "p_b") if rig.window else ():
-        signal = rig_signal(search, symbol, states)
-        seen |= {f"seen_low_{symbol}": float(signal.min()), f"seen_high_{symbol}": float(signal.max())}
+    signals = _signals(search)
+    seen = {f"seen_low_{symbol}": float(signal.min()) for symbol, signal in signals.items()}
+    seen |= {f"seen_high_{symbol}": float(signal.max()) for symbol, signal in signals.items()}
     effects: dict[str, Effect] = {}
-    for equation, basis in bases(search).items():
-        small = 1.0 if rig.window else 1e-4 if equation == "slip" else 1e-6
+    for equation, basis in bases(search, signals).items():
+        small = {"slip": 1e-4, "transmission": 1e-6}.get(equation, 1.0)
         for name, (expression, depends) in basis.items():
             symbol = f"unknown_{equation}_{name}"
             free = (Free(symbol, small, "", reported=symbol),)
@@ -206,12 +241,15 @@ def closure(search: Search) -> tuple[dict, Fit]:
     place, (gain, at) = max(best.items(), key=lambda item: item[1][0] - WORTH * total * len(item[1][1]))
     chosen = [keys[j - halves.k][1] for j in sorted(at)]
     share = float(np.clip(gain / max(total, 1e-9), 0.0, 1.0))
-    reported = place if rig.window else "transmission"
+    reported = "transmission" if place == "slip" else place
     if place.startswith("sensor_"):
         depends, effect, fit = [place.removeprefix("sensor_")], None, None
     else:
-        depends = list(dict.fromkeys(v for key in chosen for v in effects[key].depends_on))
         fit = again.fit(problem, Hypothesis(tuple(chosen)), base.values, base.shifts)
+        sure = [key for key in chosen if abs(fit.values[key]) > SURE * fit.deviation(key)]
+        if sure and sure != chosen:  # the others were there to bend the straight line that chose them
+            chosen, fit = sure, again.fit(problem, Hypothesis(tuple(sure)), fit.values, fit.shifts)
+        depends = list(dict.fromkeys(v for key in chosen for v in effects[key].depends_on))
         effect = {
             "id": "unknown",
             "equations": [reported],
@@ -224,12 +262,20 @@ def closure(search: Search) -> tuple[dict, Fit]:
     return {"where": where, "effect": effect}, fit
 
 
-def rig_signal(search: Search, symbol: str, states: np.ndarray) -> np.ndarray:
-    """A state's signal: as recorded, or, for a velocity, the smoothed rate of what was recorded."""
+def _signals(search: Search) -> dict[str, np.ndarray]:
+    """Inputs and states that move, as recorded, or a rate of what was recorded; other states as simulated."""
     model = search.final.model
-    if symbol in model.recording.channels:
-        return model.recording[symbol]
-    return model.smooth_rate(model.rates[symbol])
+    states, inputs = model.states(model.values)
+    rates = {state.rate: symbol for symbol, state in model.plant.states.items() if state.rate}
+    found = {name: signal for name, signal in inputs.items() if name not in model.plant.derived}
+    for symbol, simulated in zip(model.plant.states, states.T, strict=True):
+        if symbol in model.recording.channels:
+            found[symbol] = model.recording[symbol]
+        elif rates.get(symbol) in model.recording.channels:
+            found[symbol] = model.smooth_rate(rates[symbol])
+        elif symbol in search.rig.plant.states:
+            found[symbol] = simulated
+    return {symbol: signal for symbol, signal in found.items() if np.isfinite(signal).all() and np.ptp(signal) > 0}
 
 
 def _parameter(effect: Effect, fit: Fit, seen: dict[str, float]) -> dict:

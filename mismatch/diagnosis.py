@@ -6,8 +6,9 @@ Forward selection over the hypotheses of `search`, a claim only where its eviden
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -18,22 +19,26 @@ from greygate.mismatch.closure import closure
 from greygate.mismatch.coloured import Coloured, explain, settled
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.fit import Fit, Problem
+from greygate.mismatch.locate import located
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import Rig
-from greygate.mismatch.search import Hypothesis, Search
+from greygate.mismatch.search import Hypothesis, Score, Search
 
 SCHEMA = "diagnosis/1"
 EVIDENCE = 30.0  # of cost, robust, that an effect must save; some thirty hypotheses are tried
 APART = 12.0  # of cost, within which two hypotheses are not told apart
 EFFECTS = 3  # at most
 STRUCTURE = 0.3  # of slow error over white error, above which structure is left
-SHARE = 0.98  # of what can be explained, which a named effect explains though structure is left
+SHARE = 0.99  # of what can be explained, which a named effect explains though structure is left
 WIDER = 1.25  # by which intervals are widened: then 95 % of the true values of concealed cases are inside
 OWN = 0.05  # of what can be explained, which a second effect must explain by itself where the two leave something
 FLOOR = 0.92  # of the count of readings: cost of a fit that leaves nothing
+PAIR, LEAST = 0.5, 2e-3  # or of what the first effect leaves, and of all
+NEARLY = 0.95  # of the gain that the plain form of an effect promises, that of another form counts
 FAR = 0.3  # of the most promising hypothesis's gain
 FIRST, LATER = 6, 4  # hypotheses of the first round and of later ones that are fitted in full
 SLOW = 0.02  # s of a mean that tells slow errors from white ones
+BLURRED = 0.2  # s of it where an effect acts by acceleration, whose jumps are known to some 20 ms
 
 
 @dataclass
@@ -62,7 +67,7 @@ class Diagnosis:
             "schema": SCHEMA,
             "plant": self.rig.plant.name,
             "verdict": self.verdict,
-            "where": self._where(),
+            "where": [dict(place) for place in self._where],
             "effects": self._effects(),
             "parameters": self._parameters(),
             "fit": self.fits,
@@ -75,20 +80,29 @@ class Diagnosis:
         with replacing(path) as temporary:
             temporary.write_text(json.dumps(self.as_dict(), indent=1) + "\n")
 
+    @cached_property
     def _where(self) -> list[dict]:
-        if self.verdict == "unexplained":
-            return [dict(place) for place in self.unknown["where"]]
+        """Places, each with what acts there, in which regime of the plant, when, and in which frequency band."""
         places: dict[str, dict] = {}
+        acting: dict[str, list[tuple[str, ...]]] = {}
+
+        def acts(equation: str, what: str, depends_on: Iterable[str], symbols: Iterable[str]) -> None:
+            place = places.setdefault(equation, {"equation": equation, "depends_on": [], "regime": ""})
+            place["depends_on"] += [v for v in depends_on if v not in place["depends_on"]]
+            place["regime"] += f"; {what}" if place["regime"] else what
+            acting.setdefault(equation, []).extend([tuple(symbols)] if symbols else [])
+
+        if self.verdict == "unexplained":
+            fitted = (self.unknown.get("effect") or {}).get("parameters", {})
+            for place in self.unknown["where"]:
+                acts(place["equation"], place["regime"], place["depends_on"], fitted)
         for symbol in self.best.released:
             for equation in self.search.places(symbol):
-                regime = f"everywhere: {symbol} is not what the data sheet says"
-                places[equation] = {"equation": equation, "depends_on": [], "regime": regime}
-        for key in self.best.effects:
-            effect = self.search.effects[key]
+                acts(equation, f"{symbol} is not what the data sheet says", (), (symbol,))
+        for effect in (self.search.effects[key] for key in self.best.effects):
             for equation in effect.equations:
-                place = places.setdefault(equation, {"equation": equation, "depends_on": [], "regime": effect.means})
-                place["depends_on"] += [v for v in effect.depends_on if v not in place["depends_on"]]
-        return list(places.values())
+                acts(equation, effect.means, effect.depends_on, (*(f.symbol for f in effect.free), *effect.set))
+        return [located(self.corrected, place, acting[equation]) for equation, place in places.items()]
 
     def _effects(self) -> list[dict]:
         if self.verdict == "unexplained":
@@ -201,14 +215,31 @@ def recovered(effect: Effect, found: Mapping[str, Mapping]) -> dict[str, float]:
     return values
 
 
+class Tried:
+    """Every hypothesis that was fitted. costs: the least of each. best: by size, of those that are possible."""
+
+    def __init__(self):
+        self.costs: dict[Hypothesis, float] = {}
+        self.best: dict[int, tuple[Hypothesis, Fit]] = {}
+
+    def add(self, hypothesis: Hypothesis, fit: Fit, possible: bool = True) -> None:
+        self.costs[hypothesis] = min(fit.cost, self.costs.get(hypothesis, np.inf))
+        _, before = self.best.get(hypothesis.size, (None, None))
+        if possible and (before is None or fit.cost < before.cost):
+            self.best[hypothesis.size] = (hypothesis, fit)
+
+
 # -- finding it ------------------------------------------------------------------------------------------------------
 
 
 def structure(problem: Problem, fit: Fit) -> dict[str, float]:
     """Per channel, how much larger slow errors are than white noise would have them, less one."""
-    channels = problem.model.rig.predict
+    model, channels = problem.model, problem.model.rig.predict
     projected = fit.projected[:, : problem.block * len(channels)].reshape(-1, problem.block, len(channels))
-    size = max(round(SLOW / problem.model.rig.dt), 2)
+    free = {u.symbol for u in fit.unknowns}
+    active = [e for e in model.effects.values() if free & {f.symbol for f in e.free}]
+    blurred = "a" in model.plant.derived and any("a" in e.depends_on for e in active)
+    size = max(round((BLURRED if blurred else SLOW) / model.rig.dt), 2)
     out = {}
     for i, name in enumerate(channels):
         e = projected[:, :, i]
@@ -243,46 +274,52 @@ def diagnose(
     nothing = Hypothesis()
     base = search.base(screen)
     plain = search.fit(screen, nothing, base.values, base.shifts, enough=EVIDENCE / 10)
-    costs: dict[Hypothesis, float] = {nothing: plain.cost}
+    tried = Tried()
+    tried.add(nothing, plain)
     steps: list[tuple[Hypothesis, Fit]] = [(nothing, plain)]
     start = base
     while len(steps) <= EFFECTS and not (len(steps) > 1 and whole(screen, steps[-1][1])):
         best, current = steps[-1]
-        ranked = search.scores(screen, start, best)
+        ranked = alternatives(search, search.scores(screen, start, best))
         share = 0.15 + 0.2 * len(steps)
         say(f"scored {len(ranked)} hypotheses", share)
-        promising = [s for s in ranked if s.gain > EVIDENCE / 3][: FIRST if len(steps) == 1 else LATER]
-        found: list[tuple[float, Hypothesis, Fit]] = []
-        for score in promising:
-            if found and score.gain < FAR * promising[0].gain and whole(screen, min(found, key=lambda f: f[0])[2]):
+        promising = [forms for forms in ranked if forms[0].gain > EVIDENCE / 3][: FIRST if len(steps) == 1 else LATER]
+        found: list[tuple[Hypothesis, Fit]] = []
+        for forms in promising:
+            if found and forms[0].gain < FAR * promising[0][0].gain and whole(screen, min(found, key=_cost)[1]):
                 break  # one explains all, and this one promises little
-            hypothesis = best.plus(score.hypothesis)
-            say(f"fitting {hypothesis}", share)
-            rival = min((f[0] for f in found), default=np.inf)
-            fit = search.fit(screen, hypothesis, {**start.values, **score.values}, start.shifts, rival=rival)
-            costs[hypothesis] = fit.cost
-            if possible(search, score.hypothesis, fit):
-                found.append((fit.cost, hypothesis, fit))
+            for score in forms:
+                hypothesis = best.plus(score.hypothesis)
+                say(f"fitting {hypothesis}", share)
+                rival = min(map(_cost, found), default=np.inf)
+                fit = search.fit(screen, hypothesis, {**start.values, **score.values}, start.shifts, rival=rival)
+                allowed = possible(search, score.hypothesis, fit)
+                tried.add(hypothesis, fit, allowed)
+                if allowed:
+                    found.append((hypothesis, fit))
+                    break
         if not found:
             break
-        cost, hypothesis, fit = min(found, key=lambda f: f[0])
-        if current.cost - cost < EVIDENCE * inflation(fit) or fit.held_out() > current.held_out():
+        hypothesis, fit = min(found, key=_cost)
+        if not whole(screen, fit):
+            hypothesis, fit = reshape(search, hypothesis, fit, tried, say, share)
+        if current.cost - fit.cost < EVIDENCE * inflation(fit) or fit.held_out() > current.held_out():
             break
         steps.append((hypothesis, fit))
         start = fit
     best, current = steps[-1]
     floor = screen.count * FLOOR
     if best.size > 1:
-        best, current = eliminate(search, best, current, costs, say)
-        if not whole(screen, current) and len(steps) > 2:  # several effects, and still not all
-            pair, two = steps[2]
-            alone = min((c for h, c in costs.items() if h.size == 1), default=np.inf)
-            weighty = alone - two.cost > OWN * (plain.cost - floor)
-            best, current = (pair, two) if weighty else steps[1]
+        best, current = eliminate(search, best, current, tried, say)
+        if not whole(screen, current):  # several effects, and still not all
+            (single, one), (pair, two) = tried.best[1], tried.best.get(2, (best, current))
+            saved, total, rest = one.cost - two.cost, plain.cost - floor, one.cost - floor
+            weighty = saved > OWN * total or (saved > PAIR * rest and saved > LEAST * total)
+            best, current = (pair, two) if weighty else (single, one)
     say("fitting over the rig's windows", 0.85)
     final = search.final
     corrected = search.fit(final, best, current.values)
-    rivals = {h: c / inflation(current) for h, c in costs.items()}
+    rivals = {h: c / inflation(current) for h, c in tried.costs.items()}
     left = structure(final, corrected)
     explained = (plain.cost - current.cost) / max(plain.cost - floor, 1.0)
     open_ = max(left.values()) > STRUCTURE and not whole(screen, current)
@@ -340,7 +377,48 @@ def whole(problem: Problem, fit: Fit) -> bool:
     return slow < STRUCTURE or (slow < 1.0 and fit.cost < problem.count)
 
 
-def eliminate(search, best: Hypothesis, fit: Fit, costs, say) -> tuple[Hypothesis, Fit]:
+def _cost(found: tuple[Hypothesis, Fit]) -> float:
+    return found[1].cost
+
+
+def alternatives(search: Search, ranked: Iterable[Score]) -> list[list[Score]]:
+    """One list an effect or parameter, of its forms: the plain one first where it promises nearly the most."""
+    by_name: dict[str, list[Score]] = {}
+    for score in ranked:
+        key = next(iter(score.hypothesis.effects), None)
+        name = search.effects[key].id if key else score.hypothesis.released[0]
+        by_name.setdefault(name, []).append(score)
+
+    def worth(name: str, score: Score) -> float:
+        return score.gain * (1.0 if score.hypothesis.effects == (name,) else NEARLY)
+
+    return [sorted(forms, key=lambda s: -worth(name, s)) for name, forms in by_name.items()]
+
+
+def reshape(search: Search, best: Hypothesis, fit: Fit, tried: Tried, say, share: float) -> tuple[Hypothesis, Fit]:
+    """Put every effect of `best` in the form in which it fits best, where another form is better by enough."""
+    for key in best.effects:
+        effect = search.effects[key]
+        forms = [other for other in search.effects.values() if other.id == effect.id and other.key != key]
+        for form in forms:
+            other = Hypothesis(tuple(form.key if k == key else k for k in best.effects), best.released)
+            say(f"fitting {other}", share)
+            start = {**fit.values, **carried(effect, form, fit.values)}
+            again = search.fit(search.screen, other, start, fit.shifts)
+            allowed = possible(search, other, again)
+            tried.add(other, again, allowed)
+            if allowed and again.cost < fit.cost - EVIDENCE * inflation(again):
+                best, fit, key, effect = other, again, form.key, form
+    return best, fit
+
+
+def carried(effect: Effect, form: Effect, values: Mapping[str, float]) -> dict[str, float]:
+    """Where the parameters of another form start: at what those of the same name are in `effect`."""
+    found = {f.reported: values[f.symbol] for f in effect.free if f.symbol in values}
+    return {f.symbol: found.get(f.reported, f.guess[0] if f.guess else f.typical) for f in form.free}
+
+
+def eliminate(search, best: Hypothesis, fit: Fit, tried: Tried, say) -> tuple[Hypothesis, Fit]:
     """Drop effects without which the fit is as good."""
     screen = search.screen
     changed = True
@@ -349,10 +427,10 @@ def eliminate(search, best: Hypothesis, fit: Fit, costs, say) -> tuple[Hypothesi
         for drop in (*best.effects, *best.released):
             less = Hypothesis(tuple(k for k in best.effects if k != drop), tuple(s for s in best.released if s != drop))
             say(f"trying without {drop}", 0.8)
-            tried = search.fit(screen, less, fit.values, fit.shifts, rival=fit.cost + EVIDENCE)
-            costs[less] = min(tried.cost, costs.get(less, np.inf))
-            if tried.cost < fit.cost + EVIDENCE:
-                best, fit, changed = less, tried, True
+            again = search.fit(screen, less, fit.values, fit.shifts, rival=fit.cost + EVIDENCE)
+            tried.add(less, again, possible(search, less, again))
+            if again.cost < fit.cost + EVIDENCE:
+                best, fit, changed = less, again, True
                 break
     return best, fit
 

@@ -232,12 +232,13 @@ class Problem:
         tempered: bool = False,
         rival: float = np.inf,
         enough: float = ENOUGH,
+        slack: float = 0.0,
     ) -> Fit:
         """The best fit near `values` (of unknowns and others that stay) and `shifts`.
 
-        enough: gain of cost below which a further step is not taken. rival: a cost; a fit that is on no way to it
-        gives up. tempered: errors above the sensors' are laid to what the plant leaves out, so that they count less
-        and the data sheet more.
+        enough: gain of cost below which no further step is taken; slack: the same, as a share of the cost beyond that
+        of noise. rival: a cost; a fit that is on no way to it gives up. tempered: errors above the sensors' are laid to
+        what the plant leaves out, so that they count less and the data sheet more.
         """
         temper = np.ones(self.sigma.shape[1])
         unknowns, values = tuple(unknowns), dict(values or {})
@@ -305,6 +306,9 @@ class Problem:
             gain = cost - taken[3]
             numbers, shifts, errors, cost = taken
             damping = damping / 10 if damping > 1e-3 else 0.0
+            if gain < max(enough, slack * (cost - self.count)):
+                converged = True
+                break
             if iteration and cost - 2 * gain > 1.1 * rival:
                 break
             fresh = False

@@ -4,6 +4,7 @@ A run restarts every window from the recorded state and is free in between (the 
 first sample to the last where the rig has no window.
 """
 
+import copy
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
@@ -18,6 +19,8 @@ from greygate.plants.recording import Recording
 from greygate.plants.simulate import Restarted, names
 
 TIMING = "input_timing"  # s by which inputs act later than the recording says: a nuisance, known to a hundredth sample
+BLUR = "input_blur"  # how much finer a second rate is than smoothing over SMOOTH makes it: a nuisance, 1 of FINER
+FINER = 0.6  # of SMOOTH
 SMOOTH = 0.02  # s on either side of a sample, of which a smoothed rate is made
 
 
@@ -29,33 +32,45 @@ class Model:
     """
 
     def __init__(self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], window: int | None = None):
-        self.rig, self.recording, self.effects = rig, recording, effects
+        self.rig, self.effects = rig, effects
         self.plant, self.readings = join(rig.plant, effects.values())
         if rig.window:
             self.plant = replace(self.plant, parameters={**self.plant.parameters, TIMING: Parameter(0.0, "s")})
+        self.finer = {name: how for name, how in self.plant.derived.items() if how.startswith("smooth_acceleration ")}
+        if self.finer:
+            self.plant = replace(self.plant, parameters={**self.plant.parameters, BLUR: Parameter(0.0, "1")})
         self.values = {symbol: p.value for symbol, p in self.plant.parameters.items()}
-        self.window = rig.window if window is None else window
-        samples = recording.samples
-        pieces = max(samples // self.window, 1) if self.window else 1
-        self.restarts = np.arange(pieces) * (self.window or 0)
-        states = self.plant.states
-        rates = {s.rate: symbol for symbol, s in states.items() if s.rate is not None}
-        self.measured = [s for s in states if s in rig.channels] if self.window else []
-        self.rates = {v: x for v, x in rates.items() if x in self.measured}
-        self.locals = [*self.measured, *self.rates]
-        self.reset = np.array([s in self.locals for s in states])
         self._filters = {}
         for effect in effects.values():
             for name, text in effect.filters.items():
                 self._filters.setdefault(name, []).append(text.split())
         for name in rig.inputs if rig.window else ():
             self._filters.setdefault(name, []).append(["delay", TIMING])
-        self._inputs = {name: self._input(name) for name in self.plant.inputs}
-        self._compiled = Restarted(self.plant, self.restarts, self.reset, rig.dt, self.plant.step)
-        self.target = np.stack([recording[name] for name in rig.predict], axis=1)
+        self._compiled = Restarted(self.plant, rig.dt, self.plant.step)
+        self._take(recording, rig.window if window is None else window)
         self.moving = self._moving()
-        self._last = (None, None)
         self.runs = 0
+
+    def over(self, recording: Recording) -> "Model":
+        """The same model over another recording of its rig."""
+        other = copy.copy(self)
+        other._take(recording, self.window)
+        return other
+
+    def _take(self, recording: Recording, window: int | None) -> None:
+        self.recording, self.window = recording, window
+        pieces = max(recording.samples // window, 1) if window else 1
+        self.restarts = np.arange(pieces) * (window or 0)
+        states = self.plant.states
+        rates = {s.rate: symbol for symbol, s in states.items() if s.rate is not None}
+        self.measured = [s for s in states if s in self.rig.channels] if window else []
+        self.rates = {v: x for v, x in rates.items() if x in self.measured}
+        self.locals = [*self.measured, *self.rates]
+        self.reset = np.array([s in self.locals for s in states])
+        self._inputs = {name: self._input(name, recording.channels) for name in self.plant.inputs}
+        self._finer = {name: self._input(name, recording.channels, FINER) - self._inputs[name] for name in self.finer}
+        self.target = np.stack([recording[name] for name in self.rig.predict], axis=1)
+        self._last = (None, None)
 
     def _moving(self) -> list[str]:
         """Parameters that change the states: all but those that stand in outputs and sensors alone."""
@@ -66,17 +81,17 @@ class Model:
         texts += [str(b) for s in plant.states.values() for b in (s.initial, s.start, s.low, s.high)]
         filters = {symbol for kinds in self._filters.values() for _, symbol in kinds}
         texts += [text for channel in self.measured for text in self.readings.get(channel, {}).values()]
-        used = names(texts) | filters
+        used = names(texts) | filters | {BLUR}
         return [s for s in plant.parameters if s in used]
 
-    def _input(self, name: str) -> np.ndarray:
-        if name in self.recording.channels:
-            return self.recording[name]
+    def _input(self, name: str, recorded: Mapping[str, np.ndarray], share: float = 1.0) -> np.ndarray:
+        if name in recorded:
+            return recorded[name]
         if name == "t":
             return self.recording.time
         how, _, source = self.plant.derived[name].partition(" ")
-        signal, dt = self.recording[source], self.rig.dt
-        half = max(round(SMOOTH / dt), 2)
+        signal, dt = recorded[source], self.rig.dt
+        half = max(round(share * SMOOTH / dt), 2)
         match how:
             case "rate":
                 return np.append(np.diff(signal) / dt, 0.0)
@@ -94,6 +109,13 @@ class Model:
             for kind, symbol in filters:
                 if values[symbol] != 0.0:
                     signals[name] = FILTERS[kind](signals[name], values[symbol], self.rig.dt)
+        for name, how in self.plant.derived.items():
+            source = how.partition(" ")[2]
+            if signals.get(source) is not self._inputs.get(source):
+                signals[name] = self._input(name, {source: signals[source]})
+        for name, more in self._finer.items():
+            if values[BLUR]:
+                signals[name] = signals[name] + values[BLUR] * more
         return signals
 
     def starts(self, values: Mapping[str, float], signals: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -144,7 +166,7 @@ class Model:
         if key != self._last[0]:
             self.runs += 1
             inputs = np.ascontiguousarray(np.stack([signals[name] for name in self.plant.inputs], axis=1))
-            self._last = key, self._compiled.run(inputs, starts, values)
+            self._last = key, self._compiled.run(inputs, self.restarts, starts, self.reset, values)
         return self._last[1], signals
 
     def predict(self, values: Mapping[str, float], shifts: np.ndarray | None = None) -> np.ndarray:
@@ -233,6 +255,7 @@ FILTERS = {
     "delay": delayed,
     "lag": lagged,
     "lag_from_rest": lambda signal, lag, dt: lagged(signal, lag, dt, 0.0),
+    "lag_twice_from_rest": lambda signal, lag, dt: lagged(lagged(signal, lag / 2, dt, 0.0), lag / 2, dt, 0.0),
     "offset": lambda signal, by, dt: signal + by,
     "dead_zone": dead,
     "play": played,

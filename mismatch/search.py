@@ -13,7 +13,7 @@ from scipy.optimize import lsq_linear
 
 from greygate.mismatch.effects import Effect, Free, fitting
 from greygate.mismatch.fit import Fit, Problem, Unknown
-from greygate.mismatch.model import TIMING, Model
+from greygate.mismatch.model import BLUR, TIMING, Model
 from greygate.mismatch.rig import Rig
 from greygate.plants.recording import Recording
 from greygate.plants.simulate import names
@@ -22,7 +22,8 @@ SHORT = 0.04  # s of a window in the screen
 LONG_WINDOW = 0.1  # s of a window in the last fit: what integrators differ by does not add up yet
 WITHIN = 4.0  # standard deviations within which a toleranced parameter is looked for
 EXACT = 0.01  # of a sample, to which the instant is known at which an input acts, RMS
-ROUGH = 0.5  # of cost, below which a fit that only ranks is not made better
+ROUGH = 2.0  # of cost, below which a fit that only ranks is not made better
+SLACK = 3e-4  # likewise, of the cost beyond that of noise
 LONG = 1.5  # of the travel: the longest period of a wave
 WAVES = 1.0  # cycles over the travel by which neighbouring periods of a scan differ, inverse
 
@@ -93,6 +94,8 @@ class Search:
                 found.append(Unknown(symbol, p.value, scale, 1.0, p.value - reach, p.value + reach))
         if self.rig.window:
             found.append(Unknown(TIMING, 0.0, EXACT * self.rig.dt, 1.0))
+        if self.final.model.finer and any("a" in self.effects[key].depends_on for key in hypothesis.effects):
+            found.append(Unknown(BLUR, 0.0, 1.0, 2.0))
         for key in hypothesis.effects:
             for f in self.effects[key].free:
                 if not f.whole and f.symbol not in (u.symbol for u in found):
@@ -241,10 +244,10 @@ class Search:
     def fit(self, problem: Problem, hypothesis: Hypothesis, values: Mapping[str, float], shifts=None, **options) -> Fit:
         """The full fit of a hypothesis, from `values` on."""
         free = {f.symbol for key in hypothesis.effects for f in self.effects[key].free}
-        start = {s: v for s, v in values.items() if s in free or s in self.toleranced or s == TIMING}
+        start = {s: v for s, v in values.items() if s in free or s in self.toleranced or s in (TIMING, BLUR)}
         start.update(self.constants(hypothesis))
         if problem is self.screen and problem is not self.final:
-            options = {"enough": ROUGH, **options}
+            options = {"enough": ROUGH, "slack": SLACK, **options}
         return problem.fit(self.unknowns(hypothesis), start, shifts, **options)
 
 

@@ -87,24 +87,28 @@ def simulate(
 
 
 class Restarted:
-    """A plant compiled for many runs over one recording, restarted at some samples and then free.
+    """A plant compiled for many runs, restarted at some samples and then free. sample_time, step: as in `simulate`."""
 
-    restarts: rising sample indices, the first 0. reset: which states begin anew at a restart, (states,); the others go
-    on. sample_time, step: as in `simulate`.
-    """
-
-    def __init__(self, plant: Plant, restarts: np.ndarray, reset: np.ndarray, sample_time: float, step: float):
-        self.plant, self.restarts, self.reset = plant, restarts, reset
+    def __init__(self, plant: Plant, sample_time: float, step: float):
+        self.plant = plant
         self.substeps = max(round(sample_time / step), 1)
         self.step = sample_time / self.substeps
         symbols = list(plant.states)
         self.rate = np.array([-1 if s.rate is None else symbols.index(s.rate) for s in plant.states.values()])
         self.module = _module(source(plant))
 
-    def run(self, inputs: np.ndarray, starts: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
+    def run(
+        self,
+        inputs: np.ndarray,
+        restarts: np.ndarray,
+        starts: np.ndarray,
+        reset: np.ndarray,
+        values: Mapping[str, float],
+    ) -> np.ndarray:
         """States (samples, states); from the first one on that is not finite, all are NaN.
 
-        starts: (restarts, states). values: symbol -> value of every parameter of the plant.
+        restarts: rising sample indices, the first 0. starts: (restarts, states). reset: which states begin anew at a
+        restart, (states,); the others go on. values: symbol -> value of every parameter of the plant.
         """
         if not self.plant.states:
             return np.empty((len(inputs), 0))
@@ -120,7 +124,7 @@ class Restarted:
         out = np.empty((len(inputs), len(self.plant.states)))
         parameters = np.array([values[symbol] for symbol in self.plant.parameters])
         failed = self.module.restarted(
-            np.ascontiguousarray(starts, dtype=float), self.restarts, self.reset, inputs, parameters,
+            np.ascontiguousarray(starts, dtype=float), restarts, reset, inputs, parameters,
             bounds("low", -np.inf), bounds("high", np.inf), self.rate, self.step, self.substeps, out,
         )  # fmt: skip
         if failed >= 0:

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from greygate.mismatch import rig
+from greygate.mismatch import rig, simulation
+from greygate.mismatch.diagnosis import diagnose
 from greygate.mismatch.effects import Effect, Free
 from greygate.mismatch.fit import LONGEST, Problem, Unknown, roughness, runs
 from greygate.mismatch.model import Model, delayed, lagged
@@ -50,10 +51,10 @@ def folder(tmp_path_factory):
     return out
 
 
-def recorded(folder, seed: int, samples: int = 300) -> None:
+def recorded(folder, seed: int, samples: int = 300, stiffness: float = TRUE["stiffness"]) -> None:
     rng = np.random.default_rng(seed)
     real = Plant.read(folder / "slide.toml").with_parameters(mass=TRUE["mass"], viscous=TRUE["viscous"])
-    real = real.with_term("motion", "spring", f"-{TRUE['stiffness']} * x")
+    real = real.with_term("motion", "spring", f"-{stiffness} * x")
     force = 80 * np.repeat(rng.standard_normal(samples // 10), 10)
     x = simulate(real, {"force": force}, sample_time=0.01, step=5e-3)["x"] + NOISE * rng.standard_normal(samples)
     table = np.column_stack([np.arange(samples) * 0.01, force, x])
@@ -164,3 +165,42 @@ def test_a_delay_and_a_lag_of_a_held_input_are_those_of_its_continuous_signal():
         begin, y = y, value + (y - value) * np.exp(-dt / fine / 2.5e-3)
         out.append(value + (begin - value) * (2.5e-3 * fine / dt) * (1 - np.exp(-dt / fine / 2.5e-3)))
     np.testing.assert_allclose(lagged(u, 2.5e-3, dt), np.reshape(out, (-1, fine)).mean(axis=1), atol=1e-9)
+
+
+def test_what_is_made_of_an_input_is_made_of_it_as_it_arrives(folder):
+    """A lag of the force is one of the impulse too, and at no lag both are as recorded."""
+    recorded(folder, 0)
+    (folder / "slide.toml").write_text(
+        PLANT.replace('force = "N"', 'force = "N"\nimpulse = "N s"\n[derived]\nimpulse = "integral force"')
+        .replace("-viscous * v", "-viscous * v + 0.0 * impulse")
+    )  # fmt: skip
+    (folder / "rig.toml").write_text(RIG)
+    loaded = rig.load(folder)
+    lag = Effect(
+        "late", "a lag", ("slide",), ("motion",), ("force",), (Free("late", 0.05, "s"),), filters={"force": "lag late"}
+    )
+    model = Model(loaded, loaded.recording(folder / "identify.csv"), {"late": lag})
+    force = model.recording["force"]
+    for value, arrives in ((0.0, force), (0.04, lagged(force, 0.04, 0.01))):
+        _, signals = model.states({**model.values, "late": value})
+        np.testing.assert_allclose(signals["force"], arrives)
+        np.testing.assert_allclose(signals["impulse"], np.append(0.0, np.cumsum(arrives[:-1]) * 0.01))
+    (folder / "slide.toml").write_text(PLANT)
+
+
+def test_what_no_effect_of_the_table_has_is_closed_in_its_equation_on_its_variable(folder):
+    """A spring, on a plant of one's own, with an empty table."""
+    recorded(folder, 0, 2000, stiffness=10.0)
+    (folder / "rig.toml").write_text(RIG)
+    found = diagnose(rig.load(folder), {})
+    assert found.verdict == "unexplained"
+    content = found.as_dict()
+    (place,), (entry,) = content["where"], content["effects"]
+    assert (place["equation"], place["depends_on"]) == ("motion", ["x"])
+    assert (entry["id"], entry["equations"]) == ("unknown", ["motion"])
+    rms = content["fit"]["identify"]["x"]
+    assert rms["corrected"] < 2 * NOISE < 0.1 * rms["calibrated"]
+    loaded = rig.load(folder)
+    predicted = simulation.simulate(loaded, loaded.recording(folder / "identify.csv"), content, {})
+    error = predicted["x"] - loaded.recording(folder / "identify.csv")["x"]
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(rms["corrected"], rel=1e-6)

@@ -53,6 +53,10 @@ CASES = {
     "clean belt": ("belt_drive", 15, {"kind": "clean"}),
     "scale": ("belt_drive", 16, {"kind": "one", "effect": "scale_error"}),
     "play": ("belt_drive", 17, {"kind": "one", "effect": "reversal_play"}),
+    "another form": ("cable_drum", 1013, {"kind": "one"}),
+    "jumping acceleration": ("cable_drum", 1002, {"kind": "one"}),
+    "two": ("cable_drum", 1004, {"kind": "two"}),
+    "two in another form": ("belt_drive", 1000, {"kind": "two"}),
 }
 
 
@@ -80,6 +84,14 @@ def test_what_was_concealed_is_what_is_said(name, case):
     assert not score["false_effects"]
     assert score["all_named"] is not False
     assert score["right_parameter"] is not False
+
+
+def test_an_effect_is_named_by_its_own_name_in_the_form_that_fits(case):
+    _, result = case("another form")
+    (entry,) = result.as_dict()["effects"]
+    assert (entry["id"], entry["form"]) == ("drift", "drift_settling")
+    low, high = entry["parameters"]["settle_time"]["ci95"]
+    assert low < 40.0 < high
 
 
 def test_the_file_gives_the_simulation_that_the_diagnosis_reports(case):

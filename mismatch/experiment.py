@@ -1,0 +1,301 @@
+"""Experiments on a rig: inputs made by rule, within what a recording shows the rig to stand."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from greygate.errors import InputError
+from greygate.mismatch.effects import Effect, fitting
+from greygate.mismatch.model import SMOOTH, Model
+from greygate.mismatch.rig import Channel, Rig
+from greygate.plants.recording import Recording
+
+SECONDS = 3.0  # of an experiment, or
+FEWEST = 1000  # samples of it where samples are slow
+REST = 20.0  # lengths of an experiment that a rig rests before a move is repeated
+AMPLITUDES = (1.0, 0.5, 0.25, 0.1)  # of a swing
+MARGIN = 0.1  # of its recorded range by which an output may leave it
+EXTREME = 0.99  # quantile of a command that counts as its largest
+NOMINAL = 2.0  # s of each motion of the recording that stands for one that is not there
+SLOW, SOFT = 0.5, 5.0  # travels a second, a second squared: of moves where none is recorded
+HOLD = 0.25  # of an experiment's length, after which inputs at rest shall have moved nothing
+SETTLE, NUDGE, TAME = 4, 0.02, 1e-4  # steps towards such inputs, their trials (of what is recorded), their damping
+FIRM = 10.0  # by which a position's place counts more than another output's mean
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """shape: of the inputs, in words. inputs: channel -> (samples,) in its unit, one every `dt` s."""
+
+    shape: str
+    inputs: Mapping[str, np.ndarray]
+    dt: float
+
+    @property
+    def seconds(self) -> float:
+        return len(next(iter(self.inputs.values()))) * self.dt
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What may be asked of a rig, each in its channel's unit.
+
+    rest: every input where nothing is asked. swing: away from there, of the inputs that command, in the proportion in
+    which they go together. low, high: of every channel. speed, acceleration: of the other inputs, which are positions
+    (in `unit`), in travels a second (squared).
+    """
+
+    rest: Mapping[str, float]
+    swing: Mapping[str, float]
+    low: Mapping[str, float]
+    high: Mapping[str, float]
+    speed: float = SLOW
+    acceleration: float = SOFT
+    unit: str = "m"
+
+    @property
+    def positions(self) -> list[str]:
+        return [name for name in self.rest if name not in self.swing]
+
+    @classmethod
+    def of(cls, rig: Rig, recording: Recording, reach: float = 1.0) -> "Bounds":
+        """`reach` times what `recording` shows, though no longer travel, no other sign of an input, and no limit of a
+        state that was never touched."""
+        low, high, moved = {}, {}, positions(rig)
+        for name, channel in rig.channels.items():
+            least, most = float(np.min(recording[name])), float(np.max(recording[name]))
+            wider = 0.0 if name in moved else (reach - 1.0 + MARGIN * (channel.role == "output")) * (most - least)
+            bottom, top = _stops(rig, name, 1e-3 * (most - least))
+            if channel.role == "input":
+                bottom, top = (0.0 if least >= 0.0 else -np.inf), (0.0 if most <= 0.0 else np.inf)
+            low[name], high[name] = max(least - wider, min(least, bottom)), min(most + wider, max(most, top))
+        rest = {n: float(recording[n][0] if n in moved else np.mean(recording[n])) for n in rig.inputs}
+        swing = {n: reach * s for n, s in _together(recording, [n for n in rig.inputs if n not in moved]).items()}
+        if not moved:
+            return cls(rest, swing, low, high)
+        speed, acceleration = np.min([_rates(recording, name) for name in moved], axis=0)
+        return cls(rest, swing, low, high, reach * speed, reach * acceleration, rig.channels[moved[0]].unit)
+
+    def stood(self, signals: Mapping[str, np.ndarray]) -> bool:
+        """Every channel is finite and within its bounds."""
+        return all(self.low[n] <= np.min(signals[n]) and np.max(signals[n]) <= self.high[n] for n in self.low)
+
+
+def positions(rig: Rig) -> list[str]:
+    """Inputs that are positions: they can only be moved, not switched."""
+    rated = {how.split()[1] for how in rig.plant.derived.values() if "integral" not in how}
+    return [name for name in rig.inputs if name in rated or rig.channels[name].unit in ("m", "rad")]
+
+
+def _stops(rig: Rig, name: str, off: float = 0.0) -> tuple[float, float]:
+    """Limits of the state `name` by the plant, `off` them; infinite where there are none."""
+    state = rig.plant.states.get(name)
+    low = -np.inf if state is None or state.low is None else rig.plant.constant(state.low) + off
+    high = np.inf if state is None or state.high is None else rig.plant.constant(state.high) - off
+    return low, high
+
+
+def _together(recording: Recording, names: list[str]) -> dict[str, float]:
+    """How far the named inputs go from their means, along the direction in which they go most."""
+    if not names:
+        return {}
+    away = np.stack([recording[name] - np.mean(recording[name]) for name in names], axis=1)
+    along = np.linalg.eigh(away.T @ away)[1][:, -1]
+    along *= np.sign(along[np.argmax(np.abs(along))])
+    return dict(zip(names, (np.quantile(np.abs(away @ along), EXTREME) * along).tolist(), strict=True))
+
+
+def _rates(recording: Recording, name: str) -> tuple[float, float]:
+    """(speed, acceleration) that a position comes to, in travels a second (squared)."""
+    half, dt = max(round(SMOOTH / recording.dt), 2), recording.dt
+    rates = (savgol_filter(recording[name], 2 * half + 1, n + 1, deriv=n, delta=dt) for n in (1, 2))
+    return tuple(float(np.max(np.abs(r))) / float(np.ptp(recording[name])) for r in rates)
+
+
+# -- inputs by rule --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Move:
+    """There and back between two parts of the travel; shares of speed out, back, and of acceleration; then a rest."""
+
+    begin: float = 0.0
+    end: float = 1.0
+    out: float = 1.0
+    back: float = 1.0
+    acceleration: float = 1.0
+    rest: bool = False
+
+
+MOVES = (
+    Move(), Move(out=0.5, back=0.5), Move(out=0.25, back=0.25), Move(back=0.25), Move(acceleration=0.25),
+    Move(end=0.5), Move(begin=0.5), Move(end=0.1), Move(begin=0.9), Move(rest=True), Move(end=0.1, rest=True),
+)  # fmt: skip
+
+
+def experiments(bounds: Bounds, seconds: float, dt: float) -> Iterable[list[Experiment]]:
+    """Kinds of experiment, each from its strongest to its mildest form. seconds: of a short one."""
+    for move in MOVES if bounds.positions else ():
+        yield [Experiment(_words(move, bounds, seconds), _moving([move], bounds, seconds, dt), dt)]
+    for shape, wave in _waves(seconds, dt) if bounds.swing else ():
+        amplitudes = AMPLITUDES if wave.any() else (0.0,)
+        yield [Experiment(shape, _commanding(amplitude * wave, bounds), dt) for amplitude in amplitudes]
+
+
+def _commanding(wave: np.ndarray, bounds: Bounds) -> dict[str, np.ndarray]:
+    signals = {n: rest + bounds.swing.get(n, 0.0) * wave for n, rest in bounds.rest.items()}
+    return {n: np.clip(s, bounds.low[n], bounds.high[n]) for n, s in signals.items()}
+
+
+def _waves(seconds: float, dt: float) -> Iterable[tuple[str, np.ndarray]]:
+    """(in words, signal within +-1). They begin at their peak, so that what integrates them stays about its start."""
+    t = np.arange(round(seconds / dt)) * dt
+    for half in (seconds / 2, seconds / 8, seconds / 32):
+        yield f"steps every {half:.2g} s", np.where(np.floor(t / half + 0.5) % 2 == 0, 1.0, -1.0)
+    hold = seconds / 16
+    rising = (1 + np.floor(t / hold)) / 16
+    yield f"steps of rising height every {hold:.2g} s", rising * np.where(np.floor(t / hold) % 2 == 0, 1.0, -1.0)
+    for cycles in (1, 4, 20):
+        yield f"a sine of {cycles / seconds:.2g} Hz", np.cos(2 * np.pi * cycles * t / seconds)
+    first, last = 1 / seconds, min(40 / seconds, 0.1 / dt)
+    phase = 2 * np.pi * (first + (last - first) * t / (2 * seconds)) * t
+    yield f"a sine that rises from {first:.2g} to {last:.2g} Hz", np.cos(phase)
+    yield "rest", np.zeros(len(t))
+
+
+def _moving(moves: Iterable[Move], bounds: Bounds, seconds: float, dt: float) -> dict[str, np.ndarray]:
+    """One move after the other, from where the position rests on; what commands is at rest."""
+    name = bounds.positions[0]
+    path = [np.array([(bounds.rest[name] - bounds.low[name]) / (bounds.high[name] - bounds.low[name])])]
+
+    def go(to: float, share: float) -> None:
+        if to != path[-1][-1]:
+            path.append(_leg(path[-1][-1], to, share * bounds.speed, move.acceleration * bounds.acceleration, dt))
+
+    def there_and_back() -> None:
+        began = sum(map(len, path))
+        while (sum(map(len, path)) - began) * dt < seconds:
+            go(move.end, move.out)
+            go(move.begin, move.back)
+
+    for move in moves:
+        go(move.begin, move.out)
+        there_and_back()
+        if move.rest:
+            path.append(np.full(round(REST * seconds / dt), path[-1][-1]))
+            there_and_back()
+    way = np.clip(np.concatenate(path), 0.0, 1.0)
+    moved = {n: bounds.low[n] + (bounds.high[n] - bounds.low[n]) * way for n in bounds.positions}
+    return {n: moved.get(n, np.full(len(way), rest)) for n, rest in bounds.rest.items()}
+
+
+def _leg(begin: float, end: float, speed: float, acceleration: float, dt: float) -> np.ndarray:
+    """From `begin`, left out, to `end`, under constant acceleration, speed, and deceleration."""
+    way = abs(end - begin)
+    top = min(speed, np.sqrt(way * acceleration))
+    count = int(np.ceil((way / top + top / acceleration) / dt)) + 1
+    t = (np.arange(count) + 0.5) * dt
+    rate = np.clip(np.minimum(acceleration * t, acceleration * (count * dt - t)), 0.0, top)
+    path = begin + (end - begin) * np.cumsum(rate) / np.sum(rate)
+    path[-1] = end
+    return path
+
+
+def _words(move: Move, bounds: Bounds, seconds: float) -> str:
+    name = bounds.positions[0]
+    travel = bounds.high[name] - bounds.low[name]
+    out, back = (f"{travel * bounds.speed * share:.2g} {bounds.unit}/s" for share in (move.out, move.back))
+    hard = f"{travel * bounds.acceleration * move.acceleration:.2g} {bounds.unit}/s^2"
+    words = f"moves at {out}" + (f" and back at {back}" if back != out else "") + f", started and stopped at {hard}"
+    return words + (f", the same again after {REST * seconds:.3g} s of rest" if move.rest else "")
+
+
+# -- a rig that runs free --------------------------------------------------------------------------------------------
+
+
+class Free:
+    """A rig's plant run free, with `values` (symbol -> value), as the sensors show it."""
+
+    def __init__(self, rig: Rig, effects: Mapping[str, Effect], values: Mapping[str, float]):
+        outputs = tuple(name for name, channel in rig.channels.items() if channel.role == "output")
+        self.rig = replace(rig, predict=outputs)
+        self.units = {name: channel.unit for name, channel in rig.channels.items()}
+        blank = {name: np.zeros(FEWEST) for name in rig.channels}
+        self.model = Model(self.rig, Recording(rig.dt, blank, self.units), effects, 0)
+        self.values = {**self.model.values, **{s: v for s, v in values.items() if s in self.model.values}}
+
+    def shown(self, inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Inputs and outputs, rounded as the sensors do, channel -> (samples,)."""
+        given = {n: _rounded(self.rig.channels[n], s) for n, s in inputs.items()}
+        blank = {n: np.zeros(len(next(iter(given.values())))) for n in self.rig.predict}
+        predicted = self.model.over(Recording(self.rig.dt, {**given, **blank}, self.units)).predict(self.values)
+        return {**given, **{n: _rounded(self.rig.channels[n], s) for n, s in zip(blank, predicted.T, strict=True)}}
+
+    def record(self, inputs: Mapping[str, np.ndarray], bounds: Bounds) -> Recording | None:
+        """The recording of an experiment; None where a channel leaves its bounds."""
+        shown = self.shown(inputs)
+        return Recording(self.rig.dt, shown, self.units) if bounds.stood(shown) else None
+
+    def settled(self, bounds: Bounds, recording: Recording, seconds: float) -> Bounds:
+        """`bounds` with commands that hold positions where they begin, and other outputs at their recorded means."""
+        rig, names, states = self.rig, list(bounds.swing), self.rig.plant.states
+        held = [n for n in rig.predict if n in states and states[n].rate]
+        reach = np.array([np.ptp(recording[n]) for n in names])
+
+        def resting(numbers: np.ndarray) -> Bounds:
+            asked = zip(names, numbers * reach, strict=True)
+            inside = {n: float(np.clip(bounds.rest[n] + by, bounds.low[n], bounds.high[n])) for n, by in asked}
+            return replace(bounds, rest={**bounds.rest, **inside})
+
+        def gone(numbers: np.ndarray) -> np.ndarray:
+            shown = self.shown({n: np.full(round(seconds / rig.dt), v) for n, v in resting(numbers).rest.items()})
+            away = [
+                (shown[n][-1] - (shown[n][0] if n in held else np.mean(recording[n]))) / np.ptp(recording[n])
+                for n in rig.predict
+            ]
+            return np.nan_to_num(away) * [FIRM if n in held else 1.0 for n in rig.predict]
+
+        numbers = np.zeros(len(names))
+        for _ in range(SETTLE if names else 0):
+            now = gone(numbers)
+            slopes = np.stack([(gone(numbers + NUDGE * one) - now) / NUDGE for one in np.eye(len(names))], axis=1)
+            damped = slopes.T @ slopes + TAME * np.eye(len(names))
+            numbers = numbers - np.linalg.solve(damped, slopes.T @ now + TAME * numbers)
+        return resting(numbers)
+
+
+def nominal(rig: Rig, effects: Mapping[str, Effect], ranges: Mapping[str, tuple[float, float]]) -> Recording:
+    """What the data sheet's plant would record of motions by rule, where nothing is recorded yet.
+
+    ranges: of every input, in its unit. Raises InputError where one is missing or unknown, where the noise is not told,
+    and where the plant stands no such motion.
+    """
+    if not rig.stated:
+        raise InputError(f"{rig.folder}/rig.toml: before data the noise must be told; give noise_rms or resolution")
+    if set(ranges) != set(rig.inputs):
+        raise InputError(f"range of {', '.join(ranges)}: the inputs are {', '.join(rig.inputs)}; give one of each")
+    for name, (low, high) in ranges.items():
+        if not -np.inf < low < high < np.inf:
+            raise InputError(f"range of {name}: {low:g} to {high:g}; give two numbers, LOW below HIGH")
+    moved = positions(rig)
+    rest = {n: float(np.clip(0.0, low, high)) if n in moved else (low + high) / 2 for n, (low, high) in ranges.items()}
+    swing = {n: (high - low) / 2 for n, (low, high) in ranges.items() if n not in moved}
+    stops = {n: _stops(rig, n) for n, c in rig.channels.items() if c.role == "output"}
+    low, high = ({n: pair[i] for n, pair in {**stops, **ranges}.items()} for i in (0, 1))
+    bounds = Bounds(rest, swing, low, high)
+    free = Free(rig, fitting(rig.plant, rig.datasheet, effects), {})
+    if moved:
+        tried = [_moving([m for m in MOVES if not m.rest], bounds, NOMINAL, rig.dt)]
+    else:
+        wave = np.concatenate([wave for _, wave in _waves(NOMINAL, rig.dt)])
+        tried = [_commanding(amplitude * wave, bounds) for amplitude in AMPLITUDES]
+    for inputs in tried:
+        if (recording := free.record(inputs, bounds)) is not None:
+            return recording
+    raise InputError(f"{rig.folder}: with these ranges the data sheet's plant comes to its limits; give smaller ones")
+
+
+def _rounded(channel: Channel, signal: np.ndarray) -> np.ndarray:
+    return np.round(signal / channel.resolution) * channel.resolution if channel.resolution else signal

@@ -1,0 +1,372 @@
+"""Where a mismatch acts: in which regime of the plant, when, and in which frequency band.
+
+What is located is the term that a correction adds to a balance equation, along the recording; where nothing corrects,
+what the fit leaves. Its energy is compared with where the plant was. A regime is the range of a variable in which the
+share of energy exceeds the share of time by most (Kolmogorov's distance of the two distributions). It is told where
+that is clear, and where the same energy in another order is rarely as concentrated: stretches of it are permuted, as
+long as it hangs together.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from greygate.mismatch.effects import SENSOR
+from greygate.mismatch.fit import Fit
+from greygate.mismatch.model import SMOOTH, Model
+from greygate.plants.plant import Values
+
+CELLS = 1000  # of a recording, in each of which energy and variables are averaged
+STRETCHES = 12  # at least, that are permuted
+DRAWS = 199  # permutations
+CHANCE = 0.01  # of so much concentration where there is none, below which a regime is told
+CLEAR = 0.35  # by which a regime's share of energy exceeds its share of time
+ONE_WAY = 0.95  # of the energy, which acts in one direction
+EDGE = 0.02  # of the time, nearer than which to an end of its range a variable is at that end
+EVEN = 0.2  # of its width, within which a range lies even about zero
+POWER = (0.1, 0.9)  # shares between which the frequency band lies
+STEADY = 0.9  # of the energy, which makes a signal constant
+SLOWEST = 2  # periods in the recording, below which a frequency is not told
+
+
+@dataclass(frozen=True)
+class Location:
+    """In words: "|x| above 31 mm", "from 12 s on", "80 % of its power between 0.2 and 3 Hz"."""
+
+    regime: str
+    time: str
+    band: str
+
+
+def located(fit: Fit, place: Mapping, acting: Sequence[Iterable[str]]) -> dict:
+    """An entry of a diagnosis's `where`, its regime followed by where in it the correction acts, with `time`, `band`.
+
+    acting: symbols of the parameters of each effect of the correction, which counts by how much it changes the
+    prediction; what the fit leaves is located where there are none.
+    """
+    equation, model = place["equation"], fit.problem.model
+    parts = [_unit(added(fit, equation, symbols)) * _weight(fit, symbols) for symbols in map(tuple, acting)]
+    signal = np.hstack(parts) if parts else _unit(left(fit, equation))
+    kept = np.isfinite(fit.problem.sigma[: len(signal)]).all(axis=1)
+    if not np.any(signal[kept]):
+        return dict(place)
+    variables, units = signals(model)
+    on = place["depends_on"] or variables
+    variables = {name: s[: len(signal)][kept] for name, s in variables.items() if name in on}
+    found = locate(signal[kept], model.recording.time[: len(signal)][kept], variables, units)
+    regime = "; ".join(text for text in (place["regime"], found.regime) if text)
+    return {**place, "regime": regime, "time": found.time, "band": found.band}
+
+
+def _unit(columns: np.ndarray) -> np.ndarray:
+    """Columns of one size each, their sum of squares 1 in the mean."""
+    columns = columns[:, np.any(columns, axis=0)]
+    return columns / np.sqrt(np.mean(columns**2, axis=0) * max(columns.shape[1], 1))
+
+
+def _weight(fit: Fit, symbols: Iterable[str]) -> float:
+    """By how much parameters change the prediction, beside their values on the data sheet, RMS in units of noise."""
+    at_rest = {symbol: fit.problem.model.values[symbol] for symbol in symbols}
+    change = fit.problem.errors({**fit.values, **at_rest}, fit.shifts) - fit.errors
+    return float(np.sqrt(np.mean(np.where(np.isfinite(change), change, 0.0) ** 2)))
+
+
+# -- what is located -------------------------------------------------------------------------------------------------
+
+
+def added(fit: Fit, equation: str, symbols: Iterable[str]) -> np.ndarray:
+    """What parameters add to a balance, beside their values on the data sheet, (samples, columns).
+
+    In the unit of the equation's terms, on the simulated states. Where they do not enter the equation itself, a column
+    each balance, definition of a predicted channel and sensor that they do enter; else a column each channel, by how
+    much it is predicted differently.
+    """
+    problem = fit.problem
+    model, shifts = problem.model, fit.shifts * problem.local_scale
+    on = {**model.values, **fit.values}
+    off = {**on, **{symbol: model.values[symbol] for symbol in symbols}}
+    states, acting = model.states(on, shifts)
+    _, resting = model.states(off, shifts)
+    scopes = []
+    for values, given in ((on, acting), (off, resting)):
+        scope = Values(model.plant, {**given, **dict(zip(model.plant.states, states.T, strict=True))})
+        scope.update(values)
+        scopes.append(scope)
+
+    def differ(*places: str) -> np.ndarray:
+        columns = [np.broadcast_to(_difference(model, place, *scopes), len(states)) for place in places]
+        columns = np.stack(columns, axis=1)
+        return np.where(np.isfinite(columns), columns, 0.0)
+
+    outputs = [name for name, d in model.plant.definitions.items() if d.symbol in model.rig.predict]
+    places = (*model.plant.equations, *outputs, *(SENSOR + channel for channel in model.readings))
+    for columns in (differ(equation), differ(*places)):
+        if np.any(columns):
+            return columns[:, np.any(columns, axis=0)]
+    return np.nan_to_num(model.predict(on, shifts) - model.predict(off, shifts), posinf=0.0, neginf=0.0)
+
+
+def _difference(model: Model, place: str, on: Values, off: Values) -> np.ndarray | float:
+    """By how much an equation, a definition or a sensor differs between two scopes on the same states; else 0."""
+    plant = model.plant
+    if equation := plant.equations.get(place):
+        rates = [_sum(scope, equation.terms) / scope.evaluate(equation.storage) for scope in (on, off)]
+        return (rates[0] - rates[1]) * off.evaluate(equation.storage)
+    if definition := plant.definitions.get(place):
+        return on[definition.symbol] - off[definition.symbol]
+    reading = model.readings.get(place.removeprefix(SENSOR), {})
+    return _sum(on, reading) - _sum(off, reading)
+
+
+def _sum(scope: Values, terms: Mapping[str, str]):
+    return sum((scope.evaluate(text) for text in terms.values()), start=0.0)
+
+
+def left(fit: Fit, equation: str = "") -> np.ndarray:
+    """Errors that neither parameters nor starts of windows explain, (samples, channels); of a sensor its channel's."""
+    channels = fit.problem.model.rig.predict
+    rows = fit.projected[:, : fit.problem.block * len(channels)].reshape(-1, len(channels))
+    sensor = equation.removeprefix(SENSOR)
+    return rows[:, [channels.index(sensor)]] if sensor in channels else rows
+
+
+def signals(model: Model) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """(name -> signal, name -> unit): position, velocity and acceleration, the other channels, time."""
+    rig, recording, plant = model.rig, model.recording, model.plant
+    found, units = {}, {}
+    half = max(round(SMOOTH / rig.dt), 2)
+    moved = next((x for x, s in plant.states.items() if s.rate and x in rig.channels), None)
+    moved = moved or next((n for n in (*rig.inputs, *rig.channels) if rig.channels[n].unit == "m"), None)
+    if moved is not None:
+        x = recording[moved]
+        found["x"], units["x"] = x, "m"
+        for order, (name, unit) in enumerate((("v", "m/s"), ("a", "m/s^2")), start=1):
+            found[name] = savgol_filter(x, 2 * half + 1, order + 1, deriv=order, delta=rig.dt)
+            units[name] = unit
+    for name, channel in rig.channels.items():
+        if name != moved and (channel.role == "input" or channel.unit != "m"):
+            signal = recording[name]  # an output smoothed: its noise is in its residual, too
+            found[name] = savgol_filter(signal, 2 * half + 1, 2) if channel.role == "output" else signal
+            units[name] = channel.unit
+    found["t"], units["t"] = recording.time, "s"
+    return found, units
+
+
+# -- where it is -----------------------------------------------------------------------------------------------------
+
+
+def locate(
+    signal: np.ndarray, time: np.ndarray, variables: Mapping[str, np.ndarray], units: Mapping[str, str]
+) -> Location:
+    """Regime among `variables`, time and band in which `signal` is.
+
+    signal: (samples, columns), its energy the sum of their squares. time: (samples,) in s. variables: name ->
+    (samples,) SI, among them v for the direction; of any two in one unit the difference counts, too. units: of these.
+    """
+    energy = Energy.of(np.sum(signal**2, axis=1))
+    seen = {name: energy.beside(s) for name, s in variables.items() if name != "t"}
+    units = dict(units)
+    for one, other in combinations(list(seen), 2):
+        if units[one] == units[other]:
+            name = f"{one} − {other}"
+            seen[name], units[name] = seen[one] - seen[other], units[one]
+    way = _way(energy, seen["v"]) if "v" in seen else ""
+    return Location(
+        way or _regime(energy, seen, units) or "everywhere",
+        _when(energy, energy.beside(time)) or "all the time",
+        band(signal, float(time[1] - time[0])),
+    )
+
+
+@dataclass(frozen=True)
+class Energy:
+    """Shares of a signal's energy in cells of equal length, (stretches, cells of a stretch).
+
+    A stretch is as long as the amplitude hangs together (until its autocorrelation is below zero).
+    """
+
+    stretches: np.ndarray
+
+    @classmethod
+    def of(cls, energy: np.ndarray) -> "Energy":
+        cells = _cells(energy)
+        away = np.sqrt(cells) - np.sqrt(cells).mean()
+        memory = np.fft.irfft(np.abs(np.fft.rfft(away, 2 * len(away))) ** 2)[: len(away)]
+        forgotten = np.append(np.flatnonzero(memory <= 0), len(away))[0]
+        length = int(np.clip(forgotten, 1, max(len(away) // STRETCHES, 1)))
+        kept = cells[: len(cells) // length * length]
+        return cls(kept.reshape(-1, length) / kept.sum())
+
+    @property
+    def cells(self) -> np.ndarray:
+        return self.stretches.ravel()
+
+    @cached_property
+    def shuffled(self) -> np.ndarray:
+        """The cells with their stretches permuted, (DRAWS, cells)."""
+        orders = np.argsort(np.random.default_rng(0).random((DRAWS, len(self.stretches))), axis=1)
+        return self.stretches[orders].reshape(DRAWS, -1)
+
+    def beside(self, signal: np.ndarray) -> np.ndarray:
+        """Means of a signal over the cells."""
+        return _cells(signal)[: self.stretches.size]
+
+
+def _cells(signal: np.ndarray) -> np.ndarray:
+    """Means over CELLS pieces of equal length, over each sample where there are fewer."""
+    size = max(len(signal) // CELLS, 1)
+    return signal[: len(signal) // size * size].reshape(-1, size).mean(axis=1)
+
+
+def _excess(cells: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """Share of energy less share of time below each value of a variable, (..., cells + 1); `order` sorts it."""
+    summed = np.cumsum(cells[..., order] - 1.0 / len(order), axis=-1)
+    return np.concatenate([np.zeros((*summed.shape[:-1], 1)), summed], axis=-1)
+
+
+def _distance(excess: np.ndarray) -> np.ndarray:
+    """By how much energy exceeds time in the densest range of the variable, or beyond one."""
+    inside = excess - np.minimum.accumulate(excess, axis=-1)
+    outside = np.maximum.accumulate(excess, axis=-1) - excess
+    return np.maximum(inside.max(axis=-1), outside.max(axis=-1))
+
+
+def _correlation(rows: np.ndarray, shape: np.ndarray) -> np.ndarray:
+    """Of each row (..., cells) with `shape` (cells,)."""
+    away, shape = rows - rows.mean(axis=-1, keepdims=True), shape - np.mean(shape)
+    return away @ shape / np.maximum(np.linalg.norm(away, axis=-1) * np.linalg.norm(shape), 1e-300)
+
+
+def _rare(found: float, drawn: np.ndarray) -> bool:
+    """Seldom as large where the energy stands in another order."""
+    return (1 + np.sum(drawn >= found)) / (1 + len(drawn)) <= CHANCE
+
+
+def _way(energy: Energy, v: np.ndarray) -> str:
+    """The direction in which nearly all acts, if it is one."""
+    for word, there in (("forward", v > 0), ("backward", v < 0)):
+        share = energy.cells[there].sum()
+        if share >= ONE_WAY and _rare(share, energy.shuffled[:, there].sum(axis=1)):
+            return word
+    return ""
+
+
+def _regime(energy: Energy, seen: Mapping[str, np.ndarray], units: Mapping[str, str]) -> str:
+    """The range where the energy is densest, of whichever variable tells most."""
+    orders = {name: np.argsort(s, kind="stable") for name, s in seen.items()}
+    distances = {name: float(_distance(_excess(energy.cells, order))) for name, order in orders.items()}
+    name = max(distances, key=distances.get, default="")
+    if not name or distances[name] < CLEAR:
+        return ""
+    drawn = np.max([_distance(_excess(energy.shuffled, order)) for order in orders.values()], axis=0)
+    if not _rare(distances[name], drawn):
+        return ""
+    part = Range.densest(energy, seen[name])
+    shares = 100 * energy.cells[part.inside].sum(), 100 * part.inside.mean()
+    words = part.words(name, *scaled(units[name], float(np.abs(seen[name]).max())))
+    return f"{words} ({shares[0]:.0f} % of it, in {shares[1]:.0f} % of the time)"
+
+
+def _when(energy: Energy, clock: np.ndarray) -> str:
+    """The time in which the energy is densest, or that it grows."""
+    order = np.arange(len(clock))
+    distance = float(_distance(_excess(energy.cells, order)))
+    if distance < CLEAR:
+        return ""
+    part = Range.densest(energy, clock)
+    ramp, jump = (_correlation(np.sqrt(energy.cells), shape) for shape in (clock, part.inside))
+    if part.open and abs(ramp) >= jump:
+        steady = _rare(abs(ramp), np.abs(_correlation(np.sqrt(energy.shuffled), clock)))
+        return ("grows with time" if ramp > 0 else "fades with time") if steady else ""
+    if not _rare(distance, _distance(_excess(energy.shuffled, order))):
+        return ""
+    low, high = (None if b is None else _figure(b) for b in (part.low, part.high))
+    if part.open:
+        return f"from {low} s on" if high is None else f"until {high} s"
+    return f"until {low} s and from {high} s on" if part.beyond else f"between {low} and {high} s"
+
+
+@dataclass(frozen=True)
+class Range:
+    """Of a variable: between low and high, None where open; or beyond both. inside: (cells,) in it."""
+
+    low: float | None
+    high: float | None
+    beyond: bool
+    inside: np.ndarray
+
+    @property
+    def open(self) -> bool:
+        """It reaches to one end of all values."""
+        return self.low is None or self.high is None
+
+    @classmethod
+    def densest(cls, energy: Energy, variable: np.ndarray) -> "Range":
+        """Where, or beyond which, the energy exceeds the time by most."""
+        order = np.argsort(variable, kind="stable")
+        excess, count = _excess(energy.cells, order), len(variable)
+        rise, fall = excess - np.minimum.accumulate(excess), np.maximum.accumulate(excess) - excess
+        beyond = bool(fall.max() > rise.max())
+        last = int(np.argmax(fall if beyond else rise))
+        first = int((np.argmax if beyond else np.argmin)(excess[: last + 1]))
+        first = 0 if first < EDGE * count else first
+        last = count if count - last < EDGE * count else last
+        low = None if first == 0 else float(variable[order[first]])
+        high = None if last == count else float(variable[order[last - 1]])
+        within = np.zeros(count, bool)
+        within[order[first:last]] = True
+        if not beyond:
+            return cls(low, high, False, within)
+        if low is None or high is None:  # beyond one end
+            return cls(high, low, False, ~within)
+        return cls(low, high, True, ~within)
+
+    def words(self, name: str, factor: float, unit: str) -> str:
+        """As a person says it: "|x| above 31 mm"; a range that lies even about zero by its half width."""
+        low, high = (None if b is None else b * factor for b in (self.low, self.high))
+        unit = f" {unit}" if unit else ""
+        if self.open:
+            return f"{name} above {_figure(low)}{unit}" if high is None else f"{name} below {_figure(high)}{unit}"
+        if abs(low + high) < EVEN * (high - low):
+            return f"|{name}| {'above' if self.beyond else 'below'} {_figure((high - low) / 2)}{unit}"
+        ends = _figure(low), _figure(high)
+        return (
+            f"{name} below {ends[0]} or above {ends[1]}" if self.beyond else f"{name} {ends[0]} to {ends[1]}"
+        ) + unit
+
+
+def band(columns: np.ndarray, dt: float) -> str:
+    """The frequencies between which most power of `columns` (samples, columns) lies, sampled every `dt` s."""
+    away = columns - columns.mean(axis=0)
+    if np.sum(away**2) < (1 - STEADY) * np.sum(columns**2):
+        return "constant"
+    power = np.sum(np.abs(np.fft.rfft(away * np.hanning(len(away))[:, None], axis=0)) ** 2, axis=1)
+    low, high = np.searchsorted(np.cumsum(power) / power.sum(), POWER)
+    resolved = 1.0 / (len(columns) * dt)
+    if low <= SLOWEST:
+        return f"{100 * POWER[1]:.0f} % of its power below {_figure(max(high, SLOWEST) * resolved)} Hz"
+    low, high = _figure(low * resolved), _figure(high * resolved)
+    where = f"between {low} and {high} Hz" if low != high else f"at {low} Hz"
+    return f"{100 * (POWER[1] - POWER[0]):.0f} % of its power {where}"
+
+
+def scaled(unit: str, reach: float) -> tuple[float, str]:
+    """(factor, label) from SI to what a person reads: bar, µm or mm, ms."""
+    if unit == "Pa":
+        return 1e-5, "bar"
+    if unit == "m":
+        return (1e3, "mm") if reach >= 1e-3 else (1e6, "µm")
+    if unit == "m/s" and reach < 0.1:
+        return (1e3, "mm/s") if reach >= 1e-3 else (1e6, "µm/s")
+    if unit == "s" and reach < 1.0:
+        return 1e3, "ms"
+    return 1.0, "" if unit == "1" else unit
+
+
+def _figure(value: float) -> str:
+    """Two significant digits."""
+    return f"{float(f'{value:.2g}'):g}".replace("-", "−")

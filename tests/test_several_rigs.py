@@ -1,0 +1,149 @@
+"""Several rigs at a time: where joblib is told to run them, on a cluster too."""
+
+import json
+import sys
+from pathlib import Path
+
+import joblib
+import pytest
+from joblib._parallel_backends import ThreadingBackend
+
+from greygate import cli
+from greygate.errors import InputError
+from greygate.explain import explain, explain_all
+from greygate.mismatch.conceal import conceal
+
+WITHOUT = "distributed is not installed: pip install 'greygate[cluster]'"
+
+
+@pytest.fixture(scope="module")
+def drums(tmp_path_factory) -> list[Path]:
+    """Five seconds of two cable drums: one slips more when it is fast, one is as its data sheet says."""
+    made = tmp_path_factory.mktemp("rigs")
+    conceal("cable_drum", 3, made / "fast", effect="speed_slip", kind="one")
+    conceal("cable_drum", 3, made / "clean", kind="clean")
+    for table in made.glob("*/*.csv"):
+        table.write_text("".join(table.read_text().splitlines(keepends=True)[:5001]))
+    return [made / "fast", made / "clean"]
+
+
+@pytest.fixture
+def greygate(monkeypatch, capsys):
+    """The command: exit code, stdout, stderr."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["greygate", *map(str, arguments)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as stopped:
+            cli.run()
+        return stopped.value.code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """A scheduler and a worker on this machine; of one thread alone joblib would make no use."""
+    distributed = pytest.importorskip("distributed", reason=WITHOUT)
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=False, protocol="tcp://", host="127.0.0.1", dashboard_address=None
+    ) as made:
+        yield made
+
+
+def tasks(cluster) -> int:
+    """How many the cluster has done."""
+    return sum(to == "memory" for _, _, to, *_ in cluster.scheduler.transition_log)
+
+
+def verdicts(results: dict) -> dict[str, str]:
+    return {name: content["verdict"] for name, (content, _) in results.items()}
+
+
+def test_they_run_where_joblib_is_told_to(drums, tmp_path):
+    taken = []
+
+    class Watched(ThreadingBackend):
+        def submit(self, task, callback=None):
+            taken.append(task)
+            return super().submit(task, callback)
+
+    joblib.register_parallel_backend("watched", Watched)
+    followed = []
+    with joblib.parallel_config(backend="watched", n_jobs=2):
+        results = explain_all(
+            drums, out=tmp_path, html=tmp_path, follow=lambda done, name: followed.append((done, name))
+        )
+    assert len(taken) == 2
+    assert verdicts(results) == {"fast": "missing_physics", "clean": "consistent"}
+    assert followed == [(1, "fast"), (2, "clean")]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["clean.html", "clean.json", "fast.html", "fast.json"]
+    alone, lines = explain(drums[0])
+    assert {**alone, "seconds": 0} == {**json.loads((tmp_path / "fast.json").read_text()), "seconds": 0}
+    assert lines[:-1] == results["fast"][1][:-1]
+
+
+def test_a_cluster_diagnoses_them(drums, cluster, tmp_path):
+    from distributed import Client
+
+    before = tasks(cluster)
+    with Client(cluster), joblib.parallel_config(backend="dask"):
+        results = explain_all(drums, out=tmp_path)
+    assert verdicts(results) == {"fast": "missing_physics", "clean": "consistent"}
+    assert tasks(cluster) == before + 2
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_what_is_wrong_with_a_rig_is_said_from_a_cluster_too(drums, cluster, tmp_path):
+    from distributed import Client
+
+    with (
+        Client(cluster),
+        joblib.parallel_config(backend="dask"),
+        pytest.raises(InputError, match=r"nowhere/rig\.toml: cannot be read"),
+    ):
+        explain_all([drums[1], tmp_path / "nowhere"])
+
+
+def test_the_command_sends_a_rig_to_a_cluster(drums, cluster, tmp_path, greygate):
+    before = tasks(cluster)
+    out = tmp_path / "diagnosis.json"
+    code, printed, _ = greygate(
+        "diagnose", drums[1], "--backend", "dask", "--scheduler", cluster.scheduler_address, "--out", out
+    )
+    assert code == 0
+    assert "consistent" in printed
+    assert json.loads(out.read_text())["verdict"] == "consistent"
+    assert tasks(cluster) == before + 1
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        (["--backend", "dask", "--scheduler", "tcp://127.0.0.1:1"], WITHOUT),
+        (["--scheduler", "tcp://127.0.0.1:1"], "the processes of this machine have none; add --backend dask"),
+    ],
+)
+def test_without_a_cluster_one_line_says_so(options, problem, drums, monkeypatch, greygate):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    code, printed, err = greygate("diagnose", *drums, *options)
+    assert (code, printed) == (2, "")
+    assert problem.partition(":")[0] in err
+    assert len(err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("address", [[], ["--scheduler", "somewhere"], ["--scheduler", "tcp://127.0.0.1:1"]])
+def test_a_cluster_that_is_not_there_is_named(address, drums, monkeypatch, greygate):
+    pytest.importorskip("distributed", reason=WITHOUT)
+    monkeypatch.setattr(cli, "REACHED", 0.2)
+    code, printed, err = greygate("diagnose", *drums, "--backend", "dask", *address)
+    assert (code, printed) == (2, "")
+    assert "--scheduler" in err
+    assert len(err.strip().splitlines()) == 1
+
+
+def test_two_rigs_of_one_name_and_a_folder_that_is_missing_are_refused(drums, tmp_path):
+    with pytest.raises(InputError, match="fast: two rigs of that name"):
+        explain_all([drums[0], drums[0]])
+    with pytest.raises(InputError, match="no such folder"):
+        explain_all(drums, out=tmp_path / "nowhere")
