@@ -14,6 +14,7 @@ import tempfile
 import time
 from collections import Counter, defaultdict
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -150,8 +151,22 @@ def table(rows: list[dict]) -> list[str]:
         f"two effects, both named: {share(two, lambda r: r['all'] == 'True')}",
         f"  none false: {share(two, lambda r: not r['false'])}",
         f"seconds a rig, median: {seconds:.0f} (processor {cpu:.0f})",
+        "right effect first, by size of the effect beside the noise:",
     ]
-    return lines
+    return lines + [f"  {name}: {share(part, _first)}" for name, part in by_size(one).items()]
+
+
+SIZES = (3.0, 10.0, 30.0, 100.0)
+
+
+def by_size(rows: list[dict]) -> dict[str, list[dict]]:
+    """Rows by the RMS of what is concealed over the sensor's, in the channel where it shows most."""
+    edges = (0.0, *SIZES, np.inf)
+    names = [f"below {SIZES[0]:g}", *(f"{a:g} to {b:g}" for a, b in pairwise(SIZES)),
+             f"above {SIZES[-1]:g}"]  # fmt: skip
+    parts = {n: [r for r in rows if a <= float(r["strength"]) < b]
+             for n, a, b in zip(names, edges[:-1], edges[1:], strict=True)}  # fmt: skip
+    return {name: part for name, part in parts.items() if part}
 
 
 def _first(row: dict) -> bool:
@@ -178,9 +193,11 @@ def draw(rows: list[dict], path: Path) -> None:
     hidden = sorted({a for a, _ in pairs})
     named = sorted({b for _, b in pairs}, key=lambda b: (b not in hidden, b))
     cell, left, top = 20, 190, 170
+    sizes = by_size([row for row in rows if row["kind"] == "one"])
+    below = top + cell * len(hidden) + 40
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {left + cell * len(named) + 10} '
-        f'{top + cell * len(hidden) + 10}" font-family="sans-serif" font-size="11">',
+        f'{below + cell * len(sizes) + 10}" font-family="sans-serif" font-size="11">',
         '<rect width="100%" height="100%" fill="#ffffff"/>',
     ]
     for j, b in enumerate(named):
@@ -199,6 +216,16 @@ def draw(rows: list[dict], path: Path) -> None:
                 parts.append(
                     f'<text x="{left + cell * j + 9}" y="{y + 14}" text-anchor="middle" fill="#ffffff">{count}</text>'
                 )
+    parts.append(f'<text x="{left}" y="{below - 10}" fill="#333333">single effects by size over noise</text>')
+    wide = cell * len(named) / max(map(len, sizes.values()), default=1)
+    for i, (name, part) in enumerate(sizes.items()):
+        y, right = below + cell * i, sum(map(_first, part))
+        parts.append(f'<text x="{left - 6}" y="{y + 14}" text-anchor="end" fill="#333333">{name}</text>')
+        for x, count, fill in ((left, right, "#4878b0"), (left + wide * right, len(part) - right, "#e08030")):
+            width = wide * count
+            parts.append(f'<rect x="{x:.1f}" y="{y}" width="{width:.1f}" height="{cell - 1}" fill="{fill}"/>')
+            if count:
+                parts.append(f'<text x="{x + 4:.1f}" y="{y + 14}" fill="#ffffff">{count}</text>')
     path.write_text("\n".join([*parts, "</svg>", ""]))
 
 

@@ -112,11 +112,13 @@ class Fit:
         """
         block = self.problem.block * self.problem.model.rig.dt
         even = (np.arange(len(self.slopes)) // max(round(stretch / block), 1)) % 2 == 0
+        low, high = np.array([sorted((u.number(u.low), u.number(u.high))) for u in self.unknowns]).reshape(-1, 2).T
         total = 0.0
         for learn in (even, ~even):
             flat, errors = self.slopes[learn].reshape(-1, len(self.numbers)), self.projected[learn].reshape(-1)
             normal = flat.T @ flat + np.diag(self.weight + 1e-9)
             step = np.linalg.lstsq(normal, -(flat.T @ errors) - self.weight * self.numbers, rcond=1e-13)[0]
+            step = np.clip(self.numbers + step, low, high) - self.numbers
             total += float(np.sum((self.projected[~learn] + self.slopes[~learn] @ step) ** 2))
         return total
 

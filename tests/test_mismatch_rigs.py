@@ -50,6 +50,7 @@ CASES = {
     "parameter": ("cable_drum", 12, {"kind": "parameter"}),
     "eccentricity": ("cable_drum", 13, {"kind": "one", "effect": "drum_eccentricity"}),
     "slip": ("cable_drum", 14, {"kind": "one", "effect": "direction_slip"}),
+    "far parameter": ("cable_drum", 1001, {"kind": "parameter"}),
     "clean belt": ("belt_drive", 15, {"kind": "clean"}),
     "scale": ("belt_drive", 16, {"kind": "one", "effect": "scale_error"}),
     "play": ("belt_drive", 17, {"kind": "one", "effect": "reversal_play"}),
