@@ -139,8 +139,9 @@ def test_a_bound_holds(folder):
 def test_the_data_sheet_holds_a_parameter_that_the_recording_does_not_tell(folder):
     p = problem(folder, None)
     little = Unknown("stiffness", TRUE["stiffness"], 1e-9, 1.0)  # of that size the recording says nothing
-    fit = p.fit([*unknowns(spring=False), little])
-    assert fit.values["stiffness"] == pytest.approx(TRUE["stiffness"], abs=1e-9)
+    for start in (0.0, 30.0):  # of its deviations away
+        fit = p.fit([*unknowns(spring=False), little], {"stiffness": TRUE["stiffness"] + start * 1e-9})
+        assert fit.values["stiffness"] == pytest.approx(TRUE["stiffness"], abs=1e-9)
     assert fit.deviation("stiffness") == pytest.approx(1e-9, rel=0.15)
 
 
