@@ -20,7 +20,7 @@ from greygate.mismatch.coloured import Coloured, explain, settled
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.fit import Fit, Problem
 from greygate.mismatch.locate import located
-from greygate.mismatch.model import Model
+from greygate.mismatch.model import BLUR, Model
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.search import Hypothesis, Score, Search
 
@@ -33,7 +33,8 @@ SHARE = 0.99  # of what can be explained, which a named effect explains though s
 WIDER = 1.25  # by which intervals are widened: then 95 % of the true values of concealed cases are inside
 OWN = 0.05  # of what can be explained, which a second effect must explain by itself where the two leave something
 FLOOR = 0.92  # of the count of readings: cost of a fit that leaves nothing
-PAIR, LEAST = 0.5, 2e-3  # or of what the first effect leaves, and of all
+PAIR = 0.5  # or of what the first effect leaves
+LEAST = 5e-3  # of what can be explained, which an effect must explain beside one that acts by acceleration
 NEARLY = 0.95  # of the gain that the plain form of an effect promises, that of another form counts
 FAR = 0.3  # of the most promising hypothesis's gain
 FIRST, LATER = 6, 4  # hypotheses of the first round and of later ones that are fitted in full
@@ -236,10 +237,7 @@ def structure(problem: Problem, fit: Fit) -> dict[str, float]:
     """Per channel, how much larger slow errors are than white noise would have them, less one."""
     model, channels = problem.model, problem.model.rig.predict
     projected = fit.projected[:, : problem.block * len(channels)].reshape(-1, problem.block, len(channels))
-    free = {u.symbol for u in fit.unknowns}
-    active = [e for e in model.effects.values() if free & {f.symbol for f in e.free}]
-    blurred = "a" in model.plant.derived and any("a" in e.depends_on for e in active)
-    size = max(round((BLURRED if blurred else SLOW) / model.rig.dt), 2)
+    size = max(round((BLURRED if blurred(fit) else SLOW) / model.rig.dt), 2)
     out = {}
     for i, name in enumerate(channels):
         e = projected[:, :, i]
@@ -247,6 +245,11 @@ def structure(problem: Problem, fit: Fit) -> dict[str, float]:
         pieces = e[:, : e.shape[1] // size * size].reshape(-1, size)
         out[name] = float(np.mean(pieces.mean(axis=1) ** 2) * size / max(1.0, _fast(e))) - 1.0
     return out
+
+
+def blurred(fit: Fit) -> bool:
+    """An effect of the fit acts by an acceleration that is made of a position."""
+    return any(u.symbol == BLUR for u in fit.unknowns)
 
 
 def _fast(e: np.ndarray) -> float:
@@ -274,6 +277,7 @@ def diagnose(
     nothing = Hypothesis()
     base = search.base(screen)
     plain = search.fit(screen, nothing, base.values, base.shifts, enough=EVIDENCE / 10)
+    floor = screen.count * FLOOR
     tried = Tried()
     tried.add(nothing, plain)
     steps: list[tuple[Hypothesis, Fit]] = [(nothing, plain)]
@@ -293,6 +297,8 @@ def diagnose(
                 say(f"fitting {hypothesis}", share)
                 rival = min(map(_cost, found), default=np.inf)
                 fit = search.fit(screen, hypothesis, {**start.values, **score.values}, start.shifts, rival=rival)
+                if fit.cost > current.cost and score.gain > NEARLY * promising[0][0].gain:
+                    fit = restarted(search, hypothesis, score, start, fit)
                 allowed = possible(search, score.hypothesis, fit)
                 tried.add(hypothesis, fit, allowed)
                 if allowed:
@@ -303,18 +309,18 @@ def diagnose(
         hypothesis, fit = min(found, key=_cost)
         if not whole(screen, fit):
             hypothesis, fit = reshape(search, hypothesis, fit, tried, say, share)
-        if current.cost - fit.cost < EVIDENCE * inflation(fit) or fit.held_out() > current.held_out():
+        enough = LEAST * (plain.cost - floor) if blurred(current) else 0.0
+        if current.cost - fit.cost < max(EVIDENCE * inflation(fit), enough) or fit.held_out() > current.held_out():
             break
         steps.append((hypothesis, fit))
         start = fit
     best, current = steps[-1]
-    floor = screen.count * FLOOR
     if best.size > 1:
         best, current = eliminate(search, best, current, tried, say)
         if not whole(screen, current):  # several effects, and still not all
             (single, one), (pair, two) = tried.best[1], tried.best.get(2, (best, current))
-            saved, total, rest = one.cost - two.cost, plain.cost - floor, one.cost - floor
-            weighty = saved > OWN * total or (saved > PAIR * rest and saved > LEAST * total)
+            saved = one.cost - two.cost
+            weighty = saved > min(OWN * (plain.cost - floor), PAIR * (one.cost - floor))
             best, current = (pair, two) if weighty else (single, one)
     say("fitting over the rig's windows", 0.85)
     final = search.final
@@ -393,6 +399,14 @@ def alternatives(search: Search, ranked: Iterable[Score]) -> list[list[Score]]:
         return score.gain * (1.0 if score.hypothesis.effects == (name,) else NEARLY)
 
     return [sorted(forms, key=lambda s: -worth(name, s)) for name, forms in by_name.items()]
+
+
+def restarted(search: Search, hypothesis: Hypothesis, score: Score, start: Fit, worse: Fit) -> Fit:
+    """A fit that is worse than one with less came to a local minimum: once more, from where there is no effect."""
+    strengths = {f.symbol for key in score.hypothesis.effects for f in search.effects[key].strengths}
+    shapes = {s: v for s, v in score.values.items() if s not in strengths and not score.hypothesis.released}
+    again = search.fit(search.screen, hypothesis, {**start.values, **shapes}, start.shifts)
+    return min(worse, again, key=lambda fit: fit.cost)
 
 
 def reshape(search: Search, best: Hypothesis, fit: Fit, tried: Tried, say, share: float) -> tuple[Hypothesis, Fit]:

@@ -1,5 +1,6 @@
 """The pages of the plants say what the stored networks do, and show it."""
 
+import importlib.util
 import json
 import re
 from pathlib import Path
@@ -99,3 +100,11 @@ def test_a_page_shows_the_picture_that_the_command_draws(name):
 def test_a_folder_that_does_not_exist_is_named(tmp_path):
     with pytest.raises(InputError, match="no such folder"):
         pictures.draw(tmp_path / "none")
+
+
+def test_the_page_of_concealed_effects_has_the_table_that_the_kept_cases_make():
+    spec = importlib.util.spec_from_file_location("concealed", DOCS.parent / "benchmarks" / "concealed.py")
+    bench = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(bench)
+    table = "\n".join(bench.table(bench.read(bench.RESULTS / "concealed.csv")))
+    assert table in (DOCS / "concealed.md").read_text()
