@@ -58,17 +58,18 @@ def _line(search: Search) -> dict[str, Basis]:
              "fast": (f"max(abs(v) / {SPEED} - 0.5, 0.0)", ("v",)),
              "a": (f"a / {ACCELERATION}", ("a",)), "abs_a": (f"abs(a) / {ACCELERATION}", ("a",)),
              "xt": (f"{x} * t / ({reach} * {DURATION})", ("x", "t")),
-             "xv": (f"{x} * v / ({reach} * {SPEED})", ("x", "v")),
-             "sin_t": (f"sin(6.283185307179586 * t / {DURATION})", ("t",)),
-             "cos_t": (f"cos(6.283185307179586 * t / {DURATION})", ("t",))}  # fmt: skip
+             "xv": (f"{x} * v / ({reach} * {SPEED})", ("x", "v"))}  # fmt: skip
     for k in range(1, 13):
         basis[f"sin{k}"] = (f"sin({k} * 3.141592653589793 * {x} / {reach})", ("x",))
         basis[f"cos{k}"] = (f"cos({k} * 3.141592653589793 * {x} / {reach})", ("x",))
+    for k in range(1, 13):
+        basis[f"cycle_sin{k}"] = (f"sin({k} * 3.141592653589793 * t / {DURATION})", ("t",))
+        basis[f"cycle_cos{k}"] = (f"cos({k} * 3.141592653589793 * t / {DURATION})", ("t",))
     for k in range(24):
         basis[f"bump{k}"] = (f"exp(-(24.0 * {x} / {reach} - {k + 0.5})**2)", ("x",))
     out["transmission"] = basis
     if "slip" in search.final.model.plant.states:
-        out["slip"] = {n: (f"({e}) * travel", d) for n, (e, d) in basis.items() if not n.startswith("bump")}
+        out["slip"] = {n: (f"({e}) * travel", d) for n, (e, d) in basis.items() if not n.startswith(("bump", "cycle"))}
     return out
 
 
@@ -77,7 +78,6 @@ def _cylinder(rig: Rig) -> dict[str, Basis]:
     x, v = f"{held('x')} / 0.03", f"{held('v')} / {SPEED}"
     a, b = f"({held('p_a')} - 1e7) / 1e7", f"({held('p_b')} - 1e7) / 1e7"
     t = f"t / {DURATION}"
-    u = f"{rig.inputs[-1]} / {1.5 if rig.inputs[-1] == 'v_c' else 6.0}"
     basis = {
         "one": ("1.0", ()), "x": (x, ("x",)), "x2": (f"({x})**2", ("x",)), "x3": (f"({x})**3", ("x",)),
         "v": (v, ("v",)), "abs_v": (f"abs({v})", ("v",)), "vv": (f"({v}) * abs({v})", ("v",)),
@@ -87,9 +87,11 @@ def _cylinder(rig: Rig) -> dict[str, Basis]:
         "dp": (f"({a}) - ({b})", ("p_a", "p_b")), "t": (t, ("t",)),
         "tv": (f"({t}) * {v}", ("t", "v")), "t_dp": (f"({t}) * (({a}) - ({b}))", ("t", "p_a", "p_b")),
         "t_sign_v": (f"({t}) * tanh(20 * {v})", ("t", "v")),
-        "u": (u, (rig.inputs[-1],)), "uu": (f"({u}) * abs({u})", (rig.inputs[-1],)),
-        "tu": (f"({t}) * {u}", ("t", rig.inputs[-1])),
     }  # fmt: skip
+    for name in reversed(rig.inputs):
+        u = f"{held(name)} / seen_high_{name}"
+        basis |= {name: (u, (name,)), f"{name}_sign": (f"tanh(20 * {u})", (name,)),
+                  f"{name}2": (f"{u} * abs({u})", (name,)), f"t_{name}": (f"({t}) * {u}", ("t", name))}  # fmt: skip
     scales = {"motion": 300.0, "continuity_a": 1e-6, "continuity_b": 1e-6}
     for equation in scales:
         out[equation] = {name: (f"{scales[equation]} * ({e})", d) for name, (e, d) in basis.items()}
