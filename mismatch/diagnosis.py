@@ -257,6 +257,7 @@ def _fast(e: np.ndarray) -> float:
     return float(np.mean(np.diff(e, axis=1) ** 2) / 2)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a trial may diverge
 def diagnose(
     rig: Rig, effects: Mapping[str, Effect] | None = None, say: Callable[[str, float], None] | None = None
 ) -> Diagnosis:

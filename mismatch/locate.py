@@ -42,6 +42,7 @@ class Location:
     band: str
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a window may diverge
 def located(fit: Fit, place: Mapping, acting: Sequence[Iterable[str]]) -> dict:
     """An entry of a diagnosis's `where`, its regime followed by where in it the correction acts, with `time`, `band`.
 
