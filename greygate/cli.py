@@ -41,6 +41,7 @@ class Backend(StrEnum):
 
 REACHED = 10.0  # s in which a cluster's scheduler answers
 
+Tables = Annotated[list[Path], typer.Option(help="TOML file that extends the effects; hydraulics comes along.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Folder = Annotated[Path, typer.Argument(help="A folder that `greygate compile` wrote.")]
 
@@ -411,7 +412,7 @@ def diagnose(
     html: Annotated[
         Path | None, typer.Option(help="Page that argues the case; of several rigs a folder of NAME.html.")
     ] = None,
-    effects: Annotated[list[Path], typer.Option(help="TOML file that extends the table of effects.")] = [],  # noqa: B006
+    effects: Tables = [],  # noqa: B006
     jobs: Annotated[int, typer.Option(min=1, help="Rigs diagnosed at a time; dask takes all its workers.")] = 1,
     backend: Annotated[Backend, typer.Option(help="Processes of this machine, or a cluster.")] = Backend.LOKY,
     scheduler: Annotated[str | None, typer.Option(help="Of the dask cluster: tcp://HOST:PORT.")] = None,
@@ -466,7 +467,7 @@ Rig = Annotated[Path, typer.Argument(metavar="RIG_FOLDER", help="Folder of rig.t
 @app.command()
 def isolability(
     rig: Rig,
-    effects: Annotated[list[Path], typer.Option(help="TOML file that extends the table of effects.")] = [],  # noqa: B006
+    effects: Tables = [],  # noqa: B006
     ranges: Annotated[
         list[str], typer.Option("--range", help="NAME=LOW:HIGH of every input: motions by rule, before data.")
     ] = [],  # noqa: B006

@@ -17,6 +17,7 @@ from greygate.plants.plant import Definition, Equation, Parameter, Plant, State
 
 TABLE = Path(__file__).parent / "effects.toml"
 GENERAL = Path(__file__).parent / "general.toml"
+EXTRA = {"hydraulics": Path(__file__).parent / "hydraulics.toml"}
 ANY = "*"  # among `plants`: for every plant
 SENSOR = "sensor_"  # the place of a term that changes a channel's reading
 
@@ -91,11 +92,11 @@ class Effect:
 
 
 def read(path: Path | str = TABLE) -> dict[str, Effect]:
-    """Effects by key, from a TOML table.
+    """Effects by key, from a TOML table: a file, or the name of one that comes along ("hydraulics").
 
     Raises InputError naming file and entry.
     """
-    path = Path(path)
+    path = EXTRA.get(str(path), Path(path))
     return {key: _effect(path, key, entry) for key, entry in _table(path).items()}
 
 

@@ -31,7 +31,7 @@ VOCABULARY = {
     "rate_dependent_band drift reversal_play",
     "cable_drum": "drift drum_eccentricity speed_slip direction_slip acceleration_slip cable_stretch rest_relaxation",
 }
-TABLE = table.read()
+TABLE = {**table.read(), **table.read("hydraulics")}
 PAIRS = [(plant, key) for plant in MAKERS for key, effect in TABLE.items() if plant in effect.plants]
 
 
