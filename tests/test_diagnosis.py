@@ -3,31 +3,16 @@
 import csv
 import json
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from greygate import cli, explain
+from greygate import explain
 from greygate.mismatch import conceal
 from greygate.mismatch.concealed.valve import VALVE
 
 DRUM = 3  # seed
-
-
-@pytest.fixture
-def greygate(monkeypatch, capsys):
-    """The command: exit code, stdout, stderr."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["greygate", *map(str, arguments)])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as stopped:
-            cli.run()
-        return stopped.value.code, *capsys.readouterr()
-
-    return run
 
 
 @pytest.fixture(scope="module")

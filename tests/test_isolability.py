@@ -2,7 +2,6 @@
 
 import json
 import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,7 +9,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from greygate import cli
 from greygate.errors import InputError
 from greygate.explain import explain
 from greygate.mismatch import conceal, rig
@@ -141,20 +139,6 @@ def recorded(looked: Search, name: str, inputs) -> Recording:
     shown = made.shown(inputs)
     shown = {n: s + noise.get(n, 0.0) * rng.standard_normal(len(s)) for n, s in shown.items()}
     return Recording(made.rig.dt, shown, made.units)
-
-
-@pytest.fixture
-def greygate(monkeypatch, capsys):
-    """The command: exit code, stdout, stderr."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["greygate", *map(str, arguments)])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as stopped:
-            cli.run()
-        return stopped.value.code, *capsys.readouterr()
-
-    return run
 
 
 # -- what is not told apart ------------------------------------------------------------------------------------------

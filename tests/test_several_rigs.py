@@ -27,20 +27,6 @@ def drums(tmp_path_factory) -> list[Path]:
     return [made / "fast", made / "clean"]
 
 
-@pytest.fixture
-def greygate(monkeypatch, capsys):
-    """The command: exit code, stdout, stderr."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["greygate", *map(str, arguments)])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as stopped:
-            cli.run()
-        return stopped.value.code, *capsys.readouterr()
-
-    return run
-
-
 @pytest.fixture(scope="module")
 def cluster():
     """A scheduler and a worker on this machine; of one thread alone joblib would make no use."""
