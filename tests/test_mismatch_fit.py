@@ -7,7 +7,7 @@ from greygate.mismatch import rig, simulation
 from greygate.mismatch.diagnosis import diagnose
 from greygate.mismatch.effects import Effect, Free
 from greygate.mismatch.fit import LONGEST, Problem, Unknown, roughness, runs
-from greygate.mismatch.model import Model, delayed, lagged
+from greygate.mismatch.model import FILTERS, Model, delayed, lagged
 from greygate.plants.plant import Plant
 from greygate.plants.simulate import simulate
 
@@ -205,3 +205,25 @@ def test_what_no_effect_of_the_table_has_is_closed_in_its_equation_on_its_variab
     predicted = simulation.simulate(loaded, loaded.recording(folder / "identify.csv"), content, {})
     error = predicted["x"] - loaded.recording(folder / "identify.csv")["x"]
     assert np.sqrt(np.mean(error**2)) == pytest.approx(rms["corrected"], rel=1e-6)
+
+
+def test_a_closure_keeps_only_functions_of_which_it_is_sure(folder):
+    """A spring so stiff that the straight line that chooses them asks for more."""
+    recorded(folder, 0, 2000)
+    (folder / "rig.toml").write_text(RIG)
+    (entry,) = diagnose(rig.load(folder), {}).as_dict()["effects"]
+    for p in entry["parameters"].values():
+        low, high = p["ci95"]
+        assert abs(p["value"]) > 5 * (high - low) / 3.92
+
+
+def test_motors_that_lag_begin_at_rest():
+    """A step from the first sample on: one lag rises by its exponential, two equal ones later."""
+    dt, lag = 1e-3, 0.02
+    one, two = (FILTERS[name](np.ones(200), lag, dt) for name in ("lag_from_rest", "lag_twice_from_rest"))
+    t = np.arange(201) * dt
+    rising = t + lag * np.exp(-t / lag)  # integral of what one lag gives
+    np.testing.assert_allclose(one, np.diff(rising) / dt, atol=1e-12)
+    half = lag / 2
+    rising = t + np.exp(-t / half) * (2 * half + t)
+    np.testing.assert_allclose(two, np.diff(rising) / dt, atol=1e-3)

@@ -95,6 +95,18 @@ def test_an_effect_is_named_by_its_own_name_in_the_form_that_fits(case):
     assert low < 40.0 < high
 
 
+def test_an_effect_in_the_wrong_form_is_put_in_the_right_one(case):
+    folder, _ = case("another form")
+    rig = load(folder)
+    recording = rig.recording(folder / "identify.csv")
+    search = Search(rig, recording, effects.known(rig, recording))
+    plain = Hypothesis(("drift",))
+    fit = search.fit(search.screen, plain, {})
+    best, better = diagnosis.reshape(search, plain, fit, diagnosis.Tried(), lambda text, share: None, 0.0)
+    assert best.effects == ("drift_settling",)
+    assert better.cost < fit.cost
+
+
 def test_the_file_gives_the_simulation_that_the_diagnosis_reports(case):
     folder, result = case("eccentricity")
     found = json.loads(json.dumps(result.as_dict()))
