@@ -34,8 +34,9 @@ WIDER = 1.25  # by which intervals are widened: then 95 % of the true values of 
 OWN = 0.05  # of what can be explained, which a second effect must explain by itself where the two leave something
 FLOOR = 0.92  # of the count of readings: cost of a fit that leaves nothing
 PAIR = 0.5  # or of what the first effect leaves
-LEAST = 5e-3  # of what can be explained, which an effect must explain beside one that acts by acceleration
+LEAST = 1e-2  # of what can be explained, which an effect must explain beside one that acts by acceleration
 NEARLY = 0.95  # of the gain that the plain form of an effect promises, that of another form counts
+NEAR, RIVALS = 0.05, 6  # of the count of readings: cost above the best; how many rivals see longer windows
 FAR = 0.3  # of the most promising hypothesis's gain
 FIRST, LATER = 6, 4  # hypotheses of the first round and of later ones that are fitted in full
 SLOW = 0.02  # s of a mean that tells slow errors from white ones
@@ -217,17 +218,29 @@ def recovered(effect: Effect, found: Mapping[str, Mapping]) -> dict[str, float]:
 
 
 class Tried:
-    """Every hypothesis that was fitted. costs: the least of each. best: by size, of those that are possible."""
+    """Every hypothesis that was fitted. costs: the least of each. best: by size, of those that are possible.
+
+    fits: the best of each that is possible.
+    """
 
     def __init__(self):
         self.costs: dict[Hypothesis, float] = {}
+        self.fits: dict[Hypothesis, Fit] = {}
         self.best: dict[int, tuple[Hypothesis, Fit]] = {}
 
     def add(self, hypothesis: Hypothesis, fit: Fit, possible: bool = True) -> None:
         self.costs[hypothesis] = min(fit.cost, self.costs.get(hypothesis, np.inf))
+        if possible and fit.cost == self.costs[hypothesis]:
+            self.fits[hypothesis] = fit
         _, before = self.best.get(hypothesis.size, (None, None))
         if possible and (before is None or fit.cost < before.cost):
             self.best[hypothesis.size] = (hypothesis, fit)
+
+    def moved(self, by: float) -> "Tried":
+        """The same costs over other windows, where the best one's differs `by` so much; no fit."""
+        other = Tried()
+        other.costs = {hypothesis: cost + by for hypothesis, cost in self.costs.items()}
+        return other
 
 
 # -- finding it ------------------------------------------------------------------------------------------------------
@@ -273,63 +286,28 @@ def diagnose(
     if not rig.stated:
         return _coloured(Search(rig, recording, effects, whole=Coloured), recording, began, say)
     search = Search(rig, recording, effects)
-    screen = search.screen
+    problem, final = search.screen, search.final
     say("calibrating", 0.05)
     nothing = Hypothesis()
-    base = search.base(screen)
-    plain = search.fit(screen, nothing, base.values, base.shifts, enough=EVIDENCE / 10)
-    floor = screen.count * FLOOR
+    base = search.base(problem)
+    plain = search.fit(problem, nothing, base.values, base.shifts, enough=EVIDENCE / 10)
     tried = Tried()
     tried.add(nothing, plain)
-    steps: list[tuple[Hypothesis, Fit]] = [(nothing, plain)]
-    start = base
-    while len(steps) <= EFFECTS and not (len(steps) > 1 and whole(screen, steps[-1][1])):
-        best, current = steps[-1]
-        ranked = alternatives(search, search.scores(screen, start, best))
-        share = 0.15 + 0.2 * len(steps)
-        say(f"scored {len(ranked)} hypotheses", share)
-        promising = [forms for forms in ranked if forms[0].gain > EVIDENCE / 3][: FIRST if len(steps) == 1 else LATER]
-        found: list[tuple[Hypothesis, Fit]] = []
-        for forms in promising:
-            if found and forms[0].gain < FAR * promising[0][0].gain and whole(screen, min(found, key=_cost)[1]):
-                break  # one explains all, and this one promises little
-            for score in forms:
-                hypothesis = best.plus(score.hypothesis)
-                say(f"fitting {hypothesis}", share)
-                rival = min(map(_cost, found), default=np.inf)
-                fit = search.fit(screen, hypothesis, {**start.values, **score.values}, start.shifts, rival=rival)
-                if fit.cost > current.cost and score.gain > NEARLY * promising[0][0].gain:
-                    fit = restarted(search, hypothesis, score, start, fit)
-                allowed = possible(search, score.hypothesis, fit)
-                tried.add(hypothesis, fit, allowed)
-                if allowed:
-                    found.append((hypothesis, fit))
-                    break
-        if not found:
-            break
-        hypothesis, fit = min(found, key=_cost)
-        if not whole(screen, fit):
-            hypothesis, fit = reshape(search, hypothesis, fit, tried, say, share)
-        enough = LEAST * (plain.cost - floor) if blurred(current) else 0.0
-        if current.cost - fit.cost < max(EVIDENCE * inflation(fit), enough) or fit.held_out() > current.held_out():
-            break
-        steps.append((hypothesis, fit))
-        start = fit
-    best, current = steps[-1]
-    if best.size > 1:
-        best, current = eliminate(search, best, current, tried, say)
-        if not whole(screen, current):  # several effects, and still not all
-            (single, one), (pair, two) = tried.best[1], tried.best.get(2, (best, current))
-            saved = one.cost - two.cost
-            weighty = saved > min(OWN * (plain.cost - floor), PAIR * (one.cost - floor))
-            best, current = (pair, two) if weighty else (single, one)
-    say("fitting over the rig's windows", 0.85)
-    final = search.final
-    corrected = search.fit(final, best, current.values)
+    best, current = selected(search, base, [(nothing, plain)], tried, say)
+    say("fitting over longer windows", 0.85)
+    if whole(problem, current) and best.size:
+        best, corrected, tried = compared(search, best, current, tried, say)
+    else:
+        corrected = search.fit(final, best, current.values)
+    if best.size == 1 and whole(problem, current) and not whole(final, corrected):  # shown by longer windows alone
+        calibrated = search.fit(final, nothing, plain.values)
+        more, again = selected(search, corrected, [(nothing, calibrated), (best, corrected)], tried, say)
+        if more != best:
+            problem, plain, best, current, corrected = final, calibrated, more, again, again
     rivals = {h: c / inflation(current) for h, c in tried.costs.items()}
     left = structure(final, corrected)
-    explained = (plain.cost - current.cost) / max(plain.cost - floor, 1.0)
-    open_ = max(left.values()) > STRUCTURE and not whole(screen, current)
+    explained = (plain.cost - current.cost) / max(plain.cost - floor(problem), 1.0)
+    open_ = max(left.values()) > STRUCTURE and not whole(problem, current)
     unknown = None
     if best == nothing and not open_:
         verdict = "consistent"
@@ -348,6 +326,58 @@ def diagnose(
     result.fits = fits(result, recording)
     result.seconds = time.perf_counter() - began
     return result
+
+
+def selected(
+    search: Search, start: Fit, steps: list[tuple[Hypothesis, Fit]], tried: Tried, say: Callable[[str, float], None]
+) -> tuple[Hypothesis, Fit]:
+    """Forward selection from the last of `steps` on, pairs where it leaves something, backward elimination.
+
+    start: where scores are taken first. steps: from nothing on, each a hypothesis and its fit.
+    """
+    (_, plain), (best, current) = steps[0], steps[-1]
+    problem, base = plain.problem, None if best.size else start
+    while best.size < EFFECTS and not (best.size and whole(problem, current)):
+        ranked = alternatives(search, search.scores(problem, start, best))
+        share = 0.15 + 0.2 * (1 + best.size)
+        say(f"scored {len(ranked)} hypotheses", share)
+        promising = [forms for forms in ranked if forms[0].gain > EVIDENCE / 3][: LATER if best.size else FIRST]
+        found: list[tuple[Hypothesis, Fit]] = []
+        for forms in promising:
+            if found and forms[0].gain < FAR * promising[0][0].gain and whole(problem, min(found, key=_cost)[1]):
+                break  # one explains all, and this one promises little
+            for score in forms:
+                hypothesis = best.plus(score.hypothesis)
+                say(f"fitting {hypothesis}", share)
+                rival = min(map(_cost, found), default=np.inf)
+                fit = search.fit(problem, hypothesis, {**start.values, **score.values}, start.shifts, rival=rival)
+                if fit.cost > current.cost and score.gain > NEARLY * promising[0][0].gain:
+                    fit = restarted(search, hypothesis, score, start, fit)
+                allowed = possible(search, score.hypothesis, fit)
+                tried.add(hypothesis, fit, allowed)
+                if allowed:
+                    found.append((hypothesis, fit))
+                    break
+        if not found:
+            break
+        hypothesis, fit = min(found, key=_cost)
+        if not whole(problem, fit):
+            hypothesis, fit = reshape(search, hypothesis, fit, tried, say, share)
+        enough = LEAST * (plain.cost - floor(problem)) if blurred(current) else 0.0
+        if current.cost - fit.cost < max(EVIDENCE * inflation(fit), enough) or fit.held_out() > current.held_out():
+            break
+        best, current = hypothesis, fit
+        start = fit
+    if base is not None and not whole(problem, current):
+        best, current = paired(search, base, best, current, tried, say)
+    if best.size > 1:
+        best, current = eliminate(search, best, current, tried, say)
+        if not whole(problem, current):  # several effects, and still not all
+            (single, one), (pair, two) = tried.best[1], tried.best.get(2, (best, current))
+            all_, left = plain.cost - floor(problem), one.cost - floor(problem)
+            enough = max(min(OWN * all_, PAIR * left), LEAST * all_ if blurred(one) else 0.0)
+            best, current = (pair, two) if one.cost - two.cost > enough else (single, one)
+    return best, current
 
 
 def _coloured(search: Search, recording, began: float, say) -> Diagnosis:
@@ -373,8 +403,14 @@ def inflation(fit: Fit) -> float:
 
 
 def possible(search: Search, hypothesis: Hypothesis, fit: Fit) -> bool:
-    """No size of the effect lies on its physical bound."""
-    free = [f for key in hypothesis.effects for f in search.effects[key].strengths]
+    """The fit runs, no size of the effect lies on its physical bound, no overtone is larger than its wave."""
+    if not np.isfinite(fit.cost):
+        return False
+    effects = [search.effects[key] for key in hypothesis.effects]
+    sizes = [[np.hypot(*(fit.values[s] for s in pair)) for pair in effect.wave.values()] for effect in effects]
+    if any(overtones and max(overtones) > fundamental for fundamental, *overtones in filter(None, sizes)):
+        return False  # a wave of that overtone's own period
+    free = [f for effect in effects for f in effect.strengths]
     return not any(b and np.isclose(fit.values[f.symbol], b, rtol=1e-6) for f in free for b in (f.low, f.high))
 
 
@@ -382,6 +418,11 @@ def whole(problem: Problem, fit: Fit) -> bool:
     """Nothing is left to be explained: no slow errors, or few, and no more error than the sensors make."""
     slow = max(structure(problem, fit).values())
     return slow < STRUCTURE or (slow < 1.0 and fit.cost < problem.count)
+
+
+def floor(problem: Problem) -> float:
+    """Cost of a fit that leaves nothing."""
+    return problem.count * FLOOR
 
 
 def _cost(found: tuple[Hypothesis, Fit]) -> float:
@@ -406,24 +447,76 @@ def restarted(search: Search, hypothesis: Hypothesis, score: Score, start: Fit, 
     """A fit that is worse than one with less came to a local minimum: once more, from where there is no effect."""
     strengths = {f.symbol for key in score.hypothesis.effects for f in search.effects[key].strengths}
     shapes = {s: v for s, v in score.values.items() if s not in strengths and not score.hypothesis.released}
-    again = search.fit(search.screen, hypothesis, {**start.values, **shapes}, start.shifts)
+    again = search.fit(worse.problem, hypothesis, {**start.values, **shapes}, start.shifts)
     return min(worse, again, key=lambda fit: fit.cost)
+
+
+def compared(search: Search, best: Hypothesis, fit: Fit, tried: Tried, say) -> tuple[Hypothesis, Fit, Tried]:
+    """Every hypothesis that explains all over short windows, in every form, over long ones, and the best of them.
+
+    Long windows tell forms apart that short ones do not. A further unknown costs what BIC says.
+    """
+    problem, final = fit.problem, search.final
+    near = fit.cost + min(NEAR * problem.count, (tried.costs[Hypothesis()] - fit.cost) / 2)
+    rivals = {h: f for h, f in tried.fits.items() if h.size == best.size and f.cost < near and whole(problem, f)}
+    rivals = {best: fit, **{h: rivals[h] for h in sorted(rivals, key=lambda h: rivals[h].cost)[:RIVALS]}}
+    found: dict[Hypothesis, Fit] = {}
+    for hypothesis, start in rivals.items():
+        for form, values in forms(search, hypothesis, start.values):
+            if form not in found and not (final is problem and form in tried.costs):
+                say(f"fitting {form} over longer windows", 0.88)
+                again = search.fit(final, form, values, start.shifts if final is problem else None)
+                if possible(search, form, again) or form == best:
+                    found[form] = again
+    if final is problem:
+        found |= rivals
+    other = tried.moved(found[best].cost - fit.cost)
+    for hypothesis, again in found.items():
+        other.costs.pop(hypothesis, None)
+        other.add(hypothesis, again)
+    best = min(found, key=lambda h: found[h].cost + np.log(final.count) * (len(found[h].unknowns) + len(h.released)))
+    return best, found[best], other
+
+
+def forms(search: Search, hypothesis: Hypothesis, values: Mapping[str, float]) -> Iterable[tuple[Hypothesis, dict]]:
+    """(`hypothesis` with at most one effect in another form, values from which it is fitted)."""
+    yield hypothesis, dict(values)
+    for key in hypothesis.effects:
+        effect = search.effects[key]
+        for form in search.effects.values():
+            if form.id == effect.id and form.key != key:
+                effects = tuple(form.key if k == key else k for k in hypothesis.effects)
+                yield Hypothesis(effects, hypothesis.released), {**values, **carried(effect, form, values)}
+
+
+def paired(search, base: Fit, best: Hypothesis, fit: Fit, tried: Tried, say) -> tuple[Hypothesis, Fit]:
+    """Two effects that were taken up together where one after the other leaves something: each alone may fit badly."""
+    for score in search.pairs(fit.problem, base, LATER):
+        if score.hypothesis in tried.costs:
+            continue
+        say(f"fitting {score.hypothesis}", 0.75)
+        start = {**base.values, **score.values}
+        again = search.fit(fit.problem, score.hypothesis, start, base.shifts, rival=fit.cost)
+        allowed = possible(search, score.hypothesis, again)
+        tried.add(score.hypothesis, again, allowed)
+        if allowed and again.cost < fit.cost - EVIDENCE * inflation(again) and again.held_out() < fit.held_out():
+            best, fit = score.hypothesis, again
+    return best, fit
 
 
 def reshape(search: Search, best: Hypothesis, fit: Fit, tried: Tried, say, share: float) -> tuple[Hypothesis, Fit]:
     """Put every effect of `best` in the form in which it fits best, where another form is better by enough."""
-    for key in best.effects:
-        effect = search.effects[key]
-        forms = [other for other in search.effects.values() if other.id == effect.id and other.key != key]
-        for form in forms:
-            other = Hypothesis(tuple(form.key if k == key else k for k in best.effects), best.released)
+    for _ in best.effects:
+        for other, start in [*forms(search, best, fit.values)][1:]:
             say(f"fitting {other}", share)
-            start = {**fit.values, **carried(effect, form, fit.values)}
-            again = search.fit(search.screen, other, start, fit.shifts)
+            again = search.fit(fit.problem, other, start, fit.shifts)
             allowed = possible(search, other, again)
             tried.add(other, again, allowed)
             if allowed and again.cost < fit.cost - EVIDENCE * inflation(again):
-                best, fit, key, effect = other, again, form.key, form
+                best, fit = other, again
+                break
+        else:
+            break
     return best, fit
 
 
@@ -435,14 +528,13 @@ def carried(effect: Effect, form: Effect, values: Mapping[str, float]) -> dict[s
 
 def eliminate(search, best: Hypothesis, fit: Fit, tried: Tried, say) -> tuple[Hypothesis, Fit]:
     """Drop effects without which the fit is as good."""
-    screen = search.screen
     changed = True
     while changed and best.size > 1:
         changed = False
         for drop in (*best.effects, *best.released):
             less = Hypothesis(tuple(k for k in best.effects if k != drop), tuple(s for s in best.released if s != drop))
             say(f"trying without {drop}", 0.8)
-            again = search.fit(screen, less, fit.values, fit.shifts, rival=fit.cost + EVIDENCE)
+            again = search.fit(fit.problem, less, fit.values, fit.shifts, rival=fit.cost + EVIDENCE)
             tried.add(less, again, possible(search, less, again))
             if again.cost < fit.cost + EVIDENCE:
                 best, fit, changed = less, again, True

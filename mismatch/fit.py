@@ -19,6 +19,7 @@ LOOSE = 0.05  # m/s by which a smoothed velocity may be off where a window begin
 LONGEST = 200  # samples of one recorded code that are counted as one reading
 STEP = 1e-3  # of a parameter's scale, for differences
 BLOCK = 0.25  # s within which errors may depend on each other, for intervals where there are no windows
+HALVINGS = 6  # of a start from which the run diverges
 ENOUGH = 0.05  # of cost, below which a further step is not taken
 
 
@@ -240,7 +241,8 @@ class Problem:
 
         enough: gain of cost below which no further step is taken; slack: the same, as a share of the cost beyond that
         of noise. rival: a cost; a fit that is on no way to it gives up. tempered: errors above the sensors' are laid to
-        what the plant leaves out, so that they count less and the data sheet more.
+        what the plant leaves out, so that they count less and the data sheet more. The cost is inf where even the
+        plant of the data sheet diverges.
         """
         temper = np.ones(self.sigma.shape[1])
         unknowns, values = tuple(unknowns), dict(values or {})
@@ -260,6 +262,13 @@ class Problem:
             return e, self.cost(e, s, temper) + float(np.sum(weight * n**2))
 
         errors, cost = at(numbers, shifts)
+        for _ in range(HALVINGS):  # a start from which the run diverges: nearer to where each unknown has its origin
+            if np.isfinite(cost):
+                break
+            numbers = np.clip(numbers / 2, low, high)
+            errors, cost = at(numbers, shifts)
+        if not np.isfinite(cost):
+            return Fit(self, unknowns, values, numbers, shifts, errors, weight, cost, False, temper)
         damping, converged, slopes, basis, fresh = 0.0, False, None, None, False
         for iteration in range(iterations):
             if tempered:

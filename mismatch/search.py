@@ -4,9 +4,9 @@ A hypothesis is a set of effects and, at most, one parameter let out of its tole
 which a wrong model stays near the recording, ranks them; the final fit is over the rig's own windows.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -138,19 +138,21 @@ class Search:
 
     def candidates(self, given: Hypothesis) -> list[Hypothesis]:
         """What may be added to a hypothesis."""
-        ids = {self.effects[key].id for key in given.effects}
-        symbols = {f.symbol for key in given.effects for f in self.effects[key].free}
-        filtered = {name for key in given.effects for name in self.effects[key].filters}
-        out = [
-            Hypothesis((key,))
-            for key, effect in self.effects.items()
-            if effect.id not in ids
-            and not symbols & {f.symbol for f in effect.free}
-            and not filtered & set(effect.filters)  # a delay and a lag of one input are one claim
-        ]
+        out = [Hypothesis((key,)) for key, effect in self.effects.items() if self.joined(given, effect)]
         if not given.released:
             out += [Hypothesis((), (s,)) for s in self.toleranced]
         return out
+
+    def joined(self, given: Hypothesis, effect: Effect) -> bool:
+        """An effect may stand beside the others: no form of one of them, no delay beside a lag of the same input."""
+        others = [self.effects[key] for key in given.effects]
+        symbols = {f.symbol for other in others for f in other.free}
+        filtered = {name for other in others for name in other.filters}
+        return (
+            effect.id not in (other.id for other in others)
+            and not symbols & {f.symbol for f in effect.free}
+            and not filtered & set(effect.filters)
+        )
 
     def scores(self, problem: Problem, fit: Fit, given: Hypothesis) -> list[Score]:
         """Every candidate's promise at `fit`, best first."""
@@ -161,32 +163,60 @@ class Search:
                 ranked.append(best)
         return sorted(ranked, key=lambda s: -s.gain)
 
+    def pairs(self, problem: Problem, fit: Fit, count: int) -> list[Score]:
+        """The `count` pairs of effects that promise most at `fit` together; each alone may promise little."""
+        effects = [e for e in self.effects.values() if self.joined(Hypothesis(), e)]
+        blocks = [(effect, *found) for effect in effects for found in self.directions(problem, fit, effect)]
+        widths = [columns.shape[2] for *_, columns in blocks]
+        gains = _pair_gains(fit, np.concatenate([columns for *_, columns in blocks], axis=2), widths)
+        found = []
+        for one, other in combinations(effects, 2):
+            if self.joined(Hypothesis((one.key,)), other):
+                mine, others = (np.flatnonzero([b[0] is e for b in blocks]) for e in (one, other))
+                part = gains[np.ix_(mine, others)]
+                i, j = np.unravel_index(np.argmax(part), part.shape)
+                found.append((part[i, j], mine[i], others[j]))
+        out, plain = [], _plain(fit)
+        for _, *pair in sorted(found, reverse=True)[: 4 * count]:
+            values, gain = self._within(fit, [blocks[i] for i in pair])
+            out.append(Score(Hypothesis(tuple(blocks[i][0].key for i in pair)), gain - plain, values))
+        return sorted(out, key=lambda score: -score.gain)[:count]
+
     def _promises(self, problem: Problem, fit: Fit, candidate: Hypothesis) -> Iterable[Score]:
-        bounds = np.array([(u.number(u.low), u.number(u.high)) for u in fit.unknowns]).reshape(-1, 2)
-        bounds -= fit.numbers[:, None]
-        nothing = np.zeros((*fit.projected.shape, 0))
-        _, plain = _solve(fit, nothing, bounds, fit.weight)
+        plain = _plain(fit)
         if candidate.released:
             j = [u.symbol for u in fit.unknowns].index(candidate.released[0])
-            weight, wide = fit.weight.copy(), bounds.copy()
+            weight, wide = fit.weight.copy(), _bounds(fit)
             weight[j], wide[j] = 0.0, (-1e3, 1e3)
             prior = float(fit.weight[j] * fit.numbers[j] ** 2)
-            step, gain = _solve(fit, nothing, wide, weight)
+            step, gain = _solve(fit, _nothing(fit), wide, weight)
             unknown = fit.unknowns[j]
             yield Score(candidate, gain + prior - plain, {unknown.symbol: unknown.value(fit.numbers[j] + step[j])})
             return
         effect = self.effects[candidate.effects[0]]
-        low, high = ({f.symbol: getattr(f, b) for f in effect.free} for b in ("low", "high"))
-        for shape, point, columns in self.directions(problem, fit, effect):
-            reach = [(0.0, 3.0)] if point else [(f.low / f.typical, f.high / f.typical) for f in effect.strengths]
-            step, gain = _solve(fit, columns, np.concatenate([bounds, reach]), fit.weight)
-            size = step[len(fit.unknowns) :]
+        for found in self.directions(problem, fit, effect):
+            values, gain = self._within(fit, [(effect, *found)])
+            yield Score(candidate, gain - plain, values)
+
+    def _within(self, fit: Fit, blocks: Sequence[tuple[Effect, dict, dict, np.ndarray]]) -> tuple[dict, float]:
+        """(values, gain) of some effects in one shape each, by the linearised fit within all bounds."""
+        reach, columns = [], []
+        for effect, _, point, made in blocks:
+            strengths = effect.strengths
+            reach += [(0.0, 3.0)] if point else [(f.low / f.typical, f.high / f.typical) for f in strengths]
+            columns.append(made)
+        bounds = np.concatenate([_bounds(fit), reach])
+        step, gain = _solve(fit, np.concatenate(columns, axis=2), bounds, fit.weight)
+        values, at = {}, len(fit.unknowns)
+        for effect, shape, point, made in blocks:
+            size = step[at : (at := at + made.shape[2])]
             if point:
                 found = {s: v * float(size[0]) for s, v in point.items()}
             else:
                 found = {f.symbol: f.typical * float(x) for f, x in zip(effect.strengths, size, strict=True)}
-            found = {s: float(np.clip(v, low[s], high[s])) for s, v in found.items()}
-            yield Score(candidate, gain - plain, {**shape, **found})
+            reach = {f.symbol: (f.low, f.high) for f in effect.free}
+            values |= {**shape, **{s: float(np.clip(v, *reach[s])) for s, v in found.items()}}
+        return values, gain
 
     def directions(self, problem: Problem, fit: Fit, effect: Effect) -> Iterable[tuple[dict, dict, np.ndarray]]:
         """(shape, point, columns): in which directions an effect moves the errors, for every shape on its grid.
@@ -251,13 +281,57 @@ class Search:
         return problem.fit(self.unknowns(hypothesis), start, shifts, **options)
 
 
-def _solve(fit: Fit, columns: np.ndarray, bounds: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, float]:
-    """(step of the unknowns and of `columns`, cost that the linearised fit saves), within `bounds` (k + n, 2)."""
+def _bounds(fit: Fit) -> np.ndarray:
+    """How far each unknown's number may step (k, 2)."""
+    bounds = np.array([(u.number(u.low), u.number(u.high)) for u in fit.unknowns]).reshape(-1, 2)
+    return bounds - fit.numbers[:, None]
+
+
+def _nothing(fit: Fit) -> np.ndarray:
+    return np.zeros((*fit.projected.shape, 0))
+
+
+def _plain(fit: Fit) -> float:
+    """Cost that the unknowns alone still save."""
+    return _solve(fit, _nothing(fit), _bounds(fit), fit.weight)[1]
+
+
+def _normal(fit: Fit, columns: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Normal matrix (k + n, k + n) and right side of the unknowns and of `columns`."""
     k = len(fit.unknowns)
     flat = np.concatenate([fit.slopes, columns], axis=2).reshape(-1, k + columns.shape[2])
     normal, right = flat.T @ flat, -(flat.T @ fit.projected.reshape(-1))
     normal[np.diag_indices(k)] += weight
     right[:k] -= weight * fit.numbers
+    return normal, right
+
+
+def _pair_gains(fit: Fit, columns: np.ndarray, widths: Sequence[int]) -> np.ndarray:
+    """Cost that every two of m blocks of columns save beside the unknowns, bounds aside (m, m). widths: of blocks."""
+    k, m, w = len(fit.unknowns), len(widths), max(widths)
+    normal, right = _normal(fit, columns, fit.weight)
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    normal, right = normal / np.outer(scale, scale), right / scale
+    known = np.linalg.solve(normal[:k, :k] + 1e-10 * np.eye(k), np.column_stack([normal[:k], right[:k]]))
+    normal, right = normal[k:, k:] - normal[k:, :k] @ known[:, k:-1], right[k:] - normal[k:, :k] @ known[:, -1]
+    place = np.full((m, w), len(right))  # of each block's columns; a narrow block is filled up with zeros
+    for i, (end, width) in enumerate(zip(np.cumsum(widths), widths, strict=True)):
+        place[i, :width] = np.arange(end - width, end)
+    normal, right = np.pad(normal, (0, 1)), np.pad(right, (0, 1))[place]
+    own = normal[place[:, :, None], place[:, None, :]] + 1e-10 * np.eye(w)
+    alone = np.einsum("mw,mw->m", right, np.linalg.solve(own, right[:, :, None])[:, :, 0])
+    out = np.empty((m, m))
+    for i in range(m):
+        across = normal[place[:, :, None], place[i]]
+        by = across @ np.linalg.inv(own[i])
+        rest, pull = own - by @ np.swapaxes(across, 1, 2), right - by @ right[i]
+        out[i] = alone[i] + np.einsum("mw,mw->m", pull, np.linalg.solve(rest, pull[:, :, None])[:, :, 0])
+    return out
+
+
+def _solve(fit: Fit, columns: np.ndarray, bounds: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, float]:
+    """(step of the unknowns and of `columns`, cost that the linearised fit saves), within `bounds` (k + n, 2)."""
+    normal, right = _normal(fit, columns, weight)
     scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     normal, right = normal / np.outer(scale, scale), right / scale
     root = np.linalg.cholesky(normal + 1e-10 * np.eye(len(normal)))
