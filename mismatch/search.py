@@ -167,6 +167,8 @@ class Search:
         """The `count` pairs of effects that promise most at `fit` together; each alone may promise little."""
         effects = [e for e in self.effects.values() if self.joined(Hypothesis(), e)]
         blocks = [(effect, *found) for effect in effects for found in self.directions(problem, fit, effect)]
+        if not blocks:
+            return []
         widths = [columns.shape[2] for *_, columns in blocks]
         gains = _pair_gains(fit, np.concatenate([columns for *_, columns in blocks], axis=2), widths)
         found = []
