@@ -100,8 +100,8 @@ def _bar(title: str, total: int) -> Iterator:
 @app.command()
 def train(
     name: Annotated[str, typer.Argument(help="A network of the catalogue, `list`, or NAME.toml with --record.")],
-    record: Annotated[list[str], typer.Option(help="FILE.csv to learn from; several may be given.")] = [],  # noqa: B006
-    held: Annotated[list[str], typer.Option(help="FILE.csv that only chooses the epoch.")] = [],  # noqa: B006
+    record: Annotated[list[str], typer.Option(help="FILE.csv to learn from; several may be given.")] = [],
+    held: Annotated[list[str], typer.Option(help="FILE.csv that only chooses the epoch.")] = [],
     tail: Annotated[float, typer.Option(help="Share at the end of each record that only chooses the epoch.")] = 0.0,
     narx: Annotated[bool, typer.Option(help="Learn one step ahead first, then free run from there.")] = True,
     epochs: Annotated[int, typer.Option(help="Of the free run, at most.")] = 200,
@@ -180,8 +180,8 @@ def _recordings(given: list[str]) -> dict[str, str]:
 def compile(
     network: Annotated[str, typer.Argument(help="A name of the catalogue, or NAME.toml with --record.")],
     out: Annotated[Path, typer.Option(help="Folder to write; replaced if it is an earlier compilation.")],
-    record: Annotated[list[str], typer.Option(help="FILE.csv or SCENARIO=FILE.csv; the first sets the ranges.")] = [],  # noqa: B006
-    held: Annotated[list[str], typer.Option(help="FILE.csv on which, not on the first, pruning is judged.")] = [],  # noqa: B006
+    record: Annotated[list[str], typer.Option(help="FILE.csv or SCENARIO=FILE.csv; the first sets the ranges.")] = [],
+    held: Annotated[list[str], typer.Option(help="FILE.csv on which, not on the first, pruning is judged.")] = [],
     width: Annotated[int, typer.Option(help="Word width of signals and weights, 4 to 32 bits.")] = 16,
     finer: Annotated[
         int | None, typer.Option(help="Bits more for weights and neurons; the catalogue's choice if not given, else 0.")
@@ -276,7 +276,7 @@ def emulate(
 @app.command()
 def verify(
     folder: Folder,
-    scenario: Annotated[list[str], typer.Option(help="Only these scenarios.")] = [],  # noqa: B006
+    scenario: Annotated[list[str], typer.Option(help="Only these scenarios.")] = [],
     seed: Annotated[
         int | None, typer.Option(help="Of back-pressure and reset; drawn and printed if not given.")
     ] = None,
@@ -324,7 +324,7 @@ def synthesize(
 
 @app.command()
 def report(
-    folders: Annotated[list[Path], typer.Argument(help="Folders that `greygate compile` wrote.")] = [],  # noqa: B006
+    folders: Annotated[list[Path], typer.Argument(help="Folders that `greygate compile` wrote.")] = [],
     every: Annotated[
         bool,
         typer.Option("--all", help="The thesis's plants side by side, from FOLDER/NAME; compiled if need be."),
@@ -382,7 +382,7 @@ def _errors(studies: list[dict]) -> list[str]:
 @app.command()
 def validate(
     network: Annotated[str, typer.Argument(help="A name of the catalogue, or NAME.toml with --record.")],
-    record: Annotated[list[str], typer.Option(help="FILE.csv or SCENARIO=FILE.csv; the first was learnt from.")] = [],  # noqa: B006
+    record: Annotated[list[str], typer.Option(help="FILE.csv or SCENARIO=FILE.csv; the first was learnt from.")] = [],
     out: Annotated[Path, typer.Option(help="HTML page to write.")] = Path("validation.html"),
     lags: Annotated[int, typer.Option(help="Of the residual tests, in steps.")] = 25,
     settle: Annotated[int, typer.Option(help="First samples of each record that only tell its initial state.")] = 0,
@@ -412,7 +412,7 @@ def diagnose(
     html: Annotated[
         Path | None, typer.Option(help="Page that argues the case; of several rigs a folder of NAME.html.")
     ] = None,
-    effects: Tables = [],  # noqa: B006
+    effects: Tables = [],
     jobs: Annotated[int, typer.Option(min=1, help="Rigs diagnosed at a time; dask takes all its workers.")] = 1,
     backend: Annotated[Backend, typer.Option(help="Processes of this machine, or a cluster.")] = Backend.LOKY,
     scheduler: Annotated[str | None, typer.Option(help="Of the dask cluster: tcp://HOST:PORT.")] = None,
@@ -467,10 +467,10 @@ Rig = Annotated[Path, typer.Argument(metavar="RIG_FOLDER", help="Folder of rig.t
 @app.command()
 def isolability(
     rig: Rig,
-    effects: Tables = [],  # noqa: B006
+    effects: Tables = [],
     ranges: Annotated[
         list[str], typer.Option("--range", help="NAME=LOW:HIGH of every input: motions by rule, before data.")
-    ] = [],  # noqa: B006
+    ] = [],
     as_json: Json = False,
 ) -> None:
     """Say which effects a rig's sensors and its identify.csv cannot tell apart, and which experiment or sensor would.
@@ -499,7 +499,7 @@ def simulate(
     recording: Annotated[Path, typer.Option(help="CSV of this rig: inputs, and the states that runs begin from.")],
     out: Annotated[Path, typer.Option(help="CSV to write: t and the predicted channels.")],
     diagnosis: Annotated[Path | None, typer.Option(help="Of this plant: the simulation as it corrects it.")] = None,
-    effects: Annotated[list[Path], typer.Option(help="Tables that the diagnosis had, too.")] = [],  # noqa: B006
+    effects: Annotated[list[Path], typer.Option(help="Tables that the diagnosis had, too.")] = [],
     as_json: Json = False,
 ) -> None:
     """Simulate a recording with the data sheet's values, or as a diagnosis corrects the plant.
@@ -564,7 +564,7 @@ def reveal(
     diagnosis: Annotated[
         Path | None, typer.Option(help="diagnosis.json to be scored; FOLDER/diagnosis.json if it is there.")
     ] = None,
-    effects: Annotated[list[Path], typer.Option(help="Tables that the diagnosis had, too.")] = [],  # noqa: B006
+    effects: Annotated[list[Path], typer.Option(help="Tables that the diagnosis had, too.")] = [],
     as_json: Json = False,
 ) -> None:
     """Open the sealed answer, and score a diagnosis against it.

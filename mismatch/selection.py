@@ -209,9 +209,6 @@ def alternatives(search: Search, ranked: Iterable[Score]) -> list[list[Score]]:
     return [sorted(forms, key=lambda s: -worth(name, s)) for name, forms in by_name.items()]
 
 
-# -- what a fit leaves ------------------------------------------------------------------------------------------------
-
-
 def forms(
     search: Search, hypothesis: Hypothesis, values: Mapping[str, float], keys: Iterable[str] | None = None
 ) -> Iterable[tuple[Hypothesis, dict]]:
@@ -228,6 +225,9 @@ def carried(effect: Effect, form: Effect, values: Mapping[str, float]) -> dict[s
     """Where the parameters of another form start: at what those of the same name are in `effect`."""
     found = {f.reported: values[f.symbol] for f in effect.free if f.symbol in values}
     return {f.symbol: found.get(f.reported, f.guess[0] if f.guess else f.typical) for f in form.free}
+
+
+# -- what a fit leaves ------------------------------------------------------------------------------------------------
 
 
 def structure(fit: Fit) -> dict[str, float]:

@@ -130,6 +130,15 @@ def test_a_smaller_problem_fits_worse_and_one_that_starts_elsewhere_fits_as_well
     assert elsewhere.values["stiffness"] == pytest.approx(whole.values["stiffness"], rel=1e-3)
 
 
+def test_a_start_from_which_the_run_diverges_is_brought_nearer_to_the_data_sheet(folder):
+    p = problem(folder, None)
+    stiff = {"stiffness": 1e7}  # 700 rad/s, a step of 5 ms
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert not np.isfinite(p.cost(p.errors(stiff, p.nothing()), p.nothing(), np.ones(1)))
+        found = p.fit(unknowns(), stiff)
+    assert found.cost == pytest.approx(p.fit(unknowns(), {"stiffness": 5e6}).cost)
+
+
 def test_a_bound_holds(folder):
     held = [*unknowns(spring=False), Unknown("stiffness", 0.0, 50.0, np.inf, 0.0, 60.0)]
     fit = problem(folder, None).fit(held)

@@ -1,4 +1,4 @@
-"""Whole diagnoses of the two rigs that take seconds; recordings only, answers looked at afterwards."""
+"""Whole diagnoses, most of the two rigs that take seconds; recordings only, answers looked at afterwards."""
 
 import json
 import shutil
@@ -63,6 +63,9 @@ CASES = {
     "wave with an overtone": ("belt_drive", 7305, {"kind": "one"}),
     "creep of two times": ("cable_drum", 8007, {"kind": "one"}),
     "acceleration, slipping": ("cable_drum", 8018, {"kind": "one"}),
+    "lag, not delay": ("pump_hydraulic", 7304, {"kind": "one"}),  # which long windows alone tell apart
+    "valve, not its supply": ("valve_hydraulic", 7305, {"kind": "one"}),  # likewise
+    "loss beside a leakage": ("pump_hydraulic", 8005, {"kind": "two"}),  # which long windows alone show
 }
 
 
