@@ -170,7 +170,7 @@ class Search:
         if not blocks:
             return []
         widths = [columns.shape[2] for *_, columns in blocks]
-        gains = _pair_gains(fit, np.concatenate([columns for *_, columns in blocks], axis=2), widths)
+        gains = pair_gains(fit, np.concatenate([columns for *_, columns in blocks], axis=2), widths)
         found = []
         for one, other in combinations(effects, 2):
             if self.joined(Hypothesis((one.key,)), other):
@@ -308,7 +308,7 @@ def _normal(fit: Fit, columns: np.ndarray, weight: np.ndarray) -> tuple[np.ndarr
     return normal, right
 
 
-def _pair_gains(fit: Fit, columns: np.ndarray, widths: Sequence[int]) -> np.ndarray:
+def pair_gains(fit: Fit, columns: np.ndarray, widths: Sequence[int]) -> np.ndarray:
     """Cost that every two of m blocks of columns save beside the unknowns, bounds aside (m, m). widths: of blocks."""
     k, m, w = len(fit.unknowns), len(widths), max(widths)
     normal, right = _normal(fit, columns, fit.weight)

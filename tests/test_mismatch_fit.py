@@ -1,5 +1,7 @@
 """The fit: shifts of windows are eliminated as a joint least squares would, and intervals hold what they say."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from greygate.mismatch.diagnosis import diagnose
 from greygate.mismatch.effects import Effect, Free
 from greygate.mismatch.fit import LONGEST, Problem, Unknown, roughness, runs
 from greygate.mismatch.model import FILTERS, Model, delayed, lagged
+from greygate.mismatch.search import pair_gains
 from greygate.plants.plant import Plant
 from greygate.plants.simulate import simulate
 
@@ -128,6 +131,27 @@ def test_a_smaller_problem_fits_worse_and_one_that_starts_elsewhere_fits_as_well
     elsewhere = p.fit(unknowns(), {"mass": 22.0, "viscous": 330.0, "stiffness": 20.0}, iterations=30)
     assert elsewhere.cost == pytest.approx(whole.cost, abs=0.5)
     assert elsewhere.values["stiffness"] == pytest.approx(whole.values["stiffness"], rel=1e-3)
+
+
+def test_the_gain_of_a_pair_is_that_of_the_joint_least_squares():
+    rng = np.random.default_rng(5)
+    slopes, errors = rng.standard_normal((4, 30, 2)), rng.standard_normal((4, 30))
+    columns = rng.standard_normal((4, 30, 5)) + errors[:, :, None]
+    weight, numbers = np.array([0.0, 4.0]), np.array([0.3, -0.5])
+    fit = SimpleNamespace(unknowns=(0, 1), slopes=slopes, projected=errors, weight=weight, numbers=numbers)
+    gains = pair_gains(fit, columns, (1, 3, 1))
+
+    def cost(own: list[int]) -> float:
+        """Of the unknowns and of `own` columns, the unknowns' priors as rows."""
+        prior = np.pad(np.diag(np.sqrt(weight)), ((0, 0), (0, len(own))))
+        rows = np.concatenate([np.concatenate([slopes, columns[:, :, own]], axis=2).reshape(120, -1), prior])
+        right = np.concatenate([errors.reshape(-1), np.sqrt(weight) * numbers])
+        left = right - rows @ np.linalg.lstsq(rows, right)[0]
+        return float(left @ left)
+
+    for i, j, own in ((0, 1, [0, 1, 2, 3]), (1, 2, [1, 2, 3, 4]), (0, 2, [0, 4])):
+        assert gains[i, j] == pytest.approx(cost([]) - cost(own), rel=1e-6)
+        assert gains[i, j] == pytest.approx(gains[j, i], rel=1e-6)
 
 
 def test_a_start_from_which_the_run_diverges_is_brought_nearer_to_the_data_sheet(folder):
