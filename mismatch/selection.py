@@ -25,7 +25,8 @@ FAR = 0.3  # of the most promising hypothesis's gain
 NEARLY = 0.95  # of the gain that the plain form of an effect promises, that of another form counts
 OWN = 0.05  # of what can be explained, which a second effect must explain by itself where the two leave something
 PAIR = 0.5  # or of what the first effect leaves
-LEAST = 1e-2  # of what can be explained, which an effect must explain beside one that acts by acceleration
+LEAST = 5e-3  # of what can be explained, which an effect must explain beside one that acts by acceleration
+AHEAD = 0.1  # of what it saves there, by which it must do so better than any other
 NEAR, RIVALS = 0.05, 6  # of the count of readings: cost above the best; how many rivals see longer windows
 
 
@@ -148,13 +149,29 @@ class Selection:
                 if fit.cost < current.cost + EVIDENCE:
                     best, current, changed = less, fit, True
                     break
-        if best.size < 2 or whole(current):
+        if best.size < 2:
             return best, current
         (single, one), (pair, two) = self.best[1], self.best.get(2, (best, current))
-        enough = min(OWN * self.explicable(self.plain), PAIR * self.explicable(one))
+        if whole(current) and not blurred(one):
+            return best, current
+        saved, enough = one.cost - two.cost, min(OWN * self.explicable(self.plain), PAIR * self.explicable(one))
         if blurred(one):
             enough = max(enough, LEAST * self.explicable(self.plain))
-        return (pair, two) if one.cost - two.cost > enough else (single, one)
+            enough = enough if self.ahead(single, pair) > AHEAD * saved else np.inf
+        return (pair, two) if saved > enough else (single, one)
+
+    def ahead(self, single: Hypothesis, pair: Hypothesis) -> float:
+        """Cost by which a pair fits better than `single` with any other second effect or parameter."""
+
+        def named(hypothesis: Hypothesis) -> set[str]:
+            return {self.search.effects[key].id for key in hypothesis.effects} | set(hypothesis.released)
+
+        second = named(pair) - named(single)
+        others = [
+            cost for h, cost in self.costs.items()
+            if h.size == 2 and named(single) <= named(h) and not named(h) & second
+        ]  # fmt: skip
+        return min(others, default=np.inf) - self.costs[pair]
 
     def explicable(self, fit: Fit) -> float:
         """Cost that a fit could still save."""
