@@ -4,7 +4,7 @@ A hypothesis is a set of effects and, at most, one parameter let out of its tole
 which a wrong model stays near the recording, ranks them; the final fit is over the rig's own windows.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 
@@ -58,15 +58,8 @@ class Score:
 class Search:
     """All hypotheses on one recording of one rig. whole: the problem of a rig that runs free."""
 
-    def __init__(
-        self,
-        rig: Rig,
-        recording: Recording,
-        effects: Mapping[str, Effect],
-        say: Callable | None = None,
-        whole: type[Problem] = Problem,
-    ):
-        self.rig, self.say = rig, say or (lambda text: None)
+    def __init__(self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], whole: type[Problem] = Problem):
+        self.rig = rig
         self.effects = fitting(rig.plant, rig.datasheet, effects)
         self.travel = max(float(np.ptp(recording[name])) for name in rig.inputs)
         self.toleranced = [s for s, p in rig.plant.parameters.items() if p.tolerance]
@@ -76,7 +69,6 @@ class Search:
 
         self.final = over(LONG_WINDOW) if rig.window else whole(Model(rig, recording, self.effects))
         self.screen = over(SHORT) if rig.window else self.final
-        self.fits: dict[Hypothesis, Fit] = {}
 
     # -- unknowns ----------------------------------------------------------------------------------------------------
 
