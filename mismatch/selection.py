@@ -21,6 +21,7 @@ SLOW = 0.02  # s of a mean that tells slow errors from white ones
 BLURRED = 0.2  # s of it where an effect acts by acceleration, whose jumps are known to some 20 ms
 FLOOR = 0.92  # of the count of readings: cost of a fit that leaves nothing
 FIRST, LATER = 6, 4  # hypotheses of the first round and of later ones that are fitted in full
+STALLED = 0.1  # of what the best saves: cost above it of a fit that gave up, and is a rival too
 FAR = 0.3  # of the most promising hypothesis's gain
 NEARLY = 0.95  # of the gain that the plain form of an effect promises, that of another form counts
 OWN = 0.05  # of what can be explained, which a second effect must explain by itself where the two leave something
@@ -186,17 +187,25 @@ class Selection:
     def over(self, final: Problem, best: Hypothesis, current: Fit) -> tuple["Selection", Hypothesis, Fit]:
         """The selection over longer windows: every hypothesis that explains all, in every form, and the best of them.
 
-        Long windows tell forms apart that short ones do not. A further unknown costs what BIC says.
+        Long windows tell forms apart that short ones do not. A further unknown costs what BIC says. A fit that gave up
+        on its way to all goes on there.
         """
-        near = current.cost + min(NEAR * self.problem.count, (self.plain.cost - current.cost) / 2)
-        rivals = {h: f for h, f in self.fits.items() if h.size == best.size and f.cost < near and whole(f)}
+        saved = self.plain.cost - current.cost
+
+        def near(fit: Fit) -> bool:
+            above = fit.cost - current.cost
+            if not fit.converged and above < STALLED * saved:
+                return True
+            return above < min(NEAR * self.problem.count, saved / 2) and whole(fit)
+
+        rivals = {h: f for h, f in self.fits.items() if h.size == best.size and near(f)}
         rivals = {best: current, **{h: rivals[h] for h in sorted(rivals, key=lambda h: rivals[h].cost)[:RIVALS]}}
         longer = self
         if final is not self.problem:
             longer = Selection(self.search, final, self.plain, self.say)
         for hypothesis, fit in rivals.items():
             for form, values in [(hypothesis, fit.values), *forms(self.search, hypothesis, fit.values)]:
-                if form not in longer.costs:
+                if form not in longer.costs or (form == hypothesis and not fit.converged):
                     longer.fit(form, values, fit.shifts if longer is self else None)
         if best not in longer.fits:
             longer.add(best, longer.search.fit(final, best, current.values))
