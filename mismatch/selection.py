@@ -27,7 +27,7 @@ NEARLY = 0.95  # of the gain that the plain form of an effect promises, that of 
 OWN = 0.05  # of what can be explained, which a second effect must explain by itself where the two leave something
 PAIR = 0.5  # or of what the first effect leaves
 LEAST = 5e-3  # of what can be explained, which an effect must explain beside one that acts by acceleration
-AHEAD = 0.1  # of what it saves there, by which it must do so better than any other
+AHEAD = 0.1  # of what it saves there, if that is below OWN, by which it must do so better than any other
 NEAR, RIVALS = 0.05, 6  # of the count of readings: cost above the best; how many rivals see longer windows
 
 
@@ -155,10 +155,10 @@ class Selection:
         (single, one), (pair, two) = self.best[1], self.best.get(2, (best, current))
         if whole(current) and not blurred(one):
             return best, current
-        saved, enough = one.cost - two.cost, min(OWN * self.explicable(self.plain), PAIR * self.explicable(one))
-        if blurred(one):
-            enough = max(enough, LEAST * self.explicable(self.plain))
-            enough = enough if self.ahead(single, pair) > AHEAD * saved else np.inf
+        saved, all_ = one.cost - two.cost, self.explicable(self.plain)
+        enough = min(OWN * all_, PAIR * self.explicable(one))
+        if blurred(one) and saved < OWN * all_:
+            enough = max(enough, LEAST * all_) if self.ahead(single, pair) > AHEAD * saved else np.inf
         return (pair, two) if saved > enough else (single, one)
 
     def ahead(self, single: Hypothesis, pair: Hypothesis) -> float:
