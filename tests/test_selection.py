@@ -62,12 +62,12 @@ def test_so_is_a_pair(chosen, monkeypatch, held, taken):
 def test_beside_an_effect_of_acceleration_a_small_second_one_must_do_better_than_any_other(chosen, monkeypatch):
     monkeypatch.setattr(selection, "blurred", lambda fit: True)
     both, alike = Hypothesis(("slip", "drift")), Hypothesis(("slip", "creep"))
-    chosen.add(SLIP, fit(100.0))
-    chosen.add(both, fit(60.0))
-    monkeypatch.setattr(chosen, "fit", lambda less, *_, **__: (fit(100.0 if less == SLIP else 900.0), True))
-    chosen.add(alike, fit(90.0))
+    chosen.add(SLIP, fit(80.0))
+    chosen.add(both, fit(35.0))
+    monkeypatch.setattr(chosen, "fit", lambda less, *_, **__: (fit(80.0 if less == SLIP else 900.0), True))
+    chosen.add(alike, fit(60.0))
     assert chosen.backward(both, chosen.fits[both])[0] == both
-    chosen.costs[alike] = 61.0
+    chosen.costs[alike] = 36.0
     assert chosen.backward(both, chosen.fits[both])[0] == SLIP
 
 
