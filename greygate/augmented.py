@@ -176,11 +176,12 @@ def augment(folder: Path | str, diagnosis: Mapping, out: Path | str, say: Callab
     kind = kind(rig, values)
     place, reads = kind.effects[effect.id]
     plant, _ = join(rig.plant, [effect])
+    (expression,) = (text for path, text in effect.terms.items() if path.startswith(f"{place}."))
 
     def term(**signals) -> np.ndarray:
         scope = Values(plant, signals)
         scope.update({s: v for s, v in values.items() if s in plant.parameters})
-        return np.asarray(scope.evaluate(effect.lazily(effect.terms[f"{place}.{effect.key}"])), float)
+        return np.asarray(scope.evaluate(effect.lazily(expression)), float)
 
     say(f"teaching {effect.id}")
     law = kind.law(recorded["identify"], reads, term)
@@ -236,6 +237,8 @@ def _named(rig: Rig, diagnosis: Mapping) -> tuple[Effect, dict[str, float]]:
         )
     entry = diagnosis["effects"][0]
     effect = form(table.read(), entry)
+    if effect.states:  # a module has no memory of its own: the plain form of the same size
+        effect = table.read()[effect.id]
     return effect, recovered(effect, entry["parameters"])
 
 

@@ -116,6 +116,16 @@ def named(*ids: str, plant: str = "cable_drum") -> dict:
     return FIGURES["cable_drum"]["diagnosis"] | {"plant": plant, "effects": effects}
 
 
+def test_an_effect_whose_form_has_a_memory_is_taught_by_its_plain_form(drum, written, tmp_path):
+    said = json.loads(json.dumps(FIGURES["cable_drum"]["diagnosis"]))
+    (entry,) = said["effects"]
+    entry["form"] = "speed_slip_late"
+    entry["parameters"]["slip_time"] = {"value": 0.02, "ci95": [0.01, 0.03], "unit": "s"}
+    found, plain = augment(drum, said, tmp_path / "out"), json.loads((written / "augment.json").read_text())
+    for name, network in found["networks"].items():
+        assert network["trained"] == plain["networks"][name]["trained"]
+
+
 @pytest.mark.parametrize(
     ("diagnosis", "says"),
     [
