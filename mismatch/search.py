@@ -69,6 +69,7 @@ class Search:
 
         self.final = over(LONG_WINDOW) if rig.window else whole(Model(rig, recording, self.effects))
         self.screen = over(SHORT) if rig.window else self.final
+        self.fits: dict[Hypothesis, Fit] = {}  # of rivals, kept for what is proposed to tell them apart
 
     # -- unknowns ----------------------------------------------------------------------------------------------------
 
