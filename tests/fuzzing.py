@@ -1,35 +1,25 @@
-"""Mutants of valid files, and a process apart that opens them: one engine for the fuzz of every parser.
+"""A process apart that opens mutants of files: one engine for the fuzz of every parser.
 
-A mutant starts from a seed, a folder of valid files, and changes one of them once to four times: as a tree (a value of
-another kind, an entry dropped, doubled, renamed, two subtrees exchanged), as the tokens of an expression, or as bytes.
 The permitted endings are success and an `InputError` of one short line, within `LIMIT` seconds, without a warning,
 without a file written, and within `MEMORY`.
 """
 
-import copy
-import csv
-import io
-import json
 import multiprocessing
 import os
-import re
 import resource
 import shutil
 import sys
 import tempfile
 import time
-import tomllib
 import traceback
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from random import Random
-from typing import NamedTuple
 
-import tomli_w
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
+from mutants import Mutant, mutant
 
 from greygate.errors import InputError
 
@@ -37,287 +27,7 @@ LIMIT = 5.0  # s of processor time; a mutant that takes more hangs
 PATIENCE = 20.0  # s by the clock, after which the process is killed: other work may share the processor
 MEMORY = 2 << 30  # bytes beyond what the process holds when it starts
 LONGEST = 500  # characters of a message, the folder's name not counted
-MOST = 4  # mutations of one mutant
-DEEP = (1, 10, 100, 1000, 20000)  # levels, or times that something is repeated
-
-TOKENS = re.compile(r"\s+|\w+\.?\w*(?:[eE][-+]?\d+)?|\*\*|.", re.DOTALL)
-ESCAPE = "().__class__.__base__.__subclasses__()"
-TEXTS = (
-    "", " ", "\n", "a\nb", "\r", "\t", "\0", "\x1b[31m", "\u202e", "\u2028", "\ud800", "\ufeff", "é", "𝑥", "٣", "1_000",
-    "../up", "/abs/path", "..", ".", "~", "C:\\x", "a/b", "a.b", ".b", "a.", "__class__", "class", "np", "nan", "inf",
-    "-inf", "1e999", "0x10", "1j", "true", "{u}", "{0}", "%s", "$(id)", "`id`", "*/", "--", "<script>", "' \" \\",
-    "x" * 200, "9" * 5000, "y" * 100000, "rate x", "delay x", "level 2 x", "rate", "sensor_x.a", "0*9**9**9",
-)  # fmt: skip
-NUMBERS = (
-    0, 1, -1, 2, 0.0, -0.0, 0.5, 1e300, -1e300, 1e-300, 5e-324, float("nan"), float("inf"), -float("inf"), 63, 64, 65,
-    1 << 31, 1 << 53, 1 << 63, -(1 << 63), 1 << 64, 10**9, 10**30, 10**400,
-)  # fmt: skip
-OTHERS = (True, False, [], {}, [[]], [0], ["x"], {"": ""}, {"x": 1}, {"value": 1.0}, [1.0, "m"])
-PIECES = (
-    "x", "0", "1", "2.5", "1e400", "10**400", "9**9**9", "(0*9**9**9)", "1_000", "0x10", "1j", "'text'", 'f"{x}"', "b''",
-    "+", "-", "*", "/", "**", "//", "%", "@", "<<", "<", "==", "=", ":=", ",", ";", ":", "(", ")", "[", "]", "{", "}", ".",
-    "~", "not ", " and ", " if 1 else ", " for x in (1,)", "lambda: ", "lambda x: ", "*x", "True", "None", "...", "#", "\\",
-    "\n", "\0", "ｘ", "٣", "\ud800", "np", "np.pi", "eval('1')", "__import__('os').system('id')", ESCAPE,
-    f"{ESCAPE}[0]", "open('/tmp/x', 'w')", "sin", "sin(", "sin()", "min(1)", "max(1, 2, 3)", "sin(x=1)", "sin(*[1])",
-    "when(0, 1)", "when(1)", "orifice(1, 2, 3)", "exp(1e9)", "log(0)", "sqrt(-1)", "(1/0)", "(0**-1)", "((-8)**0.5)",
-)  # fmt: skip
-CHUNKS = (
-    b"", b"\0", b"\xff", b"\xc3", b"\xed\xa0\x80", b"\xef\xbb\xbf", b"\n", b"\r\n", b"\r", b'"', b"'", b'"""', b",", b";",
-    b"[", b"]", b"{", b"}", b"=", b"#", b"\\u0000", b"\\ud800", b"\x1b[31m", "\u202e".encode(), b"nan", b"1e999", b"_",
-    b"9" * 5000, b"[" * 20000, b"{" * 20000, b'{"a":' * 20000, b"((" * 5000, b"a." * 5000, b" ",
-)  # fmt: skip
-
-
-# ---- trees
-
-
-class Place(NamedTuple):
-    """Where a value of a tree stands: in a table under its key, in a list under its index."""
-
-    holder: dict | list
-    key: str | int
-
-    @property
-    def value(self):
-        return self.holder[self.key]
-
-    def put(self, value) -> None:
-        self.holder[self.key] = value
-
-
-def _place(rng: Random, tree) -> Place | None:
-    """Some place, wherever a walk from the root ends: what stands high is as likely as what there is much of."""
-    place = None
-    while tree and isinstance(tree, dict | list) and (place is None or rng.random() < 0.85):
-        place = Place(tree, rng.choice(list(tree)) if isinstance(tree, dict) else rng.randrange(len(tree)))
-        tree = place.value
-    return place
-
-
-def _places(rng: Random, tree, kind: type | tuple[type, ...]) -> Place | None:
-    """Some place that holds such a value."""
-    tries = (_place(rng, tree) for _ in range(20))
-    return next((p for p in tries if p and isinstance(p.value, kind) and not isinstance(p.value, bool)), None)
-
-
-def _foreign(rng: Random):
-    """A value that nobody expects."""
-    return copy.deepcopy(rng.choice(rng.choice((TEXTS, NUMBERS, OTHERS))))
-
-
-def _replace(rng: Random, tree) -> None:
-    _place(rng, tree).put(_foreign(rng))
-
-
-def _borrow(rng: Random, tree) -> None:
-    _place(rng, tree).put(copy.deepcopy(_place(rng, tree).value))
-
-
-def _drop(rng: Random, tree) -> None:
-    place = _place(rng, tree)
-    del place.holder[place.key]
-
-
-def _double(rng: Random, tree) -> None:
-    holder, key = place = _place(rng, tree)
-    if isinstance(holder, dict):
-        holder[f"{key}_2" if rng.random() < 0.5 else rng.choice(TEXTS)] = copy.deepcopy(place.value)
-    else:
-        holder.insert(key, copy.deepcopy(place.value))
-
-
-def _rename(rng: Random, tree) -> None:
-    holder, key = _place(rng, tree)
-    if isinstance(holder, list):
-        return _borrow(rng, tree)
-    others = [k for k in holder if k != key] or [key]
-    new = rng.choice((rng.choice(TEXTS), key[:-1], key.upper(), rng.choice(others), f"{key}.x", f"sensor_{key}"))
-    entries = [(new if k == key else k, v) for k, v in holder.items()]
-    holder.clear()
-    holder.update(entries)
-
-
-def _swap(rng: Random, tree) -> None:
-    one, other = _place(rng, tree), _place(rng, tree)
-    first, second = copy.deepcopy(one.value), copy.deepcopy(other.value)
-    other.put(first)
-    if one.holder is not first:
-        one.put(second)
-
-
-CHANGES = (
-    lambda v: v * 1.01, lambda v: v * 0.9, lambda v: v * 2, lambda v: v + 1, lambda v: v - 1, lambda v: -v, lambda v: v * 0,
-    lambda v: v * 1e300, lambda v: v * 1e-300, int, float, str, bool,
-)  # fmt: skip
-
-
-def _scale(rng: Random, tree) -> None:
-    place = _places(rng, tree, (int, float))
-    if place is None:
-        return _replace(rng, tree)
-    try:
-        place.put(rng.choice(CHANGES)(place.value))
-    except (OverflowError, ValueError):  # of inf, nan, and integers that no float holds
-        place.put(-place.value)
-
-
-def _respell(rng: Random, tree) -> None:
-    place = _places(rng, tree, str)
-    if place is None:
-        return _replace(rng, tree)
-    if rng.random() < 0.6:
-        place.put(_expression(rng, place.value))
-    else:
-        at = rng.randint(0, len(place.value))
-        place.put(place.value[:at] + rng.choice(TEXTS)[:200] + place.value[at:])
-
-
-def _nest(rng: Random, tree) -> None:
-    place = _place(rng, tree)
-    value = place.value
-    for _ in range(rng.choice((1, 2, 50))):
-        value = [value] if rng.random() < 0.7 else {"x": value}
-    place.put(value)
-
-
-ON_TREES = (_replace, _borrow, _drop, _double, _rename, _swap, _scale, _scale, _respell, _nest)
-
-
-# ---- expressions and bytes
-
-
-def _expression(rng: Random, text: str) -> str:
-    """`text` with one token, or all of it, changed."""
-    tokens = TOKENS.findall(text) or [""]
-    at = rng.randrange(len(tokens))
-    names = [t for t in tokens if t.isidentifier()] or ["x"]
-    match rng.choice(("piece", "insert", "drop", "double", "swap", "name", "name", "operator", "number", "wrap", "long")):
-        case "piece":
-            tokens[at] = rng.choice(PIECES)
-        case "insert":
-            tokens.insert(at, rng.choice(PIECES))
-        case "drop":
-            del tokens[at]
-        case "double":
-            tokens.insert(at, tokens[at])
-        case "swap":
-            other = rng.randrange(len(tokens))
-            tokens[at], tokens[other] = tokens[other], tokens[at]
-        case "name":
-            where = [i for i, t in enumerate(tokens) if t.isidentifier()] or [at]
-            tokens[rng.choice(where)] = rng.choice((*names, "1.5"))
-        case "operator":
-            where = [i for i, t in enumerate(tokens) if t in "+-*/"] or [at]
-            tokens[rng.choice(where)] = rng.choice(("+", "-", "*", "/", "**"))
-        case "number":
-            tokens.append(rng.choice(("+", "-", "*", "/", "**")) + repr(rng.choice(NUMBERS[:16])))
-        case "wrap":
-            before, after = rng.choice((("(", ")"), ("-", ""), ("sin(", ")"), ("abs(", ")"), ("2**(", ")"), ("", "**2")))
-            times = rng.choice(DEEP)
-            tokens = [before * times, *tokens, after * times]
-        case "long":
-            tokens += [f" {rng.choice('+-*')} {rng.choice(names)}"] * rng.choice(DEEP)
-    return "".join(tokens)
-
-
-def _bytes(rng: Random, data: bytes) -> bytes:
-    """`data` with one place changed, whatever it means."""
-    at = rng.randint(0, len(data))
-    span = min(rng.choice((1, 1, 2, 8, 100)), len(data) - at)
-    match rng.choice(("flip", "digit", "digit", "insert", "delete", "truncate", "repeat", "line", "exchange")):
-        case "flip":
-            return data[:at] + bytes(b ^ (1 << rng.randrange(8)) for b in data[at : at + 1]) + data[at + 1 :]
-        case "digit":
-            digits = [m.start() for m in re.finditer(rb"\d", data[:20000])] or [at]
-            at = rng.choice(digits)
-            return data[:at] + str(rng.randrange(10)).encode() + data[at + 1 :]
-        case "insert":
-            return data[:at] + rng.choice(CHUNKS) + data[at:]
-        case "delete":
-            return data[:at] + data[at + span :]
-        case "truncate":
-            return data[:at]
-        case "repeat":
-            return data[:at] + data[at : at + span] * rng.choice((2, 3, 1000)) + data[at + span :]
-        case "line":
-            lines = data.splitlines(keepends=True) or [b""]
-            lines.insert(rng.randint(0, len(lines)), rng.choice(lines))
-            return b"".join(lines)
-    other = rng.randint(0, len(data))
-    at, other = sorted((at, other))
-    return data[:at] + data[other:] + data[at:other]
-
-
-# ---- files
-
-
-class Format(NamedTuple):
-    """How the bytes of a file are a tree. parse: bytes -> tree. dump: (tree, original bytes) -> bytes."""
-
-    parse: Callable
-    dump: Callable
-
-
-def _csv(tree) -> str:
-    rows = (row if isinstance(row, list) else [row] for row in tree)
-    return "".join(",".join(map(str, row)) + "\n" for row in rows)
-
-
-def _tensors(tree, data: bytes) -> bytes:
-    """A safetensors file with another head."""
-    head = json.dumps(tree).encode("utf-8", "surrogatepass")
-    return len(head).to_bytes(8, "little") + head + data[8 + int.from_bytes(data[:8], "little") :]
-
-
-def _text(dump: Callable) -> Callable:
-    return lambda tree, data: dump(tree).encode("utf-8", "surrogatepass")
-
-
-FORMATS = {
-    ".toml": Format(lambda data: tomllib.loads(data.decode()), _text(tomli_w.dumps)),
-    ".json": Format(json.loads, _text(json.dumps)),
-    ".csv": Format(lambda data: list(csv.reader(io.StringIO(data.decode()))), _text(_csv)),
-    ".safetensors": Format(lambda data: json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")]), _tensors),
-}
-"""By suffix; any other file is one expression."""
-
-
-@dataclass(frozen=True)
-class Mutant:
-    """A folder of files, of which `changed` is not as it was; story: what was done to it."""
-
-    files: Mapping[str, bytes] = field(repr=False)
-    changed: str
-    story: tuple[str, ...]
-
-
-def mutant(rng: Random, seed: Mapping[str, bytes], targets: tuple[str, ...]) -> Mutant:
-    """`seed`, file name -> bytes, with one of the `targets` changed."""
-    name = rng.choice([t for t in targets if t in seed])
-    data, kind, story = seed[name], FORMATS.get(Path(name).suffix), []
-    times = rng.choice((1, 1, 1, 2, 2, 3, MOST))
-    if rng.random() < 0.25:
-        for _ in range(times):
-            data = _bytes(rng, data)
-        story.append(f"{times} times bytes")
-    elif kind is None:
-        text = data.decode()
-        for _ in range(times):
-            text = _expression(rng, text)
-        data = text.encode("utf-8", "surrogatepass")
-        story.append(f"{times} times tokens")
-    else:
-        tree = kind.parse(data)
-        for _ in range(times):
-            change = rng.choice(ON_TREES)
-            if tree:
-                change(rng, tree)
-                story.append(change.__name__.strip("_"))
-        data = kind.dump(tree, data)
-    return Mutant({**seed, name: data}, name, tuple(story))
-
-
-# ---- opening them
+ROOT = Path(__file__).parent.parent
 
 
 class Escape(BaseException):
@@ -396,10 +106,12 @@ def _open(entrance: Callable[[Path], None], folder: Path, guard: _Guard) -> Endi
         entrance(folder)
     except InputError as error:
         message = str(error).replace(str(folder), "FOLDER")
-        kind = "refused" if len(message) <= LONGEST and _is_one_line(message) else "unclear message"
+        kind = "refused" if len(message) <= LONGEST else "long message"
+        if not message.isprintable():  # a line break, a control character, or what turns the direction of writing
+            kind = "message with control characters"
     except BaseException as error:  # whatever it is, it is told
         guard.armed = False
-        frames = [f for f in traceback.extract_tb(error.__traceback__) if "/greygate/" in f.filename or _ours(f.filename)]
+        frames = [f for f in traceback.extract_tb(error.__traceback__) if _ours(Path(f.filename))]
         where = f"{Path(frames[-1].filename).name}:{frames[-1].name}" if frames else "?"
         kind, message = f"{type(error).__name__} in {where}", str(error)[:LONGEST]
     finally:
@@ -408,13 +120,9 @@ def _open(entrance: Callable[[Path], None], folder: Path, guard: _Guard) -> Endi
     return Ending(kind if seconds < LIMIT else f"hang ({kind})", message, seconds)
 
 
-def _ours(path: str) -> bool:
-    return Path(path).is_relative_to(Path(__file__).parent.parent) and ".venv" not in path and "/tests/" not in path
-
-
-def _is_one_line(message: str) -> bool:
-    """No line break, no control character, and nothing that turns the direction of writing."""
-    return all(c.isprintable() or c == "\u00a0" for c in message)
+def _ours(path: Path) -> bool:
+    """Whether the file is the product's."""
+    return path.is_relative_to(ROOT) and not {"tests", ".venv"} & set(path.relative_to(ROOT).parts)
 
 
 class Sandbox:
@@ -448,12 +156,12 @@ class Sandbox:
             self._process = None
 
 
-# ---- campaigns
-
-
 @dataclass
 class Tally:
-    """What became of the mutants of one parser. failures: kind of ending -> the smallest mutant, its message, how many."""
+    """What became of the mutants of one parser.
+
+    failures: kind of ending -> the smallest mutant that ended so, its message, how many there were.
+    """
 
     mutants: int = 0
     accepted: int = 0
@@ -486,7 +194,11 @@ class Tally:
 
 
 def campaign(
-    entrance: Callable[[Path], None], seeds: list[dict[str, bytes]], targets: tuple[str, ...], mutants: int, box: Sandbox
+    box: Sandbox,
+    entrance: Callable[[Path], None],
+    seeds: list[dict[str, bytes]],
+    targets: tuple[str, ...],
+    mutants: int,
 ) -> Tally:
     """Open so many mutants of the seeds; the same ones every time."""
     tally = Tally()

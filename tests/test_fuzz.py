@@ -1,5 +1,6 @@
 """No file from a stranger ends in anything but success or one line that says what is wrong."""
 
+import ast
 import importlib
 import json
 import os
@@ -22,7 +23,7 @@ from greygate.mismatch import conceal, effects, rig, simulation
 from greygate.models.network import Network
 from greygate.models.ports import ports
 from greygate.models.regression import noe
-from greygate.plants.recording import Recording, read_csv
+from greygate.plants.recording import read_csv
 from greygate.project import Project, Source, compile_project
 
 ROOT = Path(__file__).parent.parent
@@ -31,6 +32,8 @@ IN_TESTS = 300  # mutants a parser
 MUTANTS = int(os.environ.get("GREYGATE_FUZZ", IN_TESTS))
 RESULTS = ROOT / "benchmarks" / "results" / "fuzz.json"
 SIMULATE = importlib.import_module("greygate.plants.simulate")  # the package has a function of this name
+ARITHMETIC = (ast.Module, ast.Expr, ast.Name, ast.Constant, ast.Call, ast.UnaryOp, ast.BinOp, ast.expr_context,
+              ast.UAdd, ast.USub, ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow)  # fmt: skip
 SHARE = 0.1  # of the mutants that shall be accepted, and refused: else the fuzz reaches nothing, or mends nothing
 
 
@@ -99,6 +102,8 @@ def open_expression(folder: Path) -> None:
         head = {"schema": "diagnosis/1", "plant": place["plant"], "verdict": "missing_physics"}
         diagnosis = {**head, "effects": [effect], "parameters": {}}
     _simulated(folder, changed, diagnosis, {})
+    strange = [type(node).__name__ for node in ast.walk(ast.parse(text.strip())) if not isinstance(node, ARITHMETIC)]
+    assert not strange, f"accepted although it is no arithmetic: {strange}"
 
 
 def open_network(folder: Path) -> None:
@@ -154,9 +159,13 @@ def _rigs(folder: Path) -> dict[str, dict[str, bytes]]:
     for path in RIGS:
         found[path.name] = {p.name: p.read_bytes() for p in path.glob("*.toml")}
     for name, maker in conceal.RIGS.items():
-        sheet = conceal._toml(maker, maker.parameters).replace(f'plant = "{name}"', f'plant = "{name}.toml"')
         plant = (rig.PLANTS / f"{name}.toml").read_bytes()
-        found[name] = {"rig.toml": sheet.encode(), f"{name}.toml": plant}
+        for rig_name, left_out in ((name, ()), (f"{name} without", maker.optional)):
+            sheet, tolerance = ({k: v for k, v in table.items() if k not in left_out}
+                                for table in (maker.parameters, maker.tolerance))  # fmt: skip
+            text = conceal._toml(replace(maker, tolerance=tolerance), sheet)
+            text = text.replace(f'plant = "{name}"', f'plant = "{name}.toml"')
+            found[rig_name] = {"rig.toml": text.encode(), f"{name}.toml": plant}
     for name, files in found.items():
         where = folder / name
         where.mkdir()
@@ -166,8 +175,10 @@ def _rigs(folder: Path) -> dict[str, dict[str, bytes]]:
     return found
 
 
-def _plant(files: dict[str, bytes]) -> dict:
-    return tomllib.loads(next(v for k, v in files.items() if k.endswith(".toml") and b"[equations" in v).decode())
+def _plant(files: dict[str, bytes]) -> tuple[str, dict]:
+    """The rig's plant: its name, and the content of its file."""
+    name = tomllib.loads(files["rig.toml"].decode())["plant"]
+    return name.removesuffix(".toml"), tomllib.loads(files[name].decode())
 
 
 def rig_seeds(folder: Path) -> list[dict[str, bytes]]:
@@ -198,6 +209,9 @@ def diagnosis_seeds(folder: Path) -> list[dict[str, bytes]]:
         found = json.loads(path.read_text())
         if found.get("schema") == "diagnosis/1":
             name = path.stem if path.stem in _rigs(folder) else found["plant"]
+            claimed = {symbol for effect in found["effects"] for symbol in effect["parameters"]}
+            if name in conceal.RIGS and claimed & set(conceal.RIGS[name].optional):
+                name = f"{name} without"
             seeds.append({**_rigs(folder)[name], "diagnosis.json": path.read_bytes()})
     return seeds
 
@@ -206,14 +220,13 @@ def expression_seeds(folder: Path) -> list[dict[str, bytes]]:
     """Every expression of every plant, and in the place of an unknown term those of its equations."""
     seeds = []
     for files in _rigs(folder).values():
-        table, found = _plant(files), {**files, "effects.toml": b""}
-        name = tomllib.loads(files["rig.toml"].decode())["plant"].removesuffix(".toml")
+        (name, table), found = _plant(files), {**files, "effects.toml": b""}
 
         def add(text, found=found, name=name, **place):
             place = json.dumps({"plant": name, **place}).encode()
             seeds.append({**found, "place.json": place, "expression": str(text).encode()})
 
-        for where, lines in {**table.get("definitions", {}), **table["equations"]}.items():
+        for where, lines in {**table.get("definitions", {}), **table.get("equations", {})}.items():
             for term, text in next(iter(lines.values())).items():
                 if term not in ("unit", "storage"):
                     add(text, kind="term", where=where, term=term)
@@ -313,7 +326,7 @@ def test_a_mutant_of_a_valid_file_is_read_or_refused_in_a_line(name, sandbox, wo
     for seed in seeds:
         ending = sandbox.open(parser.entrance, seed, guarded=False)
         assert ending.kind == "accepted", (ending, [v for k, v in seed.items() if k in parser.targets])
-    tally = campaign(parser.entrance, seeds, parser.targets, MUTANTS, sandbox)
+    tally = campaign(sandbox, parser.entrance, seeds, parser.targets, MUTANTS)
     print(name, tally.as_dict())
     if MUTANTS > IN_TESTS:
         results = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
