@@ -76,10 +76,10 @@ def _place(rng: Random, tree) -> Place | None:
     return place
 
 
-def _places(rng: Random, tree, kind: type | tuple[type, ...]) -> Place | None:
-    """Some place that holds such a value."""
+def _find(rng: Random, tree, fits: Callable) -> Place | None:
+    """Some place whose value fits."""
     tries = (_place(rng, tree) for _ in range(20))
-    return next((p for p in tries if p and isinstance(p.value, kind) and not isinstance(p.value, bool)), None)
+    return next((p for p in tries if fits(p.value)), None)
 
 
 def _foreign(rng: Random):
@@ -133,18 +133,35 @@ CHANGES = (
 )  # fmt: skip
 
 
+def _number(value):
+    """The number that a value is, or that it spells in a CSV; None if it is none."""
+    if isinstance(value, str) and re.fullmatch(r"-?\d+(\.\d*)?(e[-+]?\d+)?", value):
+        return float(value)
+    return value if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
 def _scale(rng: Random, tree) -> None:
-    place = _places(rng, tree, (int, float))
+    place = _find(rng, tree, lambda value: _number(value) is not None)
     if place is None:
         return _replace(rng, tree)
+    number = _number(place.value)
     try:
-        place.put(rng.choice(CHANGES)(place.value))
+        changed = rng.choice(CHANGES)(number)
     except (OverflowError, ValueError):  # of inf, nan, and integers that no float holds
-        place.put(-place.value)
+        changed = -number
+    place.put(f"{changed}" if isinstance(place.value, str) else changed)
+
+
+def _nudge(rng: Random, tree) -> None:
+    """A number a little larger: a change that most readers accept, so that what follows is reached."""
+    place = _find(rng, tree, lambda value: isinstance(_number(value), float))
+    if place is not None:
+        larger = _number(place.value) * 1.001
+        place.put(f"{larger}" if isinstance(place.value, str) else larger)
 
 
 def _respell(rng: Random, tree) -> None:
-    place = _places(rng, tree, str)
+    place = _find(rng, tree, lambda value: isinstance(value, str))
     if place is None:
         return _replace(rng, tree)
     if rng.random() < 0.6:
@@ -162,7 +179,7 @@ def _nest(rng: Random, tree) -> None:
     place.put(value)
 
 
-ON_TREES = (_replace, _borrow, _drop, _double, _rename, _swap, _scale, _scale, _respell, _nest)
+ON_TREES = (_replace, _borrow, _drop, _double, _rename, _swap, _scale, _scale, _nudge, _nudge, _nudge, _respell, _nest)
 
 
 # ---- expressions and bytes
@@ -281,7 +298,7 @@ def mutant(rng: Random, seed: Mapping[str, bytes], targets: tuple[str, ...]) -> 
     """`seed`, file name -> bytes, with one of the `targets` changed."""
     name = rng.choice([t for t in targets if t in seed])
     data, kind, story = seed[name], FORMATS.get(Path(name).suffix), []
-    times = rng.choice((1, 1, 1, 2, 2, 3, MOST))
+    times = rng.choice((1, 1, 1, 1, 1, 2, 2, 3, MOST))
     if rng.random() < 0.25:
         for _ in range(times):
             data = _bytes(rng, data)

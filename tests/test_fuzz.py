@@ -275,7 +275,8 @@ def project_seeds(folder: Path) -> list[dict[str, bytes]]:
     source = Source(str(folder / "mine.toml"), {"training": str(record)})
     compile_project(source, folder / "build", source.formats())
     files = {str(p.relative_to(folder / "build")): p.read_bytes() for p in (folder / "build").rglob("*") if p.is_file()}
-    facts = json.loads(files["compile.json"]) | {"recordings": {"training": "train.csv"}}
+    facts = json.loads(files["compile.json"]) | {"source": "mine.toml", "recordings": {"training": "train.csv"}}
+    files |= {p.name: p.read_bytes() for p in folder.glob("mine.*")}
     verified = {a: {"clocks_per_step": 1.0, "seed": 0, "scenarios": {"training": {"steps": 59, "differing_bits": 0,
                 "mismatch": ""}}} for a in ("parallel", "folded")}  # fmt: skip
     counted = {f"{a}, ecp5": {"luts": 10, "flip_flops": 20} for a in ("parallel", "folded")}
