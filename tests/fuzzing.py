@@ -13,7 +13,8 @@ import tempfile
 import time
 import traceback
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -48,56 +49,59 @@ class Ending:
 
 
 _FORBIDDEN = ("os.system", "os.exec", "os.posix_spawn", "os.fork", "os.mkdir", "os.rename", "os.remove", "os.rmdir",
-              "os.symlink", "os.link", "os.truncate", "os.chmod", "os.putenv", "subprocess.Popen", "socket.connect",
+              "os.symlink", "os.link", "os.truncate", "os.chmod", "subprocess.Popen", "socket.connect",
               "shutil.rmtree", "ctypes.dlopen", "webbrowser.open")  # fmt: skip
 _WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 
 
 class _Guard:
-    """An audit hook that lets nothing be written or started while it is armed."""
+    """An audit hook that lets nothing be written or started while it is armed, and tells what was tried."""
 
     def __init__(self):
-        self.armed = False
+        self.armed, self.tried = False, ""
         sys.addaudithook(self)
 
     def __call__(self, event: str, arguments: tuple) -> None:
         if not self.armed:
             return
         if event in _FORBIDDEN or (event == "open" and arguments[2] & _WRITING and arguments[0] != os.devnull):
-            raise Escape(f"{event} {arguments[0]!r}")
+            self.tried = f"{event} {arguments[0]!r}"[:LONGEST]
+            raise Escape(self.tried)
 
 
-def _serve(connection) -> None:
-    """Open what comes through the connection, (entrance, files, guarded), and answer with an `Ending`."""
+def _serve(connection, folder: Path) -> None:
+    """Open what comes through the connection, (entrance, files, guarded), in `folder`; answer with an `Ending`."""
     warnings.simplefilter("error")
-    guard, folder = _Guard(), Path(tempfile.mkdtemp(prefix="greygate_fuzz_"))
+    sys.dont_write_bytecode = True
+    guard = _Guard()
     os.chdir(folder)
-    try:
-        while (order := connection.recv()) is not None:
-            entrance, files, guarded = order
-            for old in folder.iterdir():
-                shutil.rmtree(old) if old.is_dir() else old.unlink()
-            for name, data in files.items():
-                (folder / name).parent.mkdir(parents=True, exist_ok=True)
-                (folder / name).write_bytes(data)
-            if guarded:
-                _limit_memory(_held() + MEMORY)
-            guard.armed = guarded
+    while True:
+        entrance, files, guarded = connection.recv()  # which imports what the entrance needs
+        connection.send("begun")
+        for old in folder.iterdir():
+            shutil.rmtree(old) if old.is_dir() else old.unlink()
+        for name, data in files.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(data)
+        with _little_memory() if guarded else nullcontext():
+            guard.armed, guard.tried = guarded, ""
             ending = _open(entrance, folder, guard)
-            _limit_memory(resource.RLIM_INFINITY)
-            connection.send(ending)
+        connection.send(ending)
+
+
+@contextmanager
+def _little_memory() -> Iterator[None]:
+    """No more than `MEMORY` beyond what the process holds."""
+    if sys.platform != "linux":
+        yield
+        return
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    before, most = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + MEMORY, most))
+    try:
+        yield
     finally:
-        guard.armed = False
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _held() -> int:
-    return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-
-
-def _limit_memory(most: int) -> None:
-    if sys.platform == "linux":
-        resource.setrlimit(resource.RLIMIT_AS, (most, resource.RLIM_INFINITY))
+        resource.setrlimit(resource.RLIMIT_AS, (before, most))
 
 
 def _open(entrance: Callable[[Path], None], folder: Path, guard: _Guard) -> Ending:
@@ -116,6 +120,8 @@ def _open(entrance: Callable[[Path], None], folder: Path, guard: _Guard) -> Endi
         kind, message = f"{type(error).__name__} in {where}", str(error)[:LONGEST]
     finally:
         guard.armed = False
+    if guard.tried:
+        kind, message = "escape", guard.tried
     seconds = time.process_time() - start
     return Ending(kind if seconds < LIMIT else f"hang ({kind})", message, seconds)
 
@@ -128,22 +134,24 @@ def _ours(path: Path) -> bool:
 class Sandbox:
     """A process apart that opens files; one that hangs or crashes is replaced."""
 
-    def __init__(self):
-        self._process = None
+    def __init__(self, patience: float = PATIENCE):
+        self.patience, self._process = patience, None
 
     def open(self, entrance: Callable[[Path], None], files: Mapping[str, bytes], guarded: bool = True) -> Ending:
         """guarded: nothing may be written. Only for files of our own, which may fill caches, it is False."""
         if self._process is None:
             context = multiprocessing.get_context("spawn")
             self._connection, theirs = context.Pipe()
-            self._process = context.Process(target=_serve, args=(theirs,), daemon=True)
+            self._folder = tempfile.TemporaryDirectory(prefix="greygate_fuzz_")
+            self._process = context.Process(target=_serve, args=(theirs, Path(self._folder.name)), daemon=True)
             self._process.start()
             theirs.close()
         try:
             self._connection.send((entrance, dict(files), guarded))
-            if self._connection.poll(PATIENCE if guarded else None):
+            self._connection.recv()
+            if self._connection.poll(self.patience if guarded else None):
                 return self._connection.recv()
-            ending = Ending("hang", f"no answer within {PATIENCE:g} s", PATIENCE)
+            ending = Ending("hang", f"no answer within {self.patience:g} s", self.patience)
         except (EOFError, ConnectionError):
             ending = Ending("crash", "the process ended")
         self.close()
@@ -154,6 +162,8 @@ class Sandbox:
             self._process.kill()
             self._process.join()
             self._process = None
+            self._connection.close()
+            self._folder.cleanup()
 
 
 @dataclass
