@@ -20,7 +20,7 @@ from pathlib import Path
 
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
-from mutants import Mutant, mutant
+from malformed import Mutant, mutant
 
 from greygate.errors import InputError
 
