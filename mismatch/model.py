@@ -14,9 +14,10 @@ from scipy.signal import lfilter, savgol_filter
 from greygate.errors import InputError
 from greygate.mismatch.effects import Effect, join
 from greygate.mismatch.rig import Rig
+from greygate.plants.expressions import names
 from greygate.plants.plant import Parameter, Values
 from greygate.plants.recording import Recording
-from greygate.plants.simulate import Restarted, names
+from greygate.plants.simulate import Restarted
 
 TIMING = "input_timing"  # s by which inputs act later than the recording says: a nuisance, known to a hundredth sample
 BLUR = "input_blur"  # how much finer a second rate is than smoothing over SMOOTH makes it: a nuisance, 1 of FINER
@@ -78,7 +79,8 @@ class Model:
         outputs = {name for name, d in plant.definitions.items() if d.symbol in self.rig.predict}
         texts = [text for name, d in plant.definitions.items() if name not in outputs for text in d.terms.values()]
         texts += [text for e in plant.equations.values() for text in (e.storage, *e.terms.values())]
-        texts += [str(b) for s in plant.states.values() for b in (s.initial, s.start, s.low, s.high)]
+        bounds = (b for s in plant.states.values() for b in (s.initial, s.start, s.low, s.high))
+        texts += [b for b in bounds if isinstance(b, str)]
         filters = {symbol for kinds in self._filters.values() for _, symbol in kinds}
         texts += [text for channel in self.measured for text in self.readings.get(channel, {}).values()]
         used = names(texts) | filters | {BLUR}
