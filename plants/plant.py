@@ -142,7 +142,7 @@ class Plant:
         Raises InputError naming file, line or entry.
         """
         path = Path(path)
-        entries = _Entries(path)
+        entries = PlantEntries(path)
         table = entries.table("", read_toml(path, "give a plant's TOML file"), [f.name for f in fields(cls)[1:]])
 
         def each(key: str, made) -> dict:
@@ -255,6 +255,11 @@ class Plant:
         return found[::-1]
 
     @cached_property
+    def symbols(self) -> frozenset[str]:
+        """Of parameters, inputs, states and definitions."""
+        return frozenset(self._units)
+
+    @cached_property
     def _units(self) -> dict[str, str]:
         return {
             **{symbol: parameter.unit for symbol, parameter in self.parameters.items()},
@@ -270,7 +275,8 @@ class Plant:
 
     def _declare(self, symbol: str, symbols: set[str]) -> None:
         if not is_symbol(symbol):
-            self._fail(shown(symbol), "is no name for a quantity; use ASCII letters, digits and underscores, "
+            where = symbol if is_name(symbol) else shown(symbol)
+            self._fail(where, "is no name for a quantity; use ASCII letters, digits and underscores, "
                        "a letter first, no word of Python and no function's name")  # fmt: skip
         if symbol in symbols:
             self._fail(symbol, "is declared twice; rename one")
@@ -317,8 +323,8 @@ class Plant:
         return "; it is defined further down, move it up" if name in defined else "; declare it or mend the spelling"
 
 
-class _Entries(Entries):
-    """The checks of a plant file's entries."""
+class PlantEntries(Entries):
+    """The checks of what a plant, or an effect that joins one, is declared by."""
 
     def parameter(self, where: str, value) -> Parameter:
         """`[value, "unit"]`, or with its tolerance and its meaning."""
@@ -331,29 +337,55 @@ class _Entries(Entries):
         """`{ unit = "m", initial = 0.0, ... }`."""
         table = self.table(where, value, [f.name for f in fields(State)], ["unit"])
         for key, given in table.items():
-            if isinstance(given, str) or key in ("unit", "rate", "start"):
+            if key in ("unit", "rate"):
                 self.text(f"{where}.{key}", given)
+            elif key == "start" or isinstance(given, str):
+                self.expression(f"{where}.{key}", given)
             else:
                 self.number(f"{where}.{key}", given, wish="write a finite number, or an expression in quotes")
         return State(**table)
+
+    def expression(self, where: str, value) -> str:
+        """The text of an expression."""
+        try:
+            parse(value)
+        except InputError as error:
+            self.fail(where, str(error))
+        return value
+
+    def terms(self, where: str, value) -> dict[str, str]:
+        """`{ name = "expression", ... }`."""
+        for name, text in self.table(where, value).items():
+            if not is_name(name):
+                self.fail(where, f"{shown(name)} is no name for a term; use ASCII letters, digits and underscores")
+            self.expression(f"{where}, {name}", text)
+        return value
+
+    def defined(self, where: str, value) -> Definition:
+        """`{ symbol = "q", unit = "m^3/s", sum = "expression" }`."""
+        table = self.table(where, value, ("symbol", "unit", "sum"), ("symbol", "unit", "sum"))
+        texts = [self.text(f"{where}, {key}", table[key]) for key in ("symbol", "unit")]
+        return Definition(*texts, {"sum": self.expression(f"{where}, sum", table["sum"])})
+
+    def balance(self, where: str, value) -> Equation:
+        """`{ state = "x", terms = { ... }, storage = "expression" }`."""
+        table = self.table(where, value, ("state", "terms", "storage"), ("state", "terms"))
+        storage = self.expression(f"{where}, storage", table.get("storage", "1"))
+        return Equation(self.text(f"{where}, state", table["state"]), self.terms(where, table["terms"]), storage)
 
     def sum(self, where: str, value, extra: str) -> tuple:
         """(symbol, ...) of `symbol = { extra = ..., term = "expression", ... }`."""
         if not (isinstance(value, dict) and len(value) == 1):
             self.fail(where, f'{shown(value)}; write one line, symbol = {{ term = "expression", ... }}')
-        symbol, terms = next(iter(value.items()))
-        terms = self.table(f"{where}.{symbol}", terms)
-        for name, text in terms.items():
-            if not isinstance(text, str):
-                self.fail(f"{where}, {name}", f"{shown(text)} is no text; write it in quotes")
-            if name != extra and not is_name(name):
-                self.fail(where, f"{shown(name)} is no name for a term; use ASCII letters, digits and underscores")
+        symbol, given = next(iter(value.items()))
+        terms = self.table(f"{where}.{symbol}", given)
+        more = terms.pop(extra, None)
+        terms = self.terms(where, terms)
         if extra == "storage":
-            storage = terms.pop(extra, "1")
-            return symbol, terms, storage
-        if extra not in terms:
+            return symbol, terms, "1" if more is None else self.expression(f"{where}, {extra}", more)
+        if more is None:
             self.fail(where, f"has no {extra}; write {symbol} = {{ {extra} = ..., ... }}")
-        return symbol, self.text(f"{where}, {extra}", terms.pop(extra)), terms
+        return symbol, self.text(f"{where}, {extra}", more), terms
 
 
 class Values(dict):
