@@ -73,8 +73,10 @@ class Entries:
         if type(value) in (int, float):
             with suppress(OverflowError):
                 number = float(value)
-        if not (math.isfinite(number) and low <= number <= high):
-            self.fail(where, f"{shown(value)} is no number that can stand here; {wish}")
+        if not math.isfinite(number):
+            self.fail(where, f"{shown(value)} is no number; {wish}")
+        if not low <= number <= high:
+            self.fail(where, f"{shown(value)}; {wish}")
         return number
 
     def table(self, where: str, value, known: Collection[str] = (), needed: Collection[str] = ()) -> dict:

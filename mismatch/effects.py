@@ -97,7 +97,7 @@ class Effect:
             if filtered.split()[1:] not in ([symbol] for symbol in symbols):
                 raise InputError(f"filters.{name}: {shown(filtered)}; write a filter and one of its parameters")
         for name, pair in self.wave.items():
-            if not (len(pair) == 2 and set(pair) <= symbols):
+            if not (is_name(name) and len(pair) == 2 and set(pair) <= symbols):
                 raise InputError(f"wave.{name}: {shown(pair)}; give two of its parameters, [sine, cosine]")
 
     @property

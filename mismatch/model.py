@@ -36,21 +36,30 @@ class Model:
         self.rig, self.effects = rig, effects
         self.plant, self.readings = join(rig.plant, effects.values())
         if rig.window:
-            self.plant = replace(self.plant, parameters={**self.plant.parameters, TIMING: Parameter(0.0, "s")})
+            self._add(TIMING, "s")
         self.finer = {name: how for name, how in self.plant.derived.items() if how.startswith("smooth_acceleration ")}
         if self.finer:
-            self.plant = replace(self.plant, parameters={**self.plant.parameters, BLUR: Parameter(0.0, "1")})
+            self._add(BLUR, "1")
         self.values = {symbol: p.value for symbol, p in self.plant.parameters.items()}
         self._filters = {}
         for effect in effects.values():
             for name, text in effect.filters.items():
-                self._filters.setdefault(name, []).append(text.split())
+                kind, symbol = text.split()
+                if kind not in FILTERS:
+                    raise InputError(f"effect {effect.key}: filters.{name}: {kind!r}; give one of {', '.join(FILTERS)}")
+                self._filters.setdefault(name, []).append((kind, symbol))
         for name in rig.inputs if rig.window else ():
-            self._filters.setdefault(name, []).append(["delay", TIMING])
+            self._filters.setdefault(name, []).append(("delay", TIMING))
         self._compiled = Restarted(self.plant, rig.dt, self.plant.step)
         self._take(recording, rig.window if window is None else window)
         self.moving = self._moving()
         self.runs = 0
+
+    def _add(self, nuisance: str, unit: str) -> None:
+        """A parameter of the simulation itself."""
+        if nuisance in self.plant.symbols:
+            raise InputError(f"plant {self.plant.name}: {nuisance}: is the simulation's own name; rename it")
+        self.plant = replace(self.plant, parameters={**self.plant.parameters, nuisance: Parameter(0.0, unit)})
 
     def over(self, recording: Recording) -> "Model":
         """The same model over another recording of its rig."""
@@ -208,7 +217,7 @@ class Model:
             out = np.zeros((len(states), len(self.rig.predict)))
             for path, expression in effect.terms.items():
                 symbol = places[path.partition(".")[0]]
-                out[:, self.rig.predict.index(symbol)] += scope.evaluate(" ".join(expression.split()))
+                out[:, self.rig.predict.index(symbol)] += scope.evaluate(expression)
             return out
 
         return give
