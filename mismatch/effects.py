@@ -84,6 +84,12 @@ class Effect:
         for name in (self.key, self.id):
             if not is_name(name):
                 raise InputError(f"{shown(name)} is no name for an effect; use ASCII letters, digits, underscores")
+        for name in (*self.definitions, *self.equations_of):
+            if not is_name(name):
+                raise InputError(f"{shown(name)} is no name for a place; use ASCII letters, digits, underscores")
+        for symbol in (*self.symbols, *self.set):
+            if not is_symbol(symbol):
+                raise InputError(f"{shown(symbol)} is no name for a quantity; use ASCII letters, digits, underscores")
         for path, text in self.terms.items():
             where, _, term = path.partition(".")
             if not (is_name(where) and is_name(term)):
