@@ -26,8 +26,8 @@ from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.search import Search
 from greygate.mismatch.separation import separations
 from greygate.mismatch.simulation import read, simulate
+from greygate.plants.expressions import names
 from greygate.plants.recording import Recording
-from greygate.plants.simulate import names
 
 VERDICTS = {
     "consistent": "consistent: the parameters, inside their tolerances, explain the recording",

@@ -1,6 +1,11 @@
-"""Modules of generated source that numba compiles, kept on disk so that each is compiled once on a machine."""
+"""Modules of generated source that numba compiles, kept on disk so that each is compiled once on a machine.
+
+The source is this package's own: of a plant, written from names and trees that `plants.expressions` has checked; of an
+integer program, from its numbers. No text of a file stands in it.
+"""
 
 import hashlib
+import importlib.abc
 import importlib.util
 import os
 import sys
@@ -27,12 +32,24 @@ def load(kind: str, text: str) -> types.ModuleType:
         writable = os.access(folder, os.W_OK)
     except (OSError, InputError):
         writable = False
-    if not writable:
-        module = types.ModuleType(name)
-        exec(compile(text.replace("cache=True", "cache=False"), name, "exec"), module.__dict__)
-        return module
-    spec = importlib.util.spec_from_file_location(name, path)
+    if writable:
+        spec = importlib.util.spec_from_file_location(name, path)
+    else:
+        spec = importlib.util.spec_from_loader(name, _InMemory(text.replace("cache=True", "cache=False")))
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # numba finds a cached function's globals by this name
     spec.loader.exec_module(module)
     return module
+
+
+class _InMemory(importlib.abc.InspectLoader):
+    """Loads the module of one source text."""
+
+    def __init__(self, text: str):
+        self.text = text
+
+    def get_source(self, fullname: str) -> str:
+        return self.text
+
+    def get_code(self, fullname: str) -> types.CodeType:
+        return self.source_to_code(self.text, fullname)

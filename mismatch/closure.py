@@ -16,6 +16,7 @@ from greygate.mismatch.fit import Fit
 from greygate.mismatch.model import lagged
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.search import Hypothesis, Search
+from greygate.plants.expressions import replaced
 from greygate.plants.plant import Values
 
 STRETCH = 1.0  # s of recording that are learnt from, then judged on, by turns
@@ -284,7 +285,6 @@ def _parameter(effect: Effect, fit: Fit, seen: dict[str, float]) -> dict:
     """A coefficient as the diagnosis keeps it, with the term it stands in, its limits as numbers."""
     symbol = effect.key
     place, term = effect.equations[0], effect.terms[f"{effect.equations[0]}.{symbol}"]
-    for name, value in seen.items():
-        term = term.replace(name, repr(value))
+    term = replaced(term, {name: repr(limit) for name, limit in seen.items()})
     value, reach = fit.values[symbol], 1.96 * fit.deviation(symbol)
     return {"value": value, "ci95": [value - reach, value + reach], "unit": "", "place": place, "term": term}

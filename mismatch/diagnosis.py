@@ -194,15 +194,19 @@ def reported(effect: Effect, fit: Fit) -> dict:
 
 def recovered(effect: Effect, found: Mapping[str, Mapping]) -> dict[str, float]:
     """Symbols' values from what a diagnosis reports of an effect; the inverse of `reported`."""
+
+    def given(name: str) -> float:
+        if name not in found:
+            raise InputError(f"diagnosis: effect {effect.id} has no {name}; give one that diagnose wrote")
+        return float(found[name]["value"])
+
     values = dict(effect.set)
     for name, (sine, cosine) in effect.wave.items():
-        size, phase = found[name]["value"], found[f"{name}_phase"]["value"]
+        size, phase = given(name), given(f"{name}_phase")
         values[sine], values[cosine] = float(size * np.cos(phase)), float(size * np.sin(phase))
     for f in effect.free:
         if f.symbol not in values:
-            if f.reported not in found:
-                raise InputError(f"diagnosis: effect {effect.id} has no {f.reported}; give one that diagnose wrote")
-            values[f.symbol] = float(found[f.reported]["value"])
+            values[f.symbol] = given(f.reported)
     return values
 
 

@@ -1,19 +1,24 @@
 """Effects that a plant's equations may leave out: a table in TOML, and how an effect joins a plant.
 
 All effects that may enter a plant are joined to it once, with parameters at which they do nothing; a hypothesis is then
-a set of parameters that become free, and nothing is compiled twice.
+a set of parameters that become free, and nothing is compiled twice. Of the plant nothing is overwritten: an effect's
+terms carry its key (`spring.spring`), general effects take symbols that the plant has not, and any other clash is
+refused (`_Joining`).
 """
 
-import tomllib
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from itertools import count
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
+from greygate.entries import read_toml, shown
 from greygate.errors import InputError
-from greygate.plants.plant import Definition, Equation, Parameter, Plant, State
+from greygate.plants.expressions import is_name, is_symbol, parse, replaced
+from greygate.plants.plant import Definition, Equation, Parameter, Plant, PlantEntries, State
 
 TABLE = Path(__file__).parent / "effects.toml"
 GENERAL = Path(__file__).parent / "general.toml"
@@ -43,11 +48,15 @@ class Free:
     reported: str = ""
 
     def __post_init__(self):
+        if not is_symbol(self.symbol) or not (self.reported == "" or is_name(self.reported)):
+            raise InputError(f"{shown(self.symbol)} is no name for a parameter; use ASCII letters, digits, underscores")
         for name in ("typical", "low", "high"):
             if type(value := getattr(self, name)) not in (int, float):
-                raise TypeError(f"{self.symbol}, {name}: {value!r} is no number")
+                raise InputError(f"{self.symbol}, {name}: {shown(value)} is no number")
         if not (self.typical > 0 or self.shape):
-            raise TypeError(f"{self.symbol}, typical: {self.typical!r}; give a size above 0")
+            raise InputError(f"{self.symbol}, typical: {self.typical!r}; give a size above 0")
+        if not self.low <= self.high:
+            raise InputError(f"{self.symbol}, low: {self.low!r} is above high, {self.high!r}; exchange them")
 
 
 @dataclass(frozen=True)
@@ -61,24 +70,52 @@ class Effect:
     depends_on: tuple[str, ...]
     free: tuple[Free, ...]
     terms: Mapping[str, str] = field(default_factory=dict)
-    definitions: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    states: Mapping[str, Mapping] = field(default_factory=dict)
-    equations_of: Mapping[str, Mapping] = field(default_factory=dict)
+    definitions: Mapping[str, Definition] = field(default_factory=dict)
+    states: Mapping[str, State] = field(default_factory=dict)
+    equations_of: Mapping[str, Equation] = field(default_factory=dict)
     filters: Mapping[str, str] = field(default_factory=dict)
     set: Mapping[str, float] = field(default_factory=dict)
     wave: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     frees: bool = False
     of: str = ""
+    table: str = ""
 
     def __post_init__(self):
-        for where, text in self.terms.items():
-            if not isinstance(text, str):
-                raise TypeError(f"term {where}: {text!r} is no expression in quotes")
+        for name in (self.key, self.id):
+            if not is_name(name):
+                raise InputError(f"{shown(name)} is no name for an effect; use ASCII letters, digits, underscores")
+        for name in (*self.definitions, *self.equations_of):
+            if not is_name(name):
+                raise InputError(f"{shown(name)} is no name for a place; use ASCII letters, digits, underscores")
+        for symbol in (*self.symbols, *self.set):
+            if not is_symbol(symbol):
+                raise InputError(f"{shown(symbol)} is no name for a quantity; use ASCII letters, digits, underscores")
+        for path, text in self.terms.items():
+            where, _, term = path.partition(".")
+            if not (is_name(where) and is_name(term)):
+                raise InputError(f'term {shown(path)}: write "place.term" with names of ASCII letters')
+            try:
+                parse(text)
+            except InputError as error:
+                raise InputError(f"term {path}: {error}") from None
+        symbols = {f.symbol for f in self.free}
+        for name, filtered in self.filters.items():
+            if filtered.split()[1:] not in ([symbol] for symbol in symbols):
+                raise InputError(f"filters.{name}: {shown(filtered)}; write a filter and one of its parameters")
+        for name, pair in self.wave.items():
+            if not (is_name(name) and len(pair) == 2 and set(pair) <= symbols):
+                raise InputError(f"wave.{name}: {shown(pair)}; give two of its parameters, [sine, cosine]")
 
     @property
     def id(self) -> str:
         """The name in a diagnosis: that of the effect of which this is a form."""
         return self.of or self.key
+
+    @cached_property
+    def symbols(self) -> Collection[str]:
+        """Those that it brings."""
+        own = () if self.frees else (f.symbol for f in self.free)
+        return {*own, *self.states, *(d.symbol for d in self.definitions.values())}
 
     @cached_property
     def strengths(self) -> tuple[Free, ...]:
@@ -88,7 +125,7 @@ class Effect:
     def lazily(self, expression: str) -> str:
         """`expression`, computed only where the effect is there."""
         size = " + ".join(f"abs({f.symbol})" for f in self.strengths)
-        return f"when({size}, {' '.join(expression.split())})" if size and not self.frees else expression
+        return f"when({size}, {parse(expression)})" if size and not self.frees else expression
 
 
 def read(path: Path | str = TABLE) -> dict[str, Effect]:
@@ -101,12 +138,7 @@ def read(path: Path | str = TABLE) -> dict[str, Effect]:
 
 
 def _table(path: Path) -> dict:
-    try:
-        return tomllib.loads(path.read_text())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a table of effects") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: is no TOML ({error}); mend that line") from None
+    return read_toml(path, "give a table of effects")
 
 
 def known(rig, recording) -> dict[str, Effect]:
@@ -114,16 +146,21 @@ def known(rig, recording) -> dict[str, Effect]:
 
     Where the rig's noise is not told, also the general ones in every place of its plant that they fit.
     """
-    effects = read()
+    path = rig.folder / "effects.toml"
+    effects, own = read(), read(path) if path.exists() else {}
     if not rig.stated:
-        effects |= general(rig, recording)
-    own = rig.folder / "effects.toml"
-    return effects | read(own) if own.exists() else effects
+        effects |= general(rig, recording, fitting(rig.plant, rig.datasheet, effects | own).values())
+    return effects | own
 
 
-def general(rig, recording) -> dict[str, Effect]:
-    """The general effects in every place of the rig's plant that they fit; the head of `general.toml` tells places."""
+def general(rig, recording, beside: Iterable[Effect] = ()) -> dict[str, Effect]:
+    """The general effects in every place of the rig's plant that they fit; the head of `general.toml` tells places.
+
+    Where the plant, or an effect that stands `beside` them, has one of their symbols, they take another, and go by the
+    same name in a diagnosis.
+    """
     plant, out = rig.plant, {}
+    taken = plant.symbols | {symbol for effect in beside for symbol in effect.symbols}
     balance = {e.state: name for name, e in plant.equations.items()}
     places = {
         "u": [{"u": name} for name in rig.inputs],
@@ -135,9 +172,23 @@ def general(rig, recording) -> dict[str, Effect]:
         at = places[entry.pop("at")]
         for place in at:
             name = key if len(at) == 1 else f"{key}_{next(iter(place.values()))}"
-            made = _placed(entry, place, rig, recording)
+            made = _renamed(_placed(entry, place, rig, recording), taken)
+            taken |= set(made["parameters"])
             out[name] = _effect(GENERAL, name, {"plants": [plant.name], **made})
     return out
+
+
+def _renamed(entry: dict, taken: Collection[str]) -> dict:
+    """`entry` with other symbols in place of those that are taken."""
+    own = entry["parameters"]
+    new = {s: next(f"{s}_{n}" for n in count(2) if f"{s}_{n}" not in {*taken, *own}) for s in own if s in taken}
+    if not new:
+        return entry
+    return entry | {
+        "parameters": {new.get(s, s): {"as": s, **p} for s, p in own.items()},
+        "terms": {path: replaced(text, new) for path, text in entry.get("terms", {}).items()},
+        "filters": {name: " ".join(new.get(w, w) for w in t.split()) for name, t in entry.get("filters", {}).items()},
+    }
 
 
 def _placed(entry, place: Mapping[str, str], rig, recording):
@@ -161,21 +212,53 @@ def _placed(entry, place: Mapping[str, str], rig, recording):
     return entry
 
 
-def _effect(path: Path, key: str, entry: dict) -> Effect:
+_FREE = ("unit", "typical", "low", "high", "guess", "scan", "shape", "whole", "as")
+
+
+def _effect(path: Path, key: str, entry) -> Effect:
+    here, entries = f"effect {key}", PlantEntries(path)
+    known = [f.name for f in fields(Effect) if f.name not in ("key", "free", "table")]
+    entry = entries.table(here, entry, [*known, "parameters"], ["means", "equations", "depends_on"])
+
+    def each(name: str, made) -> dict:
+        table = entries.table(f"{here}, {name}", entry.get(name, {}))
+        return {n: made(f"{here}, {name}.{n}", value) for n, value in table.items()}
+
+    brought, released = (each(name, entries.table) for name in ("parameters", "frees"))
+    if brought and released:
+        entries.fail(here, "has parameters and frees; give one of them")
+    texts = {n: entries.texts(f"{here}, {n}", entry.get(n, (ANY,))) for n in ("plants", "equations", "depends_on")}
+    tables = {
+        "terms": each("terms", lambda where, text: text),
+        "definitions": each("definitions", entries.defined),
+        "states": each("states", entries.state),
+        "equations_of": each("equations_of", entries.balance),
+        "filters": each("filters", entries.text),
+        "set": each("set", entries.number),
+        "wave": each("wave", entries.texts),
+    }
+    given = {symbol: _free(entries, f"{here}, {symbol}", symbol, f) for symbol, f in (brought | released).items()}
+    means, of = (entries.text(f"{here}, {n}", entry.get(n, "")) for n in ("means", "of"))
     try:
-        entry = dict(entry)
-        released = entry.pop("frees", {})
-        free = tuple(
-            Free(symbol, reported=f.pop("as", symbol), guess=tuple(f.pop("guess", ())), **f)
-            for symbol, f in ((s, dict(f)) for s, f in {**entry.pop("parameters", {}), **released}.items())
-        )
-        for name in ("plants", "equations", "depends_on"):
-            entry[name] = tuple(entry.get(name, (ANY,)) if name == "plants" else entry[name])
-        return Effect(key, free=free, frees=bool(released), **entry)
-    except KeyError as error:
-        raise InputError(f"{path}: effect {key}: {error} is missing; see the entries of {TABLE}") from None
-    except (TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{path}: effect {key}: {error}; see the entries of {TABLE}") from None
+        free = tuple(Free(symbol, **f) for symbol, f in given.items())
+        return Effect(key, means, free=free, **texts, **tables, frees=bool(released), of=of, table=str(path))
+    except InputError as error:
+        entries.fail(here, str(error))
+
+
+def _free(entries: PlantEntries, where: str, symbol: str, given: dict) -> dict:
+    """What `Free` takes, of a table `{ typical = 1.0, ... }`."""
+    given = entries.table(where, given, _FREE, ["typical"])
+    for name in {"typical", "low", "high"} & set(given):
+        entries.number(f"{where}, {name}", given[name])
+    for name in {"shape", "whole"} & set(given):
+        if type(given[name]) is not bool:
+            entries.fail(f"{where}, {name}", f"{shown(given[name])}; write true or false")
+    entries.text(f"{where}, unit", given.get("unit", ""))
+    entries.text(f"{where}, scan", given.get("scan", ""), ("", "wave"))
+    entries.numbers(f"{where}, guess", guess := given.pop("guess", ()))
+    reported = entries.text(f"{where}, as", given.pop("as", symbol))
+    return {**given, "guess": tuple(guess), "reported": reported}
 
 
 def fitting(plant: Plant, datasheet: Mapping[str, float], effects: Mapping[str, Effect]) -> dict[str, Effect]:
@@ -193,35 +276,100 @@ def fitting(plant: Plant, datasheet: Mapping[str, float], effects: Mapping[str, 
 def join(plant: Plant, effects: Iterable[Effect]) -> tuple[Plant, dict[str, dict[str, str]]]:
     """(plant with the effects' terms in it, doing nothing; reading terms by channel).
 
-    Raises InputError naming effect and place where a term does not fit.
+    Raises InputError naming effect and place where a term does not fit, or where a name is the plant's, or that of
+    another effect which is no form of the same one.
     """
-    parameters, definitions = dict(plant.parameters), dict(plant.definitions)
-    states, equations = dict(plant.states), dict(plant.equations)
-    brought: dict[str, Definition] = {}
-    readings: dict[str, dict[str, str]] = {}
+    joining, effects = _Joining(plant), list(effects)
     for effect in effects:
+        joining.bring(effect)
+    for effect in effects:
+        joining.enter(effect)
+    return joining.joined(), joining.readings
+
+
+class _Joining:
+    """A plant while effects join it."""
+
+    def __init__(self, plant: Plant):
+        self.plant = plant
+        self.parameters, self.states = dict(plant.parameters), dict(plant.states)
+        self.equations, self.definitions = dict(plant.equations), dict(plant.definitions)
+        self.brought: dict[str, Definition] = {}
+        self.readings: dict[str, dict[str, str]] = {}
+        self.owners: dict[tuple[str, str], tuple[Effect, object]] = {}
+        self.places = {*plant.equations, *plant.definitions}
+        for place in self.places:
+            if place.startswith(SENSOR):
+                raise InputError(f"plant {plant.name}: {place}: names in {SENSOR} are kept for readings; rename it")
+
+    def fail(self, effect: Effect, problem: str) -> NoReturn:
+        raise InputError(f"effect {effect.key}: {problem}")
+
+    def claim(self, effect: Effect, kind: str, name: str, what, taken: Collection[str]) -> None:
+        """`name` is the effect's: the plant has it not, nor another effect, but a relative with the same under it."""
+        if name in taken:
+            self.fail(effect, f"{kind} {name}: plant {self.plant.name} has this name too; rename one")
+        other, same = self.owners.setdefault((kind, name), (effect, what))
+        if not (effect.id == other.id or effect.table == other.table) or what != same:
+            self.fail(effect, f"{kind} {name}: effect {other.key} has something else of this name; rename one")
+
+    def bring(self, effect: Effect) -> None:
+        """Parameters, definitions, states and balances of the effect's own."""
+        plant = self.plant
         for f in effect.free:
             if not effect.frees:
-                parameters[f.symbol] = Parameter(f.typical if f.shape else 0.0, f.unit)
+                self.claim(effect, "symbol", f.symbol, (f.unit, f.shape), plant.symbols)
+                self.parameters[f.symbol] = Parameter(f.typical if f.shape else 0.0, f.unit)
+            elif f.symbol not in plant.parameters:
+                self.fail(effect, f"frees {f.symbol}: plant {plant.name} has no such parameter")
         for name, d in effect.definitions.items():
-            brought[name] = Definition(d["symbol"], d["unit"], {"sum": effect.lazily(d["sum"])})
-        for name, s in effect.states.items():
-            states[name] = State(**s)
-        for name, e in effect.equations_of.items():
-            equations[name] = Equation(e["state"], e["terms"], e.get("storage", "1"))
-        for path, expression in effect.terms.items():
+            made = replace(d, terms={term: effect.lazily(text) for term, text in d.terms.items()})
+            self.claim(effect, "place", name, made, self.places)
+            self.claim(effect, "symbol", d.symbol, made, plant.symbols)
+            self.brought[name] = made
+        for symbol, state in effect.states.items():
+            self.claim(effect, "symbol", symbol, state, plant.symbols)
+            self.states[symbol] = state
+        for name, equation in effect.equations_of.items():
+            self.claim(effect, "place", name, equation, self.places)
+            self.equations[name] = equation
+        for name in effect.filters:
+            if name not in plant.inputs:
+                self.fail(effect, f"filters.{name}: plant {plant.name} has no such input")
+
+    def enter(self, effect: Effect) -> None:
+        """Its terms, each under the effect's key."""
+        for path, text in effect.terms.items():
             where, _, term = path.partition(".")
-            expression = effect.lazily(expression)
             if where.startswith(SENSOR):
-                readings.setdefault(where.removeprefix(SENSOR), {})[term] = expression
-            elif where in equations:
-                equations[where] = replace(equations[where], terms={**equations[where].terms, term: expression})
-            elif where in definitions:
-                definitions[where] = replace(definitions[where], terms={**definitions[where].terms, term: expression})
-            else:
-                names = ", ".join((*definitions, *equations))
-                raise InputError(f"effect {effect.key}: {where}: {plant.name} has no such place; it has {names}")
-    joined = replace(
-        plant, parameters=parameters, states=states, equations=equations, definitions={**brought, **definitions}
-    )
-    return joined, readings
+                self.show(effect, where.removeprefix(SENSOR), term, text)
+                continue
+            table = self.equations if where in self.equations else self.definitions
+            if where not in table:
+                names = ", ".join((*self.definitions, *self.equations))
+                self.fail(effect, f"{where}: {self.plant.name} has no such place; it has {names}")
+            terms, term = table[where].terms, f"{effect.key}.{term}"
+            if term in terms:
+                self.fail(effect, f"{where}.{term}: plant {self.plant.name} has this term too; rename one")
+            table[where] = replace(table[where], terms={**terms, term: effect.lazily(text)})
+        for symbol in effect.set:
+            if symbol not in self.parameters:
+                self.fail(effect, f"set {symbol}: plant {self.plant.name} has no such parameter")
+
+    def show(self, effect: Effect, channel: str, term: str, text: str) -> None:
+        """What its sensor adds to a channel, of the channel and parameters alone."""
+        if channel not in self.plant.symbols or channel in self.plant.parameters:
+            self.fail(effect, f"{SENSOR}{channel}: plant {self.plant.name} has no signal {channel}")
+        for name in parse(text).names:
+            if name != channel and name not in self.parameters:
+                self.fail(effect, f"{SENSOR}{channel}.{term}: unknown name {name!r}; use {channel} and parameters")
+        self.readings.setdefault(channel, {})[f"{effect.key}.{term}"] = effect.lazily(text)
+
+    def joined(self) -> Plant:
+        return replace(
+            self.plant,
+            parameters=self.parameters,
+            states=self.states,
+            equations=self.equations,
+            definitions={**self.brought, **self.definitions},
+        )

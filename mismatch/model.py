@@ -14,9 +14,10 @@ from scipy.signal import lfilter, savgol_filter
 from greygate.errors import InputError
 from greygate.mismatch.effects import Effect, join
 from greygate.mismatch.rig import Rig
+from greygate.plants.expressions import names
 from greygate.plants.plant import Parameter, Values
 from greygate.plants.recording import Recording
-from greygate.plants.simulate import Restarted, names
+from greygate.plants.simulate import Restarted
 
 TIMING = "input_timing"  # s by which inputs act later than the recording says: a nuisance, known to a hundredth sample
 BLUR = "input_blur"  # how much finer a second rate is than smoothing over SMOOTH makes it: a nuisance, 1 of FINER
@@ -35,21 +36,30 @@ class Model:
         self.rig, self.effects = rig, effects
         self.plant, self.readings = join(rig.plant, effects.values())
         if rig.window:
-            self.plant = replace(self.plant, parameters={**self.plant.parameters, TIMING: Parameter(0.0, "s")})
+            self._add(TIMING, "s")
         self.finer = {name: how for name, how in self.plant.derived.items() if how.startswith("smooth_acceleration ")}
         if self.finer:
-            self.plant = replace(self.plant, parameters={**self.plant.parameters, BLUR: Parameter(0.0, "1")})
+            self._add(BLUR, "1")
         self.values = {symbol: p.value for symbol, p in self.plant.parameters.items()}
         self._filters = {}
         for effect in effects.values():
             for name, text in effect.filters.items():
-                self._filters.setdefault(name, []).append(text.split())
+                kind, symbol = text.split()
+                if kind not in FILTERS:
+                    raise InputError(f"effect {effect.key}: filters.{name}: {kind!r}; give one of {', '.join(FILTERS)}")
+                self._filters.setdefault(name, []).append((kind, symbol))
         for name in rig.inputs if rig.window else ():
-            self._filters.setdefault(name, []).append(["delay", TIMING])
+            self._filters.setdefault(name, []).append(("delay", TIMING))
         self._compiled = Restarted(self.plant, rig.dt, self.plant.step)
         self._take(recording, rig.window if window is None else window)
         self.moving = self._moving()
         self.runs = 0
+
+    def _add(self, nuisance: str, unit: str) -> None:
+        """A parameter of the simulation itself."""
+        if nuisance in self.plant.symbols:
+            raise InputError(f"plant {self.plant.name}: {nuisance}: is the simulation's own name; rename it")
+        self.plant = replace(self.plant, parameters={**self.plant.parameters, nuisance: Parameter(0.0, unit)})
 
     def over(self, recording: Recording) -> "Model":
         """The same model over another recording of its rig."""
@@ -78,7 +88,8 @@ class Model:
         outputs = {name for name, d in plant.definitions.items() if d.symbol in self.rig.predict}
         texts = [text for name, d in plant.definitions.items() if name not in outputs for text in d.terms.values()]
         texts += [text for e in plant.equations.values() for text in (e.storage, *e.terms.values())]
-        texts += [str(b) for s in plant.states.values() for b in (s.initial, s.start, s.low, s.high)]
+        bounds = (b for s in plant.states.values() for b in (s.initial, s.start, s.low, s.high))
+        texts += [b for b in bounds if isinstance(b, str)]
         filters = {symbol for kinds in self._filters.values() for _, symbol in kinds}
         texts += [text for channel in self.measured for text in self.readings.get(channel, {}).values()]
         used = names(texts) | filters | {BLUR}
@@ -206,7 +217,7 @@ class Model:
             out = np.zeros((len(states), len(self.rig.predict)))
             for path, expression in effect.terms.items():
                 symbol = places[path.partition(".")[0]]
-                out[:, self.rig.predict.index(symbol)] += scope.evaluate(" ".join(expression.split()))
+                out[:, self.rig.predict.index(symbol)] += scope.evaluate(expression)
             return out
 
         return give

@@ -4,7 +4,6 @@ The layout is that of `docs/diagnosis.md`: `rig.toml`, `identify.csv`, `holdout.
 """
 
 import csv
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from greygate.entries import Entries, read_toml, shown
 from greygate.errors import InputError
 from greygate.plants.plant import Parameter, Plant
 from greygate.plants.recording import Recording
@@ -20,6 +20,8 @@ PLANTS = Path(__file__).parent.parent / "plants" / "rigs"
 SHORTEST = 2.0  # s of recording below which nothing is diagnosed
 UNIFORM = 1e-3  # of a sample interval
 FEWEST = 10  # samples of a window
+LONGEST = 1e9  # s of a sample, a window, a settling: thirty years
+MOST = 100_000  # steps of integration in a sample, above which a simulation seems to hang
 KEYS = ("plant", "sample_time_s", "window_s", "settle_s", "anew", "predict", "parameters", "tolerance", "channels")
 
 
@@ -126,20 +128,9 @@ def load(folder: Path | str, plants: Path | None = None) -> Rig:
     """
     folder = Path(folder)
     path = folder / "rig.toml"
-    try:
-        table = tomllib.loads(path.read_text())
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give the folder of a rig") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: is no TOML ({error}); mend that line") from None
-
-    def fail(where: str, problem: str):
-        raise InputError(f"{path}: {where}: {problem}")
-
-    def number(where: str, value, low: float = -np.inf, wish: str = "give a number") -> float:
-        if type(value) not in (int, float) or not (np.isfinite(value) and value >= low):
-            fail(where, f"{value!r}; {wish}")
-        return float(value)
+    table = read_toml(path, "give the folder of a rig")
+    entries = Entries(path)
+    fail, number = entries.fail, entries.number
 
     def spelt(where: str, keys, known) -> None:
         for key in keys:
@@ -150,39 +141,35 @@ def load(folder: Path | str, plants: Path | None = None) -> Rig:
     for key in ("plant", "sample_time_s", "predict", "parameters", "channels"):
         if key not in table:
             fail(key, "is missing; see docs/diagnosis.md")
-    for key in ("parameters", "tolerance", "channels"):
-        if not isinstance(table.get(key, {}), dict):
-            fail(key, f"{table[key]!r} is no table; write [{key}], see docs/diagnosis.md")
-    if not isinstance(table["plant"], str):
-        fail("plant", f"{table['plant']!r}; name a plant in quotes")
-    predict = table["predict"]
-    if not (isinstance(predict, list) and predict and all(isinstance(name, str) for name in predict)):
-        fail("predict", f"{predict!r}; list the channels that a simulation predicts")
+    tables = {key: entries.table(key, table.get(key, {})) for key in ("parameters", "tolerance", "channels")}
+    entries.text("plant", table["plant"])
+    predict, anew = entries.texts("predict", table["predict"]), entries.texts("anew", table.get("anew", ()))
+    if not predict or len(set(predict)) < len(predict):
+        fail("predict", f"{list(predict)}; list the channels that a simulation predicts, each once")
     plant = _plant(path, table["plant"])
-    dt = number("sample_time_s", table["sample_time_s"], 1e-9, "give seconds")
+    dt = number("sample_time_s", table["sample_time_s"], 1e-9, LONGEST, "give seconds")
+    if not dt <= MOST * plant.step:
+        fail("sample_time_s", f"{dt:g} s, {plant.name} takes steps of {plant.step:g} s; take {MOST} a sample at most")
     window = table.get("window_s")
     if window is not None:
-        number("window_s", window, FEWEST * dt, f"give at least {FEWEST} samples, in s")
-    datasheet, tolerance = table["parameters"], table.get("tolerance", {})
+        number("window_s", window, FEWEST * dt, LONGEST, f"give at least {FEWEST} samples, in s")
+    datasheet, tolerance = tables["parameters"], tables["tolerance"]
     for symbol, value in datasheet.items():
         if symbol not in plant.parameters:
             fail(f"parameters.{symbol}", f"{plant.name} has {', '.join(plant.parameters)}")
-        if type(value) not in (int, float) or not np.isfinite(value):
-            fail(f"parameters.{symbol}", f"{value!r} is no number; give it in {plant.parameters[symbol].unit}")
+        number(f"parameters.{symbol}", value, wish=f"give it in {plant.parameters[symbol].unit}")
     if missing := [s for s in plant.required if s not in datasheet]:
         fail("parameters", f"{', '.join(missing)} missing; {plant.name} needs {'it' if len(missing) == 1 else 'them'}")
     for symbol, value in tolerance.items():
         if symbol not in datasheet:
             fail(f"tolerance.{symbol}", "is no entry of [parameters]; give its value there")
-        if type(value) not in (int, float) or not 0 <= value < 1:
-            fail(f"tolerance.{symbol}", f"{value!r}; give a relative uncertainty, 0 to 1")
+        number(f"tolerance.{symbol}", value, 0.0, np.nextafter(1.0, 0.0), "give a relative uncertainty, 0 to 1")
     channels = {}
-    for name, entry in table["channels"].items():
-        if not isinstance(entry, dict):
-            fail(f"channels.{name}", f"{entry!r} is no table; give its unit and role")
+    for name, entry in tables["channels"].items():
+        entry = entries.table(f"channels.{name}", entry)
         spelt(f"channels.{name}.", entry, ("unit", "role", "resolution", "noise_rms"))
         if entry.get("role") not in ("input", "output"):
-            fail(f"channels.{name}", f"role {entry.get('role')!r}; give 'input' or 'output'")
+            fail(f"channels.{name}", f"role {shown(entry.get('role'))}; give 'input' or 'output'")
         known = plant.inputs.get(name) if entry["role"] == "input" else _unit(plant, name)
         if known is None:
             there = [n for n in plant.inputs if n not in plant.derived] if entry["role"] == "input" else plant.outputs
@@ -190,19 +177,24 @@ def load(folder: Path | str, plants: Path | None = None) -> Rig:
         if "unit" not in entry:
             fail(f"channels.{name}", f"unit is missing; {plant.name} has it in {known}")
         if entry["unit"] != known:
-            fail(f"channels.{name}", f"unit {entry['unit']!r}, {plant.name} has it in {known}; convert it")
+            fail(f"channels.{name}", f"unit {shown(entry['unit'])}, {plant.name} has it in {known}; convert it")
         wish = f"give it in {known}, 0 or more"
-        errors = [number(f"channels.{name}.{k}", entry.get(k, 0.0), 0.0, wish) for k in ("resolution", "noise_rms")]
+        errors = [
+            number(f"channels.{name}.{k}", entry.get(k, 0.0), 0.0, wish=wish) for k in ("resolution", "noise_rms")
+        ]
         channels[name] = Channel(known, entry["role"], *errors)
     for name in plant.inputs:
         if name not in channels and name not in plant.derived and name != "t":
             fail(f"channels.{name}", f"is missing; it is an input of {plant.name}")
-    for name in table["predict"]:
+    for name, how in plant.derived.items():
+        if (source := how.partition(" ")[2]) not in channels:
+            fail(f"channels.{source}", f"is missing; {plant.name} derives {name} of it")
+    for name in predict:
         if name not in channels or channels[name].role != "output":
             fail("predict", f"{name!r} is no output channel")
-    if not all(channels[name].sigma > 0 for name in table["predict"]) and "window_s" in table:
+    if not all(channels[name].sigma > 0 for name in predict) and "window_s" in table:
         fail("window_s", "needs resolution or noise_rms of every predicted channel; give these, or run free")
-    for symbol in table.get("anew", ()):
+    for symbol in anew:
         if symbol not in datasheet:
             fail("anew", f"{symbol!r} is no entry of [parameters]; give its value there")
     switched = {on: 1.0 for on, by in plant.switches.items() if datasheet.get(by)}
@@ -216,12 +208,12 @@ def load(folder: Path | str, plants: Path | None = None) -> Rig:
         replace(plant, parameters=parameters),
         dict(datasheet),
         channels,
-        tuple(table["predict"]),
+        predict,
         float(dt),
         None if window is None else round(window / dt),
         folder,
-        round(number("settle_s", table.get("settle_s", 0.0), 0.0, "give seconds") / dt),
-        tuple(table.get("anew", ())),
+        round(number("settle_s", table.get("settle_s", 0.0), 0.0, LONGEST, "give seconds") / dt),
+        anew,
     )
 
 
@@ -242,6 +234,8 @@ def _unit(plant: Plant, name: str) -> str | None:
 
 def _plant(rig: Path, name: str) -> Plant:
     own = rig.parent / name
+    if Path(name).name != name:
+        raise InputError(f"{rig}: plant {shown(name)}: is no plain name; put the plant file beside rig.toml")
     path = own if name.endswith(".toml") else PLANTS / f"{name}.toml"
     if not path.exists():
         known = ", ".join(sorted(p.stem for p in PLANTS.glob("*.toml")))

@@ -15,8 +15,8 @@ from greygate.mismatch.effects import Effect, Free, fitting
 from greygate.mismatch.fit import Fit, Problem, Unknown
 from greygate.mismatch.model import BLUR, TIMING, Model
 from greygate.mismatch.rig import Rig
+from greygate.plants.expressions import names
 from greygate.plants.recording import Recording
-from greygate.plants.simulate import names
 
 SHORT = 0.04  # s of a window in the screen
 LONG_WINDOW = 0.1  # s of a window in the last fit: what integrators differ by does not add up yet

@@ -1,44 +1,25 @@
 """A plant declared once: states, inputs, outputs, parameters, and balance equations by name.
 
-Every equation and every intermediate quantity is a sum of *named terms*, each an arithmetic expression in a string.
+Every equation and every intermediate quantity is a sum of *named terms*, each an expression (`expressions.parse`).
 The compiled simulation (`simulate`), the residual of one equation on measured signals (`Plant.residual`) and the
 switching of single terms (`without`, `with_term`) all work on this one declaration.
 """
 
-import ast
-import keyword
-import tomllib
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from collections.abc import Container, Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 
+from greygate.entries import Entries, read_toml, shown
 from greygate.errors import InputError
+from greygate.plants.expressions import is_name, is_symbol, names, parse
 
-FUNCTIONS = {
-    "sqrt": ("x", "np.sqrt(x)"),
-    "exp": ("x", "np.exp(x)"),
-    "log": ("x", "np.log(x)"),
-    "sin": ("x", "np.sin(x)"),
-    "cos": ("x", "np.cos(x)"),
-    "tanh": ("x", "np.tanh(x)"),
-    "sign": ("x", "np.sign(x)"),
-    "abs": ("x", "np.abs(x)"),
-    "min": ("x, y", "np.minimum(x, y)"),
-    "max": ("x, y", "np.maximum(x, y)"),
-    "when": ("condition, x", "np.where(condition != 0.0, x, 0.0)"),
-    "orifice": ("u, p_1, p_2", "np.maximum(u, 0.0) * np.sign(p_1 - p_2) * np.sqrt(np.abs(p_1 - p_2))"),
-}
-"""Function of an expression -> (arguments, body): one text for NumPy arrays and for the compiled simulation."""
-
-_ARITHMETIC = (
-    ast.Name, ast.Load, ast.Constant, ast.Call, ast.UnaryOp, ast.UAdd, ast.USub,
-    ast.BinOp, ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow,
-)  # fmt: skip
-_RESERVED = {"np", "njit", "jit", "derivative", "hold", "run", *FUNCTIONS}
+DERIVED = ("rate", "integral", "smooth_rate", "smooth_acceleration")  # how an input is made of a recorded signal
+TERMS = 500  # of a sum, at the most: Python and numba recurse over them; a closure tries some 100
+SHORTEST = 1e-9  # s, of a step
 
 
 @dataclass(frozen=True)
@@ -127,21 +108,16 @@ class Plant:
             self._check_terms(f"definition {name}", definition.terms, symbols)
             self._declare(definition.symbol, symbols)
         for symbol, state in self.states.items():
-            for which in ("initial", "low", "high"):
-                if isinstance(bound := getattr(state, which), str):
-                    self._check(f"state {symbol}, {which}", bound, set(self.parameters))
-            if state.rate is not None and state.rate not in self.states:
-                self._fail(f"state {symbol}", f"rate {state.rate!r} is no state; name the state that is its velocity")
-            if state.start is not None:
-                self._check(f"state {symbol}, start", state.start, symbols)
-        for table, owners in (
-            ("derived", self.inputs),
-            ("switches", self.parameters),
-            ("required", self.parameters),
-        ):
+            self._check_state(symbol, state, symbols)
+        self._check_derived(symbols)
+        for table, owners in (("switches", self.parameters), ("required", self.parameters)):
             for symbol in getattr(self, table):
-                if symbol not in owners:
-                    self._fail(table, f"{symbol!r} is not among {', '.join(owners)}")
+                self._among(table, symbol, owners)
+        for symbol in self.switches.values():
+            self._among("switches", symbol, self.parameters)
+        for name in (*self.definitions, *self.equations):
+            if not is_name(name):
+                self._fail(shown(name), "is no name for a place; use ASCII letters, digits and underscores")
         for name, equation in self.equations.items():
             if name in self.definitions:
                 self._fail(f"equation {name}", "a definition has this name too; rename one")
@@ -156,6 +132,8 @@ class Plant:
         for output in self.outputs:
             if output not in symbols - set(self.parameters):
                 self._fail("outputs", f"{output!r} is no state, definition or input")
+        if not (np.isfinite(self.step) and self.step >= SHORTEST):
+            self._fail("step", f"{self.step} s; give {SHORTEST:g} s or more")
 
     @classmethod
     def read(cls, path: Path | str) -> "Plant":
@@ -164,35 +142,24 @@ class Plant:
         Raises InputError naming file, line or entry.
         """
         path = Path(path)
-        try:
-            table = tomllib.loads(path.read_text())
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror}); give a plant's TOML file") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise InputError(f"{path}: is no TOML ({error}); mend that line") from None
-        known = (
-            "step", "outputs", "inputs", "derived", "parameters", "required", "switches", "states", "definitions",
-            "equations",
-        )  # fmt: skip
-        for key in table:
-            if key not in known:
-                raise InputError(f"{path}: unknown entry {key!r}; a plant file has {', '.join(known)}")
-        entries = _Entries(path)
+        entries = PlantEntries(path)
+        table = entries.table("", read_toml(path, "give a plant's TOML file"), [f.name for f in fields(cls)[1:]])
+
+        def each(key: str, made) -> dict:
+            return {name: made(f"{key}.{name}", v) for name, v in entries.table(key, table.get(key, {})).items()}
+
         return cls(
             path.stem,
-            {s: Parameter(*entries.numbered(f"parameters.{s}", v)) for s, v in table.get("parameters", {}).items()},
-            {s: entries.text(f"inputs.{s}", v) for s, v in table.get("inputs", {}).items()},
-            {s: entries.made(State, f"states.{s}", v) for s, v in table.get("states", {}).items()},
-            {n: Equation(*entries.sum(f"equations.{n}", v, "storage")) for n, v in table.get("equations", {}).items()},
-            tuple(table.get("outputs", ())),
-            {
-                n: Definition(*entries.sum(f"definitions.{n}", v, "unit"))
-                for n, v in table.get("definitions", {}).items()
-            },
-            {s: entries.text(f"derived.{s}", v) for s, v in table.get("derived", {}).items()},
-            {s: entries.text(f"switches.{s}", v) for s, v in table.get("switches", {}).items()},
-            float(table.get("step", cls.step)),
-            tuple(table.get("required", ())),
+            each("parameters", entries.parameter),
+            each("inputs", entries.text),
+            each("states", entries.state),
+            each("equations", lambda where, v: Equation(*entries.sum(where, v, "storage"))),
+            entries.texts("outputs", table.get("outputs", ())),
+            each("definitions", lambda where, v: Definition(*entries.sum(where, v, "unit"))),
+            each("derived", entries.text),
+            each("switches", entries.text),
+            entries.number("step", table.get("step", cls.step), SHORTEST, wish=f"give {SHORTEST:g} s or more"),
+            entries.texts("required", table.get("required", ())),
         )
 
     # -- switching terms ---------------------------------------------------------------------------------------------
@@ -271,7 +238,26 @@ class Plant:
 
     def constant(self, expression: float | str) -> float:
         """Value of a number or of an expression in the parameters."""
-        return float(Values(self, {}).evaluate(expression) if isinstance(expression, str) else expression)
+        if not isinstance(expression, str):
+            return float(expression)
+        value = float(Values(self, {}).evaluate(expression))
+        if not np.isfinite(value):
+            self._fail(shown(expression), f"is {value}; check the parameters in it")
+        return value
+
+    def needed(self, symbols: Iterable[str], known: Container[str] = ()) -> list[Definition]:
+        """The definitions on which `symbols` depend, in their order, but those whose symbol is `known`."""
+        wanted, found = set(symbols), []
+        for definition in reversed(self.definitions.values()):
+            if definition.symbol in wanted and definition.symbol not in known:
+                found.append(definition)
+                wanted |= names(definition.terms.values())
+        return found[::-1]
+
+    @cached_property
+    def symbols(self) -> frozenset[str]:
+        """Of parameters, inputs, states and definitions."""
+        return frozenset(self._units)
 
     @cached_property
     def _units(self) -> dict[str, str]:
@@ -288,79 +274,118 @@ class Plant:
         raise InputError(f"plant {self.name}: {where}: {problem}")
 
     def _declare(self, symbol: str, symbols: set[str]) -> None:
-        if not symbol.isidentifier() or symbol.startswith("_") or keyword.iskeyword(symbol) or symbol in _RESERVED:
-            self._fail(symbol, "is no name for a quantity; use letters, digits and underscores, no function's name")
+        if not is_symbol(symbol):
+            where = symbol if is_name(symbol) else shown(symbol)
+            self._fail(where, "is no name for a quantity; use ASCII letters, digits and underscores, "
+                       "a letter first, no word of Python and no function's name")  # fmt: skip
         if symbol in symbols:
             self._fail(symbol, "is declared twice; rename one")
         symbols.add(symbol)
 
-    def _check_terms(self, where: str, terms: Mapping[str, str], symbols: set[str]) -> None:
+    def _among(self, where: str, symbol: str, owners: Iterable[str]) -> None:
+        if symbol not in owners:
+            self._fail(where, f"{symbol!r} is not among {', '.join(owners)}")
+
+    def _check_state(self, symbol: str, state: State, symbols: Container[str]) -> None:
+        for which, known in (("initial", self.parameters), ("low", self.parameters), ("high", self.parameters),
+                             ("start", symbols)):  # fmt: skip
+            if isinstance(given := getattr(state, which), str):
+                self._check(f"state {symbol}, {which}", given, known)
+        if state.rate is not None and state.rate not in self.states:
+            self._fail(f"state {symbol}", f"rate {state.rate!r} is no state; name the state that is its velocity")
+
+    def _check_derived(self, symbols: Container[str]) -> None:
+        for symbol, text in self.derived.items():
+            self._among("derived", symbol, self.inputs)
+            how, _, source = text.partition(" ")
+            if how not in DERIVED or source not in symbols or source in self.derived:
+                self._fail(f"derived {symbol}", f"{text!r}; give {', '.join(DERIVED)} and a recorded signal")
+
+    def _check_terms(self, where: str, terms: Mapping[str, str], symbols: Container[str]) -> None:
+        if len(terms) > TERMS:
+            self._fail(where, f"has {len(terms)} terms; {TERMS} are the most, split it into definitions")
         for term, expression in terms.items():
+            if not all(map(is_name, term.split("."))):
+                self._fail(where, f"{shown(term)} is no name for a term; use ASCII letters, digits and underscores")
             self._check(f"{where}, term {term}", expression, symbols)
 
-    def _check(self, where: str, expression: str, symbols: set[str]) -> None:
+    def _check(self, where: str, expression: str, symbols: Container[str]) -> None:
         try:
-            tree = ast.parse(expression.strip(), mode="eval").body
-        except (SyntaxError, ValueError) as error:
-            self._fail(where, f"{expression!r} is no expression ({getattr(error, 'msg', error)})")
-        called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
-        for node in ast.walk(tree):
-            match node:
-                case ast.Call(func=ast.Name(id=name), args=arguments) if name in FUNCTIONS:
-                    if len(arguments) != (wanted := FUNCTIONS[name][0].count(",") + 1):
-                        self._fail(where, f"{name} takes {wanted} arguments, {expression!r} gives {len(arguments)}")
-                case ast.Call(func=function):
-                    self._fail(where, f"unknown function {ast.unparse(function)!r}; known are {', '.join(FUNCTIONS)}")
-                case ast.Name(id=name) if name not in symbols and id(node) not in called:
-                    self._fail(where, f"unknown name {name!r}{self._hint(name)}")
-                case ast.Constant(value=value) if type(value) not in (int, float):
-                    self._fail(where, f"{value!r} in {expression!r} is no number; write a decimal number")
-                case _ if not isinstance(node, _ARITHMETIC):
-                    self._fail(where, f"{expression!r} is not arithmetic; use + - * / ** and the known functions")
+            found = parse(expression).names
+        except InputError as error:
+            self._fail(where, str(error))
+        for name in found:
+            if name not in symbols:
+                self._fail(where, f"unknown name {name!r}{self._hint(name)}")
 
     def _hint(self, name: str) -> str:
         defined = {definition.symbol for definition in self.definitions.values()}
         return "; it is defined further down, move it up" if name in defined else "; declare it or mend the spelling"
 
 
-@dataclass(frozen=True)
-class _Entries:
-    """Checked entries of the plant file `path`."""
+class PlantEntries(Entries):
+    """The checks of what a plant, or an effect that joins one, is declared by."""
 
-    path: Path
+    def parameter(self, where: str, value) -> Parameter:
+        """`[value, "unit"]`, or with its tolerance and its meaning."""
+        if not (isinstance(value, list) and 2 <= len(value) <= 4):
+            self.fail(where, f'{shown(value)}; write [value, "unit"]')
+        checks = (self.number, self.text, lambda where, v: self.number(where, v, 0.0, wish="give 0 or more"), self.text)
+        return Parameter(*(check(where, v) for check, v in zip(checks, value, strict=False)))
 
-    def fail(self, where: str, problem: str) -> NoReturn:
-        raise InputError(f"{self.path}: {where}: {problem}")
+    def state(self, where: str, value) -> State:
+        """`{ unit = "m", initial = 0.0, ... }`."""
+        table = self.table(where, value, [f.name for f in fields(State)], ["unit"])
+        for key, given in table.items():
+            if key in ("unit", "rate"):
+                self.text(f"{where}.{key}", given)
+            elif key == "start" or isinstance(given, str):
+                self.expression(f"{where}.{key}", given)
+            else:
+                self.number(f"{where}.{key}", given, wish="write a finite number, or an expression in quotes")
+        return State(**table)
 
-    def text(self, where: str, value) -> str:
-        if not isinstance(value, str):
-            self.fail(where, f"{value!r} is no text; write it in quotes")
+    def expression(self, where: str, value) -> str:
+        """The text of an expression."""
+        try:
+            parse(value)
+        except InputError as error:
+            self.fail(where, str(error))
         return value
 
-    def numbered(self, where: str, value) -> tuple:
-        """(value, unit, ...) of `[1.4e9, "Pa"]`."""
-        if not (isinstance(value, list) and len(value) > 1 and type(value[0]) in (int, float)):
-            self.fail(where, f'{value!r}; write [value, "unit"]')
-        return float(value[0]), *value[1:]
+    def terms(self, where: str, value) -> dict[str, str]:
+        """`{ name = "expression", ... }`."""
+        for name, text in self.table(where, value).items():
+            if not is_name(name):
+                self.fail(where, f"{shown(name)} is no name for a term; use ASCII letters, digits and underscores")
+            self.expression(f"{where}, {name}", text)
+        return value
 
-    def made(self, kind: type, where: str, value):
-        try:
-            return kind(**value)
-        except TypeError as error:
-            self.fail(where, f"{value!r} ({error}); write {{ unit = ... }}")
+    def defined(self, where: str, value) -> Definition:
+        """`{ symbol = "q", unit = "m^3/s", sum = "expression" }`."""
+        table = self.table(where, value, ("symbol", "unit", "sum"), ("symbol", "unit", "sum"))
+        texts = [self.text(f"{where}, {key}", table[key]) for key in ("symbol", "unit")]
+        return Definition(*texts, {"sum": self.expression(f"{where}, sum", table["sum"])})
 
-    def sum(self, where: str, table, extra: str) -> tuple:
+    def balance(self, where: str, value) -> Equation:
+        """`{ state = "x", terms = { ... }, storage = "expression" }`."""
+        table = self.table(where, value, ("state", "terms", "storage"), ("state", "terms"))
+        storage = self.expression(f"{where}, storage", table.get("storage", "1"))
+        return Equation(self.text(f"{where}, state", table["state"]), self.terms(where, table["terms"]), storage)
+
+    def sum(self, where: str, value, extra: str) -> tuple:
         """(symbol, ...) of `symbol = { extra = ..., term = "expression", ... }`."""
-        if not (isinstance(table, dict) and len(table) == 1 and isinstance(next(iter(table.values())), dict)):
-            self.fail(where, 'write one line, symbol = { term = "expression", ... }')
-        symbol, terms = next(iter(table.items()))
-        terms = {name: self.text(f"{where}, {name}", text) for name, text in terms.items()}
+        if not (isinstance(value, dict) and len(value) == 1):
+            self.fail(where, f'{shown(value)}; write one line, symbol = {{ term = "expression", ... }}')
+        symbol, given = next(iter(value.items()))
+        terms = self.table(f"{where}.{symbol}", given)
+        more = terms.pop(extra, None)
+        terms = self.terms(where, terms)
         if extra == "storage":
-            storage = terms.pop(extra, "1")
-            return symbol, terms, storage
-        if extra not in terms:
+            return symbol, terms, "1" if more is None else self.expression(f"{where}, {extra}", more)
+        if more is None:
             self.fail(where, f"has no {extra}; write {symbol} = {{ {extra} = ..., ... }}")
-        return symbol, terms.pop(extra), terms
+        return symbol, self.text(f"{where}, {extra}", more), terms
 
 
 class Values(dict):
@@ -372,29 +397,15 @@ class Values(dict):
 
     def __missing__(self, symbol: str):
         plant = self._plant
-        if symbol in FUNCTIONS:
-            raise KeyError(symbol)  # eval looks among its globals next
         if symbol in plant.parameters:
-            value = plant.parameters[symbol].value
-        elif definition := next((d for d in plant.definitions.values() if d.symbol == symbol), None):
-            value = sum((self.evaluate(text) for text in definition.terms.values()), start=0.0)
+            self[symbol] = plant.parameters[symbol].value
+        elif any(d.symbol == symbol for d in plant.definitions.values()):
+            for definition in plant.needed({symbol}, self):
+                self[definition.symbol] = sum(map(self.evaluate, definition.terms.values()), start=0.0)
         else:
             raise InputError(f"plant {plant.name}: signal {symbol} is missing; give it")
-        self[symbol] = value
-        return value
+        return self[symbol]
 
     def evaluate(self, expression: str):
-        return eval(_code(expression), _namespace(), self)
-
-
-@cache
-def _code(expression: str):
-    return compile(expression.strip(), "<expression>", "eval")
-
-
-@cache
-def _namespace() -> dict:
-    space: dict = {"np": np, "__builtins__": {}}
-    for name, (arguments, body) in FUNCTIONS.items():
-        exec(f"def {name}({arguments}): return {body}", space)
-    return space
+        """Value of an expression, shape as of the symbols in it."""
+        return parse(expression).over(self)

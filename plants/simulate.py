@@ -6,7 +6,6 @@ a plant is compiled once on a machine. Parameters, limits and initial states are
 nothing.
 """
 
-import ast
 import types
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
@@ -15,7 +14,9 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.generated import load
-from greygate.plants.plant import FUNCTIONS, Definition, Equation, Plant, Values
+from greygate.plants.expressions import names, parse
+from greygate.plants.functions import FUNCTIONS, text
+from greygate.plants.plant import Definition, Equation, Plant, Values
 from greygate.plants.recording import Recording
 
 # Dormand and Prince (1980), the six stages that the fifth-order solution needs.
@@ -146,61 +147,29 @@ def _inputs(plant: Plant, inputs: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def source(plant: Plant) -> str:
-    """Python source of `derivative` and `run` for `plant`; it depends on names and expressions, not on values."""
+    """Python source of `derivative` and `run` for `plant`; it depends on names and expressions, not on values.
+
+    It is written from checked names and from trees of checked expressions (`Plant` refuses others) alone.
+    """
     lines = ["import numpy as np", "from numba import njit", ""]
     lines += ["jit = njit(cache=True, error_model='numpy', nogil=True)", ""]
-    for name, (arguments, body) in FUNCTIONS.items():
-        if name == "when":
-            continue
-        lines += ["@jit", f"def {name}({arguments}):", f"    return {body}", ""]
+    for name in FUNCTIONS:
+        if name != "when":  # which is written out
+            lines += ["@jit", text(name)]
     lines += ["@jit", "def derivative(_x, _u, _p, _dx):"]
     for array, symbols in (("_p", plant.parameters), ("_u", plant.inputs), ("_x", plant.states)):
         lines += [f"    {symbol} = {array}[{i}]" for i, symbol in enumerate(symbols)]
-    lines += [f"    {d.symbol} = {_sum(d)}" for d in _needed(plant)]
+    used = names(t for equation in plant.equations.values() for t in (equation.storage, *equation.terms.values()))
+    lines += [f"    {d.symbol} = {_sum(d)}" for d in plant.needed(used)]
     states = list(plant.states)
     for equation in plant.equations.values():
-        lines.append(f"    _dx[{states.index(equation.state)}] = ({_sum(equation)}) / ({_text(equation.storage)})")
+        storage = parse(equation.storage).source()
+        lines.append(f"    _dx[{states.index(equation.state)}] = ({_sum(equation)}) / ({storage})")
     return "\n".join(lines) + _RUN
 
 
-def _needed(plant: Plant) -> list[Definition]:
-    """Definitions on which an equation depends, in the order of the plant."""
-    texts = [text for e in plant.equations.values() for text in (e.storage, *e.terms.values())]
-    needed: list[Definition] = []
-    for definition in reversed(plant.definitions.values()):
-        if definition.symbol in names(texts):
-            needed.insert(0, definition)
-            texts += definition.terms.values()
-    return needed
-
-
-def names(expressions: Iterable[str]) -> set[str]:
-    """Every name in the expressions."""
-    return set().union(*map(_names, expressions))
-
-
-@lru_cache(maxsize=4096)
-def _names(expression: str) -> frozenset[str]:
-    tree = ast.parse(expression.strip(), mode="eval")
-    return frozenset(node.id for node in ast.walk(tree) if isinstance(node, ast.Name))
-
-
 def _sum(place: Equation | Definition) -> str:
-    return " + ".join(f"({_text(expression)})" for expression in place.terms.values()) or "0.0"
-
-
-def _text(expression: str) -> str:
-    """`expression` on one line, without comments; what stands in `when(c, x)` is computed only where c is not 0."""
-    return ast.unparse(ast.fix_missing_locations(_Lazy().visit(ast.parse(expression.strip(), mode="eval"))))
-
-
-class _Lazy(ast.NodeTransformer):
-    def visit_Call(self, node: ast.Call) -> ast.expr:
-        self.generic_visit(node)
-        if not (isinstance(node.func, ast.Name) and node.func.id == "when"):
-            return node
-        condition, value = node.args
-        return ast.IfExp(ast.Compare(condition, [ast.NotEq()], [ast.Constant(0.0)]), value, ast.Constant(0.0))
+    return " + ".join(f"({parse(expression).source()})" for expression in place.terms.values()) or "0.0"
 
 
 def _combination(weights: Iterable[str]) -> str:

@@ -256,9 +256,9 @@ PLANTS = {
     "a syntax error": ("[inputs\n", "mine.toml: is no TOML"),
     "an expression that is none": (
         'outputs = ["y"]\n[inputs]\nu = "m"\n[definitions.gear]\ny = { unit = "m", drive = "2 * * u" }\n',
-        "definition gear, term drive: '2 * * u' is no expression",
+        "mine.toml: definitions.gear, drive: '2 * * u' is no expression",
     ),
-    "an unknown entry": ("equation = 3\n", "unknown entry 'equation'"),
+    "an unknown entry": ("equation = 3\n", "equation: is no entry; write equations if that is meant"),
 }
 
 

@@ -1,9 +1,11 @@
 """The table of effects: each joins its plants, does nothing at null, and something where its strength is not zero."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from greygate.errors import InputError
 from greygate.mismatch import effects as table
@@ -12,11 +14,11 @@ from greygate.mismatch.concealed.line import BELT, DRUM
 from greygate.mismatch.concealed.pump import PUMP
 from greygate.mismatch.concealed.valve import VALVE
 from greygate.mismatch.diagnosis import recovered, reported
-from greygate.mismatch.effects import fitting, join
+from greygate.mismatch.effects import Effect, Free, fitting, join
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import load
 from greygate.mismatch.search import Search
-from greygate.plants.plant import Plant
+from greygate.plants.plant import Definition, Equation, Parameter, Plant, State
 from greygate.plants.recording import Recording
 
 MAKERS = {maker.plant: maker for maker in (VALVE, PUMP, BELT, DRUM)}
@@ -125,3 +127,178 @@ def test_an_effect_in_a_place_that_is_none_is_named():
     lost = replace(TABLE["drift"], terms={"gear.drift": "drift * t"})
     with pytest.raises(InputError, match=r"effect drift: gear: cable_drum has no such place"):
         join(plant, [lost])
+
+
+# -- names of their own ----------------------------------------------------------------------------------------------
+
+CAR = """
+step = 1e-3
+outputs = ["z_b"]
+inputs = { road = "m" }
+
+[parameters]
+body = [300.0, "kg"]
+wheel = [40.0, "kg"]
+c_s = [1500.0, "N s/m"]
+k_z_b = [2e4, "N/m"]
+k_t = [1.8e5, "N/m"]
+
+[states]
+z_b = { unit = "m", rate = "v_b" }
+v_b = { unit = "m/s" }
+z_w = { unit = "m", rate = "v_w" }
+v_w = { unit = "m/s" }
+
+[equations]
+lift.z_b = { velocity = "v_b" }
+body.v_b = { storage = "body", spring = "-k_z_b * (z_b - z_w)", dry_friction = "-c_s * (v_b - v_w)" }
+hop.z_w = { velocity = "v_w" }
+wheel.v_w = { storage = "wheel", spring = "k_z_b * (z_b - z_w)", damper = "c_s*(v_b - v_w)", tyre = "k_t*(road - z_w)" }
+"""
+CAR_RIG = """plant = "car.toml"
+sample_time_s = 0.005
+predict = ["z_b"]
+parameters = { body = 300.0, k_z_b = 2e4 }
+channels.road = { unit = "m", role = "input" }
+channels.z_b = { unit = "m", role = "output" }
+"""
+
+
+def by_hand(road: np.ndarray, dt: float) -> np.ndarray:
+    """The body's position: the linear quarter car, exact for a held road."""
+    body, wheel, c, k, tyre = 300.0, 40.0, 1500.0, 2e4, 1.8e5
+    a = np.zeros((5, 5))
+    a[0, 1] = a[2, 3] = 1.0
+    a[1, :4] = np.array([-k, -c, k, c]) / body
+    a[3, :4] = np.array([k, c, -k - tyre, -c]) / wheel
+    a[3, 4] = tyre / wheel
+    step, state, out = expm(a * dt), np.zeros(5), []
+    for u in road:
+        state[4] = u
+        out.append(state[0])
+        state = step @ state
+    return np.array(out)
+
+
+@pytest.fixture(scope="module")
+def car(tmp_path_factory):
+    """The folder of a quarter car whose suspension is called as a general effect and its parameter are."""
+    folder = tmp_path_factory.mktemp("car")
+    (folder / "car.toml").write_text(CAR)
+    (folder / "rig.toml").write_text(CAR_RIG)
+    t = np.arange(1200) * 5e-3
+    road = 0.01 * np.sin(2 * np.pi * 1.3 * t) + 0.02 * (t > 1.0)
+    columns = np.column_stack([t, road, by_hand(road, 5e-3)])
+    for name in ("identify", "holdout"):
+        np.savetxt(folder / f"{name}.csv", columns, delimiter=",", header="t,road,z_b", comments="", fmt="%.17g")
+    return folder
+
+
+def test_a_plant_keeps_a_term_that_is_called_as_a_general_effect(car, greygate):
+    out = car / "predicted.csv"
+    code, printed, message = greygate("simulate", car, "--recording", car / "identify.csv", "--out", out, "--json")
+    assert code == 0, message
+    found = json.loads(printed)["rms"]["z_b"]["rms"]
+    assert found < 1e-9  # m, of a motion of some 20 mm
+
+
+@pytest.mark.parametrize("names", ["effects", "general", "hydraulics"])
+def test_effects_of_every_table_at_null_leave_a_plant_that_has_all_their_names(car, names, tmp_path):
+    """The plant's terms are called as the table's are; a symbol that is taken is another in the effect, or refused."""
+    rig = load(car)
+    recording = rig.recording(car / "identify.csv")
+    if names == "general":
+        effects = table.general(rig, recording)
+        assert {f.symbol for f in effects["spring_z_b"].free} == {"k_z_b_2"}
+        assert {f.reported for f in effects["spring_z_b"].free} == {"k_z_b"}
+    else:
+        made = table.read() if names == "effects" else table.read("hydraulics")
+        terms = {path.partition(".")[2] for effect in made.values() for path in effect.terms}
+        effects = {
+            f"e{i}": Effect(
+                f"e{i}", "", ("car",), ("body",), (), (Free(f"s{i}", 1.0),), {f"body.{term}": f"s{i} * z_b"}
+            )
+            for i, term in enumerate(sorted(terms | {"spring", "dry_friction"}))
+        }
+    joined, _ = join(rig.plant, effects.values())
+    for place, equation in rig.plant.equations.items():
+        assert dict(equation.terms).items() <= dict(joined.equations[place].terms).items()
+    model = Model(rig, recording, effects)
+    np.testing.assert_array_equal(model.predict(model.values), without_effects(model))
+    np.testing.assert_allclose(model.predict(model.values)[:, 0], recording["z_b"], atol=1e-9)
+
+
+@pytest.mark.parametrize("plant", MAKERS)
+def test_general_effects_at_null_change_no_prediction(plant, models):
+    model = models[plant]
+    effects = table.general(model.rig, model.recording)
+    assert effects
+    general = Model(model.rig, model.recording, effects)
+    np.testing.assert_array_equal(general.predict(general.values), without_effects(model))
+
+
+OWN = Effect("own", "", ("car",), ("body",), (), (Free("own_k", 1.0),), {"body.own": "own_k * z_b"}, table="mine")
+LOAD = {"load": Definition("f", "N", {"sum": "own_k * z_b"})}
+CLASHES = {
+    "parameter": (replace(OWN, free=(Free("k_z_b", 1.0),), terms={}), "symbol k_z_b: plant car has this name too"),
+    "a parameter that is an input": (replace(OWN, free=(Free("road", 1.0),), terms={}), "symbol road: plant car has"),
+    "state": (replace(OWN, states={"z_b": State("m")}), "symbol z_b: plant car has this name too"),
+    "definition": (replace(OWN, definitions={"body": LOAD["load"]}), "place body: plant car has this name too"),
+    "definition's symbol": (
+        replace(OWN, definitions={"load": Definition("z_w", "m", {"sum": "z_b"})}), "symbol z_w: plant car has"),
+    "equation": (replace(OWN, equations_of={"lift": Equation("q", {"t": "z_b"})}), "place lift: plant car has"),
+    "input that is none": (replace(OWN, filters={"track": "delay own_k"}), "filters.track: plant car has no"),
+    "constant that is none": (replace(OWN, set={"dry": 1.0}), "set dry: plant car has no such parameter"),
+    "what it frees is none": (replace(OWN, free=(Free("dry", 1.0),), frees=True, terms={}), "frees dry: plant car has"),
+    "sensor of nothing": (replace(OWN, terms={"sensor_p.own": "own_k"}), "sensor_p: plant car has no signal p"),
+    "sensor that reads another": (
+        replace(OWN, terms={"sensor_z_b.own": "own_k * z_w"}), "unknown name 'z_w'; use z_b and parameters"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CLASHES)
+def test_a_clash_of_an_effect_with_the_plant_is_refused(case, car):
+    effect, problem = CLASHES[case]
+    with pytest.raises(InputError) as caught:
+        join(load(car).plant, [effect])
+    assert str(caught.value).startswith("effect own: ")
+    assert problem in str(caught.value)
+
+
+def test_effects_share_a_name_only_with_their_relatives(car):
+    plant = load(car).plant
+    other = replace(OWN, key="other", terms={"body.own": "own_k"})
+    joined, _ = join(plant, [OWN, other])
+    assert {"own.own", "other.own"} <= set(joined.equations["body"].terms)
+    join(plant, [OWN, replace(other, of="own", table="yours")])
+    for stranger in (
+        replace(other, table="yours"),
+        replace(other, free=(Free("own_k", 1.0, "N"),)),
+        replace(other, free=(Free("own_k", 1.0, shape=True),)),
+    ):
+        with pytest.raises(InputError, match="effect other: symbol own_k: effect own has something else of this name"):
+            join(plant, [OWN, stranger])
+    with pytest.raises(InputError, match="place load: effect own has something else"):
+        join(plant, [replace(OWN, definitions=LOAD), replace(other, definitions={"load": Definition("g", "N", {})})])
+
+
+def test_a_place_of_the_plant_is_no_sensor(car, tmp_path):
+    plant = load(car).plant
+    read = replace(plant, equations={f"sensor_{n}": e for n, e in plant.equations.items()})
+    with pytest.raises(InputError, match="names in sensor_ are kept for readings"):
+        join(read, [])
+
+
+def test_a_name_of_the_simulation_itself_is_refused(car):
+    rig = load(car)
+    taken = replace(rig.plant, parameters={**rig.plant.parameters, "input_timing": Parameter(0.0, "s")})
+    rig = replace(rig, plant=taken, window=100)
+    with pytest.raises(InputError, match="input_timing: is the simulation's own name"):
+        Model(rig, rig.recording(car / "identify.csv"), {})
+
+
+def test_a_filter_that_is_unknown_is_refused(car):
+    rig = load(car)
+    effect = replace(OWN, filters={"road": "echo own_k"})
+    with pytest.raises(InputError, match=r"effect own: filters\.road: 'echo'; give one of delay, lag"):
+        Model(rig, rig.recording(car / "identify.csv"), {"own": effect})

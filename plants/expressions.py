@@ -1,0 +1,365 @@
+"""Expressions: the one way from a text that a file holds to something that is computed.
+
+`parse` makes of a text a checked tree of numbers, names, `+ - * / **` and the functions of `functions.py`, or refuses
+it in one line. A tree is evaluated on arrays (`Expression.over`) and written out as source (`Expression.source`). The
+text itself is never evaluated, nor pasted into what is: it is data. Where a text comes from does not matter: a plant
+file, a table of effects, a diagnosis, or this package.
+"""
+
+import keyword
+import math
+import operator
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from operator import itemgetter
+
+import numpy as np
+
+from greygate.entries import shown
+from greygate.errors import InputError
+from greygate.plants.functions import FUNCTIONS, arguments
+
+# The longest expression of any plant, effect or closure here has 260 characters, 100 nodes and a depth of 15. What is
+# much larger is a table in disguise, or an attack: Python and numba recurse over the tree.
+TEXT = 4000  # characters
+NODES = 1000  # numbers, names, operations and calls
+DEPTH = 100  # of nested operations, calls and brackets
+NAME = 200  # characters of a name
+WHOLE = (
+    1 << 16
+)  # whole numbers up to it stay whole in the source: numba squares x**2, and takes the logarithm of x**2.0
+
+_SPACE = re.compile(r"(?:[ \t\r\n]++|#[^\r\n]*+)*+")  # and comments
+_TOKEN = re.compile(
+    r"(?P<number>(?>(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)(?:[eE][+-]?[0-9]++)?+)(?![A-Za-z0-9_.]))"
+    r"|(?P<name>[A-Za-z_][A-Za-z0-9_]*+)|(?P<sign>\*\*|[-+*/(),])"
+)
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_RESERVED = {"np", "njit", "jit", "derivative", "hold", "run", "restarted", *FUNCTIONS}
+_SUM, _PRODUCT, _SIGN, _POWER, _ATOM = range(1, 6)  # how tightly an operation binds
+_TEST, _COMPARISON = -1, 0  # `x if c != 0.0 else 0.0` binds less
+_BINDS = {"+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _PRODUCT, "**": _POWER}
+
+
+def is_name(text) -> bool:
+    """A name for a term, an equation, an effect: ASCII letters, digits and underscores, a letter first."""
+    return isinstance(text, str) and len(text) <= NAME and _NAME.fullmatch(text) is not None
+
+
+def is_symbol(text) -> bool:
+    """A name for a quantity, which may stand in expressions and in generated source: no keyword, no function's name."""
+    return is_name(text) and not keyword.iskeyword(text) and text not in _RESERVED
+
+
+# -- the tree --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A number, finite, 0 or more."""
+
+    value: int | float
+
+
+@dataclass(frozen=True, slots=True)
+class Name:
+    """The quantity of a symbol."""
+
+    symbol: str
+
+
+@dataclass(frozen=True, slots=True)
+class Signed:
+    """`sign` (+ or -) before a quantity."""
+
+    sign: str
+    of: "Node"
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """`left` and `right` joined by one of + - * / **. constant: its value where no name stands in it."""
+
+    sign: str
+    left: "Node"
+    right: "Node"
+    constant: float | None = field(default=None, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """A function of `arguments`, as many as it takes. constant: its value where no name stands in it."""
+
+    function: str
+    arguments: tuple["Node", ...]
+    constant: float | None = field(default=None, compare=False)
+
+
+Node = Number | Name | Signed | Operation | Call
+
+
+@dataclass(frozen=True)
+class Expression:
+    """A checked expression. names: the symbols in it, in their order. over: scope (symbol -> value) -> its value.
+
+    What is computed is IEEE arithmetic, as in the compiled simulation: 1 / 0 is inf, (-8)**0.5 is nan.
+    """
+
+    tree: Node
+    names: tuple[str, ...]
+    over: Callable[[Mapping], np.ndarray | float] = field(compare=False, repr=False)
+
+    def __str__(self) -> str:
+        """The expression on one line, with no more brackets than it needs."""
+        return _written(self.tree, _TEST, False)
+
+    def source(self) -> str:
+        """The expression in Python for numba; what stands in `when(c, x)` is computed only where c is not 0."""
+        return _written(self.tree, _TEST, True)
+
+
+def parse(text: str) -> Expression:
+    """The expression that `text` is. Raises InputError, in one line that does not say where the text stands."""
+    if not isinstance(text, str):
+        raise InputError(f"{shown(text)} is no expression in quotes; write one")
+    if len(text) > TEXT:
+        raise InputError(f"{shown(text)} has {len(text)} characters; {TEXT} is the most, split it into terms")
+    return _parsed(text)
+
+
+@lru_cache(maxsize=16384)
+def _parsed(text: str) -> Expression:
+    parser = _Parser(text)
+    tree = parser.whole()
+    return Expression(tree, tuple(parser.names), _computed(tree))
+
+
+def names(expressions: Iterable[str]) -> set[str]:
+    """Every name in the expressions."""
+    return {name for text in expressions for name in parse(text).names}
+
+
+def replaced(text: str, by: Mapping[str, str]) -> str:
+    """An expression's text with other names, or numbers, in place of whole names."""
+    parse(text)
+    return _TOKEN.sub(lambda token: by.get(token[0], token[0]) if token["name"] else token[0], text)
+
+
+# -- from text to tree -----------------------------------------------------------------------------------------------
+
+
+class _Parser:
+    """Reads one text; `names` holds its symbols, in their order."""
+
+    def __init__(self, text: str):
+        self.text, self.names, self.nodes = text, {}, 0
+        self.tokens, self.at = self._tokens(), 0
+
+    def fail(self, problem: str):
+        raise InputError(f"{shown(self.text.strip())} {problem}")
+
+    def _tokens(self) -> list[tuple[str, str]]:
+        """(kind, text) of each token, and an empty one at the end."""
+        found, at = [], _SPACE.match(self.text).end()
+        while at < len(self.text):
+            token = _TOKEN.match(self.text, at)
+            if token is None:
+                self.fail("is not arithmetic; use numbers, names, + - * / ** and the known functions")
+            found.append((token.lastgroup, token[0]))
+            at = _SPACE.match(self.text, token.end()).end()
+        return [*found, ("end", "")]
+
+    def whole(self) -> Node:
+        tree, _ = self.parsed(_SUM, DEPTH)
+        if self.tokens[self.at][0] != "end":
+            self.unexpected()
+        return tree
+
+    def unexpected(self):
+        token = self.tokens[self.at][1]
+        self.fail(f"is no expression ({f'{shown(token)} stands where it cannot' if token else 'it ends too early'})")
+
+    def taken(self, sign: str) -> bool:
+        """Whether the next token is `sign`, which is then behind."""
+        found = self.tokens[self.at] == ("sign", sign)
+        self.at += found
+        return found
+
+    def parsed(self, binding: int, room: int) -> tuple[Node, int]:
+        """(node, depth) of what binds at least as tightly as `binding`; room: how deep it may be."""
+        node, depth = self.first(room)
+        while (sign := self.tokens[self.at][1]) in _BINDS and _BINDS[sign] >= binding:
+            self.at += 1
+            other, below = self.parsed(_SIGN if sign == "**" else _BINDS[sign] + 1, room - 1)
+            node = self.counted(Operation(sign, node, other, _constant(node, other, of=_SIGNS[sign])))
+            depth = 1 + max(depth, below)
+            if depth > room:
+                self.deep()
+        return node, depth
+
+    def first(self, room: int) -> tuple[Node, int]:
+        """(node, depth) of a number, a name, a call, a bracket, or a sign and what follows it."""
+        if room < 1:
+            self.deep()
+        kind, token = self.tokens[self.at]
+        if kind == "number":
+            self.at += 1
+            return self.counted(Number(self.number(token))), 1
+        if kind == "name":
+            self.at += 1
+            return self.call(token, room) if self.taken("(") else (self.counted(self.name(token)), 1)
+        if self.taken("("):
+            node, depth = self.parsed(_SUM, room - 1)
+            if not self.taken(")"):
+                self.unexpected()
+            return node, depth
+        if self.taken("-") or self.taken("+"):
+            node, depth = self.parsed(_SIGN, room - 1)
+            return self.counted(Signed(token, node)), depth + 1
+        return self.unexpected()
+
+    def call(self, function: str, room: int) -> tuple[Node, int]:
+        if function not in FUNCTIONS:
+            raise InputError(f"unknown function {shown(function)}; known are {', '.join(FUNCTIONS)}")
+        given, depths = [], [0]
+        while not given or self.taken(","):
+            node, depth = self.parsed(_SUM, room - 1)
+            given.append(node)
+            depths.append(depth)
+        if not self.taken(")"):
+            self.unexpected()
+        if len(given) != (wanted := arguments(function)):
+            raise InputError(f"{function} takes {wanted} arguments, {shown(self.text)} gives {len(given)}")
+        node = Call(function, tuple(given), _constant(*given, of=FUNCTIONS[function]))
+        return self.counted(node), 1 + max(depths)
+
+    def name(self, token: str) -> Name:
+        if not is_symbol(token):
+            why = "a function needs its arguments" if token in FUNCTIONS else "it is no name for a quantity"
+            raise InputError(f"unknown name {shown(token)}; {why}")
+        self.names[token] = None
+        return Name(token)
+
+    def number(self, token: str) -> int | float:
+        value = float(token)
+        if not math.isfinite(value):
+            self.fail(f"has a number {shown(token)} that is too large; write one below 1e308")
+        return int(token) if token.isdigit() and value <= WHOLE else value
+
+    def counted(self, node: Node) -> Node:
+        self.nodes += 1
+        if self.nodes > NODES:
+            self.fail(f"has more than {NODES} numbers, names and operations; split it into terms")
+        if isinstance(node, Operation | Call) and node.constant is not None and not math.isfinite(node.constant):
+            self.fail("holds a constant that is not finite; mend that number")
+        return node
+
+    def deep(self):
+        self.fail(f"is nested deeper than {DEPTH}; split it into terms or definitions")
+
+
+# -- what a tree says ------------------------------------------------------------------------------------------------
+
+
+def _divided(a, b):
+    try:
+        return a / b
+    except ZeroDivisionError:
+        with np.errstate(all="ignore"):
+            return np.float64(a) / np.float64(b)
+
+
+def _raised(a, b):
+    try:
+        power = a**b
+    except (ZeroDivisionError, OverflowError):
+        with np.errstate(all="ignore"):
+            power = np.float64(a) ** np.float64(b)
+    return np.nan if isinstance(power, complex) else power
+
+
+_SIGNS = {"+": operator.add, "-": operator.sub, "*": operator.mul, "/": _divided, "**": _raised}
+
+
+def _value(node: Node) -> float | None:
+    """Of a tree without names."""
+    match node:
+        case Number(value):
+            return float(value)
+        case Signed(sign, of):
+            value = _value(of)
+            return -value if sign == "-" and value is not None else value
+        case Operation() | Call():
+            return node.constant
+    return None
+
+
+def _constant(*parts: Node, of: Callable) -> float | None:
+    """`of` the values of the parts, as floats, whose arithmetic ends at once; None where a name stands in one."""
+    values = [_value(part) for part in parts]
+    if None in values:
+        return None
+    with np.errstate(all="ignore"):
+        return float(of(*values))
+
+
+def _computed(node: Node) -> Callable[[Mapping], np.ndarray | float]:
+    """scope -> value."""
+    match node:
+        case Number(value):
+            return lambda scope: value
+        case Name(symbol):
+            return itemgetter(symbol)
+        case Signed(sign, of):
+            inner = _computed(of)
+            return (lambda scope: -inner(scope)) if sign == "-" else (lambda scope: +inner(scope))
+    if node.constant is not None:
+        constant = node.constant
+        return lambda scope: constant
+    if isinstance(node, Operation):
+        join, left, right = _SIGNS[node.sign], _computed(node.left), _computed(node.right)
+        return lambda scope: join(left(scope), right(scope))
+    function, given = FUNCTIONS[node.function], [_computed(argument) for argument in node.arguments]
+    return lambda scope: function(*(argument(scope) for argument in given))
+
+
+def _written(node: Node, around: int, source: bool) -> str:
+    """The node within what binds as tightly as `around`; source: for numba, else as `parse` reads it."""
+    match node:
+        case Number(value):
+            return repr(value)
+        case Name(symbol):
+            return symbol
+        case Signed(sign, of):
+            binding, text = _SIGN, sign + _written(of, _SIGN, source)
+        case Operation(sign, left, right):
+            binding = _BINDS[sign]
+            if source:
+                left, right = _floats(left, right)
+            sides = (binding + 1, binding) if sign == "**" else (binding, binding + 1)
+            text = f"{_written(left, sides[0], source)} {sign} {_written(right, sides[1], source)}"
+        case Call("when", (condition, value)) if source:
+            compared = f"{_written(condition, _COMPARISON + 1, source)} != 0.0"
+            binding, text = _TEST, f"{_written(value, _TEST + 1, source)} if {compared} else 0.0"
+        case Call(function, given):
+            given = _floats(*given) if source else given
+            binding, text = _ATOM, f"{function}({', '.join(_written(argument, _TEST, source) for argument in given)})"
+    return f"({text})" if around > binding else text
+
+
+def _floats(*nodes: Node) -> tuple[Node, ...]:
+    """The nodes; where all are whole numbers, the same as floats, with which numba's arithmetic does not overflow."""
+    made = tuple(map(_float, nodes))
+    return nodes if None in made else made
+
+
+def _float(node: Node) -> Node | None:
+    """A whole number, signed or not, as a float; None of any other node."""
+    match node:
+        case Number(int(value)):
+            return Number(float(value))
+        case Signed(sign, of) if (made := _float(of)) is not None:
+            return Signed(sign, made)
+    return None
