@@ -28,6 +28,7 @@ from greygate.emulator.program import (
     Threshold,
 )
 from greygate.errors import InputError
+from greygate.models.arithmetic import product
 from greygate.models.network import Layer, Network
 
 EXACT = 8  # fraction bits up to which a weight counts as exact
@@ -401,14 +402,15 @@ class _Quantizer:
         columns, bias = [], bias.copy()
         for j, (signal, w) in enumerate(reads):
             own = finest[:, j : j + 1]
-            codes = np.floor(w * 2.0**own + 0.5)
-            bias += (w - codes * 2.0**-own) @ self.ranges[_origin(signal.name)].mean  # what rounding w costs on average
+            codes = np.floor(np.ldexp(w, own) + 0.5)
+            rounded = w - np.ldexp(codes, -own)
+            bias += product(rounded, self.ranges[_origin(signal.name)].mean)  # what rounding w costs on average
             columns.append(codes.astype(np.int64) << (frac[:, None] - signal.fix.frac - own))
-        if (np.abs(bias) * 2.0**frac >= 2.0**ACCUMULATOR_BITS).any():
+        if (np.ldexp(np.abs(bias), frac) >= 2.0**ACCUMULATOR_BITS).any():
             raise InputError(
                 f"signal {out.name}: its sum needs more than {ACCUMULATOR_BITS} bits; choose a smaller width"
             )
-        bias = np.floor(bias * 2.0**frac + 0.5).astype(np.int64)
+        bias = np.floor(np.ldexp(bias, frac) + 0.5).astype(np.int64)
         args, weights = tuple(s.name for s, _ in reads), np.concatenate(columns, axis=1)
         modes = rounding or self.formats.rounding, overflow or self.formats.overflow
         self.operations.append(Affine(out, args, weights, bias, frac, *modes))
