@@ -44,6 +44,7 @@ bench-training: $(VENV)/.ready-dev $(PEERS)/.ready
 train: $(VENV)/.ready
 	$(BIN)/python -m greygate.models.library
 	for name in valve_cylinder asymmetric_cylinder pump_cylinder cable_drum belt_drive mts crane tanks b2; do $(BIN)/greygate train $$name || exit 1; done
+	$(BIN)/python -m greygate.pruned
 
 clean:
 	rm -rf $(OUT) build *.egg-info
