@@ -3,6 +3,7 @@ too where it has a pruning of its own, in processes that are told to compute as 
 
     python benchmarks/processors.py                # all networks under all settings: benchmarks/results/processors.json
     python benchmarks/processors.py --network b2 --setting Haswell --setting Prescott
+    python benchmarks/processors.py --setting Prescott --run COMMAND ...    # any command under a setting
 
 Exit code 1 if a file differs from what the first setting gives.
 """
@@ -20,7 +21,8 @@ from pathlib import Path
 import numpy as np
 
 RESULTS = Path(__file__).parent / "results" / "processors.json"
-_DISPATCHED = tuple(np._core._multiarray_umath.__cpu_dispatch__)  # rising: what numpy takes beyond its baseline
+_NUMPY = np._core._multiarray_umath
+_DISPATCHED = [n for n in _NUMPY.__cpu_dispatch__ if _NUMPY.__cpu_features__[n]]  # what it takes beyond its baseline
 _OLD = {"OPENBLAS_CORETYPE": "Prescott", "NPY_DISABLE_CPU_FEATURES": " ".join(_DISPATCHED)}
 _PLAIN = {"NUMBA_CPU_NAME": "nehalem", "NUMBA_CPU_FEATURES": ""}
 SETTINGS = {
@@ -28,7 +30,7 @@ SETTINGS = {
     "SkylakeX": {"OPENBLAS_CORETYPE": "SkylakeX"},
     "Zen": {"OPENBLAS_CORETYPE": "Zen"},
     "Prescott": {"OPENBLAS_CORETYPE": "Prescott"},
-    "numpy without AVX512": {"NPY_DISABLE_CPU_FEATURES": " ".join(_DISPATCHED[1:])},
+    "numpy without AVX512": {"NPY_DISABLE_CPU_FEATURES": " ".join(n for n in _DISPATCHED if n != "X86_V3")},
     "old BLAS and numpy": _OLD,
     "numba for SSE4": _PLAIN,
     "libm without FMA": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX512F"},
@@ -67,8 +69,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--network", action="append", help="of the catalogue; add ' pruned' for --prune 1.0")
     parser.add_argument("--setting", action="append", choices=SETTINGS)
+    parser.add_argument("--run", nargs=argparse.REMAINDER, help="under that setting, the last argument")
     parser.add_argument("--digests", nargs="+", help=argparse.SUPPRESS)
     asked = parser.parse_args()
+    if asked.run:
+        (setting,) = asked.setting or parser.error("--run: name one setting before it")
+        os.execvpe(asked.run[0], asked.run, os.environ | SETTINGS[setting])
     if asked.digests:
         print(json.dumps(digests(asked.digests)))
         return
