@@ -5,7 +5,7 @@ PYTHON ?= python3
 OUT := demo
 PEERS := build/peers
 
-.PHONY: demo test lint bench bench-training bench-diagnosis train clean tools
+.PHONY: demo test test-old lint bench bench-training bench-diagnosis train clean tools
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -17,6 +17,11 @@ demo: $(VENV)/.ready | tools
 
 test: $(VENV)/.ready-dev | tools
 	$(BIN)/python -m pytest -n 2
+
+# The same on the processor of another age: its BLAS and its numpy compute other last bits. Verilog has no floats.
+test-old: $(VENV)/.ready-dev | tools
+	$(BIN)/python benchmarks/processors.py --setting "old BLAS and numpy" --run \
+	  $(BIN)/python -m pytest -n 2 $(patsubst %,--ignore=tests/test_%.py,rtl random_hardware synthesis engine)
 
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .
@@ -44,6 +49,7 @@ bench-training: $(VENV)/.ready-dev $(PEERS)/.ready
 train: $(VENV)/.ready
 	$(BIN)/python -m greygate.models.library
 	for name in valve_cylinder asymmetric_cylinder pump_cylinder cable_drum belt_drive mts crane tanks b2; do $(BIN)/greygate train $$name || exit 1; done
+	$(BIN)/python -m greygate.pruned
 
 clean:
 	rm -rf $(OUT) build *.egg-info

@@ -13,6 +13,7 @@ import numpy as np
 from greygate.compiler.ranges import sums
 from greygate.emulator.engine import run
 from greygate.emulator.program import Affine, Program
+from greygate.models.arithmetic import mean, product
 from greygate.models.network import Network
 from greygate.models.problem import Problem, Record
 
@@ -53,13 +54,13 @@ def centre_biases(program: Program, network: Network, records: Sequence[Record])
             continue
         layer = problem.flat.modules[name]
         exact = layer.bias[rows] + sum(
-            past[source][delay] @ w[rows].T
+            product(past[source][delay], w[rows].T)
             for p, w in layer.weights.items()
             for source, delay in [feeds[f"{name}.{p}"]]
         )
         fixed = run(program, codes, start, trace=True).trace[operation.out.name][:, 0] * operation.out.fix.lsb
-        error = (exact - fixed).mean(axis=0)
-        bias = operation.bias + np.floor(error * 2.0**operation.frac + 0.5).astype(np.int64)
+        error = mean(exact - fixed)
+        bias = operation.bias + np.floor(np.ldexp(error, operation.frac) + 0.5).astype(np.int64)
         changed = replace(operation, bias=bias)
         program = replace(program, operations=(*program.operations[:at], changed, *program.operations[at + 1 :]))
     return program.check()

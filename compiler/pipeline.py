@@ -1,5 +1,6 @@
 """From a trained network to an integer program: the whole list of passes, each checked before and after."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -14,6 +15,7 @@ from greygate.compiler.simplify import SIMPLIFICATIONS, merge_linear, multiplica
 from greygate.emulator.engine import run
 from greygate.emulator.program import Fix, Program
 from greygate.errors import InputError
+from greygate.models.arithmetic import mean
 from greygate.models.network import Network
 from greygate.models.problem import Problem, Record
 
@@ -222,7 +224,7 @@ def _less(fix: Fix) -> Fix:
 
 
 def _rms(error: np.ndarray, record: Record) -> float:
-    return float(np.sqrt(np.mean(error[record.skip :] ** 2)))
+    return math.sqrt(float(mean(error[record.skip :].ravel() ** 2)))
 
 
 def _summary(name: str, network: Network, change: float) -> Pass:

@@ -28,10 +28,12 @@ from greygate.emulator.program import (
     Threshold,
 )
 from greygate.errors import InputError
+from greygate.models.arithmetic import product
 from greygate.models.network import Layer, Network
 
 EXACT = 8  # fraction bits up to which a weight counts as exact
 GUARD = 3  # bits that a product may be finer than the sum it goes into
+AGREED = 9  # decimals of a logarithm that every LAPACK gives alike: what it finds only chooses whole bits
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,7 @@ class _Quantizer:
         for p in self.flat.inputs:
             fix = self.fix(p.name, self.formats.width)
             if p.resolution and p.name not in self.formats.signals:
-                frac = math.ceil(round(math.log2(abs(p.scale) / p.resolution), 9))
+                frac = math.ceil(round(math.log2(abs(p.scale) / p.resolution), AGREED))
                 fix = Fix(fix.width - fix.frac + frac, frac)
             self.signals[p.name] = Signal(p.name, p.size, fix)
             inputs.append(Port(p.name, self.signals[p.name], p.unit, p.scale, p.offset))
@@ -195,7 +197,7 @@ class _Quantizer:
                 fix = Fix(max(fix.width - spare, 2), fix.frac - spare)
             steps = min(max(memory(self._loops(name, rows)) for rows in _values(layer)), self.formats.horizon)
             if steps > 4 and name not in self.formats.signals:
-                extra = math.ceil(math.log2(math.sqrt(steps / 3)))
+                extra = math.ceil(round(math.log2(steps / 3) / 2, AGREED))
                 fix = Fix(fix.width + extra, fix.frac + extra)
                 self.notes[name] = (
                     f"feeds back on itself and remembers its rounding for {steps:.0f} steps; {extra} more fraction "
@@ -281,7 +283,7 @@ class _Quantizer:
             reads.append((signal if whole else self._narrow(signal), w))
         if layer.activation == "linear":
             gain = min(loop_gain(self._loops(name)), self.formats.horizon)
-            finer = math.ceil(math.log2(gain)) if gain > 1 else 0
+            finer = math.ceil(round(math.log2(gain), AGREED)) if gain > 1 else 0
             if finer:
                 why = f"its feedback multiplies errors by up to {gain:.3g}: weights have {finer} bits more"
                 self.notes[name] = "; ".join(filter(None, [self.notes.get(name), why]))
@@ -401,14 +403,15 @@ class _Quantizer:
         columns, bias = [], bias.copy()
         for j, (signal, w) in enumerate(reads):
             own = finest[:, j : j + 1]
-            codes = np.floor(w * 2.0**own + 0.5)
-            bias += (w - codes * 2.0**-own) @ self.ranges[_origin(signal.name)].mean  # what rounding w costs on average
+            codes = np.floor(np.ldexp(w, own) + 0.5)
+            rounded = w - np.ldexp(codes, -own)
+            bias += product(rounded, self.ranges[_origin(signal.name)].mean)  # what rounding w costs on average
             columns.append(codes.astype(np.int64) << (frac[:, None] - signal.fix.frac - own))
-        if (np.abs(bias) * 2.0**frac >= 2.0**ACCUMULATOR_BITS).any():
+        if (np.ldexp(np.abs(bias), frac) >= 2.0**ACCUMULATOR_BITS).any():
             raise InputError(
                 f"signal {out.name}: its sum needs more than {ACCUMULATOR_BITS} bits; choose a smaller width"
             )
-        bias = np.floor(bias * 2.0**frac + 0.5).astype(np.int64)
+        bias = np.floor(np.ldexp(bias, frac) + 0.5).astype(np.int64)
         args, weights = tuple(s.name for s, _ in reads), np.concatenate(columns, axis=1)
         modes = rounding or self.formats.rounding, overflow or self.formats.overflow
         self.operations.append(Affine(out, args, weights, bias, frac, *modes))

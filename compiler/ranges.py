@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greygate.errors import InputError
+from greygate.models.arithmetic import mean, product, xp
 from greygate.models.network import ACTIVATIONS, Layer, Network
 from greygate.models.problem import Problem, Record
 
@@ -61,7 +62,7 @@ def ranges(network: Network, records: list[Record]) -> dict[str, Range]:
     for source, delay in flat.feeds().values():
         past[source] = max(past.get(source, 0), delay)
     seen: dict[str, tuple[float, float]] = {}
-    total: dict[str, np.ndarray] = {}
+    values: dict[str, list[np.ndarray]] = {}  # by record
     for record, run in zip(records, runs, strict=True):
         columns = np.split(
             run, np.cumsum([len(start[n]) for n in [*(p.name for p in flat.inputs), *flat.order()]]), axis=1
@@ -83,17 +84,16 @@ def ranges(network: Network, records: list[Record]) -> dict[str, Range]:
                 source, delay = feeds[f"{name}.{port}"]
                 past_rows = history[source] if source in history else signal[source]
                 offset = past.get(source, 0) - delay if source in history else 0
-                n += past_rows[offset : offset + len(run)] @ w.T
+                n += product(past_rows[offset : offset + len(run)], w.T)
             for part, rows in sums(name, layer).items():
                 _extend(seen, part, n[:, rows])
-                total[part] = total.get(part, 0.0) + n[:, rows].sum(axis=0)
+                values.setdefault(part, []).append(n[:, rows])
         for name, value in signal.items():
-            total[name] = total.get(name, 0.0) + value.sum(axis=0)
+            values.setdefault(name, []).append(value)
             _extend(seen, name, value)
             _extend(seen, name, history[name][: past[name]] if past.get(name) else value)
     bounds = _intervals(flat, {p.name: seen[p.name] for p in flat.inputs}, start)
-    steps = sum(map(len, runs))
-    return {n: Range(low, high, total[n] / steps, bounds[n]) for n, (low, high) in seen.items()}
+    return {n: Range(low, high, mean(np.concatenate(values[n])), bounds[n]) for n, (low, high) in seen.items()}
 
 
 def _extend(seen: dict[str, tuple[float, float]], name: str, values: np.ndarray) -> None:
@@ -118,12 +118,12 @@ def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dic
             for port, w in layer.weights.items():
                 source, _ = feeds[f"{name}.{port}"]
                 up, down = np.maximum(w, 0), np.minimum(w, 0)
-                a += (_times(up, low[source]) + _times(down, high[source])).sum(1)
-                b += (_times(up, high[source]) + _times(down, low[source])).sum(1)
+                a += sum((_times(up, low[source]) + _times(down, high[source])).T)
+                b += sum((_times(up, high[source]) + _times(down, low[source])).T)
             bounds |= {p: (float(a[rows].min()), float(b[rows].max())) for p, rows in sums(name, layer).items()}
             if layer.activation in ("radbas", "negexp", "square"):  # even, and monotone on either side of zero
                 nearest = np.where((a <= 0) & (b >= 0), 0.0, np.minimum(np.abs(a), np.abs(b)))
-                ends = [ACTIVATIONS[layer.activation](np, n) for n in (nearest, np.maximum(np.abs(a), np.abs(b)))]
+                ends = [ACTIVATIONS[layer.activation](xp, n) for n in (nearest, np.maximum(np.abs(a), np.abs(b)))]
                 a, b = np.minimum(*ends), np.maximum(*ends)
             elif layer.activation == "select":
                 never, always = np.split(b, 3)[0] < -1e-12, np.split(a, 3)[0] > 1e-12
@@ -131,7 +131,7 @@ def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dic
                 a = np.where(always, a[0], np.where(never, a[1], np.minimum(*a)))
                 b = np.where(always, b[0], np.where(never, b[1], np.maximum(*b)))
             else:
-                a, b = (ACTIVATIONS[layer.activation](np, n) for n in (a, b))
+                a, b = (ACTIVATIONS[layer.activation](xp, n) for n in (a, b))
             grow_low, grow_high = a < low[name] - 1e-12, b > high[name] + 1e-12
             if grow_low.any() or grow_high.any():
                 changed = True

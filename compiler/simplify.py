@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from greygate.models.arithmetic import product, xp
 from greygate.models.network import ACTIVATIONS, Connection, Layer, Network
 
 
@@ -95,12 +96,12 @@ def merge_linear(network: Network, always: bool = False) -> Network:
                 continue
             start = {p.name: np.full(p.size, (p.initial - p.offset) / p.scale) for p in g.flat.inputs}
             start |= {n: part.initial for n, part in g.layers.items()}
-            before = layer.bias + sum(w @ start[s] for s, _, w, _ in g.terms(name))
+            before = layer.bias + sum(product(w, start[s]) for s, _, w, _ in g.terms(name))
             if any(d for _, _, d in readers) and not np.allclose(before, layer.initial, rtol=0, atol=1e-15):
                 continue
             inner = g.terms(name)
             now = sum(_cost(w) for _, _, w, _ in inner) + sum(_cost(g.layers[r].weights[p]) for r, p, _ in readers)
-            then = sum(_cost(g.layers[r].weights[p] @ w) for r, p, _ in readers for _, _, w, _ in inner)
+            then = sum(_cost(product(g.layers[r].weights[p], w)) for r, p, _ in readers for _, _, w, _ in inner)
             if then > now and not always:
                 continue
             for reader in {r for r, _, _ in readers}:
@@ -109,8 +110,8 @@ def merge_linear(network: Network, always: bool = False) -> Network:
                     if s != name:
                         terms.append((s, d, w, frozen))
                         continue
-                    bias = bias + w @ layer.bias
-                    terms += [(s2, d + d2, w @ w2, frozen and frozen2) for s2, d2, w2, frozen2 in inner]
+                    bias = bias + product(w, layer.bias)
+                    terms += [(s2, d + d2, product(w, w2), frozen and frozen2) for s2, d2, w2, frozen2 in inner]
                 g.rewrite(reader, terms, bias)
             g.drop(name)
             changed = True
@@ -125,7 +126,7 @@ def fold_constants(network: Network) -> Network:
         changed = False
         for name in order:
             layer, readers = g.layers[name], g.readers(name)
-            value = ACTIVATIONS[layer.activation](np, layer.bias)
+            value = ACTIVATIONS[layer.activation](xp, layer.bias)
             moved = np.any([np.zeros(layer.rows, bool), *(w.any(axis=1) for w in layer.weights.values())], axis=0)
             constant = ~moved[_rows(layer)].any(axis=0)
             if any(delay for _, _, delay in readers):
@@ -137,7 +138,8 @@ def fold_constants(network: Network) -> Network:
                 if gone.any():
                     changed = True
                     weights = target.weights | {port: np.where(gone, 0.0, w)}
-                    g.layers[reader] = replace(target, weights=weights, bias=target.bias + w[:, gone] @ value[gone])
+                    bias = target.bias + product(w[:, gone], value[gone])
+                    g.layers[reader] = replace(target, weights=weights, bias=bias)
     return remove_dead(g.network())
 
 

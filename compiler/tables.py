@@ -9,12 +9,13 @@ import numpy as np
 
 from greygate.emulator.interpreter import lookup
 from greygate.emulator.program import Fix, Symmetry, Table
+from greygate.models.arithmetic import exp, tanh
 
 FUNCTIONS = {
-    "tansig": (np.tanh, Symmetry.ODD),
-    "logsig": (lambda n: 0.5 + 0.5 * np.tanh(0.5 * n), Symmetry.COMPLEMENT),
-    "radbas": (lambda n: np.exp(-n * n), Symmetry.EVEN),
-    "negexp": (lambda n: np.exp(-np.abs(n)), Symmetry.EVEN),
+    "tansig": (tanh, Symmetry.ODD),
+    "logsig": (lambda n: 0.5 + 0.5 * tanh(0.5 * n), Symmetry.COMPLEMENT),
+    "radbas": (lambda n: exp(-n * n), Symmetry.EVEN),
+    "negexp": (lambda n: exp(-np.abs(n)), Symmetry.EVEN),
     "square": (np.square, Symmetry.EVEN),
 }
 LARGEST_BITS = 12  # 4096 intervals
@@ -28,7 +29,7 @@ def output_fix(width: int) -> Fix:
 
 def integer_bits(magnitude: float) -> int:
     """Bits left of the point, the sign not counted: |value| <= magnitude < 2^bits. Negative for small values."""
-    return math.floor(math.log2(magnitude)) + 1 if magnitude > 0 else 0
+    return math.frexp(magnitude)[1]
 
 
 def flat_from(function: str, out: Fix) -> float:

@@ -19,6 +19,7 @@ from greygate import (
 from greygate.errors import InputError, replacing
 from greygate.models.network import Network
 from greygate.models.problem import Record
+from greygate.pruned import Kept
 
 TRAINED = measured.TRAINED
 
@@ -30,6 +31,7 @@ class Entry:
     train: (progress) -> (network, figures). records: scenarios by name, the training ones first; the first one sets
     the ranges of the fixed-point formats. scenarios: those on which hardware is compared with the emulator.
     references: source -> scenario -> output -> published RMSE in the output's unit, or a pair (best, worst).
+    prune: the network's own pruning; what it came to is kept in the package.
     finer: of `Formats`; 2 where pressures are pure integrals: the fewest bits with which a word of 16 costs the
     asymmetric cylinder's training record less than 5 %.
     """
@@ -42,7 +44,7 @@ class Entry:
     scenarios: tuple[str, ...]
     period: float = 1e-3
     references: Mapping[str, Mapping] = field(default_factory=dict)
-    prune: Callable | None = None
+    prune: Kept | None = None
     finer: int = 0
 
     def network(self) -> Network:
@@ -76,16 +78,20 @@ def _pressures(bar: Mapping[str, tuple[float, float]], scenarios: Sequence[str])
 def _benchmark(name: str, title: str) -> Entry:
     """Benchmark system of the thesis 3.6, as found from its first seed."""
     system, thesis = benchmark_systems.SYSTEMS[name], benchmark_systems.THESIS[name]
+
+    def records() -> dict[str, Record]:
+        return {"training": system.record(system.excite(0)), "test": system.record(system.test)}
+
     return Entry(
         name,
         title,
         lambda progress: benchmark_systems.identify(system, 0, progress),
-        lambda: {"training": system.record(system.excite(0)), "test": system.record(system.test)},
+        records,
         ("training",),
         ("training", "test"),
         period=1.0,
         references={"thesis": {"training": {"y": thesis["mse"] ** 0.5}, "test": {"y": thesis["rmse"]}}},
-        prune=partial(benchmark_systems.prune, system, 0),
+        prune=Kept(name, records, partial(benchmark_systems.prune, system, 0)),
     )
 
 
@@ -100,7 +106,7 @@ CATALOG = {
             ("training",),
             valve_cylinder.SCENARIOS,
             finer=2,
-            prune=valve_cylinder.prune,
+            prune=Kept("valve_cylinder", valve_cylinder.records, valve_cylinder.prune),
             references={"thesis": _pressures(valve_cylinder.THESIS, valve_cylinder.SCENARIOS)},
         ),
         Entry(

@@ -17,6 +17,7 @@ import safetensors.numpy
 import tomli_w
 
 from greygate.errors import InputError, replacing
+from greygate.models.arithmetic import product
 
 LONGEST_DELAY = 500  # steps
 # Each takes the array namespace (numpy or torch) and the pre-activation n.
@@ -521,7 +522,7 @@ class _Flattener:
             if name not in self.layers:
                 sources = {p: feeds[f"{name}.{p}"][0] for p in layer.weights}
                 before = {s: start[s] if s in start else flat.modules[s].initial for s in sources.values()}
-                initial = layer.bias + sum(w @ before[sources[p]] for p, w in layer.weights.items())
+                initial = layer.bias + sum(product(w, before[sources[p]]) for p, w in layer.weights.items())
                 flat.modules[name] = layer = replace(layer, initial=initial)
             start[name] = layer.initial
         flat.modules = {n: flat.modules[n] for n in order}

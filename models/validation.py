@@ -233,9 +233,13 @@ def correlation(name: str, a: np.ndarray, b: np.ndarray, lags: np.ndarray) -> Co
 
 
 def _by_chance(spread: np.ndarray) -> tuple[int, float]:
-    """Of M standard Gaussian numbers with covariance `spread` by lag: most outside 95 % bands, largest, by chance."""
+    """Of M standard Gaussian numbers with covariance `spread` by lag: most outside 95 % bands, largest, by chance.
+
+    The draws go through the symmetric root, of which there is one: eigenvectors alone have a sign, and where their
+    values are alike a direction, that every processor chooses otherwise.
+    """
     values, vectors = eigh(toeplitz(spread))
-    root = vectors * np.sqrt(np.maximum(values, 0))
+    root = vectors * np.sqrt(np.maximum(values, 0)) @ vectors.T
     root /= np.linalg.norm(root, axis=1, keepdims=True)
     draws = np.abs(_normal(len(spread)) @ root.T)
     outside, largest = np.count_nonzero(draws > DEVIATIONS, axis=1), np.max(draws, axis=1)

@@ -4,6 +4,8 @@ from greygate.catalog import entry
 from greygate.models.blocks import feedforward, flow_rate, flow_record, nguyen_widrow
 from greygate.models.network import Layer, Port
 from greygate.models.regression import noe
+from greygate.models.structures.cylinder import V_SCALE
+from greygate.plants.valve_cylinder import spool_discrete, valve_cylinder
 from greygate.valve_cylinder import swap_flow
 
 
@@ -39,9 +41,23 @@ def test_the_lap_of_a_valve_closes_or_opens_its_centre():
 
 
 def test_a_swapped_flow_network_stands_in_both_places_and_the_rest_stays_as_trained():
+    """What was learnt moves over to the bit. What `assemble` works out anew hangs on the kernels of BLAS, as far as its
+    arithmetic errs: the spool's weights are differences of characteristic polynomials, whose roots err by the norm of
+    their matrix times eps; the supply pressure is the mean of a simulation whose line has gains from least squares, 800
+    rows of condition 17, which err by 3e-12.
+    """
+    plant = valve_cylinder()
+    a = spool_discrete(plant)[0]
+    spool = np.finfo(float).eps * np.linalg.norm(a) * V_SCALE / plant.parameters["u_max"].value
     trained, flow = entry("valve_cylinder").network(), feedforward("flow", ["u", "p"], [10, 10], seed=5)
     before, after, own = trained.parameters(), swap_flow(trained, flow).parameters(), flow.parameters()
     for name, value in after.items():
         part, _, inner = name.partition(".")
-        expected = own[inner] if part in ("qa", "qb") and inner in own else before[name]
-        np.testing.assert_array_equal(value, expected, err_msg=name)
+        if part in ("qa", "qb") and inner in own:
+            np.testing.assert_array_equal(value, own[inner], err_msg=name)
+        elif name.startswith("spool.mean."):
+            np.testing.assert_allclose(value, before[name], rtol=0, atol=spool, err_msg=name)
+        elif name.endswith(".state.rate"):
+            np.testing.assert_allclose(value, before[name], rtol=1e-10, err_msg=name)
+        else:
+            np.testing.assert_array_equal(value, before[name], err_msg=name)

@@ -299,7 +299,7 @@ def test_a_scenario_that_does_not_exist_is_named(built):
 
 def test_an_interrupted_compilation_leaves_nothing_behind(tmp_path):
     process = subprocess.Popen(
-        [GREYGATE, "compile", "valve_cylinder", "--prune", "1.0", "--out", "build"],
+        [GREYGATE, "compile", "valve_cylinder", "--prune", "1.01", "--out", "build"],
         cwd=tmp_path,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

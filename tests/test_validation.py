@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 from scipy.signal import lfilter
 from threadpoolctl import threadpool_limits
 
@@ -160,11 +161,30 @@ def test_a_right_model_passes_and_one_that_lacks_a_lag_says_which():
     right, lacking = linear(), linear(taps=(1.0,))
     runs = {str(seed): record(2000, seed=seed, equation_noise=2.0) for seed in range(20)}
     passed = [t.passed for v in validate(right, runs, period=PERIOD, horizons=(1,)) for t in v.tests["one step ahead"]]
-    assert np.mean(passed) >= 0.96
+    assert np.mean(passed) >= 0.96  # 1 % are meant to fail
+    innocent = []
     for v in validate(lacking, runs, period=PERIOD, horizons=(1,)):
-        failed = [t for t in v.tests["one step ahead"] if not t.passed and t.name != "phi_ee"]
-        assert [t.name for t in failed] == ["phi_ue u"]
-        assert failed[0].lags[np.argmax(failed[0].values)] == 2
+        found = {t.name: t for t in v.tests["one step ahead"]}
+        blamed = found.pop("phi_ue u")
+        assert not blamed.passed
+        assert blamed.lags[np.argmax(blamed.values)] == 2
+        innocent += [t.passed for name, t in found.items() if name != "phi_ee"]
+    assert np.mean(innocent) >= 0.96
+
+
+def test_what_chance_may_bring_about_does_not_hang_on_the_eigenvectors_that_a_processor_takes(monkeypatch):
+    """Their signs, and their order, are free; the limits are not."""
+
+    def other(matrix):
+        values, vectors = eigh(matrix)
+        return values[::-1], -vectors[:, ::-1]
+
+    u, e = held(2000, 3), lfilter([1], [1, -0.9], white(3, 2000))
+    here = residual_tests(e, {"u": u})
+    monkeypatch.setattr("greygate.models.validation.eigh", other)
+    for one, another in zip(here, residual_tests(e, {"u": u}), strict=True):
+        assert one.allowed == another.allowed
+        assert one.limit == pytest.approx(another.limit, rel=1e-9)
 
 
 def test_an_even_term_and_a_product_with_noise_are_seen_by_the_higher_orders():
