@@ -2,6 +2,9 @@
 
 from typing import NamedTuple
 
+import numpy as np
+
+from greygate.emulator.interpreter import Run
 from greygate.emulator.program import (
     Affine,
     Clamp,
@@ -111,3 +114,13 @@ def perform(program: Program, codes: list[list[int]]) -> Answer:
         for name, codes_now in value.items():
             answer.trace[name].append(codes_now)
     return answer
+
+
+def differing_bits(program: Program, answer: Answer, run: Run) -> int:
+    """Bits in which a traced run differs from the answer: of outputs, states, every signal and every count."""
+    pairs = [(answer.trace[name], run.trace[name]) for name in program.signals]
+    pairs += [(answer.outputs, run.outputs), (list(answer.saturations.values()), list(run.saturations.values()))]
+    pairs += [(answer.states, run.states)] if program.states else []
+    both = ((np.array(a, np.int64), np.array(b, np.int64)) for a, b in pairs)
+    assert answer.saturations.keys() == run.saturations.keys()
+    return sum(int(np.bitwise_count((a ^ b).view(np.uint64)).sum()) for a, b in both)
