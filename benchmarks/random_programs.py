@@ -8,7 +8,6 @@ and through Verilator in both architectures (a quarter of an hour of one core). 
 import argparse
 import json
 import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -97,7 +96,6 @@ def main() -> None:
     own = {"specialised": lambda p, codes: run(p, codes, trace=True, specialised=True)}
     result = {
         "command": "make bench-programs",
-        "commit": subprocess.check_output(["git", "rev-parse", "HEAD"], cwd=ROOT, text=True).strip(),
         "first_seed": options.first,
         "steps": STEPS,
         "emulators": emulated(seeds["programs"], generic),

@@ -371,8 +371,9 @@ class Program:
             codes, fix, given = port.codes(values[port.name]), port.signal.fix, np.asarray(values[port.name], float)
             count = int(np.count_nonzero((codes < fix.lo) | (codes > fix.hi)))
             if count:
-                holds = sorted(code * fix.lsb * port.scale + port.offset for code in (fix.lo, fix.hi))
-                found[port.name] = Clipped(count, count / codes.size, tuple(holds), (given.min(), given.max()))
+                least, most = sorted(code * fix.lsb * port.scale + port.offset for code in (fix.lo, fix.hi))
+                lowest, highest = float(given.min()), float(given.max())
+                found[port.name] = Clipped(count, count / codes.size, (least, most), (lowest, highest))
         return found
 
     def decode(self, codes: np.ndarray) -> dict[str, np.ndarray]:
