@@ -428,8 +428,7 @@ def _table_problems(table: Table) -> Iterator[str]:
     if not out.holds(*table.points, *answers):
         yield f"{name}: a point, or what its symmetry makes of it, does not fit {out}"
     if table.interpolated:
-        steepest = max(abs(b - a) for a, b in pairwise(table.points))
-        width = signed_width((steepest << table.shift) + ((1 << table.shift) >> 1))
+        width = table.shift + signed_width(max(abs(b - a) for a, b in pairwise(table.points)))
         if width > ACCUMULATOR_BITS:
             yield f"{name}: needs {width} bits between two points, more than {ACCUMULATOR_BITS}"
 

@@ -119,8 +119,7 @@ class _Drawing:
         natural = max(0, arg.fix.width - last.bit_length() - int(self.rng.integers(-1, 2)))
         shift = min(natural if self.chance(0.6) else self.among(0, arg.fix.width), arg.fix.width)
         interpolated = self.chance(0.7)
-        half = (1 << shift) >> 1
-        steepest = ((1 << (ACCUMULATOR_BITS - 1)) - 1 - half) >> shift if interpolated else hi - lo
+        steepest = (1 << (ACCUMULATOR_BITS - 1 - shift)) - 1 if interpolated else hi - lo
         points = [self.among(lo, hi)]
         while len(points) <= last:
             points.append(self.among(max(lo, points[-1] - steepest), min(hi, points[-1] + steepest)))

@@ -202,6 +202,13 @@ def test_a_weight_at_the_end_of_an_int64_is_refused(weight):
         program_of(affine(out(), 0, 0, weight), inputs=(Fix(2, 0),)).check()
 
 
+def test_weights_at_both_ends_of_an_int64_do_not_cancel_in_the_width_of_their_sum():
+    weights = np.array([[-(1 << 63), (1 << 63) - 1]])
+    o = replace(affine(out(), 0, 0), args=("u0", "u0"), weights=weights)
+    with pytest.raises(InputError, match="accumulator needs"):
+        program_of(o, inputs=(Fix(2, 0),)).check()
+
+
 @pytest.mark.parametrize("frac", [1 << 62, -(1 << 62), 70, -70])
 def test_a_fraction_far_from_that_of_the_result_is_refused_at_once(frac):
     with pytest.raises(InputError, match="fraction is more than 62 bits from"):
