@@ -5,7 +5,7 @@ PYTHON ?= python3
 OUT := demo
 PEERS := build/peers
 
-.PHONY: demo test test-old lint bench bench-training bench-diagnosis train clean tools
+.PHONY: demo test test-old lint bench bench-training bench-diagnosis bench-programs fuzz train clean tools
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -34,6 +34,10 @@ bench: $(VENV)/.ready-dev | tools
 	$(BIN)/python benchmarks/measured.py
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/gauss_newton.py
 	$(BIN)/python benchmarks/pruning.py
+
+# A quarter of an hour: random programs at the limits of what is legal, beside Python integers.
+bench-programs: $(VENV)/.ready-dev | tools
+	PYTHONPATH=tests $(BIN)/python benchmarks/random_programs.py
 
 # An hour: concealed effects by the hundred, and the measured rigs.
 bench-diagnosis: $(VENV)/.ready-dev

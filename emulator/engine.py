@@ -77,13 +77,15 @@ def _tabulate(program: Program) -> _Arrays:
             flip = 0 if t.symmetry is Symmetry.EVEN else -1
             lift = 1 << t.out.frac if t.symmetry is Symmetry.COMPLEMENT else 0
             modes = (t.interpolated, flip, lift)
-            row = (TABLE, *head, first[o.arg], tables[o.table], len(t.points) - 1, t.shift, *modes)
+            last = len(t.points) - 1
+            end = min(last << t.shift, 1 << t.arg.width)  # the argument of the last point, or more than any
+            row = (TABLE, *head, first[o.arg], tables[o.table], last, t.shift, *modes, end)
         elif isinstance(o, Clamp):
-            shift = program.signals[o.arg].fix.frac - fix.frac
+            shift = kernels.drop(program.signals[o.arg].fix, fix)
             row = (CLAMP, *head, first[o.arg], o.lo, o.hi, fix.width, _ROUNDING.index(o.rounding), shift)
         elif isinstance(o, Select):
             places = (first[a] for a in program.args(o))
-            shifts_of = (program.signals[a].fix.frac - fix.frac for a in (o.above, o.below))
+            shifts_of = (kernels.drop(program.signals[a].fix, fix) for a in (o.above, o.below))
             row = (SELECT, *head, *places, fix.width, _ROUNDING.index(o.rounding), *shifts_of)
         else:
             row = (THRESHOLD, *head, first[o.arg], o.at, o.below, o.above)
@@ -121,15 +123,15 @@ def _round(a, shift, rounding):  # pragma: no cover - compiled
 
 
 @numba.njit(inline="always")
-def _look_up(points, base, end, shift, half, interpolated, flip, lift, x):  # pragma: no cover - compiled
+def _look_up(points, base, last, end, shift, half, interpolated, flip, lift, x):  # pragma: no cover - compiled
     sign = x >> 63
     a = min((x ^ sign) - sign, end)
     if interpolated:  # beyond the end this is the last interval at its right edge: the last point
-        i = min(a >> shift, (end >> shift) - 1)
+        i = min(a >> shift, last - 1)
         left, right = points[np.uint64(base + i)], points[np.uint64(base + i + 1)]
         y = left + (((right - left) * (a - (i << shift)) + half) >> shift)
     else:
-        y = points[np.uint64(base + min((a + half) >> shift, end >> shift))]
+        y = points[np.uint64(base + min((a + half) >> shift, last))]
     return (y ^ (sign & flip)) - (sign & flip) + (sign & lift)  # for a negative x: minus y, and what the symmetry adds
 
 
@@ -197,16 +199,16 @@ def _run(
                                 y = hi if y > hi else -hi - 1
                         value[out + r] = y
                 elif kind == TABLE:
-                    source, base, end, shift = np.uint64(op[3]), op[4], op[5] << op[6], op[6]
+                    source, base, last, shift, end = np.uint64(op[3]), op[4], op[5], op[6], op[10]
                     flip, lift, half = op[8], op[9], (np.int64(1) << op[6]) >> 1
                     if op[7]:
                         for r in range(size):
                             x = np.int64(value[source + r])
-                            value[out + r] = _look_up(points, base, end, shift, half, True, flip, lift, x)
+                            value[out + r] = _look_up(points, base, last, end, shift, half, True, flip, lift, x)
                     else:
                         for r in range(size):
                             x = np.int64(value[source + r])
-                            value[out + r] = _look_up(points, base, end, shift, half, False, flip, lift, x)
+                            value[out + r] = _look_up(points, base, last, end, shift, half, False, flip, lift, x)
                 elif kind == CLAMP:
                     source, lo, top = np.uint64(op[3]), op[4], op[5]
                     hi = (np.int64(1) << (op[6] - 1)) - 1

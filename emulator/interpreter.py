@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greygate.emulator.program import (
+    ACCUMULATOR_BITS,
     ROUNDED,
     Affine,
     Clamp,
@@ -35,8 +36,8 @@ class Run:
 
 
 def round_shift(a: np.ndarray, shift: np.ndarray, rounding: Rounding) -> np.ndarray:
-    """a * 2^-shift as an integer; shift may be negative (then it is exact)."""
-    right = np.maximum(shift, 0)
+    """a * 2^-shift as an integer; shift may be negative (then it is exact), or beyond the bits of an int64."""
+    right = np.clip(shift, 0, ACCUMULATOR_BITS)  # no a has more bits: shifted further, it gives the same
     half = np.where(right > 0, np.int64(1) << np.maximum(right - 1, 0), 0)
     if rounding is Rounding.TRUNCATE:
         constant = np.zeros_like(a)

@@ -4,10 +4,13 @@ Declared here and nowhere else; the interpreter, the engine, the Verilog emitter
 """
 
 import json
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
+from itertools import pairwise
+from numbers import Integral, Real
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +19,9 @@ import numpy as np
 from greygate.errors import InputError, replacing
 
 ACCUMULATOR_BITS = 62  # room for one more addition in int64
+WIDTHS = range(2, 49)
+FRACTIONS = range(-48, 61)
+SIZES = range(1, (1 << 16) + 1)  # elements of a signal
 
 
 class Fix(NamedTuple):
@@ -35,6 +41,10 @@ class Fix(NamedTuple):
     @property
     def lsb(self) -> float:
         return 2.0**-self.frac
+
+    def holds(self, *values: int) -> bool:
+        """Whether all of these are codes of the format."""
+        return all(isinstance(v, Integral) and self.lo <= v <= self.hi for v in values)
 
     def __str__(self) -> str:
         return f"Fix({self.width}, {self.frac})"
@@ -85,6 +95,26 @@ class Port:
     unit: str
     scale: float
     offset: float
+
+    def codes(self, values: np.ndarray) -> np.ndarray:
+        """Physical values as codes, float64 of the same shape, before they are clipped to the format.
+
+        Raises InputError for a value that is not finite.
+        """
+        values = np.asarray(values, float)
+        if not np.isfinite(values).all():
+            raise InputError(f"input {self.name}: a value is not finite; mend the recording")
+        with np.errstate(over="ignore"):  # what is beyond float64 is beyond the format
+            return np.floor((values - self.offset) / self.scale * 2.0**self.signal.fix.frac + 0.5)
+
+
+class Clipped(NamedTuple):
+    """Values of an input outside its format: how many, their share; the range that it holds and that was given."""
+
+    count: int
+    share: float
+    holds: tuple[float, float]  # in the port's unit, as `given`
+    given: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -216,7 +246,8 @@ class Program:
         largest = np.array(
             [-self.signals[a].fix.lo for a in operation.args for _ in range(self.signals[a].size)], object
         )
-        magnitude = np.abs(operation.weights).astype(object) @ largest + np.abs(operation.bias).astype(object)
+        weights, bias = (np.abs(part.astype(object)) for part in (operation.weights, operation.bias))
+        magnitude = weights @ largest + bias
         shift = operation.frac - operation.out.fix.frac
         rounding = [1 << int(s - 1) if s > 0 else 0 for s in shift]
         return max(2, *(signed_width(int(m) + h) for m, h in zip(magnitude, rounding, strict=True)))
@@ -232,9 +263,19 @@ class Program:
         names = [s.name for s in declared]
         for name in {n for n in names if names.count(n) > 1}:
             yield f"signal {name} is defined twice"
+        if not self.inputs or not self.outputs:
+            yield "needs at least one input and one output"
+        if not (_is_finite(self.period) and self.period > 0):
+            yield f"period {self.period} is not a time in seconds above 0"
         for s in declared:
-            if s.fix.width < 2 or s.fix.width > 48:
-                yield f"signal {s.name}: width {s.fix.width} is not in 2..48"
+            yield from _format_problems(f"signal {s.name}", s.fix)
+            if s.size not in SIZES:
+                yield f"signal {s.name}: size {s.size} is not in {SIZES.start}..{SIZES.stop - 1}"
+        for port in (*self.inputs, *self.outputs):
+            if not (_is_finite(port.scale) and port.scale and _is_finite(port.offset)):
+                yield f"port {port.name}: scale {port.scale} or offset {port.offset} is not finite, or scale is 0"
+        for table in self.tables:
+            yield from _table_problems(table)
         known = {p.signal.name for p in self.inputs} | {s.signal.name for s in self.states}
         for o in self.operations:
             for arg in self.args(o):
@@ -249,9 +290,7 @@ class Program:
                 yield f"state {state.signal.name}: its source {state.source} does not exist"
             elif (source.size, source.fix) != (state.signal.size, state.signal.fix):
                 yield f"state {state.signal.name}: size or format differ from its source {state.source}"
-            elif len(state.initial) != state.signal.size or not all(
-                state.signal.fix.lo <= v <= state.signal.fix.hi for v in state.initial
-            ):
+            elif len(state.initial) != state.signal.size or not state.signal.fix.holds(*state.initial):
                 yield f"state {state.signal.name}: initial codes do not fit"
         for port in self.outputs:
             if self.signals.get(port.signal.name) != port.signal:
@@ -270,7 +309,14 @@ class Program:
             ):
                 yield f"{o.out.name}: weights {o.weights.shape}, bias or frac: not {o.out.size} rows of {columns}"
                 return
-            width = self.accumulator_width(o) + max(0, int(np.max(o.out.fix.frac - o.frac)))
+            if any(part.dtype != np.int64 for part in (o.weights, o.bias, o.frac)):
+                yield f"{o.out.name}: weights, bias or frac are not integers of 64 bits"
+                return
+            left = [o.out.fix.frac - int(f) for f in o.frac]
+            if max(map(abs, left)) > ACCUMULATOR_BITS:
+                yield f"{o.out.name}: a row's fraction is more than {ACCUMULATOR_BITS} bits from that of {o.out.fix}"
+                return
+            width = self.accumulator_width(o) + max(0, *left)
             if width > ACCUMULATOR_BITS:
                 yield f"{o.out.name}: accumulator needs {width} bits, more than {ACCUMULATOR_BITS}"
             return
@@ -287,19 +333,13 @@ class Program:
                 yield f"{o.out.name}: table {o.table} does not exist"
             elif (table.arg, table.out) != (arg.fix, o.out.fix):
                 yield f"{o.out.name}: formats differ from those of table {o.table}"
-            else:
-                yield from _table_problems(table)
         elif isinstance(o, Clamp):
             width = arg.fix.width + max(0, o.out.fix.frac - arg.fix.frac)
             if width > ACCUMULATOR_BITS:
                 yield f"{o.out.name}: needs {width} bits on the way, more than {ACCUMULATOR_BITS}"
-            if o.lo > o.hi or o.lo < arg.fix.lo or o.hi > arg.fix.hi:
+            if not arg.fix.holds(o.lo, o.hi) or o.lo > o.hi:
                 yield f"{o.out.name}: clamp [{o.lo}, {o.hi}] does not fit {arg.fix}"
-        elif not (
-            arg.fix.lo <= o.at <= arg.fix.hi
-            and o.out.fix.lo <= o.below <= o.out.fix.hi
-            and o.out.fix.lo <= o.above <= o.out.fix.hi
-        ):
+        elif not (arg.fix.holds(o.at) and o.out.fix.holds(o.below, o.above)):
             yield f"{o.out.name}: threshold codes do not fit"
 
     def select_width(self, o: Select) -> int:
@@ -313,14 +353,28 @@ class Program:
             yield f"{o.out.name}: needs {self.select_width(o)} bits on the way, more than {ACCUMULATOR_BITS}"
 
     def encode(self, values: dict[str, np.ndarray]) -> np.ndarray:
-        """Physical inputs {port: (..., N) or (..., N, size)} to codes (..., N, columns), clipped to the formats."""
+        """Physical inputs {port: (..., N) or (..., N, size)} to codes (..., N, columns), clipped to the formats.
+
+        `clipped` tells how many were. Raises InputError for a value that is not finite.
+        """
         columns = []
         for port in self.inputs:
-            v = np.asarray(values[port.name], float)
-            v = v if port.signal.size > 1 else v[..., None]
-            codes = np.floor((v - port.offset) / port.scale * 2.0**port.signal.fix.frac + 0.5)
+            codes = port.codes(values[port.name])
+            codes = codes if port.signal.size > 1 else codes[..., None]
             columns.append(np.clip(codes, port.signal.fix.lo, port.signal.fix.hi).astype(np.int64))
         return np.concatenate(columns, axis=-1)
+
+    def clipped(self, values: dict[str, np.ndarray]) -> dict[str, Clipped]:
+        """What `encode` clips of these values, by the name of the input; an input that fits is not in it."""
+        found = {}
+        for port in self.inputs:
+            codes, fix, given = port.codes(values[port.name]), port.signal.fix, np.asarray(values[port.name], float)
+            count = int(np.count_nonzero((codes < fix.lo) | (codes > fix.hi)))
+            if count:
+                least, most = sorted(code * fix.lsb * port.scale + port.offset for code in (fix.lo, fix.hi))
+                lowest, highest = float(given.min()), float(given.max())
+                found[port.name] = Clipped(count, count / codes.size, (least, most), (lowest, highest))
+        return found
 
     def decode(self, codes: np.ndarray) -> dict[str, np.ndarray]:
         """Output codes (..., N, columns) to physical values {port: (..., N) or (..., N, size)}."""
@@ -347,17 +401,36 @@ class Program:
             raise InputError(f"{path}: not a readable program ({error}); compile the network again") from None
 
 
+def _is_finite(value: float) -> bool:
+    return isinstance(value, Real) and abs(value) <= sys.float_info.max  # which nan and inf are not
+
+
+def _format_problems(what: str, fix: Fix) -> Iterator[str]:
+    if fix.width not in WIDTHS:
+        yield f"{what}: width {fix.width} is not in {WIDTHS.start}..{WIDTHS.stop - 1}"
+    if fix.frac not in FRACTIONS:
+        yield f"{what}: fraction {fix.frac} is not in {FRACTIONS.start}..{FRACTIONS.stop - 1}; scale its port"
+
+
 def _table_problems(table: Table) -> Iterator[str]:
-    if len(table.points) < 2 or table.shift < 0 or table.out.frac < 0:
-        yield f"table {table.name}: needs two points, a shift and a result's fraction that are not negative"
-        return
+    name, out = f"table {table.name}", table.out
+    yield from _format_problems(name, table.arg)
+    yield from _format_problems(name, out)
+    if len(table.points) < 2 or out.frac < 0:
+        yield f"{name}: needs two points, and a result's fraction that is not negative"
+    if table.shift not in range(table.arg.width + 1):
+        yield f"{name}: shift {table.shift} is not in 0..{table.arg.width}, the width of its argument"
     answers = {
         Symmetry.ODD: [-p for p in table.points],
         Symmetry.EVEN: [],
-        Symmetry.COMPLEMENT: [(1 << max(table.out.frac, 0)) - p for p in table.points],
+        Symmetry.COMPLEMENT: [(1 << out.frac) - p for p in table.points],
     }[table.symmetry]
-    if not all(table.out.lo <= p <= table.out.hi for p in (*table.points, *answers)):
-        yield f"table {table.name}: a point, or what its symmetry makes of it, does not fit {table.out}"
+    if not out.holds(*table.points, *answers):
+        yield f"{name}: a point, or what its symmetry makes of it, does not fit {out}"
+    if table.interpolated:
+        width = table.shift + signed_width(max(abs(b - a) for a, b in pairwise(table.points)))
+        if width > ACCUMULATOR_BITS:
+            yield f"{name}: needs {width} bits between two points, more than {ACCUMULATOR_BITS}"
 
 
 _KINDS = {kind.op: kind for kind in (Affine, Lookup, Clamp, Threshold, Select)}

@@ -10,9 +10,11 @@ from collections.abc import Callable
 import numpy as np
 
 from greygate.emulator.program import (
+    ACCUMULATOR_BITS,
     ROUNDED,
     Affine,
     Clamp,
+    Fix,
     Lookup,
     Overflow,
     Program,
@@ -31,6 +33,11 @@ _CHAINS = 4  # sums run as this many at once: an addition takes that many times 
 def compiled(program: Program) -> Callable:
     """run(inputs, initial, outputs, states, saturations, trace), as the last arguments of the engine's kernel."""
     return load("program", source(program)).run
+
+
+def drop(value: Fix, out: Fix) -> int:
+    """Fraction bits that a value loses on its way to `out`; as many as int64 can shift, which give what more give."""
+    return min(value.frac - out.frac, ACCUMULATOR_BITS)
 
 
 class _Writer:
@@ -126,7 +133,7 @@ class _Writer:
         return name
 
     def clamp(self, n: int, o: Clamp) -> None:
-        shift = self.program.signals[o.arg].fix.frac - o.out.fix.frac
+        shift = drop(self.program.signals[o.arg].fix, o.out.fix)
         x = f"min(max(np.int64(v[{self.first[o.arg]} + r]), {o.lo}), {o.hi})"
         # not padded: what stands in the padding could saturate
         self.loop(
@@ -141,7 +148,7 @@ class _Writer:
         condition, above, below = (f"v[{self.first[a]} + r]" for a in self.program.args(o))
 
         def chosen(value: str, name: str) -> str:
-            shift = self.program.signals[name].fix.frac - o.out.fix.frac
+            shift = drop(self.program.signals[name].fix, o.out.fix)
             return _shifted(f"np.int64({value})", str(shift), o.rounding)
 
         # not padded: what stands in the padding could saturate

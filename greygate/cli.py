@@ -269,8 +269,17 @@ def emulate(
     units = {p.name: p.unit for p in project.program.outputs}
     Recording(read_csv(recording).dt, channels, units).write_csv(out)
     saturations = {name: n for name, n in answer.saturations.items() if n}
-    result = {"steps": len(answer.outputs), "saturations": saturations, "out": str(out)}
-    _give(result, as_json, [f"{len(answer.outputs)} steps, saturations {saturations or 'none'}", f"written to {out}"])
+    clipped = project.program.clipped(record.inputs)
+    counted = f"saturations {saturations or 'none'}, clipped inputs {len(clipped) or 'none'}"
+    lines = [f"{len(answer.outputs)} steps, {counted}"]
+    for port in (p for p in project.program.inputs if p.name in clipped):
+        found = clipped[port.name]
+        holds, given = (f"{least:.6g} to {most:.6g} {port.unit}" for least, most in (found.holds, found.given))
+        share = f"{found.count} samples ({found.share:.2%})"
+        lines.append(f"input {port.name}: {share} clipped to {holds}, which {port.signal.fix} holds; given {given}")
+    result = {"steps": len(answer.outputs), "saturations": saturations}
+    result |= {"clipped": {name: found._asdict() for name, found in clipped.items()}, "out": str(out)}
+    _give(result, as_json, [*lines, f"written to {out}"])
 
 
 @app.command()

@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import pytest
 import test_compiler
+from legal_programs import legal_codes, legal_program
 from programs import cylinder_program, random_codes, random_program
 
 from greygate.emulator import engine
@@ -63,6 +64,13 @@ def program_width(o: Affine, x: Signal) -> int:
 def test_a_kernel_made_for_a_program_equals_the_interpreter_in_every_bit_of_every_signal(seed):
     program = random_program(seed)
     agree(program, random_codes(program, seed, 60))
+
+
+# between them: sums of 52, 53 and 62 bits, shifts beyond 62, tables whose lines need int64
+@pytest.mark.parametrize("seed", [2, 6, 18])
+def test_a_kernel_made_for_a_program_at_the_limits_equals_the_interpreter_in_every_bit(seed):
+    program = legal_program(seed)
+    agree(program, legal_codes(program, seed, 60))
 
 
 @pytest.mark.parametrize("seed", [1, 2])

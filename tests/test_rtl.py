@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from legal_programs import legal_codes, legal_program
 from programs import cylinder_program, make_table, random_codes, random_program
 
 from greygate import rtl
@@ -33,6 +34,7 @@ from greygate.verify import Case, Scenario, simulator_environment, verify, verif
 
 ARCHITECTURES = ("parallel", "folded")
 SEEDS = range(32)
+LEGAL_SEEDS = range(8)  # of programs at the limits of what is legal
 
 
 def program(name, inputs, operations, states=(), outputs=None, tables=()):
@@ -51,8 +53,8 @@ def affine(out, arg, weight, bias, frac, *modes):
     return Affine(out, (arg,), np.array([[weight]]), np.array([bias]), np.array([frac]), *modes)
 
 
-def scenario(p, seed=0, steps=80, initial=None):
-    codes = random_codes(p, seed, steps)
+def scenario(p, seed=0, steps=80, initial=None, draw=random_codes):
+    codes = draw(p, seed, steps)
     run = interpret(p, codes, initial)
     return Scenario(codes, run.outputs, run.states, initial)
 
@@ -130,6 +132,9 @@ def test_hardware_equals_the_interpreter_on_random_programs_and_on_tables_worked
             p = random_program(seed)
             named = replace(p, name=f"{p.name}_{architecture}")
             cases.append(Case(named, {"random": scenario(p, seed)}, architecture, macs=1 + seed % 5))
+        for seed in LEGAL_SEEDS:
+            p = legal_program(seed, f"legal{seed}_{architecture}")
+            cases.append(Case(p, {"legal": scenario(p, seed, draw=legal_codes)}, architecture, macs=1 + seed % 5))
         p, table = hand_worked(f"hand_{architecture}")
         assert np.array_equal(interpret(p, table.inputs).outputs, table.outputs), (
             "the interpreter disagrees with the table"
@@ -142,7 +147,7 @@ def test_hardware_equals_the_interpreter_on_random_programs_and_on_tables_worked
     assert [v for v in result.verdicts if v.mismatch] == []
     assert result.passed
     suites = ElementTree.parse(result.junit).getroot()
-    assert len(list(suites.iter("testcase"))) == len(result.verdicts) == 2 * (len(SEEDS) + 3)
+    assert len(list(suites.iter("testcase"))) == len(result.verdicts) == 2 * (len(SEEDS) + len(LEGAL_SEEDS) + 3)
 
 
 def test_a_broken_design_is_reported_with_step_signal_and_both_values(tmp_path, monkeypatch, capsys):
@@ -186,6 +191,7 @@ def test_a_broken_design_is_reported_with_step_signal_and_both_values(tmp_path, 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
 def test_every_emitted_file_passes_verilator_lint_without_a_waiver(tmp_path, architecture):
     programs = [random_program(seed) for seed in SEEDS[:12]] + [
+        *map(legal_program, LEGAL_SEEDS),
         cylinder_program(),
         ring("ring"),
         hand_worked("hand")[0],
