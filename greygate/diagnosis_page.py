@@ -47,27 +47,24 @@ def page(result: Diagnosis) -> str:
     fits = [result.calibrated, *([result.corrected] if changed(result) else [])]
     before, after, *_ = [*residuals(result, fits), None]
     told = [v for place in found["where"] for v in place["depends_on"] if v in before.variables]
-    return (
-        templates()
-        .get_template("diagnosis.html")
-        .render(
-            d=found,
-            title=result.rig.folder.resolve().name,
-            sentence=explain.VERDICTS[found["verdict"]],
-            facts=facts(result, found),
-            effects=[(e, explain.means(result, e), amounts(e["parameters"])) for e in found["effects"]],
-            parameters=[(n, explain.parameter(result, n, p)) for n, p in found["parameters"].items()],
-            fit=explain.fit_table(found["fit"]),
-            alike=explain.alike(result, found),
-            unseen=unseen(result.calibrated),
-            where=explain.where(found),
-            runs=runs(result),
-            against=against(before, after, told),
-            maps=maps(before, after, told),
-            ladder=ladder(result),
-            windowed=result.rig.window is not None,
-            changed=changed(result),
-        )
+    template = templates().get_template("diagnosis.html")
+    return template.render(
+        d=found,
+        title=result.rig.folder.resolve().name,
+        sentence=explain.VERDICTS[found["verdict"]],
+        facts=facts(result, found),
+        effects=[(e, explain.means(result, e), amounts(e["parameters"])) for e in found["effects"]],
+        parameters=[(n, explain.parameter(result, n, p)) for n, p in found["parameters"].items()],
+        fit=explain.fit_table(found["fit"]),
+        alike=explain.alike(result, found),
+        unseen=unseen(result.calibrated),
+        where=explain.where(found),
+        runs=runs(result),
+        against=against(before, after, told),
+        maps=maps(before, after, told),
+        ladder=ladder(result),
+        windowed=result.rig.window is not None,
+        changed=changed(result),
     )
 
 

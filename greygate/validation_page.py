@@ -138,19 +138,16 @@ def page(judged: Judged) -> str:
         name: [(v, pictures(v, judged.period)) for v in group]
         for name, group in groupby(judged.validations, key=lambda v: v.record)
     }
-    return (
-        templates()
-        .get_template("validation.html")
-        .render(
-            j=judged,
-            rows=rows(judged),
-            facts=facts(judged),
-            records=records,
-            ranges=range_picture(judged),
-            plotly=Markup(get_plotlyjs()),
-            long_run=long_run,
-            drawn=DRAWN,
-        )
+    template = templates().get_template("validation.html")
+    return template.render(
+        j=judged,
+        rows=rows(judged),
+        facts=facts(judged),
+        records=records,
+        ranges=range_picture(judged),
+        plotly=Markup(get_plotlyjs()),
+        long_run=long_run,
+        drawn=DRAWN,
     )
 
 

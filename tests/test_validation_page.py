@@ -79,10 +79,7 @@ def test_a_zoomed_run_holds_every_sample_and_a_long_one_its_extremes():
     np.testing.assert_allclose(drawn, 1e3 * v.measured, rtol=1e-6)
     assert traces["measured"]["dx"] == 0.5
     (v,) = validate(linear(), {"run": record(3 * DRAWN, equation_noise=0.1)}, period=0.5, horizons=(1,))
-    y, x = (
-        np.frombuffer(base64.b64decode(run_data(v, 0.5)["traces"]["error"][axis]["bdata"]), "<f4")
-        for axis in "yx"
-    )
+    y, x = (np.frombuffer(base64.b64decode(run_data(v, 0.5)["traces"]["error"][axis]["bdata"]), "<f4") for axis in "yx")
     e = 1e3 * (v.measured - v.predicted)
     assert len(x) == len(y) <= DRAWN
     assert np.all(np.diff(x) > 0)
