@@ -18,7 +18,7 @@ LONGEST_SHOWN = 60  # characters of a wrong value that a message repeats
 _PART = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _FILE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)  # by Windows, whatever follows the dot
-_SIGNS = frozenset(" ^*/()+-−.,·⋅×%‰°'′″_")  # in a unit, beside letters and digits
+_SIGNS = frozenset(" ^*/()+-−⁺⁻.,·⋅×%‰°'′″_")  # in a unit, beside letters and digits
 _RIGHT_TO_LEFT = ("R", "AL", "AN")  # letters and digits that change the order in which what follows is shown
 
 
