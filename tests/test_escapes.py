@@ -36,7 +36,7 @@ from greygate.validation_page import page as validation_page
 from greygate.verify import Case, Scenario, simulator_environment, verify_many
 
 HOSTILE = [
-    INJECTED, "*/ initial $finish; /*", "x\\", "x\\\n initial $finish;", "`include \"/etc/passwd\"", 
+    INJECTED, "*/ initial $finish; /*", "x\\", "x\\\n initial $finish;", "`include \"/etc/passwd\"",
     "verilator lint_off",
     "verilator", "synopsys translate_off", "pragma translate_off", "</script><script>alert(1)</script>", "<!--",
     "<img src=x onerror=alert(1)>", "\" onload=\"alert(1)", "' onload='x", "&lt;b&gt;", "\u2028x", "\u202e",
