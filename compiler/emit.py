@@ -9,6 +9,7 @@ from greygate.compiler.folded import folded
 from greygate.compiler.parallel import parallel
 from greygate.emulator.program import Program
 from greygate.errors import InputError, replacing
+from greygate.names import check_file_name
 
 
 def emit(program: Program, folder: Path | str, architecture: str = "parallel", macs: int = 4) -> list[Path]:
@@ -31,11 +32,13 @@ def emit(program: Program, folder: Path | str, architecture: str = "parallel", m
     texts |= {f"{b}.v": rtl.block(b).read_text() for b in blocks}
     texts[f"{program.name}.f"] = "\n".join(texts) + "\n"
     folder = Path(folder)
+    for name in texts:
+        check_file_name(name, f"program {program.name}: file")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot make this folder ({error.strerror}); choose another") from None
     with ExitStack() as stack:
         for name, text in texts.items():
-            stack.enter_context(replacing(folder / name)).write_text(text)
+            stack.enter_context(replacing(folder / name)).write_text(text, encoding="utf-8")
     return [folder / name for name in texts]

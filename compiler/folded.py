@@ -23,6 +23,7 @@ from greygate.compiler.verilog import (
     levels,
     module_text,
     number,
+    remark,
     shared_tables,
     sign_extended,
     small_operation,
@@ -267,7 +268,7 @@ def schedule_text(program: Program, macs: int, folding: Folding) -> str:
     for t, line in enumerate(lines):
         values = [number(line.get(n, 0), k) if s else f"{k}'d{line.get(n, 0)}" for n, k, s in layout]
         note = "; ".join(folding.schedule.notes[t]) or "idle"
-        rows.append(f"rom[{t}] = {{{', '.join(values)}}};  // {note}")
+        rows.append(f"rom[{t}] = {{{', '.join(values)}}};  {remark(note)}")
     ports = [f"    input  wire clk,\n    input  wire [{w['pc'] - 1}:0] pc"]
     ports += [f"    output wire {'signed ' if s else ''}[{k - 1}:0] {n}" for n, k, s in layout]
     comment = [
@@ -286,7 +287,7 @@ def biases_text(program: Program, macs: int, folding: Folding) -> str:
     rows = []
     for g, (label, biases) in enumerate(groups):
         values = [number(b, w["acc"]) for b in [*biases, *[0] * (macs - len(biases))]]
-        rows.append(f"rom[{g}] = {{{', '.join(reversed(values))}}};  // {label}")
+        rows.append(f"rom[{g}] = {{{', '.join(reversed(values))}}};  {remark(label)}")
     ports = f"    input  wire clk,\n    input  wire [{w['group'] - 1}:0] group,\n"
     ports += f"    output wire [{macs * w['acc'] - 1}:0] bias"
     comment = [f"Biases of {program.name}, a group of {macs} rows a line, the first row on the right."]
@@ -326,7 +327,7 @@ def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, s
     for s in [*(s.signal for s in program.states), *(o.out for o in program.operations)]:
         first = folding.address[s.name]
         last = f"..{first + s.size - 1}" if s.size > 1 else ""
-        body += f"    // {first}{last}: {s.name}, {s.size} x {s.fix}\n"
+        body += f"    {remark(f'{first}{last}: {s.name}, {s.size} x {s.fix}')}\n"
     body += f"    reg signed [{code - 1}:0] memory[0:{(1 << address) - 1}];\n"
     body += f"    reg [{address - 1}:0] boot;\n    reg signed [{code - 1}:0] initial_code;\n"
     body += f"    reg signed [{code - 1}:0] y;\n\n"
@@ -340,7 +341,9 @@ def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, s
     n = 0
     for s in program.states:
         for k, v in enumerate(s.initial):
-            body += f"            {address}'d{n}: initial_code = {number(v, code)};  // {s.signal.name}[{k}]\n"
+            body += (
+                f"            {address}'d{n}: initial_code = {number(v, code)};  {remark(f'{s.signal.name}[{k}]')}\n"
+            )
             n += 1
     body += f"            default: initial_code = {code}'sd0;\n        endcase\n\n"
     body += (
@@ -356,7 +359,7 @@ def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, s
     for n, (s, k, low) in enumerate(input_slices(program)):
         value = sign_extended("sample", low, s.fix.width, code)
         end = f"{address}'d{folding.words + n}" if n + 1 < inputs else "default"
-        body += f"            {end}: input_code <= {value};  // {s.name}[{k}]\n"
+        body += f"            {end}: input_code <= {value};  {remark(f'{s.name}[{k}]')}\n"
     body += "        endcase\n    end\n"
     if unused_bits(program):
         body += "    wire unused = &{\n" + wrapped([f"{u}," for u in unused_bits(program)], "        ")
@@ -404,14 +407,14 @@ def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, s
             port: f"{before[port]}[{program.signals[a].fix.width - 1}:0]"
             for port, a in zip(argument_ports(o), program.args(o), strict=True)
         }
-        body += f"\n    wire [{out - 1}:0] unit_{n};  // {key}\n"
+        body += f"\n    wire [{out - 1}:0] unit_{n};  {remark(key)}\n"
         body += instance(
             module,
             f"unit_{n}_{o.op.value}",
             parameters,
             {"clk": "clk", "en": "1'b1"} | arguments | {"y": f"unit_{n}"},
         )
-        cases.append(f"{w['source']}'d{COPY + 1 + n}: y = {sign_extended(f'unit_{n}', 0, out, code)};  // {key}")
+        cases.append(f"{w['source']}'d{COPY + 1 + n}: y = {sign_extended(f'unit_{n}', 0, out, code)};  {remark(key)}")
     body += "\n    always @*\n        case (source)\n" + "".join(f"            {c}\n" for c in cases)
     body += "            default: y = drained;\n        endcase\n"
 
@@ -420,7 +423,7 @@ def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, s
     for p in program.outputs:
         for k in range(p.signal.size):
             width = p.signal.fix.width
-            body += f"    reg [{width - 1}:0] output_{n};  // {p.name}[{k}]\n"
+            body += f"    reg [{width - 1}:0] output_{n};  {remark(f'{p.name}[{k}]')}\n"
             condition = f"enable && write == {address}'d{folding.words + n}"
             body += f"    always @(posedge clk) if ({condition}) output_{n} <= y[{width - 1}:0];\n"
             shown.append(sign_extended(f"output_{n}", 0, width, lane_width(p.signal)))

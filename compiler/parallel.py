@@ -15,6 +15,7 @@ from greygate.compiler.verilog import (
     levels,
     module_text,
     packed,
+    remark,
     shared_tables,
     sign_extended,
     small_operation,
@@ -94,7 +95,8 @@ def affine_text(program: Program, o: Affine, names: dict[str, str]) -> str:
         }
         ports = {"clk": "clk", "en": "en", "a": total}
         ports["y"] = f"{y}[{(r + 1) * out.width - 1}:{r * out.width}]"
-        body += "\n" + wrapped([f"{o.out.name}[{r}] =", *floats], "    // ") + "\n"
+        sum_lines = wrapped([f"{o.out.name}[{r}] =", *floats], "    // ").splitlines()
+        body += "\n" + "".join(f"    {remark(line.removeprefix('    // '))}\n" for line in sum_lines)
         body += f"    wire signed [{width - 1}:0] {total} =\n" + wrapped(terms, "        ") + ";\n"
         body += instance("greygate_requantize", row, parameters, ports)
     comment = [

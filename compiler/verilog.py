@@ -4,6 +4,7 @@ import re
 
 from greygate.emulator.program import Clamp, Lookup, Program, Rounding, Select, Signal, Symmetry, Table
 from greygate.errors import InputError
+from greygate.names import one_line
 
 ROUNDING = {Rounding.TRUNCATE: 0, Rounding.HALF_UP: 1, Rounding.HALF_EVEN: 2}
 SYMMETRY = {Symmetry.ODD: 0, Symmetry.EVEN: 1, Symmetry.COMPLEMENT: 2}
@@ -32,14 +33,18 @@ modport program property sequence assert assume cover final unique priority stat
 type typedef virtual local protected pure rand ref var with within checker let global soft strong weak
 """
 KEYWORDS = frozenset(WORDS.split())  # of Verilog-2005, and those of SystemVerilog that tools trip over
+TOOLS = "verilator synopsys synthesis pragma ambit cadence synplify altera xilinx vcs coverage lint translate"
+DIRECTIVE = re.compile(rf"\W*({'|'.join(TOOLS.split())})", re.IGNORECASE)  # how a comment begins that a tool obeys
 
 
 def verilog_names(program: Program) -> dict[str, str]:
     """Every signal's name in Verilog: the program's own, with "__" for "."; raises InputError where that fails."""
     names = {s: s.replace(".", "__") for s in program.signals}
-    for original, name in [(program.name, program.name), *names.items()]:
+    tables = [(t.name, table_module(program, t)) for t in program.tables]
+    for original, name in [(program.name, program.name), *names.items(), *tables]:
         if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) or name in KEYWORDS or name.startswith("greygate_"):
-            raise InputError(f"{original}: not a name that Verilog can hold; use letters, digits and _, no keyword")
+            said = one_line(original)
+            raise InputError(f"{said}: not a name that Verilog can hold; use letters, digits and _, no keyword")
     taken = dict.fromkeys((*TAKEN, program.name), "a port or part of the core")
     for original, name in names.items():
         for used in (name, f"{name}_layer"):
@@ -47,7 +52,7 @@ def verilog_names(program: Program) -> dict[str, str]:
                 raise InputError(f"{original}: its name in Verilog is also that of {taken[used]}; rename one")
             taken[used] = original
     modules = [program.name, *(f"{program.name}_{names[o.out.name]}" for o in program.operations)]
-    modules += [f"{program.name}_table_{t.name}".replace(".", "__") for t in program.tables]
+    modules += [module for _, module in tables]
     for name in modules:
         if modules.count(name) > 1:
             raise InputError(f"{program.name}: two modules would be called {name}; rename an operation or a table")
@@ -93,10 +98,20 @@ def wrapped(items: list[str], indent: str, separator: str = " ", limit: int = 11
     return "\n".join([*lines, line.rstrip()])
 
 
-def module_text(comment: list[str], body: str) -> str:
+def remark(text: str) -> str:
+    """The text as a comment to the end of its line, which holds nothing but text whatever the text is.
+
+    No end of line, no macro, no backslash that joins lines, no end of another comment, no directive to a tool.
+    """
+    plain = "".join(c if c.isprintable() and c not in "\\`" else "?" for c in text)
+    plain = plain.replace("*/", "* /").replace("/*", "/ *")
+    return f"// {'- ' if DIRECTIVE.match(plain) else ''}{plain}".rstrip()
+
+
+def module_text(head: list[str], body: str) -> str:
     """A file: comment lines, then one module without implicit nets."""
-    head = "".join(f"// {line}".rstrip() + "\n" for line in comment)
-    return f"{head}\n`default_nettype none\n\n{body}\nendmodule\n\n`default_nettype wire\n"
+    lines = "".join(remark(line) + "\n" for line in head)
+    return f"{lines}\n`default_nettype none\n\n{body}\nendmodule\n\n`default_nettype wire\n"
 
 
 def top_ports(program: Program) -> tuple[str, int, int]:

@@ -5,6 +5,7 @@ Declared here and nowhere else; the interpreter, the engine, the Verilog emitter
 
 import json
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -17,11 +18,14 @@ from typing import NamedTuple
 import numpy as np
 
 from greygate.errors import InputError, replacing
+from greygate.names import check_name, check_path, check_text, check_unit
+from greygate.reading import Kind, json_data, listed, named, number, one_of, table, truth, whole
 
 ACCUMULATOR_BITS = 62  # room for one more addition in int64
 WIDTHS = range(2, 49)
 FRACTIONS = range(-48, 61)
 SIZES = range(1, (1 << 16) + 1)  # elements of a signal
+LARGEST_SHIFT = 1 << 10  # of any width, fraction or shift in a file; what is legal is far below
 
 
 class Fix(NamedTuple):
@@ -229,8 +233,7 @@ class Program:
     @cached_property
     def signals(self) -> dict[str, Signal]:
         """Every signal by name: inputs, states, results, in that order."""
-        parts = [p.signal for p in self.inputs] + [s.signal for s in self.states]
-        return {s.name: s for s in parts + [o.out for o in self.operations]}
+        return {s.name: s for s in self._declared()}
 
     @cached_property
     def table(self) -> dict[str, Table]:
@@ -254,15 +257,38 @@ class Program:
 
     def check(self) -> "Program":
         """Raise InputError unless the program is legal by docs/integer-program.md; return it."""
+        self._check_names()
         for problem in self._problems():
             raise InputError(f"program {self.name}: {problem}")
         return self
 
+    def _check_names(self) -> None:
+        where = f"program {check_name(self.name, 'program')}:"
+        for signal in self._declared():
+            check_path(signal.name, f"{where} signal")
+        for port in self.inputs + self.outputs:
+            check_path(port.name, f"{where} port")
+            check_unit(port.unit, f"{where} port {port.name}: unit")
+        for t in self.tables:
+            check_path(t.name, f"{where} table")
+            check_text(t.function, f"{where} table {t.name}: function")
+        for name, why in self.notes.items():
+            check_text(why, f"{where} note on {check_path(name, f'{where} note on')}:")
+
+    def _declared(self) -> list[Signal]:
+        return [p.signal for p in self.inputs] + [s.signal for s in self.states] + [o.out for o in self.operations]
+
     def _problems(self) -> Iterator[str]:
-        declared = [p.signal for p in self.inputs] + [s.signal for s in self.states] + [o.out for o in self.operations]
-        names = [s.name for s in declared]
-        for name in {n for n in names if names.count(n) > 1}:
-            yield f"signal {name} is defined twice"
+        declared = self._declared()
+        for kind, names in (
+            ("signal", [s.name for s in declared]),
+            ("input", [p.name for p in self.inputs]),
+            ("output", [p.name for p in self.outputs]),
+            ("table", [t.name for t in self.tables]),
+        ):
+            for name, count in Counter(names).items():
+                if count > 1:
+                    yield f"{kind} {name} is defined twice"
         if not self.inputs or not self.outputs:
             yield "needs at least one input and one output"
         if not (_is_finite(self.period) and self.period > 0):
@@ -394,11 +420,10 @@ class Program:
     def load(path: Path | str) -> "Program":
         """Read and check a program. Raises InputError for a file that is missing, truncated or not legal."""
         try:
-            return _from_json(json.loads(Path(path).read_text())).check()
-        except (OSError, KeyError, TypeError, ValueError) as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(f"{path}: not a readable program ({error}); compile the network again") from None
+            return _from_json(json_data(Path(path)), f"{path}:").check()
+        except InputError as error:
+            said = str(error)
+            raise InputError(said if said.startswith(str(path)) else f"{path}: {said}") from None
 
 
 def _is_finite(value: float) -> bool:
@@ -451,36 +476,90 @@ def _to_json(value):
     return value
 
 
-def _from_json(data: dict) -> Program:
-    def signal(d):
-        return Signal(d["name"], d["size"], Fix(*d["fix"]))
+_INTEGER = whole(-(1 << ACCUMULATOR_BITS), 1 << ACCUMULATOR_BITS)
+_SMALL = whole(-LARGEST_SHIFT, LARGEST_SHIFT)
 
-    def port(d):
-        return Port(d["name"], signal(d["signal"]), d["unit"], d["scale"], d["offset"])
 
-    def operation(d):
-        d = dict(d)
-        kind = _KINDS[Op(d.pop("op"))]
-        d["out"] = signal(d["out"])
-        if kind is Affine:
-            d |= {k: np.array(d[k], np.int64) for k in ("bias", "frac")}
-            d["weights"] = np.array(d["weights"], np.int64).reshape(d["out"].size, -1)
-            d |= {"args": tuple(d["args"]), "overflow": Overflow(d["overflow"])}
-        if "rounding" in d:
-            d["rounding"] = Rounding(d["rounding"])
-        return kind(**d)
+def _fix(value: object, where: str) -> Fix:
+    parts = listed(_SMALL)(value, where)
+    if len(parts) != 2:
+        raise InputError(f"{where} has {len(parts)} numbers; give width and fraction")
+    return Fix(*parts)
 
-    def table(d):
-        formats = {"arg": Fix(*d["arg"]), "out": Fix(*d["out"])}
-        return Table(**(d | formats | {"points": tuple(d["points"]), "symmetry": Symmetry(d["symmetry"])}))
 
-    return Program(
-        name=data["name"],
-        inputs=tuple(port(d) for d in data["inputs"]),
-        states=tuple(State(signal(d["signal"]), d["source"], tuple(d["initial"])) for d in data["states"]),
-        operations=tuple(operation(d) for d in data["operations"]),
-        outputs=tuple(port(d) for d in data["outputs"]),
-        tables=tuple(table(d) for d in data["tables"]),
-        period=data["period"],
-        notes=data["notes"],
-    )
+def _signal(value: object, where: str) -> Signal:
+    return Signal(**table(value, where, {"name": check_path, "size": whole(SIZES.start, SIZES.stop - 1), "fix": _fix}))
+
+
+def _port(value: object, where: str) -> Port:
+    kinds = {"name": check_path, "signal": _signal, "unit": check_unit, "scale": number, "offset": number}
+    port = Port(**table(value, where, kinds))
+    if port.scale == 0:
+        raise InputError(f"{where}.scale is 0; give how much a code stands for")
+    return port
+
+
+def _state(value: object, where: str) -> State:
+    found = table(value, where, {"signal": _signal, "source": check_path, "initial": listed(_INTEGER)})
+    return State(found["signal"], found["source"], tuple(found["initial"]))
+
+
+def _table(value: object, where: str) -> Table:
+    kinds = {
+        "name": check_path,
+        "function": check_text,
+        "symmetry": one_of(Symmetry),
+        "shift": _SMALL,
+        "points": listed(_INTEGER),
+        "interpolated": truth,
+        "arg": _fix,
+        "out": _fix,
+        "worst_error": number,
+    }
+    found = table(value, where, kinds)
+    return Table(**found | {"points": tuple(found["points"])})
+
+
+_ENTRIES: dict[Op, dict[str, Kind]] = {
+    Op.AFFINE: {
+        "args": listed(check_path),
+        "weights": listed(listed(_INTEGER)),
+        "bias": listed(_INTEGER),
+        "frac": listed(_SMALL),
+        "rounding": one_of(Rounding),
+        "overflow": one_of(Overflow),
+    },
+    Op.TABLE: {"arg": check_path, "table": check_path},
+    Op.CLAMP: {"arg": check_path, "lo": _INTEGER, "hi": _INTEGER, "rounding": one_of(Rounding)},
+    Op.THRESHOLD: {"arg": check_path, "at": _INTEGER, "below": _INTEGER, "above": _INTEGER},
+    Op.SELECT: {"condition": check_path, "above": check_path, "below": check_path, "rounding": one_of(Rounding)},
+}
+
+
+def _operation(value: object, where: str) -> Operation:
+    op = one_of(Op)(value.get("op") if isinstance(value, dict) else None, f"{where}.op")
+    found = table(value, where, {"op": one_of(Op), "out": _signal, **_ENTRIES[op]})
+    del found["op"]
+    if op is Op.AFFINE:
+        if len({len(row) for row in found["weights"]}) != 1:
+            raise InputError(f"{where}.weights: its rows differ in length, or there are none; mend it")
+        found |= {k: np.array(found[k], np.int64) for k in ("weights", "bias", "frac")}
+        found["args"] = tuple(found["args"])
+    return _KINDS[op](**found)
+
+
+def _from_json(data: object, where: str) -> Program:
+    kinds = {
+        "name": check_name,
+        "inputs": listed(_port),
+        "states": listed(_state),
+        "operations": listed(_operation),
+        "outputs": listed(_port),
+        "tables": listed(_table),
+        "period": number,
+        "notes": named(check_text),
+    }
+    found = table(data, where, kinds)
+    if found["period"] <= 0:
+        raise InputError(f"{where} period {found['period']} is not a time; give seconds above 0")
+    return Program(**{k: tuple(v) if isinstance(v, list) else v for k, v in found.items()})

@@ -15,6 +15,8 @@ from cocotb.clock import Clock
 from cocotb.triggers import RisingEdge, Timer
 from cocotb.utils import get_sim_time
 
+from greygate.names import one_line
+
 HALF = 1  # simulator steps in half a clock: stimulus changes at the falling edge, or right after the rising one
 CLOCK = 2 * HALF
 HANDLES = "clk rst source s_tready m_tvalid m_tready seen load initial"
@@ -181,8 +183,9 @@ def make_test(job: dict, scenario: dict, arrays, seed: int, verdicts: list, repo
             verdicts.append(verdict)
             report.write_text(json.dumps(verdicts))
 
-    run.__name__ = run.__qualname__ = f"{job['name']}_{scenario['name']}"
-    return cocotb.test(name=f"{job['name']}/{scenario['name']}")(run)
+    design, played = one_line(job["name"]), one_line(scenario["name"])  # they stand in XML
+    run.__name__ = run.__qualname__ = f"{design}_{played}"
+    return cocotb.test(name=f"{design}/{played}")(run)
 
 
 if "GREYGATE_BENCH" in os.environ:

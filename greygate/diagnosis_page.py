@@ -7,7 +7,6 @@ from html import escape
 from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
 from greygate import explain, figures
@@ -20,7 +19,7 @@ from greygate.mismatch.fit import Fit
 from greygate.mismatch.locate import signals
 from greygate.mismatch.model import Model
 from greygate.plants.recording import Recording
-from greygate.report import BINS, envelope, shortened
+from greygate.report import BINS, envelope, shortened, templates
 
 PIECE = 0.1  # s of a window in pictures of the residual, where a rig restarts
 SETTLED = 0.3  # of such a window, from which on its pressures count
@@ -44,14 +43,12 @@ def write(result: Diagnosis, path: Path | str) -> None:
 
 def page(result: Diagnosis) -> str:
     """The page of a diagnosis."""
-    environment = Environment(
-        loader=PackageLoader("greygate", "."), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
     found = result.as_dict()
     fits = [result.calibrated, *([result.corrected] if changed(result) else [])]
     before, after, *_ = [*residuals(result, fits), None]
     told = [v for place in found["where"] for v in place["depends_on"] if v in before.variables]
-    return environment.get_template("diagnosis.html").render(
+    template = templates().get_template("diagnosis.html")
+    return template.render(
         d=found,
         title=result.rig.folder.resolve().name,
         sentence=explain.VERDICTS[found["verdict"]],

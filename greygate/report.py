@@ -341,12 +341,15 @@ def page(studies: Sequence[dict], tables: Sequence[Sequence[dict]] = ()) -> str:
 
     tables: of `greygate.summary`, on top.
     """
-    environment = Environment(
-        loader=PackageLoader("greygate", "."), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
+    environment = templates()
     environment.filters |= {"number": figures.number, "figure": figure}
     environment.globals |= {"differing": differing, "display": display, "shown": shown, "LEFT": LEFT}
     return environment.get_template("report.html").render(studies=[s | _drawn(s) for s in studies], tables=tables)
+
+
+def templates() -> Environment:
+    """The templates of every page. What they show is escaped, whatever it is; only `Markup` is taken as it stands."""
+    return Environment(loader=PackageLoader("greygate", "."), autoescape=True, trim_blocks=True, lstrip_blocks=True)
 
 
 def _drawn(found: dict) -> dict:

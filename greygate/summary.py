@@ -67,7 +67,7 @@ def designs(studies: Sequence[dict]) -> list[dict[str, str]]:
 
 def _synthesized(s: dict) -> Iterator[tuple[str, str, dict]]:
     """(architecture, target, counts) of every design that was verified or synthesized."""
-    found = [(*design.split(", "), counts) for design, counts in s["resources"].items()]
+    found = [(*design.partition(", ")[::2], counts) for design, counts in s["resources"].items()]
     for architecture in dict.fromkeys((*s["hardware"], *(a for a, *_ in found))) or (NONE,):
         own = [f for f in found if f[0] == architecture]
         for _, target, counts in own or [(architecture, "not synthesized", {})]:

@@ -14,6 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from greygate.errors import InputError
+from greygate.names import check_file_name
 
 COMMANDS = {
     "ecp5": "synth_ecp5 -top {top} -json {json}",
@@ -46,9 +47,11 @@ def synthesize(
     if clock_rate and target != "ecp5":
         raise InputError("the clock rate is known for target ecp5 only")
     folder = Path(folder)
+    check_file_name(top, "top")
     if not (folder / f"{top}.f").exists():
         raise InputError(f"{folder / top}.f does not exist; emit the program into this folder first")
-    sources = " ".join(n for n in (folder / f"{top}.f").read_text().split() if n.endswith(".v"))
+    listed = (check_file_name(n, f"{folder / top}.f:") for n in (folder / f"{top}.f").read_text().split())
+    sources = " ".join(n for n in listed if n.endswith(".v"))
     with tempfile.TemporaryDirectory(dir=folder, prefix=".synthesis") as temporary:
         place = Path(temporary).name
         netlist, stat, report = (f"{place}/{n}.json" for n in ("netlist", "stat", "report"))

@@ -1,15 +1,14 @@
 """What `greygate validate` finds, as a table, as JSON and as one HTML page. How to read it: docs/validation.md."""
 
 import base64
-import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from html import escape
 from itertools import groupby, pairwise
 from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
@@ -20,7 +19,7 @@ from greygate.figures import Line
 from greygate.measured import settled
 from greygate.models.validation import LEASH, Correlation, Range, Validation, coverage, validate
 from greygate.project import Source
-from greygate.report import TRUSTED, display, plain, shown
+from greygate.report import TRUSTED, display, plain, shown, templates
 
 DRAWN = 20_000  # samples of a run that are drawn one by one; of a longer one, least and largest of so many bins
 BARS = 40  # of the error's histogram
@@ -135,14 +134,12 @@ def write(judged: Judged, path: Path | str) -> None:
 
 def page(judged: Judged) -> str:
     """One HTML page that needs nothing else: styles, pictures (SVG), and Plotly for the runs that can be zoomed."""
-    environment = Environment(
-        loader=PackageLoader("greygate", "."), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
     records = {
         name: [(v, pictures(v, judged.period)) for v in group]
         for name, group in groupby(judged.validations, key=lambda v: v.record)
     }
-    return environment.get_template("validation.html").render(
+    template = templates().get_template("validation.html")
+    return template.render(
         j=judged,
         rows=rows(judged),
         facts=facts(judged),
@@ -210,8 +207,11 @@ def pictures(v: Validation, period: float) -> dict:
     }
 
 
-def run_data(v: Validation, period: float) -> str:
-    """What Plotly draws: measured, predicted and error over time, as JSON with binary float32."""
+def run_data(v: Validation, period: float) -> dict:
+    """What Plotly draws: measured, predicted and error over time, JSON-able, with binary float32.
+
+    Plotly takes labels as HTML, so they are escaped; the template's `tojson` then keeps them inside <script>.
+    """
     factor, unit = display(v.unit, float(np.abs(v.measured).max()))
     small, small_unit = display(v.unit, v.rms if math.isfinite(v.rms) else v.spread)
     leash = np.mean(v.measured) + LEASH * (np.ptp(v.measured) or np.inf) * np.array(
@@ -228,7 +228,7 @@ def run_data(v: Validation, period: float) -> str:
         "y": f"{v.output} [{unit}]" if unit else v.output,
         "error": f"error [{small_unit}]" if small_unit else "error",
     }
-    return json.dumps({"traces": drawn, "labels": labels}).replace("</", "<\\/")  # it stands inside <script>
+    return {"traces": drawn, "labels": {axis: escape(label, quote=False) for axis, label in labels.items()}}
 
 
 def _thinned(y: np.ndarray) -> np.ndarray:

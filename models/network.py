@@ -10,6 +10,7 @@ import math
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from numbers import Integral, Real
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,11 @@ import tomli_w
 
 from greygate.errors import InputError, replacing
 from greygate.models.arithmetic import product
+from greygate.names import check_name, check_path, check_text, check_unit, one_line, shown
+from greygate.reading import Kind, array, entry_of, listed, named, number, table, whole
 
 LONGEST_DELAY = 500  # steps
+LARGEST_SIZE = 4096  # signals of a port, neurons of a layer
 # Each takes the array namespace (numpy or torch) and the pre-activation n.
 ACTIVATIONS = {
     "tansig": lambda xp, n: xp.tanh(n),
@@ -244,7 +248,7 @@ class Network:
         path = Path(path)
         with replacing(path.with_suffix(".safetensors")) as numbers, replacing(path.with_suffix(".toml")) as text:
             safetensors.numpy.save_file({n: np.ascontiguousarray(v) for n, v in self.parameters().items()}, numbers)
-            text.write_text(tomli_w.dumps(_to_toml(self)))
+            text.write_text(tomli_w.dumps(_to_toml(self)), encoding="utf-8")
 
     @staticmethod
     def load(path: Path | str) -> "Network":
@@ -252,22 +256,21 @@ class Network:
         path = Path(path)
         toml, numbers = path.with_suffix(".toml"), path.with_suffix(".safetensors")
         try:
-            data = tomllib.loads(toml.read_text())
+            data = tomllib.loads(toml.read_text(encoding="utf-8"))
             tensors = safetensors.numpy.load_file(numbers)
         except FileNotFoundError as error:
             raise InputError(
                 f"{error.filename}: no such file; a network is NAME.toml beside NAME.safetensors"
             ) from None
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, safetensors.SafetensorError) as error:
-            raise InputError(f"{path}: not a readable network ({error}); save it again") from None
+        except (OSError, ValueError, KeyError, TypeError, RecursionError, safetensors.SafetensorError) as error:
+            raise InputError(f"{path}: not a readable network ({one_line(str(error))}); save it again") from None
         try:
-            network = _from_toml(data, tensors, "").check()
-        except InputError:
-            raise
-        except (KeyError, TypeError, AttributeError, ValueError, RecursionError) as error:
-            raise InputError(f"{toml}: {error!r}; a name is missing or a value of the wrong kind") from None
+            network = _Reader(tensors).network(data, f"{toml}:", "").check()
+        except InputError as error:
+            said = str(error)
+            raise InputError(said if said.startswith(str(path)) else f"{toml}: {said}") from None
         if tensors:
-            raise InputError(f"{numbers}: holds {sorted(tensors)[0]}, which {toml.name} does not name")
+            raise InputError(f"{numbers}: holds {shown(min(tensors))}, which {toml.name} does not name")
         return network
 
 
@@ -362,67 +365,95 @@ class _Flattener:
     def __init__(self, network: Network):
         self.top = network
         self.layers: dict[str, Layer] = {}
-        self.fixed: dict[str, np.ndarray] = {}  # junction -> constant it adds
         self.feeds: dict[str, list[tuple[str, int, np.ndarray | None]]] = {}
-        self.size = {p.name: p.size for p in network.inputs}
+        self.size: dict[str, int] = {}  # of each module and port of a network
+        self.columns: dict[str, int] = {}  # of each port of a layer
+        self.where = f"network {check_name(network.name, 'network')}:"
         self._collect(network, "")
         self._check_fed()
 
     def fail(self, message: str):
-        raise InputError(f"network {self.top.name}: {message}")
+        raise InputError(f"{self.where} {message}")
+
+    def _declare(self, sizes: dict[str, int], path: str, size: int, what: str) -> None:
+        """Note the size of a signal, or of a layer's port, under a name of its own."""
+        check_path(path, f"{self.where} {what}")
+        if path in sizes:
+            self.fail(f"the name {path} is used twice; rename one")
+        if not isinstance(size, Integral) or not 1 <= size <= LARGEST_SIZE:
+            self.fail(f"{what} {path}: its size {shown(size)} is not a whole number >= 1 and <= {LARGEST_SIZE}")
+        sizes[path] = int(size)
+
+    def wide(self, target: str) -> int:
+        """Size of what a connection leads to. A layer's port may bear the name of the module that feeds it."""
+        return self.columns.get(target) or self.size[target]
 
     def _collect(self, network: Network, prefix: str) -> None:
         for port in network.inputs + network.outputs:
-            numbers = (port.scale, port.offset, port.initial, port.resolution)
-            if not all(map(math.isfinite, numbers)) or port.scale == 0 or port.resolution < 0:
-                self.fail(f"port {prefix}{port.name}: scale, offset, initial, resolution must be finite, scale not 0")
-            self.size[prefix + port.name] = port.size
+            self._port(port, prefix)
         for name, module in network.modules.items():
-            path = prefix + name
-            if "__" in name or not all(part.isidentifier() for part in name.split(".")):
+            path = prefix + check_path(name, f"{self.where} module name")
+            if "__" in name:
                 self.fail(f"module name {name!r}: use letters, digits and single underscores")
             if isinstance(module, Network):
+                check_name(module.name, f"{self.where} module {path}: name")
+                check_path(path, f"{self.where} module")  # it grows as modules nest, which bounds their depth
                 self._collect(module, path + ".")
-                continue
-            if module.activation not in ACTIVATIONS:
-                self.fail(f"layer {path}: unknown activation {module.activation!r}; known: {', '.join(ACTIVATIONS)}")
-            if module.activation == "select" and module.rows % 3:
-                self.fail(f"layer {path}: select has {module.rows} rows; it needs three for each neuron")
-            for port, w in (*module.weights.items(), ("bias", module.bias), ("initial", module.initial)):
-                rows = module.size if port == "initial" else module.rows
-                if len(w) != rows:
-                    self.fail(f"layer {path}: {port} has {len(w)} rows where the layer has {rows}")
-                if not np.isfinite(w).all():
-                    self.fail(f"layer {path}: {port} holds NaN or inf; train it again or mend the file")
-            for port in module.frozen - {"bias", *module.weights}:
-                self.fail(f"layer {path}: cannot freeze {port}, there is no such port")
-            self.layers[path] = module
-            self.size[path] = module.size
-            self.size |= {f"{path}.{p}": w.shape[1] for p, w in module.weights.items()}
-        for c in network.connections:
-            source, target = (
-                self._resolve(network, prefix, c.source, True),
-                self._resolve(network, prefix, c.target, False),
+            else:
+                self._layer(module, path)
+        for connection in network.connections:
+            self._connect(connection, network, prefix)
+
+    def _port(self, port: Port, prefix: str) -> None:
+        path = prefix + check_path(port.name, f"{self.where} port")
+        self._declare(self.size, path, port.size, "port")
+        check_unit(port.unit, f"{self.where} port {path}: unit")
+        numbers = (port.scale, port.offset, port.initial, port.resolution)
+        real = all(isinstance(v, Real) and math.isfinite(v) for v in numbers)
+        if not real or port.scale == 0 or port.resolution < 0:
+            self.fail(f"port {path}: scale, offset, initial, resolution must be finite, scale not 0")
+
+    def _layer(self, layer: Layer, path: str) -> None:
+        if layer.activation not in ACTIVATIONS:
+            self.fail(f"layer {path}: unknown activation {shown(layer.activation)}; known: {', '.join(ACTIVATIONS)}")
+        if layer.activation == "select" and layer.rows % 3:
+            self.fail(f"layer {path}: select has {layer.rows} rows; it needs three for each neuron")
+        self._declare(self.size, path, layer.size, "layer")
+        for port, w in layer.weights.items():
+            if "." in check_path(port, f"{self.where} layer {path}: port") or port == "bias":
+                self.fail(f"layer {path}: a port cannot be called {port}; use letters, digits and _, not bias")
+            self._declare(self.columns, f"{path}.{port}", w.shape[1], "port")
+        for port, w in (*layer.weights.items(), ("bias", layer.bias), ("initial", layer.initial)):
+            rows = layer.size if port == "initial" else layer.rows
+            if len(w) != rows:
+                self.fail(f"layer {path}: {port} has {len(w)} rows where the layer has {rows}")
+            if not np.isfinite(w).all():
+                self.fail(f"layer {path}: {port} holds NaN or inf; train it again or mend the file")
+        for port in layer.frozen - {"bias", *layer.weights}:
+            self.fail(f"layer {path}: cannot freeze {one_line(str(port))}, there is no such port")
+        self.layers[path] = layer
+
+    def _connect(self, c: Connection, network: Network, prefix: str) -> None:
+        called = f"connection {check_path(c.source, f'{self.where} connection from')} -> "
+        called += check_path(c.target, f"{self.where} connection to")
+        source = self._resolve(network, prefix, c.source, True)
+        target = self._resolve(network, prefix, c.target, False)
+        if not isinstance(c.delay, Real) or not 0 <= c.delay <= LONGEST_DELAY or c.delay != int(c.delay):
+            self.fail(f"{called}: delay {shown(c.delay)} is not a whole number >= 0 and <= {LONGEST_DELAY}")
+        gain = None
+        if c.gain is not None:
+            gain = np.atleast_2d(np.asarray(c.gain, float))
+            if gain.size == 1 and self.wide(target) == self.size[source]:
+                gain = float(gain[0, 0]) * np.eye(self.wide(target))
+            if not np.isfinite(gain).all():
+                self.fail(f"{called}: gain holds NaN or inf")
+        have = (self.wide(target), self.size[source]) if gain is None else gain.shape
+        if have != (self.wide(target), self.size[source]) or (gain is None and have[0] != have[1]):
+            self.fail(
+                f"{called}: {self.size[source]} signals into {self.wide(target)}"
+                + (f" with a gain of {gain.shape}" if gain is not None else "; give a gain matrix")
             )
-            if not 0 <= c.delay <= LONGEST_DELAY or c.delay != int(c.delay):
-                self.fail(
-                    f"connection {c.source} -> {c.target}: delay {c.delay} is not a whole number >= 0"
-                    f" and <= {LONGEST_DELAY}"
-                )
-            gain = None
-            if c.gain is not None:
-                gain = np.atleast_2d(np.asarray(c.gain, float))
-                if gain.size == 1 and self.size[target] == self.size[source]:
-                    gain = float(gain[0, 0]) * np.eye(self.size[target])
-                if not np.isfinite(gain).all():
-                    self.fail(f"connection {c.source} -> {c.target}: gain holds NaN or inf")
-            have = (self.size[target], self.size[source]) if gain is None else gain.shape
-            if have != (self.size[target], self.size[source]) or (gain is None and have[0] != have[1]):
-                self.fail(
-                    f"connection {c.source} -> {c.target}: {self.size[source]} signals into {self.size[target]}"
-                    + (f" with a gain of {gain.shape}" if gain is not None else "; give a gain matrix")
-                )
-            self.feeds.setdefault(target, []).append((source, int(c.delay), gain))
+        self.feeds.setdefault(target, []).append((source, int(c.delay), gain))
 
     def _resolve(self, network: Network, prefix: str, name: str, is_source: bool) -> str:
         ports = network.inputs if is_source else network.outputs
@@ -481,11 +512,13 @@ class _Flattener:
                 plain[target] = (source, delay)
                 continue
             junction = target if target not in top_outputs else f"{target}_out"
+            if junction in modules:
+                self.fail(f"module {junction}: the sum at output {target} needs this name; rename it")
             weights = {}
             for i, (source, delay, gain) in enumerate(feeds):
-                weights[f"in{i}"] = a * (np.eye(self.size[target]) if gain is None else gain)
+                weights[f"in{i}"] = a * (np.eye(self.wide(target)) if gain is None else gain)
                 connections[f"{junction}.in{i}"] = (source, delay)
-            bias = np.full(self.size[target], b)
+            bias = np.full(self.wide(target), b)
             modules[junction] = Layer(weights, bias, frozen=frozenset(weights) | {"bias"})
             plain[target] = (junction, 0)
         for path in norm:
@@ -507,6 +540,9 @@ class _Flattener:
         for port in self.top.outputs:
             connections[port.name] = plain[port.name]
         traced = {target: trace_back(*feed) for target, feed in connections.items()}
+        for target, (source, delay) in traced.items():
+            if delay > LONGEST_DELAY:
+                self.fail(f"{target} reads {source} {delay} steps late in all; make it at most {LONGEST_DELAY}")
         flat = Network(
             self.top.name,
             list(self.top.inputs),
@@ -556,26 +592,64 @@ def _to_toml(network: Network) -> dict:
     return {"name": network.name, **meaning, **ports, "modules": modules, "connections": connections}
 
 
-def _from_toml(data: dict, tensors: dict[str, np.ndarray], prefix: str) -> Network:
-    network = Network(data["name"], [Port(**p) for p in data["inputs"]], [Port(**p) for p in data["outputs"]])
-    network.meaning = data.get("meaning", "")
-    for name, entry in data["modules"].items():
-        path = prefix + name
-        if "modules" in entry:
-            network.modules[name] = _from_toml(entry, tensors, path + ".")
-            continue
-        shapes = {p: (entry["rows"], n) for p, n in entry["ports"].items()} | {"bias": (entry["rows"],)}
+_PORT: dict[str, Kind] = {"name": check_path}
+_PORT_OPTIONS: dict[str, Kind] = {
+    "unit": check_unit, "scale": number, "offset": number, "size": whole(1, LARGEST_SIZE), "initial": number,
+    "resolution": number,
+}  # fmt: skip
+_CONNECTION: dict[str, Kind] = {"from": check_path, "to": check_path, "delay": whole(0, LONGEST_DELAY)}
+_LAYER: dict[str, Kind] = {
+    "activation": check_text,
+    "rows": whole(1, 3 * LARGEST_SIZE),
+    "ports": named(whole(1, LARGEST_SIZE)),
+    "initial": array,
+    "frozen": listed(check_path),
+}
+
+
+def _as_it_is(value: object, where: str) -> object:
+    return value
+
+
+class _Reader:
+    """Makes a network of what its TOML says, and takes its numbers out of `tensors`."""
+
+    def __init__(self, tensors: dict[str, np.ndarray]):
+        self.tensors = tensors
+
+    def network(self, data: object, where: str, prefix: str) -> Network:
+        ports = listed(lambda entry, where: Port(**table(entry, where, _PORT, _PORT_OPTIONS)))
+        connections = listed(lambda entry, where: table(entry, where, _CONNECTION, {"gain": array}))
+        entries = {"name": check_name, "inputs": ports, "outputs": ports, "modules": named(_as_it_is)}
+        found = table(data, where, entries | {"connections": connections}, {"meaning": check_text})
+        network = Network(found["name"], found["inputs"], found["outputs"], meaning=found.get("meaning", ""))
+        for name, entry in found["modules"].items():
+            path = check_path(prefix + name, f"{where} module")
+            place = entry_of(where, f"modules.{name}")
+            if isinstance(entry, dict) and "modules" in entry:
+                network.modules[name] = self.network(entry, place, f"{path}.")
+            else:
+                network.modules[name] = self.layer(entry, place, path)
+        for c in found["connections"]:
+            gain = c.get("gain")
+            network.connect(c["from"], c["to"], c["delay"], gain if gain is None or gain.ndim else float(gain))
+        return network
+
+    def layer(self, entry: object, where: str, path: str) -> Layer:
+        said = table(entry, where, _LAYER)
+        if "bias" in said["ports"]:
+            raise InputError(f"{where}.ports: bias is no port's name, every layer has a bias; rename the port")
         values = {}
-        for port, shape in shapes.items():
-            values[port] = tensors.pop(f"{path}.{port}", None)
-            found = None if values[port] is None else values[port].shape
-            if found != shape:
-                raise InputError(f"layer {path}: {port} should have shape {shape}, the file holds {found}")
-        bias = values.pop("bias")
-        network.modules[name] = Layer(
-            values, bias, entry["activation"], np.array(entry["initial"]), frozenset(entry["frozen"])
-        )
-    for entry in data["connections"]:
-        gain = entry.get("gain")
-        network.connect(entry["from"], entry["to"], entry["delay"], np.array(gain) if isinstance(gain, list) else gain)
-    return network
+        for port, columns in {**said["ports"], "bias": None}.items():
+            shape = (said["rows"],) if port == "bias" else (said["rows"], columns)
+            found = self.tensors.pop(f"{path}.{port}", np.zeros(0))
+            if found.shape != shape or found.dtype.kind != "f":
+                raise InputError(
+                    f"layer {path}: {port} should have shape {shape}, the file holds {found.shape} of {found.dtype}"
+                )
+            values[port] = found
+        bias, initial = values.pop("bias"), said["initial"]
+        size = said["rows"] // 3 if said["activation"] == "select" else said["rows"]
+        if initial.shape not in ((), (1,), (size,)):
+            raise InputError(f"{where}.initial has shape {initial.shape}; give {size} numbers")
+        return Layer(values, bias, said["activation"], initial, frozenset(said["frozen"]))

@@ -7,6 +7,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.models.network import Port
+from greygate.names import check_path, check_unit, one_line
 
 
 def ports(
@@ -18,12 +19,15 @@ def ports(
     """One scalar port a channel; inside stands (value - offset) / scale, and before the first step the first sample.
 
     channels: name -> (samples,), of the training recording. to: "range" gives [-1, 1] on it, "deviation" mean 0 and
-    standard deviation 1. Raises InputError for a channel that is missing, constant or not finite.
+    standard deviation 1. Raises InputError for a channel that is missing, constant or not finite, and for a name or
+    unit that a port cannot have (`greygate.names`).
     """
     found = []
     for name in names:
+        check_path(name, "port")
+        unit = check_unit(units.get(name, "1"), f"port {name}: unit")
         if name not in channels:
-            raise InputError(f"port {name}: no such channel; there are {', '.join(channels)}")
+            raise InputError(f"port {name}: no such channel; there are {one_line(', '.join(channels))}")
         x = np.asarray(channels[name], float)
         if x.size == 0 or not np.isfinite(x).all():
             raise InputError(f"port {name}: its channel is empty or holds NaN or inf; mend the recording")
@@ -36,5 +40,5 @@ def ports(
             scale, offset = float(np.std(x)), float(np.mean(x))
         else:
             raise InputError(f"port {name}: normalisation to {to!r}; choose 'range' or 'deviation'")
-        found.append(Port(name, units.get(name, "1"), scale, offset, initial=float(x[0])))
+        found.append(Port(name, unit, scale, offset, initial=float(x[0])))
     return found

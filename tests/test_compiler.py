@@ -321,10 +321,13 @@ def test_a_program_comes_back_from_its_file_the_same(tmp_path):
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda p: p.unlink(), "not a readable program"),
-        (lambda p: p.write_text(p.read_text()[:300]), "not a readable program"),
-        (lambda p: p.write_text(p.read_text().replace('"op": "affine"', '"op": "convolve"')), "not a readable program"),
-        (lambda p: p.write_text("{}"), "not a readable program"),
+        (lambda p: p.unlink(), "no such file"),
+        (lambda p: p.write_text(p.read_text()[:300]), "not a readable JSON file"),
+        (
+            lambda p: p.write_text(p.read_text().replace('"op": "affine"', '"op": "convolve"')),
+            "op 'convolve' does not exist",
+        ),
+        (lambda p: p.write_text("{}"), "name is missing; add it"),
     ],
 )
 def test_a_spoilt_program_file_is_named(tmp_path, spoil, message):

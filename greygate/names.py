@@ -1,0 +1,98 @@
+"""What may be a name, a unit, a line of text, the name of a file: decided here, for whatever a user or a file gives.
+
+Each `check_` takes what was given and where it stands, and returns it, or raises InputError in one line. What is made
+of a name afterwards (Verilog, a path, a page) escapes it once more where it leaves.
+"""
+
+import re
+import unicodedata
+
+from greygate.errors import InputError
+
+LONGEST_NAME = 100  # characters: a program's and a signal's name together still fit into a file's
+LONGEST_UNIT = 40  # characters
+LONGEST_TEXT = 500  # characters of a note, a title or a scenario
+LONGEST_FILE = 240  # characters: file systems take 255, and a temporary file's name is longer by ten
+LONGEST_SHOWN = 60  # characters of a wrong value that a message repeats
+
+_PART = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+_FILE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+_RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)  # by Windows, whatever follows the dot
+_SIGNS = frozenset(" ^*/()+-−⁺⁻.,·⋅×%‰°'′″_")  # in a unit, beside letters and digits
+_RIGHT_TO_LEFT = ("R", "AL", "AN")  # letters and digits that change the order in which what follows is shown
+
+
+def check_name(value: object, where: str) -> str:
+    """A network's or a program's name: letters a to z, digits and _; its files bear it."""
+    if not (_short(value, LONGEST_NAME) and _PART.fullmatch(value)):
+        raise InputError(
+            f"{where} {shown(value)}: a name has letters a to z, digits and _, no digit first, at most {LONGEST_NAME} "
+            "of them; rename it"
+        )
+    return check_file_name(value, where)
+
+
+def check_path(value: object, where: str) -> str:
+    """A port's, module's, signal's or table's name: as `check_name`, or several such joined by dots."""
+    if not (_short(value, LONGEST_NAME) and all(map(_PART.fullmatch, value.split(".")))):
+        raise InputError(
+            f"{where} {shown(value)}: a name has letters a to z, digits and _, no digit first, or several such words "
+            f"with a dot between, at most {LONGEST_NAME} characters; rename it"
+        )
+    return value
+
+
+def check_unit(value: object, where: str) -> str:
+    """A unit such as m/s^2, N m, 1, °C, µm or %; 1 for none."""
+    if not (_short(value, LONGEST_UNIT) and value == value.strip() and all(map(_in_unit, value))):
+        raise InputError(
+            f"{where} {shown(value)}: a unit has letters, digits and signs such as ^ * / ( ) %, at most {LONGEST_UNIT} "
+            "of them; write 1 for none"
+        )
+    return value
+
+
+def check_text(value: object, where: str) -> str:
+    """One line that people read, such as the name of a scenario: characters that can be seen, and spaces."""
+    if not (_short(value, LONGEST_TEXT) and value.isprintable()):
+        raise InputError(
+            f"{where} {shown(value)}: a text is one line of characters that can be seen, at most {LONGEST_TEXT}; "
+            "write it otherwise"
+        )
+    return value
+
+
+def check_file_name(value: object, where: str) -> str:
+    """A file's or folder's own name, without folders; every join of a name to a path asks this."""
+    plain = _short(value, LONGEST_FILE) and _FILE.fullmatch(value) and not value.endswith(".")
+    if not plain or _RESERVED.fullmatch(value):
+        raise InputError(
+            f"{where} {shown(value)}: not the name of one file on every system (letters a to z, digits, _ - and dots, "
+            "no folder); rename it"
+        )
+    return value
+
+
+def shown(value: object) -> str:
+    """A value that may be anything, on one line of a message."""
+    if not isinstance(value, str | int | float | None):
+        return f"(a {type(value).__name__})"
+    try:
+        text = repr(value[: LONGEST_SHOWN + 1] if isinstance(value, str) else value)
+    except ValueError:  # more digits than Python writes
+        return "(a huge number)"
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
+
+
+def one_line(text: str) -> str:
+    """The text with every character that cannot be seen (ends of lines, controls, marks of direction) as its escape."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def _short(value: object, longest: int) -> bool:
+    return isinstance(value, str) and 0 < len(value) <= longest
+
+
+def _in_unit(c: str) -> bool:
+    letter = unicodedata.category(c)[0] in "LN" and unicodedata.bidirectional(c) not in _RIGHT_TO_LEFT
+    return letter or c in _SIGNS
