@@ -300,8 +300,8 @@ class Program:
         for port in (*self.inputs, *self.outputs):
             if not (_is_finite(port.scale) and port.scale and _is_finite(port.offset)):
                 yield f"port {port.name}: scale {port.scale} or offset {port.offset} is not finite, or scale is 0"
-        for table in self.tables:
-            yield from _table_problems(table)
+        for t in self.tables:
+            yield from _table_problems(t)
         known = {p.signal.name for p in self.inputs} | {s.signal.name for s in self.states}
         for o in self.operations:
             for arg in self.args(o):
