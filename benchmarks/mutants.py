@@ -4,7 +4,7 @@ python benchmarks/mutants.py --jobs 2 --count 60 --seed 1 --out FILE.jsonl [--li
 
 Every mutant is one small change of one file: a comparison, an operator, a constant, a condition, a dropped statement
 or argument, min for max, an end of a range, a line of a template from which code is made. Beside those drawn stand
-twelve by name that had survived once. A mutant runs in a copy of the tree, against the test files that import what it
+some by name that had survived once. A mutant runs in a copy of the tree, against the test files that import what it
 changes, then against all others; the first failure, or three times the usual time, kills it. Results are appended to
 FILE.jsonl part by part, so a run that was stopped goes on where it was, as long as product and tests stay as they are.
 
@@ -12,11 +12,9 @@ Before, the unchanged tree passes the same commands: what fails there (a tool is
 """
 
 import argparse
-import ast
 import hashlib
 import json
 import os
-import random
 import re
 import shutil
 import signal
@@ -28,326 +26,19 @@ import tomllib
 import venv
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
-from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from threading import Event
 
-ROOT = Path(__file__).resolve().parents[1]
-AREAS = {
-    "compiler": "compiler/*.py",
-    "emulator": "emulator/*.py",
-    "kernels": "models/kernels.py",
-    "fit": "mismatch/fit.py",
-    "selection": "mismatch/selection.py",
-    "simulate": "plants/simulate.py",
-}
-TEMPLATES = ("emulator/specialised.py", "plants/simulate.py", "compiler/folded.py", "compiler/parallel.py")
-TOLD = {"say", "print", "progress", "notes"}  # what is only told to the user
+from mutations import ROOT, Mutant, drawn, named
+
 SKIPPED = {".git", ".venv", ".hypothesis", ".pytest_cache", ".ruff_cache", "build", "demo", "hardware", "__pycache__"}
+PRODUCT = ("greygate", "models", "compiler", "emulator", "rtl", "plants", "mismatch")
 PART = 60.0  # s of test files that run in one process
 SLOW = 3.0  # times the usual duration kill a mutant
 SLACK = 60.0  # s beside that, in which numba compiles anew
 WANTED = 0.9  # share of mutants that must be killed
 
-
-@dataclass(frozen=True)
-class Mutant:
-    """One change: `old` at byte `start` of a file becomes `new`. name: of one of the twelve, else where and what."""
-
-    file: str
-    start: int
-    old: str
-    new: str
-    name: str
-
-    @property
-    def key(self) -> str:
-        return hashlib.sha256(repr((self.file, self.start, self.old, self.new)).encode()).hexdigest()[:12]
-
-    def text(self, source: bytes) -> bytes:
-        old = self.old.encode()
-        assert source[self.start : self.start + len(old)] == old, self
-        return source[: self.start] + self.new.encode() + source[self.start + len(old) :]
-
-
-NAMED = {  # what it is: (file, old, new); old stands there once
-    "formats without their margin": (
-        "compiler/quantize.py",
-        "r.magnitude * self.formats.margin, max(",
-        "r.magnitude, max(",
-    ),
-    "the mean of what rounded weights cost is not made up for": (
-        "compiler/quantize.py",
-        "bias += (w - codes * 2.0**-own) @ self.ranges[_origin(signal.name)].mean",
-        "bias += 0.0",
-    ),
-    "memory by 1/(1 - a)": ("compiler/quantize.py", "return 1 / (1 - pole**2)", "return 1 / (1 - pole)"),
-    "accumulators without the rounding constant": (
-        "emulator/program.py",
-        "signed_width(int(m) + h)",
-        "signed_width(int(m))",
-    ),
-    "a hard limit of slope 1": (
-        "models/kernels.py",
-        "if activation in (HARDLIM, HARDLIMS):\n        return 0.0, o",
-        "if activation in (HARDLIM, HARDLIMS):\n        return 1.0, o",
-    ),
-    "a held-out tail counts what its record skips": (
-        "models/problem.py",
-        "skip=max(h, r.skip)",
-        "skip=h",
-    ),
-    "intervals as if errors were white": ("mismatch/fit.py", "return _larger(robust, white)", "return white"),
-    "an effect is taken though held-out blocks fit worse": (
-        "mismatch/selection.py",
-        " or fit.held_out() > current.held_out():",
-        ":",
-    ),
-    "a rate goes on at the lower bound": (
-        "plants/simulate.py",
-        "x[rate[j]] = max(x[rate[j]], 0.0)",
-        "x[rate[j]] = x[rate[j]]",
-    ),
-    "a rate may grow outward at the lower bound": (
-        "plants/simulate.py",
-        "(x[j] <= low[j] and dx[moved] < 0.0) or ",
-        "",
-    ),
-    "NAME_layer clashes unseen": (
-        "compiler/verilog.py",
-        'for used in (name, f"{name}_layer"):',
-        "for used in (name,):",
-    ),
-    "a sensor's reading is not inverted": ("mismatch/model.py", "range(3 if channel in", "range(0 if channel in"),
-    "exact sums are centred too": (
-        "compiler/centre.py",
-        "return bool((powers & (powers - 1) == 0).all()) and not operation.bias.any()",
-        "return False",
-    ),
-}
-
-
-def named() -> list[Mutant]:
-    found = []
-    for name, (file, old, new) in NAMED.items():
-        source = (ROOT / file).read_bytes()
-        if source.count(old.encode()) != 1:
-            print(f"{name}: its text is no more in {file}; it is left out")
-            continue
-        found.append(Mutant(file, source.index(old.encode()), old, new, name))
-    return found
-
-
-# -- drawing ----------------------------------------------------------------------------------------------------------
-
-COMPARED = {"<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "==", "in": "not in", "not in": "in"} | {
-    "is": "is not",
-    "is not": "is",
-}
-COMPUTED = {"+": "-", "-": "+", "*": "/", "/": "*", "**": "*", "//": "*", "%": "*", "<<": ">>", ">>": "<<"} | {
-    "&": "|",
-    "|": "&",
-}
-WRITTEN = [  # in templates: what, by what
-    (r" \+ ", " - "),
-    (r" - ", " + "),
-    (r" \* ", " + "),
-    (r" < ", " <= "),
-    (r" > ", " >= "),
-    (r" >= ", " > "),
-    (r" == ", " != "),
-    (r" != ", " == "),
-    (r" \+= ", " -= "),
-    (r"<< ", ">> "),
-    (r">> ", "<< "),
-    (r"\bmin\(", "max("),
-    (r"\bmax\(", "min("),
-    (r"\b0\.0\b", "1.0"),
-    (r"\b1\b(?!/)", "2"),
-    (r"\b5/", "6/"),
-]
-PYTHON_WRITTEN = [(r" <= ", " < "), (r"\band\b", "or"), (r"\bor\b", "and")]  # in Verilog "<=" assigns
-
-
-class Draw:
-    """Every mutant of one file."""
-
-    def __init__(self, file: str):
-        self.file, self.source = file, (ROOT / file).read_bytes()
-        lines = self.source.splitlines(keepends=True)
-        self.starts = [0]
-        for line in lines:
-            self.starts.append(self.starts[-1] + len(line))
-        self.found: list[Mutant] = []
-        self.visit(ast.parse(self.source), set())
-
-    def at(self, node: ast.AST) -> tuple[int, int]:
-        return (
-            self.starts[node.lineno - 1] + node.col_offset,
-            self.starts[node.end_lineno - 1] + node.end_col_offset,
-        )
-
-    def add(self, start: int, end: int, new: str, what: str) -> None:
-        old = self.source[start:end].decode()
-        line = self.source.count(b"\n", 0, start) + 1
-        shown = [" ".join(text.split()) for text in (old, new)]
-        shown = [text if len(text) <= 60 else text[:57] + "..." for text in shown]
-        mutant = Mutant(self.file, start, old, new, f"{self.file}:{line} {what}: {shown[0]} -> {shown[1]}")
-        try:
-            ast.parse(mutant.text(self.source))
-        except SyntaxError:
-            return
-        self.found.append(mutant)
-
-    def replace(self, node: ast.AST, new: str, what: str) -> None:
-        self.add(*self.at(node), new, what)
-
-    def between(self, left: ast.AST, right: ast.AST, table: dict[str, str], what: str) -> None:
-        """Exchange the operator that stands between two nodes."""
-        start, end = self.at(left)[1], self.at(right)[0]
-        text = self.source[start:end].decode()
-        match = re.search(r"not\s+in\b|is\s+not\b|\bin\b|\bis\b|\*\*|//|<<|>>|[<>=!]=|[-+*/%<>&|]", text)
-        new = match and table.get(" ".join(match.group().split()))
-        if new:
-            first = start + len(text[: match.start()].encode())
-            self.add(first, first + len(match.group().encode()), new, what)
-
-    def visit(self, node: ast.AST, assigned: set[str]) -> None:
-        """Collect the mutants of a node and of what is in it; `assigned`: names that have a value here already."""
-        match node:
-            case ast.Raise() | ast.Import() | ast.ImportFrom() | ast.Assert():
-                return
-            case ast.FunctionDef(name="__repr__" | "__str__"):
-                return
-            case ast.FunctionDef():
-                self.body(node.body, {a.arg for a in ast.walk(node.args) if isinstance(a, ast.arg)})
-                return
-            case ast.ClassDef():
-                self.body(node.body, set())
-                return
-            case ast.Yield(value=ast.JoinedStr() | ast.Constant()):
-                return  # a message
-            case ast.JoinedStr():
-                self.template(node)
-                return
-            case ast.Constant(value=str()):
-                self.template(node)
-            case ast.Constant(value=bool(value)):
-                self.replace(node, str(not value), "constant")
-            case ast.Constant(value=int(value) | float(value)):
-                for new in {value + 1, value - 1, type(value)(0)} - {value}:
-                    self.replace(node, repr(new) if new >= 0 else f"({new!r})", "constant")
-            case ast.Compare():
-                for left, right in zip([node.left, *node.comparators], node.comparators, strict=False):
-                    self.between(left, right, COMPARED, "comparison")
-            case ast.BinOp():
-                sides = (ast.JoinedStr, ast.List, ast.Tuple)
-                texts = any(isinstance(s, sides) or _is_text(s) for s in (node.left, node.right))
-                if not texts:
-                    self.between(node.left, node.right, COMPUTED, "operator")
-            case ast.BoolOp():
-                other = {"and": "or", "or": "and"}
-                for left, right in zip(node.values, node.values[1:], strict=False):
-                    start, end = self.at(left)[1], self.at(right)[0]
-                    word = re.search(rb"\b(and|or)\b", self.source[start:end])
-                    if word:
-                        self.add(start + word.start(), start + word.end(), other[word.group().decode()], "logic")
-            case ast.UnaryOp(op=ast.Not() | ast.USub()):
-                self.add(self.at(node)[0], self.at(node.operand)[0], "", "sign or negation dropped")
-            case ast.If() | ast.IfExp() | ast.While():
-                text = self.source[slice(*self.at(node.test))].decode()
-                self.replace(node.test, f"(not ({text}))", "condition")
-            case ast.Call():
-                self.call(node)
-            case ast.Return(value=ast.BinOp() | ast.Call() | ast.Name()):
-                self.replace(node.value, "None", "answer dropped")
-        for field, value in ast.iter_fields(node):
-            if field == "annotation":
-                continue
-            if field in ("body", "orelse", "finalbody") and isinstance(value, list):
-                self.body(value, assigned)
-            else:
-                for child in value if isinstance(value, list) else [value]:
-                    if isinstance(child, ast.AST):
-                        self.visit(child, assigned)
-
-    def body(self, statements: list[ast.stmt], assigned: set[str]) -> None:
-        for k, s in enumerate(statements):
-            if k == 0 and isinstance(s, ast.Expr) and _is_text(s.value):
-                continue  # docstring
-            if isinstance(s, ast.Expr) and isinstance(s.value, ast.Call):
-                if _called(s.value) in TOLD:
-                    continue
-                self.replace(s, "pass", "statement dropped")
-            elif isinstance(s, ast.AugAssign | ast.Continue | ast.Break):
-                self.replace(s, "pass", "statement dropped")
-            elif isinstance(s, ast.Assign):
-                if any(isinstance(t, ast.Subscript) and "notes" in ast.unparse(t) for t in s.targets):
-                    continue
-                names = {n.id for t in s.targets for n in ast.walk(t) if isinstance(n, ast.Name)}
-                if names and (names <= assigned or not all(isinstance(t, ast.Name | ast.Tuple) for t in s.targets)):
-                    self.replace(s, "pass", "statement dropped")
-                assigned |= names
-            self.visit(s, assigned)
-
-    def call(self, node: ast.Call) -> None:
-        name = _called(node)
-        other = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum"}
-        other |= {"floor": "ceil", "ceil": "floor", "any": "all", "all": "any"}
-        if name in other:
-            end = self.at(node.func)[1]
-            self.add(end - len(name), end, other[name], "function")
-        if name == "range":
-            text = self.source[slice(*self.at(node.args[-1]))].decode()
-            self.replace(node.args[-1], f"({text}) - 1", "range")
-            if len(node.args) > 1:
-                text = self.source[slice(*self.at(node.args[0]))].decode()
-                self.replace(node.args[0], f"({text}) + 1", "range")
-        for k in node.keywords:
-            if k.arg not in (None, "strict", "default"):
-                start, end = self.at(k)
-                rest = re.match(rb"\s*,\s*", self.source[end:])
-                self.add(start, end + (rest.end() if rest else 0), "", "argument dropped")
-
-    def template(self, node: ast.Constant | ast.JoinedStr) -> None:
-        """Changes of code that stands in a string."""
-        if self.file not in TEMPLATES:
-            return
-        begin, end = self.at(node)
-        text = self.source[begin:end].decode()
-        for old, new in WRITTEN + ([] if self.file.startswith("compiler") else PYTHON_WRITTEN):
-            for match in re.finditer(old, text):
-                line = text[text.rfind("\n", 0, match.start()) + 1 : match.start()]
-                if not re.search(r'"""|//|#|import', line):
-                    start = begin + len(text[: match.start()].encode())
-                    self.add(start, start + len(match.group().encode()), new, "template")
-
-
-def _is_text(node: ast.AST) -> bool:
-    return isinstance(node, ast.Constant) and isinstance(node.value, str)
-
-
-def _called(node: ast.Call) -> str:
-    return getattr(node.func, "attr", getattr(node.func, "id", ""))
-
-
-def drawn(count: int, seed: int) -> list[Mutant]:
-    """`count` mutants, as many from every area, no two on one line."""
-    rng = random.Random(seed)
-    areas = []
-    for pattern in AREAS.values():
-        lines: dict[str, list[Mutant]] = {}
-        for path in sorted(ROOT.glob(pattern)):
-            for m in Draw(path.relative_to(ROOT).as_posix()).found:
-                lines.setdefault(m.name.partition(" ")[0], []).append(m)
-        shuffled = sorted(lines)
-        rng.shuffle(shuffled)
-        areas.append([rng.choice(sorted(lines[line], key=lambda m: m.key)) for line in shuffled])
-    ranks = max(map(len, areas), default=0)
-    return [area[k] for k in range(ranks) for area in areas if k < len(area)][:count]
-
-
-# -- running ----------------------------------------------------------------------------------------------------------
 
 FINDER = '''"""Finds greygate's packages in the tree that GREYGATE_TREE names, as an editable install would."""
 import importlib.util, os, sys
@@ -488,32 +179,50 @@ class Bench:
         finally:
             shutil.rmtree(tree, ignore_errors=True)
         outcome = "timeout" if code is None else "passed" if code in (0, 5) else "killed"
-        return {"outcome": outcome, "by": failed[:1], "seconds": round(time.monotonic() - began, 1)}
+        by = failed[:1] or [f"exit code {code}"] * (outcome == "killed")
+        return {"outcome": outcome, "by": by, "seconds": round(time.monotonic() - began, 1)}
 
 
-def parts(mutant: Mutant, seconds: dict[str, float], prime: Path) -> list[list[str]]:
-    """Test files in portions: those that import what is changed, then those that import its package, then all."""
-    package, module = Path(mutant.file).parts[0], Path(mutant.file).stem
+@cache
+def importing(path: Path, module: str) -> bool:
+    package, _, name = module.rpartition(".")
+    return bool(re.search(rf"{re.escape(module)}\b|from {re.escape(package)} import .*\b{name}\b", path.read_text()))
 
-    def far(file: str) -> int:
-        text = (prime / file).read_text()
-        if re.search(rf"greygate\.{package}\.{module}\b|greygate\.{package} import .*\b{module}\b", text):
-            return 0
-        return 1 if f"greygate.{package}" in text else 2
 
+def dotted(path: Path) -> str:
+    """The module of a source file."""
+    name = path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".")
+    return name if name.startswith("greygate.") else f"greygate.{name}"
+
+
+@cache
+def nearness(file: str) -> dict[str, int]:
+    """Of every test file to a source file: 0 imports it, 1 imports what imports it, 2 neither."""
+    changed = dotted(ROOT / file)
+    above = [dotted(p) for f in PRODUCT for p in (ROOT / f).rglob("*.py") if importing(p, changed)]
+    near = {}
+    for path in (ROOT / "tests").glob("test_*.py"):
+        near[path.relative_to(ROOT).as_posix()] = (
+            0 if importing(path, changed) else 1 if any(importing(path, m) for m in above) else 2
+        )
+    return near
+
+
+def parts(mutant: Mutant, seconds: dict[str, float]) -> list[list[str]]:
+    """Test files in portions, the nearest and quickest first."""
+    near = nearness(mutant.file)
     found: list[list[str]] = [[]]
-    for file in sorted(seconds, key=lambda f: (far(f), seconds[f])):
+    for file in sorted(seconds, key=lambda f: (near[f], seconds[f])):
         if found[-1] and sum(seconds[f] for f in found[-1]) + seconds[file] > PART:
             found.append([])
         found[-1].append(file)
     return found
 
 
-def digest(files: list[str]) -> str:
+def digest() -> str:
     """Of product and tests: results of others do not count."""
     told = hashlib.sha256()
-    folders = ("greygate", "models", "compiler", "emulator", "rtl", "plants", "mismatch")
-    paths = [p for f in folders for p in (ROOT / f).rglob("*.py")] + list((ROOT / "tests").glob("*.py"))
+    paths = [p for f in PRODUCT for p in (ROOT / f).rglob("*.py")] + list((ROOT / "tests").glob("*.py"))
     for path in sorted(paths):
         told.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
     return told.hexdigest()[:12]
@@ -547,7 +256,7 @@ def run(bench: Bench, mutants: list[Mutant], seconds: dict[str, float], results:
     """All mutants against their nearest tests, then those that live on against the next, and so on."""
 
     def waiting() -> Iterator[tuple[Mutant, list[str]]]:
-        queues = {m: parts(m, seconds, bench.prime) for m in mutants}
+        queues = {m: parts(m, seconds) for m in mutants}
         for k in range(max(map(len, queues.values()), default=0)):
             for m in mutants:
                 part = [f for f in queues[m][k] if f not in results.passed(m)] if k < len(queues[m]) else []
@@ -630,8 +339,8 @@ def main() -> int:
         print("\n".join(f"{m.key} {m.name}" for m in mutants))
         return 0
     files = given.tests or [p.relative_to(ROOT).as_posix() for p in sorted((ROOT / "tests").glob("test_*.py"))]
-    tree = digest(files)
-    work = given.work or Path(tempfile.gettempdir()) / f"greygate-mutants-{tree}"
+    tree = digest()
+    work = (given.work or Path(tempfile.gettempdir())) / f"greygate-mutants-{tree}"
     work.mkdir(parents=True, exist_ok=True)
     bench = Bench(work.resolve(), given.wheels, until)
     try:
@@ -639,9 +348,10 @@ def main() -> int:
     except Stopped:
         print("stopped before the unchanged tree was through; give it more time")
         return 1
+    slowest = ", ".join(f"{f} {seconds[f]:.0f} s" for f in sorted(seconds, key=seconds.get)[-3:])
     print(
         f"unchanged: {len(seconds)} of {len(files)} test files, {sum(seconds.values()):.0f} s; "
-        f"{len(bench.left_out)} tests left out, which fail here anyway"
+        f"{len(bench.left_out)} tests left out, which fail here anyway; slowest {slowest}"
     )
     results = Results(given.out, tree)
     run(bench, mutants, seconds, results, given.jobs)
