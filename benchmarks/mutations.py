@@ -110,10 +110,11 @@ def named() -> list[Mutant]:
     return found
 
 
-COMPARED = {"<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "==", "in": "not in", "not in": "in"} | {
+NEGATED = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "==", "in": "not in", "not in": "in"} | {
     "is": "is not",
     "is not": "is",
 }
+BOUNDARY = {"<": "<=", "<=": "<", ">": ">=", ">=": ">"}  # of whole numbers; measured ones are never equal
 COMPUTED = {"+": "-", "-": "+", "*": "/", "/": "*", "**": "*", "//": "*", "%": "*", "<<": ">>", ">>": "<<"} | {
     "&": "|",
     "|": "&",
@@ -209,7 +210,9 @@ class Draw:
                     self.replace(node, repr(new) if new >= 0 else f"({new!r})", "constant")
             case ast.Compare():
                 for left, right in zip([node.left, *node.comparators], node.comparators, strict=False):
-                    self.between(left, right, COMPARED, "comparison")
+                    self.between(left, right, NEGATED, "comparison")
+                    if _is_whole(left) or _is_whole(right):
+                        self.between(left, right, BOUNDARY, "comparison")
             case ast.BinOp():
                 sides = (ast.JoinedStr, ast.List, ast.Tuple)
                 texts = any(isinstance(s, sides) or _is_text(s) for s in (node.left, node.right))
@@ -295,6 +298,16 @@ class Draw:
 
 def _is_text(node: ast.AST) -> bool:
     return isinstance(node, ast.Constant) and isinstance(node.value, str)
+
+
+def _is_whole(node: ast.AST) -> bool:
+    """A whole number, as far as its text tells."""
+    match node:
+        case ast.Constant(value=value):
+            return type(value) is int
+        case ast.Call():
+            return _called(node) == "len"
+    return isinstance(node, ast.Attribute) and node.attr in ("size", "width", "frac", "lo", "hi", "shift", "samples")
 
 
 def _called(node: ast.Call) -> str:
