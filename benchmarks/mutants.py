@@ -287,7 +287,7 @@ def run(bench: Bench, mutants: list[Mutant], seconds: dict[str, float], results:
             bench.stop.set()
 
 
-def summary(mutants: list[Mutant], results: Results, seconds: dict[str, float]) -> dict:
+def summary(mutants: list[Mutant], results: Results, seconds: dict[str, float]) -> list[dict]:
     """What is known of every mutant: killed and by what, survived, or unfinished."""
     told = []
     for m in mutants:
@@ -295,15 +295,22 @@ def summary(mutants: list[Mutant], results: Results, seconds: dict[str, float]) 
         whole = set(seconds) <= results.passed(m)
         outcome = killer["outcome"] if killer else "survived" if whole else "unfinished"
         told.append({"mutant": m.name, "outcome": outcome} | ({"by": killer["by"]} if killer else {}))
-    return {"mutants": told}
+    return told
 
 
-def report(content: dict, path: Path | None, head: dict) -> bool:
+def report(content: list[dict], path: Path | None, head: dict) -> bool:
     """Print what came out, and write it, the reasons that a person gave in the file before kept. True if it will do."""
+
+    def known(name: str) -> str:
+        return re.sub(r":\d+ ", " ", name, count=1)  # lines move
+
     reasons = {}
     if path and path.exists():
-        reasons = {e["mutant"]: e["reason"] for e in json.loads(path.read_text())["mutants"] if "reason" in e}
-    entries = [e | ({"reason": reasons[e["mutant"]]} if e["mutant"] in reasons else {}) for e in content["mutants"]]
+        reasons = {known(e["mutant"]): e["reason"] for e in json.loads(path.read_text())["mutants"] if "reason" in e}
+    entries = []
+    for e in content:
+        why = reasons.get(known(e["mutant"])) if e["outcome"] in ("survived", "unfinished") else None
+        entries.append(e | ({"reason": why} if why else {}))
     by = {o: [e for e in entries if e["outcome"] == o] for o in ("killed", "timeout", "survived", "unfinished")}
     dead = len(by["killed"]) + len(by["timeout"])
     for e in by["survived"] + by["unfinished"]:

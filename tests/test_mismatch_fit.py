@@ -348,3 +348,21 @@ def test_the_first_quarter_second_counts_for_nothing_where_a_state_has_no_sensor
     assert not counted[:25].any()
     assert counted[25:].all()
     assert p.count == 275
+
+
+def test_the_cost_of_a_fit_counts_how_far_it_strays_from_the_data_sheet(folder):
+    p = problem(folder, None)
+    strict = [Unknown("mass", 20.0, 1.0, 0.001), Unknown("viscous", 300.0, 30.0, 1.0), Unknown("stiffness", 0.0, 50.0)]
+    fit = p.fit(strict)
+    strayed = np.sum(np.array([1e6, 1.0, 0.0]) * fit.numbers**2)
+    assert strayed > 1.0
+    assert fit.cost == pytest.approx(np.sum(fit.errors**2) + strayed, rel=1e-9)
+
+
+@pytest.mark.parametrize("start", [{"stiffness": 2000.0}, {"viscous": 3.0, "stiffness": 2000.0}])
+def test_a_fit_that_begins_far_away_comes_back_by_shorter_steps(folder, start):
+    p = problem(folder, None)
+    with np.errstate(over="ignore", invalid="ignore"):  # full steps diverge
+        fit = p.fit(unknowns(), start, iterations=60)
+    assert fit.converged
+    assert fit.cost == pytest.approx(p.fit(unknowns()).cost, abs=0.5)

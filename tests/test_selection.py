@@ -50,11 +50,13 @@ def test_an_effect_is_taken_for_its_evidence_and_for_blocks_it_did_not_learn_fro
     assert best == (DRIFT if taken else NOTHING)
 
 
-@pytest.mark.parametrize(("held", "taken"), [(900.0, True), (1100.0, False)])
-def test_so_is_a_pair(chosen, monkeypatch, held, taken):
+@pytest.mark.parametrize(
+    ("cost", "held", "taken"), [(100.0, 900.0, True), (100.0, 1100.0, False), (1000.0 - EVIDENCE + 1, 900.0, False)]
+)
+def test_so_is_a_pair(chosen, monkeypatch, cost, held, taken):
     both = Hypothesis(("drift", "slip"))
     chosen.search.pairs = lambda *_: [SimpleNamespace(hypothesis=both, values={})]
-    monkeypatch.setattr(chosen, "fit", lambda *_, **__: (fit(100.0, held), True))
+    monkeypatch.setattr(chosen, "fit", lambda *_, **__: (fit(cost, held), True))
     best, _ = chosen.paired(NOTHING, chosen.plain, chosen.plain)
     assert best == (both if taken else NOTHING)
 
@@ -133,6 +135,7 @@ def test_slow_errors_are_structure_unless_they_are_small_and_the_cost_is_that_of
     assert not whole(left(white + 0.5 * steps, 0.99 * white.size))
     less = white * 0.1  # errors below the sensors' own are none
     assert structure(left(less + 0.1 * steps, 1.0))["x"] < 0.0
+    assert structure(left(3.0 * white, 1.0))["x"] == pytest.approx(0.0, abs=0.15)  # larger, but as white
     assert structure(left(np.vstack([white, np.zeros((4000, 100))]), 1.0))["x"] == pytest.approx(0.0, abs=0.15)
 
 
@@ -198,3 +201,24 @@ def test_a_second_effect_stays_where_it_explains_a_share_of_its_own(chosen, monk
         chosen.add(both, two := fit(cost))
         chosen.costs[both] = cost
         assert chosen.backward(both, two)[0] == taken
+
+
+def test_over_the_same_windows_a_rival_that_gave_up_near_the_best_is_fitted_to_its_end(chosen, monkeypatch):
+    def made(cost: float, converged: bool):
+        return SimpleNamespace(cost=cost, converged=converged, values={}, shifts=None, unknowns=("k",))
+
+    chosen.search.effects = {e.key: e for e in map(effect, ("drift", "slip", "creep", "mass"))}
+    creep, mass = Hypothesis(("creep",)), Hypothesis(("mass",))
+    for h, cost, converged in ((DRIFT, 100.0, True), (SLIP, 150.0, False), (creep, 250.0, False), (mass, 150.0, True)):
+        chosen.add(h, made(cost, converged))
+    chosen.problem.count = 100
+    asked = []
+
+    def fitted(hypothesis, *_):
+        asked.append(hypothesis)
+        chosen.add(hypothesis, made(60.0, True))
+
+    monkeypatch.setattr(chosen, "fit", fitted)
+    longer, best, found = chosen.over(chosen.problem, DRIFT, chosen.fits[DRIFT])
+    assert asked == [SLIP]  # a tenth of what the best saves is 90
+    assert (longer, best, found.cost) == (chosen, SLIP, 60.0)
