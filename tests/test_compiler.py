@@ -18,7 +18,8 @@ from greygate.compiler.simplify import merge_linear, multiplications, simplify
 from greygate.compiler.tables import FUNCTIONS, make_table
 from greygate.emulator.engine import run
 from greygate.emulator.interpreter import fit, interpret, lookup, round_shift
-from greygate.emulator.program import Affine, Fix, Overflow, Program, Rounding
+from greygate.emulator.program import Affine, Fix, Overflow, Program, Rounding, Signal
+from greygate.emulator.program import Port as ProgramPort
 from greygate.errors import InputError
 from greygate.models.blocks import feedforward, flow_record
 from greygate.models.network import Layer, Network, Port
@@ -380,3 +381,70 @@ def test_a_network_that_diverges_on_a_scenario_is_refused():
     network.connect("s", "y")
     with pytest.raises(InputError, match="diverges on scenario v1"):
         compile_network(network, {"v1": Record({"u": np.ones(50)}, {"y": np.ones(50)})})
+
+
+# ---- what the formats and biases are worth
+
+
+def summing(weights: np.ndarray) -> Network:
+    """y = weights @ u."""
+    network = Network("summing", [Port("u", size=weights.size)], [Port("y")])
+    network.add("sum", Layer({"u": weights.reshape(1, -1)}, [0.0]))
+    network.connect("u", "sum.u")
+    network.connect("sum", "y")
+    return network
+
+
+def test_a_sum_may_go_a_fifth_beyond_its_record_without_saturation():
+    network, rng = summing(np.ones(2)), np.random.default_rng(0)
+    one = rng.uniform(-0.95, 0.95, 400)
+    seen = {"u": np.column_stack([one, np.clip(0.95 * np.sign(one) - one, -0.5, 0.5)])}  # never beyond 0.95
+    found = ranges(network, [Record(seen, network.run(seen))])
+    assert found["sum"].magnitude < 1.0
+    program = quantize(network, found, Formats(12))
+    more = {"u": np.array([[0.9, 0.24], [-0.9, -0.24]])}
+    got = interpret(program, program.encode(more))
+    assert not any(got.saturations.values())
+    np.testing.assert_allclose(program.decode(got.outputs)["y"], [1.14, -1.14], atol=2.0**-9)
+
+
+def test_what_rounded_weights_cost_on_average_is_in_the_bias():
+    lsb = 2.0**-6  # of weights near one in 8 bits
+    network = summing(0.5 + 0.4 * lsb * np.ones(8))  # all rounded down
+    rng = np.random.default_rng(0)
+    inputs = {"u": 0.8 + 0.1 * rng.uniform(-1, 1, (500, 8))}
+    record = Record(inputs, network.run(inputs))
+    program = quantize(network, ranges(network, [record]), Formats(8))
+    assert abs(fixed_error(program, record)["y"].mean()) < 0.25 * program.signals["sum"].fix.lsb
+
+
+@pytest.mark.parametrize("pole", [0.3, 0.9, -0.99])
+def test_memory_is_by_how_much_a_loop_raises_the_variance_of_its_rounding(pole):
+    answer = pole ** np.arange(5000)  # to one rounding, in all later steps
+    assert memory([np.array([[pole]])]) == pytest.approx(np.sum(answer**2), rel=1e-9)
+
+
+def test_an_accumulator_holds_its_largest_sum_with_the_constant_that_rounds_it():
+    def rounded(weight: int, bias: int, shift: int, argument: Fix) -> Program:
+        u, out = Signal("u", 1, argument), Signal("y", 1, Fix(16, 0))
+        arrays = np.array([[weight]]), np.array([bias]), np.array([shift])
+        return Program("rounded", (ProgramPort("u", u, "1", 1.0, 0.0),), (), (Affine(out, ("u",), *arrays),), ())
+
+    p = rounded(1, 127, 7, Fix(8, 0))  # at most 128 + 127, which 9 bits hold, and 64 to round
+    width = p.accumulator_width(p.operations[0])
+    assert 2 ** (width - 1) > 128 + 127 + 64
+    rounded(2**30, 0, 30, Fix(31, 0)).check()
+    with pytest.raises(InputError, match="needs 63 bits"):
+        rounded(2**31 - 1, 2**31 - 1, 31, Fix(31, 0)).check()  # 2^61 - 1: 62 bits, but for the 2^30 that round it
+
+
+def test_centring_leaves_an_exact_difference_alone():
+    network = summing(np.array([1.0, -1.0]))
+    lsb = 2.0**-7
+    off = {"u": np.tile([0.5 + 0.4 * lsb, 0.25 - 0.4 * lsb], (200, 1))}  # inputs between codes, always on the same side
+    off["u"][:2] = [[-0.9, 0.9], [0.9, -0.9]]
+    record = Record(off, network.run(off))
+    program = centre_biases(quantize(network, ranges(network, [record]), Formats(8)), network, [record])
+    assert program.signals["u"].fix.lsb == lsb
+    equal = {"u": np.repeat(np.linspace(-0.9, 0.9, 19)[:, None], 2, axis=1)}
+    np.testing.assert_array_equal(interpret(program, program.encode(equal)).outputs, 0)

@@ -287,3 +287,20 @@ def test_a_damaged_source_in_the_cache_is_written_anew(tmp_path, monkeypatch):
     with open(path, "w") as file:
         file.write("raise RuntimeError")
     assert callable(_module(text).run)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_slide_driven_against_either_stop_rests_there_and_leaves_it_at_once(side):
+    """What flows as fast as it moves stands still there too, within every step."""
+    plain = oscillator()
+    states = plain.states | {"q": State("m")}
+    equations = plain.equations | {"flow": Equation("q", {"sweep": "v"})}
+    plant = oscillator(states=states, equations=equations, outputs=("x", "v", "q"))
+    run = simulate(plant, {"force": side * np.repeat([200.0, -200.0], [400, 20])})
+    resting = run["x"] == side
+    first = int(resting.argmax())
+    assert 100 < first < 390
+    assert resting[first:400].all()
+    np.testing.assert_array_equal(run["v"][first:401], 0.0)
+    np.testing.assert_array_equal(run["q"][first:401], run["q"][first])
+    assert not resting[402:].any()

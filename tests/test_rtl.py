@@ -298,3 +298,13 @@ def test_a_missing_compiler_is_named(tmp_path, monkeypatch):
     with pytest.raises(InputError, match=r"g\+\+ was not found"):
         verify(p, tmp_path / "out", {"s": scenario(p)})
     assert not (tmp_path / "out").exists()
+
+
+def test_a_signal_called_as_the_instance_of_another_is_refused(tmp_path):
+    """The module of `sum` stands in the top as `sum_layer`."""
+    fix = Fix(8, 4)
+    operations = [affine(Signal("sum", 1, fix), "u", 1, 0, 4), affine(Signal("sum_layer", 1, fix), "sum", 1, 0, 4)]
+    for order in (operations, [replace(operations[1], args=("u",)), operations[0]]):
+        with pytest.raises(InputError, match=r"its name in Verilog is also that of sum(_layer)?; rename one"):
+            emit(program("named", [Signal("u", 1, fix)], order), tmp_path / "new")
+    assert not (tmp_path / "new").exists()

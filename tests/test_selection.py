@@ -7,8 +7,8 @@ import pytest
 
 from greygate.mismatch import selection
 from greygate.mismatch.effects import Effect, Free
-from greygate.mismatch.search import Hypothesis
-from greygate.mismatch.selection import EVIDENCE, Selection, forms, possible
+from greygate.mismatch.search import Hypothesis, Score
+from greygate.mismatch.selection import EVIDENCE, FLOOR, Selection, alternatives, forms, possible, structure, whole
 
 NOTHING, DRIFT, SLIP = Hypothesis(), Hypothesis(("drift",)), Hypothesis(("slip",))
 
@@ -50,11 +50,13 @@ def test_an_effect_is_taken_for_its_evidence_and_for_blocks_it_did_not_learn_fro
     assert best == (DRIFT if taken else NOTHING)
 
 
-@pytest.mark.parametrize(("held", "taken"), [(900.0, True), (1100.0, False)])
-def test_so_is_a_pair(chosen, monkeypatch, held, taken):
+@pytest.mark.parametrize(
+    ("cost", "held", "taken"), [(100.0, 900.0, True), (100.0, 1100.0, False), (1000.0 - EVIDENCE + 1, 900.0, False)]
+)
+def test_so_is_a_pair(chosen, monkeypatch, cost, held, taken):
     both = Hypothesis(("drift", "slip"))
     chosen.search.pairs = lambda *_: [SimpleNamespace(hypothesis=both, values={})]
-    monkeypatch.setattr(chosen, "fit", lambda *_, **__: (fit(100.0, held), True))
+    monkeypatch.setattr(chosen, "fit", lambda *_, **__: (fit(cost, held), True))
     best, _ = chosen.paired(NOTHING, chosen.plain, chosen.plain)
     assert best == (both if taken else NOTHING)
 
@@ -92,3 +94,131 @@ def test_what_diverged_lies_on_a_bound_or_is_another_waves_overtone_is_not_possi
     assert not possible(search, named, fit(np.inf, **good))
     assert not possible(search, named, fit(1.0, **good | {"size": 0.5}))
     assert not possible(search, named, fit(1.0, **good | {"s2": 6.0}))
+
+
+def test_a_wave_one_of_whose_overtones_is_larger_than_itself_is_not_possible():
+    free = tuple(Free(s, 1.0, "m") for s in ("s1", "c1", "s2", "c2", "s3", "c3"))
+    pairs = {"size": ("s1", "c1"), "second": ("s2", "c2"), "third": ("s3", "c3")}
+    search = SimpleNamespace(effects={"wave": Effect("wave", "", (), (), (), free, wave=pairs)})
+    values = {"s1": 3.0, "c1": 4.0, "s2": 0.5, "c2": 0.0, "s3": 0.2, "c3": 0.1}
+    assert possible(search, Hypothesis(("wave",)), fit(1.0, **values))
+    for overtone in ("s2", "s3"):
+        assert not possible(search, Hypothesis(("wave",)), fit(1.0, **values | {overtone: 6.0}))
+
+
+def test_the_plain_form_of_an_effect_is_tried_first_where_it_promises_nearly_the_most():
+    def order(plain: float, other: float) -> list[list[str]]:
+        gains = {SLIP: 300.0, Hypothesis(("settling",)): other, DRIFT: plain}
+        ranked = [Score(h, g, {}) for h, g in sorted(gains.items(), key=lambda item: -item[1])]
+        found = alternatives(SimpleNamespace(effects=EFFECTS), ranked)
+        return [[score.hypothesis.effects[0] for score in forms] for forms in found]
+
+    assert order(98.0, 100.0) == [["slip"], ["drift", "settling"]]
+    assert order(90.0, 100.0) == [["slip"], ["settling", "drift"]]
+
+
+def left(errors: np.ndarray, cost: float):
+    """A fit of one channel, in windows of 100 samples of 1 ms, that leaves `errors`."""
+    model = SimpleNamespace(rig=SimpleNamespace(predict=("x",), dt=1e-3))
+    problem = SimpleNamespace(block=100, model=model, count=errors.size)
+    return SimpleNamespace(projected=errors, problem=problem, unknowns=(), cost=cost)
+
+
+def test_slow_errors_are_structure_unless_they_are_small_and_the_cost_is_that_of_noise():
+    white = np.random.default_rng(0).standard_normal((400, 100))
+    steps = np.repeat(np.random.default_rng(1).standard_normal((400, 5)), 20, axis=1)  # each lasts 20 ms
+    for size, share in ((0.0, 0.0), (0.2, 0.8), (0.5, 5.0)):  # its variance, twenty times
+        assert structure(left(white + size * steps, 1.0))["x"] == pytest.approx(share, abs=0.15)
+    assert whole(left(white, 1.1 * white.size))
+    assert whole(left(white + 0.2 * steps, 0.99 * white.size))
+    assert not whole(left(white + 0.2 * steps, 1.01 * white.size))
+    assert not whole(left(white + 0.5 * steps, 0.99 * white.size))
+    less = white * 0.1  # errors below the sensors' own are none
+    assert structure(left(less + 0.1 * steps, 1.0))["x"] < 0.0
+    assert structure(left(3.0 * white, 1.0))["x"] == pytest.approx(0.0, abs=0.15)  # larger, but as white
+    assert structure(left(np.vstack([white, np.zeros((4000, 100))]), 1.0))["x"] == pytest.approx(0.0, abs=0.15)
+
+
+def test_what_a_fit_explains_is_a_share_of_what_noise_alone_would_leave(chosen):
+    chosen.problem.count = 500
+    assert chosen.explained(fit(1000.0)) == 0.0
+    assert chosen.explained(fit(FLOOR * 500)) == 1.0
+    assert chosen.explained(fit((1000.0 + FLOOR * 500) / 2)) == pytest.approx(0.5)
+
+
+def test_another_form_is_taken_for_its_evidence_alone(chosen, monkeypatch):
+    current = fit(500.0, k_drift=1.0)
+    for less, taken in ((EVIDENCE + 1, Hypothesis(("settling",))), (EVIDENCE - 1, DRIFT)):
+        monkeypatch.setattr(chosen, "fit", lambda *_, less=less: (fit(500.0 - less), True))
+        assert Selection.reshape(chosen, DRIFT, current)[0] == taken
+    monkeypatch.setattr(chosen, "fit", lambda *_: (fit(0.0), False))
+    assert Selection.reshape(chosen, DRIFT, current)[0] == DRIFT
+
+
+@pytest.mark.parametrize(("explains", "tried"), [(True, [DRIFT, SLIP]), (False, [DRIFT, SLIP, Hypothesis(("creep",))])])
+def test_once_an_effect_explains_all_those_that_promise_little_are_not_fitted(chosen, monkeypatch, explains, tried):
+    gains = {DRIFT: 900.0, SLIP: 500.0, Hypothesis(("creep",)): 200.0, NOTHING.plus(Hypothesis((), ("mass",))): 5.0}
+    scores = [Score(h, g, {}) for h, g in gains.items()]
+    chosen.search.scores = lambda *_: scores
+    monkeypatch.setattr(selection, "whole", lambda fit: explains)
+    asked = []
+
+    def fitted(hypothesis, *_, **options):
+        asked.append((hypothesis, options["rival"]))
+        return fit(1000.0 - gains[hypothesis]), True
+
+    monkeypatch.setattr(chosen, "fit", fitted)
+    found = chosen._added(NOTHING, chosen.plain, chosen.plain)
+    assert [h for h, _ in found] == [h for h, _ in asked] == tried
+    assert [rival for _, rival in asked][:2] == [np.inf, 100.0]  # the best so far is the rival of the next
+
+
+def test_a_fit_that_got_worse_is_begun_again_without_the_effect_but_in_its_shape(chosen, monkeypatch):
+    free = (Free("size", 1.0), Free("period", 1.0, shape=True))
+    chosen.search.effects = EFFECTS | {"wave": Effect("wave", "", (), (), (), free)}
+    score = Score(Hypothesis(("wave",)), 500.0, {"size": 9.0, "period": 2.0})
+    begun = []
+
+    def fitted(hypothesis, values, *_):
+        begun.append(values)
+        return fit(700.0, size=0.5, period=2.0), True
+
+    monkeypatch.setattr(chosen, "fit", fitted)
+    better, allowed = chosen.restarted(score.hypothesis, score, fit(1000.0, mass=1.0), fit(1200.0))
+    assert begun == [{"mass": 1.0, "period": 2.0}]
+    assert better.cost == 700.0
+    assert allowed
+    kept, _ = chosen.restarted(score.hypothesis, score, fit(1000.0), fit(600.0, size=0.5, period=2.0))
+    assert kept.cost == 600.0
+
+
+def test_a_second_effect_stays_where_it_explains_a_share_of_its_own(chosen, monkeypatch):
+    both = Hypothesis(("drift", "slip"))
+    chosen.add(DRIFT, fit(200.0))
+    monkeypatch.setattr(chosen, "fit", lambda less, *_, **__: (fit(200.0 if less == DRIFT else 900.0), True))
+    for cost, taken in ((140.0, both), (165.0, DRIFT), (175.0, DRIFT)):  # 5 % of 1000 are 50, EVIDENCE is 30
+        chosen.best.pop(2, None)
+        chosen.add(both, two := fit(cost))
+        chosen.costs[both] = cost
+        assert chosen.backward(both, two)[0] == taken
+
+
+def test_over_the_same_windows_a_rival_that_gave_up_near_the_best_is_fitted_to_its_end(chosen, monkeypatch):
+    def made(cost: float, converged: bool):
+        return SimpleNamespace(cost=cost, converged=converged, values={}, shifts=None, unknowns=("k",))
+
+    chosen.search.effects = {e.key: e for e in map(effect, ("drift", "slip", "creep", "mass"))}
+    creep, mass = Hypothesis(("creep",)), Hypothesis(("mass",))
+    for h, cost, converged in ((DRIFT, 100.0, True), (SLIP, 150.0, False), (creep, 250.0, False), (mass, 150.0, True)):
+        chosen.add(h, made(cost, converged))
+    chosen.problem.count = 100
+    asked = []
+
+    def fitted(hypothesis, *_):
+        asked.append(hypothesis)
+        chosen.add(hypothesis, made(60.0, True))
+
+    monkeypatch.setattr(chosen, "fit", fitted)
+    longer, best, found = chosen.over(chosen.problem, DRIFT, chosen.fits[DRIFT])
+    assert asked == [SLIP]  # a tenth of what the best saves is 90
+    assert (longer, best, found.cost) == (chosen, SLIP, 60.0)

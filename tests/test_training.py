@@ -419,3 +419,26 @@ def test_a_constant_target_is_remarked_on():
     record = excited(loop(0.9, 1.0), 100)
     fit = train(loop(0.5, 1.0), [replace(record, targets={"y": np.full(100, 3.0)})], epochs=3)
     assert any("target y is constant" in remark for remark in fit.remarks)
+
+
+@pytest.mark.parametrize("activation", ["hardlim", "hardlims"])
+def test_a_hard_limit_passes_no_gradient_on(activation):
+    network = Network("switched", [Port("u")], [Port("y")])
+    network.add("sign", Layer({"u": [[0.7]]}, [0.1], activation))
+    network.add("sum", Layer({"sign": [[0.5]], "u": [[0.3]]}, [0.2]))
+    for source, target in (("u", "sign.u"), ("sign", "sum.sign"), ("u", "sum.u"), ("sum", "y")):
+        network.connect(source, target)
+    problem = Problem(network, [excited(loop(0.9, 1.0), 50)])
+    assert np.isfinite(problem.squares(problem.theta))
+    _, gradient = problem.normal_equations(problem.theta)
+    small = 1e-6 * np.eye(len(problem.theta))
+    want = [(problem.squares(problem.theta + d) - problem.squares(problem.theta - d)) / 4e-6 for d in small]
+    np.testing.assert_allclose(gradient, want, atol=1e-6)
+
+
+def test_a_held_out_tail_is_not_judged_on_what_its_record_skips():
+    plant = loop(0.9, 1.0)
+    record = excited(plant, 100)
+    unsettled = replace(record, targets={"y": np.r_[np.full(80, 50.0), record.targets["y"][80:]]}, skip=80)
+    fit = train(loop(0.8, 1.0), [excited(plant, 300, seed=1), unsettled], tail=0.5, tolerance=0.0)
+    assert min(fit.held) < 1e-15

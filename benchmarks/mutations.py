@@ -1,0 +1,330 @@
+"""Mutants: small changes of the product's source, by name or drawn by a seed. `mutants.py` runs the tests on them."""
+
+import ast
+import hashlib
+import random
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+AREAS = {
+    "compiler": "compiler/*.py",
+    "emulator": "emulator/*.py",
+    "kernels": "models/kernels.py",
+    "fit": "mismatch/fit.py",
+    "selection": "mismatch/selection.py",
+    "simulate": "plants/simulate.py",
+}
+TEMPLATES = ("emulator/specialised.py", "plants/simulate.py", "compiler/folded.py", "compiler/parallel.py")
+TOLD = {"say", "print", "progress", "notes"}  # what is only told to the user
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One change: `old` at byte `start` of a file becomes `new`. name: of one of the twelve, else where and what."""
+
+    file: str
+    start: int
+    old: str
+    new: str
+    name: str
+
+    @property
+    def key(self) -> str:
+        return hashlib.sha256(repr((self.file, self.start, self.old, self.new)).encode()).hexdigest()[:12]
+
+    def text(self, source: bytes) -> bytes:
+        old = self.old.encode()
+        assert source[self.start : self.start + len(old)] == old, self
+        return source[: self.start] + self.new.encode() + source[self.start + len(old) :]
+
+
+NAMED = {  # what it is: (file, old, new); old stands there once
+    "formats without their margin": (
+        "compiler/quantize.py",
+        "r.magnitude * self.formats.margin, max(",
+        "r.magnitude, max(",
+    ),
+    "the mean of what rounded weights cost is not made up for": (
+        "compiler/quantize.py",
+        "bias += (w - codes * 2.0**-own) @ self.ranges[_origin(signal.name)].mean",
+        "bias += 0.0",
+    ),
+    "memory by 1/(1 - a)": ("compiler/quantize.py", "return 1 / (1 - pole**2)", "return 1 / (1 - pole)"),
+    "accumulators without the rounding constant": (
+        "emulator/program.py",
+        "signed_width(int(m) + h)",
+        "signed_width(int(m))",
+    ),
+    "a hard limit of slope 1": (
+        "models/kernels.py",
+        "if activation in (HARDLIM, HARDLIMS):\n        return 0.0, o",
+        "if activation in (HARDLIM, HARDLIMS):\n        return 1.0, o",
+    ),
+    "a held-out tail counts what its record skips": (
+        "models/problem.py",
+        "skip=max(h, r.skip)",
+        "skip=h",
+    ),
+    "intervals as if errors were white": ("mismatch/fit.py", "return _larger(robust, white)", "return white"),
+    "an effect is taken though held-out blocks fit worse": (
+        "mismatch/selection.py",
+        " or fit.held_out() > current.held_out():",
+        ":",
+    ),
+    "a rate goes on at the lower bound": (
+        "plants/simulate.py",
+        "x[rate[j]] = max(x[rate[j]], 0.0)",
+        "x[rate[j]] = x[rate[j]]",
+    ),
+    "a rate may grow outward at the lower bound": (
+        "plants/simulate.py",
+        "(x[j] <= low[j] and dx[moved] < 0.0) or ",
+        "",
+    ),
+    "NAME_layer clashes unseen": (
+        "compiler/verilog.py",
+        'for used in (name, f"{name}_layer"):',
+        "for used in (name,):",
+    ),
+    "a sensor's reading is not inverted": ("mismatch/model.py", "range(3 if channel in", "range(0 if channel in"),
+    "exact sums are centred too": (
+        "compiler/centre.py",
+        "return bool((powers & (powers - 1) == 0).all()) and not operation.bias.any()",
+        "return False",
+    ),
+}
+
+
+def named() -> list[Mutant]:
+    """Those that have survived once, each by the reason why it should not."""
+    found = []
+    for name, (file, old, new) in NAMED.items():
+        source = (ROOT / file).read_bytes()
+        if source.count(old.encode()) != 1:
+            raise SystemExit(
+                f"mutant {name!r}: {old!r} stands {source.count(old.encode())} times in {file}; mend NAMED"
+            )
+        found.append(Mutant(file, source.index(old.encode()), old, new, name))
+    return found
+
+
+NEGATED = {"<": ">=", "<=": ">", ">": "<=", ">=": "<", "==": "!=", "!=": "==", "in": "not in", "not in": "in"} | {
+    "is": "is not",
+    "is not": "is",
+}
+BOUNDARY = {"<": "<=", "<=": "<", ">": ">=", ">=": ">"}  # of whole numbers; measured ones are never equal
+COMPUTED = {"+": "-", "-": "+", "*": "/", "/": "*", "**": "*", "//": "*", "%": "*", "<<": ">>", ">>": "<<"} | {
+    "&": "|",
+    "|": "&",
+}
+WRITTEN = [  # in templates: what, by what
+    (r" \+ ", " - "),
+    (r" - ", " + "),
+    (r" \* ", " + "),
+    (r" < ", " <= "),
+    (r" > ", " >= "),
+    (r" >= ", " > "),
+    (r" == ", " != "),
+    (r" != ", " == "),
+    (r" \+= ", " -= "),
+    (r"<< ", ">> "),
+    (r">> ", "<< "),
+    (r"\bmin\(", "max("),
+    (r"\bmax\(", "min("),
+    (r"\b0\.0\b", "1.0"),
+    (r"\b1\b(?!/)", "2"),
+    (r"\b5/", "6/"),
+]
+PYTHON_WRITTEN = [(r" <= ", " < "), (r"\band\b", "or"), (r"\bor\b", "and")]  # in Verilog "<=" assigns
+
+
+class Draw:
+    """Every mutant of one file."""
+
+    def __init__(self, file: str):
+        self.file, self.source = file, (ROOT / file).read_bytes()
+        lines = self.source.splitlines(keepends=True)
+        self.starts = [0]
+        for line in lines:
+            self.starts.append(self.starts[-1] + len(line))
+        self.found: list[Mutant] = []
+        self.visit(ast.parse(self.source), set())
+
+    def at(self, node: ast.AST) -> tuple[int, int]:
+        return (
+            self.starts[node.lineno - 1] + node.col_offset,
+            self.starts[node.end_lineno - 1] + node.end_col_offset,
+        )
+
+    def add(self, start: int, end: int, new: str, what: str) -> None:
+        old = self.source[start:end].decode()
+        line = self.source.count(b"\n", 0, start) + 1
+        shown = [" ".join(text.split()) for text in (old, new)]
+        shown = [text if len(text) <= 60 else text[:57] + "..." for text in shown]
+        mutant = Mutant(self.file, start, old, new, f"{self.file}:{line} {what}: {shown[0]} -> {shown[1]}")
+        try:
+            ast.parse(mutant.text(self.source))
+        except SyntaxError:
+            return
+        self.found.append(mutant)
+
+    def replace(self, node: ast.AST, new: str, what: str) -> None:
+        self.add(*self.at(node), new, what)
+
+    def between(self, left: ast.AST, right: ast.AST, table: dict[str, str], what: str) -> None:
+        """Exchange the operator that stands between two nodes."""
+        start, end = self.at(left)[1], self.at(right)[0]
+        text = self.source[start:end].decode()
+        match = re.search(r"not\s+in\b|is\s+not\b|\bin\b|\bis\b|\*\*|//|<<|>>|[<>=!]=|[-+*/%<>&|]", text)
+        new = match and table.get(" ".join(match.group().split()))
+        if new:
+            first = start + len(text[: match.start()].encode())
+            self.add(first, first + len(match.group().encode()), new, what)
+
+    def visit(self, node: ast.AST, assigned: set[str]) -> None:
+        """Collect the mutants of a node and of what is in it; `assigned`: names that have a value here already."""
+        match node:
+            case ast.Raise() | ast.Import() | ast.ImportFrom() | ast.Assert():
+                return
+            case ast.FunctionDef(name="__repr__" | "__str__"):
+                return
+            case ast.FunctionDef():
+                self.body(node.body, {a.arg for a in ast.walk(node.args) if isinstance(a, ast.arg)})
+                return
+            case ast.ClassDef():
+                self.body(node.body, set())
+                return
+            case ast.Yield(value=ast.JoinedStr() | ast.Constant()):
+                return  # a message
+            case ast.JoinedStr():
+                self.template(node)
+                return
+            case ast.Constant(value=str()):
+                self.template(node)
+            case ast.Constant(value=bool(value)):
+                self.replace(node, str(not value), "constant")
+            case ast.Constant(value=int(value) | float(value)):
+                for new in {value + 1, value - 1, type(value)(0)} - {value}:
+                    self.replace(node, repr(new) if new >= 0 else f"({new!r})", "constant")
+            case ast.Compare():
+                for left, right in zip([node.left, *node.comparators], node.comparators, strict=False):
+                    self.between(left, right, NEGATED, "comparison")
+                    if _is_whole(left) or _is_whole(right):
+                        self.between(left, right, BOUNDARY, "comparison")
+            case ast.BinOp():
+                sides = (ast.JoinedStr, ast.List, ast.Tuple)
+                texts = any(isinstance(s, sides) or _is_text(s) for s in (node.left, node.right))
+                if not texts:
+                    self.between(node.left, node.right, COMPUTED, "operator")
+            case ast.BoolOp():
+                other = {"and": "or", "or": "and"}
+                for left, right in zip(node.values, node.values[1:], strict=False):
+                    start, end = self.at(left)[1], self.at(right)[0]
+                    word = re.search(rb"\b(and|or)\b", self.source[start:end])
+                    if word:
+                        self.add(start + word.start(), start + word.end(), other[word.group().decode()], "logic")
+            case ast.UnaryOp(op=ast.Not() | ast.USub()):
+                self.add(self.at(node)[0], self.at(node.operand)[0], "", "sign or negation dropped")
+            case ast.If() | ast.IfExp() | ast.While():
+                text = self.source[slice(*self.at(node.test))].decode()
+                self.replace(node.test, f"(not ({text}))", "condition")
+            case ast.Call():
+                self.call(node)
+            case ast.Return(value=ast.BinOp() | ast.Call() | ast.Name()):
+                self.replace(node.value, "None", "answer dropped")
+        for field, value in ast.iter_fields(node):
+            if field == "annotation":
+                continue
+            if field in ("body", "orelse", "finalbody") and isinstance(value, list):
+                self.body(value, assigned)
+            else:
+                for child in value if isinstance(value, list) else [value]:
+                    if isinstance(child, ast.AST):
+                        self.visit(child, assigned)
+
+    def body(self, statements: list[ast.stmt], assigned: set[str]) -> None:
+        for k, s in enumerate(statements):
+            if k == 0 and isinstance(s, ast.Expr) and _is_text(s.value):
+                continue  # docstring
+            if isinstance(s, ast.Expr) and isinstance(s.value, ast.Call):
+                if _called(s.value) in TOLD:
+                    continue
+                self.replace(s, "pass", "statement dropped")
+            elif isinstance(s, ast.AugAssign | ast.Continue | ast.Break):
+                self.replace(s, "pass", "statement dropped")
+            elif isinstance(s, ast.Assign):
+                if any(isinstance(t, ast.Subscript) and "notes" in ast.unparse(t) for t in s.targets):
+                    continue
+                names = {n.id for t in s.targets for n in ast.walk(t) if isinstance(n, ast.Name)}
+                if names and (names <= assigned or not all(isinstance(t, ast.Name | ast.Tuple) for t in s.targets)):
+                    self.replace(s, "pass", "statement dropped")
+                assigned |= names
+            self.visit(s, assigned)
+
+    def call(self, node: ast.Call) -> None:
+        name = _called(node)
+        other = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum"}
+        other |= {"floor": "ceil", "ceil": "floor", "any": "all", "all": "any"}
+        if name in other:
+            end = self.at(node.func)[1]
+            self.add(end - len(name), end, other[name], "function")
+        if name == "range":
+            text = self.source[slice(*self.at(node.args[-1]))].decode()
+            self.replace(node.args[-1], f"({text}) - 1", "range")
+            if len(node.args) > 1:
+                text = self.source[slice(*self.at(node.args[0]))].decode()
+                self.replace(node.args[0], f"({text}) + 1", "range")
+        for k in node.keywords:
+            if k.arg not in (None, "strict", "default"):
+                start, end = self.at(k)
+                rest = re.match(rb"\s*,\s*", self.source[end:])
+                self.add(start, end + (rest.end() if rest else 0), "", "argument dropped")
+
+    def template(self, node: ast.Constant | ast.JoinedStr) -> None:
+        """Changes of code that stands in a string."""
+        if self.file not in TEMPLATES:
+            return
+        begin, end = self.at(node)
+        text = self.source[begin:end].decode()
+        for old, new in WRITTEN + ([] if self.file.startswith("compiler") else PYTHON_WRITTEN):
+            for match in re.finditer(old, text):
+                line = text[text.rfind("\n", 0, match.start()) + 1 : match.start()]
+                if not re.search(r'"""|//|#|import', line):
+                    start = begin + len(text[: match.start()].encode())
+                    self.add(start, start + len(match.group().encode()), new, "template")
+
+
+def _is_text(node: ast.AST) -> bool:
+    return isinstance(node, ast.Constant) and isinstance(node.value, str)
+
+
+def _is_whole(node: ast.AST) -> bool:
+    """A whole number, as far as its text tells."""
+    match node:
+        case ast.Constant(value=value):
+            return type(value) is int
+        case ast.Call():
+            return _called(node) == "len"
+    return isinstance(node, ast.Attribute) and node.attr in ("size", "width", "frac", "lo", "hi", "shift", "samples")
+
+
+def _called(node: ast.Call) -> str:
+    return getattr(node.func, "attr", getattr(node.func, "id", ""))
+
+
+def drawn(count: int, seed: int) -> list[Mutant]:
+    """`count` mutants, as many from every area, no two on one line."""
+    rng = random.Random(seed)
+    areas = []
+    for pattern in AREAS.values():
+        lines: dict[str, list[Mutant]] = {}
+        for path in sorted(ROOT.glob(pattern)):
+            for m in Draw(path.relative_to(ROOT).as_posix()).found:
+                lines.setdefault(m.name.partition(" ")[0], []).append(m)
+        shuffled = sorted(lines)
+        rng.shuffle(shuffled)
+        areas.append([rng.choice(sorted(lines[line], key=lambda m: m.key)) for line in shuffled])
+    ranks = max(map(len, areas), default=0)
+    return [area[k] for k in range(ranks) for area in areas if k < len(area)][:count]
