@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greygate.errors import InputError, replacing
+from greygate.errors import InputError
+from greygate.files import replacing
 
 ACCUMULATOR_BITS = 62  # room for one more addition in int64
 

@@ -43,7 +43,8 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.errors import InputError, replacing_folder
+from greygate.errors import InputError
+from greygate.files import replacing_folder
 
 from .concealed.line import BELT, DRUM
 from .concealed.pump import PUMP
@@ -117,7 +118,7 @@ def conceal(plant: str, seed: int, out: Path, *, effect: str | None = None, kind
     bare = {name: datasheet[name] if name == off else true[name] for name in datasheet}
     answer |= _fits(rig, recordings, datasheet, bare, true, concealed, form)
 
-    with replacing_folder(out, "sealed.json") as folder:
+    with replacing_folder(out, "conceal") as folder:
         (folder / "rig.toml").write_text(_toml(rig, datasheet))
         for name, columns in recordings.items():
             _write(folder / f"{name}.csv", rig, columns)

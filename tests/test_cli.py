@@ -14,7 +14,8 @@ from typer.testing import CliRunner
 from greygate import __version__, cli
 from greygate.catalog import CATALOG
 from greygate.cli import app
-from greygate.errors import InputError, replacing_folder
+from greygate.errors import InputError
+from greygate.files import replacing_folder
 from greygate.models.library import library
 from greygate.models.network import Layer, Network, Port
 from greygate.plants.recording import Recording
