@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.files import replacing_folder
+from greygate.files import replaceable, replacing_folder
 from greygate.mismatch import effects as table
 from greygate.mismatch.diagnosis import recovered
 from greygate.mismatch.effects import Effect, join
@@ -163,6 +163,7 @@ def augment(folder: Path | str, diagnosis: Mapping, out: Path | str, say: Callab
     and recording, neurons, seconds. Raises InputError for an effect that no module stands for.
     """
     say = say or (lambda text: None)
+    replaceable(out, "augment")
     rig = load(folder)
     effect, found = _named(rig, diagnosis)
     kind = PLANTS[rig.plant.name]

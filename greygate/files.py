@@ -124,25 +124,25 @@ def replacing_folder(path: Path | str, kind: str, later: str = "(?!)") -> Iterat
 
     kind: command that writes such folders. later: pattern of the files that other commands add, which go with it.
     Parents are made. Raises InputError, before the block runs, where something stands there that the command did not
-    write (`owned`), for a link or a folder that holds the current one, or while another process writes it.
+    write (`replaceable`), or while another process writes it.
     """
     path = Path(path)
-    _check_place(path)
+    replaceable(path, kind, later)
     new, old = _beside(path, "new"), _beside(path, "old")
     with making(path.parent), writing(path, "make this folder"), locked(path):
         settle_folder(path, held=True)
-        owned(path, kind, later)
+        replaceable(path, kind, later)
         for left in (new, old):
             shutil.rmtree(left, ignore_errors=True)
         new.mkdir()
         _staged.add(_absolute(new))
         try:
             yield new
-            _write_manifest(new, kind)
+            write_manifest(new, kind)
             for folder, _, names in os.walk(new):
                 for name in (*names, "."):
                     _sync(Path(folder, name))
-            owned(path, kind, later)  # hours may lie between
+            replaceable(path, kind, later)  # hours may lie between
             _put(new, path)
         finally:
             _staged.discard(_absolute(new))
@@ -266,30 +266,29 @@ def changed(folder: Path | str, files: dict[str, str]) -> list[str]:
     return [name for name, digest in files.items() if _digest(Path(folder) / name) != digest]
 
 
-def owned(path: Path | str, kind: str, later: str = "(?!)") -> None:
-    """Raise InputError unless all that stands at `path` was written by greygate <kind>, or nothing stands there.
+def replaceable(path: Path | str, kind: str, later: str = "(?!)") -> None:
+    """Raise InputError unless nothing stands at `path`, or a folder of which greygate <kind> wrote every file.
 
-    later: pattern of the paths within it that other commands write.
+    Neither may it be a link, hold the current folder, home or greygate. later: as in `replacing_folder`.
     """
     path = Path(path)
+    _check_place(path)
     if not path.exists():
         return
     if not path.is_dir():
         raise InputError(f"{path}: a file of that name is in the way; choose another folder")
-    there = _walk(path)
-    if not there:
-        return
-    if MANIFEST not in there:
+    with writing(path):
+        there = _walk(path)
         strange = there
-    else:
-        files = manifest(path, kind)
-        strange = [n for n in there if n not in files and n != MANIFEST and not re.fullmatch(later, n)]
-        strange = [n for n in strange if not OURS.fullmatch(n) or (path / n).is_symlink()]
-        strange += [n for n in changed(path, {n: d for n, d in files.items() if n in there})]
+        if MANIFEST in there:
+            files = manifest(path, kind)
+            kept = {n: d for n, d in files.items() if n in there}
+            strange = [n for n in there if n not in files and n != MANIFEST and not re.fullmatch(later, n)]
+            strange = [n for n in strange if not OURS.fullmatch(n)] + changed(path, kept)
     if strange:
         names = ", ".join(strange[:NAMED]) + (f" and {len(strange) - NAMED} more" if len(strange) > NAMED else "")
-        why = "not as" if MANIFEST in there else f"no {MANIFEST}: not what"
-        raise InputError(f"{path}: holds other files ({names}), {why} greygate {kind} wrote; choose a new folder")
+        why = "other than" if MANIFEST in there else f"no {MANIFEST}, so not what"
+        raise InputError(f"{path}: holds other files ({names}): {why} greygate {kind} wrote; choose a new folder")
 
 
 def linked(folder: Path | str) -> list[str]:
@@ -300,13 +299,18 @@ def linked(folder: Path | str) -> list[str]:
 def _walk(folder: Path) -> list[str]:
     """Paths of all files and links within the folder, sorted."""
     found = []
-    for at, folders, names in os.walk(folder):
+    for at, folders, names in os.walk(folder, onerror=_fail):
         found += [Path(at, n) for n in names] + [Path(at, n) for n in folders if Path(at, n).is_symlink()]
     return sorted(p.relative_to(folder).as_posix() for p in found)
 
 
-def _write_manifest(folder: Path, kind: str) -> None:
-    files = {name: _digest(folder / name) for name in _walk(folder)}
+def _fail(error: OSError) -> None:
+    raise error
+
+
+def write_manifest(folder: Path, kind: str) -> None:
+    """Note all files in the folder as written by greygate <kind>."""
+    files = {name: _digest(folder / name) for name in _walk(folder) if name != MANIFEST}
     content = {"schema": SCHEMA, "kind": kind, "tool": f"greygate {__version__}", "files": files}
     (folder / MANIFEST).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
@@ -389,7 +393,7 @@ def _sync(path: Path) -> None:
 
 def _beside(path: Path, what: str) -> Path:
     path = _absolute(path)
-    return path.with_name(f".{path.name}.greygate-{what}")
+    return path.parent / f".{path.name}.greygate-{what}"
 
 
 def _absolute(path: Path) -> Path:

@@ -183,7 +183,7 @@ def train_source(
     records, others = ({name: found[name] for name in names} for names in (source.recordings, held))
     follow = progress and (lambda epoch, loss: progress(epoch, f"loss {loss:.3g}"))
     learn = narx_noe if narx and not options.get("shooting") else train
-    with making(folder):
+    with making(folder), writing(folder):
         fit = learn(
             network,
             list(records.values()),

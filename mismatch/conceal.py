@@ -44,7 +44,7 @@ from pathlib import Path
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.files import replacing_folder
+from greygate.files import replaceable, replacing_folder
 
 from .concealed.line import BELT, DRUM
 from .concealed.pump import PUMP
@@ -75,6 +75,7 @@ def conceal(plant: str, seed: int, out: Path, *, effect: str | None = None, kind
     rig = _rig(plant)
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise InputError(f"conceal: seed {seed!r} is not a whole number from 0")
+    replaceable(out, "conceal")
     rng = np.random.default_rng([zlib.crc32(plant.encode()), seed])
     kind = _kind(rig, kind, effect, rng)
     rig = _sensors(rig, rng)
