@@ -174,9 +174,10 @@ def settle_folder(path: Path | str, held: bool = False) -> None:
 def making(folder: Path | str) -> Iterator[None]:
     """Make a folder and its parents; if the block fails, those go again that were made and are empty."""
     folder = Path(folder)
-    missing = [p for p in (folder, *folder.parents) if not p.exists()]
+    missing = []
     try:
         with writing(folder, "make this folder"):
+            missing = [p for p in (folder, *folder.parents) if not p.exists()]
             folder.mkdir(parents=True, exist_ok=True)
         yield
     except BaseException:
@@ -271,15 +272,13 @@ def replaceable(path: Path | str, kind: str, later: str = "(?!)") -> None:
 
     Neither may it be a link, hold the current folder, home or greygate. later: as in `replacing_folder`.
     """
-    path = Path(path)
-    _check_place(path)
-    if not path.exists():
-        return
-    if not path.is_dir():
-        raise InputError(f"{path}: a file of that name is in the way; choose another folder")
-    with writing(path):
-        there = _walk(path)
-        strange = there
+    path, there, strange = Path(path), [], []
+    with writing(path, "make this folder"):
+        _check_place(path)
+        if path.exists():
+            if not path.is_dir():
+                raise InputError(f"{path}: a file of that name is in the way; choose another folder")
+            there = strange = _walk(path)
         if MANIFEST in there:
             files = manifest(path, kind)
             kept = {n: d for n, d in files.items() if n in there}

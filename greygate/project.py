@@ -329,6 +329,11 @@ class Project:
     def open(folder: Path | str) -> "Project":
         """Raises InputError if the folder is not one that `compile` wrote, or other than it wrote it, but for rtl/."""
         folder = Path(folder)
+        with writing(folder, "read this folder"):
+            return Project._open(folder)
+
+    @staticmethod
+    def _open(folder: Path) -> "Project":
         settle_folder(folder)
         facts = read_facts(folder)
         files = manifest(folder, "compile")
