@@ -200,14 +200,16 @@ def writing(path: Path | str, do: str = "write here") -> Iterator[None]:
 
 @contextmanager
 def locked(path: Path | str, patience: float = 0.0) -> Iterator[None]:
-    """Hold the right to write `path`. Raises InputError if another has it, and keeps it for `patience` seconds."""
+    """Hold the right to write `path`. Raises InputError if another has it, and keeps it for `patience` seconds.
+
+    Raises OSError where the lock cannot be made.
+    """
     path = Path(path)
     lock, until = _beside(path, "lock"), time.monotonic() + patience
-    with writing(path):
-        while (handle := _taken(lock)) is None:
-            if time.monotonic() >= until:
-                raise InputError(f"{path}: another greygate is writing it; wait for it")
-            time.sleep(0.01)
+    while (handle := _taken(lock)) is None:
+        if time.monotonic() >= until:
+            raise InputError(f"{path}: another greygate is writing it; wait for it")
+        time.sleep(0.01)
     try:
         yield
     finally:
