@@ -11,8 +11,8 @@ from pathlib import Path
 from greygate.augmented import FACTS, augment
 from greygate.compiler.pipeline import float_error
 from greygate.compiler.quantize import Formats
-from greygate.errors import replacing
 from greygate.explain import explain
+from greygate.files import replacing
 from greygate.mismatch.conceal import conceal
 from greygate.models.network import Network
 from greygate.pictures import FOLDER, picture

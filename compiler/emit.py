@@ -1,14 +1,14 @@
 """Write an integer program as a folder of Verilog, in either architecture."""
 
 import re
-from contextlib import ExitStack
 from pathlib import Path
 
 from greygate import rtl
 from greygate.compiler.folded import folded
 from greygate.compiler.parallel import parallel
 from greygate.emulator.program import Program
-from greygate.errors import InputError, replacing
+from greygate.errors import InputError
+from greygate.files import making, replacing_all
 from greygate.names import check_file_name
 
 
@@ -20,6 +20,16 @@ def emit(program: Program, folder: Path | str, architecture: str = "parallel", m
     Raises InputError for names that Verilog cannot hold, a program without input or output, an illegal option, or
     a folder that cannot be written.
     """
+    files = emitted(program, architecture, macs)
+    folder = Path(folder)
+    with making(folder), replacing_all([folder / name for name in files], durable=False) as new:
+        for path, text in zip(new, files.values(), strict=True):
+            path.write_text(text)
+    return [folder / name for name in files]
+
+
+def emitted(program: Program, architecture: str = "parallel", macs: int = 4) -> dict[str, str]:
+    """The files that `emit` writes, by name. Raises InputError as it does."""
     program.check()
     if architecture not in ("parallel", "folded"):
         raise InputError(f"architecture {architecture!r} does not exist; choose parallel or folded")
@@ -30,15 +40,22 @@ def emit(program: Program, folder: Path | str, architecture: str = "parallel", m
     if {"greygate_clamp", "greygate_select"} & set(blocks):
         blocks = sorted({*blocks, "greygate_requantize"})
     texts |= {f"{b}.v": rtl.block(b).read_text() for b in blocks}
-    texts[f"{program.name}.f"] = "\n".join(texts) + "\n"
-    folder = Path(folder)
     for name in texts:
         check_file_name(name, f"program {program.name}: file")
+    return texts | {f"{program.name}.f": "\n".join(texts) + "\n"}
+
+
+def sources(folder: Path | str, top: str) -> list[Path]:
+    """The Verilog files that `top`.f lists, in the folder that `emit` wrote.
+
+    Raises InputError where it cannot be read, or lists anything but plain names in that folder.
+    """
+    listing = Path(folder) / f"{top}.f"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot make this folder ({error.strerror}); choose another") from None
-    with ExitStack() as stack:
-        for name, text in texts.items():
-            stack.enter_context(replacing(folder / name)).write_text(text, encoding="utf-8")
-    return [folder / name for name in texts]
+        names = listing.read_text().split()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{listing}: not readable ({error}); emit the design first") from None
+    for name in names:
+        if not re.fullmatch(r"\w+\.(v|vlt)", name, re.ASCII):
+            raise InputError(f"{listing}: {name!r} is no plain name of a file beside it; emit the design again")
+    return [listing.parent.resolve() / name for name in names if name.endswith(".v")]

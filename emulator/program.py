@@ -17,7 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greygate.errors import InputError, replacing
+from greygate.errors import InputError
+from greygate.files import replacing
 from greygate.names import check_name, check_path, check_text, check_unit
 from greygate.reading import Kind, json_data, listed, named, number, one_of, table, truth, whole
 

@@ -14,7 +14,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from greygate.errors import InputError, replacing_folder
+from greygate.errors import InputError
+from greygate.files import replaceable, replacing_folder
 from greygate.mismatch import effects as table
 from greygate.mismatch.diagnosis import recovered
 from greygate.mismatch.effects import Effect, join
@@ -162,6 +163,7 @@ def augment(folder: Path | str, diagnosis: Mapping, out: Path | str, say: Callab
     and recording, neurons, seconds. Raises InputError for an effect that no module stands for.
     """
     say = say or (lambda text: None)
+    replaceable(out, "augment")
     rig = load(folder)
     effect, found = _named(rig, diagnosis)
     kind = PLANTS[rig.plant.name]
@@ -211,7 +213,7 @@ def augment(folder: Path | str, diagnosis: Mapping, out: Path | str, say: Callab
             "outcome": fit.outcome.value,
         }
     facts = {"plant": rig.plant.name, "effect": effect.id, "period_s": kind.period, "networks": figures}
-    with replacing_folder(out, FACTS) as new:
+    with replacing_folder(out, "augment") as new:
         for name, network in networks.items():
             network.save(new / name)
         for name, r in recorded.items():

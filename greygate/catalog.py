@@ -16,7 +16,7 @@ from greygate import (
     studies,
     valve_cylinder,
 )
-from greygate.errors import InputError, replacing
+from greygate.errors import InputError
 from greygate.models.network import Network
 from greygate.models.problem import Record
 from greygate.pruned import Kept
@@ -53,9 +53,7 @@ class Entry:
 
     def save(self, network: Network, figures: dict, folder: Path = TRAINED) -> None:
         """Write NAME.toml, NAME.safetensors and NAME.json (the figures)."""
-        network.save(folder / self.name)
-        with replacing(folder / f"{self.name}.json") as path:
-            path.write_text(json.dumps(figures, indent=2) + "\n")
+        network.save(folder / self.name, json.dumps(figures, indent=2) + "\n")
 
 
 def _measured(

@@ -289,6 +289,7 @@ def verify(
     seed: Annotated[
         int | None, typer.Option(help="Of back-pressure and reset; drawn and printed if not given.")
     ] = None,
+    as_is: Annotated[bool, typer.Option("--as-is", help="Even Verilog that was changed; it is code, read it.")] = False,
     as_json: Json = False,
 ) -> None:
     """Simulate the emitted Verilog in Verilator and compare every output and every state with the emulator.
@@ -299,7 +300,7 @@ def verify(
 
     project = Project.open(folder)
     with _progress(f"simulating {project.program.name}"):
-        results = verify_project(project, tuple(scenario), seed)
+        results = verify_project(project, tuple(scenario), seed, as_is)
     verdicts = [v for r in results.values() for v in r.verdicts]
     lines = [
         f"{v.program} {v.architecture:9} {v.scenario:12} {v.steps:6} steps, {v.clocks_per_step:6.1f} clocks a step: "

@@ -10,8 +10,8 @@ import numpy as np
 from markupsafe import Markup
 
 from greygate import explain, figures
-from greygate.errors import replacing
 from greygate.figures import Line, Scale
+from greygate.files import replacing
 from greygate.mismatch.coloured import settled
 from greygate.mismatch.diagnosis import APART, Diagnosis
 from greygate.mismatch.excitation import unseen

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from joblib import Parallel, delayed
 
-from greygate.errors import InputError, replacing
+from greygate.errors import InputError
+from greygate.files import replacing
 from greygate.mismatch import effects as table
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.conceal import reveal, sealed

@@ -12,7 +12,8 @@ import sys
 import types
 from pathlib import Path
 
-from greygate.errors import InputError, replacing
+from greygate.errors import InputError
+from greygate.files import replacing
 
 
 def load(kind: str, text: str) -> types.ModuleType:

@@ -16,7 +16,7 @@ from time import monotonic
 import numpy as np
 
 from greygate import models
-from greygate.errors import InputError, replacing
+from greygate.errors import InputError
 from greygate.models.network import Network
 from greygate.models.problem import Problem, Record
 from greygate.models.training import Fit, Outcome
@@ -273,9 +273,7 @@ class Result:
 
     def save(self, folder: Path = TRAINED) -> None:
         """Write NAME.toml, NAME.safetensors and NAME.json. Raises InputError where that cannot be done."""
-        self.network.save(folder / self.study.name)
-        with replacing(folder / f"{self.study.name}.json") as path:
-            path.write_text(json.dumps(self.figures, indent=2) + "\n")
+        self.network.save(folder / self.study.name, json.dumps(self.figures, indent=2) + "\n")
 
 
 def identify(study: Study, folder: Path | None = None, progress: Callable[[str], None] | None = None) -> Result:

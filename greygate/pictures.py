@@ -13,8 +13,9 @@ from markupsafe import Markup
 from greygate import cable_drum
 from greygate.catalog import entry
 from greygate.compiler.pipeline import float_error
-from greygate.errors import InputError, replacing
+from greygate.errors import InputError
 from greygate.figures import Line, chart
+from greygate.files import replacing
 from greygate.models.problem import Record
 from greygate.report import envelope
 

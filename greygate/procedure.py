@@ -24,8 +24,9 @@ from greygate.compiler.pipeline import entropy_pruning, float_error
 from greygate.compiler.prune import Round, retrained
 from greygate.compiler.saliency import Method, saliency_pruning
 from greygate.compiler.simplify import parameter_count, simplify
-from greygate.errors import InputError, replacing
+from greygate.errors import InputError
 from greygate.figures import weight_changes as weight_changes_picture
+from greygate.files import replacing
 from greygate.models.adaptation import weight_changes
 from greygate.models.network import Network
 from greygate.models.problem import Record

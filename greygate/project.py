@@ -3,13 +3,16 @@
 program.json           the integer program (docs/integer-program.md)
 network.toml, .safetensors   the generic float network it was quantized from
 compile.json           where it came from, the passes, the architecture
+manifest.json          SHA-256 of each file above and below; what it does not list is not replaced
 rtl/parallel, rtl/folded     the Verilog of each architecture, and <program>.f, its list of files
 verify.json            what the last verification found; results-*.xml beside it are JUnit
 resources.json         what synthesis found, by architecture and target
+simulation/            where the last verification built and ran
 """
 
 import json
 import os
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
@@ -18,8 +21,9 @@ from pathlib import Path
 
 import numpy as np
 
+from greygate.build import ARCHITECTURES, FACTS, read_facts, read_hardware, read_resources
 from greygate.catalog import CATALOG, PLANTS, TRAINED, entry
-from greygate.compiler.emit import emit
+from greygate.compiler.emit import emit, emitted
 from greygate.compiler.pipeline import (
     Compiled,
     Pass,
@@ -34,7 +38,20 @@ from greygate.compiler.ranges import ranges
 from greygate.compiler.saliency import METHODS, Step, saliency_pruning
 from greygate.emulator.engine import run
 from greygate.emulator.program import Program
-from greygate.errors import InputError, replacing, replacing_folder
+from greygate.errors import InputError
+from greygate.files import (
+    changed,
+    linked,
+    locked,
+    making,
+    manifest,
+    replacing,
+    replacing_all,
+    replacing_folder,
+    settle,
+    settle_folder,
+    writing,
+)
 from greygate.measured import settled
 from greygate.models.network import Network, Port
 from greygate.models.problem import Record, held_out
@@ -45,8 +62,11 @@ from greygate.report import plain, size
 from greygate.synthesis import synthesize
 from greygate.verify import Case, Scenario, Verification, verify_many
 
-ARCHITECTURES = ("parallel", "folded")
-FACTS = "compile.json"
+LATER = (  # what verify and synthesize add to a build, in which nobody else writes
+    r"verify\.json|resources\.json|results-(parallel|folded)\.xml|"
+    r"simulation/(parallel|folded)/(results\.xml|sim\.log|dump\.vcd|"
+    r"build/(bench(\.v)?|job\.(json|npz)|verdicts\.json|(verilator|make)\.log|(Vtop|verilat)\w*(\.\w+)+))"
+)
 RETRAIN_EPOCHS = 4
 SAME_TIME = 1e-3  # by which sample times may differ, relatively: printed times are rounded
 
@@ -163,12 +183,7 @@ def train_source(
     records, others = ({name: found[name] for name in names} for names in (source.recordings, held))
     follow = progress and (lambda epoch, loss: progress(epoch, f"loss {loss:.3g}"))
     learn = narx_noe if narx and not options.get("shooting") else train
-    made = not folder.exists()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot make this folder ({error.strerror})") from None
-    try:
+    with making(folder), writing(folder):
         fit = learn(
             network,
             list(records.values()),
@@ -178,10 +193,6 @@ def train_source(
             estimate_initial=source.settle > 0,
             **options,
         )
-    except InputError:
-        if made and not any(folder.iterdir()):
-            folder.rmdir()
-        raise
     trained = network.with_parameters(fit.network.parameters())  # as it was declared, meanings and modules kept
     _, ends = held_out(network, list(records.values()), options.get("tail", 0.0), ())
     judged = {name: settled(trained, record) for name, record in found.items()}
@@ -196,15 +207,26 @@ def train_source(
         "remarks": list(fit.remarks),
         "out": str(folder / f"{network.name}.toml"),
     }
-    trained.save(folder / network.name)
-    _write_json(folder / f"{network.name}.json", plain(figures))
+    trained.save(folder / network.name, _json(plain(figures)))
     return plain(figures)
 
 
 def compile_project(
+    source: Source, folder: Path | str, formats: Formats, *, progress: Callable[[str], None] | None = None, **options
+) -> Compiled:
+    """Compile and write the folder, whole or not at all: see `replacing_folder` for what it may replace.
+
+    options: of `_compile`. Nobody else writes that folder meanwhile.
+    """
+    with replacing_folder(folder, "compile", LATER) as new:
+        return _compile(source, new, formats, progress or (lambda text: None), **options)
+
+
+def _compile(
     source: Source,
-    folder: Path | str,
+    new: Path,
     formats: Formats,
+    say: Callable[[str], None],
     *,
     budget: float | None = None,
     prune: float | None = None,
@@ -213,15 +235,13 @@ def compile_project(
     generic: bool = False,
     architectures: Sequence[str] = ARCHITECTURES,
     macs: int = 4,
-    progress: Callable[[str], None] | None = None,
 ) -> Compiled:
-    """Compile and write the folder. Nothing is written before everything is known to be right.
+    """Compile and fill the folder `new`.
 
     prune: factor by which entropy pruning may raise the RMS error on the training records, e.g. 1.02.
     weights: method of `compiler.saliency` that then takes out single weights, within that factor once more.
     held: scenarios that bound the error of pruning instead, other than the training ones.
     """
-    say = progress or (lambda text: None)
     if weights is not None and weights not in METHODS:
         raise InputError(f"no pruning method {weights!r}; there are {', '.join(METHODS)}")
     network, records = source.network(), source.records()
@@ -259,12 +279,11 @@ def compile_project(
         "passes": [asdict(p) for p in compiled.passes],
         "pruning": [asdict(r) for r in compiled.pruning],
     }
-    with replacing_folder(folder, FACTS) as new:
-        for architecture in architectures:
-            emit(compiled.program, new / "rtl" / architecture, architecture, macs)
-        compiled.program.save(new / "program.json")
-        compiled.network.save(new / "network")
-        _write_json(new / FACTS, facts)
+    for architecture in architectures:
+        emit(compiled.program, new / "rtl" / architecture, architecture, macs)
+    compiled.program.save(new / "program.json")
+    compiled.network.save(new / "network")
+    _write_json(new / FACTS, facts)
     return compiled
 
 
@@ -308,9 +327,21 @@ class Project:
 
     @staticmethod
     def open(folder: Path | str) -> "Project":
-        """Raises InputError if the folder is not one that `compile` wrote."""
+        """Raises InputError if the folder is not one that `compile` wrote, or other than it wrote it, but for rtl/."""
         folder = Path(folder)
-        facts = _read_json(folder / FACTS, f"{folder}: no compile.json here; run greygate compile first")
+        with writing(folder, "read this folder"):
+            return Project._open(folder)
+
+    @staticmethod
+    def _open(folder: Path) -> "Project":
+        settle_folder(folder)
+        facts = read_facts(folder)
+        files = manifest(folder, "compile")
+        data = {name: digest for name, digest in files.items() if not name.startswith("rtl/")}
+        if missing := {FACTS, "program.json", "network.toml", "network.safetensors"} - set(data):
+            raise InputError(f"{folder}: its manifest does not list {min(missing)}; run greygate compile again")
+        if other := [*changed(folder, data), *linked(folder)]:
+            raise InputError(f"{folder / other[0]}: not as greygate compile wrote it; run greygate compile again")
         source = Source(facts["source"], facts["recordings"])
         return Project(folder, source, Program.load(folder / "program.json"), Network.load(folder / "network"), facts)
 
@@ -337,18 +368,28 @@ class Project:
         where = self.folder / "rtl" / architecture
         return Case(self.program, self.scenarios(names), architecture, self.facts["macs"], emitted=where)
 
+    def edited(self) -> list[Path]:
+        """Files in rtl/ that are other than the program's own Verilog: a person's code, or a stranger's."""
+        found = []
+        for architecture in self.facts["architectures"]:
+            where = self.folder / "rtl" / architecture
+            for name, text in emitted(self.program, architecture, self.facts["macs"]).items():
+                path = where / name
+                if not path.is_file() or path.read_bytes() != text.encode():
+                    found.append(path)
+        return found
+
     @property
     def hardware(self) -> dict | None:
         """What `verify` found, by architecture, or None."""
-        path = self.folder / "verify.json"
-        return json.loads(path.read_text()) if path.exists() else None
+        settle(_results(self.folder))
+        return read_hardware(self.folder)
 
     @property
     def resources(self) -> dict | None:
         """What `synthesize` found, by "architecture, target", here or else of a program of this size, or None."""
-        path = self.folder / "resources.json"
-        if path.exists():
-            return json.loads(path.read_text())
+        if (found := read_resources(self.folder)) is not None:
+            return found
         kept = _kept(self.source.name)
         if self.source.name not in CATALOG or not kept.exists():
             return None
@@ -379,11 +420,31 @@ def plants(folder: Path, progress: Callable[[str], None] | None = None) -> list[
     return found
 
 
-def verify_project(project: Project, names: tuple[str, ...] = (), seed: int | None = None) -> dict[str, Verification]:
+def _results(folder: Path) -> list[Path]:
+    """What `verify` writes, together."""
+    return [folder / "verify.json", *(folder / f"results-{architecture}.xml" for architecture in ARCHITECTURES)]
+
+
+def verify_project(
+    project: Project, names: tuple[str, ...] = (), seed: int | None = None, as_is: bool = False
+) -> dict[str, Verification]:
     """Each emitted design in Verilator against the emulator, by architecture, side by side on the cores there are.
 
-    Writes verify.json and one results-ARCHITECTURE.xml (JUnit) each into the folder.
+    Writes verify.json and one results-ARCHITECTURE.xml (JUnit) each into the folder. as_is: even Verilog that is not
+    what `emit` makes of the program; it is code, and Verilator runs it. Raises InputError for such Verilog otherwise.
     """
+    with writing(project.folder), locked(project.folder.resolve()):
+        if (edited := project.edited()) and not as_is:
+            raise InputError(
+                f"{edited[0]}: not the Verilog of program.json, and Verilog is code; compile again, or read it and give"
+                " --as-is"
+            )
+        for path in edited:
+            print(f"verify: {path} is not the Verilog of program.json; verified as it is", file=sys.stderr)
+        return _verify(project, names, seed)
+
+
+def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[str, Verification]:
     architectures = project.facts["architectures"]
 
     def check(architecture: str) -> Verification:
@@ -393,8 +454,6 @@ def verify_project(project: Project, names: tuple[str, ...] = (), seed: int | No
         results = dict(zip(architectures, pool.map(check, architectures), strict=True))
     hardware = {}
     for architecture, result in results.items():
-        with replacing(project.folder / f"results-{architecture}.xml") as path:
-            path.write_bytes(result.junit.read_bytes())
         clocks = [v.clocks_per_step for v in result.verdicts if np.isfinite(v.clocks_per_step)]
         hardware[architecture] = {
             "clocks_per_step": max(clocks, default=None),
@@ -404,7 +463,11 @@ def verify_project(project: Project, names: tuple[str, ...] = (), seed: int | No
                 for v in result.verdicts
             },
         }
-    _write_json(project.folder / "verify.json", hardware)
+    with replacing_all(_results(project.folder)) as (found, *junits):
+        found.write_text(_json(hardware))
+        for architecture, path in zip(ARCHITECTURES, junits, strict=True):
+            if architecture in results:
+                path.write_bytes(results[architecture].junit.read_bytes())
     return results
 
 
@@ -420,10 +483,13 @@ def synthesize_project(
     if keep and (name not in CATALOG or project.source.recordings):
         raise InputError(f"{project.folder}: only resources of a network of the catalogue are kept, not of {name}")
     found = project.resources or {}
-    for architecture in reversed(project.facts["architectures"]):
-        folder = project.folder / "rtl" / architecture
-        found[f"{architecture}, {target}"] = synthesize(folder, project.program.name, target, clock_rate, limit)
-    _write_json(project.folder / "resources.json", found)
+    with writing(project.folder), locked(project.folder.resolve()):
+        if edited := project.edited():
+            raise InputError(f"{edited[0]}: is not the Verilog of program.json; compile again")
+        for architecture in reversed(project.facts["architectures"]):
+            folder = project.folder / "rtl" / architecture
+            found[f"{architecture}, {target}"] = synthesize(folder, project.program.name, target, clock_rate, limit)
+        _write_json(project.folder / "resources.json", found)
     if keep:
         _write_json(_kept(name), {"size": size(project.program), "resources": found})
     return found
@@ -449,15 +515,10 @@ def study_project(project: Project, progress: Callable[[str], None] | None = Non
     )
 
 
+def _json(value: object) -> str:
+    return json.dumps(value, indent=1) + "\n"
+
+
 def _write_json(path: Path, value: object) -> None:
     with replacing(path) as temporary:
-        temporary.write_text(json.dumps(value, indent=1) + "\n")
-
-
-def _read_json(path: Path, missing: str) -> dict:
-    try:
-        return json.loads(path.read_text())
-    except FileNotFoundError:
-        raise InputError(missing) from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not readable ({error}); run greygate compile again") from None
+        temporary.write_text(_json(value))

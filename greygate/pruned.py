@@ -19,7 +19,8 @@ import numpy as np
 
 from greygate.compiler.pipeline import compile_network, float_error
 from greygate.compiler.prune import Round
-from greygate.errors import InputError, replacing
+from greygate.errors import InputError
+from greygate.files import replacing
 from greygate.measured import TRAINED
 from greygate.models.network import Network
 from greygate.models.problem import Record

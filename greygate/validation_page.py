@@ -14,8 +14,9 @@ from plotly.offline import get_plotlyjs
 
 from greygate import figures
 from greygate.catalog import CATALOG, entry
-from greygate.errors import InputError, replacing
+from greygate.errors import InputError
 from greygate.figures import Line
+from greygate.files import replacing
 from greygate.measured import settled
 from greygate.models.validation import LEASH, Correlation, Range, Validation, coverage, validate
 from greygate.project import Source

@@ -18,10 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.compiler.emit import emit
+from greygate.compiler.emit import emit, sources
 from greygate.compiler.verilog import lane_width, sign_extended, verilog_names
 from greygate.emulator.program import Program, Signal
-from greygate.errors import InputError, replacing
+from greygate.errors import InputError
+from greygate.files import replacing, writing
 
 
 @dataclass(frozen=True)
@@ -55,11 +56,7 @@ class Case:
         if self.emitted is None:
             files = emit(self.program, folder / "rtl" / self.program.name, self.architecture, self.macs)
         else:
-            listing = self.emitted / f"{self.program.name}.f"
-            try:
-                files = [self.emitted.resolve() / line for line in listing.read_text().split()]
-            except OSError as error:
-                raise InputError(f"{listing}: {error.strerror}; emit the design first") from None
+            files = sources(self.emitted, self.program.name)
         return [f for f in files if f.suffix == ".v"]
 
 
@@ -121,10 +118,8 @@ def verify_many(
     for case in cases:
         verilog_names(case.program)
     folder = Path(folder).resolve()
-    try:
+    with writing(folder, "make this folder"):
         (folder / "build").mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot make this folder ({error.strerror}); choose another") from None
     seed = int(np.random.SeedSequence().entropy % (1 << 31)) if seed is None else seed
     print(f"verify: seed {seed}", file=sys.stderr)
     designs, sources = [], []
@@ -146,7 +141,7 @@ def verify_many(
     simulate(executable, folder, junit, seed, environment, waves)
     ended = time.perf_counter()
     if not verdicts.exists() or not junit.exists():
-        raise RuntimeError(f"the simulation ended without results; see {folder / 'sim.log'}")
+        raise InputError(f"{folder / 'sim.log'}: the simulation ended without results; its last lines say why")
     found = {(v["design"], v["scenario"]): v for v in json.loads(verdicts.read_text())}
     return Verification(
         tuple(d.verdict(name, found.get((d.index, name))) for d in designs for name in d.case.scenarios),
@@ -330,7 +325,7 @@ def build(bench: Path, sources: list[Path], folder: Path, environment: dict[str,
     )
     for name in RUNTIME:
         if (folder / name).exists() and not (cache / name).exists():
-            with suppress(OSError):  # a cache that cannot be written only costs time
+            with suppress(OSError, InputError):  # a cache that cannot be written only costs time
                 cache.mkdir(parents=True, exist_ok=True)
                 with replacing(cache / name) as temporary:
                     shutil.copy(folder / name, temporary)
@@ -367,9 +362,9 @@ def simulate(executable: Path, folder: Path, junit: Path, seed: int, environment
 
 
 def run_logged(command: list[str], log: Path, environment: dict[str, str]) -> None:
-    """Run a tool with its output in a file; RuntimeError with the end of it if the tool fails."""
-    with log.open("w") as out:
+    """Run a tool with its output in a file; InputError with the last line of it if the tool fails."""
+    with writing(log), log.open("w") as out:
         done = subprocess.run(command, stdout=out, stderr=subprocess.STDOUT, env=environment, cwd=log.parent)
     if done.returncode:
-        tail = "\n".join(log.read_text().splitlines()[-15:])
-        raise RuntimeError(f"{command[0]} failed ({done.returncode}); {log}:\n{tail}")
+        last = (log.read_text(errors="replace").split("\n\n")[-1].split("\n") or [""])[-1]
+        raise InputError(f"{log}: {Path(command[0]).name} failed ({done.returncode}): {last}")

@@ -43,7 +43,8 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.errors import InputError, replacing_folder
+from greygate.errors import InputError
+from greygate.files import replaceable, replacing_folder
 
 from .concealed.line import BELT, DRUM
 from .concealed.pump import PUMP
@@ -74,6 +75,7 @@ def conceal(plant: str, seed: int, out: Path, *, effect: str | None = None, kind
     rig = _rig(plant)
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise InputError(f"conceal: seed {seed!r} is not a whole number from 0")
+    replaceable(out, "conceal")
     rng = np.random.default_rng([zlib.crc32(plant.encode()), seed])
     kind = _kind(rig, kind, effect, rng)
     rig = _sensors(rig, rng)
@@ -117,7 +119,7 @@ def conceal(plant: str, seed: int, out: Path, *, effect: str | None = None, kind
     bare = {name: datasheet[name] if name == off else true[name] for name in datasheet}
     answer |= _fits(rig, recordings, datasheet, bare, true, concealed, form)
 
-    with replacing_folder(out, "sealed.json") as folder:
+    with replacing_folder(out, "conceal") as folder:
         (folder / "rig.toml").write_text(_toml(rig, datasheet))
         for name, columns in recordings.items():
             _write(folder / f"{name}.csv", rig, columns)

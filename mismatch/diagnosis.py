@@ -14,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.errors import InputError, replacing
+from greygate.errors import InputError
+from greygate.files import replacing
 from greygate.mismatch import effects as table
 from greygate.mismatch.closure import closure
 from greygate.mismatch.coloured import Coloured, explain, settled

@@ -16,7 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.errors import InputError, replacing
+from greygate.errors import InputError
+from greygate.files import replacing
 from greygate.models.blocks import feedforward, fit_divider, fit_flow, flow_rate
 from greygate.models.network import Layer, Network, Port
 from greygate.models.problem import Record

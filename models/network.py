@@ -17,7 +17,8 @@ import numpy as np
 import safetensors.numpy
 import tomli_w
 
-from greygate.errors import InputError, replacing
+from greygate.errors import InputError
+from greygate.files import read_all, replacing_all
 from greygate.models.arithmetic import product
 from greygate.names import check_name, check_path, check_text, check_unit, one_line, shown
 from greygate.reading import Kind, array, entry_of, listed, named, number, table, whole
@@ -243,25 +244,31 @@ class Network:
 
     # ---- on disk
 
-    def save(self, path: Path | str) -> None:
-        """Write `path`.toml, which a person can read, and `path`.safetensors with the numbers."""
-        path = Path(path)
-        with replacing(path.with_suffix(".safetensors")) as numbers, replacing(path.with_suffix(".toml")) as text:
-            safetensors.numpy.save_file({n: np.ascontiguousarray(v) for n, v in self.parameters().items()}, numbers)
+    def save(self, path: Path | str, figures: str = "") -> None:
+        """Write `path`.toml, which a person can read, and `path`.safetensors with the numbers; all or nothing.
+
+        figures: text of `path`.json, if it goes with them. `load` sees all of one writing, wherever it was broken off.
+        """
+        tensors = safetensors.numpy.save({n: np.ascontiguousarray(v) for n, v in self.parameters().items()})
+        with replacing_all(_files(path)) as (text, numbers, more):
             text.write_text(tomli_w.dumps(_to_toml(self)), encoding="utf-8")
+            numbers.write_bytes(tensors)
+            if figures:
+                more.write_text(figures, encoding="utf-8")
 
     @staticmethod
     def load(path: Path | str) -> "Network":
         """Read a saved network; every name and shape is checked. Raises InputError saying what is wrong and where."""
-        path = Path(path)
-        toml, numbers = path.with_suffix(".toml"), path.with_suffix(".safetensors")
+        toml, numbers, _ = files = _files(path)
         try:
-            data = tomllib.loads(toml.read_text(encoding="utf-8"))
-            tensors = safetensors.numpy.load_file(numbers)
-        except FileNotFoundError as error:
-            raise InputError(
-                f"{error.filename}: no such file; a network is NAME.toml beside NAME.safetensors"
-            ) from None
+            found = dict(zip(files, read_all(files), strict=True))
+            for file in (toml, numbers):
+                if found[file] is None:
+                    raise InputError(f"{file}: no such file; a network is NAME.toml beside NAME.safetensors")
+            data = tomllib.loads(found[toml].decode())
+            tensors = safetensors.numpy.load(found[numbers])
+        except InputError:
+            raise
         except (OSError, ValueError, KeyError, TypeError, RecursionError, safetensors.SafetensorError) as error:
             raise InputError(f"{path}: not a readable network ({one_line(str(error))}); save it again") from None
         try:
@@ -563,6 +570,11 @@ class _Flattener:
             start[name] = layer.initial
         flat.modules = {n: flat.modules[n] for n in order}
         return flat
+
+
+def _files(path: Path | str) -> list[Path]:
+    """What is written together: structure, numbers, and the figures of a training."""
+    return [Path(path).with_suffix(suffix) for suffix in (".toml", ".safetensors", ".json")]
 
 
 def _to_toml(network: Network) -> dict:

@@ -15,7 +15,8 @@ import numpy as np
 import scipy.linalg
 from threadpoolctl import ThreadpoolController
 
-from greygate.errors import InputError, replacing
+from greygate.errors import InputError
+from greygate.files import replacing
 from greygate.models.network import Network
 from greygate.models.problem import Problem, Record, held_out
 

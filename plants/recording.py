@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.errors import InputError, replacing
+from greygate.errors import InputError
+from greygate.files import replacing
 
 UNITS = {
     "s": "s", "m": "m", "m_s": "m/s", "m_s2": "m/s^2", "m3_s": "m^3/s", "rad": "rad", "rad_s": "rad/s",

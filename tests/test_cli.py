@@ -14,7 +14,8 @@ from typer.testing import CliRunner
 from greygate import __version__, cli
 from greygate.catalog import CATALOG
 from greygate.cli import app
-from greygate.errors import InputError, replacing_folder
+from greygate.errors import InputError
+from greygate.files import replacing_folder
 from greygate.models.library import library
 from greygate.models.network import Layer, Network, Port
 from greygate.plants.recording import Recording
@@ -191,8 +192,12 @@ def test_verify_says_no_with_exit_code_1_when_the_verilog_is_changed(built):
     text = layer.read_text()
     assert " + " in text
     layer.write_text(text.replace(" + ", " - ", 1))
-    code, out, _ = greygate("verify", built, "--seed", 1)
+    code, out, error = greygate("verify", built, "--seed", 1)
+    assert (code, out, error.count("\n")) == (2, "", 1)
+    assert f"{layer}: not the Verilog of program.json" in error
+    code, out, error = greygate("verify", built, "--seed", 1, "--as-is")
     assert code == 1
+    assert f"{layer} is not the Verilog of program.json; verified as it is" in error
     assert "step 0" in out
     assert "the emulator has" in out
 
@@ -313,17 +318,17 @@ def test_an_interrupted_compilation_leaves_nothing_behind(tmp_path):
 
 def test_a_failure_while_writing_leaves_the_earlier_folder_as_it_was(tmp_path):
     target = tmp_path / "build"
-    target.mkdir()
-    (target / "compile.json").write_text("old")
+    with replacing_folder(target, "compile") as new:
+        (new / "compile.json").write_text("old")
 
     def fail():
-        with replacing_folder(target, "compile.json") as new:
+        with replacing_folder(target, "compile") as new:
             (new / "half").write_text("x")
             raise InputError("broken")
 
     with pytest.raises(InputError, match="broken"):
         fail()
-    assert [p.name for p in tmp_path.rglob("*")] == ["build", "compile.json"]
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["build", "compile.json", "manifest.json"]
 
 
 def test_help_names_every_command():

@@ -13,6 +13,7 @@ from greygate.cli import app
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
+from greygate.files import write_manifest
 from greygate.models.network import Network
 from greygate.report import page, study
 from greygate.summary import aligned, designs, results
@@ -150,6 +151,7 @@ def test_a_folder_that_holds_another_network_is_named(plants):
     ran("report", "--all", "mine")
     facts = plants / "mine" / NAME / "compile.json"
     facts.write_text(facts.read_text().replace('"source": "tiny"', '"source": "b2"'))
+    write_manifest(facts.parent, "compile")
     with pytest.raises(InputError, match="holds b2"):
         CliRunner().invoke(app, ["report", "--all", "mine"], catch_exceptions=False)
 

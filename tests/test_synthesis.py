@@ -1,6 +1,7 @@
 """Synthesis beside its tools: their limit of processor time, and figures that are kept in the package."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from test_network import delay_line
@@ -46,9 +47,7 @@ def test_figures_are_kept_for_a_network_of_the_catalogue_only(compiled, tmp_path
     with pytest.raises(InputError, match="only resources of a network of the catalogue are kept"):
         synthesize_project(compiled, "ecp5", keep=True)
     assert compiled.resources is None
-    facts = tmp_path / "hw" / "compile.json"
-    facts.write_text(json.dumps(json.loads(facts.read_text()) | {"source": "b2", "recordings": {}}))
-    named = Project.open(tmp_path / "hw")
+    named = replace(compiled, source=Source("b2", {}))
     found = synthesize_project(named, "ecp5", limit=5.0, keep=True)
     assert found == {"folded, ecp5": {"luts": 42}, "parallel, ecp5": {"stopped_after_s": 5.0}}
     assert json.loads((tmp_path / "b2.resources.json").read_text()) == {"size": size(named.program), "resources": found}

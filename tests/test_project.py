@@ -1,0 +1,170 @@
+"""A build from anywhere is data: no entry leads outside it, and no Verilog runs but its program's."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from test_network import delay_line
+
+from greygate import project
+from greygate.compiler.emit import sources
+from greygate.compiler.quantize import Formats
+from greygate.errors import InputError
+from greygate.files import write_manifest
+from greygate.project import Project, Source, compile_project, synthesize_project, verify_project
+
+
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("project")
+    delay_line().save(folder / "line")
+    rows = "".join(f"{k * 1e-3:.3f},{k % 5},{k % 3}\n" for k in range(20))
+    (folder / "a.csv").write_text("t_s,u_V,y_m\n" + rows)
+    compile_project(Source(str(folder / "line.toml"), {"a": str(folder / "a.csv")}), folder / "b", Formats())
+    return folder / "b"
+
+
+@pytest.fixture
+def build(compiled, tmp_path) -> Path:
+    shutil.copytree(compiled, tmp_path / "b")
+    return tmp_path / "b"
+
+
+def edited(build: Path, name: str, **entries) -> None:
+    """Entries of a JSON file changed, and the manifest made to agree, as a stranger can."""
+    path = build / name
+    path.write_text(json.dumps(json.loads(path.read_text()) | entries))
+    write_manifest(build, "compile")
+
+
+PASS = {"name": "p", "layers": 1, "parameters": 1, "multiplications": 1, "change": 0.0, "remarks": []}
+
+
+@pytest.mark.parametrize(
+    ("entries", "says"),
+    [
+        ({"architectures": ["../../esc"]}, "architectures, 1 is '../../esc'; it is one of parallel, folded"),
+        ({"architectures": ["/tmp/esc"]}, "architectures, 1 is '/tmp/esc'"),
+        ({"architectures": []}, "name one or both"),
+        ({"architectures": ["folded", "folded"]}, "each once"),
+        ({"architectures": "folded"}, "architectures is 'folded'"),
+        ({"macs": 10**9}, "macs is 1000000000; it is 1 to 256"),
+        ({"macs": "4"}, "macs is '4'"),
+        ({"macs": True}, "macs is True"),
+        ({"macs": 4.0}, r"macs is 4\.0"),
+        ({"source": ["a"]}, "source is "),
+        ({"recordings": ["a.csv"]}, "recordings is "),
+        ({"recordings": {"a": 5}}, "'a' is 5; it is text"),
+        ({"title": None}, "title is None; it is text"),
+        ({"finer": 10**400}, "finer is 1000"),
+        ({"passes": {}}, "passes is "),
+        ({"passes": [PASS | {"change": float("nan")}]}, "change is nan"),
+        ({"passes": [PASS | {"layers": -1}]}, "layers is -1"),
+        ({"passes": [{"name": "p"}]}, "holds 'change' that it should not, or lacks it"),
+        ({"module": "os"}, "holds 'module'"),
+    ],
+)
+def test_an_entry_of_compile_json_of_the_wrong_kind_is_one_line(build, entries, says):
+    edited(build, "compile.json", **entries)
+    with pytest.raises(InputError, match=says) as refused:
+        Project.open(build)
+    assert "\n" not in str(refused.value)
+
+
+VERDICT = {"clocks_per_step": 9.0, "seed": 1, "scenarios": {"a": {"steps": 5, "differing_bits": 0, "mismatch": None}}}
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("verify.json", []),
+        ("verify.json", {"parallel": 5}),
+        ("verify.json", {"parallel": VERDICT | {"clocks_per_step": float("inf")}}),
+        ("verify.json", {"parallel": VERDICT | {"scenarios": {"a": {"steps": 5}}}}),
+        ("verify.json", {"parallel": VERDICT | {"seed": "x"}}),
+        ("resources.json", {"parallel, ecp5": 5}),
+        ("resources.json", {"parallel, ecp5": {"luts": "many"}}),
+        ("resources.json", {"parallel, ecp5": {"luts": [1]}}),
+        ("resources.json", "text"),
+    ],
+)
+def test_broken_results_are_one_line(build, name, content):
+    (build / name).write_text(json.dumps(content))
+    opened = Project.open(build)
+    with pytest.raises(InputError, match=f"{name}: .* again"):
+        _ = opened.hardware, opened.resources
+    (build / name).write_text(json.dumps(content)[:-1] + "[" * 90_000)
+    with pytest.raises(InputError, match=f"{name}: not readable"):
+        _ = opened.hardware, opened.resources
+
+
+def test_sound_results_are_read(build):
+    (build / "verify.json").write_text(json.dumps({"parallel": VERDICT}))
+    (build / "resources.json").write_text(json.dumps({"parallel, ecp5": {"luts": 5, "clock_mhz": None}}))
+    assert Project.open(build).hardware == {"parallel": VERDICT}
+    assert Project.open(build).resources == {"parallel, ecp5": {"luts": 5, "clock_mhz": None}}
+
+
+@pytest.mark.parametrize("name", ["program.json", "network.toml", "network.safetensors", "compile.json"])
+def test_a_build_that_was_changed_or_lacks_a_file_is_named(build, name):
+    path = build / name
+    path.write_bytes(path.read_bytes() + b"\n")
+    with pytest.raises(InputError, match=f"{name}: not as greygate compile wrote it"):
+        Project.open(build)
+    path.unlink()
+    with pytest.raises(InputError, match=r"greygate compile (first|wrote)"):
+        Project.open(build)
+
+
+def test_a_link_in_a_build_is_refused(build, tmp_path):
+    (build / "simulation").symlink_to(tmp_path)
+    with pytest.raises(InputError, match="simulation: not as greygate compile wrote it"):
+        Project.open(build)
+
+
+def test_a_build_of_an_earlier_version_is_told_to_be_compiled_again(build):
+    (build / "manifest.json").unlink()
+    with pytest.raises(InputError, match=r"no manifest\.json.* run greygate compile again"):
+        Project.open(build)
+
+
+@pytest.mark.parametrize("signed", [False, True])
+@pytest.mark.parametrize("change", ["edit", "remove", "list"])
+def test_verilog_that_is_not_its_programs_is_neither_simulated_nor_synthesized(build, monkeypatch, signed, change):
+    """Even where a stranger's manifest lists it: the program says what the Verilog must be."""
+    path = build / "rtl" / "folded" / ("line.f" if change == "list" else "line.v")
+    if change == "remove":
+        path.unlink()
+    else:
+        path.write_text(path.read_text() + ("esc.v\n" if change == "list" else 'initial $system("id");\n'))
+    if signed:
+        write_manifest(build, "compile")
+    called = []
+    monkeypatch.setattr(project, "verify_many", lambda *a: called.append(a))
+    monkeypatch.setattr(project, "synthesize", lambda *a: called.append(a))
+    for run in (verify_project, lambda p: synthesize_project(p, "ecp5")):
+        with pytest.raises(InputError, match=f"{path}: .*not the Verilog of program.json"):
+            run(Project.open(build))
+    assert called == []
+
+
+@pytest.mark.parametrize("line", ["../esc.v", "/tmp/esc.v", "a.v;", "a.py", "deep/a.v", "-f", "a b.v"])
+def test_a_list_of_sources_names_plain_files_beside_it_and_nothing_else(build, line):
+    listing = build / "rtl" / "folded" / "line.f"
+    assert [p.parent for p in sources(listing.parent, "line")] == [listing.parent.resolve()] * len(
+        sources(listing.parent, "line")
+    )
+    listing.write_text(listing.read_text() + line + "\n")
+    with pytest.raises(InputError, match="is no plain name of a file beside it"):
+        sources(listing.parent, "line")
+
+
+def test_a_source_that_names_a_python_file_is_not_run(build, tmp_path):
+    (tmp_path / "evil.py").write_text(f"open({str(tmp_path / 'ran')!r}, 'w')")
+    for name in (str(tmp_path / "evil.py"), str(tmp_path / "evil"), "os", "greygate.cli"):
+        edited(build, "compile.json", source=name)
+        opened = Project.open(build)
+        with pytest.raises(InputError, match=r"no network is called|no such file"):
+            opened.source.network()
+    assert not (tmp_path / "ran").exists()
