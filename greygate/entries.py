@@ -25,6 +25,12 @@ def shown(value) -> str:
     return quoted if len(quoted) <= SHOWN else f"{quoted[: SHOWN - 3]}..."
 
 
+def named(where: str) -> str:
+    """The name of an entry as a message says it: printable, not long."""
+    text = where if where.isprintable() else ascii(where)[1:-1]
+    return text if len(text) <= 2 * SHOWN else f"{text[: 2 * SHOWN - 3]}..."
+
+
 def read_toml(path: Path | str, wish: str) -> dict:
     """The table of a TOML file. Raises InputError where there is none, with `wish`, what to give."""
     return _read(path, tomllib.loads, "TOML", wish)
@@ -53,7 +59,7 @@ class Entries:
     path: Path | str
 
     def fail(self, where: str, problem: str) -> NoReturn:
-        raise InputError(f"{self.path}: {where if where.isprintable() else ascii(where)}: {problem}")
+        raise InputError(f"{self.path}: {named(where)}: {problem}")
 
     def text(self, where: str, value, known: Collection[str] = ()) -> str:
         """One line of text; one of `known` where these are given."""

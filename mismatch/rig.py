@@ -191,12 +191,12 @@ def load(folder: Path | str, plants: Path | None = None) -> Rig:
             fail(f"channels.{source}", f"is missing; {plant.name} derives {name} of it")
     for name in predict:
         if name not in channels or channels[name].role != "output":
-            fail("predict", f"{name!r} is no output channel")
+            fail("predict", f"{shown(name)} is no output channel")
     if not all(channels[name].sigma > 0 for name in predict) and "window_s" in table:
         fail("window_s", "needs resolution or noise_rms of every predicted channel; give these, or run free")
     for symbol in anew:
         if symbol not in datasheet:
-            fail("anew", f"{symbol!r} is no entry of [parameters]; give its value there")
+            fail("anew", f"{shown(symbol)} is no entry of [parameters]; give its value there")
     switched = {on: 1.0 for on, by in plant.switches.items() if datasheet.get(by)}
     parameters = {
         symbol: Parameter(
@@ -239,5 +239,5 @@ def _plant(rig: Path, name: str) -> Plant:
     path = own if name.endswith(".toml") else PLANTS / f"{name}.toml"
     if not path.exists():
         known = ", ".join(sorted(p.stem for p in PLANTS.glob("*.toml")))
-        raise InputError(f"{rig}: plant {name!r} is unknown; give {known}, or a plant file beside rig.toml")
+        raise InputError(f"{rig}: plant {shown(name)} is unknown; give {known}, or a plant file beside rig.toml")
     return Plant.read(path)

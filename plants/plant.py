@@ -13,7 +13,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from greygate.entries import Entries, read_toml, shown
+from greygate.entries import Entries, named, read_toml, shown
 from greygate.errors import InputError
 from greygate.plants.expressions import is_name, is_symbol, names, parse
 
@@ -126,12 +126,12 @@ class Plant:
         balanced = [equation.state for equation in self.equations.values()]
         for state in (*self.states, *balanced):
             if state not in self.states:
-                self._fail("equations", f"{state!r} is no state; declare it")
+                self._fail("equations", f"{shown(state)} is no state; declare it")
             if balanced.count(state) != 1:
                 self._fail("equations", f"state {state} has {balanced.count(state)} equations; give it one")
         for output in self.outputs:
             if output not in symbols - set(self.parameters):
-                self._fail("outputs", f"{output!r} is no state, definition or input")
+                self._fail("outputs", f"{shown(output)} is no state, definition or input")
         if not (np.isfinite(self.step) and self.step >= SHORTEST):
             self._fail("step", f"{self.step} s; give {SHORTEST:g} s or more")
 
@@ -188,7 +188,7 @@ class Plant:
         """This plant with other parameter values."""
         for symbol in values:
             if symbol not in self.parameters:
-                self._fail("parameters", f"{symbol!r} is not among {', '.join(self.parameters)}")
+                self._fail("parameters", f"{shown(symbol)} is not among {', '.join(self.parameters)}")
         changed = {symbol: replace(self.parameters[symbol], value=float(v)) for symbol, v in values.items()}
         return replace(self, parameters={**self.parameters, **changed})
 
@@ -271,7 +271,7 @@ class Plant:
     # -- checks at declaration ---------------------------------------------------------------------------------------
 
     def _fail(self, where: str, problem: str) -> NoReturn:
-        raise InputError(f"plant {self.name}: {where}: {problem}")
+        raise InputError(f"plant {named(self.name)}: {named(where)}: {problem}")
 
     def _declare(self, symbol: str, symbols: set[str]) -> None:
         if not is_symbol(symbol):
@@ -284,7 +284,7 @@ class Plant:
 
     def _among(self, where: str, symbol: str, owners: Iterable[str]) -> None:
         if symbol not in owners:
-            self._fail(where, f"{symbol!r} is not among {', '.join(owners)}")
+            self._fail(where, f"{shown(symbol)} is not among {', '.join(owners)}")
 
     def _check_state(self, symbol: str, state: State, symbols: Container[str]) -> None:
         for which, known in (("initial", self.parameters), ("low", self.parameters), ("high", self.parameters),
@@ -292,14 +292,14 @@ class Plant:
             if isinstance(given := getattr(state, which), str):
                 self._check(f"state {symbol}, {which}", given, known)
         if state.rate is not None and state.rate not in self.states:
-            self._fail(f"state {symbol}", f"rate {state.rate!r} is no state; name the state that is its velocity")
+            self._fail(f"state {symbol}", f"rate {shown(state.rate)} is no state; name the state that is its velocity")
 
     def _check_derived(self, symbols: Container[str]) -> None:
         for symbol, text in self.derived.items():
             self._among("derived", symbol, self.inputs)
             how, _, source = text.partition(" ")
             if how not in DERIVED or source not in symbols or source in self.derived:
-                self._fail(f"derived {symbol}", f"{text!r}; give {', '.join(DERIVED)} and a recorded signal")
+                self._fail(f"derived {symbol}", f"{shown(text)}; give {', '.join(DERIVED)} and a recorded signal")
 
     def _check_terms(self, where: str, terms: Mapping[str, str], symbols: Container[str]) -> None:
         if len(terms) > TERMS:
@@ -316,7 +316,7 @@ class Plant:
             self._fail(where, str(error))
         for name in found:
             if name not in symbols:
-                self._fail(where, f"unknown name {name!r}{self._hint(name)}")
+                self._fail(where, f"unknown name {shown(name)}{self._hint(name)}")
 
     def _hint(self, name: str) -> str:
         defined = {definition.symbol for definition in self.definitions.values()}

@@ -261,7 +261,7 @@ def test_whole_names_are_replaced_and_no_part_of_one():
 
 
 @pytest.mark.parametrize("name", ["_x", "__x__", "if", "None", "sin", "np", "run", "2x", "x y", "x\n", "ﬁ", "é", "", 3])
-def test_no_symbol_is(name):
+def test_what_python_or_the_simulation_means_by_a_name_is_no_symbol(name):
     assert not is_symbol(name)
 
 
