@@ -172,11 +172,9 @@ def predict(
     Returns channel -> rms of simulated minus recorded (None where it diverges), unit, finite.
     """
     rig = load(folder)
-    measured = rig.recording(recording)
+    measured, clock = rig.timed(recording)
     effects = table_of(own, rig, measured)
     found = simulate(rig, measured, None if diagnosis is None else read(diagnosis), effects)
-    with Path(recording).open(newline="") as file:
-        clock = [row[0] for row in csv.reader(file)][1:]
     with replacing(out) as temporary, temporary.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["t", *found])
