@@ -106,7 +106,7 @@ def _text(path: Path) -> str:
 
 def _rows(path: Path, text: str) -> tuple[list[int], list[list[str]], str]:
     """(line that each row ends on, cells of each row that is not blank, separator)."""
-    first = re.match(r"\s*(.*)", text).group(1)
+    first = re.match(r"\s*([^\r\n]*)", text).group(1)
     outside = re.sub(r'"[^"]*"', "", first)
     found = [s for s in ",;" if s in outside] or ["\t"]
     if len(found) > 1:
