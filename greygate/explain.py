@@ -92,7 +92,8 @@ def explain_all(
     them to a cluster, whose workers read the rigs at the same paths. follow: called with how many are done and the last
     one's name.
 
-    Raises InputError for two rigs of one name, no folder to write to, and whatever `explain` does.
+    What is wrong with one of several rigs ends no other: it stands as its content, {"error": line}, and in its lines.
+    Raises InputError for two rigs of one name, no folder to write to, and for one rig whatever `explain` does.
     """
     folders, own = ([Path(path).resolve() for path in paths] for paths in (folders, own))
     names, several = [folder.name for folder in folders], len(folders) > 1
@@ -101,14 +102,29 @@ def explain_all(
     for path in (out, html) if several else ():
         if path is not None and not path.is_dir():
             raise InputError(f"{path}: no such folder; of several rigs --out and --html name folders, make it")
-    tasks = (delayed(Explained.of)(folder, html is not None, own) for folder in folders)
+    tasks = (delayed(_attempt)(folder, html is not None, own) for folder in folders)
     results = {}
     for name, made in zip(names, Parallel(jobs, return_as="generator")(tasks), strict=True):
-        made.write(*(p / (name + end) if p and several else p for p, end in ((out, ".json"), (html, ".html"))))
-        results[name] = made.found, made.lines
+        try:
+            if isinstance(made, InputError):
+                raise made
+            made.write(*(p / (name + end) if p and several else p for p, end in ((out, ".json"), (html, ".html"))))
+            results[name] = made.found, made.lines
+        except InputError as error:
+            if not several:
+                raise
+            results[name] = {"error": str(error)}, [f"{name}: not diagnosed: {error}"]
         if follow is not None:
             follow(len(results), name)
     return results
+
+
+def _attempt(folder: Path, page: bool, own: Sequence[Path]) -> "Explained | InputError":
+    """What is wrong with one rig is sent like a result, so that the others go on."""
+    try:
+        return Explained.of(folder, page, own)
+    except InputError as error:
+        return error
 
 
 @dataclass(frozen=True)

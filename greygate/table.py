@@ -13,7 +13,7 @@ import numpy as np
 
 from greygate.errors import InputError
 
-LARGEST = 1e100  # what a cell may hold: far above any quantity, and sums of its squares stay within float64
+LARGEST = 1e30  # of a cell: above any quantity; its eighth power, in correlations of squares, stays within float64
 MOST_BYTES = 2**31  # of a table when unpacked: a recording is far smaller, a gzip bomb is not
 SHOWN = 40  # characters of a cell that a message quotes
 
