@@ -44,6 +44,8 @@ INTERRUPTED = 130  # exit code of what Ctrl-C ends, as shells have it
 UsageError = typer.BadParameter.__base__  # of whatever a command line lacks or has too much
 REACHED = 10.0  # s in which a cluster's scheduler answers
 
+OWN_TRAINING = ("tail", "narx", "epochs", "decay", "settle", "shooting", "seconds")  # options of a user's network
+
 Tables = Annotated[list[Path], typer.Option(help="TOML file that extends the effects; hydraulics comes along.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Folder = Annotated[Path, typer.Argument(help="A folder that `greygate compile` wrote.")]
@@ -108,13 +110,15 @@ def _bar(title: str, total: int) -> Iterator:
         TimeElapsedColumn(),
         TextColumn("{task.fields[word]}"),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(title, total=total, word="")
         yield lambda done, word: bar.update(task, completed=done, word=word)
 
 
 @app.command()
 def train(
+    context: typer.Context,
     name: Annotated[str, typer.Argument(help="A network of the catalogue, `list`, or NAME.toml with --record.")],
     record: Annotated[list[str], typer.Option(help="FILE.csv to learn from; several may be given.")] = [],
     held: Annotated[list[str], typer.Option(help="FILE.csv that only chooses the epoch.")] = [],
@@ -151,6 +155,8 @@ def train(
     chosen, out = entry(name), out or TRAINED
     if record or held:
         raise InputError(f"{name} is trained on records of its own; --record goes with a NAME.toml file")
+    if given := [f"--{n}" for n in OWN_TRAINING if context.get_parameter_source(n).name == "COMMANDLINE"]:
+        raise InputError(f"{name} is trained in a way of its own; {', '.join(given)} goes with a NAME.toml file")
     if not out.is_dir():
         raise InputError(f"{out}: no such folder; make it, or leave --out away to write into the package")
     with _progress(f"training {name}") as follow:

@@ -15,6 +15,7 @@ from greygate import __version__, cli
 from greygate.catalog import CATALOG
 from greygate.cli import app
 from greygate.errors import InputError, replacing_folder
+from greygate.models import training
 from greygate.models.library import library
 from greygate.models.network import Layer, Network, Port
 from greygate.plants.recording import Recording
@@ -253,11 +254,11 @@ def test_a_bad_recording_is_named_in_one_line_and_nothing_is_written(tmp_path, n
         (["validate", "line.toml", "--record", "a.csv", "--record", "slow.csv"], TWO_TIMES),
         (["compile", "line.toml", "--record", "a.csv", "--held", "big.csv", "--out", "b"], "give --prune or --weights"),
         (["compile", "line.toml", "--held", "a.csv", "--prune", "1.1", "--out", "b"], "a sets the ranges"),
-        (["compile", "line.toml", "--record", "t=a.csv", "--width", "3", "--out", "b"], "choose 4 to 32 bits"),
+        (["compile", "line.toml", "--record", "t=a.csv", "--width", "3", "--out", "b"], "--width 3: give 4 to 32 bits"),
         (["compile", "line.toml", "--record", "t=big.csv", "--width", "8", "--out", "b"], "8 bits cannot hold"),
         (["compile", "line.toml", "--record", "t=a.csv", "--budget", "0.5", "--out", "b"], "--budget 0.5"),
         (["compile", "line.toml", "--record", "t=a.csv", "--prune", "0.5", "--out", "b"], "--prune 0.5"),
-        (["compile", "line.toml", "--record", "t=a.csv", "--macs", "0", "--out", "b"], "0 multipliers"),
+        (["compile", "line.toml", "--record", "t=a.csv", "--macs", "0", "--out", "b"], "--macs 0: give 1 to 256"),
         (["compile", "line.toml", "--record", "t=a.csv", "--out", "/proc/b"], "cannot make this folder"),
         (["compile", "line.toml", "--record", "t=a.csv", "--out", "other"], "holds other files"),
         (["compile", "line.toml", "--record", "t=a.csv", "--out", "a.csv"], "a file of that name is in the way"),
@@ -265,6 +266,14 @@ def test_a_bad_recording_is_named_in_one_line_and_nothing_is_written(tmp_path, n
         (["report", "other"], "run greygate compile first"),
         (["train", "nobody"], "no network is called 'nobody'"),
         (["train", "crane", "--out", "nowhere"], "no such folder"),
+        (["train", "crane", "--epochs", "5", "--no-narx"], "crane is trained in a way of its own; --narx, --epochs"),
+        (["train", "line.toml", "--record", "a.csv", "--settle", "60", "--out", "b"], "skips 60 of its 60 samples"),
+        (
+            ["train", "line.toml", "--record", "a.csv", "--shooting", "31", "--out", "b"],
+            "give windows of 1 to 30 steps",
+        ),
+        (["validate", "line.toml", "--record", "a.csv", "--settle", "61"], "skips 61 of its 60 samples"),
+        (["validate", "line.toml", "--record", "a.csv", "--lags", "25"], "60 samples are too few for 25 lags"),
     ],
 )
 def test_wrong_use_is_one_line_with_exit_code_2_and_nothing_is_left(tmp_path, network, arguments, message):
@@ -302,12 +311,13 @@ def test_an_interrupted_compilation_leaves_nothing_behind(tmp_path):
         [GREYGATE, "compile", "valve_cylinder", "--prune", "1.0", "--out", "build"],
         cwd=tmp_path,
         stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job's children ignore it
     )
     time.sleep(4)
     process.send_signal(signal.SIGINT)
-    assert process.wait(30) != 0
+    _, error = process.communicate(timeout=30)
+    assert (process.returncode, error) == (130, b"greygate: interrupted\n")
     assert os.listdir(tmp_path) == []
 
 
@@ -331,3 +341,36 @@ def test_help_names_every_command():
     for command in ("train", "compile", "emulate", "verify", "synthesize", "report", "validate"):
         assert command in text
     assert cli.__doc__
+
+
+def unstable() -> Network:
+    """Its own feedback, which no training may move, makes every long free run diverge."""
+    network = Network("line", [Port("u", "V")], [Port("y", "m")])
+    network.add("sum", Layer({"u": [[0.5]], "own": [[3.0]]}, [0.0], frozen=frozenset({"own"})))
+    network.connect("u", "sum.u")
+    network.connect("sum", "sum.own", delay=1)
+    network.connect("sum", "y")
+    return network
+
+
+@pytest.mark.parametrize("how", [[], ["--seconds", "60"], ["--tail", "0.2"], ["--settle", "3"]])
+def test_a_training_whose_free_run_diverges_falls_back_to_shooting_and_says_so(tmp_path, how, monkeypatch, greygate):
+    unstable().save(tmp_path / "line")
+    record = recording(tmp_path / "a.csv", steps=1000)
+    windows = []
+    problem = training.Problem
+
+    def watched(*arguments, shooting=None, **options):
+        windows.append(shooting)
+        return problem(*arguments, shooting=shooting, **options)
+
+    monkeypatch.setattr(training, "Problem", watched)
+    out = tmp_path / "out"
+    code, printed, error = greygate(
+        "train", tmp_path / "line.toml", "--record", record, "--epochs", 4, "--out", out, *how
+    )
+    assert (code, "Traceback" in error) == (1, False)
+    assert {w for w in windows if w is not None} == {40 if "--tail" in how else 50}
+    assert "The free run diverges" in printed
+    assert "RMSE inf" in printed
+    assert json.loads((out / "line.json").read_text())["rmse"]["a"]["y"] is None
