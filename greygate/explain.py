@@ -208,6 +208,8 @@ def score(folder: Path, diagnosis: Path | None, own: Sequence[Path] = ()) -> tup
 
     Without a diagnosis, and none in the folder, the answer alone.
     """
+    for path in own:
+        table.read(path)  # what is wrong with a table is said before the answer is opened
     answer = sealed(folder)
     what = ", ".join(answer["concealed"]) or answer["parameter"] or "nothing"
     out = [_row("concealed", f"{what} ({answer['kind']}, {answer['form']} form, {answer['plant']})")]
