@@ -197,7 +197,8 @@ def predict(
         writer.writerows(zip(clock, *(values.tolist() for values in found.values()), strict=True))
     rms = {}
     for name, values in found.items():
-        error = float(np.sqrt(np.mean((values - measured[name]) ** 2)))
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = float(np.sqrt(np.mean((values - measured[name]) ** 2)))
         finite = math.isfinite(error)
         rms[name] = {"rms": error if finite else None, "unit": rig.channels[name].unit, "finite": finite}
     return rms

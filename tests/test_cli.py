@@ -374,3 +374,74 @@ def test_a_training_whose_free_run_diverges_falls_back_to_shooting_and_says_so(t
     assert "The free run diverges" in printed
     assert "RMSE inf" in printed
     assert json.loads((out / "line.json").read_text())["rmse"]["a"]["y"] is None
+
+
+PLANT = """
+step = 1e-3
+outputs = ["y"]
+[inputs]
+u = "m"
+[parameters]
+gain = [1.0, "1/s"]
+[states]
+y = { unit = "m" }
+[equations.motion]
+y = { own = "gain * y", drive = "u" }
+"""
+RIG = """
+plant = "plant.toml"
+sample_time_s = 0.01
+predict = ["y"]
+parameters = {{ gain = {gain} }}
+channels.u = {{ unit = "m", role = "input" }}
+channels.y = {{ unit = "m", role = "output", noise_rms = 0.001 }}
+"""
+
+
+@pytest.fixture
+def rig(tmp_path) -> Path:
+    """Thirty seconds of a plant of one's own, which falls back to rest."""
+    folder = tmp_path / "rig"
+    folder.mkdir()
+    (folder / "plant.toml").write_text(PLANT)
+    (folder / "rig.toml").write_text(RIG.format(gain=-1.0))
+    rows = [f"{k / 100:.2f},{np.sin(k / 50):.4f},{np.sin(k / 50 - 1) / 2:.4f}" for k in range(3000)]
+    (folder / "run.csv").write_text("\n".join(["t,u,y", *rows]) + "\n")
+    return folder
+
+
+def test_a_simulation_that_diverges_is_told_with_exit_code_1(rig, tmp_path, greygate):
+    (rig / "rig.toml").write_text(RIG.format(gain=50.0))
+    out = tmp_path / "out.csv"
+    code, printed, error = greygate("simulate", rig, "--recording", rig / "run.csv", "--out", out)
+    assert (code, error) == (1, "greygate: the simulation diverges\n")
+    assert printed.startswith("y          RMS of simulated minus recorded inf m\n")
+    assert out.read_text().endswith(",nan\n")
+
+
+@pytest.mark.parametrize(
+    "written",
+    [
+        lambda text: text + "\n\n",
+        lambda text: text.replace("\n", "\n\n"),
+        lambda text: text.replace(",", ";").replace(".", ","),
+        lambda text: "\ufeff" + text.replace("\n", "\r\n"),
+    ],
+)
+def test_a_simulation_reads_its_times_as_it_reads_its_channels(rig, tmp_path, written, greygate):
+    greygate("simulate", rig, "--recording", rig / "run.csv", "--out", tmp_path / "plain.csv")
+    (rig / "run.csv").write_text(written((rig / "run.csv").read_text()), newline="")
+    code, _, error = greygate("simulate", rig, "--recording", rig / "run.csv", "--out", tmp_path / "out.csv")
+    assert (code, error) == (0, "")
+    assert (tmp_path / "out.csv").read_text() == (tmp_path / "plain.csv").read_text()
+
+
+def test_a_reader_that_closes_early_hears_no_traceback(tmp_path):
+    done = subprocess.run(
+        f"set -o pipefail; {GREYGATE} train list | true",
+        shell=True,
+        executable="/bin/bash",
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
