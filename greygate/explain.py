@@ -137,11 +137,17 @@ class Explained:
 
     @classmethod
     def of(cls, folder: Path, page: bool = False, own: Sequence[Path] = (), say: Callable | None = None) -> "Explained":
-        rig = load(folder)
+        rig = _uncertain(folder)
         recording = rig.recording(rig.folder / "identify.csv")
         effects = table_of(own, rig, recording)
         check(rig, recording, effects)
-        result = diagnose(rig, effects, say)
+        try:
+            result = diagnose(rig, effects, say)
+        except np.linalg.LinAlgError as error:
+            raise InputError(
+                f"{folder}: the fit runs out of numbers ({error}); look at the values and units in rig.toml, "
+                "or restart the simulation in windows of window_s"
+            ) from error
         from greygate import diagnosis_page  # which imports this module
 
         return cls(result.as_dict(), lines(result), diagnosis_page.page(result) if page else None)
@@ -154,6 +160,14 @@ class Explained:
                     temporary.write_text(text, encoding="utf-8")
 
 
+def _uncertain(folder: Path) -> Rig:
+    """The rig in `folder`. Raises InputError where no parameter of it is uncertain: a fit would have nothing to fit."""
+    rig = load(folder)
+    if not any(parameter.tolerance for parameter in rig.plant.parameters.values()):
+        raise InputError(f"{rig.folder}/rig.toml: tolerance: no parameter is uncertain; give one at least, e.g. 0.01")
+    return rig
+
+
 def isolable(
     folder: Path, own: Sequence[Path] = (), ranges: Mapping[str, tuple[float, float]] | None = None
 ) -> tuple[dict, list[str]]:
@@ -162,7 +176,7 @@ def isolable(
     By its identify.csv or, before data, by motions within `ranges` of the inputs (in their units) on the data sheet's
     plant. Raises InputError for a rig, recording, table or ranges that cannot serve.
     """
-    rig = load(folder)
+    rig = _uncertain(folder)
     path = rig.folder / "identify.csv"
     if not ranges and not path.exists():
         wish = " ".join(f"--range {name}=LOW:HIGH" for name in rig.inputs)

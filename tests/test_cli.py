@@ -445,3 +445,20 @@ def test_a_reader_that_closes_early_hears_no_traceback(tmp_path):
         text=True,
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("command", ["diagnose", "isolability"])
+def test_a_rig_in_which_nothing_is_uncertain_is_refused_in_a_line(rig, command, greygate):
+    (rig / "run.csv").rename(rig / "identify.csv")
+    code, printed, error = greygate(command, rig)
+    assert (code, printed) == (2, "")
+    assert error.endswith("rig.toml: tolerance: no parameter is uncertain; give one at least, e.g. 0.01\n")
+
+
+def test_a_rig_whose_simulation_explodes_is_refused_in_a_line(rig, greygate):
+    (rig / "rig.toml").write_text(RIG.format(gain=50.0) + "tolerance = { gain = 0.1 }\n")
+    (rig / "run.csv").rename(rig / "identify.csv")
+    code, printed, error = greygate("diagnose", rig)
+    assert (code, printed) == (2, "")
+    assert "the fit runs out of numbers" in error
+    assert error.count("\n") == 1
