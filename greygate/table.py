@@ -39,15 +39,16 @@ class Table:
     values: np.ndarray
     lines: Sequence[int]
 
-    def require_steps(self, steps: np.ndarray, off: np.ndarray, usual: float) -> None:
+    def require_steps(self, steps: np.ndarray, off: np.ndarray, right: float, why: str = "is usual") -> None:
         """Raise InputError at the worst of the steps of the first column that are `off`, (rows - 1,) each.
 
-        Steps that do not go forward are told before all others. usual: the step that is right, s.
+        Steps that do not go forward are told before all others. right: the step that is wanted, s; why it is, in words.
         """
         still = np.flatnonzero(~(steps > 0))
         if not (still.size or off.any()):
             return
-        at = int(still[0]) if still.size else int(np.where(off, np.abs(steps - usual), -1.0).argmax())
+        far = np.where(off, np.abs(steps - right), 0.0)
+        at = int(still[0]) if still.size else int((far > 0.99 * far.max()).argmax())  # the first of equals
         where = f"{self.path}: row {self.lines[at + 1]}, column {self.header[0]}"
         if still.size:
             raise InputError(
@@ -55,7 +56,7 @@ class Table:
                 "sort the rows by time, and keep each time once"
             )
         raise InputError(
-            f"{where}: step {steps[at]:.6g} s where {usual:.6g} s is usual; fill gaps and resample to uniform time"
+            f"{where}: step {steps[at]:.6g} s where {right:.6g} s {why}; fill gaps and resample to uniform time"
         )
 
 

@@ -87,7 +87,7 @@ class Rig:
         if samples * self.dt < shortest:
             raise InputError(f"{path}: {samples} samples, {samples * self.dt:g} s; record at least {shortest:g} s")
         steps = np.diff(table.values[:, 0])
-        table.require_steps(steps, np.abs(steps - self.dt) > UNIFORM * self.dt + 1e-12, self.dt)
+        table.require_steps(steps, np.abs(steps - self.dt) > UNIFORM * self.dt + 1e-12, self.dt, "stands in rig.toml")
         channels = {name: table.values[:, header.index(name)] for name in self.channels}
         recording = Recording(self.dt, channels, {n: c.unit for n, c in self.channels.items()}, source=str(path))
         return recording, [row[0] for row in table.cells]
