@@ -25,6 +25,7 @@ from greygate.mismatch.locate import scaled
 from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.search import Search
 from greygate.mismatch.separation import separations
+from greygate.mismatch.simulation import check as check_diagnosis
 from greygate.mismatch.simulation import read, simulate
 from greygate.plants.recording import Recording
 from greygate.plants.simulate import names
@@ -204,7 +205,10 @@ def predict(
     rig = load(folder)
     measured, clock = rig.timed(recording)
     effects = table_of(own, rig, measured)
-    found = simulate(rig, measured, None if diagnosis is None else read(diagnosis), effects)
+    corrected = None
+    if diagnosis is not None:
+        check_diagnosis(corrected := read(diagnosis))  # `null` too is a JSON, but no diagnosis
+    found = simulate(rig, measured, corrected, effects)
     with replacing(out) as temporary, temporary.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["t", *found])

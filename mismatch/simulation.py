@@ -48,13 +48,11 @@ def simulate(
 def read(path: Path | str) -> dict:
     """A diagnosis.json. Raises InputError where it is none."""
     try:
-        found = json.loads(Path(path).read_text())
+        return json.loads(Path(path).read_text())
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give a diagnosis.json") from None
     except ValueError as error:
         raise InputError(f"{path}: is no JSON ({error}); give a diagnosis.json") from None
-    check(found)
-    return found
 
 
 def check(diagnosis) -> None:
