@@ -1,6 +1,7 @@
 """The command line. Results go to stdout, messages to stderr; exit 0 done, 1 the answer is no, 2 wrong use."""
 
 import json
+import os
 import re
 import sys
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from greygate import __version__
+from greygate import __version__, options
 from greygate.errors import InputError
 
 app = typer.Typer(
@@ -39,7 +40,11 @@ class Backend(StrEnum):
     DASK = "dask"
 
 
+INTERRUPTED = 130  # exit code of what Ctrl-C ends, as shells have it
+UsageError = typer.BadParameter.__base__  # of whatever a command line lacks or has too much
 REACHED = 10.0  # s in which a cluster's scheduler answers
+
+OWN_TRAINING = ("tail", "narx", "epochs", "decay", "settle", "shooting", "seconds")  # options of a user's network
 
 Tables = Annotated[list[Path], typer.Option(help="TOML file that extends the effects; hydraulics comes along.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
@@ -62,11 +67,24 @@ def main(
 
 
 def _give(result: dict, as_json: bool, lines: list[str]) -> None:
-    typer.echo(json.dumps(result, indent=1) if as_json else "\n".join(lines))
+    _print(json.dumps(result, indent=1) if as_json else "\n".join(lines))
+
+
+def _print(text: str) -> None:
+    try:
+        typer.echo(text)
+    except BrokenPipeError:  # `| head` has read enough; what is left goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _say(text: str) -> None:
-    typer.echo(text, err=True)
+    """One line on stderr, whatever the text holds."""
+    typer.echo("".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(text.split())), err=True)
+
+
+def _finite(value: float | None, form: str) -> str:
+    """A number as JSON has it, which knows no infinity."""
+    return "inf" if value is None else f"{value:{form}}"
 
 
 @contextmanager
@@ -92,23 +110,32 @@ def _bar(title: str, total: int) -> Iterator:
         TimeElapsedColumn(),
         TextColumn("{task.fields[word]}"),
     )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(title, total=total, word="")
         yield lambda done, word: bar.update(task, completed=done, word=word)
 
 
 @app.command()
 def train(
+    context: typer.Context,
     name: Annotated[str, typer.Argument(help="A network of the catalogue, `list`, or NAME.toml with --record.")],
     record: Annotated[list[str], typer.Option(help="FILE.csv to learn from; several may be given.")] = [],
     held: Annotated[list[str], typer.Option(help="FILE.csv that only chooses the epoch.")] = [],
-    tail: Annotated[float, typer.Option(help="Share at the end of each record that only chooses the epoch.")] = 0.0,
+    tail: Annotated[
+        float, typer.Option(callback=options.SHARE, help="Share at the end of each record that only chooses the epoch.")
+    ] = 0.0,
     narx: Annotated[bool, typer.Option(help="Learn one step ahead first, then free run from there.")] = True,
-    epochs: Annotated[int, typer.Option(help="Of the free run, at most.")] = 200,
-    decay: Annotated[float, typer.Option(help="Weight decay D of the loss.")] = 0.0,
-    settle: Annotated[int, typer.Option(help="First samples of each record that only tell its initial state.")] = 0,
-    shooting: Annotated[int | None, typer.Option(help="Multiple shooting in windows of so many samples.")] = None,
-    seconds: Annotated[float, typer.Option(help="Time limit.")] = float("inf"),
+    epochs: Annotated[int, typer.Option(callback=options.COUNT, help="Of the free run, at most.")] = 200,
+    decay: Annotated[float, typer.Option(callback=options.DECAY, help="Weight decay D of the loss.")] = 0.0,
+    settle: Annotated[
+        int,
+        typer.Option(callback=options.SAMPLES, help="First samples of each record that only tell its initial state."),
+    ] = 0,
+    shooting: Annotated[
+        int | None, typer.Option(callback=options.COUNT, help="Multiple shooting in windows of so many samples.")
+    ] = None,
+    seconds: Annotated[float, typer.Option(callback=options.SECONDS, help="Time limit.")] = float("inf"),
     out: Annotated[Path | None, typer.Option(help="Folder for NAME.toml, .safetensors, .json.")] = None,
     as_json: Json = False,
 ) -> None:
@@ -122,12 +149,14 @@ def train(
         _give({n: e.title for n, e in CATALOG.items()}, as_json, [f"{n:20} {e.title}" for n, e in CATALOG.items()])
         return
     if name not in CATALOG and (record or name.endswith(".toml")):
-        options = {"tail": tail, "epochs": epochs, "decay": decay, "shooting": shooting, "seconds": seconds}
-        _train_own(name, record, held, settle, narx, options, out, as_json)
+        how = {"tail": tail, "epochs": epochs, "decay": decay, "shooting": shooting, "seconds": seconds}
+        _train_own(name, record, held, settle, narx, how, out, as_json)
         return
     chosen, out = entry(name), out or TRAINED
     if record or held:
         raise InputError(f"{name} is trained on records of its own; --record goes with a NAME.toml file")
+    if given := [f"--{n}" for n in OWN_TRAINING if context.get_parameter_source(n).name == "COMMANDLINE"]:
+        raise InputError(f"{name} is trained in a way of its own; {', '.join(given)} goes with a NAME.toml file")
     if not out.is_dir():
         raise InputError(f"{out}: no such folder; make it, or leave --out away to write into the package")
     with _progress(f"training {name}") as follow:
@@ -136,21 +165,19 @@ def train(
     _give(figures, as_json, [json.dumps(figures, indent=1), f"written to {out / name}.toml"])
 
 
-def _train_own(name, record, held, settle, narx, options, out, as_json) -> None:
+def _train_own(name, record, held, settle, narx, how, out, as_json) -> None:
     from greygate.project import Source, train_source
 
     if not out:
         raise InputError("--out is missing: the folder that the trained network is written into")
     source = Source(name, _recordings([_named(text) for text in record]), settle)
     others = _recordings([_named(text) for text in held])
-    with _bar(f"training {Path(name).stem}", options["epochs"]) as follow:
-        trained = train_source(source, out, others, narx=narx, progress=follow, **options)
+    with _bar(f"training {Path(name).stem}", how["epochs"]) as follow:
+        trained = train_source(source, out, others, narx=narx, progress=follow, **how)
     for remark in trained["remarks"]:
         _say(remark)
     lines = [
-        f"{r:12} {o:10} RMSE {'inf' if e is None else f'{e:.4g}'}"
-        for r, errors in trained["rmse"].items()
-        for o, e in errors.items()
+        f"{r:12} {o:10} RMSE {_finite(e, '.4g')}" for r, errors in trained["rmse"].items() for o, e in errors.items()
     ]
     _give(
         trained, as_json, [f"{trained['epochs']} epochs. {trained['sentence']}", *lines, f"written to {trained['out']}"]
@@ -182,27 +209,34 @@ def compile(
     out: Annotated[Path, typer.Option(help="Folder to write; replaced if it is an earlier compilation.")],
     record: Annotated[list[str], typer.Option(help="FILE.csv or SCENARIO=FILE.csv; the first sets the ranges.")] = [],
     held: Annotated[list[str], typer.Option(help="FILE.csv on which, not on the first, pruning is judged.")] = [],
-    width: Annotated[int, typer.Option(help="Word width of signals and weights, 4 to 32 bits.")] = 16,
+    width: Annotated[
+        int, typer.Option(callback=options.WIDTH, help="Word width of signals and weights, 4 to 32 bits.")
+    ] = 16,
     finer: Annotated[
-        int | None, typer.Option(help="Bits more for weights and neurons; the catalogue's choice if not given, else 0.")
+        int | None,
+        typer.Option(
+            callback=options.FINER,
+            help="Bits more for weights and neurons; the catalogue's choice if not given, else 0.",
+        ),
     ] = None,
-    budget: Annotated[float | None, typer.Option(help="Instead of a width: RMSE may be so many times float's.")] = None,
-    prune: Annotated[float | None, typer.Option(help="Entropy pruning; RMSE may grow by this factor.")] = None,
+    budget: Annotated[
+        float | None,
+        typer.Option(callback=options.GROWTH, help="Instead of a width: RMSE may be so many times float's."),
+    ] = None,
+    prune: Annotated[
+        float | None, typer.Option(callback=options.ALLOWANCE, help="Entropy pruning; RMSE may grow by this factor.")
+    ] = None,
     weights: Annotated[
         str | None, typer.Option(help="Then prune single weights: obs, obd, magnitude, multi_obs, unit_obs, ...")
     ] = None,
     generic: Annotated[bool, typer.Option(help="Merge linear layers even where that costs multipliers.")] = False,
     architecture: Annotated[Architecture, typer.Option()] = Architecture.BOTH,
-    macs: Annotated[int, typer.Option(help="Multipliers of the folded architecture.")] = 4,
+    macs: Annotated[int, typer.Option(callback=options.MACS, help="Multipliers of the folded architecture.")] = 4,
     as_json: Json = False,
 ) -> None:
     """Simplify, prune, quantize a network and write it as Verilog."""
     from greygate.project import ARCHITECTURES, Source, compile_project, fixed_and_float
 
-    if budget is not None and not 1 < budget < float("inf"):
-        raise InputError(f"--budget {budget}: is a factor on the error of float, e.g. 1.05")
-    if prune is not None and not 1 <= prune < float("inf"):
-        raise InputError(f"--prune {prune}: is a factor on the error before pruning, e.g. 1.02")
     pruned = prune is not None or weights is not None
     if held and not pruned:
         raise InputError("--held: judges pruning; give --prune or --weights, or name it with --record")
@@ -287,7 +321,8 @@ def verify(
     folder: Folder,
     scenario: Annotated[list[str], typer.Option(help="Only these scenarios.")] = [],
     seed: Annotated[
-        int | None, typer.Option(help="Of back-pressure and reset; drawn and printed if not given.")
+        int | None,
+        typer.Option(callback=options.SEED, help="Of back-pressure and reset; drawn and printed if not given."),
     ] = None,
     as_is: Annotated[bool, typer.Option("--as-is", help="Even Verilog that was changed; it is code, read it.")] = False,
     as_json: Json = False,
@@ -318,7 +353,9 @@ def synthesize(
     folder: Folder,
     target: Annotated[Target, typer.Option()] = Target.ECP5,
     clock: Annotated[bool, typer.Option(help="Place and route with nextpnr for the clock rate (ECP5).")] = False,
-    limit: Annotated[float | None, typer.Option(help="Stop each design's tools after so many CPU seconds.")] = None,
+    limit: Annotated[
+        float | None, typer.Option(callback=options.SECONDS, help="Stop each design's tools after so many CPU seconds.")
+    ] = None,
     keep: Annotated[bool, typer.Option(help="Keep the figures in the package, for `report --all`.")] = False,
     as_json: Json = False,
 ) -> None:
@@ -366,10 +403,10 @@ def report(
     tables = [results(studies), designs(studies)] if every else []
     write(studies, out, out.with_suffix(".json"), tables)
     if as_json:
-        typer.echo(out.with_suffix(".json").read_text())
+        _print(out.with_suffix(".json").read_text())
     else:
         lines = [line for table in tables for line in (*aligned(table), "")] or _errors(studies)
-        typer.echo("\n".join([*lines, f"written to {out} and {out.with_suffix('.json')}"]))
+        _print("\n".join([*lines, f"written to {out} and {out.with_suffix('.json')}"]))
     if not passed:
         raise typer.Exit(1)
 
@@ -394,8 +431,11 @@ def validate(
     network: Annotated[str, typer.Argument(help="A name of the catalogue, or NAME.toml with --record.")],
     record: Annotated[list[str], typer.Option(help="FILE.csv or SCENARIO=FILE.csv; the first was learnt from.")] = [],
     out: Annotated[Path, typer.Option(help="HTML page to write.")] = Path("validation.html"),
-    lags: Annotated[int, typer.Option(help="Of the residual tests, in steps.")] = 25,
-    settle: Annotated[int, typer.Option(help="First samples of each record that only tell its initial state.")] = 0,
+    lags: Annotated[int, typer.Option(callback=options.COUNT, help="Of the residual tests, in steps.")] = 25,
+    settle: Annotated[
+        int,
+        typer.Option(callback=options.SAMPLES, help="First samples of each record that only tell its initial state."),
+    ] = 0,
     as_json: Json = False,
 ) -> None:
     """Free run, steps ahead, residual tests and long run of a float network, as a table and one HTML page.
@@ -423,28 +463,37 @@ def diagnose(
         Path | None, typer.Option(help="Page that argues the case; of several rigs a folder of NAME.html.")
     ] = None,
     effects: Tables = [],
-    jobs: Annotated[int, typer.Option(min=1, help="Rigs diagnosed at a time; dask takes all its workers.")] = 1,
+    jobs: Annotated[
+        int, typer.Option(callback=options.JOBS, help="Rigs diagnosed at a time; dask takes all its workers.")
+    ] = 1,
     backend: Annotated[Backend, typer.Option(help="Processes of this machine, or a cluster.")] = Backend.LOKY,
     scheduler: Annotated[str | None, typer.Option(help="Of the dask cluster: tcp://HOST:PORT.")] = None,
     as_json: Json = False,
 ) -> None:
     """Say where a simulation and a recording differ, what physics is left out, and how much better it fits with it.
 
-    The files: docs/diagnosis.md. Exit code 0 whatever the verdict.
+    The files: docs/diagnosis.md. Exit code 0 whatever the verdict; of several rigs one that cannot be diagnosed is
+    told, the others are written, and the exit code is 2.
     """
     from greygate.explain import explain, explain_all
 
     if len(rigs) == 1 and backend is Backend.LOKY and scheduler is None:
         with _bar("diagnosing", 100) as follow:
             found, lines = explain(rigs[0], out, html, effects, lambda text, share: follow(round(100 * share), text))
+        failed = []
     else:
         with _joblib(backend, scheduler), _bar("diagnosing", len(rigs)) as follow:
             results = explain_all(rigs, out, html, effects, jobs, follow)
         found = {name: content for name, (content, _) in results.items()}
+        failed = [name for name, content in found.items() if "error" in content]
         found = found if len(rigs) > 1 else next(iter(found.values()))
         lines = [line for _, text in results.values() for line in (*text, "")][:-1]
     lines += [f"written to {path}" for path in (out, html) if path is not None]
     _give(found, as_json, lines)
+    for name in failed:
+        _say(f"greygate: {name}: {found[name]['error']}")
+    if failed:
+        raise typer.Exit(2)
 
 
 @contextmanager
@@ -489,8 +538,11 @@ def isolability(
     """
     from greygate.explain import isolable
 
+    spans = [_range(text) for text in ranges]
+    if len(dict(spans)) < len(spans):
+        raise InputError(f"--range {' '.join(ranges)}: one input is given twice; give one range of each")
     with _progress("simulating"):
-        found, lines = isolable(rig, effects, dict(map(_range, ranges)))
+        found, lines = isolable(rig, effects, dict(spans))
     _give(found, as_json, lines)
 
 
@@ -519,7 +571,9 @@ def simulate(
     from greygate.explain import predict
 
     rms = predict(rig, recording, diagnosis, out, effects)
-    lines = [f"{name:10} RMS of simulated minus recorded {e['rms']:.5g} {e['unit']}" for name, e in rms.items()]
+    lines = [
+        f"{name:10} RMS of simulated minus recorded {_finite(e['rms'], '.5g')} {e['unit']}" for name, e in rms.items()
+    ]
     _give({"out": str(out), "rms": rms}, as_json, [*lines, f"written to {out}"])
     if not all(e["finite"] for e in rms.values()):
         _say("greygate: the simulation diverges")
@@ -553,7 +607,7 @@ def augment(
 @app.command()
 def conceal(
     plant: Annotated[str, typer.Argument(help="valve_hydraulic, pump_hydraulic, belt_drive or cable_drum.")],
-    seed: Annotated[int, typer.Option(help="Draws everything.")],
+    seed: Annotated[int, typer.Option(callback=options.SEED, help="Draws everything.")],
     out: Annotated[Path, typer.Option(help="Folder to write; replaced if it is an earlier case.")],
     kind: Annotated[str, typer.Option(help="clean, parameter, one, two, foreign, or any.")] = "any",
     effect: Annotated[str | None, typer.Option(help="The (first) effect, by name; drawn if not given.")] = None,
@@ -590,9 +644,30 @@ def reveal(
 
 
 def run() -> None:
-    """Entry point: a user's mistake is one line on stderr and exit code 2."""
+    """Entry point: a user's mistake is one line on stderr and exit code 2, Ctrl-C one line and 130."""
     try:
-        app()
-    except InputError as error:
-        _say(f"greygate: {error}")
-        sys.exit(2)
+        code = app(standalone_mode=False) or 0
+    except (KeyboardInterrupt, typer.Abort):
+        code = INTERRUPTED
+    except Exception as error:
+        if (line := _mistake(error)) is None:
+            raise
+        if line:  # `greygate` alone has printed its help
+            _say(f"greygate: {line}")
+        code = 2
+    if code == INTERRUPTED:
+        _say("greygate: interrupted")
+    sys.exit(code)
+
+
+def _mistake(error: Exception) -> str | None:
+    """The line that tells the user what to do otherwise; None for what is no user's mistake."""
+    if isinstance(error, InputError):
+        return str(error)
+    if isinstance(error, UsageError):
+        return error.format_message()
+    if isinstance(error, MemoryError):
+        return "out of memory; give fewer or shorter recordings"
+    if isinstance(error, OSError):
+        return f"{error.filename or 'a file'}: {error.strerror or error}; check the path, its permissions and the disk"
+    return None

@@ -26,6 +26,7 @@ from greygate.mismatch.locate import scaled
 from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.search import Search
 from greygate.mismatch.separation import separations
+from greygate.mismatch.simulation import check as check_diagnosis
 from greygate.mismatch.simulation import read, simulate
 from greygate.plants.expressions import names
 from greygate.plants.recording import Recording
@@ -93,7 +94,8 @@ def explain_all(
     them to a cluster, whose workers read the rigs at the same paths. follow: called with how many are done and the last
     one's name.
 
-    Raises InputError for two rigs of one name, no folder to write to, and whatever `explain` does.
+    What is wrong with one of several rigs ends no other: it stands as its content, {"error": line}, and in its lines.
+    Raises InputError for two rigs of one name, no folder to write to, and for one rig whatever `explain` does.
     """
     folders, own = ([Path(path).resolve() for path in paths] for paths in (folders, own))
     names, several = [folder.name for folder in folders], len(folders) > 1
@@ -102,14 +104,29 @@ def explain_all(
     for path in (out, html) if several else ():
         if path is not None and not path.is_dir():
             raise InputError(f"{path}: no such folder; of several rigs --out and --html name folders, make it")
-    tasks = (delayed(Explained.of)(folder, html is not None, own) for folder in folders)
+    tasks = (delayed(_attempt)(folder, html is not None, own) for folder in folders)
     results = {}
     for name, made in zip(names, Parallel(jobs, return_as="generator")(tasks), strict=True):
-        made.write(*(p / (name + end) if p and several else p for p, end in ((out, ".json"), (html, ".html"))))
-        results[name] = made.found, made.lines
+        try:
+            if isinstance(made, InputError):
+                raise made
+            made.write(*(p / (name + end) if p and several else p for p, end in ((out, ".json"), (html, ".html"))))
+            results[name] = made.found, made.lines
+        except InputError as error:
+            if not several:
+                raise
+            results[name] = {"error": str(error)}, [f"{name}: not diagnosed: {error}"]
         if follow is not None:
             follow(len(results), name)
     return results
+
+
+def _attempt(folder: Path, page: bool, own: Sequence[Path]) -> "Explained | InputError":
+    """What is wrong with one rig is sent like a result, so that the others go on."""
+    try:
+        return Explained.of(folder, page, own)
+    except InputError as error:
+        return error
 
 
 @dataclass(frozen=True)
@@ -122,11 +139,17 @@ class Explained:
 
     @classmethod
     def of(cls, folder: Path, page: bool = False, own: Sequence[Path] = (), say: Callable | None = None) -> "Explained":
-        rig = load(folder)
+        rig = _uncertain(folder)
         recording = rig.recording(rig.folder / "identify.csv")
         effects = table_of(own, rig, recording)
         check(rig, recording, effects)
-        result = diagnose(rig, effects, say)
+        try:
+            result = diagnose(rig, effects, say)
+        except np.linalg.LinAlgError as error:
+            raise InputError(
+                f"{folder}: the fit runs out of numbers ({error}); look at the values and units in rig.toml, "
+                "or restart the simulation in windows of window_s"
+            ) from error
         from greygate import diagnosis_page  # which imports this module
 
         return cls(result.as_dict(), lines(result), diagnosis_page.page(result) if page else None)
@@ -139,6 +162,14 @@ class Explained:
                     temporary.write_text(text, encoding="utf-8")
 
 
+def _uncertain(folder: Path) -> Rig:
+    """The rig in `folder`. Raises InputError where no parameter of it is uncertain: a fit would have nothing to fit."""
+    rig = load(folder)
+    if not any(parameter.tolerance for parameter in rig.plant.parameters.values()):
+        raise InputError(f"{rig.folder}/rig.toml: tolerance: no parameter is uncertain; give one at least, e.g. 0.01")
+    return rig
+
+
 def isolable(
     folder: Path, own: Sequence[Path] = (), ranges: Mapping[str, tuple[float, float]] | None = None
 ) -> tuple[dict, list[str]]:
@@ -147,7 +178,7 @@ def isolable(
     By its identify.csv or, before data, by motions within `ranges` of the inputs (in their units) on the data sheet's
     plant. Raises InputError for a rig, recording, table or ranges that cannot serve.
     """
-    rig = load(folder)
+    rig = _uncertain(folder)
     path = rig.folder / "identify.csv"
     if not ranges and not path.exists():
         wish = " ".join(f"--range {name}=LOW:HIGH" for name in rig.inputs)
@@ -173,18 +204,20 @@ def predict(
     Returns channel -> rms of simulated minus recorded (None where it diverges), unit, finite.
     """
     rig = load(folder)
-    measured = rig.recording(recording)
+    measured, clock = rig.timed(recording)
     effects = table_of(own, rig, measured)
-    found = simulate(rig, measured, None if diagnosis is None else read(diagnosis), effects)
-    with Path(recording).open(newline="") as file:
-        clock = [row[0] for row in csv.reader(file)][1:]
+    corrected = None
+    if diagnosis is not None:
+        check_diagnosis(corrected := read(diagnosis))  # `null` too is a JSON, but no diagnosis
+    found = simulate(rig, measured, corrected, effects)
     with replacing(out) as temporary, temporary.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["t", *found])
         writer.writerows(zip(clock, *(values.tolist() for values in found.values()), strict=True))
     rms = {}
     for name, values in found.items():
-        error = float(np.sqrt(np.mean((values - measured[name]) ** 2)))
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = float(np.sqrt(np.mean((values - measured[name]) ** 2)))
         finite = math.isfinite(error)
         rms[name] = {"rms": error if finite else None, "unit": rig.channels[name].unit, "finite": finite}
     return rms
@@ -195,6 +228,8 @@ def score(folder: Path, diagnosis: Path | None, own: Sequence[Path] = ()) -> tup
 
     Without a diagnosis, and none in the folder, the answer alone.
     """
+    for path in own:
+        table.read(path)  # what is wrong with a table is said before the answer is opened
     answer = sealed(folder)
     what = ", ".join(answer["concealed"]) or answer["parameter"] or "nothing"
     out = [_row("concealed", f"{what} ({answer['kind']}, {answer['form']} form, {answer['plant']})")]

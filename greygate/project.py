@@ -115,7 +115,8 @@ class Source:
     def network(self) -> Network:
         if self.name in CATALOG:
             return entry(self.name).network()
-        if self.name.endswith((".toml", ".safetensors")) or Path(self.name).with_suffix(".toml").exists():
+        path = Path(self.name)
+        if self.name.endswith((".toml", ".safetensors")) or (path.name and path.with_suffix(".toml").exists()):
             return Network.load(self.name)
         entry(self.name)  # names those there are
 

@@ -45,6 +45,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.files import replaceable, replacing_folder
+from greygate.table import read_table
 
 from .concealed.line import BELT, DRUM
 from .concealed.pump import PUMP
@@ -343,13 +344,8 @@ def _write(path: Path, rig: Rig, columns: Columns) -> None:
 
 
 def _read(path: Path) -> Columns:
-    try:
-        with path.open() as file:
-            names = file.readline().strip().split(",")
-            table = np.loadtxt(file, delimiter=",", ndmin=2)
-        return dict(zip(names, table.T, strict=True))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot read these columns ({error}); give a CSV file with a header") from None
+    table = read_table(path, nan=True)
+    return dict(zip(table.header, table.values.T, strict=True))
 
 
 def _json(path: Path) -> dict:

@@ -3,7 +3,6 @@
 The layout is that of `docs/diagnosis.md`: `rig.toml`, `identify.csv`, `holdout.csv`.
 """
 
-import csv
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -15,6 +14,7 @@ from greygate.entries import Entries, read_toml, shown
 from greygate.errors import InputError
 from greygate.plants.plant import Parameter, Plant
 from greygate.plants.recording import Recording
+from greygate.table import read_table
 
 PLANTS = Path(__file__).parent.parent / "plants" / "rigs"
 SHORTEST = 2.0  # s of recording below which nothing is diagnosed
@@ -73,52 +73,26 @@ class Rig:
 
         Raises InputError for missing or unknown channels, NaN, time that is not uniform, too short a recording.
         """
-        path = Path(path)
-        try:
-            with path.open(newline="", encoding="utf-8-sig") as file:
-                header, *rows = list(csv.reader(file)) or [[]]
-        except (OSError, UnicodeDecodeError, csv.Error) as error:
-            why = getattr(error, "strerror", None) or error
-            raise InputError(f"{path}: cannot be read ({why}); give a CSV of this rig") from None
-        header = [name.strip() for name in header]
-        while rows and not rows[-1]:
-            rows.pop()
-        if not header:
-            raise InputError(f"{path}: is empty; give a CSV of this rig")
+        return self.timed(path)[0]
+
+    def timed(self, path: Path | str) -> tuple[Recording, list[str]]:
+        """The recording, and its column `t` as it is written there."""
+        table = read_table(path)
+        path, header = table.path, table.header
         if header[0] != "t":
-            raise InputError(f"{path}: first column {header[:1]}; it must be t, in s")
+            raise InputError(f"{path}: first column {header[0]!r}; it must be t, in s")
         if missing := [name for name in self.channels if name not in header]:
             raise InputError(f"{path}: no column {', '.join(missing)}; rig.toml names these channels")
         if unknown := [name for name in header[1:] if name not in self.channels]:
             raise InputError(f"{path}: column {', '.join(unknown)} is no channel of rig.toml; declare or drop it")
-        if twice := next((name for name in header if header.count(name) > 1), None):
-            raise InputError(f"{path}: column {twice} stands there twice; drop one")
-        bad = next((i for i, row in enumerate(rows) if len(row) != len(header)), None)
-        if bad is not None:
-            raise InputError(f"{path}: line {bad + 2} has {len(rows[bad])} values, the header {len(header)}; mend it")
-        try:
-            table = np.array(rows, dtype=float).reshape(len(rows), len(header))
-        except ValueError:
-            row, column = next((i, j) for i, row in enumerate(rows) for j, c in enumerate(row) if not _is_number(c))
-            raise InputError(
-                f"{path}: line {row + 2}, {header[column]} is {rows[row][column]!r}; write numbers only"
-            ) from None
-        shortest = max(SHORTEST, (self.window or 0) * self.dt)
-        if len(table) * self.dt < shortest:
-            raise InputError(
-                f"{path}: {len(table)} samples, {len(table) * self.dt:g} s; record at least {shortest:g} s"
-            )
-        if not np.isfinite(table).all():
-            row, column = np.argwhere(~np.isfinite(table))[0]
-            raise InputError(f"{path}: line {row + 2}, {header[column]} is {table[row, column]}; repair or cut it")
-        steps = np.diff(table[:, 0])
-        if (off := np.abs(steps - self.dt) > UNIFORM * self.dt + 1e-12).any():
-            at = int(np.flatnonzero(off)[0])
-            raise InputError(
-                f"{path}: time steps by {steps[at]:g} s at line {at + 3}, rig.toml says {self.dt:g} s; resample it"
-            )
-        channels = {name: table[:, header.index(name)] for name in self.channels}
-        return Recording(self.dt, channels, {n: c.unit for n, c in self.channels.items()}, source=str(path))
+        samples, shortest = len(table.cells), max(SHORTEST, (self.window or 0) * self.dt)
+        if samples * self.dt < shortest:
+            raise InputError(f"{path}: {samples} samples, {samples * self.dt:g} s; record at least {shortest:g} s")
+        steps = np.diff(table.values[:, 0])
+        table.require_steps(steps, np.abs(steps - self.dt) > UNIFORM * self.dt + 1e-12, self.dt, "stands in rig.toml")
+        channels = {name: table.values[:, header.index(name)] for name in self.channels}
+        recording = Recording(self.dt, channels, {n: c.unit for n, c in self.channels.items()}, source=str(path))
+        return recording, [row[0] for row in table.cells]
 
 
 def load(folder: Path | str, plants: Path | None = None) -> Rig:
@@ -215,14 +189,6 @@ def load(folder: Path | str, plants: Path | None = None) -> Rig:
         round(number("settle_s", table.get("settle_s", 0.0), 0.0, LONGEST, "give seconds") / dt),
         anew,
     )
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _unit(plant: Plant, name: str) -> str | None:

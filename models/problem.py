@@ -115,9 +115,10 @@ class Problem:
             self._outputs[at : at + p.size] = True
         self._forced = self._outputs if teacher else np.zeros(elements, bool)
         self._state = self._state_elements()
-        if shooting is not None and shooting < 1:
-            raise InputError(f"shooting {shooting}: a window has at least one step")
         whole = [self._arrays(r, i, first) for i, r in enumerate(records)]
+        longest = max((len(w.target) for w in whole), default=0)
+        if shooting is not None and not 1 <= shooting <= longest // 2:
+            raise InputError(f"shooting {shooting}: give windows of 1 to {longest // 2} steps, half the longest record")
         self._windows = list(self._windowed(whole, theta, estimate_initial, shooting))
         states = [self._state_of(w.now) for w in self._windows if w.state.stop > w.state.start]
         self.theta = np.concatenate([theta, *states])
@@ -221,6 +222,10 @@ class Problem:
         if 0 < len(target) <= depth:
             raise InputError(
                 f"network {flat.name}: record {index} has {len(target)} samples, too short for a delay of {depth}"
+            )
+        if len(target) and not 0 <= record.skip < len(target):
+            raise InputError(
+                f"network {flat.name}: record {index} skips {record.skip} of its {len(target)} samples; skip fewer"
             )
         past = now.copy()
         if self.teacher:

@@ -88,8 +88,8 @@ class _Whole:
             for name, columns in place.items():  # the longest name that fits counts
                 fits = [d for d in decay if name == d or name.startswith(d + ".")]
                 diagonal[columns] = decay[max(fits, key=len)] if fits else 0.0
-        if (diagonal < 0).any():
-            raise InputError(f"decay {decay}: a negative one rewards large weights; give 0 or more")
+        if not ((diagonal >= 0) & np.isfinite(diagonal)).all():
+            raise InputError(f"decay {decay}: give finite numbers from 0 on; a negative one rewards large weights")
         return diagonal[self.main.free]
 
     def loss(self, theta: np.ndarray) -> float:
@@ -187,6 +187,8 @@ def train(
     began = monotonic()
     if epochs < 0:
         raise InputError(f"epochs {epochs}: give a number from 0 on")
+    if np.isnan(seconds):
+        raise InputError(f"seconds {seconds}: give a number")
     used, judged = held_out(network, records, tail, held)
     options = {"teacher": teacher, "free": free, "tied": tied}
     count = len(records) if tail else 0
@@ -203,7 +205,7 @@ def train(
 
     with blas().limit(limits=1, user_api="blas"):  # two BLAS threads are slower than one on matrices this small
         fit = None
-        if shooting:
+        if shooting is not None:
             problem = Problem(network, used, **options, estimate_initial=estimate_initial, shooting=shooting)
             for problem.continuity in CONTINUITY:
                 fit = climb(problem, 0.0, max(epochs // len(CONTINUITY), 1), None)
@@ -376,7 +378,8 @@ def narx_noe(network: Network, records: Sequence[Record], narx_epochs: int = 200
     """Series-parallel training first, then free run from its weights (thesis 3.2; Norgaard 2000). options: of `train`.
 
     Where the NARX weights diverge in free run, multiple shooting leads there, in windows of a twentieth of the shortest
-    record. A network that feeds no output back has nothing to learn first.
+    record, unless shooting was asked for and has been tried by then. A network that feeds no output back has nothing to
+    learn first.
     """
     feeds = network.flatten().feeds()
     shown = {feeds[p.name][0] for p in network.outputs}
@@ -392,12 +395,15 @@ def narx_noe(network: Network, records: Sequence[Record], narx_epochs: int = 200
     if "seconds" in options:
         options["seconds"] -= narx.seconds
     noe = train(narx.network, records, **options)
-    if noe.outcome is Outcome.DIVERGED:
-        window = max(min(map(len, records)) // 20, 2)
-        noe = train(narx.network, records, **options, shooting=window)
+    lengths = [len(r) for r in held_out(network, records, options.get("tail", 0.0), ())[0]]
+    window, spent = max(min(lengths) // 20, 2), narx.seconds + noe.seconds
+    if noe.outcome is Outcome.DIVERGED and not options.get("shooting") and 2 * window <= max(lengths):
+        left = options.get("seconds", np.inf) - noe.seconds
+        noe = train(narx.network, records, **(options | {"shooting": window, "seconds": left}))
+        spent += noe.seconds
     if noe.outcome is Outcome.DIVERGED:
         noe = replace(noe, network=narx.network)
-    return replace(noe, seconds=narx.seconds + noe.seconds)
+    return replace(noe, seconds=spent)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.files import replacing
+from greygate.table import Table, read_table
 
 UNITS = {
     "s": "s", "m": "m", "m_s": "m/s", "m_s2": "m/s^2", "m3_s": "m^3/s", "rad": "rad", "rad_s": "rad/s",
@@ -19,6 +20,7 @@ UNITS = {
 
 _SUFFIX = {unit: suffix for suffix, unit in reversed(UNITS.items())}
 _UNIFORM = 1e-3  # of a sample interval: what a printed time may be off
+FEWEST = 2  # samples that tell a sample time
 
 
 @dataclass(frozen=True)
@@ -98,15 +100,14 @@ def read_csv(
 
     Raises InputError, naming the row as an editor numbers it (the header is 1) and the column.
     """
-    path, units = Path(path), units or {}
-    rows = _rows(path)
-    lines = [line for line, _ in rows]
-    header = [name.strip() for name in rows[0][1]]
+    table, units = read_table(path), units or {}
+    path, header = table.path, table.header
     clock = "k" if dt is not None else "t_s"
     if header[0] not in (clock, clock.removesuffix("_s")):
         wish = "give dt for an index column k" if header[0] == "k" else f"name the first column {clock}"
         raise InputError(f"{path}: the first column is {header[0]!r}; {wish}")
-    table = _numbers(path, header, rows[1:])
+    if len(table.cells) < FEWEST:
+        raise InputError(f"{path}: the recording holds {len(table.cells)} samples; give at least {FEWEST}")
     names, kinds = zip(*(_split(path, column, units) for column in header[1:]), strict=True)
     if repeated := {name for name in names if names.count(name) > 1}:
         raise InputError(f"{path}: channel {min(repeated)} appears twice; rename one of its columns")
@@ -115,58 +116,15 @@ def read_csv(
             raise InputError(f"{path}: column {name}_{_SUFFIX.get(unit, unit)} is missing; it has {', '.join(header)}")
         if (found := kinds[names.index(name)]) != unit:
             raise InputError(f"{path}: column {name} is in {found}; convert it to {unit}")
-    dt = _sample_time(path, header[0], table[:, 0], lines[1:]) if dt is None else dt
-    channels = {name: np.ascontiguousarray(table[:, 1 + i]) for i, name in enumerate(names)}
-    return Recording(dt, channels, dict(zip(names, kinds, strict=True)), source=str(path))
+    step = _step(table)
+    if dt is not None and step != 1:
+        raise InputError(f"{path}: column k counts in steps of {step:g}; number the samples one by one")
+    channels = {name: np.ascontiguousarray(table.values[:, 1 + i]) for i, name in enumerate(names)}
+    return Recording(step if dt is None else dt, channels, dict(zip(names, kinds, strict=True)), source=str(path))
 
 
 def _known() -> str:
     return ", ".join(UNITS)
-
-
-def _rows(path: Path) -> list[tuple[int, list[str]]]:
-    """Rows that are not blank, each with the line it ends on."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file)
-            rows = [(reader.line_num, row) for row in reader if row]
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path") from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: is not a CSV text file ({error}); export it as UTF-8 CSV") from None
-    if not rows:
-        raise InputError(f"{path}: the file is empty; give a header row and samples")
-    if len(rows[0][1]) < 2:
-        raise InputError(f"{path}: the header has one column; give a time and at least one channel, comma-separated")
-    if len(rows) < 3:
-        raise InputError(f"{path}: the recording holds {len(rows) - 1} samples; give at least 2")
-    return rows
-
-
-def _numbers(path: Path, header: list[str], rows: list[tuple[int, list[str]]]) -> np.ndarray:
-    for line, row in rows:
-        if len(row) != len(header):
-            raise InputError(f"{path}: row {line} has {len(row)} cells, the header {len(header)}; mend the row")
-    cells = [row for _, row in rows]
-    try:
-        table = np.array(cells, dtype=np.float64)
-    except ValueError:
-        table = np.array([[_number(cell) for cell in row] for row in cells])
-    bad = np.argwhere(~np.isfinite(table))
-    if bad.size:
-        row, column = bad[0]
-        raise InputError(
-            f"{path}: row {rows[row][0]}, column {header[column]}: {cells[row][column]!r} is not a finite number; "
-            "repair or cut the recording"
-        )
-    return table
-
-
-def _number(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return np.nan
 
 
 def _split(path: Path, column: str, units: Mapping[str, str]) -> tuple[str, str]:
@@ -175,22 +133,16 @@ def _split(path: Path, column: str, units: Mapping[str, str]) -> tuple[str, str]
         return column, units[column]
     parts = column.split("_")
     for start in range(1, len(parts)):
-        if (suffix := "_".join(parts[start:])) in UNITS:
-            return "_".join(parts[:start]), UNITS[suffix]
-    problem = f"unit {parts[-1]!r} is unknown" if len(parts) > 1 else "has no unit"
+        if (suffix := "_".join(parts[start:])) in UNITS and (name := "_".join(parts[:start])):
+            return name, UNITS[suffix]
+    problem = f"unit {parts[-1]!r} is unknown" if all(parts) and len(parts) > 1 else "has no name or no unit"
     raise InputError(f"{path}: column {column}: {problem}; end its name in one of _{', _'.join(UNITS)}")
 
 
-def _sample_time(path: Path, column: str, time: np.ndarray, lines: list[int]) -> float:
-    dt = (time[-1] - time[0]) / (len(time) - 1)
-    if not dt > 0:
-        raise InputError(f"{path}: column {column} does not increase; give the time of each sample in s")
-    off = np.flatnonzero(np.abs(time - time[0] - dt * np.arange(len(time))) > _UNIFORM * dt)
-    if off.size:
-        steps = np.diff(time)
-        worst = int(np.abs(steps - np.median(steps)).argmax()) + 1
-        raise InputError(
-            f"{path}: row {lines[worst]}, column {column}: step {steps[worst - 1]:.6g} s where {np.median(steps):.6g} "
-            "s is usual; resample to uniform time"
-        )
-    return float(f"{dt:.9g}")
+def _step(table: Table) -> float:
+    """The uniform step of the first column."""
+    clock = table.values[:, 0]
+    steps, step = np.diff(clock), (clock[-1] - clock[0]) / (len(clock) - 1)
+    drift = np.abs(clock - clock[0] - step * np.arange(len(clock))) > _UNIFORM * step
+    table.require_steps(steps, np.full(len(steps), drift.any()), float(np.median(steps)))
+    return float(f"{step:.9g}")

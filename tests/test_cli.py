@@ -16,6 +16,7 @@ from greygate.catalog import CATALOG
 from greygate.cli import app
 from greygate.errors import InputError
 from greygate.files import replacing_folder
+from greygate.models import training
 from greygate.models.library import library
 from greygate.models.network import Layer, Network, Port
 from greygate.plants.recording import Recording
@@ -258,11 +259,11 @@ def test_a_bad_recording_is_named_in_one_line_and_nothing_is_written(tmp_path, n
         (["validate", "line.toml", "--record", "a.csv", "--record", "slow.csv"], TWO_TIMES),
         (["compile", "line.toml", "--record", "a.csv", "--held", "big.csv", "--out", "b"], "give --prune or --weights"),
         (["compile", "line.toml", "--held", "a.csv", "--prune", "1.1", "--out", "b"], "a sets the ranges"),
-        (["compile", "line.toml", "--record", "t=a.csv", "--width", "3", "--out", "b"], "choose 4 to 32 bits"),
+        (["compile", "line.toml", "--record", "t=a.csv", "--width", "3", "--out", "b"], "--width 3: give 4 to 32 bits"),
         (["compile", "line.toml", "--record", "t=big.csv", "--width", "8", "--out", "b"], "8 bits cannot hold"),
         (["compile", "line.toml", "--record", "t=a.csv", "--budget", "0.5", "--out", "b"], "--budget 0.5"),
         (["compile", "line.toml", "--record", "t=a.csv", "--prune", "0.5", "--out", "b"], "--prune 0.5"),
-        (["compile", "line.toml", "--record", "t=a.csv", "--macs", "0", "--out", "b"], "0 multipliers"),
+        (["compile", "line.toml", "--record", "t=a.csv", "--macs", "0", "--out", "b"], "--macs 0: give 1 to 256"),
         (["compile", "line.toml", "--record", "t=a.csv", "--out", "/proc/b"], "cannot make this folder"),
         (["compile", "line.toml", "--record", "t=a.csv", "--out", "other"], "holds other files"),
         (["compile", "line.toml", "--record", "t=a.csv", "--out", "a.csv"], "a file of that name is in the way"),
@@ -270,6 +271,14 @@ def test_a_bad_recording_is_named_in_one_line_and_nothing_is_written(tmp_path, n
         (["report", "other"], "run greygate compile first"),
         (["train", "nobody"], "no network is called 'nobody'"),
         (["train", "crane", "--out", "nowhere"], "no such folder"),
+        (["train", "crane", "--epochs", "5", "--no-narx"], "crane is trained in a way of its own; --narx, --epochs"),
+        (["train", "line.toml", "--record", "a.csv", "--settle", "60", "--out", "b"], "skips 60 of its 60 samples"),
+        (
+            ["train", "line.toml", "--record", "a.csv", "--shooting", "31", "--out", "b"],
+            "give windows of 1 to 30 steps",
+        ),
+        (["validate", "line.toml", "--record", "a.csv", "--settle", "61"], "skips 61 of its 60 samples"),
+        (["validate", "line.toml", "--record", "a.csv", "--lags", "25"], "60 samples are too few for 25 lags"),
     ],
 )
 def test_wrong_use_is_one_line_with_exit_code_2_and_nothing_is_left(tmp_path, network, arguments, message):
@@ -307,12 +316,13 @@ def test_an_interrupted_compilation_leaves_nothing_behind(tmp_path):
         [GREYGATE, "compile", "valve_cylinder", "--prune", "1.01", "--out", "build"],
         cwd=tmp_path,
         stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job's children ignore it
     )
     time.sleep(4)
     process.send_signal(signal.SIGINT)
-    assert process.wait(30) != 0
+    _, error = process.communicate(timeout=30)
+    assert (process.returncode, error) == (130, b"greygate: interrupted\n")
     assert os.listdir(tmp_path) == []
 
 
@@ -336,3 +346,124 @@ def test_help_names_every_command():
     for command in ("train", "compile", "emulate", "verify", "synthesize", "report", "validate"):
         assert command in text
     assert cli.__doc__
+
+
+def unstable() -> Network:
+    """Its own feedback, which no training may move, makes every long free run diverge."""
+    network = Network("line", [Port("u", "V")], [Port("y", "m")])
+    network.add("sum", Layer({"u": [[0.5]], "own": [[3.0]]}, [0.0], frozen=frozenset({"own"})))
+    network.connect("u", "sum.u")
+    network.connect("sum", "sum.own", delay=1)
+    network.connect("sum", "y")
+    return network
+
+
+@pytest.mark.parametrize("how", [[], ["--seconds", "60"], ["--tail", "0.2"], ["--settle", "3"]])
+def test_a_training_whose_free_run_diverges_falls_back_to_shooting_and_says_so(tmp_path, how, monkeypatch, greygate):
+    unstable().save(tmp_path / "line")
+    record = recording(tmp_path / "a.csv", steps=1000)
+    windows = []
+    problem = training.Problem
+
+    def watched(*arguments, shooting=None, **options):
+        windows.append(shooting)
+        return problem(*arguments, shooting=shooting, **options)
+
+    monkeypatch.setattr(training, "Problem", watched)
+    out = tmp_path / "out"
+    code, printed, error = greygate(
+        "train", tmp_path / "line.toml", "--record", record, "--epochs", 4, "--out", out, *how
+    )
+    assert (code, "Traceback" in error) == (1, False)
+    assert {w for w in windows if w is not None} == {40 if "--tail" in how else 50}
+    assert "The free run diverges" in printed
+    assert "RMSE inf" in printed
+    assert json.loads((out / "line.json").read_text())["rmse"]["a"]["y"] is None
+
+
+PLANT = """
+step = 1e-3
+outputs = ["y"]
+[inputs]
+u = "m"
+[parameters]
+gain = [1.0, "1/s"]
+[states]
+y = { unit = "m" }
+[equations.motion]
+y = { own = "gain * y", drive = "u" }
+"""
+RIG = """
+plant = "plant.toml"
+sample_time_s = 0.01
+predict = ["y"]
+parameters = {{ gain = {gain} }}
+channels.u = {{ unit = "m", role = "input" }}
+channels.y = {{ unit = "m", role = "output", noise_rms = 0.001 }}
+"""
+
+
+@pytest.fixture
+def rig(tmp_path) -> Path:
+    """Thirty seconds of a plant of one's own, which falls back to rest."""
+    folder = tmp_path / "rig"
+    folder.mkdir()
+    (folder / "plant.toml").write_text(PLANT)
+    (folder / "rig.toml").write_text(RIG.format(gain=-1.0))
+    rows = [f"{k / 100:.2f},{np.sin(k / 50):.4f},{np.sin(k / 50 - 1) / 2:.4f}" for k in range(3000)]
+    (folder / "run.csv").write_text("\n".join(["t,u,y", *rows]) + "\n")
+    return folder
+
+
+def test_a_simulation_that_diverges_is_told_with_exit_code_1(rig, tmp_path, greygate):
+    (rig / "rig.toml").write_text(RIG.format(gain=50.0))
+    out = tmp_path / "out.csv"
+    code, printed, error = greygate("simulate", rig, "--recording", rig / "run.csv", "--out", out)
+    assert (code, error) == (1, "greygate: the simulation diverges\n")
+    assert printed.startswith("y          RMS of simulated minus recorded inf m\n")
+    assert out.read_text().endswith(",nan\n")
+
+
+@pytest.mark.parametrize(
+    "written",
+    [
+        lambda text: text + "\n\n",
+        lambda text: text.replace("\n", "\n\n"),
+        lambda text: text.replace(",", ";").replace(".", ","),
+        lambda text: "\ufeff" + text.replace("\n", "\r\n"),
+    ],
+)
+def test_a_simulation_reads_its_times_as_it_reads_its_channels(rig, tmp_path, written, greygate):
+    greygate("simulate", rig, "--recording", rig / "run.csv", "--out", tmp_path / "plain.csv")
+    (rig / "run.csv").write_text(written((rig / "run.csv").read_text()), newline="")
+    code, _, error = greygate("simulate", rig, "--recording", rig / "run.csv", "--out", tmp_path / "out.csv")
+    assert (code, error) == (0, "")
+    assert (tmp_path / "out.csv").read_text() == (tmp_path / "plain.csv").read_text()
+
+
+def test_a_reader_that_closes_early_hears_no_traceback(tmp_path):
+    done = subprocess.run(
+        f"set -o pipefail; {GREYGATE} train list | true",
+        shell=True,
+        executable="/bin/bash",
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("command", ["diagnose", "isolability"])
+def test_a_rig_in_which_nothing_is_uncertain_is_refused_in_a_line(rig, command, greygate):
+    (rig / "run.csv").rename(rig / "identify.csv")
+    code, printed, error = greygate(command, rig)
+    assert (code, printed) == (2, "")
+    assert error.endswith("rig.toml: tolerance: no parameter is uncertain; give one at least, e.g. 0.01\n")
+
+
+def test_a_rig_whose_simulation_explodes_is_refused_in_a_line(rig, greygate):
+    (rig / "rig.toml").write_text(RIG.format(gain=50.0) + "tolerance = { gain = 0.1 }\n")
+    (rig / "run.csv").rename(rig / "identify.csv")
+    code, printed, error = greygate("diagnose", rig)
+    assert (code, printed) == (2, "")
+    assert "the fit runs out of numbers" in error
+    assert error.count("\n") == 1

@@ -55,7 +55,7 @@ def test_what_is_written_reads_back_bit_for_bit(tmp_path):
 
 BAD = {
     "column missing": ("t_s,v_c_V\n0,1\n1,2\n", "column x_m is missing"),
-    "unit missing": ("t_s,v_c_V,x\n0,1,2\n1,2,3\n", "column x: has no unit"),
+    "unit missing": ("t_s,v_c_V,x\n0,1,2\n1,2,3\n", "column x: has no name or no unit"),
     "unit unknown": ("t_s,v_c_V,x_furlong\n0,1,2\n1,2,3\n", "column x_furlong: unit 'furlong' is unknown"),
     "unit other": ("t_s,v_c_V,x_rad\n0,1,2\n1,2,3\n", "column x is in rad; convert it to m"),
     "time missing": ("v_c_V,x_m\n1,2\n2,3\n", "first column is 'v_c_V'; name the first column t_s"),
@@ -72,7 +72,7 @@ BAD = {
     "header alone": ("t_s,v_c_V,x_m\n", "holds 0 samples"),
     "one sample": ("t_s,v_c_V,x_m\n0,1,2\n", "holds 1 samples"),
     "one column": ("t_s\n0\n1\n", "header has one column"),
-    "twice": ("t_s,v_c_V,x_m,x_m\n0,1,2,3\n1,1,2,3\n", "channel x appears twice"),
+    "twice": ("t_s,v_c_V,x_m,x_m\n0,1,2,3\n1,1,2,3\n", "column x_m appears twice"),
     "binary": (b"\xff\xfe\x00\x01", "is not a CSV text file"),
 }
 

@@ -1,6 +1,7 @@
 """Several rigs at a time: where joblib is told to run them, on a cluster too."""
 
 import json
+import shutil
 import sys
 from pathlib import Path
 
@@ -83,12 +84,52 @@ def test_a_cluster_diagnoses_them(drums, cluster, tmp_path):
 def test_what_is_wrong_with_a_rig_is_said_from_a_cluster_too(drums, cluster, tmp_path):
     from distributed import Client
 
-    with (
-        Client(cluster),
-        joblib.parallel_config(backend="dask"),
-        pytest.raises(InputError, match=r"nowhere/rig\.toml: cannot be read"),
-    ):
-        explain_all([drums[1], tmp_path / "nowhere"])
+    with Client(cluster), joblib.parallel_config(backend="dask"):
+        results = explain_all([drums[1], tmp_path / "nowhere"])
+        with pytest.raises(InputError, match=r"nowhere/rig\.toml: cannot be read"):
+            explain_all([tmp_path / "nowhere"])
+    assert results["clean"][0]["verdict"] == "consistent"
+    assert "nowhere/rig.toml: cannot be read" in results["nowhere"][0]["error"]
+
+
+@pytest.fixture
+def spoilt(drums, tmp_path) -> list[Path]:
+    """The two, and between them rigs that cannot be diagnosed."""
+    made = {}
+    for name in ("no_toml", "no_table", "no_recording", "huge", "backwards"):
+        made[name] = tmp_path / "rigs" / name
+        shutil.copytree(drums[1], made[name])
+    (made["no_toml"] / "rig.toml").unlink()
+    (made["no_table"] / "rig.toml").write_text("plant =")
+    (made["no_recording"] / "identify.csv").unlink()
+    header, *rows = (made["huge"] / "identify.csv").read_text().splitlines()
+    huge = ",".join(["1e308"] * len(header.split(",")))
+    (made["huge"] / "identify.csv").write_text("\n".join([header, *[huge] * len(rows)]))
+    (made["backwards"] / "identify.csv").write_text("\n".join([header, *rows[::-1]]))
+    return [drums[0], *made.values(), drums[1]]
+
+
+SAID = {
+    "no_toml": "rig.toml: cannot be read",
+    "no_table": "rig.toml: is no TOML",
+    "no_recording": "identify.csv: cannot be read",
+    "huge": "is beyond any quantity",
+    "backwards": "does not increase",
+}
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_rigs_that_cannot_be_diagnosed_end_no_other(spoilt, as_json, tmp_path, greygate):
+    code, printed, error = greygate("diagnose", *spoilt, "--out", tmp_path, *["--json"] * as_json)
+    assert code == 2
+    assert sorted(p.name for p in tmp_path.glob("*.json")) == ["clean.json", "fast.json"]
+    lines = dict(line.removeprefix("greygate: ").split(": ", 1) for line in error.splitlines())
+    assert list(lines) == list(SAID)
+    found = json.loads(printed) if as_json else {}
+    for name, said in SAID.items():
+        assert said in lines[name]
+        assert found[name] == {"error": lines[name]} if as_json else f"{name}: not diagnosed: {lines[name]}" in printed
+    assert {"fast", "clean"} <= set(found) if as_json else "missing physics" in printed
 
 
 def test_the_command_sends_a_rig_to_a_cluster(drums, cluster, tmp_path, greygate):

@@ -1,0 +1,39 @@
+"""What a number on the command line may be: each kind is decided here, before a command begins.
+
+A kind is the callback of a `typer.Option`; it raises InputError naming the option, its value and what to give.
+"""
+
+import math
+import sys
+from collections.abc import Callable
+
+import typer
+
+from greygate.errors import InputError
+
+MOST = 10**9  # of whatever is counted one by one: more takes longer than anybody waits
+LEAST, GREATEST = math.ulp(0.0), sys.float_info.max  # above 0, below infinity
+SEEDS = 2**31  # Verilator takes no others
+
+
+def _within(low: float, high: float, wish: str) -> Callable:
+    def check(param: typer.CallbackParam, value: float | None) -> float | None:
+        if value is not None and not low <= value <= high:  # nan is within nothing
+            raise InputError(f"{param.opts[-1]} {value}: give {wish}")
+        return value
+
+    return check
+
+
+COUNT = _within(1, MOST, f"a whole number from 1 to {MOST}")
+SAMPLES = _within(0, MOST, f"a whole number of samples from 0 to {MOST}")
+SEED = _within(0, SEEDS - 1, f"a whole number from 0 to {SEEDS - 1}")
+JOBS = _within(1, 1024, "a whole number from 1 to 1024")
+WIDTH = _within(4, 32, "4 to 32 bits")
+FINER = _within(0, 28, "0 to 28 bits, which with the width make 32 at most")
+MACS = _within(1, 256, "1 to 256 multipliers")
+SHARE = _within(0, math.nextafter(1, 0), "a share from 0 up to 1, without 1")
+DECAY = _within(0, GREATEST, "a finite number from 0 on")
+SECONDS = _within(LEAST, math.inf, "seconds above 0")
+GROWTH = _within(math.nextafter(1, 2), GREATEST, "a factor on the error of float, e.g. 1.05")
+ALLOWANCE = _within(1, GREATEST, "a factor on the error before pruning, e.g. 1.02")

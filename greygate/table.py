@@ -1,0 +1,206 @@
+"""A table of numbers in a CSV file, plain or gzipped: the one reader that every recording goes through."""
+
+import csv
+import gzip
+import io
+import re
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from greygate.errors import InputError
+
+LARGEST = 1e30  # of a cell: above any quantity; its eighth power, in correlations of squares, stays within float64
+MOST_BYTES = 2**31  # of a table when unpacked: a recording is far smaller, a gzip bomb is not
+SHOWN = 40  # characters of a cell that a message quotes
+
+_PLAIN = b"0123456789+-.eE \r\n"  # what stands in a file of decimal numbers, beside its separator
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+_DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?")
+_THOUSANDS = re.compile(r"[+-]?[1-9][0-9]{0,2},[0-9]{3}")
+_MARKS = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16"}  # byte order marks of what is no UTF-8
+_GZIP = b"\x1f\x8b"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A header and its rows of numbers.
+
+    header: names of the columns, each once. cells: the text of each row, decimals behind a point. values: float64
+    (rows, columns). lines: on which of the file each row ends, the header being on the first.
+    """
+
+    path: Path
+    header: list[str]
+    cells: list[list[str]]
+    values: np.ndarray
+    lines: Sequence[int]
+
+    def require_steps(self, steps: np.ndarray, off: np.ndarray, right: float, why: str = "is usual") -> None:
+        """Raise InputError at the worst of the steps of the first column that are `off`, (rows - 1,) each.
+
+        Steps that do not go forward are told before all others. right: the step that is wanted, s; why it is, in words.
+        """
+        still = np.flatnonzero(~(steps > 0))
+        if not (still.size or off.any()):
+            return
+        far = np.where(off, np.abs(steps - right), 0.0)
+        at = int(still[0]) if still.size else int((far > 0.99 * far.max()).argmax())  # the first of equals
+        where = f"{self.path}: row {self.lines[at + 1]}, column {self.header[0]}"
+        if still.size:
+            raise InputError(
+                f"{where} does not increase (from {self.cells[at][0]} to {self.cells[at + 1][0]}); "
+                "sort the rows by time, and keep each time once"
+            )
+        raise InputError(
+            f"{where}: step {steps[at]:.6g} s where {right:.6g} s {why}; fill gaps and resample to uniform time"
+        )
+
+
+def read_table(path: Path | str, nan: bool = False) -> Table:
+    """The table in a CSV file: UTF-8, columns separated by commas, semicolons or tabs, one header, decimal numbers.
+
+    Decimal commas are read where a cell shows that they are none of thousands. nan: cells may be `nan`, as what a
+    diverging simulation writes ends. Raises InputError for whatever else, naming the row as an editor numbers it.
+    """
+    path = Path(path)
+    text = _text(path)
+    lines, rows, separator = _rows(path, text)
+    header = _header(path, [name.strip() for name in rows.pop(0)])
+    lines = lines[1:]
+    for line, row in zip(lines, rows, strict=True):
+        if len(row) != len(header):
+            raise InputError(
+                f"{path}: row {line} has {len(row)} cells, the header {len(header)}; mend the row"
+                + (", or separate columns by semicolons if commas are decimal" if separator == "," else "")
+            )
+    return Table(path, header, *_numbers(path, header, rows, lines, _is_plain(text, separator), nan), lines)
+
+
+def _text(path: Path) -> str:
+    try:
+        data = path.read_bytes()
+        if data.startswith(_GZIP):
+            with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
+                data = file.read(MOST_BYTES + 1)
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise InputError(f"{path}: is no whole gzip file ({error}); pack it again") from None
+    except (OSError, ValueError) as error:  # a path may hold what no path can
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read ({why}); check the path") from None
+    if len(data) > MOST_BYTES:
+        raise InputError(f"{path}: holds more than {MOST_BYTES} bytes; cut the recording")
+    wish = "save it as UTF-8 CSV"
+    if kind := _MARKS.get(data[:2]):
+        raise InputError(f"{path}: is not a CSV text file in UTF-8 but in {kind}; {wish}")
+    if (at := data.find(b"\0")) >= 0:
+        raise InputError(f"{path}: is not a CSV text file (byte {at} is 0); {wish}")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise InputError(f"{path}: is not a CSV text file in UTF-8 (row {line}); {wish}") from None
+
+
+def _rows(path: Path, text: str) -> tuple[list[int], list[list[str]], str]:
+    """(line that each row ends on, cells of each row that is not blank, separator)."""
+    first = re.match(r"\s*([^\r\n]*)", text).group(1)
+    outside = re.sub(r'"[^"]*"', "", first)
+    found = [s for s in ",;" if s in outside] or ["\t"]
+    if len(found) > 1:
+        raise InputError(f"{path}: commas and semicolons separate the header; use one of them in the whole file")
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=found[0], strict=True)
+    try:
+        rows = [(reader.line_num, row) for row in reader if len(row) > 1 or (row and row[0].strip())]
+    except csv.Error as error:
+        raise InputError(f"{path}: is not a CSV text file (row {reader.line_num}: {error}); mend that row") from None
+    if not rows:
+        raise InputError(f"{path}: the file is empty; give a header row and samples")
+    if len(rows[0][1]) < 2:
+        raise InputError(
+            f"{path}: the header has one column; begin with a row of names, a time and at least one channel, "
+            "separated by commas"
+        )
+    return [line for line, _ in rows], [row for _, row in rows], found[0]
+
+
+def _header(path: Path, names: list[str]) -> list[str]:
+    for i, name in enumerate(names):
+        if not name:
+            raise InputError(f"{path}: column {i + 1} has no name; name it, or delete the separator that is too much")
+        if not name.isprintable():
+            raise InputError(f"{path}: the name of column {i + 1}, {_quoted(name)}, does not print; rename it")
+        if name in names[:i]:
+            raise InputError(f"{path}: column {name} appears twice; rename or delete one of them")
+    return names
+
+
+def _is_plain(text: str, separator: str) -> bool:
+    """No row holds anything but decimal numbers, signs and separators: no quotes, no second separator, no letters."""
+    _, *body = re.split(r"[\r\n]", text.lstrip(), maxsplit=1)
+    return not "".join(body).encode().translate(None, _PLAIN + separator.encode())
+
+
+def _numbers(
+    path: Path, header: list[str], rows: list[list[str]], lines: list[int], plain: bool, nan: bool
+) -> tuple[list[list[str]], np.ndarray]:
+    """(cells, values)."""
+    if plain:  # Python's own conversion of text to numbers is then the rule of `_NUMBER`, and much faster
+        try:
+            values = np.array(rows, dtype=np.float64).reshape(len(rows), len(header))
+        except ValueError:
+            plain = False
+    if not plain:
+        rows = [[cell.strip(" \t") for cell in row] for row in rows]
+        if _proves_decimal_commas(rows):
+            rows = [[_pointed(cell) for cell in row] for row in rows]
+        values = np.array([[_number(cell, nan) for cell in row] for row in rows]).reshape(len(rows), len(header))
+    with np.errstate(invalid="ignore"):
+        bad = np.argwhere(~((np.abs(values) <= LARGEST) | (nan & np.isnan(values))))
+    if bad.size:
+        row, column = bad[0]
+        what, wish = _problem(rows[row], column)
+        raise InputError(
+            f"{path}: row {lines[row]}, column {header[column]}: {_quoted(rows[row][column])} {what}; {wish}"
+        )
+    return rows, values
+
+
+def _proves_decimal_commas(rows: list[list[str]]) -> bool:
+    """Commas stand where points could, there are no points, and one of them cannot separate thousands."""
+    marked = [cell for row in rows for cell in row if "," in cell or "." in cell]
+    return all(map(_DECIMAL_COMMA.fullmatch, marked)) and not all(map(_THOUSANDS.fullmatch, marked))
+
+
+def _pointed(cell: str) -> str:
+    return cell.replace(",", ".")
+
+
+def _number(cell: str, nan: bool) -> float:
+    """The cell's number; inf where it is none, which no cell may hold."""
+    return float(cell) if _NUMBER.fullmatch(cell) or (nan and cell == "nan") else np.inf
+
+
+def _problem(row: list[str], column: int) -> tuple[str, str]:
+    """(what is wrong with the cell, what to do)."""
+    cell = row[column]
+    if _NUMBER.fullmatch(cell):
+        return "is beyond any quantity", f"give numbers up to {LARGEST:g}, or repair the recording"
+    if not cell:
+        return "is an empty cell", "fill it, or cut the recording"
+    if not any(map(_NUMBER.fullmatch, row)) and not any("," in c for c in row):
+        return "is not a finite number", "keep one header with the units in its names, and delete this row"
+    if "," in cell:
+        return "is not a finite number", "write decimal points, and no separators of thousands"
+    if any(separator in cell for separator in ";\t"):
+        return "is not a finite number", "separate every row as the header is separated"
+    if cell.lower().lstrip("+-") in ("nan", "inf", "infinity"):
+        return "is not a finite number", "repair or cut the recording"
+    return "is not a finite number", "write plain digits with a decimal point, or repair or cut the recording"
+
+
+def _quoted(text: str) -> str:
+    return repr(text if len(text) <= SHOWN else text[:SHOWN] + "...")

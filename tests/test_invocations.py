@@ -1,0 +1,213 @@
+"""Wrong use of every command and option: one line on stderr, exit code 2, nothing on stdout, nothing written.
+
+The sweep is drawn from the command line itself, so that a new option is tried without a line here; an option that takes
+text needs its wrong texts in TEXTS.
+"""
+
+import json
+import sys
+import typing
+from enum import Enum
+
+import pytest
+import typer
+from test_cli import recording
+from test_network import delay_line
+
+from greygate import cli
+from greygate.mismatch.conceal import conceal
+from greygate.project import Source, compile_project
+
+LEAST = 400  # invocations
+GOOD = {
+    "train": ["line.toml", "--record", "a.csv", "--out", "new"],
+    "compile": ["line.toml", "--record", "a.csv", "--out", "new"],
+    "emulate": ["build", "a.csv", "--out", "new.csv"],
+    "verify": ["build"],
+    "synthesize": ["build"],
+    "report": ["build", "--out", "new.html"],
+    "validate": ["line.toml", "--record", "a.csv", "--lags", "5", "--out", "new.html"],
+    "diagnose": ["rig", "--out", "new.json"],
+    "isolability": ["rig"],
+    "simulate": ["rig", "--recording", "rig/third.csv", "--out", "new.csv"],
+    "augment": ["rig", "--diagnosis", "none.json", "--out", "new"],
+    "conceal": ["cable_drum", "--seed", "1", "--out", "new"],
+    "reveal": ["rig"],
+}
+"""What each command takes, before it is spoilt."""
+
+NO_TABLE = ["none.csv", "folder", "empty.csv", "binary.csv", "utf16.csv", "text.txt", "huge.csv", "\udcff.csv", ""]
+NAMED = [*NO_TABLE, "=a.csv", "x=", "x=none.csv", "x=folder"]
+NO_JSON = ["none.json", "folder", "empty.csv", "binary.csv", "a.csv", "null.json", "list.json", "other.json", ""]
+NO_TOML = ["none.toml", "folder", "binary.csv", "text.txt", "a.csv"]
+NO_NETWORK = ["nobody", "none.toml", "folder", "folder.toml", "a.csv", "rig/rig.toml", "binary.csv", ""]
+NO_BUILD = ["none", "folder", "a.csv", "no_rig", "\udcff", ""]
+NO_RIG = ["none", "folder", "a.csv", "build", "no_rig", "\udcff", ""]
+NO_PLACE = ["a.csv/new", "a.csv/new/new"]
+RANGES = ["", "u_d", "u_d=", "u_d=1", "u_d=1:", "u_d=:1", "u_d=2:1", "u_d=1:1", "u_d=nan:1", "u_d=0:inf", "u_d=a:b",
+          "u_d=0:1:2", "=0:1", "nobody=0:1"]  # fmt: skip
+TEXTS = {
+    "record": NAMED, "held": NAMED, "recording": NO_TABLE, "diagnosis": NO_JSON, "effects": NO_TOML,
+    "name": NO_NETWORK, "network": NO_NETWORK, "folder": NO_BUILD, "folders": NO_BUILD, "rig": NO_RIG, "rigs": NO_RIG,
+    "out": NO_PLACE, "html": NO_PLACE, "scenario": ["v9", ""], "weights": ["guess", ""], "kind": ["none", ""],
+    "effect": ["none", ""], "plant": ["none", ""], "scheduler": ["x", "tcp://127.0.0.1:1"], "ranges": RANGES,
+}  # fmt: skip
+"""Wrong texts by the name of the option or argument."""
+
+WHOLE = ["x", "", "1.5", "nan", "inf", "-1", "1e30", "9" * 20, "9" * 5000]
+FLAG = ["1", "no"]
+REAL = ["x", "", "nan", "-inf", "-1", "1,5", "0x10"]
+OTHERS = [
+    ["nobody"], ["--nope"], ["--version=1"], ["train", "--version"], ["-x"], [""],
+    ["train", "crane", "--record", "a.csv"], ["train", "crane", "--held", "a.csv"], ["train", "crane", "--epochs", "3"],
+    ["train", "crane", "--no-narx"], ["train", "crane", "--out", "none"], ["train", "line.toml", "--record", "a.csv"],
+    ["train", "list", "x"], ["train", *GOOD["train"], "--held", "a.csv"],
+    ["train", *GOOD["train"], "--held", "x=a.csv"],
+    ["train", *GOOD["train"], "--record", "a.csv"], ["train", *GOOD["train"], "--record", "slow.csv"],
+    ["train", *GOOD["train"], "--settle", "60"], ["train", *GOOD["train"], "--settle", "1000000000"],
+    ["train", *GOOD["train"], "--shooting", "31"], ["train", *GOOD["train"], "--shooting", "1000000000"],
+    ["train", *GOOD["train"], "--tail", "1"], ["train", *GOOD["train"], "--tail", "2"],
+    ["train", *GOOD["train"], "--tail", "0.999"], ["train", *GOOD["train"], "--decay", "inf"],
+    ["train", *GOOD["train"], "--decay", "1e400"], ["train", *GOOD["train"], "--seconds", "0"],
+    ["train", *GOOD["train"], "--epochs", "0"], ["train", *GOOD["train"], "--shooting", "0"],
+    ["compile", *GOOD["compile"], "--width", "3"], ["compile", *GOOD["compile"], "--width", "33"],
+    ["compile", *GOOD["compile"], "--finer", "29"], ["compile", *GOOD["compile"], "--finer", "17"],
+    ["compile", *GOOD["compile"], "--budget", "1"], ["compile", *GOOD["compile"], "--budget", "inf"],
+    ["compile", *GOOD["compile"], "--prune", "0.99"], ["compile", *GOOD["compile"], "--prune", "inf"],
+    ["compile", *GOOD["compile"], "--macs", "0"], ["compile", *GOOD["compile"], "--macs", "257"],
+    ["compile", *GOOD["compile"], "--held", "slow.csv"], ["compile", *GOOD["compile"], "--record", "slow.csv"],
+    ["compile", *GOOD["compile"], "--held", "a.csv", "--prune", "1.1"], ["compile", "line.toml", "--out", "new"],
+    ["compile", *GOOD["compile"][:-1], "folder"], ["compile", *GOOD["compile"][:-1], "a.csv"],
+    ["report"], ["report", "--all", "build", "build"], ["report", "build", "none"],
+    ["validate", "line.toml", "--record", "a.csv"], ["validate", *GOOD["validate"], "--settle", "60"],
+    ["validate", "line.toml"], ["validate", "crane", "--record", "training=a.csv"],
+    ["diagnose", "rig", "rig"], ["diagnose", "rig", "no_rig", "--out", "none"], ["diagnose", "rig", "--jobs", "0"],
+    ["diagnose", "rig", "--jobs", "1025"], ["diagnose", "rig", "--backend", "dask"],
+    ["isolability", "rig", "--range", "u_d=0:1", "--range", "u_d=0:2"],
+    ["synthesize", "build", "--target", "ice40", "--clock"], ["synthesize", "build", "--keep"],
+    ["synthesize", "build", "--limit", "0"], ["simulate", *GOOD["simulate"][:-2]], ["augment", "rig", "--out", "new"],
+    ["conceal", "cable_drum", "--out", "new"], ["conceal", "cable_drum", "--seed", "1"],
+    ["conceal", *GOOD["conceal"], "--kind", "clean", "--effect", "speed_slip"],
+    ["conceal", *GOOD["conceal"], "--seed", "2147483648"], ["conceal", *GOOD["conceal"][:-1], "folder"],
+    ["verify", "build", "--seed", "2147483648"],
+]  # fmt: skip
+
+
+def wrong(name: str, hint) -> list[str]:
+    """Values that an option or argument of that name and type cannot have."""
+    kinds = {hint, *typing.get_args(hint)}
+    if any(isinstance(kind, type) and issubclass(kind, Enum) for kind in kinds):
+        return ["none", "", "PARALLEL"]
+    return FLAG if bool in kinds else WHOLE if int in kinds else REAL if float in kinds else TEXTS[name]
+
+
+def sweep() -> list[list[str]]:
+    """Every option of every command without a value, with a wrong one, misspelt; arguments missing, wrong, too many."""
+    found = []
+    hints = {info.callback.__name__: typing.get_type_hints(info.callback) for info in cli.app.registered_commands}
+    for command, entry in typer.main.get_command(cli.app).commands.items():
+        good = [command, *GOOD[command]]
+        arguments = [p for p in entry.params if p.param_type_name == "argument"]
+        for at, argument in enumerate(arguments, 1):
+            values = wrong(argument.name, hints[command][argument.name])
+            found += [[*good[:at], value, *good[at + 1 :]] for value in values]
+            found += [[command, *good[at + 1 :]]] if argument.required else []
+        for option in [p for p in entry.params if p not in arguments]:
+            values, word = wrong(option.name, hints[command][option.name]), option.opts[-1]
+            found += [[*good, name + "x"] for name in (*option.opts, *option.secondary_opts)]
+            found += [[*good, f"{word}={value}"] for value in values]
+            found += [] if option.is_flag else [[*good, word]]
+        if all(argument.nargs == 1 for argument in arguments):
+            found.append([*good, "toomuch"])
+    return found
+
+
+ALL = [*sweep(), *OTHERS]
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """A folder with whatever a command may be pointed at."""
+    folder = tmp_path_factory.mktemp("world")
+    delay_line().save(folder / "line")
+    recording(folder / "a.csv")
+    recording(folder / "slow.csv", dt=1e-2)
+    (folder / "folder").mkdir()
+    (folder / "folder" / "notes.txt").write_text("mine")
+    (folder / "folder.toml").mkdir()
+    (folder / "empty.csv").touch()
+    (folder / "binary.csv").write_bytes(bytes(range(256)))
+    (folder / "utf16.csv").write_bytes((folder / "a.csv").read_text().encode("utf-16"))
+    (folder / "text.txt").write_text("Dear reader,\nthis is no table.\n")
+    (folder / "huge.csv").write_text("t_s,u_V,y_m\n" + "1e308,1e308,1e308\n" * 60)
+    for name, content in (("null", None), ("list", [1]), ("other", {"schema": "other"})):
+        (folder / f"{name}.json").write_text(json.dumps(content))
+    source = Source(str(folder / "line.toml"), {"a": str(folder / "a.csv")})
+    compile_project(source, folder / "build", source.formats())
+    conceal("cable_drum", 3, folder / "rig", kind="clean")
+    for table in (folder / "rig").glob("*.csv"):
+        table.write_text("".join(table.read_text().splitlines(keepends=True)[:3001]))
+    (folder / "no_rig").mkdir()
+    (folder / "no_rig" / "rig.toml").write_text("plant = 5\n")
+    return folder
+
+
+def snapshot(folder) -> dict:
+    return {path: path.lstat().st_mtime_ns for path in sorted(folder.rglob("*"))}
+
+
+@pytest.mark.parametrize("arguments", ALL, ids=lambda a: " ".join(ascii(word)[1:-1][:20] for word in a))
+def test_wrong_use_is_one_line_with_exit_code_2_and_nothing_is_written(arguments, world, greygate, monkeypatch):
+    monkeypatch.chdir(world)
+    before = snapshot(world)
+    code, printed, error = greygate(*arguments)
+    assert (code, printed) == (2, ""), error
+    assert error.startswith("greygate: "), error
+    assert (error.count("\n"), error[-1]) == (1, "\n"), error
+    assert "Traceback" not in error
+    assert all(c.isprintable() for c in error[:-1])
+    assert snapshot(world) == before
+
+
+def test_every_command_is_swept_and_400_invocations_at_least():
+    assert set(GOOD) == set(typer.main.get_command(cli.app).commands)
+    assert len({tuple(a) for a in ALL}) >= LEAST
+    print(f"{len(ALL)} invocations")
+
+
+def test_a_command_line_of_nothing_is_answered_by_help(greygate):
+    code, printed, error = greygate()
+    assert code == 2
+    assert "Commands" in printed + error
+
+
+@pytest.mark.parametrize(
+    ("raised", "code", "line"),
+    [
+        (KeyboardInterrupt(), 130, "greygate: interrupted\n"),
+        (MemoryError(), 2, "greygate: out of memory; give fewer or shorter recordings\n"),
+        (PermissionError(13, "Permission denied", "a.csv"), 2, "greygate: a.csv: Permission denied; check the path"),
+        (OSError(28, "No space left on device"), 2, "greygate: a file: No space left on device; check"),
+    ],
+)
+def test_whatever_ends_a_command_is_one_line(raised, code, line, world, greygate, monkeypatch):
+    def fail(*arguments, **options):
+        raise raised
+
+    monkeypatch.chdir(world)
+    monkeypatch.setattr("greygate.project.compile_project", fail)
+    found, printed, error = greygate("compile", *GOOD["compile"])
+    assert (found, printed) == (code, "")
+    assert error.startswith(line)
+    assert error.count("\n") == 1
+
+
+def test_a_mistake_of_ours_is_not_hidden(world, greygate, monkeypatch):
+    def fail(*arguments, **options):
+        raise ZeroDivisionError
+
+    monkeypatch.chdir(world)
+    monkeypatch.setattr("greygate.project.compile_project", fail)
+    monkeypatch.setattr(sys, "argv", ["greygate", "compile", *GOOD["compile"]])
+    with pytest.raises(ZeroDivisionError):
+        cli.run()
