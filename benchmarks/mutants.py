@@ -93,7 +93,7 @@ class Bench:
             shutil.copytree(ROOT, self.prime, ignore=lambda _, names: SKIPPED & set(names))
 
     def _environment(self, wheels: Path | None) -> None:
-        venv.create(self.work / "venv", system_site_packages=True)
+        venv.create(self.work / "venv", system_site_packages=True, symlinks=True)
         (site,) = (self.work / "venv").glob("lib/python*/site-packages")
         setuptools = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
         (site / "greygate_mutated.py").write_text(FINDER.format(packages=setuptools["package-dir"]))
