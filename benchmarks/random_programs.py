@@ -70,7 +70,9 @@ def hardware(seeds: range) -> dict:
             if v.mismatch:
                 found[v.architecture]["differing_seeds"].append(seed_of[v.program])
                 found[v.architecture]["differing"].append(v.mismatch)
-        print(f"{first + TOGETHER} programs in Verilator, {time.perf_counter() - started:.0f} s", file=sys.stderr)
+        done = sum(f["programs"] for f in found.values())
+        differing = sum(len(f["differing"]) for f in found.values())
+        print(f"{done} designs in Verilator, {differing} of them differ", file=sys.stderr)
     return found | {"bits_compared": bits, "seconds": round(time.perf_counter() - started, 1)}
 
 
