@@ -5,7 +5,7 @@ PYTHON ?= python3
 OUT := demo
 PEERS := build/peers
 
-.PHONY: demo test test-old lint bench bench-training bench-diagnosis bench-programs fuzz train clean tools
+.PHONY: demo test test-old lint bench bench-training bench-diagnosis bench-programs fuzz faults mutants train clean tools
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -38,6 +38,17 @@ bench: $(VENV)/.ready-dev | tools
 # A quarter of an hour: random programs at the limits of what is legal, beside Python integers.
 bench-programs: $(VENV)/.ready-dev | tools
 	PYTHONPATH=tests $(BIN)/python benchmarks/random_programs.py
+
+# Nightly: 10,000 mutants of the files that each parser reads; every fault at every point; changes to the code that no
+# test may overlook.
+fuzz: $(VENV)/.ready-dev
+	GREYGATE_FUZZ=10000 $(BIN)/python -m pytest tests/test_fuzz.py -s
+
+faults: $(VENV)/.ready-dev
+	GREYGATE_FAULTS=all $(BIN)/python -m pytest tests/test_faults.py -s
+
+mutants: $(VENV)/.ready-dev | tools
+	$(BIN)/python benchmarks/mutants.py --jobs 2 --out build/mutants.jsonl --report benchmarks/results/mutants.json
 
 # An hour: concealed effects by the hundred, and the measured rigs.
 bench-diagnosis: $(VENV)/.ready-dev
