@@ -19,6 +19,7 @@ from programs import random_codes, random_program
 from greygate.emulator import engine
 from greygate.emulator.interpreter import interpret
 from greygate.emulator.program import Program
+from greygate.files import write_manifest
 from greygate.mismatch import conceal, effects, rig, simulation
 from greygate.models.network import Network
 from greygate.models.ports import ports
@@ -130,6 +131,7 @@ def open_rig_csv(folder: Path) -> None:
 
 def open_project(folder: Path) -> None:
     os.chdir(folder)
+    write_manifest(folder, "compile")
     project = Project.open(folder)
     project.compiled(project.source.records())
     project.scenarios()
