@@ -44,8 +44,8 @@ PASS = {"name": "p", "layers": 1, "parameters": 1, "multiplications": 1, "change
 @pytest.mark.parametrize(
     ("entries", "says"),
     [
-        ({"architectures": ["../../esc"]}, "architectures\[0\] '../../esc' does not exist; choose parallel, folded"),
-        ({"architectures": ["/tmp/esc"]}, "architectures\[0\] '/tmp/esc'"),
+        ({"architectures": ["../../esc"]}, r"architectures\[0\] '../../esc' does not exist; choose parallel, folded"),
+        ({"architectures": ["/tmp/esc"]}, r"architectures\[0\] '/tmp/esc'"),
         ({"architectures": []}, "name one or both"),
         ({"architectures": ["folded", "folded"]}, "each once"),
         ({"architectures": "folded"}, "architectures 'folded' is not a list"),
@@ -59,9 +59,9 @@ PASS = {"name": "p", "layers": 1, "parameters": 1, "multiplications": 1, "change
         ({"title": None}, "title None is not a line of text"),
         ({"finer": 10**400}, "finer 1000"),
         ({"passes": {}}, "passes {} is not a list"),
-        ({"passes": [PASS | {"change": float("nan")}]}, "passes\[0\].change nan"),
+        ({"passes": [PASS | {"change": float("nan")}]}, r"passes\[0\].change nan"),
         ({"passes": [PASS | {"layers": -1}]}, "layers -1"),
-        ({"passes": [{"name": "p"}]}, "passes\[0\].layers is missing"),
+        ({"passes": [{"name": "p"}]}, r"passes\[0\].layers is missing"),
         ({"module": "os"}, "'module': there is no such entry"),
     ],
 )
