@@ -69,12 +69,14 @@ def _effect(value: object, where: str) -> dict:
     return table(value, where, needed, {"form": line, "equations": listed(line)}, others=True)
 
 
-ENTRIES = {"schema": one_of((SCHEMA,)), "plant": line, "effects": listed(_effect), "parameters": PARAMETERS}
+HEAD = {"schema": one_of((SCHEMA,))}
+ENTRIES = {"plant": line, "effects": listed(_effect), "parameters": PARAMETERS}
 
 
 def check(diagnosis: object) -> dict:
     """What of a diagnosis.json a simulation takes. Raises InputError where that is missing or of another kind."""
     try:
+        table(diagnosis, "diagnosis:", HEAD, others=True)  # one of another schema may have other entries
         return table(diagnosis, "diagnosis:", ENTRIES, others=True)
     except InputError as error:
         raise InputError(f"{error}; {WRITTEN}") from None
