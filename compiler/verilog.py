@@ -3,8 +3,7 @@
 import re
 
 from greygate.emulator.program import Clamp, Lookup, Program, Rounding, Select, Signal, Symmetry, Table
-from greygate.errors import InputError
-from greygate.names import one_line
+from greygate.errors import InputError, one_line
 
 ROUNDING = {Rounding.TRUNCATE: 0, Rounding.HALF_UP: 1, Rounding.HALF_EVEN: 2}
 SYMMETRY = {Symmetry.ODD: 0, Symmetry.EVEN: 1, Symmetry.COMPLEMENT: 2}

@@ -20,7 +20,7 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.files import replacing
 from greygate.names import check_name, check_path, check_text, check_unit
-from greygate.reading import Kind, json_data, listed, named, number, one_of, table, truth, whole
+from greygate.reading import Kind, listed, named, number, one_of, read_json, table, truth, whole
 
 ACCUMULATOR_BITS = 62  # room for one more addition in int64
 WIDTHS = range(2, 49)
@@ -421,7 +421,7 @@ class Program:
     def load(path: Path | str) -> "Program":
         """Read and check a program. Raises InputError for a file that is missing, truncated or not legal."""
         try:
-            return _from_json(json_data(Path(path)), f"{path}:").check()
+            return _from_json(read_json(path, "compile the network again"), f"{path}:").check()
         except InputError as error:
             said = str(error)
             raise InputError(said if said.startswith(str(path)) else f"{path}: {said}") from None

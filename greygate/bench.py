@@ -15,7 +15,7 @@ from cocotb.clock import Clock
 from cocotb.triggers import RisingEdge, Timer
 from cocotb.utils import get_sim_time
 
-from greygate.names import one_line
+from greygate.errors import one_line
 
 HALF = 1  # simulator steps in half a clock: stimulus changes at the falling edge, or right after the rising one
 CLOCK = 2 * HALF

@@ -4,37 +4,44 @@ A build may come from anywhere. Here its entries are checked, and nowhere else: 
 recordings, which are read as CSV, and the architectures, which are of a list.
 """
 
-import json
-import math
-from collections.abc import Mapping
+import os
 from pathlib import Path
 
 from greygate.errors import InputError
+from greygate.reading import Kind, anything, line, listed, maybe, named, number, one_of, read_json, table, whole
 
 ARCHITECTURES = ("parallel", "folded")
 FACTS = "compile.json"
-MACS = range(1, 257)  # multipliers of the folded architecture
-NUMBER, COUNT = "a finite number", "a whole number from 0 on"
-PASS = {"name": str, "layers": COUNT, "parameters": COUNT, "multiplications": COUNT, "change": NUMBER, "remarks": [str]}
-SHAPES = {  # of each file: a type, a list of one shape, {str: one shape}, {name: its shape}, or a tuple of choices
-    FACTS: {
-        "source": str,
-        "recordings": {str: str},
-        "title": str,
-        "architectures": [ARCHITECTURES],
-        "macs": MACS,
-        "finer": range(33),
-        "passes": [PASS],
-        "pruning": list,
-    },
-    "verify.json": {
-        str: {
-            "clocks_per_step": (NUMBER, None),
-            "seed": COUNT,
-            "scenarios": {str: {"steps": COUNT, "differing_bits": (0, None), "mismatch": (str, None)}},
-        }
-    },
-    "resources.json": {str: {str: (NUMBER, None)}},
+MACS = 256  # multipliers of the folded architecture, at most
+FINER = 32  # bits that a format may have beyond those that it needs, at most
+PASS = {
+    "name": line,
+    **dict.fromkeys(("layers", "parameters", "multiplications"), whole(0)),
+    "change": number,
+    "remarks": listed(line),
+}
+SCENARIO = {"steps": whole(0), "differing_bits": maybe(whole(0, 0)), "mismatch": maybe(line)}
+ARCHITECTURE = {
+    "clocks_per_step": maybe(number),
+    "seed": whole(0),
+    "scenarios": named(lambda *entry: table(*entry, SCENARIO), line),
+}
+FILES: dict[str, Kind] = {
+    FACTS: lambda *file: table(
+        *file,
+        {
+            "source": line,
+            "recordings": named(line, line),
+            "title": line,
+            "architectures": listed(one_of(ARCHITECTURES)),
+            "macs": whole(1, MACS),
+            "finer": whole(0, FINER),
+            "passes": listed(lambda *entry: table(*entry, PASS)),
+            "pruning": listed(anything),
+        },
+    ),
+    "verify.json": named(lambda *entry: table(*entry, ARCHITECTURE), line),
+    "resources.json": named(named(maybe(number), line), line),
 }
 
 
@@ -59,54 +66,12 @@ def read_resources(folder: Path) -> dict | None:
 
 
 def _read(path: Path, command: str) -> dict | None:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    again = f"run greygate {command} again"
+    if not os.path.exists(path):
         return None
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not readable ({error}); run greygate {command} again") from None
-    if problem := misfit(found, SHAPES[path.name]):
-        raise InputError(f"{path}: {problem}; run greygate {command} again")
+    found = read_json(path, again)
+    try:
+        FILES[path.name](found, f"{path}:")
+    except InputError as error:
+        raise InputError(f"{error}; or {again}") from None
     return found
-
-
-def misfit(value: object, shape: object, name: str = "the file") -> str | None:
-    """What in a value from JSON is not of its shape (see SHAPES), with its name; None where all is."""
-    if isinstance(shape, tuple):
-        fits = any(misfit(value, choice) is None for choice in shape)
-        return None if fits else f"{name} is {_shown(value)}; it is one of {', '.join(map(_called, shape))}"
-    if isinstance(shape, list) and isinstance(value, list):
-        return _first(misfit(v, shape[0], f"{name}, {k + 1}") for k, v in enumerate(value))
-    if isinstance(shape, Mapping) and isinstance(value, dict):
-        if str in shape:
-            return _first(misfit(v, shape[str], f"{name}, {_shown(k)}") for k, v in value.items())
-        if odd := set(shape) ^ set(value):
-            return f"{name} holds {_shown(min(odd))} that it should not, or lacks it"
-        return _first(misfit(v, shape[k], k) for k, v in value.items())
-    whole, number = type(value) is int, type(value) in (int, float)
-    if shape is COUNT:
-        fits = whole and value >= 0
-    elif shape is NUMBER:
-        fits = number and -math.inf < value < math.inf
-    elif isinstance(shape, type):
-        fits = type(value) is shape
-    else:
-        fits = (whole and value in shape) if isinstance(shape, range) else type(value) is type(shape) and value == shape
-    return None if fits else f"{name} is {_shown(value)}; it is {_called(shape)}"
-
-
-def _first(problems) -> str | None:
-    return next((problem for problem in problems if problem), None)
-
-
-def _called(shape: object) -> str:
-    if isinstance(shape, range):
-        return f"{shape.start} to {shape.stop - 1}"
-    names = {str: "text", list: "a list", None: "null"}
-    kinds = {list: "a list", dict: "a table"}
-    return names.get(shape) if shape in (str, list, None) else kinds.get(type(shape)) or str(shape)
-
-
-def _shown(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 40 else f"{text[:37]}..."

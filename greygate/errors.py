@@ -1,6 +1,12 @@
-"""The one exception that a user's mistake raises."""
+"""The one exception that a user's mistake raises, and how its message shows what was given."""
+
+import reprlib
 
 LONGEST = 480  # characters of a message: about six lines of a terminal
+SHOWN = 60  # characters of a wrong value that a message repeats
+
+_SHORT = reprlib.Repr()
+_SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxlong, _SHORT.maxother = 3, SHOWN, SHOWN, SHOWN
 
 
 class InputError(ValueError):
@@ -12,12 +18,20 @@ class InputError(ValueError):
     """
 
     def __init__(self, message: str):
-        super().__init__(_one_line(str(message)))
+        line = one_line(str(message))
+        half = LONGEST // 2 - 2  # the head says where, the tail what to do
+        super().__init__(line if len(line) <= LONGEST else f"{line[:half]} … {line[-half:]}")
 
 
-def _one_line(text: str) -> str:
-    line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-    if len(line) <= LONGEST:
-        return line
-    half = LONGEST // 2 - 2  # the head says where, the tail what to do
-    return f"{line[:half]} … {line[-half:]}"
+def one_line(text: str) -> str:
+    """The text with every character that cannot be seen (ends of lines, controls, marks of direction) as its escape."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def shown(value: object) -> str:
+    """A value that may be anything, as a message repeats it: quoted, and not long."""
+    try:
+        text = _SHORT.repr(value)
+    except ValueError:  # more digits than Python writes
+        return "(a huge number)"
+    return text if len(text) <= SHOWN else f"{text[: SHOWN - 3]}..."

@@ -27,7 +27,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
 from greygate import __version__
-from greygate.errors import InputError
+from greygate.errors import InputError, shown
+from greygate.reading import line, named, read_json, table, whole
 
 MANIFEST = "manifest.json"
 SCHEMA = 1  # of the manifest
@@ -246,22 +247,17 @@ def manifest(folder: Path | str, kind: str) -> dict[str, str]:
     """
     path = Path(folder) / MANIFEST
     again = f"run greygate {kind} again, into a new folder"
+    if not path.exists():
+        raise InputError(f"{folder}: no {MANIFEST}, so not what this greygate {kind} writes; {again}")
+    found = read_json(path, again)
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        files = found["files"]
-        sound = found["schema"] == SCHEMA and isinstance(files, dict)
-        sound = sound and all(_plain(name) and re.fullmatch("[0-9a-f]{64}", digest) for name, digest in files.items())
-        if sound and found["kind"] != kind:
-            raise InputError(f"{folder}: written by greygate {found['kind']!r}, not by {kind}; choose another folder")
-    except FileNotFoundError:
-        raise InputError(f"{folder}: no {MANIFEST}, so not what this greygate {kind} writes; {again}") from None
-    except InputError:
-        raise
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise InputError(f"{path}: not readable ({error}); {again}") from None
-    if not sound:
-        raise InputError(f"{path}: no manifest of this greygate; {again}")
-    return files
+        kinds = {"schema": whole(SCHEMA, SCHEMA), "kind": line, "files": named(_sha256, _plain)}
+        found = table(found, f"{path}:", kinds, others=True)
+    except InputError as error:
+        raise InputError(f"{error}: no manifest of this greygate; {again}") from None
+    if found["kind"] != kind:
+        raise InputError(f"{folder}: written by greygate {found['kind']!r}, not by {kind}; choose another folder")
+    return found["files"]
 
 
 def changed(folder: Path | str, files: dict[str, str]) -> list[str]:
@@ -327,10 +323,19 @@ def _digest(path: Path) -> str | None:
         return None
 
 
-def _plain(name: str) -> bool:
-    """Whether a path of a manifest leads to a place within its folder and nowhere else."""
+def _sha256(value: object, where: str) -> str:
+    """The digest of a file."""
+    if not (isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value)):
+        raise InputError(f"{where} {shown(value)} is no SHA-256")
+    return value
+
+
+def _plain(name: str, where: str) -> str:
+    """A path of a manifest that leads to a place within its folder and nowhere else."""
     path = PurePosixPath(name)
-    return bool(path.parts) and not path.is_absolute() and ".." not in path.parts and str(path) == name
+    if not path.parts or path.is_absolute() or ".." in path.parts or str(path) != name:
+        raise InputError(f"{where} {shown(name)} is no plain path within the folder")
+    return name
 
 
 def _check_place(path: Path) -> None:

@@ -20,6 +20,7 @@ from greygate.errors import InputError
 from greygate.models.network import Network
 from greygate.models.problem import Problem, Record
 from greygate.models.training import Fit, Outcome
+from greygate.reading import read_json
 
 ROOT = Path(__file__).resolve().parents[1]
 TRAINED = Path(models.__file__).resolve().parent / "trained"
@@ -325,4 +326,4 @@ def parameters(network: Network) -> int:
 def stored(study: Study, folder: Path = TRAINED) -> tuple[Network, dict]:
     """The network kept in the package and its figures. Raises InputError as `Network.load`."""
     network = Network.load(folder / study.name)
-    return network, json.loads((folder / f"{study.name}.json").read_text())
+    return network, read_json(folder / f"{study.name}.json", "train the network again")

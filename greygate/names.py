@@ -7,13 +7,12 @@ of a name afterwards (Verilog, a path, a page) escapes it once more where it lea
 import re
 import unicodedata
 
-from greygate.errors import InputError
+from greygate.errors import InputError, shown
 
 LONGEST_NAME = 100  # characters: a program's and a signal's name together still fit into a file's
 LONGEST_UNIT = 40  # characters
 LONGEST_TEXT = 500  # characters of a note, a title or a scenario
 LONGEST_FILE = 240  # characters: file systems take 255, and a temporary file's name is longer by ten
-LONGEST_SHOWN = 60  # characters of a wrong value that a message repeats
 
 _PART = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _FILE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
@@ -71,22 +70,6 @@ def check_file_name(value: object, where: str) -> str:
             "no folder); rename it"
         )
     return value
-
-
-def shown(value: object) -> str:
-    """A value that may be anything, on one line of a message."""
-    if not isinstance(value, str | int | float | None):
-        return f"(a {type(value).__name__})"
-    try:
-        text = repr(value[: LONGEST_SHOWN + 1] if isinstance(value, str) else value)
-    except ValueError:  # more digits than Python writes
-        return "(a huge number)"
-    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
-
-
-def one_line(text: str) -> str:
-    """The text with every character that cannot be seen (ends of lines, controls, marks of direction) as its escape."""
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 def _short(value: object, longest: int) -> bool:

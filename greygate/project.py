@@ -58,6 +58,7 @@ from greygate.models.problem import Record, held_out
 from greygate.models.training import narx_noe, train
 from greygate.plants.recording import read_csv
 from greygate.procedure import rms
+from greygate.reading import read_json
 from greygate.report import plain, size
 from greygate.synthesis import synthesize
 from greygate.verify import Case, Scenario, Verification, verify_many
@@ -394,7 +395,7 @@ class Project:
         kept = _kept(self.source.name)
         if self.source.name not in CATALOG or not kept.exists():
             return None
-        found = json.loads(kept.read_text())
+        found = read_json(kept, "install greygate again")
         return found["resources"] if found["size"] == size(self.program) else None
 
 

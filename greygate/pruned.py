@@ -24,6 +24,7 @@ from greygate.files import replacing
 from greygate.measured import TRAINED
 from greygate.models.network import Network
 from greygate.models.problem import Record
+from greygate.reading import read_json
 
 PRUNED = TRAINED / "pruned"
 ALLOWED = 1.0  # the factor of those that are kept
@@ -57,7 +58,7 @@ class Kept:
         """Raises InputError if the file that is kept is not what it was."""
         path = PRUNED / self.name
         if path.with_suffix(".json").exists():
-            facts = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+            facts = read_json(path.with_suffix(".json"), "run python -m greygate.pruned")
             if _same(facts["made_of"], self._made_of(network, allowed, options)):
                 found = Network.load(path)
                 if digest(found) != facts["network"]:

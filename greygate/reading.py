@@ -1,46 +1,122 @@
-"""Strict readers of what a TOML or JSON file holds: every entry is of its kind, none is missing, none is unknown.
+"""TOML and JSON files, which anyone may have written: plain data of known kinds comes out of them, or one InputError.
 
-A kind is a function (value, where) -> value. It raises InputError in one line that begins with `where`, the file and
-the entry, such as "mine.toml: inputs[0].scale". The checks of `greygate.names` are kinds too.
+`read_toml` and `read_json` give what a file holds. A kind then says what an entry must be: a function
+(value, where) -> value. It raises InputError in one line that begins with `where`, the file and the entry, such as
+"mine.toml: inputs[0].scale". The checks of `greygate.names` are kinds too.
 """
 
 import json
 import math
-from collections.abc import Callable, Mapping
+import tomllib
+from collections.abc import Callable, Collection, Mapping
+from difflib import get_close_matches
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 
-from greygate.errors import InputError
-from greygate.names import check_path, shown
+from greygate.errors import InputError, shown
+from greygate.names import check_path
+
+LARGEST = 1 << 26  # bytes: a hundred times the largest file that greygate writes
+DEEPEST = 64  # tables and lists inside one another: three times what the deepest network needs
+LIKE = 0.75  # as much alike (difflib) are an unknown entry and the one that may be meant
 
 Kind = Callable[[object, str], object]
 NONE: Mapping[str, Kind] = MappingProxyType({})
 
 
-def table(value: object, where: str, needed: Mapping[str, Kind], optional: Mapping[str, Kind] = NONE) -> dict:
-    """Entries by name, each as its kind gives it. where: ends with ":" at the head of a file."""
+# -- files -----------------------------------------------------------------------------------------------------------
+
+
+def read_toml(path: Path | str, wish: str, data: bytes | None = None) -> dict:
+    """The tables of a TOML file. wish: what the user is to give instead of a file that cannot be read.
+
+    data: what the file holds, where it was read before. Raises InputError naming the file, and where TOML ends.
+    """
+    return _read(path, "TOML", tomllib.loads, wish, data)
+
+
+def read_json(path: Path | str, wish: str) -> object:
+    """The value of a JSON file. wish: as in `read_toml`. Raises InputError naming the file, and where JSON ends."""
+    return _read(path, "JSON", lambda text: json.loads(text, object_pairs_hook=_unrepeated), wish)
+
+
+def _read(path: Path | str, format: str, parse: Callable, wish: str, data: bytes | None = None):
+    try:
+        if data is None:
+            with Path(path).open("rb") as file:
+                data = file.read(LARGEST + 1)
+        if len(data) > LARGEST:
+            raise InputError(f"{path}: is larger than {LARGEST >> 20} MiB; {wish}")
+        value = parse(data.decode("utf-8-sig"))
+    except InputError:
+        raise
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); {wish}") from None
+    except RecursionError:
+        raise InputError(f"{path}: entries are nested more than {DEEPEST} deep; {wish}") from None
+    except ValueError as error:  # TOMLDecodeError, JSONDecodeError, UnicodeDecodeError, a number of 5,000 digits
+        raise InputError(f"{path}: is no {format} ({shown(str(error))[1:-1]}); {wish}") from None
+    if _deeper(value, DEEPEST):
+        raise InputError(f"{path}: entries are nested more than {DEEPEST} deep; {wish}")
+    return value
+
+
+def _deeper(value: object, depth: int) -> bool:
+    """Whether tables and lists stand more than `depth` deep inside one another."""
+    level = [value]
+    for _ in range(depth + 1):
+        level = [
+            inner
+            for outer in level
+            if isinstance(outer, dict | list)
+            for inner in (outer.values() if isinstance(outer, dict) else outer)
+            if isinstance(inner, dict | list)
+        ]
+    return bool(level)
+
+
+def _unrepeated(pairs: list[tuple[str, object]]) -> dict:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"the entry {shown(next(n for n in names if names.count(n) > 1))} stands twice")
+    return found
+
+
+# -- kinds -----------------------------------------------------------------------------------------------------------
+
+
+def table(
+    value: object, where: str, needed: Mapping[str, Kind], optional: Mapping[str, Kind] = NONE, others: bool = False
+) -> dict:
+    """Entries by name, each as its kind gives it. where: ends with ":" at the head of a file.
+
+    others: the table may have more, which is left out; but no entry that seems to be one of these misspelt.
+    """
     kinds = {**needed, **optional}
     if not isinstance(value, dict):
         raise InputError(f"{where} {shown(value)} is not a table; give {', '.join(kinds)}")
     for name in value:
-        if name not in kinds:
-            raise InputError(f"{entry_of(where, shown(name))}: there is no such entry; known are {', '.join(kinds)}")
+        near = [] if name in kinds else get_close_matches(name, kinds, 1, LIKE)
+        if near or not (name in kinds or others):
+            meant = f"write {near[0]} if that is meant" if near else f"known are {', '.join(kinds)}"
+            raise InputError(f"{entry_of(where, shown(name))}: there is no such entry; {meant}")
     for name in needed:
         if name not in value:
             raise InputError(f"{entry_of(where, name)} is missing; add it")
     return {name: kind(value[name], entry_of(where, name)) for name, kind in kinds.items() if name in value}
 
 
-def named(kind: Kind) -> Kind:
-    """A table whose entries the user names, all of one kind."""
+def named(kind: Kind, name: Kind = check_path) -> Kind:
+    """A table whose entries the user names, all of one kind. name: the kind of the names."""
 
     def read(value: object, where: str) -> dict:
         if not isinstance(value, dict):
             raise InputError(f"{where} {shown(value)} is not a table; give NAME = ...")
-        return {check_path(name, where): kind(entry, entry_of(where, name)) for name, entry in value.items()}
+        return {name(key, where): kind(entry, entry_of(where, key)) for key, entry in value.items()}
 
     return read
 
@@ -56,6 +132,23 @@ def listed(kind: Kind) -> Kind:
     return read
 
 
+def maybe(kind: Kind) -> Kind:
+    """null, or of that kind."""
+    return lambda value, where: None if value is None else kind(value, where)
+
+
+def anything(value: object, where: str) -> object:
+    """Whatever it is: who uses it checks it."""
+    return value
+
+
+def line(value: object, where: str) -> str:
+    """One line of text, of any length or empty."""
+    if not (isinstance(value, str) and value.isprintable()):
+        raise InputError(f"{where} {shown(value)} is not a line of text; write one in quotes")
+    return value
+
+
 def number(value: object, where: str) -> float:
     """A finite number."""
     try:
@@ -66,7 +159,18 @@ def number(value: object, where: str) -> float:
     raise InputError(f"{where} {shown(value)} is not a finite number; mend it")
 
 
-def whole(low: int, high: int) -> Kind:
+def within(low: float, high: float, wish: str) -> Kind:
+    """A finite number from low to high. wish: what to give else."""
+
+    def read(value: object, where: str) -> float:
+        if not low <= number(value, where) <= high:
+            raise InputError(f"{where} {shown(value)} is too {'small' if value < low else 'large'}; {wish}")
+        return float(value)
+
+    return read
+
+
+def whole(low: int, high: float = math.inf) -> Kind:
     """A whole number from low to high."""
 
     def read(value: object, where: str) -> int:
@@ -84,13 +188,14 @@ def truth(value: object, where: str) -> bool:
     return value
 
 
-def one_of(choices: type[StrEnum]) -> Kind:
-    """A member of an enumeration, by its value."""
+def one_of(choices: type[StrEnum] | Collection[str]) -> Kind:
+    """A text among these, or a member of an enumeration by its value."""
 
-    def read(value: object, where: str) -> StrEnum:
-        if value not in [*choices]:
-            raise InputError(f"{where} {shown(value)} does not exist; choose {', '.join(choices)}")
-        return choices(value)
+    def read(value: object, where: str) -> str:
+        for choice in choices:
+            if value == choice:
+                return choice
+        raise InputError(f"{where} {shown(value)} does not exist; choose {', '.join(map(str, choices))}")
 
     return read
 
@@ -103,28 +208,6 @@ def array(value: object, where: str) -> np.ndarray:
     if len({len(row) for row in rows if isinstance(row, list)}) > 1:
         raise InputError(f"{where}: its rows differ in length; mend it")
     return np.array(rows, float)
-
-
-def json_data(path: Path) -> object:
-    """What a JSON file holds; InputError where it cannot be read, or names an entry twice."""
-    try:
-        return json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_unrepeated)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; check the path") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the path") from None
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not a readable JSON file ({shown(str(error))}); write it again") from None
-
-
-def _unrepeated(pairs: list[tuple[str, object]]) -> dict:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        names = [name for name, _ in pairs]
-        raise InputError(f"the entry {shown(next(n for n in names if names.count(n) > 1))} stands twice; remove one")
-    return found
 
 
 def entry_of(where: str, name: str) -> str:

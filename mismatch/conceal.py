@@ -45,6 +45,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.files import replaceable, replacing_folder
+from greygate.reading import anything, line, listed, named, read_json, table
 from greygate.table import read_table
 
 from .concealed.line import BELT, DRUM
@@ -56,6 +57,7 @@ RIGS: dict[str, Rig] = {rig.plant: rig for rig in (VALVE, PUMP, BELT, DRUM)}
 KINDS = {"clean": 0.15, "parameter": 0.1, "one": 0.5, "two": 0.1, "foreign": 0.15}
 LEAST = {"two": 0.4, "foreign": 0.3}  # where the sizes begin, of their range: a pair or an unknown is to be seen
 RECORDINGS = {"identify": 20.0, "holdout": 8.0, "third": 8.0}  # seconds
+CLAIM = {"verdict": line, "effects": listed(anything), "where": listed(anything), "parameters": named(anything)}
 DECIMALS = {"V": 5, "m": 7, "rev/s": 4, "Pa": 0}
 
 
@@ -148,10 +150,8 @@ def reveal(folder: Path, diagnosis: Path, predicted: dict[str, Path] | None = No
     """
     folder = Path(folder)
     answer = sealed(folder)
-    claim = _json(Path(diagnosis))
-    for key, kind in (("verdict", str), ("effects", list), ("where", list), ("parameters", dict)):
-        if not isinstance(claim.get(key), kind):
-            raise InputError(f"{diagnosis}: {key!r} is missing or not a {kind.__name__}; write it as RIGS.md says")
+    claim = read_json(diagnosis, "give a diagnosis as RIGS.md describes it")
+    table(claim, f"{diagnosis}:", CLAIM, others=True)
     try:
         return _score(answer, claim) | {"removed": _removed(folder, answer, predicted or {})}
     except (KeyError, TypeError, AttributeError) as error:
@@ -160,7 +160,7 @@ def reveal(folder: Path, diagnosis: Path, predicted: dict[str, Path] | None = No
 
 def _score(answer: dict, claim: dict) -> dict:
     true, kind = answer["effects"], answer["kind"]
-    named = [entry["id"] for entry in claim["effects"] if entry["id"] != "unknown"]
+    claimed = [entry["id"] for entry in claim["effects"] if entry["id"] != "unknown"]
     alike = set(claim["effects"][0].get("not_told_apart_from", [])) if claim["effects"] else set()
     equations = {entry["equation"] for entry in claim["where"]}
     variables = {variable for entry in claim["where"] for variable in entry.get("depends_on", [])}
@@ -173,12 +173,12 @@ def _score(answer: dict, claim: dict) -> dict:
         "strength": answer["strength"],
         "removable": answer["removable"],
         "verdict": claim["verdict"],
-        "named": named,
+        "claimed": claimed,
         "right_verdict": claim["verdict"] == answer["verdict"],
-        "right_first": bool(named) and named[0] in true if true else None,
-        "all_named": set(true) <= set(named) if true else None,
-        "false_effects": sorted(set(named) - set(true)),
-        "in_set": bool(set(true) & ({*named} | alike)) if true else None,
+        "right_first": bool(claimed) and claimed[0] in true if true else None,
+        "all_named": set(true) <= set(claimed) if true else None,
+        "false_effects": sorted(set(claimed) - set(true)),
+        "in_set": bool(set(true) & ({*claimed} | alike)) if true else None,
         "right_equation": bool(equations & set(answer["equation"])) if answer["equation"] else None,
         "right_place": bool({*map(_place, equations)} & {*map(_place, answer["equation"])})
         if answer["equation"]
@@ -344,18 +344,8 @@ def _write(path: Path, rig: Rig, columns: Columns) -> None:
 
 
 def _read(path: Path) -> Columns:
-    table = read_table(path, nan=True)
-    return dict(zip(table.header, table.values.T, strict=True))
-
-
-def _json(path: Path) -> dict:
-    try:
-        content = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read ({error})") from None
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: holds no JSON object")
-    return content
+    found = read_table(path, nan=True)
+    return dict(zip(found.header, found.values.T, strict=True))
 
 
 def sealed(folder: Path) -> dict:
@@ -368,4 +358,4 @@ def sealed(folder: Path) -> dict:
         raise InputError(f"{folder}: holds no sealed answer; make the folder with greygate conceal") from None
     if not whole:
         raise InputError(f"{path}: is not what was sealed (SHA-256 differs); make the case again")
-    return _json(path)
+    return read_json(path, "make the case again")

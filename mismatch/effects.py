@@ -7,7 +7,7 @@ refused (`_Joining`).
 """
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import count
 from pathlib import Path
@@ -15,10 +15,10 @@ from typing import NoReturn
 
 import numpy as np
 
-from greygate.entries import read_toml, shown
-from greygate.errors import InputError
-from greygate.plants.expressions import is_name, is_symbol, parse, replaced
-from greygate.plants.plant import Definition, Equation, Parameter, Plant, PlantEntries, State
+from greygate.errors import InputError, shown
+from greygate.plants.expressions import check_expression, check_name, is_name, is_symbol, parse, replaced
+from greygate.plants.plant import Definition, Equation, Parameter, Plant, State, check_state, check_terms
+from greygate.reading import Kind, line, listed, named, number, one_of, read_toml, table, truth
 
 TABLE = Path(__file__).parent / "effects.toml"
 GENERAL = Path(__file__).parent / "general.toml"
@@ -212,53 +212,51 @@ def _placed(entry, place: Mapping[str, str], rig, recording):
     return entry
 
 
-_FREE = ("unit", "typical", "low", "high", "guess", "scan", "shape", "whole", "as")
+def _defined(value: object, where: str) -> Definition:
+    """`{ symbol = "q", unit = "m^3/s", sum = "expression" }`."""
+    found = table(value, where, {"symbol": line, "unit": line, "sum": check_expression})
+    return Definition(found["symbol"], found["unit"], {"sum": found["sum"]})
+
+
+def _balance(value: object, where: str) -> Equation:
+    """`{ state = "x", terms = { ... }, storage = "expression" }`."""
+    return Equation(**table(value, where, {"state": line, "terms": check_terms}, {"storage": check_expression}))
+
+
+def _texts(value: object, where: str) -> tuple[str, ...]:
+    return tuple(listed(line)(value, where))
+
+
+_FREE: dict[str, Kind] = {
+    "unit": line, "low": number, "high": number, "guess": lambda value, where: tuple(listed(number)(value, where)),
+    "scan": one_of(("", "wave")), "shape": truth, "whole": truth, "as": line,
+}  # fmt: skip
+_NEEDED: dict[str, Kind] = {"means": line, "equations": _texts, "depends_on": _texts}
+_ENTRIES: dict[str, Kind] = {
+    "plants": _texts,
+    "of": line,
+    "terms": named(check_expression, line),
+    "definitions": named(_defined, check_name),
+    "states": named(check_state, check_name),
+    "equations_of": named(_balance, check_name),
+    "filters": named(line, check_name),
+    "set": named(number, check_name),
+    "wave": named(_texts, check_name),
+    **dict.fromkeys(("parameters", "frees"), named(lambda *entry: table(*entry, {"typical": number}, _FREE))),
+}
 
 
 def _effect(path: Path, key: str, entry) -> Effect:
-    here, entries = f"effect {key}", PlantEntries(path)
-    known = [f.name for f in fields(Effect) if f.name not in ("key", "free", "table")]
-    entry = entries.table(here, entry, [*known, "parameters"], ["means", "equations", "depends_on"])
-
-    def each(name: str, made) -> dict:
-        table = entries.table(f"{here}, {name}", entry.get(name, {}))
-        return {n: made(f"{here}, {name}.{n}", value) for n, value in table.items()}
-
-    brought, released = (each(name, entries.table) for name in ("parameters", "frees"))
+    where = f"{path}: effect {key}"
+    found = {"plants": (ANY,)} | table(entry, where, _NEEDED, _ENTRIES)
+    brought, released = (found.pop(name, {}) for name in ("parameters", "frees"))
     if brought and released:
-        entries.fail(here, "has parameters and frees; give one of them")
-    texts = {n: entries.texts(f"{here}, {n}", entry.get(n, (ANY,))) for n in ("plants", "equations", "depends_on")}
-    tables = {
-        "terms": each("terms", lambda where, text: text),
-        "definitions": each("definitions", entries.defined),
-        "states": each("states", entries.state),
-        "equations_of": each("equations_of", entries.balance),
-        "filters": each("filters", entries.text),
-        "set": each("set", entries.number),
-        "wave": each("wave", entries.texts),
-    }
-    given = {symbol: _free(entries, f"{here}, {symbol}", symbol, f) for symbol, f in (brought | released).items()}
-    means, of = (entries.text(f"{here}, {n}", entry.get(n, "")) for n in ("means", "of"))
+        raise InputError(f"{where} has parameters and frees; give one of them")
     try:
-        free = tuple(Free(symbol, **f) for symbol, f in given.items())
-        return Effect(key, means, free=free, **texts, **tables, frees=bool(released), of=of, table=str(path))
+        free = tuple(Free(s, reported=f.pop("as", s), **f) for s, f in (brought | released).items())
+        return Effect(key, free=free, frees=bool(released), table=str(path), **found)
     except InputError as error:
-        entries.fail(here, str(error))
-
-
-def _free(entries: PlantEntries, where: str, symbol: str, given: dict) -> dict:
-    """What `Free` takes, of a table `{ typical = 1.0, ... }`."""
-    given = entries.table(where, given, _FREE, ["typical"])
-    for name in {"typical", "low", "high"} & set(given):
-        entries.number(f"{where}, {name}", given[name])
-    for name in {"shape", "whole"} & set(given):
-        if type(given[name]) is not bool:
-            entries.fail(f"{where}, {name}", f"{shown(given[name])}; write true or false")
-    entries.text(f"{where}, unit", given.get("unit", ""))
-    entries.text(f"{where}, scan", given.get("scan", ""), ("", "wave"))
-    entries.numbers(f"{where}, guess", guess := given.pop("guess", ()))
-    reported = entries.text(f"{where}, as", given.pop("as", symbol))
-    return {**given, "guess": tuple(guess), "reported": reported}
+        raise InputError(f"{where}: {error}") from None
 
 
 def fitting(plant: Plant, datasheet: Mapping[str, float], effects: Mapping[str, Effect]) -> dict[str, Effect]:

@@ -5,15 +5,16 @@ The layout is that of `docs/diagnosis.md`: `rig.toml`, `identify.csv`, `holdout.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
-from greygate.entries import Entries, read_toml, shown
-from greygate.errors import InputError
+from greygate.errors import InputError, shown
+from greygate.plants.expressions import check_name
 from greygate.plants.plant import Parameter, Plant
 from greygate.plants.recording import Recording
+from greygate.reading import line, listed, named, number, one_of, read_toml, table, within
 from greygate.table import read_table
 
 PLANTS = Path(__file__).parent.parent / "plants" / "rigs"
@@ -22,7 +23,6 @@ UNIFORM = 1e-3  # of a sample interval
 FEWEST = 10  # samples of a window
 LONGEST = 1e9  # s of a sample, a window, a settling: thirty years
 MOST = 100_000  # steps of integration in a sample, above which a simulation seems to hang
-KEYS = ("plant", "sample_time_s", "window_s", "settle_s", "anew", "predict", "parameters", "tolerance", "channels")
 
 
 @dataclass(frozen=True)
@@ -95,6 +95,23 @@ class Rig:
         return recording, [row[0] for row in table.cells]
 
 
+CHANNEL = {"unit": line, "role": one_of(("input", "output"))}
+ERRORS = dict.fromkeys(("resolution", "noise_rms"), within(0.0, np.inf, "give 0 or more"))
+NEEDED = {
+    "plant": line,
+    "sample_time_s": within(1e-9, LONGEST, "give seconds"),
+    "predict": listed(line),
+    "parameters": named(number, check_name),
+    "channels": named(lambda *entry: table(*entry, CHANNEL, ERRORS, others=True), check_name),
+}
+OPTIONAL = {
+    "window_s": within(0.0, LONGEST, "give seconds"),
+    "settle_s": within(0.0, LONGEST, "give seconds"),
+    "anew": listed(line),
+    "tolerance": named(within(0.0, np.nextafter(1.0, 0.0), "give a relative uncertainty, 0 to 1"), check_name),
+}
+
+
 def load(folder: Path | str, plants: Path | None = None) -> Rig:
     """The rig of `folder`/rig.toml; its plant is one of `plants/rigs`, or a TOML file named beside it.
 
@@ -102,61 +119,38 @@ def load(folder: Path | str, plants: Path | None = None) -> Rig:
     """
     folder = Path(folder)
     path = folder / "rig.toml"
-    table = read_toml(path, "give the folder of a rig")
-    entries = Entries(path)
-    fail, number = entries.fail, entries.number
+    found = table(read_toml(path, "give the folder of a rig"), f"{path}:", NEEDED, OPTIONAL, others=True)
+    predict, anew, dt, window = found["predict"], found.get("anew", ()), found["sample_time_s"], found.get("window_s")
+    datasheet, tolerance = found["parameters"], found.get("tolerance", {})
 
-    def spelt(where: str, keys, known) -> None:
-        for key in keys:
-            if key not in known and (near := get_close_matches(key, known, 1, 0.75)):
-                fail(f"{where}{key}", f"is no entry; write {near[0]} if that is meant")
+    def fail(where: str, problem: str) -> NoReturn:
+        raise InputError(f"{path}: {where}: {problem}")
 
-    spelt("", table, KEYS)
-    for key in ("plant", "sample_time_s", "predict", "parameters", "channels"):
-        if key not in table:
-            fail(key, "is missing; see docs/diagnosis.md")
-    tables = {key: entries.table(key, table.get(key, {})) for key in ("parameters", "tolerance", "channels")}
-    entries.text("plant", table["plant"])
-    predict, anew = entries.texts("predict", table["predict"]), entries.texts("anew", table.get("anew", ()))
     if not predict or len(set(predict)) < len(predict):
-        fail("predict", f"{list(predict)}; list the channels that a simulation predicts, each once")
-    plant = _plant(path, table["plant"])
-    dt = number("sample_time_s", table["sample_time_s"], 1e-9, LONGEST, "give seconds")
+        fail("predict", f"{shown(predict)}; list the channels that a simulation predicts, each once")
+    plant = _plant(path, found["plant"])
     if not dt <= MOST * plant.step:
         fail("sample_time_s", f"{dt:g} s, {plant.name} takes steps of {plant.step:g} s; take {MOST} a sample at most")
-    window = table.get("window_s")
-    if window is not None:
-        number("window_s", window, FEWEST * dt, LONGEST, f"give at least {FEWEST} samples, in s")
-    datasheet, tolerance = tables["parameters"], tables["tolerance"]
-    for symbol, value in datasheet.items():
+    if window is not None and window < FEWEST * dt:
+        fail("window_s", f"{window:g}; give at least {FEWEST} samples, in s")
+    for symbol in datasheet:
         if symbol not in plant.parameters:
             fail(f"parameters.{symbol}", f"{plant.name} has {', '.join(plant.parameters)}")
-        number(f"parameters.{symbol}", value, wish=f"give it in {plant.parameters[symbol].unit}")
     if missing := [s for s in plant.required if s not in datasheet]:
         fail("parameters", f"{', '.join(missing)} missing; {plant.name} needs {'it' if len(missing) == 1 else 'them'}")
-    for symbol, value in tolerance.items():
+    for symbol in tolerance:
         if symbol not in datasheet:
             fail(f"tolerance.{symbol}", "is no entry of [parameters]; give its value there")
-        number(f"tolerance.{symbol}", value, 0.0, np.nextafter(1.0, 0.0), "give a relative uncertainty, 0 to 1")
     channels = {}
-    for name, entry in tables["channels"].items():
-        entry = entries.table(f"channels.{name}", entry)
-        spelt(f"channels.{name}.", entry, ("unit", "role", "resolution", "noise_rms"))
-        if entry.get("role") not in ("input", "output"):
-            fail(f"channels.{name}", f"role {shown(entry.get('role'))}; give 'input' or 'output'")
-        known = plant.inputs.get(name) if entry["role"] == "input" else _unit(plant, name)
+    for name, entry in found["channels"].items():
+        unit, role = entry["unit"], entry["role"]
+        known = plant.inputs.get(name) if role == "input" else _unit(plant, name)
         if known is None:
-            there = [n for n in plant.inputs if n not in plant.derived] if entry["role"] == "input" else plant.outputs
-            fail(f"channels.{name}", f"{plant.name} has no {entry['role']} of that name; it has {', '.join(there)}")
-        if "unit" not in entry:
-            fail(f"channels.{name}", f"unit is missing; {plant.name} has it in {known}")
-        if entry["unit"] != known:
-            fail(f"channels.{name}", f"unit {shown(entry['unit'])}, {plant.name} has it in {known}; convert it")
-        wish = f"give it in {known}, 0 or more"
-        errors = [
-            number(f"channels.{name}.{k}", entry.get(k, 0.0), 0.0, wish=wish) for k in ("resolution", "noise_rms")
-        ]
-        channels[name] = Channel(known, entry["role"], *errors)
+            there = [n for n in plant.inputs if n not in plant.derived] if role == "input" else plant.outputs
+            fail(f"channels.{name}", f"{plant.name} has no {role} of that name; it has {', '.join(there)}")
+        if unit != known:
+            fail(f"channels.{name}", f"unit {shown(unit)}, {plant.name} has it in {known}; convert it")
+        channels[name] = Channel(known, role, entry.get("resolution", 0.0), entry.get("noise_rms", 0.0))
     for name in plant.inputs:
         if name not in channels and name not in plant.derived and name != "t":
             fail(f"channels.{name}", f"is missing; it is an input of {plant.name}")
@@ -166,7 +160,7 @@ def load(folder: Path | str, plants: Path | None = None) -> Rig:
     for name in predict:
         if name not in channels or channels[name].role != "output":
             fail("predict", f"{shown(name)} is no output channel")
-    if not all(channels[name].sigma > 0 for name in predict) and "window_s" in table:
+    if not all(channels[name].sigma > 0 for name in predict) and window is not None:
         fail("window_s", "needs resolution or noise_rms of every predicted channel; give these, or run free")
     for symbol in anew:
         if symbol not in datasheet:
@@ -174,20 +168,20 @@ def load(folder: Path | str, plants: Path | None = None) -> Rig:
     switched = {on: 1.0 for on, by in plant.switches.items() if datasheet.get(by)}
     parameters = {
         symbol: Parameter(
-            float(switched.get(symbol, datasheet.get(symbol, p.value))), p.unit, tolerance.get(symbol, 0.0), p.meaning
+            switched.get(symbol, datasheet.get(symbol, p.value)), p.unit, tolerance.get(symbol, 0.0), p.meaning
         )
         for symbol, p in plant.parameters.items()
     }
     return Rig(
         replace(plant, parameters=parameters),
-        dict(datasheet),
+        datasheet,
         channels,
-        predict,
-        float(dt),
+        tuple(predict),
+        dt,
         None if window is None else round(window / dt),
         folder,
-        round(number("settle_s", table.get("settle_s", 0.0), 0.0, LONGEST, "give seconds") / dt),
-        anew,
+        round(found.get("settle_s", 0.0) / dt),
+        tuple(anew),
     )
 
 

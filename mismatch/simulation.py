@@ -5,15 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.entries import Entries, read_json, shown
-from greygate.errors import InputError
-from greygate.mismatch import effects as table
+from greygate.errors import InputError, shown
+from greygate.mismatch import effects as effect_table
 from greygate.mismatch.diagnosis import SCHEMA, recovered
 from greygate.mismatch.effects import Effect, Free, fitting
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import Rig
-from greygate.plants.expressions import is_name, is_symbol, parse
+from greygate.plants.expressions import check_expression, check_name, check_symbol
 from greygate.plants.recording import Recording
+from greygate.reading import line, listed, named, number, one_of, read_json, table
 
 
 def simulate(
@@ -24,21 +24,21 @@ def simulate(
     diagnosis: content of a diagnosis.json for this plant; None for the data sheet.
     Raises InputError when it is of another plant, or names an effect or parameter that is unknown.
     """
-    known = fitting(rig.plant, rig.datasheet, table.known(rig, recording) if effects is None else effects)
+    known = fitting(rig.plant, rig.datasheet, effect_table.known(rig, recording) if effects is None else effects)
     values: dict[str, float] = {}
     if diagnosis is not None:
-        check(diagnosis)
+        diagnosis = check(diagnosis)
         if diagnosis["plant"] != rig.plant.name:
             of = shown(diagnosis["plant"])[1:-1]
             raise InputError(f"diagnosis: is of {of}, the rig is {rig.plant.name}; give the rig's own")
-        values = {symbol: float(p["value"]) for symbol, p in diagnosis["parameters"].items()}
+        values = {symbol: p["value"] for symbol, p in diagnosis["parameters"].items()}
         for entry in diagnosis["effects"]:
             if entry["id"] == "unknown":
                 unknown = _unknown(rig, entry)
                 if twice := next((key for key in unknown if key in known), None):
                     raise InputError(f"diagnosis: unknown term {twice}: an effect has this name; {WRITTEN}")
                 known = {**known, **unknown}
-                values.update({s: float(p["value"]) for s, p in entry["parameters"].items()})
+                values.update({s: p["value"] for s, p in entry["parameters"].items()})
             else:
                 values.update(recovered(_form(known, entry), entry["parameters"]))
     model = Model(rig, recording, known)
@@ -57,43 +57,29 @@ def read(path: Path | str) -> dict:
 WRITTEN = "give a file that diagnose wrote"
 
 
-def check(diagnosis) -> None:
-    """Raises InputError where `diagnosis` is no content of a diagnosis.json that can be simulated."""
-    entries = Entries("diagnosis")
+PARAMETERS = named(lambda *entry: table(*entry, {"value": number}, others=True), check_name)
+TERM = {"value": number, "place": check_name, "term": check_expression}
+UNKNOWN = named(lambda *entry: table(*entry, TERM, others=True), check_symbol)
 
-    def parameters(where: str, table) -> None:
-        if not isinstance(table, dict):
-            raise InputError(f"diagnosis: {where} is missing or no table; {WRITTEN}")
-        for symbol, p in table.items():
-            if not is_name(symbol):
-                entries.fail(where, f"{shown(symbol)} is no name of a parameter; {WRITTEN}")
-            if not isinstance(p, dict) or "value" not in p:
-                raise InputError(f"diagnosis: {where}.{symbol} has no number as value; {WRITTEN}")
-            entries.number(f"{where}.{symbol} has no number as value", p["value"], wish=WRITTEN)
 
-    if not isinstance(diagnosis, dict) or diagnosis.get("schema") != SCHEMA:
-        found = diagnosis.get("schema") if isinstance(diagnosis, dict) else diagnosis
-        raise InputError(f"diagnosis: schema {shown(found)}; give a file of schema {SCHEMA}")
-    for key, kind in (("plant", str), ("effects", list)):
-        if not isinstance(diagnosis.get(key), kind):
-            raise InputError(f"diagnosis: {key} is missing or no {kind.__name__}; {WRITTEN}")
-    parameters("parameters", diagnosis.get("parameters"))
-    for i, entry in enumerate(diagnosis["effects"]):
-        here = f"effects[{i}]"
-        if not (isinstance(entry, dict) and isinstance(entry.get("id"), str)):
-            raise InputError(f"diagnosis: {here} has no id; {WRITTEN}")
-        entries.text(f"{here}.form", entry.get("form", ""))
-        entries.texts(f"{here}.equations", entry.get("equations", ()))
-        parameters(f"{here}.parameters", entry.get("parameters"))
-        for symbol, p in entry["parameters"].items() if entry["id"] == "unknown" else ():
-            if not {"place", "term"} <= set(p):
-                raise InputError(f"diagnosis: {here} is unknown and has no term; {WRITTEN}")
-            if not is_symbol(symbol) or not is_name(p["place"]):
-                entries.fail(f"{here}.parameters.{symbol}", f"place {shown(p['place'])} is no name; {WRITTEN}")
-            try:
-                parse(p["term"])
-            except InputError as error:
-                entries.fail(f"{here}.parameters.{symbol}, term", str(error))
+def _effect(value: object, where: str) -> dict:
+    """An effect that a diagnosis claims; one that it calls unknown brings its terms."""
+    unknown = isinstance(value, dict) and value.get("id") == "unknown"
+    needed = {"id": line, "parameters": UNKNOWN if unknown else PARAMETERS}
+    return table(value, where, needed, {"form": line, "equations": listed(line)}, others=True)
+
+
+HEAD = {"schema": one_of((SCHEMA,))}
+ENTRIES = {"plant": line, "effects": listed(_effect), "parameters": PARAMETERS}
+
+
+def check(diagnosis: object) -> dict:
+    """What of a diagnosis.json a simulation takes. Raises InputError where that is missing or of another kind."""
+    try:
+        table(diagnosis, "diagnosis:", HEAD, others=True)  # one of another schema may have other entries
+        return table(diagnosis, "diagnosis:", ENTRIES, others=True)
+    except InputError as error:
+        raise InputError(f"{error}; {WRITTEN}") from None
 
 
 def _form(known: Mapping[str, Effect], entry: Mapping) -> Effect:

@@ -7,7 +7,6 @@ same network as layers alone, each port fed by exactly one signal: the form on w
 """
 
 import math
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from numbers import Integral, Real
@@ -17,11 +16,11 @@ import numpy as np
 import safetensors.numpy
 import tomli_w
 
-from greygate.errors import InputError
+from greygate.errors import InputError, shown
 from greygate.files import read_all, replacing_all
 from greygate.models.arithmetic import product
-from greygate.names import check_name, check_path, check_text, check_unit, one_line, shown
-from greygate.reading import Kind, array, entry_of, listed, named, number, table, whole
+from greygate.names import check_name, check_path, check_text, check_unit
+from greygate.reading import Kind, anything, array, entry_of, listed, named, number, read_toml, table, whole
 
 LONGEST_DELAY = 500  # steps
 LARGEST_SIZE = 4096  # signals of a port, neurons of a layer
@@ -265,12 +264,12 @@ class Network:
             for file in (toml, numbers):
                 if found[file] is None:
                     raise InputError(f"{file}: no such file; a network is NAME.toml beside NAME.safetensors")
-            data = tomllib.loads(found[toml].decode())
+            data = read_toml(toml, "save the network again", found[toml])
             tensors = safetensors.numpy.load(found[numbers])
         except InputError:
             raise
         except (OSError, ValueError, KeyError, TypeError, RecursionError, safetensors.SafetensorError) as error:
-            raise InputError(f"{path}: not a readable network ({one_line(str(error))}); save it again") from None
+            raise InputError(f"{path}: not a readable network ({error}); save it again") from None
         try:
             network = _Reader(tensors).network(data, f"{toml}:", "").check()
         except InputError as error:
@@ -437,7 +436,7 @@ class _Flattener:
             if not np.isfinite(w).all():
                 self.fail(f"layer {path}: {port} holds NaN or inf; train it again or mend the file")
         for port in layer.frozen - {"bias", *layer.weights}:
-            self.fail(f"layer {path}: cannot freeze {one_line(str(port))}, there is no such port")
+            self.fail(f"layer {path}: cannot freeze {port}, there is no such port")
         self.layers[path] = layer
 
     def _connect(self, c: Connection, network: Network, prefix: str) -> None:
@@ -619,10 +618,6 @@ _LAYER: dict[str, Kind] = {
 }
 
 
-def _as_it_is(value: object, where: str) -> object:
-    return value
-
-
 class _Reader:
     """Makes a network of what its TOML says, and takes its numbers out of `tensors`."""
 
@@ -632,7 +627,7 @@ class _Reader:
     def network(self, data: object, where: str, prefix: str) -> Network:
         ports = listed(lambda entry, where: Port(**table(entry, where, _PORT, _PORT_OPTIONS)))
         connections = listed(lambda entry, where: table(entry, where, _CONNECTION, {"gain": array}))
-        entries = {"name": check_name, "inputs": ports, "outputs": ports, "modules": named(_as_it_is)}
+        entries = {"name": check_name, "inputs": ports, "outputs": ports, "modules": named(anything)}
         found = table(data, where, entries | {"connections": connections}, {"meaning": check_text})
         network = Network(found["name"], found["inputs"], found["outputs"], meaning=found.get("meaning", ""))
         for name, entry in found["modules"].items():

@@ -7,7 +7,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.models.network import Port
-from greygate.names import check_path, check_unit, one_line
+from greygate.names import check_path, check_unit
 
 
 def ports(
@@ -27,7 +27,7 @@ def ports(
         check_path(name, "port")
         unit = check_unit(units.get(name, "1"), f"port {name}: unit")
         if name not in channels:
-            raise InputError(f"port {name}: no such channel; there are {one_line(', '.join(channels))}")
+            raise InputError(f"port {name}: no such channel; there are {', '.join(channels)}")
         x = np.asarray(channels[name], float)
         if x.size == 0 or not np.isfinite(x).all():
             raise InputError(f"port {name}: its channel is empty or holds NaN or inf; mend the recording")

@@ -17,8 +17,7 @@ from operator import itemgetter
 
 import numpy as np
 
-from greygate.entries import shown
-from greygate.errors import InputError
+from greygate.errors import InputError, shown
 from greygate.plants.functions import FUNCTIONS, arguments
 
 # The longest expression of any plant, effect or closure here has 260 characters, 100 nodes and a depth of 15. What is
@@ -48,9 +47,32 @@ def is_name(text) -> bool:
     return isinstance(text, str) and len(text) <= NAME and _NAME.fullmatch(text) is not None
 
 
+def check_name(value, where: str) -> str:
+    """A kind (`greygate.reading`): a name as `is_name` has it."""
+    if not is_name(value):
+        raise InputError(f"{where} {shown(value)} is no name; use ASCII letters, digits and underscores")
+    return value
+
+
 def is_symbol(text) -> bool:
     """A name for a quantity, which may stand in expressions and in generated source: no keyword, no function's name."""
     return is_name(text) and not keyword.iskeyword(text) and text not in _RESERVED
+
+
+def check_symbol(value, where: str) -> str:
+    """A kind (`greygate.reading`): a symbol as `is_symbol` has it."""
+    if not is_symbol(value):
+        raise InputError(f"{where} {shown(value)} is no name for a quantity; use ASCII letters, digits and underscores")
+    return value
+
+
+def check_expression(value, where: str) -> str:
+    """A kind (`greygate.reading`): the text of an expression."""
+    try:
+        parse(value)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    return value
 
 
 # -- the tree --------------------------------------------------------------------------------------------------------

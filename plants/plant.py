@@ -6,16 +6,16 @@ switching of single terms (`without`, `with_term`) all work on this one declarat
 """
 
 from collections.abc import Container, Iterable, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 
-from greygate.entries import Entries, named, read_toml, shown
-from greygate.errors import InputError
-from greygate.plants.expressions import is_name, is_symbol, names, parse
+from greygate.errors import InputError, shown
+from greygate.plants.expressions import check_expression, check_name, is_name, is_symbol, names, parse
+from greygate.reading import entry_of, line, listed, named, number, read_toml, table, within
 
 DERIVED = ("rate", "integral", "smooth_rate", "smooth_acceleration")  # how an input is made of a recorded signal
 TERMS = 500  # of a sum, at the most: Python and numba recurse over them; a closure tries some 100
@@ -110,9 +110,9 @@ class Plant:
         for symbol, state in self.states.items():
             self._check_state(symbol, state, symbols)
         self._check_derived(symbols)
-        for table, owners in (("switches", self.parameters), ("required", self.parameters)):
-            for symbol in getattr(self, table):
-                self._among(table, symbol, owners)
+        for entry in ("switches", "required"):
+            for symbol in getattr(self, entry):
+                self._among(entry, symbol, self.parameters)
         for symbol in self.switches.values():
             self._among("switches", symbol, self.parameters)
         for name in (*self.definitions, *self.equations):
@@ -142,25 +142,22 @@ class Plant:
         Raises InputError naming file, line or entry.
         """
         path = Path(path)
-        entries = PlantEntries(path)
-        table = entries.table("", read_toml(path, "give a plant's TOML file"), [f.name for f in fields(cls)[1:]])
-
-        def each(key: str, made) -> dict:
-            return {name: made(f"{key}.{name}", v) for name, v in entries.table(key, table.get(key, {})).items()}
-
-        return cls(
-            path.stem,
-            each("parameters", entries.parameter),
-            each("inputs", entries.text),
-            each("states", entries.state),
-            each("equations", lambda where, v: Equation(*entries.sum(where, v, "storage"))),
-            entries.texts("outputs", table.get("outputs", ())),
-            each("definitions", lambda where, v: Definition(*entries.sum(where, v, "unit"))),
-            each("derived", entries.text),
-            each("switches", entries.text),
-            entries.number("step", table.get("step", cls.step), SHORTEST, wish=f"give {SHORTEST:g} s or more"),
-            entries.texts("required", table.get("required", ())),
-        )
+        entries = {
+            "parameters": named(_parameter, check_name),
+            "inputs": named(line, check_name),
+            "states": named(check_state, check_name),
+            "equations": named(_equation, check_name),
+            "outputs": listed(line),
+            "definitions": named(_definition, check_name),
+            "derived": named(line, check_name),
+            "switches": named(line, check_name),
+            "step": within(SHORTEST, np.inf, f"give {SHORTEST:g} s or more"),
+            "required": listed(line),
+        }
+        found = table(read_toml(path, "give a plant's TOML file"), f"{path}:", {}, entries)
+        for key in ("parameters", "inputs", "states", "equations"):
+            found.setdefault(key, {})
+        return cls(path.stem, **found | {key: tuple(found.get(key, ())) for key in ("outputs", "required")})
 
     # -- switching terms ---------------------------------------------------------------------------------------------
 
@@ -323,69 +320,53 @@ class Plant:
         return "; it is defined further down, move it up" if name in defined else "; declare it or mend the spelling"
 
 
-class PlantEntries(Entries):
-    """The checks of what a plant, or an effect that joins one, is declared by."""
+# -- what a plant, or an effect that joins one, is declared by: kinds (`greygate.reading`) ----------------------------
 
-    def parameter(self, where: str, value) -> Parameter:
-        """`[value, "unit"]`, or with its tolerance and its meaning."""
-        if not (isinstance(value, list) and 2 <= len(value) <= 4):
-            self.fail(where, f'{shown(value)}; write [value, "unit"]')
-        checks = (self.number, self.text, lambda where, v: self.number(where, v, 0.0, wish="give 0 or more"), self.text)
-        return Parameter(*(check(where, v) for check, v in zip(checks, value, strict=False)))
 
-    def state(self, where: str, value) -> State:
-        """`{ unit = "m", initial = 0.0, ... }`."""
-        table = self.table(where, value, [f.name for f in fields(State)], ["unit"])
-        for key, given in table.items():
-            if key in ("unit", "rate"):
-                self.text(f"{where}.{key}", given)
-            elif key == "start" or isinstance(given, str):
-                self.expression(f"{where}.{key}", given)
-            else:
-                self.number(f"{where}.{key}", given, wish="write a finite number, or an expression in quotes")
-        return State(**table)
+def _parameter(value: object, where: str) -> Parameter:
+    """`[value, "unit"]`, or with its tolerance and its meaning."""
+    if not (isinstance(value, list) and 2 <= len(value) <= 4):
+        raise InputError(f'{where} {shown(value)} is no parameter; write [value, "unit"]')
+    kinds = (number, line, within(0.0, np.inf, "give 0 or more"), line)
+    return Parameter(*(kind(part, f"{where}[{i}]") for i, (kind, part) in enumerate(zip(kinds, value, strict=False))))
 
-    def expression(self, where: str, value) -> str:
-        """The text of an expression."""
-        try:
-            parse(value)
-        except InputError as error:
-            self.fail(where, str(error))
-        return value
 
-    def terms(self, where: str, value) -> dict[str, str]:
-        """`{ name = "expression", ... }`."""
-        for name, text in self.table(where, value).items():
-            if not is_name(name):
-                self.fail(where, f"{shown(name)} is no name for a term; use ASCII letters, digits and underscores")
-            self.expression(f"{where}, {name}", text)
-        return value
+def _amount(value: object, where: str) -> float | str:
+    """A number, or an expression."""
+    return (check_expression if isinstance(value, str) else number)(value, where)
 
-    def defined(self, where: str, value) -> Definition:
-        """`{ symbol = "q", unit = "m^3/s", sum = "expression" }`."""
-        table = self.table(where, value, ("symbol", "unit", "sum"), ("symbol", "unit", "sum"))
-        texts = [self.text(f"{where}, {key}", table[key]) for key in ("symbol", "unit")]
-        return Definition(*texts, {"sum": self.expression(f"{where}, sum", table["sum"])})
 
-    def balance(self, where: str, value) -> Equation:
-        """`{ state = "x", terms = { ... }, storage = "expression" }`."""
-        table = self.table(where, value, ("state", "terms", "storage"), ("state", "terms"))
-        storage = self.expression(f"{where}, storage", table.get("storage", "1"))
-        return Equation(self.text(f"{where}, state", table["state"]), self.terms(where, table["terms"]), storage)
+_STATE = {"initial": _amount, "low": _amount, "high": _amount, "rate": check_name, "start": check_expression}
+check_terms = named(check_expression, check_name)  # `{ name = "expression", ... }`
 
-    def sum(self, where: str, value, extra: str) -> tuple:
-        """(symbol, ...) of `symbol = { extra = ..., term = "expression", ... }`."""
-        if not (isinstance(value, dict) and len(value) == 1):
-            self.fail(where, f'{shown(value)}; write one line, symbol = {{ term = "expression", ... }}')
-        symbol, given = next(iter(value.items()))
-        terms = self.table(f"{where}.{symbol}", given)
-        more = terms.pop(extra, None)
-        terms = self.terms(where, terms)
-        if extra == "storage":
-            return symbol, terms, "1" if more is None else self.expression(f"{where}, {extra}", more)
-        if more is None:
-            self.fail(where, f"has no {extra}; write {symbol} = {{ {extra} = ..., ... }}")
-        return symbol, self.text(f"{where}, {extra}", more), terms
+
+def check_state(value: object, where: str) -> State:
+    """`{ unit = "m", initial = 0.0, ... }`."""
+    return State(**table(value, where, {"unit": line}, _STATE))
+
+
+def _equation(value: object, where: str) -> Equation:
+    """`state = { storage = "expression", term = "expression", ... }`, the storage 1 where it is left out."""
+    state, where, terms = _sum(value, where)
+    storage = check_expression(terms.pop("storage", "1"), entry_of(where, "storage"))
+    return Equation(state, check_terms(terms, where), storage)
+
+
+def _definition(value: object, where: str) -> Definition:
+    """`symbol = { unit = "N", term = "expression", ... }`."""
+    symbol, where, terms = _sum(value, where)
+    if "unit" not in terms:
+        raise InputError(f"{where} has no unit; write {symbol} = {{ unit = ..., ... }}")
+    return Definition(symbol, line(terms.pop("unit"), entry_of(where, "unit")), check_terms(terms, where))
+
+
+def _sum(value: object, where: str) -> tuple[str, str, dict]:
+    """(symbol, where its sum stands, what stands there)."""
+    if not (isinstance(value, dict) and len(value) == 1 and isinstance(given := next(iter(value.values())), dict)):
+        wish = 'write one line, symbol = { term = "expression", ... }'
+        raise InputError(f"{where} {shown(value)} is no sum of terms; {wish}")
+    symbol = next(iter(value))
+    return symbol, entry_of(where, symbol), dict(given)
 
 
 class Values(dict):

@@ -322,8 +322,8 @@ def test_a_program_comes_back_from_its_file_the_same(tmp_path):
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda p: p.unlink(), "no such file"),
-        (lambda p: p.write_text(p.read_text()[:300]), "not a readable JSON file"),
+        (lambda p: p.unlink(), "No such file"),
+        (lambda p: p.write_text(p.read_text()[:300]), "is no JSON"),
         (
             lambda p: p.write_text(p.read_text().replace('"op": "affine"', '"op": "convolve"')),
             "op 'convolve' does not exist",

@@ -247,5 +247,5 @@ def test_a_broken_seal_and_a_missing_diagnosis_are_refused(belt, tmp_path):
         reveal(tmp_path, claim)
     with pytest.raises(InputError, match="cannot be read"):
         reveal(belt, tmp_path / "none.json")
-    with pytest.raises(InputError, match="'effects' is missing"):
+    with pytest.raises(InputError, match="effects None is not a list"):
         reveal(belt, diagnosis(belt, effects=None))

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 import tomli_w
 
-from greygate.entries import Entries, read_json, read_toml, shown
-from greygate.errors import InputError
+from greygate.errors import InputError, shown
 from greygate.mismatch import effects as table
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import load
@@ -185,44 +184,3 @@ def test_every_entry_of_a_diagnosis_is_of_its_kind_or_refused(rig, recording):
         said = f"{path}: ", "diagnosis: ", "effect unknown_1: ", "plant slide: "
         refused += not taken(what, lambda: simulate(slide, recording, read(path), effects), *said)
     assert refused > 300
-
-
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
-        ("a = " + "9" * 5000, "is no TOML"),
-        ("a = " + "[" * 5000, "is n"),
-        ("a = 1\na = 2", "is no TOML"),
-        ("a = \x00", "is no TOML"),
-        ("\ufeffa = 1", "is no TOML"),
-    ],
-)
-def test_what_is_no_toml_is_refused(text, problem, tmp_path):
-    (tmp_path / "a.toml").write_text(text, encoding="utf-8")
-    with pytest.raises(InputError) as caught:
-        read_toml(tmp_path / "a.toml", "give a table")
-    assert str(caught.value).startswith(f"{tmp_path / 'a.toml'}: {problem}")
-    assert str(caught.value).endswith("; give a table")
-    assert str(caught.value).isprintable()
-
-
-@pytest.mark.parametrize("content", [b"\xff\xfe", b"[" * 100_000, b"9" * 5000, b"{", b""])
-def test_what_is_no_json_is_refused(content, tmp_path):
-    (tmp_path / "a.json").write_bytes(content)
-    with pytest.raises(InputError, match=r"a\.json: is n.*; give one") as caught:
-        read_json(tmp_path / "a.json", "give one")
-    assert str(caught.value).isprintable()
-
-
-def test_a_folder_and_a_missing_file_are_no_files(tmp_path):
-    for path in (tmp_path, tmp_path / "none"):
-        with pytest.raises(InputError, match="cannot be read"):
-            read_toml(path, "give a table")
-
-
-def test_an_unknown_entry_is_told_with_the_one_that_may_be_meant():
-    entries = Entries("a.toml")
-    with pytest.raises(InputError, match=r"a\.toml: resolutoin: is no entry; write resolution if that is meant"):
-        entries.table("", {"resolutoin": 1}, ("unit", "resolution"))
-    with pytest.raises(InputError, match=r"a\.toml: x\.q: is no entry; there are unit, resolution"):
-        entries.table("x", {"q": 1}, ("unit", "resolution"))

@@ -44,25 +44,25 @@ PASS = {"name": "p", "layers": 1, "parameters": 1, "multiplications": 1, "change
 @pytest.mark.parametrize(
     ("entries", "says"),
     [
-        ({"architectures": ["../../esc"]}, "architectures, 1 is '../../esc'; it is one of parallel, folded"),
-        ({"architectures": ["/tmp/esc"]}, "architectures, 1 is '/tmp/esc'"),
+        ({"architectures": ["../../esc"]}, r"architectures\[0\] '../../esc' does not exist; choose parallel, folded"),
+        ({"architectures": ["/tmp/esc"]}, r"architectures\[0\] '/tmp/esc'"),
         ({"architectures": []}, "name one or both"),
         ({"architectures": ["folded", "folded"]}, "each once"),
-        ({"architectures": "folded"}, "architectures is 'folded'"),
-        ({"macs": 10**9}, "macs is 1000000000; it is 1 to 256"),
-        ({"macs": "4"}, "macs is '4'"),
-        ({"macs": True}, "macs is True"),
-        ({"macs": 4.0}, r"macs is 4\.0"),
-        ({"source": ["a"]}, "source is "),
-        ({"recordings": ["a.csv"]}, "recordings is "),
-        ({"recordings": {"a": 5}}, "'a' is 5; it is text"),
-        ({"title": None}, "title is None; it is text"),
-        ({"finer": 10**400}, "finer is 1000"),
-        ({"passes": {}}, "passes is "),
-        ({"passes": [PASS | {"change": float("nan")}]}, "change is nan"),
-        ({"passes": [PASS | {"layers": -1}]}, "layers is -1"),
-        ({"passes": [{"name": "p"}]}, "holds 'change' that it should not, or lacks it"),
-        ({"module": "os"}, "holds 'module'"),
+        ({"architectures": "folded"}, "architectures 'folded' is not a list"),
+        ({"macs": 10**9}, "macs 1000000000 is not a whole number >= 1 and <= 256"),
+        ({"macs": "4"}, "macs '4'"),
+        ({"macs": True}, "macs True"),
+        ({"macs": 4.0}, r"macs 4\.0"),
+        ({"source": ["a"]}, r"source \["),
+        ({"recordings": ["a.csv"]}, r"recordings \["),
+        ({"recordings": {"a": 5}}, "recordings.a 5 is not a line of text"),
+        ({"title": None}, "title None is not a line of text"),
+        ({"finer": 10**400}, "finer 1000"),
+        ({"passes": {}}, "passes {} is not a list"),
+        ({"passes": [PASS | {"change": float("nan")}]}, r"passes\[0\].change nan"),
+        ({"passes": [PASS | {"layers": -1}]}, "layers -1"),
+        ({"passes": [{"name": "p"}]}, r"passes\[0\].layers is missing"),
+        ({"module": "os"}, "'module': there is no such entry"),
     ],
 )
 def test_an_entry_of_compile_json_of_the_wrong_kind_is_one_line(build, entries, says):
@@ -95,7 +95,7 @@ def test_broken_results_are_one_line(build, name, content):
     with pytest.raises(InputError, match=f"{name}: .* again"):
         _ = opened.hardware, opened.resources
     (build / name).write_text(json.dumps(content)[:-1] + "[" * 90_000)
-    with pytest.raises(InputError, match=f"{name}: not readable"):
+    with pytest.raises(InputError, match=f"{name}: is no JSON|{name}: .*nested"):
         _ = opened.hardware, opened.resources
 
 
