@@ -12,7 +12,7 @@ from greygate.errors import InputError
 LONGEST_NAME = 100  # characters: a program's and a signal's name together still fit into a file's
 LONGEST_UNIT = 40  # characters
 LONGEST_TEXT = 500  # characters of a note, a title or a scenario
-LONGEST_FILE = 240  # characters: file systems take 255, and a temporary file's name is longer by ten
+LONGEST_FILE = 238  # characters: file systems take 255, of which `..greygate-commit` (files.py) takes 17
 LONGEST_SHOWN = 60  # characters of a wrong value that a message repeats
 
 _PART = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
