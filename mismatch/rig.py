@@ -12,6 +12,7 @@ import numpy as np
 
 from greygate.entries import Entries, read_toml, shown
 from greygate.errors import InputError
+from greygate.names import check_file_name
 from greygate.plants.plant import Parameter, Plant
 from greygate.plants.recording import Recording
 from greygate.table import read_table
@@ -199,9 +200,7 @@ def _unit(plant: Plant, name: str) -> str | None:
 
 
 def _plant(rig: Path, name: str) -> Plant:
-    own = rig.parent / name
-    if Path(name).name != name:
-        raise InputError(f"{rig}: plant {shown(name)}: is no plain name; put the plant file beside rig.toml")
+    own = rig.parent / check_file_name(name, f"{rig}: plant")
     path = own if name.endswith(".toml") else PLANTS / f"{name}.toml"
     if not path.exists():
         known = ", ".join(sorted(p.stem for p in PLANTS.glob("*.toml")))
