@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from greygate.errors import InputError
+from greygate.names import check_text
 
 ARCHITECTURES = ("parallel", "folded")
 FACTS = "compile.json"
@@ -45,6 +46,8 @@ def read_facts(folder: Path) -> dict:
         raise InputError(f"{folder}: no {FACTS} here; run greygate compile first")
     if not facts["architectures"] or len(set(facts["architectures"])) < len(facts["architectures"]):
         raise InputError(f"{folder / FACTS}: architectures: name one or both, each once; run greygate compile again")
+    for text in (facts["title"], *facts["recordings"]):
+        check_text(text, f"{folder / FACTS}: title or scenario")
     return facts
 
 
