@@ -24,7 +24,7 @@ def emit(program: Program, folder: Path | str, architecture: str = "parallel", m
     folder = Path(folder)
     with making(folder), replacing_all([folder / name for name in files], durable=False) as new:
         for path, text in zip(new, files.values(), strict=True):
-            path.write_text(text)
+            path.write_bytes(text.encode())  # UTF-8, whatever the system's own encoding
     return [folder / name for name in files]
 
 

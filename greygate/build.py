@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 
 from greygate.errors import InputError
+from greygate.names import check_text
 from greygate.reading import Kind, anything, line, listed, maybe, named, number, one_of, read_json, table, whole
 
 ARCHITECTURES = ("parallel", "folded")
@@ -31,8 +32,8 @@ FILES: dict[str, Kind] = {
         *file,
         {
             "source": line,
-            "recordings": named(line, line),
-            "title": line,
+            "recordings": named(line, check_text),
+            "title": check_text,
             "architectures": listed(one_of(ARCHITECTURES)),
             "macs": whole(1, MACS),
             "finer": whole(0, FINER),

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +15,7 @@ import typer
 
 from greygate import __version__, options
 from greygate.errors import InputError
+from greygate.names import check_text, one_line
 
 app = typer.Typer(
     help="Grey-box networks from a mechanical plant to an FPGA.",
@@ -40,7 +42,7 @@ class Backend(StrEnum):
     DASK = "dask"
 
 
-INTERRUPTED = 130  # exit code of what Ctrl-C ends, as shells have it
+INTERRUPTED, TERMINATED = 130, 143  # exit codes of what Ctrl-C, and what `kill` ends, as shells have them
 UsageError = typer.BadParameter.__base__  # of whatever a command line lacks or has too much
 REACHED = 10.0  # s in which a cluster's scheduler answers
 
@@ -79,7 +81,7 @@ def _print(text: str) -> None:
 
 def _say(text: str) -> None:
     """One line on stderr, whatever the text holds."""
-    typer.echo("".join(c if c.isprintable() else ascii(c)[1:-1] for c in " ".join(text.split())), err=True)
+    typer.echo(one_line(" ".join(text.split())), err=True)
 
 
 def _finite(value: float | None, form: str) -> str:
@@ -197,6 +199,7 @@ def _recordings(given: list[str]) -> dict[str, str]:
         scenario, equals, path = text.partition("=")
         if not equals or not scenario:
             raise InputError(f"--record {text}: write SCENARIO=FILE.csv, e.g. training=train.csv")
+        check_text(scenario, "--record, scenario")
         if scenario in found:
             raise InputError(f"--record {text}: the scenario {scenario} is given twice; name one otherwise")
         found[scenario] = path
@@ -392,6 +395,8 @@ def report(
         raise InputError(f"--all takes one folder that holds a folder for each plant, not {len(folders)}")
     if not every and not folders:
         raise InputError("report: give folders that `greygate compile` wrote, or --all")
+    if not out.name or out.suffix == ".json":
+        raise InputError(f"--out {out}: name an HTML page, such as report.html; the JSON beside it ends in .json")
     passed = True
     with _progress("measuring") as follow:
         projects = plants((folders or [Path("hardware")])[0], follow) if every else [Project.open(f) for f in folders]
@@ -644,7 +649,8 @@ def reveal(
 
 
 def run() -> None:
-    """Entry point: a user's mistake is one line on stderr and exit code 2, Ctrl-C one line and 130."""
+    """Entry point: a user's mistake is one line on stderr and exit code 2, Ctrl-C one line and 130, `kill` 143."""
+    signal.signal(signal.SIGTERM, _terminated)
     try:
         code = app(standalone_mode=False) or 0
     except (KeyboardInterrupt, typer.Abort):
@@ -658,6 +664,12 @@ def run() -> None:
     if code == INTERRUPTED:
         _say("greygate: interrupted")
     sys.exit(code)
+
+
+def _terminated(number: int, frame: object) -> None:
+    """Leave by way of every `finally`, which puts temporary files away; a second such signal ends at once."""
+    signal.signal(number, signal.SIG_DFL)
+    sys.exit(TERMINATED)
 
 
 def _mistake(error: Exception) -> str | None:

@@ -6,13 +6,14 @@ import math
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
 
 from greygate.errors import InputError
-from greygate.files import replacing
+from greygate.files import replacing, replacing_all
 from greygate.mismatch import effects as table
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.conceal import reveal, sealed
@@ -26,7 +27,6 @@ from greygate.mismatch.locate import scaled
 from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.search import Search
 from greygate.mismatch.separation import separations
-from greygate.mismatch.simulation import check as check_diagnosis
 from greygate.mismatch.simulation import read, simulate
 from greygate.plants.expressions import names
 from greygate.plants.recording import Recording
@@ -155,10 +155,14 @@ class Explained:
         return cls(result.as_dict(), lines(result), diagnosis_page.page(result) if page else None)
 
     def write(self, out: Path | None, html: Path | None) -> None:
-        """Each file whole or not at all."""
-        for path, text in ((out, json.dumps(self.found, indent=1) + "\n"), (html, self.page)):
-            if path is not None:
-                with replacing(path) as temporary:
+        """Each file whole or not at all; both together where they lie in one folder."""
+        wanted = [
+            (p, t) for p, t in ((out, json.dumps(self.found, indent=1) + "\n"), (html, self.page)) if p is not None
+        ]
+        for _, group in groupby(wanted, key=lambda one: one[0].parent):
+            paths, texts = zip(*group, strict=True)
+            with replacing_all(paths) as new:
+                for temporary, text in zip(new, texts, strict=True):
                     temporary.write_text(text, encoding="utf-8")
 
 
@@ -206,10 +210,7 @@ def predict(
     rig = load(folder)
     measured, clock = rig.timed(recording)
     effects = table_of(own, rig, measured)
-    corrected = None
-    if diagnosis is not None:
-        check_diagnosis(corrected := read(diagnosis))  # `null` too is a JSON, but no diagnosis
-    found = simulate(rig, measured, corrected, effects)
+    found = simulate(rig, measured, None if diagnosis is None else read(diagnosis), effects)
     with replacing(out) as temporary, temporary.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["t", *found])

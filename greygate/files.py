@@ -53,10 +53,12 @@ def replacing_all(paths: Sequence[Path | str], durable: bool = True) -> Iterator
     """Yield paths to write; those written take the places of `paths`, files of one folder, all of them or none.
 
     durable: they are on the disk when the block ends, whatever happens to the machine.
-    Raises InputError where the folder is missing or cannot be written, `paths` holds a link or no file, or another
-    process keeps writing them.
+    Raises InputError where the folder is missing or cannot be written, `paths` holds a link, no file or one twice, or
+    another process keeps writing them.
     """
     paths = [Path(p) for p in paths]
+    if len(set(paths)) < len(paths):
+        raise InputError(f"{paths[0]}: two files would have this name; give another to one of them")
     if any(folder in _absolute(paths[0]).parents for folder in _staged):
         yield paths
         return
@@ -222,7 +224,7 @@ def locked(path: Path | str, patience: float = 0.0) -> Iterator[None]:
 def _taken(lock: Path) -> int | None:
     """Handle of the lock file, which then has its name still; None if another process holds it."""
     while True:
-        handle = os.open(lock, os.O_CREAT | os.O_NOFOLLOW, 0o644)
+        handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)  # NFS locks what may be written
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if os.path.samestat(os.fstat(handle), os.stat(lock)):

@@ -12,7 +12,7 @@ from greygate.errors import InputError, shown
 LONGEST_NAME = 100  # characters: a program's and a signal's name together still fit into a file's
 LONGEST_UNIT = 40  # characters
 LONGEST_TEXT = 500  # characters of a note, a title or a scenario
-LONGEST_FILE = 240  # characters: file systems take 255, and a temporary file's name is longer by ten
+LONGEST_FILE = 238  # characters: file systems take 255, of which `..greygate-commit` (files.py) takes 17
 
 _PART = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _FILE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")

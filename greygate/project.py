@@ -12,6 +12,8 @@ simulation/            where the last verification built and ran
 
 import json
 import os
+import re
+import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -55,7 +57,7 @@ from greygate.files import (
 from greygate.measured import settled
 from greygate.models.network import Network, Port
 from greygate.models.problem import Record, held_out
-from greygate.models.training import narx_noe, train
+from greygate.models.training import Outcome, narx_noe, train
 from greygate.plants.recording import read_csv
 from greygate.procedure import rms
 from greygate.reading import read_json
@@ -185,12 +187,14 @@ def train_source(
     records, others = ({name: found[name] for name in names} for names in (source.recordings, held))
     follow = progress and (lambda epoch, loss: progress(epoch, f"loss {loss:.3g}"))
     learn = narx_noe if narx and not options.get("shooting") else train
+    checkpoint = folder / f"{network.name}.checkpoint"
     with making(folder), writing(folder):
         fit = learn(
             network,
             list(records.values()),
             held=list(others.values()),
-            checkpoint=folder / f"{network.name}.checkpoint",
+            checkpoint=checkpoint,
+            keep=True,
             progress=follow,
             estimate_initial=source.settle > 0,
             **options,
@@ -210,6 +214,9 @@ def train_source(
         "out": str(folder / f"{network.name}.toml"),
     }
     trained.save(folder / network.name, _json(plain(figures)))
+    if fit.outcome not in (Outcome.INTERRUPTED, Outcome.TIME):
+        for left in ("", ".shooting"):
+            Path(f"{checkpoint}{left}").unlink(missing_ok=True)
     return plain(figures)
 
 
@@ -448,6 +455,7 @@ def verify_project(
 
 def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[str, Verification]:
     architectures = project.facts["architectures"]
+    _clear(project.folder / "simulation")
 
     def check(architecture: str) -> Verification:
         return verify_many([project.case(architecture, names)], project.folder / "simulation" / architecture, seed)
@@ -471,6 +479,18 @@ def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[
             if architecture in results:
                 path.write_bytes(results[architecture].junit.read_bytes())
     return results
+
+
+def _clear(simulation: Path) -> None:
+    """Remove what an earlier verification left: make would include its *.d, and link its objects, whoever wrote them.
+
+    Raises InputError where a file lies there that `verify` does not write.
+    """
+    for path in (p for p in simulation.rglob("*") if not p.is_dir()):
+        if not re.fullmatch(LATER, path.relative_to(simulation.parent).as_posix()):
+            raise InputError(f"{path}: greygate verify does not write such a file here; move it elsewhere")
+    if simulation.exists():
+        shutil.rmtree(simulation)
 
 
 def synthesize_project(

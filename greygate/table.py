@@ -14,7 +14,7 @@ import numpy as np
 from greygate.errors import InputError
 
 LARGEST = 1e30  # of a cell: above any quantity; its eighth power, in correlations of squares, stays within float64
-MOST_BYTES = 2**31  # of a table when unpacked: a recording is far smaller, a gzip bomb is not
+MOST_BYTES = 2**31  # of a table, packed or not: a recording is far smaller, a gzip bomb or a device is not
 SHOWN = 40  # characters of a cell that a message quotes
 
 _PLAIN = b"0123456789+-.eE \r\n"  # what stands in a file of decimal numbers, beside its separator
@@ -82,7 +82,8 @@ def read_table(path: Path | str, nan: bool = False) -> Table:
 
 def _text(path: Path) -> str:
     try:
-        data = path.read_bytes()
+        with path.open("rb") as file:
+            data = file.read(MOST_BYTES + 1)
         if data.startswith(_GZIP):
             with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
                 data = file.read(MOST_BYTES + 1)

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from greygate.compiler.emit import emit, sources
-from greygate.compiler.verilog import lane_width, sign_extended, verilog_names
+from greygate.compiler.verilog import lane_width, remark, sign_extended, verilog_names
 from greygate.emulator.program import Program, Signal
 from greygate.errors import InputError
 from greygate.files import replacing, writing
@@ -212,7 +212,7 @@ class Design:
         state = [sign_extended(at, low, s.fix.width, lane_width(s)) for at, low, s in self.state_lanes()]
         width_in, width_out, width_state = width(self.inputs), width(self.outputs), width(self.states)
         public = "/* verilator public_flat_rw */"
-        text = f"    // {i}: {program.name}, {self.case.architecture}\n"
+        text = f"    {remark(f'{i}: {program.name}, {self.case.architecture}')}\n"
         for name in ("clk", "rst", "m_tready", "load"):
             text += f"    reg {name}_{i} {public};\n"
         text += f"    reg [{width_in}:0] source_{i} {public};  // {{toggled with every sample, sample}}\n"
@@ -366,5 +366,5 @@ def run_logged(command: list[str], log: Path, environment: dict[str, str]) -> No
     with writing(log), log.open("w") as out:
         done = subprocess.run(command, stdout=out, stderr=subprocess.STDOUT, env=environment, cwd=log.parent)
     if done.returncode:
-        last = (log.read_text(errors="replace").split("\n\n")[-1].split("\n") or [""])[-1]
+        last = (log.read_text(errors="replace").strip().splitlines() or ["no word"])[-1]
         raise InputError(f"{log}: {Path(command[0]).name} failed ({done.returncode}): {last}")

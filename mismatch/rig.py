@@ -11,6 +11,7 @@ from typing import NoReturn
 import numpy as np
 
 from greygate.errors import InputError, shown
+from greygate.names import check_file_name
 from greygate.plants.expressions import check_name
 from greygate.plants.plant import Parameter, Plant
 from greygate.plants.recording import Recording
@@ -193,9 +194,7 @@ def _unit(plant: Plant, name: str) -> str | None:
 
 
 def _plant(rig: Path, name: str) -> Plant:
-    own = rig.parent / name
-    if Path(name).name != name:
-        raise InputError(f"{rig}: plant {shown(name)}: is no plain name; put the plant file beside rig.toml")
+    own = rig.parent / check_file_name(name, f"{rig}: plant")
     path = own if name.endswith(".toml") else PLANTS / f"{name}.toml"
     if not path.exists():
         known = ", ".join(sorted(p.stem for p in PLANTS.glob("*.toml")))

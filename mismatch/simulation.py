@@ -50,8 +50,9 @@ def simulate(
 
 
 def read(path: Path | str) -> dict:
-    """A diagnosis.json. Raises InputError where it is none."""
-    return read_json(path, "give a diagnosis.json")
+    """A diagnosis.json. Raises InputError where it is none that can be simulated."""
+    check(found := read_json(path, "give a diagnosis.json"))
+    return found
 
 
 WRITTEN = "give a file that diagnose wrote"

@@ -47,17 +47,27 @@ def held_out(
 ) -> tuple[list[Record], list[Record]]:
     """(records to train on, records to judge on): the share `tail` at the end of each is judged, and so is `held`.
 
-    A tail is run from the start of its record. Raises InputError for a share outside [0, 1), or no records.
+    A tail is run from the start of its record; of one that skips beyond it nothing is left to train on. Raises
+    InputError for a share outside [0, 1), no records, or a record that skips itself wholly.
     """
     if not records:
         raise InputError(f"network {network.name}: no records to train on")
     if not 0 <= tail < 1:
         raise InputError(f"tail {tail}: a share from 0 up to 1, without 1")
+    _check_skips(network, [*records, *held])
     if not tail:
         return list(records), list(held)
     heads = [int((1 - tail) * len(r)) for r in records]
     tails = [replace(r, skip=max(h, r.skip)) for r, h in zip(records, heads, strict=True)]
     return [r.cut(0, h) for r, h in zip(records, heads, strict=True)], tails + list(held)
+
+
+def _check_skips(network: Network, records: Sequence[Record]) -> None:
+    for i, record in enumerate(records):
+        if len(record) and not 0 <= record.skip < len(record):
+            raise InputError(
+                f"network {network.name}: record {i} skips {record.skip} of its {len(record)} samples; skip fewer"
+            )
 
 
 @dataclass
@@ -116,6 +126,8 @@ class Problem:
         self._forced = self._outputs if teacher else np.zeros(elements, bool)
         self._state = self._state_elements()
         whole = [self._arrays(r, i, first) for i, r in enumerate(records)]
+        if not any(0 <= r.skip < len(w.target) for r, w in zip(records, whole, strict=True)):
+            _check_skips(network, records)
         longest = max((len(w.target) for w in whole), default=0)
         if shooting is not None and not 1 <= shooting <= longest // 2:
             raise InputError(f"shooting {shooting}: give windows of 1 to {longest // 2} steps, half the longest record")
@@ -222,10 +234,6 @@ class Problem:
         if 0 < len(target) <= depth:
             raise InputError(
                 f"network {flat.name}: record {index} has {len(target)} samples, too short for a delay of {depth}"
-            )
-        if len(target) and not 0 <= record.skip < len(target):
-            raise InputError(
-                f"network {flat.name}: record {index} skips {record.skip} of its {len(target)} samples; skip fewer"
             )
         past = now.copy()
         if self.teacher:

@@ -168,6 +168,7 @@ def train(
     estimate_initial: bool = False,
     shooting: int | None = None,
     checkpoint: Path | str | None = None,
+    keep: bool = False,
     progress: Callable[[int, float], None] | None = None,
 ) -> Fit:
     """Levenberg-Marquardt (Levenberg 1944, Marquardt 1963; Nielsen's damping). The trained network is flat.
@@ -181,7 +182,8 @@ def train(
     held, tail: records, and the share at the end of each training record, that are not trained on; the weights of the
     lowest error there are kept, and `patience` epochs without a lower one end the training.
     goal: stop at this loss. tolerance: relative fall over ten epochs below which it has converged.
-    checkpoint: a file that is written now and then, and taken up if it is there; a finished training removes it.
+    checkpoint: a file that is written now and then, and taken up if it is there; a finished training removes it, or
+    with `keep` leaves it to whoever saves the result first.
     progress: called with (epoch, loss). Ctrl-C keeps the best weights so far. Raises InputError as `Problem`.
     """
     began = monotonic()
@@ -200,7 +202,7 @@ def train(
         left = seconds - (monotonic() - began)
         path = Path(checkpoint) if checkpoint else None
         return _Climb(whole, judge, count > 0, bounds or {}, patience).run(
-            epochs, goal, left, tolerance, path, progress
+            epochs, goal, left, tolerance, path, keep, progress
         )
 
     with blas().limit(limits=1, user_api="blas"):  # two BLAS threads are slower than one on matrices this small
@@ -288,7 +290,7 @@ class _Climb:
         step = np.clip(x + step, self.low, self.high) - x
         return step if np.isfinite(step).all() else None
 
-    def run(self, epochs, goal, seconds, tolerance, checkpoint, progress) -> Fit:
+    def run(self, epochs, goal, seconds, tolerance, checkpoint, keep, progress) -> Fit:
         began = saved = monotonic()
         whole, problem = self.whole, self.problem
         at = _Progress(problem.theta.copy(), problem.theta.copy())
@@ -327,7 +329,7 @@ class _Climb:
                     saved = monotonic()
         except KeyboardInterrupt:
             outcome = Outcome.INTERRUPTED
-        if checkpoint and outcome in (Outcome.INTERRUPTED, Outcome.TIME):
+        if checkpoint and (keep or outcome in (Outcome.INTERRUPTED, Outcome.TIME)):
             at.save(checkpoint, key)
         elif checkpoint:
             checkpoint.unlink(missing_ok=True)
@@ -387,7 +389,8 @@ def narx_noe(network: Network, records: Sequence[Record], narx_epochs: int = 200
         return train(network, records, **options)
     names = ("decay", "free", "tied", "bounds", "seconds", "progress", "held", "tail")
     shared = {n: v for n, v in options.items() if n in names}
-    if path := options.get("checkpoint"):
+    path = options.get("checkpoint")
+    if path:
         shared["checkpoint"] = f"{path}.narx"
     narx = train(network, records, teacher=True, epochs=narx_epochs, patience=narx_epochs, **shared)
     if narx.outcome in (Outcome.INTERRUPTED, Outcome.TIME):
@@ -399,7 +402,8 @@ def narx_noe(network: Network, records: Sequence[Record], narx_epochs: int = 200
     window, spent = max(min(lengths) // 20, 2), narx.seconds + noe.seconds
     if noe.outcome is Outcome.DIVERGED and not options.get("shooting") and 2 * window <= max(lengths):
         left = options.get("seconds", np.inf) - noe.seconds
-        noe = train(narx.network, records, **(options | {"shooting": window, "seconds": left}))
+        again = {"shooting": window, "seconds": left, "checkpoint": path and f"{path}.shooting"}
+        noe = train(narx.network, records, **options | again)
         spent += noe.seconds
     if noe.outcome is Outcome.DIVERGED:
         noe = replace(noe, network=narx.network)

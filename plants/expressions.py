@@ -26,9 +26,7 @@ TEXT = 4000  # characters
 NODES = 1000  # numbers, names, operations and calls
 DEPTH = 100  # of nested operations, calls and brackets
 NAME = 200  # characters of a name
-WHOLE = (
-    1 << 16
-)  # whole numbers up to it stay whole in the source: numba squares x**2, and takes the logarithm of x**2.0
+WHOLE = 1 << 16  # up to it whole numbers stay whole in the source: numba multiplies for x**2, and takes logs for x**2.0
 
 _SPACE = re.compile(r"(?:[ \t\r\n]++|#[^\r\n]*+)*+")  # and comments
 _TOKEN = re.compile(

@@ -311,7 +311,11 @@ def test_a_scenario_that_does_not_exist_is_named(built):
     assert "no scenario 'v9'; there are train" in error
 
 
-def test_an_interrupted_compilation_leaves_nothing_behind(tmp_path):
+@pytest.mark.parametrize(
+    ("number", "code", "said"),
+    [(signal.SIGINT, 130, b"greygate: interrupted\n"), (signal.SIGTERM, 143, b"")],
+)
+def test_an_interrupted_compilation_leaves_nothing_behind(tmp_path, number, code, said):
     process = subprocess.Popen(
         [GREYGATE, "compile", "valve_cylinder", "--prune", "1.01", "--out", "build"],
         cwd=tmp_path,
@@ -320,9 +324,9 @@ def test_an_interrupted_compilation_leaves_nothing_behind(tmp_path):
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job's children ignore it
     )
     time.sleep(4)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     _, error = process.communicate(timeout=30)
-    assert (process.returncode, error) == (130, b"greygate: interrupted\n")
+    assert (process.returncode, error) == (code, said)
     assert os.listdir(tmp_path) == []
 
 

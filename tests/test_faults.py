@@ -101,8 +101,8 @@ def _judge(command: Command, ended, old: dict, new: dict, where: str) -> None:
     assert ended.code in (0, 2, KILLED), f"{where}: exit code"
     assert ended.touch is not None, f"{where}: the shim never struck"
     if ended.code == 2:
-        assert ended.error.strip().count("\n") == 0, where
-        assert ended.error.strip().startswith("greygate: "), where
+        assert ended.error.count("\n") == 1, where
+        assert ended.error.startswith("greygate: "), where
     if ended.code != KILLED and ended.touch.split()[0] not in LEAVING:
         journal = any(p.name.endswith("-commit") for p in command.strays())
         assert journal or command.strays() == [], f"{where}: strays {command.strays()}"

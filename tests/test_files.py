@@ -291,3 +291,12 @@ def test_a_manifest_made_anew_lists_what_is_there(tmp_path):
     write_manifest(tmp_path / "b", "compile")
     assert set(manifest(tmp_path / "b", "compile")) == {"deep/a.txt", "more"}
     assert os.listdir(tmp_path) == ["b"]
+
+
+def test_one_name_for_two_files_is_refused_before_either_is_written(tmp_path):
+    with (
+        pytest.raises(InputError, match="two files would have this name"),
+        replacing_all([tmp_path / "a", tmp_path / "a"]),
+    ):
+        pytest.fail("the block ran")
+    assert list(tmp_path.iterdir()) == []

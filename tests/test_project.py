@@ -12,7 +12,8 @@ from greygate.compiler.emit import sources
 from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.files import write_manifest
-from greygate.project import Project, Source, compile_project, synthesize_project, verify_project
+from greygate.models.network import Network
+from greygate.project import Project, Source, compile_project, synthesize_project, train_source, verify_project
 
 
 @pytest.fixture(scope="module")
@@ -168,3 +169,45 @@ def test_a_source_that_names_a_python_file_is_not_run(build, tmp_path):
         with pytest.raises(InputError, match=r"no network is called|no such file"):
             opened.source.network()
     assert not (tmp_path / "ran").exists()
+
+
+def test_what_lies_in_a_builds_simulation_folder_is_never_built_again(build, monkeypatch):
+    """make includes every *.d there, and links objects that are newer than their sources."""
+    planted = build / "simulation" / "parallel" / "build" / "Vtop.d"
+    planted.parent.mkdir(parents=True)
+    planted.write_text("$(shell id)\n")
+    seen = []
+
+    def stop(cases, folder, seed):
+        seen.append(sorted(folder.rglob("*")))
+        raise InputError("far enough")
+
+    monkeypatch.setattr(project, "verify_many", stop)
+    with pytest.raises(InputError, match="far enough"):
+        verify_project(Project.open(build))
+    assert seen
+    assert not any(seen)
+    thesis = planted.with_name("thesis.d")
+    thesis.parent.mkdir(parents=True)
+    thesis.write_text("mine")
+    with pytest.raises(InputError, match=r"thesis\.d: greygate verify does not write such a file here"):
+        verify_project(Project.open(build))
+    assert thesis.read_text() == "mine"
+
+
+def test_a_training_whose_result_cannot_be_saved_is_not_lost(tmp_path, monkeypatch):
+    delay_line().save(tmp_path / "line")
+    rows = "".join(f"{k * 1e-3:.3f},{k % 5},{k % 3}\n" for k in range(60))
+    (tmp_path / "a.csv").write_text("t_s,u_V,y_m\n" + rows)
+    source = Source(str(tmp_path / "line.toml"), {"a": str(tmp_path / "a.csv")})
+
+    def full(*arguments):
+        raise InputError("no space left")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Network, "save", full)
+        with pytest.raises(InputError, match="no space left"):
+            train_source(source, tmp_path / "out", {}, epochs=3)
+    assert (tmp_path / "out" / "line.checkpoint").exists()
+    assert any("resumed" in remark for remark in train_source(source, tmp_path / "out", {}, epochs=3)["remarks"])
+    assert sorted(p.suffix for p in (tmp_path / "out").iterdir()) == [".json", ".safetensors", ".toml"]

@@ -294,8 +294,9 @@ def test_a_training_that_was_cut_off_goes_on_from_its_checkpoint_as_if_it_had_no
     assert path.exists()
     with pytest.raises(InputError, match="checkpoint of other records, options or weights"):
         train(feedforward("f", ["u", "p"], [4], 1), [flow_record()], epochs=12, checkpoint=path)
-    resumed = train(start, [flow_record()], epochs=12, checkpoint=path)
+    resumed = train(start, [flow_record()], epochs=12, checkpoint=path, keep=True)
     assert resumed.history == whole.history
+    assert train(start, [flow_record()], epochs=12, checkpoint=path).history == whole.history
     assert not path.exists()
     path.write_text("no")
     with pytest.raises(InputError, match="not a readable checkpoint"):
