@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
+from greygate.contents import contents
 from greygate.errors import InputError
 
 ARCHITECTURES = ("parallel", "folded")
@@ -60,7 +61,7 @@ def read_resources(folder: Path) -> dict | None:
 
 def _read(path: Path, command: str) -> dict | None:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = json.loads(contents(path))
     except FileNotFoundError:
         return None
     except (OSError, ValueError, RecursionError) as error:

@@ -10,6 +10,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import NoReturn
 
+from greygate.contents import contents
 from greygate.errors import InputError
 
 SHOWN = 60  # characters of a value in a message
@@ -43,7 +44,7 @@ def read_json(path: Path | str, wish: str):
 
 def _read(path: Path | str, loads, kind: str, wish: str):
     try:
-        return loads(Path(path).read_text(encoding="utf-8"))
+        return loads(contents(path).decode("utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); {wish}") from None
     except RecursionError:

@@ -12,6 +12,7 @@ simulation/            where the last verification built and ran
 
 import json
 import os
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -335,7 +336,7 @@ class Project:
 
     @staticmethod
     def _open(folder: Path) -> "Project":
-        settle_folder(folder)
+        settle_folder(folder, "compile", LATER)
         facts = read_facts(folder)
         files = manifest(folder, "compile")
         data = {name: digest for name, digest in files.items() if not name.startswith("rtl/")}
@@ -442,7 +443,21 @@ def verify_project(
             )
         for path in edited:
             print(f"verify: {path} is not the Verilog of program.json; verified as it is", file=sys.stderr)
+        _clear(project.folder)
         return _verify(project, names, seed)
+
+
+def _clear(folder: Path) -> None:
+    """Remove what an earlier verification built: make would run it, and a stranger may have put it there.
+
+    Raises InputError for a file that no verification writes.
+    """
+    found = sorted(path for path in (folder / "simulation").rglob("*") if not path.is_dir() or path.is_symlink())
+    for path in found:
+        if not re.fullmatch(LATER, path.relative_to(folder).as_posix()):
+            raise InputError(f"{path}: no file of greygate verify, and make may run it; move it elsewhere")
+    for path in found:
+        path.unlink()
 
 
 def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[str, Verification]:

@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from greygate.contents import contents
 from greygate.errors import InputError
 from greygate.names import check_path, shown
 
@@ -108,7 +109,7 @@ def array(value: object, where: str) -> np.ndarray:
 def json_data(path: Path) -> object:
     """What a JSON file holds; InputError where it cannot be read, or names an entry twice."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_unrepeated)
+        return json.loads(contents(path), object_pairs_hook=_unrepeated)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; check the path") from None
     except OSError as error:

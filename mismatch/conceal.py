@@ -43,6 +43,7 @@ from pathlib import Path
 
 import numpy as np
 
+from greygate.contents import contents
 from greygate.errors import InputError
 from greygate.files import replaceable, replacing_folder
 from greygate.table import read_table
@@ -350,7 +351,7 @@ def _read(path: Path) -> Columns:
 
 def _json(path: Path) -> dict:
     try:
-        content = json.loads(path.read_text())
+        content = json.loads(contents(path))
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read ({error})") from None
     if not isinstance(content, dict):
@@ -362,9 +363,9 @@ def sealed(folder: Path) -> dict:
     """The answer in `folder`, if its seal is whole."""
     path = folder / "sealed.json"
     try:
-        seal = (folder / "sealed.json.sha256").read_text().split()[0]
-        whole = hashlib.sha256(path.read_bytes()).hexdigest() == seal
-    except (OSError, IndexError):
+        seal = contents(folder / "sealed.json.sha256").decode().split()[0]
+        whole = hashlib.sha256(contents(path)).hexdigest() == seal
+    except (OSError, ValueError, IndexError):
         raise InputError(f"{folder}: holds no sealed answer; make the folder with greygate conceal") from None
     if not whole:
         raise InputError(f"{path}: is not what was sealed (SHA-256 differs); make the case again")
