@@ -27,6 +27,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
 from greygate import __version__
+from greygate.contents import contents
 from greygate.errors import InputError, shown
 from greygate.reading import line, named, read_json, table, whole
 
@@ -110,7 +111,7 @@ def read_all(paths: Sequence[Path | str]) -> list[bytes | None]:
     while time.monotonic() < until:
         settle(paths)
         before = _state(paths)
-        found = [path.read_bytes() if path.exists() else None for path in paths]
+        found = [contents(path) if path.exists() else None for path in paths]
         if before == _state(paths) and not _beside(paths[0], "commit").exists():
             return found
     raise InputError(f"{paths[0]}: another greygate keeps writing it; wait for it")
@@ -133,7 +134,7 @@ def replacing_folder(path: Path | str, kind: str, later: str = "(?!)") -> Iterat
     replaceable(path, kind, later)
     new, old = _beside(path, "new"), _beside(path, "old")
     with making(path.parent), writing(path, "make this folder"), locked(path):
-        settle_folder(path, held=True)
+        settle_folder(path, kind, later, held=True)
         replaceable(path, kind, later)
         for left in (new, old):
             shutil.rmtree(left, ignore_errors=True)
@@ -146,7 +147,7 @@ def replacing_folder(path: Path | str, kind: str, later: str = "(?!)") -> Iterat
                 for name in (*names, "."):
                     _sync(Path(folder, name))
             replaceable(path, kind, later)  # hours may lie between
-            _put(new, path)
+            _put(new, path, kind, later)
         finally:
             _staged.discard(_absolute(new))
             if not _beside(path, "commit").exists():
@@ -154,18 +155,23 @@ def replacing_folder(path: Path | str, kind: str, later: str = "(?!)") -> Iterat
                 shutil.rmtree(old, ignore_errors=True)
 
 
-def settle_folder(path: Path | str, held: bool = False) -> None:
-    """Finish the replacing of a folder that a kill broke off between its two renames. held: the lock is the caller's"""
+def settle_folder(path: Path | str, kind: str, later: str = "(?!)", held: bool = False) -> None:
+    """Finish the replacing of a folder that a kill broke off between its two renames. held: the lock is the caller's.
+
+    kind, later: as in `replacing_folder`. Raises InputError for a folder that may not be replaced: anyone may have put
+    a journal beside it.
+    """
     path = Path(path)
     commit, new, old = (_beside(path, what) for what in ("commit", "new", "old"))
     if not commit.exists():
         return
     if not held:
         with writing(path), locked(path, PATIENCE):
-            settle_folder(path, held=True)
+            settle_folder(path, kind, later, held=True)
         return
     if new.exists():
         if path.exists():
+            replaceable(path, kind, later)
             path.rename(old)
         new.rename(path)
         _sync(path.parent)
@@ -224,7 +230,8 @@ def locked(path: Path | str, patience: float = 0.0) -> Iterator[None]:
 def _taken(lock: Path) -> int | None:
     """Handle of the lock file, which then has its name still; None if another process holds it."""
     while True:
-        handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o644)  # NFS locks what may be written
+        # writable, as NFS locks nothing else; a pipe of that name is not waited for
+        handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if os.path.samestat(os.fstat(handle), os.stat(lock)):
@@ -351,14 +358,14 @@ def _check_place(path: Path) -> None:
             raise InputError(f"{path}: is or holds {what}; give a folder of its own, such as {where / 'build'}")
 
 
-def _put(new: Path, path: Path) -> None:
+def _put(new: Path, path: Path, kind: str, later: str) -> None:
     """Give the filled folder its name; what had it is then called `new`, or gone."""
     if not path.exists() or not any(path.iterdir()):
         new.rename(path)
     elif not _exchange(new, path):
         _beside(path, "commit").touch()
         _sync(path.parent)
-        settle_folder(path, held=True)
+        settle_folder(path, kind, later, held=True)
     _sync(path.parent)
 
 

@@ -13,7 +13,6 @@ simulation/            where the last verification built and ran
 import json
 import os
 import re
-import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -343,7 +342,7 @@ class Project:
 
     @staticmethod
     def _open(folder: Path) -> "Project":
-        settle_folder(folder)
+        settle_folder(folder, "compile", LATER)
         facts = read_facts(folder)
         files = manifest(folder, "compile")
         data = {name: digest for name, digest in files.items() if not name.startswith("rtl/")}
@@ -450,12 +449,25 @@ def verify_project(
             )
         for path in edited:
             print(f"verify: {path} is not the Verilog of program.json; verified as it is", file=sys.stderr)
+        _clear(project.folder)
         return _verify(project, names, seed)
+
+
+def _clear(folder: Path) -> None:
+    """Remove what an earlier verification built: make would run it, and a stranger may have put it there.
+
+    Raises InputError for a file that no verification writes.
+    """
+    found = sorted(path for path in (folder / "simulation").rglob("*") if not path.is_dir() or path.is_symlink())
+    for path in found:
+        if not re.fullmatch(LATER, path.relative_to(folder).as_posix()):
+            raise InputError(f"{path}: no file of greygate verify, and make may run it; move it elsewhere")
+    for path in found:
+        path.unlink()
 
 
 def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[str, Verification]:
     architectures = project.facts["architectures"]
-    _clear(project.folder / "simulation")
 
     def check(architecture: str) -> Verification:
         return verify_many([project.case(architecture, names)], project.folder / "simulation" / architecture, seed)
@@ -479,18 +491,6 @@ def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[
             if architecture in results:
                 path.write_bytes(results[architecture].junit.read_bytes())
     return results
-
-
-def _clear(simulation: Path) -> None:
-    """Remove what an earlier verification left: make would include its *.d, and link its objects, whoever wrote them.
-
-    Raises InputError where a file lies there that `verify` does not write.
-    """
-    for path in (p for p in simulation.rglob("*") if not p.is_dir()):
-        if not re.fullmatch(LATER, path.relative_to(simulation.parent).as_posix()):
-            raise InputError(f"{path}: greygate verify does not write such a file here; move it elsewhere")
-    if simulation.exists():
-        shutil.rmtree(simulation)
 
 
 def synthesize_project(

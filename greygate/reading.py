@@ -16,10 +16,10 @@ from types import MappingProxyType
 
 import numpy as np
 
+from greygate.contents import contents
 from greygate.errors import InputError, shown
 from greygate.names import check_path
 
-LARGEST = 1 << 26  # bytes: a hundred times the largest file that greygate writes
 DEEPEST = 64  # tables and lists inside one another: three times what the deepest network needs
 LIKE = 0.75  # as much alike (difflib) are an unknown entry and the one that may be meant
 
@@ -45,12 +45,7 @@ def read_json(path: Path | str, wish: str) -> object:
 
 def _read(path: Path | str, format: str, parse: Callable, wish: str, data: bytes | None = None):
     try:
-        if data is None:
-            with Path(path).open("rb") as file:
-                data = file.read(LARGEST + 1)
-        if len(data) > LARGEST:
-            raise InputError(f"{path}: is larger than {LARGEST >> 20} MiB; {wish}")
-        value = parse(data.decode("utf-8-sig"))
+        value = parse((contents(path) if data is None else data).decode("utf-8-sig"))
     except InputError:
         raise
     except OSError as error:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from greygate.contents import contents
 from greygate.errors import InputError
 
 LARGEST = 1e30  # of a cell: above any quantity; its eighth power, in correlations of squares, stays within float64
@@ -82,8 +83,7 @@ def read_table(path: Path | str, nan: bool = False) -> Table:
 
 def _text(path: Path) -> str:
     try:
-        with path.open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
+        data = contents(path, MOST_BYTES)
         if data.startswith(_GZIP):
             with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
                 data = file.read(MOST_BYTES + 1)

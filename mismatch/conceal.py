@@ -352,9 +352,9 @@ def sealed(folder: Path) -> dict:
     """The answer in `folder`, if its seal is whole."""
     path = folder / "sealed.json"
     try:
-        seal = (folder / "sealed.json.sha256").read_text().split()[0]
-        whole = hashlib.sha256(path.read_bytes()).hexdigest() == seal
-    except (OSError, IndexError):
+        seal = contents(folder / "sealed.json.sha256").decode().split()[0]
+        whole = hashlib.sha256(contents(path)).hexdigest() == seal
+    except (OSError, ValueError, IndexError):
         raise InputError(f"{folder}: holds no sealed answer; make the folder with greygate conceal") from None
     if not whole:
         raise InputError(f"{path}: is not what was sealed (SHA-256 differs); make the case again")

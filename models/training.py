@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from functools import cache
+from io import BytesIO
 from pathlib import Path
 from threading import Event
 from time import monotonic
@@ -15,6 +16,7 @@ import numpy as np
 import scipy.linalg
 from threadpoolctl import ThreadpoolController
 
+from greygate.contents import contents
 from greygate.errors import InputError
 from greygate.files import replacing
 from greygate.models.network import Network
@@ -135,7 +137,7 @@ class _Progress:
     @staticmethod
     def load(path: Path, key: str) -> "_Progress":
         try:
-            with np.load(path) as data:
+            with np.load(BytesIO(contents(path))) as data:
                 if str(data["key"]) != key:
                     raise InputError(
                         f"{path}: a checkpoint of other records, options or weights; remove it or give another path"

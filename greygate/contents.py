@@ -1,0 +1,23 @@
+"""The bytes of a file that anyone may have sent: a plain file of bounded size, whatever its name leads to."""
+
+import errno
+import os
+import stat
+from pathlib import Path
+
+LARGEST = 1 << 26  # bytes: a hundred times the largest file that greygate writes, but for recordings
+
+
+def contents(path: Path | str, most: int = LARGEST) -> bytes:
+    """All bytes of a plain file.
+
+    Raises OSError for a pipe, a device or a folder, whose reading may never end, and beyond `most` bytes.
+    """
+    with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
+        status = os.fstat(file.fileno())
+        if not stat.S_ISREG(status.st_mode):
+            raise OSError(errno.EINVAL, "is no plain file", str(path))
+        data = file.read(most + 1) if status.st_size <= most else b""
+        if status.st_size > most or len(data) > most:
+            raise OSError(errno.EFBIG, f"is larger than {most} bytes", str(path))
+        return data

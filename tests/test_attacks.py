@@ -1,0 +1,134 @@
+"""What a folder that came by mail does to the machine of whoever opens it: nothing."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from test_network import delay_line
+
+from greygate import project
+from greygate.compiler.quantize import Formats
+from greygate.contents import contents
+from greygate.emulator.program import Program
+from greygate.errors import InputError
+from greygate.files import manifest, replacing_folder
+from greygate.mismatch import effects, rig, simulation
+from greygate.mismatch.conceal import sealed
+from greygate.models.network import Network
+from greygate.models.training import _Progress
+from greygate.plants.recording import read_csv
+from greygate.project import Project, Source, compile_project, verify_project
+
+
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("mail")
+    delay_line().save(folder / "line")
+    rows = "".join(f"{k * 1e-3:.3f},{k % 5},{k % 3}\n" for k in range(20))
+    (folder / "a.csv").write_text("t_s,u_V,y_m\n" + rows)
+    compile_project(Source(str(folder / "line.toml"), {"a": str(folder / "a.csv")}), folder / "b", Formats())
+    return folder / "b"
+
+
+@pytest.fixture
+def build(compiled, tmp_path) -> Path:
+    shutil.copytree(compiled, tmp_path / "b")
+    return tmp_path / "b"
+
+
+@pytest.mark.parametrize("name", ["x.d", "Makefile", "GNUmakefile", "sitecustomize.py", "deep/bench"])
+def test_a_file_that_make_may_run_is_refused_before_a_verification(build, name, monkeypatch):
+    strange = build / "simulation" / "parallel" / "build" / name
+    strange.parent.mkdir(parents=True)
+    strange.write_text("X := $(shell id)\n")
+    monkeypatch.setattr(project, "verify_many", lambda *a: pytest.fail("simulated"))
+    with pytest.raises(InputError, match="no file of greygate verify"):
+        verify_project(Project.open(build))
+    assert strange.exists()
+
+
+@pytest.mark.parametrize("name", ["bench", "Vtop.mk", "Vtop__ALL.o", "verilated.o", "verilated.d"])
+def test_what_an_earlier_verification_built_is_never_run_again(build, name, monkeypatch):
+    strange = build / "simulation" / "parallel" / "build" / name
+    strange.parent.mkdir(parents=True)
+    strange.write_text("X := $(shell id)\n")
+
+    def simulated(*arguments):
+        raise InputError(f"there is {strange.exists()}")
+
+    monkeypatch.setattr(project, "verify_many", simulated)
+    with pytest.raises(InputError, match="there is False"):
+        verify_project(Project.open(build))
+
+
+def test_a_workers_python_imports_nothing_from_the_folder_it_is_started_in(tmp_path):
+    (tmp_path / "joblib.py").write_text("open('ran', 'w')")
+    code = (
+        "import subprocess, sys; sys.argv = ['greygate', 'train', 'list']\n"
+        "from greygate.cli import run\n"
+        "try:\n    run()\n"
+        "except SystemExit:\n    pass\n"
+        "subprocess.run([sys.executable, '-c', 'import joblib'], check=True)\n"
+    )
+    done = subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert not (tmp_path / "ran").exists()
+
+
+READERS = {  # of what a stranger sends, with the name that it reads
+    "recording": ("a.csv", lambda folder: read_csv(folder / "a.csv")),
+    "rig": ("rig.toml", rig.load),
+    "effects": ("effects.toml", lambda folder: effects.read(folder / "effects.toml")),
+    "diagnosis": ("diagnosis.json", lambda folder: simulation.read(folder / "diagnosis.json")),
+    "network": ("n.toml", lambda folder: Network.load(folder / "n.toml")),
+    "weights": ("n.safetensors", lambda folder: Network.load(folder / "n.toml")),
+    "program": ("program.json", lambda folder: Program.load(folder / "program.json")),
+    "build": ("compile.json", Project.open),
+    "manifest": ("manifest.json", lambda folder: manifest(folder, "compile")),
+    "seal": ("sealed.json.sha256", sealed),
+    "checkpoint": ("n.checkpoint", lambda folder: _Progress.load(folder / "n.checkpoint", "key")),
+}
+
+
+@pytest.mark.parametrize("kind", ["pipe", "endless", "sparse"])
+@pytest.mark.parametrize("reader", READERS)
+def test_what_is_no_plain_file_of_a_bounded_size_is_refused_at_once(reader, kind, tmp_path):
+    name, read = READERS[reader]
+    if reader == "weights":
+        (tmp_path / "n.toml").touch()
+    if kind == "pipe":
+        os.mkfifo(tmp_path / name)
+    elif kind == "endless":
+        (tmp_path / name).symlink_to("/dev/zero")
+    else:
+        (tmp_path / name).touch()
+        os.truncate(tmp_path / name, 1 << 36)
+    with pytest.raises(InputError):
+        read(tmp_path)
+
+
+def test_a_file_of_the_largest_size_is_read_and_one_byte_more_is_not(tmp_path):
+    (tmp_path / "a").write_bytes(b"1234")
+    assert contents(tmp_path / "a", 4) == b"1234"
+    with pytest.raises(OSError, match="larger than 3 bytes"):
+        contents(tmp_path / "a", 3)
+
+
+def test_a_journal_that_a_stranger_put_beside_a_folder_replaces_nothing(tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.docx").write_text("years of work")
+    (tmp_path / ".mine.greygate-commit").touch()
+    (tmp_path / ".mine.greygate-new").mkdir()
+    with pytest.raises(InputError, match=r"thesis\.docx"):
+        Project.open(tmp_path / "mine")
+    assert (tmp_path / "mine" / "thesis.docx").read_text() == "years of work"
+
+
+def test_a_lock_that_is_a_pipe_holds_nobody_up(tmp_path):
+    os.mkfifo(tmp_path / ".b.greygate-lock")
+    with replacing_folder(tmp_path / "b", "compile") as new:
+        (new / "a").touch()
+    assert sorted(os.listdir(tmp_path)) == ["b"]
