@@ -14,8 +14,8 @@ from typing import Annotated
 import typer
 
 from greygate import __version__, options
-from greygate.errors import InputError
-from greygate.names import check_text, one_line
+from greygate.errors import InputError, one_line
+from greygate.names import check_text
 
 app = typer.Typer(
     help="Grey-box networks from a mechanical plant to an FPGA.",

@@ -43,6 +43,7 @@ from pathlib import Path
 
 import numpy as np
 
+from greygate.contents import contents
 from greygate.errors import InputError
 from greygate.files import replaceable, replacing_folder
 from greygate.reading import anything, line, listed, named, read_json, table
