@@ -2,8 +2,9 @@ import math
 
 import pytest
 
+from greygate.contents import LARGEST
 from greygate.errors import LONGEST, SHOWN, InputError, shown
-from greygate.reading import DEEPEST, LARGEST, line, number, one_of, read_json, read_toml, table, truth, whole, within
+from greygate.reading import DEEPEST, line, number, one_of, read_json, read_toml, table, truth, whole, within
 
 
 @pytest.mark.parametrize(
@@ -12,7 +13,7 @@ from greygate.reading import DEEPEST, LARGEST, line, number, one_of, read_json, 
         (b"a = [", "is no TOML"),
         (b"a = 1\na = 2", "is no TOML"),
         (b"a = \x00", "is no TOML"),
-        (b"#" * (LARGEST + 1), "is larger than 64 MiB"),
+        (b"#" * (LARGEST + 1), "is larger than 67108864 bytes"),
         (b"a = \xff", "is no TOML"),
         (b"a = " + b"9" * 5000, "is no TOML"),
         (b"a = " + b"[" * 5000 + b"]" * 5000, "nested"),
