@@ -13,6 +13,7 @@ simulation/            where the last verification built and ran
 import json
 import os
 import re
+import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -462,8 +463,8 @@ def _clear(folder: Path) -> None:
     for path in found:
         if not re.fullmatch(LATER, path.relative_to(folder).as_posix()):
             raise InputError(f"{path}: no file of greygate verify, and make may run it; move it elsewhere")
-    for path in found:
-        path.unlink()
+    if found:
+        shutil.rmtree(folder / "simulation")
 
 
 def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[str, Verification]:

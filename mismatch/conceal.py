@@ -174,7 +174,7 @@ def _score(answer: dict, claim: dict) -> dict:
         "strength": answer["strength"],
         "removable": answer["removable"],
         "verdict": claim["verdict"],
-        "claimed": claimed,
+        "named": claimed,
         "right_verdict": claim["verdict"] == answer["verdict"],
         "right_first": bool(claimed) and claimed[0] in true if true else None,
         "all_named": set(true) <= set(claimed) if true else None,

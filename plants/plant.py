@@ -268,7 +268,7 @@ class Plant:
     # -- checks at declaration ---------------------------------------------------------------------------------------
 
     def _fail(self, where: str, problem: str) -> NoReturn:
-        raise InputError(f"plant {named(self.name)}: {named(where)}: {problem}")
+        raise InputError(f"plant {self.name}: {where}: {problem}")
 
     def _declare(self, symbol: str, symbols: set[str]) -> None:
         if not is_symbol(symbol):

@@ -309,7 +309,7 @@ def test_a_diagnosis_is_refused_that_is_or_has(case, clean, tmp_path, greygate):
     [
         (["crane", "--seed", 1], "no plant 'crane'; there are valve_hydraulic"),
         (["cable_drum", "--seed", 1, "--kind", "three"], "no kind 'three'; there are clean"),
-        (["cable_drum", "--seed", -1], "seed -1 is not a whole number from 0"),
+        (["cable_drum", "--seed", -1], "--seed -1: give a whole number from 0"),
         (["cable_drum", "--seed", 1, "--effect", "entrained_air"], "has no effect 'entrained_air'"),
     ],
 )

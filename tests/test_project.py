@@ -57,7 +57,7 @@ PASS = {"name": "p", "layers": 1, "parameters": 1, "multiplications": 1, "change
         ({"source": ["a"]}, r"source \["),
         ({"recordings": ["a.csv"]}, r"recordings \["),
         ({"recordings": {"a": 5}}, "recordings.a 5 is not a line of text"),
-        ({"title": None}, "title None is not a line of text"),
+        ({"title": None}, "title None: a text is one line"),
         ({"finer": 10**400}, "finer 1000"),
         ({"passes": {}}, "passes {} is not a list"),
         ({"passes": [PASS | {"change": float("nan")}]}, r"passes\[0\].change nan"),
@@ -190,7 +190,7 @@ def test_what_lies_in_a_builds_simulation_folder_is_never_built_again(build, mon
     thesis = planted.with_name("thesis.d")
     thesis.parent.mkdir(parents=True)
     thesis.write_text("mine")
-    with pytest.raises(InputError, match=r"thesis\.d: greygate verify does not write such a file here"):
+    with pytest.raises(InputError, match=r"thesis\.d: no file of greygate verify"):
         verify_project(Project.open(build))
     assert thesis.read_text() == "mine"
 
