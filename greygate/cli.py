@@ -652,6 +652,8 @@ def run() -> None:
     """Entry point: a user's mistake is one line on stderr and exit code 2, Ctrl-C one line and 130, `kill` 143."""
     signal.signal(signal.SIGTERM, _terminated)
     os.environ["PYTHONSAFEPATH"] = "1"  # workers import nothing from the current folder, which may be a stranger's
+    if sys.stdout is not None:
+        sys.stdout.reconfigure(errors="backslashreplace")  # a path may hold what no text can
     try:
         code = app(standalone_mode=False) or 0
     except (KeyboardInterrupt, typer.Abort):

@@ -129,13 +129,15 @@ def _rows(path: Path, text: str) -> tuple[list[int], list[list[str]], str]:
 
 
 def _header(path: Path, names: list[str]) -> list[str]:
+    known = set()
     for i, name in enumerate(names):
         if not name:
             raise InputError(f"{path}: column {i + 1} has no name; name it, or delete the separator that is too much")
         if not name.isprintable():
             raise InputError(f"{path}: the name of column {i + 1}, {_quoted(name)}, does not print; rename it")
-        if name in names[:i]:
+        if name in known:
             raise InputError(f"{path}: column {name} appears twice; rename or delete one of them")
+        known.add(name)
     return names
 
 

@@ -295,20 +295,22 @@ OPTIONS = ("OPT_FAST=-O1", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1")
 
 
 def build(bench: Path, sources: list[Path], folder: Path, environment: dict[str, str], waves: bool) -> Path:
-    """Bench and designs as an executable with cocotb inside. Verilator's own runtime is compiled once per machine."""
+    """Bench and designs as an executable with cocotb inside. Verilator's own runtime is compiled once per machine.
+
+    make hands paths to a shell: those within the build are relative, so no name of a folder gets there.
+    """
     import cocotb_tools.config as config
 
     libs = config.libs_dir
     run_logged(
         [
             *("verilator", "--cc", "--exe", "--vpi", "--quiet", "--prefix", "Vtop", "--top-module", "bench"),
-            *("-Mdir", str(folder), "-o", "bench", "--timescale", "1ns/1ns", "-Wno-lint", "-Wno-MULTIDRIVEN"),
+            *("-Mdir", ".", "-o", "bench", "--timescale", "1ns/1ns", "-Wno-lint", "-Wno-MULTIDRIVEN"),
             *("--x-initial", "unique", "-O3"),
             *(["--trace"] if waves else []),
             *("-LDFLAGS", f"-Wl,-rpath,{libs} -L{libs} -lcocotbvpi_verilator"),
             str(config.share_dir / "lib" / "verilator" / "verilator.cpp"),
-            *map(str, sources),
-            str(bench),
+            *(os.path.relpath(source, folder) for source in (*sources, bench)),
         ],
         folder / "verilator.log",
         environment,
@@ -319,7 +321,7 @@ def build(bench: Path, sources: list[Path], folder: Path, environment: dict[str,
             shutil.copy(cache / name, folder / name)
     jobs = str(os.cpu_count() or 1)
     run_logged(
-        ["make", "-j", jobs, "-C", str(folder), "-f", "Vtop.mk", f"VM_TRACE={int(waves)}", *OPTIONS],
+        ["make", "-j", jobs, "-f", "Vtop.mk", f"VM_TRACE={int(waves)}", *OPTIONS],
         folder / "make.log",
         environment,
     )

