@@ -8,6 +8,7 @@
 import json
 import math
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from difflib import get_close_matches
 from enum import StrEnum
@@ -76,8 +77,8 @@ def _deeper(value: object, depth: int) -> bool:
 def _unrepeated(pairs: list[tuple[str, object]]) -> dict:
     found = dict(pairs)
     if len(found) < len(pairs):
-        names = [name for name, _ in pairs]
-        raise ValueError(f"the entry {shown(next(n for n in names if names.count(n) > 1))} stands twice")
+        counts = Counter(name for name, _ in pairs)
+        raise ValueError(f"the entry {shown(max(counts, key=counts.get))} stands twice")
     return found
 
 

@@ -15,7 +15,8 @@ from greygate.contents import contents
 from greygate.errors import InputError
 
 LARGEST = 1e30  # of a cell: above any quantity; its eighth power, in correlations of squares, stays within float64
-MOST_BYTES = 2**31  # of a table, packed or not: a recording is far smaller, a gzip bomb or a device is not
+MOST_BYTES = 2**31  # of a table: a recording is far smaller, a device is not
+MOST_UNPACKED = 2**28  # of a gzipped one: two seconds of unpacking, after which it is no recording but a bomb
 SHOWN = 40  # characters of a cell that a message quotes
 
 _PLAIN = b"0123456789+-.eE \r\n"  # what stands in a file of decimal numbers, beside its separator
@@ -84,16 +85,16 @@ def read_table(path: Path | str, nan: bool = False) -> Table:
 def _text(path: Path) -> str:
     try:
         data = contents(path, MOST_BYTES)
-        if data.startswith(_GZIP):
+        if packed := data.startswith(_GZIP):
             with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
-                data = file.read(MOST_BYTES + 1)
+                data = file.read(MOST_UNPACKED + 1)
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise InputError(f"{path}: is no whole gzip file ({error}); pack it again") from None
     except (OSError, ValueError) as error:  # a path may hold what no path can
         why = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read ({why}); check the path") from None
-    if len(data) > MOST_BYTES:
-        raise InputError(f"{path}: holds more than {MOST_BYTES} bytes; cut the recording")
+    if len(data) > MOST_UNPACKED and packed:
+        raise InputError(f"{path}: unpacks to more than {MOST_UNPACKED} bytes; unpack it, or cut the recording")
     wish = "save it as UTF-8 CSV"
     if kind := _MARKS.get(data[:2]):
         raise InputError(f"{path}: is not a CSV text file in UTF-8 but in {kind}; {wish}")

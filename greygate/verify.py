@@ -6,6 +6,7 @@ One build holds any number of designs, so that many small programs cost little m
 import hashlib
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -118,10 +119,11 @@ def verify_many(
     for case in cases:
         verilog_names(case.program)
     folder = Path(folder).resolve()
+    if re.search(r"\s", str(folder)):
+        raise InputError(f"{folder}: make builds nothing where a folder's name holds a space; rename it, or move away")
     with writing(folder, "make this folder"):
         (folder / "build").mkdir(parents=True, exist_ok=True)
     seed = int(np.random.SeedSequence().entropy % (1 << 31)) if seed is None else seed
-    print(f"verify: seed {seed}", file=sys.stderr)
     designs, sources = [], []
     for i, case in enumerate(cases):
         sources += case.sources(folder)
@@ -140,6 +142,7 @@ def verify_many(
         old.unlink(missing_ok=True)
     simulate(executable, folder, junit, seed, environment, waves)
     ended = time.perf_counter()
+    print(f"verify: seed {seed}", file=sys.stderr)
     if not verdicts.exists() or not junit.exists():
         raise InputError(f"{folder / 'sim.log'}: the simulation ended without results; its last lines say why")
     found = {(v["design"], v["scenario"]): v for v in json.loads(verdicts.read_text())}

@@ -428,7 +428,8 @@ def test_an_accumulator_holds_its_largest_sum_with_the_constant_that_rounds_it()
     def rounded(weight: int, bias: int, shift: int, argument: Fix) -> Program:
         u, out = Signal("u", 1, argument), Signal("y", 1, Fix(16, 0))
         arrays = np.array([[weight]]), np.array([bias]), np.array([shift])
-        return Program("rounded", (ProgramPort("u", u, "1", 1.0, 0.0),), (), (Affine(out, ("u",), *arrays),), ())
+        ports = (ProgramPort(s.name, s, "1", 1.0, 0.0) for s in (u, out))
+        return Program("rounded", (next(ports),), (), (Affine(out, ("u",), *arrays),), tuple(ports))
 
     p = rounded(1, 127, 7, Fix(8, 0))  # at most 128 + 127, which 9 bits hold, and 64 to round
     width = p.accumulator_width(p.operations[0])
