@@ -48,7 +48,7 @@ NAMED = {  # what it is: (file, old, new); old stands there once
     ),
     "the mean of what rounded weights cost is not made up for": (
         "compiler/quantize.py",
-        "bias += (w - codes * 2.0**-own) @ self.ranges[_origin(signal.name)].mean",
+        "bias += product(rounded, self.ranges[_origin(signal.name)].mean)",
         "bias += 0.0",
     ),
     "memory by 1/(1 - a)": ("compiler/quantize.py", "return 1 / (1 - pole**2)", "return 1 / (1 - pole)"),
