@@ -4,7 +4,9 @@ import errno
 import os
 import stat
 from pathlib import Path
+from typing import BinaryIO
 
+CHUNK = 1 << 20  # bytes read at a time
 LARGEST = 1 << 26  # bytes: a hundred times the largest file that greygate writes, but for recordings
 
 
@@ -17,7 +19,17 @@ def contents(path: Path | str, most: int = LARGEST) -> bytes:
         status = os.fstat(file.fileno())
         if not stat.S_ISREG(status.st_mode):
             raise OSError(errno.EINVAL, "is no plain file", str(path))
-        data = file.read(most + 1) if status.st_size <= most else b""
-        if status.st_size > most or len(data) > most:
+        data = bounded(file, most) if status.st_size <= most else None
+        if data is None:
             raise OSError(errno.EFBIG, f"is larger than {most} bytes", str(path))
         return data
+
+
+def bounded(file: BinaryIO, most: int) -> bytes | None:
+    """The rest of an open file, or None where it is more than `most` bytes; memory grows with what is there."""
+    parts, size = [], 0
+    while part := file.read(CHUNK):
+        parts.append(part)
+        if (size := size + len(part)) > most:
+            return None
+    return b"".join(parts)

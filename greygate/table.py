@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.contents import contents
+from greygate.contents import bounded, contents
 from greygate.errors import InputError
 
 LARGEST = 1e30  # of a cell: above any quantity; its eighth power, in correlations of squares, stays within float64
@@ -85,15 +85,15 @@ def read_table(path: Path | str, nan: bool = False) -> Table:
 def _text(path: Path) -> str:
     try:
         data = contents(path, MOST_BYTES)
-        if packed := data.startswith(_GZIP):
+        if data.startswith(_GZIP):
             with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
-                data = file.read(MOST_UNPACKED + 1)
+                data = bounded(file, MOST_UNPACKED)
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise InputError(f"{path}: is no whole gzip file ({error}); pack it again") from None
     except (OSError, ValueError) as error:  # a path may hold what no path can
         why = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read ({why}); check the path") from None
-    if len(data) > MOST_UNPACKED and packed:
+    if data is None:
         raise InputError(f"{path}: unpacks to more than {MOST_UNPACKED} bytes; unpack it, or cut the recording")
     wish = "save it as UTF-8 CSV"
     if kind := _MARKS.get(data[:2]):

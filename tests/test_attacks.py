@@ -1,16 +1,18 @@
 """What a folder that came by mail does to the machine of whoever opens it: nothing."""
 
+import gzip
 import os
 import shutil
 import subprocess
 import sys
 import time
+import tracemalloc
 from pathlib import Path
 
 import pytest
 from test_network import delay_line
 
-from greygate import project, verify
+from greygate import project, table, verify
 from greygate.compiler.quantize import Formats
 from greygate.contents import contents
 from greygate.emulator.program import Program
@@ -177,3 +179,14 @@ def test_a_header_of_100000_columns_takes_no_square_of_their_number(tmp_path):
     start = time.process_time()
     assert read_table(tmp_path / "a.csv").header == names
     assert time.process_time() - start < 5  # s; comparing all pairs takes a minute
+
+
+def test_a_small_archive_of_a_huge_recording_is_refused_without_unpacking_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(table, "MOST_UNPACKED", 10_000_000)
+    (tmp_path / "bomb.csv").write_bytes(gzip.compress(b"t_s,x_m\n" + b"\0" * 30_000_000, 1))
+    tracemalloc.start()
+    with pytest.raises(InputError, match=r"bomb\.csv: unpacks to more than 10000000 bytes; unpack it"):
+        read_table(tmp_path / "bomb.csv")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20_000_000
