@@ -268,9 +268,7 @@ def test_a_file_that_is_no_text_is_refused_with_what_to_do(entrance, case):
 def test_an_archive_that_unpacks_without_end_is_not_unpacked(entrance, monkeypatch):
     header, read = entrance
     monkeypatch.setattr("greygate.table.MOST_UNPACKED", 1000)
-    refused(
-        read, gzip.compress((header + "\n" + BODY * 1000).encode()), "unpacks to more than 1000 bytes"
-    )
+    refused(read, gzip.compress((header + "\n" + BODY * 1000).encode()), "unpacks to more than 1000 bytes")
 
 
 @pytest.mark.parametrize(("name", "phrase"), [(".", "Is a directory"), ("none.csv", "No such file"), ("a\0b", "null")])
