@@ -20,7 +20,6 @@ import numpy as np
 from greygate.compiler.pipeline import compile_network, float_error
 from greygate.compiler.prune import Round
 from greygate.errors import InputError
-from greygate.files import replacing
 from greygate.measured import TRAINED
 from greygate.models.network import Network
 from greygate.models.problem import Record
@@ -78,9 +77,7 @@ class Kept:
             "network": digest(smaller),
             "rounds": [asdict(r) for r in rounds],
         }
-        smaller.save(PRUNED / self.name)
-        with replacing(PRUNED / f"{self.name}.json") as path:
-            path.write_text(json.dumps(facts, indent=1) + "\n", encoding="utf-8")
+        smaller.save(PRUNED / self.name, json.dumps(facts, indent=1) + "\n")
 
     def _made_of(self, network: Network, allowed: float, options: Mapping) -> dict:
         method = options.get("weights")
