@@ -1,5 +1,6 @@
 """The command line. Results go to stdout, messages to stderr; exit 0 done, 1 the answer is no, 2 wrong use."""
 
+import io
 import json
 import os
 import re
@@ -651,8 +652,7 @@ def reveal(
 def run() -> None:
     """Entry point: a user's mistake is one line on stderr and exit code 2, Ctrl-C one line and 130, `kill` 143."""
     signal.signal(signal.SIGTERM, _terminated)
-    os.environ["PYTHONSAFEPATH"] = "1"  # workers import nothing from the current folder, which may be a stranger's
-    if sys.stdout is not None:
+    if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a path may hold what no text can
     try:
         code = app(standalone_mode=False) or 0

@@ -3,8 +3,9 @@
 import csv
 import json
 import math
+import os
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -49,6 +50,7 @@ EXPERIMENTS = {
 }
 """Variable -> the experiment in which it alone changes."""
 
+SAFE_PATH = "PYTHONSAFEPATH"  # set, Python imports nothing from the folder in which it is started
 SIMULATED = 3  # alternatives whose experiment is found by simulation
 
 
@@ -106,7 +108,7 @@ def explain_all(
             raise InputError(f"{path}: no such folder; of several rigs --out and --html name folders, make it")
     tasks = (delayed(_attempt)(folder, html is not None, own) for folder in folders)
     results = {}
-    for name, made in zip(names, Parallel(jobs, return_as="generator")(tasks), strict=True):
+    for name, made in zip(names, _by_workers(jobs, tasks), strict=True):
         try:
             if isinstance(made, InputError):
                 raise made
@@ -127,6 +129,17 @@ def _attempt(folder: Path, page: bool, own: Sequence[Path]) -> "Explained | Inpu
         return Explained.of(folder, page, own)
     except InputError as error:
         return error
+
+
+def _by_workers(jobs: int | None, tasks: Iterable) -> Iterator:
+    """Results in order. The workers import nothing from the current folder, which may be a stranger's."""
+    before = os.environ.get(SAFE_PATH)
+    os.environ[SAFE_PATH] = "1"
+    try:
+        yield from Parallel(jobs, return_as="generator")(tasks)
+    finally:
+        del os.environ[SAFE_PATH]
+        os.environ.update({SAFE_PATH: before} if before is not None else {})
 
 
 @dataclass(frozen=True)

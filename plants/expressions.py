@@ -30,7 +30,7 @@ WHOLE = 1 << 16  # up to it whole numbers stay whole in the source: numba multip
 
 _SPACE = re.compile(r"(?:[ \t\r\n]++|#[^\r\n]*+)*+")  # and comments
 _TOKEN = re.compile(
-    r"(?P<number>(?>(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)(?:[eE][+-]?[0-9]++)?+)(?![A-Za-z0-9_.]))"
+    r"(?P<number>(?>(?:(?:0|[1-9][0-9]*+)(?:\.[0-9]*+)?+|\.[0-9]++)(?:[eE][+-]?[0-9]++)?+)(?![A-Za-z0-9_.]))"
     r"|(?P<name>[A-Za-z_][A-Za-z0-9_]*+)|(?P<sign>\*\*|[-+*/(),])"
 )
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -153,7 +153,7 @@ def parse(text: str) -> Expression:
 def _parsed(text: str) -> Expression:
     parser = _Parser(text)
     tree = parser.whole()
-    return Expression(tree, tuple(parser.names), _computed(tree))
+    return Expression(tree, tuple(parser.names), _quiet(_computed(tree)))
 
 
 def names(expressions: Iterable[str]) -> set[str]:
@@ -287,16 +287,14 @@ def _divided(a, b):
     try:
         return a / b
     except ZeroDivisionError:
-        with np.errstate(all="ignore"):
-            return np.float64(a) / np.float64(b)
+        return np.float64(a) / np.float64(b)
 
 
 def _raised(a, b):
     try:
         power = a**b
     except (ZeroDivisionError, OverflowError):
-        with np.errstate(all="ignore"):
-            power = np.float64(a) ** np.float64(b)
+        power = np.float64(a) ** np.float64(b)
     return np.nan if isinstance(power, complex) else power
 
 
@@ -323,6 +321,16 @@ def _constant(*parts: Node, of: Callable) -> float | None:
         return None
     with np.errstate(all="ignore"):
         return float(of(*values))
+
+
+def _quiet(compute: Callable[[Mapping], np.ndarray | float]) -> Callable[[Mapping], np.ndarray | float]:
+    """The same without NumPy's warnings: 1 / 0 is inf here, as in the compiled simulation, and no news."""
+
+    def over(scope: Mapping) -> np.ndarray | float:
+        with np.errstate(all="ignore"):
+            return compute(scope)
+
+    return over
 
 
 def _computed(node: Node) -> Callable[[Mapping], np.ndarray | float]:

@@ -13,7 +13,6 @@ def greygate(monkeypatch, capsys):
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["greygate", *map(str, arguments)])
-        monkeypatch.setenv("PYTHONSAFEPATH", "1")  # the command sets it; the tests after this one go without
         capsys.readouterr()
         with pytest.raises(SystemExit) as stopped:
             cli.run()

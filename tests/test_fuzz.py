@@ -103,7 +103,7 @@ def open_expression(folder: Path) -> None:
         head = {"schema": "diagnosis/1", "plant": place["plant"], "verdict": "missing_physics"}
         diagnosis = {**head, "effects": [effect], "parameters": {}}
     _simulated(folder, changed, diagnosis, {})
-    strange = [type(node).__name__ for node in ast.walk(ast.parse(text.strip())) if not isinstance(node, ARITHMETIC)]
+    strange = [type(node).__name__ for node in ast.walk(ast.parse(f"({text}\n)")) if not isinstance(node, ARITHMETIC)]
     assert not strange, f"accepted although it is no arithmetic: {strange}"
 
 
