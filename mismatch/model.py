@@ -153,6 +153,7 @@ class Model:
         half = max(round(0.01 / self.rig.dt), 2)
         return savgol_filter(self.recording[channel], 2 * half + 1, 2, deriv=1, delta=self.rig.dt)
 
+    @np.errstate(over="ignore", invalid="ignore")  # a reading may be infinite
     def _unread(self, channel: str, read: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
         """The state that a channel shows as `read`."""
         state = read
@@ -180,6 +181,7 @@ class Model:
             self._last = key, self._compiled.run(inputs, self.restarts, starts, self.reset, values)
         return self._last[1], signals
 
+    @np.errstate(over="ignore", invalid="ignore")  # a run may diverge
     def predict(self, values: Mapping[str, float], shifts: np.ndarray | None = None) -> np.ndarray:
         """Predicted channels (samples, predict), in the order of `rig.predict`."""
         states, signals = self.states(values, shifts)
