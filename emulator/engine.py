@@ -106,7 +106,7 @@ def _tabulate(program: Program) -> _Arrays:
         np.array([first[p.signal.name] + i for p in program.inputs for i in range(p.signal.size)], np.int64),
         np.array([first[p.signal.name] + i for p in program.outputs for i in range(p.signal.size)], np.int64),
         at,
-        max(widest, 4),
+        widest,
     )
 
 

@@ -311,6 +311,17 @@ def test_a_budget_gives_the_cheapest_formats_that_meet_it():
     assert bits[0] < bits[1]
 
 
+def test_a_budget_that_allows_anything_ends_at_four_bits():
+    network = train(feedforward("f", ["u", "p"], [6], 1), [flow_record()], epochs=30).network
+    program = compile_network(network, {"grid": flow_record()}, budget=1e6).program
+    assert min(s.fix.width for s in program.signals.values()) == 4
+
+
+def test_a_square_is_held_to_the_end_of_its_format():
+    table = make_table("square", Fix(12, 8), Fix(10, 6))  # arguments up to 8, results up to 8: beyond they saturate
+    assert table.worst_error <= 1.25 * table.out.lsb
+
+
 def test_a_program_comes_back_from_its_file_the_same(tmp_path):
     program, codes = random_program(8)
     program.save(tmp_path / "program.json")

@@ -215,6 +215,12 @@ def test_a_fraction_far_from_that_of_the_result_is_refused_at_once(frac):
         program_of(affine(out(), 0, frac)).check()
 
 
+def test_one_row_whose_fraction_is_far_off_is_enough():
+    two = affine(out(size=2), 0, 0)
+    with pytest.raises(InputError, match="a row's fraction is more than 62 bits"):
+        program_of(replace(two, frac=np.array([0, 10**6]))).check()
+
+
 def test_weights_that_are_not_integers_are_refused():
     o = affine(out(), 0, 0)
     with pytest.raises(InputError, match="not integers of 64 bits"):

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from greygate.errors import InputError
 from greygate.plants import Definition, Equation, Parameter, Plant, State, simulate
-from greygate.plants.simulate import _module, source
+from greygate.plants.simulate import Restarted, _module, source
 
 PARAMETERS = {"mass": Parameter(2.0, "kg", 0.1, "of the slide"), "stiffness": Parameter(50.0, "N/m")}
 
@@ -239,6 +239,17 @@ def test_a_state_that_leaves_the_finite_numbers_is_named_with_its_time():
     plant = oscillator(states={"x": State("m", 0.1), "v": State("m/s")}).with_term("motion", "runaway", "1e4 * x**3")
     with pytest.raises(InputError, match=r"state x is not finite at 0\.\d+ s; check parameters"):
         simulate(plant, {"force": np.zeros(2000)})
+
+
+def test_a_run_ends_at_the_sample_at_which_a_state_leaves_the_finite_numbers():
+    plant = Plant("tank", {}, {"u": "1"}, {"x": State("1")}, {"level": Equation("x", {"in": "u * u"})}, ("x",))
+    u = np.zeros(8)
+    u[3] = 1e200  # from the third sample to the fourth
+    with pytest.raises(InputError, match=r"state x is not finite at 0\.004 s"):
+        simulate(plant, {"u": u})
+    free = Restarted(plant, 1e-3, 1e-4)
+    states = free.run(u[:, None], np.array([0]), np.zeros((1, 1)), np.array([True]), {})
+    np.testing.assert_array_equal(states[:, 0], [0, 0, 0, 0, *[np.nan] * 4])
 
 
 def test_a_comment_or_a_line_break_in_an_expression_changes_nothing():

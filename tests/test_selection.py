@@ -61,6 +61,19 @@ def test_so_is_a_pair(chosen, monkeypatch, cost, held, taken):
     assert best == (both if taken else NOTHING)
 
 
+def test_a_pair_needs_more_evidence_where_errors_hang_together(chosen, monkeypatch):
+    monkeypatch.setattr(selection, "inflation", lambda fit: 2.0)
+    both = Hypothesis(("drift", "slip"))
+    chosen.search.pairs = lambda *_: [SimpleNamespace(hypothesis=both, values={})]
+    monkeypatch.setattr(chosen, "fit", lambda *_, **__: (fit(1000.0 - 1.5 * EVIDENCE, 900.0), True))
+    assert chosen.paired(NOTHING, chosen.plain, chosen.plain)[0] == NOTHING
+
+
+def test_where_nothing_can_be_explained_a_fit_explains_nothing(chosen, monkeypatch):
+    monkeypatch.setattr(chosen, "explicable", lambda fit: 0.0)
+    assert chosen.explained(chosen.plain) == 0.0
+
+
 def test_beside_an_effect_of_acceleration_a_small_second_one_must_do_better_than_any_other(chosen, monkeypatch):
     monkeypatch.setattr(selection, "blurred", lambda fit: True)
     both, alike = Hypothesis(("slip", "drift")), Hypothesis(("slip", "creep"))
