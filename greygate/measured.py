@@ -15,14 +15,15 @@ from time import monotonic
 
 import numpy as np
 
-from greygate import models
+from greygate import models, recordings
 from greygate.errors import InputError
 from greygate.models.network import Network
 from greygate.models.problem import Problem, Record
 from greygate.models.training import Fit, Outcome
 from greygate.reading import read_json
 
-ROOT = Path(__file__).resolve().parents[1]
+RECORDINGS = Path(recordings.__file__).resolve().parent
+ROOT = RECORDINGS.parent  # of a checkout, or of the package
 TRAINED = Path(models.__file__).resolve().parent / "trained"
 PRIOR = 1e-4  # weight of a start that is near rest against one squared normalised error
 
@@ -105,7 +106,7 @@ def find(recording: str, published: str) -> Path:
     Raises InputError saying where it is published and where to put it.
     """
     given = os.environ.get("GREYGATE_RECORDINGS")
-    places = [ROOT / "recordings", *([Path(given)] if given else []), ROOT.parent / "shared" / "recordings"]
+    places = [RECORDINGS, *([Path(given)] if given else []), ROOT.parent / "shared" / "recordings"]
     for place in places:
         if (place / recording).is_dir():
             return place / recording

@@ -1,0 +1,1 @@
+"""Measured recordings, a folder each, with source, licence and columns in its SOURCE.md."""
