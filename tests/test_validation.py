@@ -169,7 +169,7 @@ def test_a_right_model_passes_and_one_that_lacks_a_lag_says_which():
         assert not blamed.passed
         assert blamed.lags[np.argmax(blamed.values)] == 2
         innocent += [t.passed for name, t in found.items() if name != "phi_ee"]
-    assert np.mean(innocent) >= 0.99  # the level of each test
+    assert np.count_nonzero(np.logical_not(innocent)) <= 1  # of 60, each of which is meant to fail in 1 %
 
 
 def test_what_chance_may_bring_about_does_not_hang_on_the_eigenvectors_that_a_processor_takes(monkeypatch):
