@@ -366,3 +366,12 @@ def test_a_fit_that_begins_far_away_comes_back_by_shorter_steps(folder, start):
         fit = p.fit(unknowns(), start, iterations=60)
     assert fit.converged
     assert fit.cost == pytest.approx(p.fit(unknowns()).cost, abs=0.5)
+
+
+def test_a_fit_ends_well_where_a_step_saves_less_than_asked_for(folder):
+    p = problem(folder, None)
+    start = {"mass": 20.5}
+    once, whole = p.fit(unknowns(), start, slack=1e9), p.fit(unknowns(), start)
+    assert once.converged
+    assert whole.cost < once.cost < p.fit(unknowns(), start, iterations=0).cost  # it took that one step
+    assert not p.fit(unknowns(), start, iterations=1).converged  # of which it does not know how good it is

@@ -235,3 +235,46 @@ def test_over_the_same_windows_a_rival_that_gave_up_near_the_best_is_fitted_to_i
     longer, best, found = chosen.over(chosen.problem, DRIFT, chosen.fits[DRIFT])
     assert asked == [SLIP]  # a tenth of what the best saves is 90
     assert (longer, best, found.cost) == (chosen, SLIP, 60.0)
+
+
+def over_longer_windows(chosen, monkeypatch, costs: dict, unknowns: dict):
+    """(What fits over longer windows are asked for, what is chosen of them); `costs` there, of so many unknowns."""
+    monkeypatch.setattr(selection, "whole", lambda fit: True)
+    asked, final = [], SimpleNamespace(count=1000)
+
+    def made(h: Hypothesis, cost: float):
+        return SimpleNamespace(cost=cost, converged=True, values={}, shifts=None, unknowns=("k",) * unknowns[h])
+
+    def fitted(self, hypothesis, *_):
+        assert self.problem is final
+        asked.append(hypothesis)
+        self.add(hypothesis, made(hypothesis, costs[hypothesis]))
+
+    monkeypatch.setattr(Selection, "fit", fitted)
+    _, best, _ = chosen.over(final, DRIFT, chosen.fits[DRIFT])
+    return asked, best
+
+
+def short(chosen, costs: dict) -> None:
+    chosen.search.effects = {e.key: e for e in map(effect, ("drift", "slip", "creep"))}
+    for h, cost in costs.items():
+        chosen.add(h, SimpleNamespace(cost=cost, converged=True, values={}, shifts=None, unknowns=("k",)))
+
+
+def test_rivals_nearly_as_good_as_the_best_are_seen_over_longer_windows_and_no_others(chosen, monkeypatch):
+    creep = Hypothesis(("creep",))
+    chosen.problem.count = 1000  # a twentieth of the readings are 50; half of what the best saves are 450
+    short(chosen, {DRIFT: 100.0, SLIP: 149.0, creep: 151.0})
+    each = {DRIFT: 300.0, SLIP: 200.0, creep: 100.0}
+    asked, best = over_longer_windows(chosen, monkeypatch, each, dict.fromkeys(each, 1))
+    assert asked == [DRIFT, SLIP]
+    assert best == SLIP
+
+
+def test_over_longer_windows_an_unknown_more_costs_the_logarithm_of_the_readings(chosen, monkeypatch):
+    chosen.problem.count = 1000
+    for saves, better in ((6.0, DRIFT), (8.0, SLIP)):  # the logarithm of 1000 is 6.9
+        chosen.best.clear()
+        short(chosen, {DRIFT: 100.0, SLIP: 120.0})
+        each = {DRIFT: 300.0, SLIP: 300.0 - saves}
+        assert over_longer_windows(chosen, monkeypatch, each, {DRIFT: 3, SLIP: 4})[1] == better
