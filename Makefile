@@ -62,9 +62,9 @@ bench-training: $(VENV)/.ready-dev $(PEERS)/.ready
 	$(BIN)/python benchmarks/systems.py
 
 train: $(VENV)/.ready
-	$(BIN)/python -m greygate.models.library
+	$(BIN)/python -m greygate.models.families.library
 	for name in valve_cylinder asymmetric_cylinder pump_cylinder cable_drum belt_drive mts crane tanks b2; do $(BIN)/greygate train $$name || exit 1; done
-	$(BIN)/python -m greygate.pruned
+	$(BIN)/python -m greygate.machines.pruned
 
 clean:
 	rm -rf $(OUT) build *.egg-info

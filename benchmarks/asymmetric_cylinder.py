@@ -12,13 +12,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 from valve_cylinder import TAIL, at_rest, free_run, one_step
 
-from greygate.asymmetric_cylinder import SCENARIOS, records
-from greygate.models.blocks import nguyen_widrow
+from greygate.machines.asymmetric_cylinder.plant import SAMPLE_TIME
+from greygate.machines.asymmetric_cylinder.study import SCENARIOS, records
+from greygate.models.families.blocks import nguyen_widrow
+from greygate.models.families.regression import noe
 from greygate.models.network import Port
-from greygate.models.problem import Record
-from greygate.models.regression import noe
-from greygate.models.training import Outcome, narx_noe, train
-from greygate.plants.asymmetric_cylinder import SAMPLE_TIME
+from greygate.models.training.levenberg import Outcome, narx_noe, train
+from greygate.models.training.problem import Record
 
 INPUTS = {Port("u", "V", 5.0): (0, 1), Port("x", "m", 0.05): (0, 1), Port("v", "m/s", 0.2): (0, 1)}
 CHAMBERS = {"p_a": Port("p_a", "Pa", 30e5, 40e5), "p_b": Port("p_b", "Pa", 60e5, 75e5)}

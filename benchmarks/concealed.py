@@ -33,7 +33,7 @@ FIELDS = (
 def case(plant: str, kind: str, seed: int) -> dict:
     """Draw, diagnose and score one case."""
     from greygate.mismatch import rig as rigs
-    from greygate.mismatch.conceal import conceal, reveal
+    from greygate.mismatch.concealed.conceal import conceal, reveal
     from greygate.mismatch.diagnosis import diagnose
     from greygate.mismatch.simulation import simulate
 

@@ -12,11 +12,11 @@ from pathlib import Path
 
 from verilator_bench import measure
 
-from greygate.catalog import entry
 from greygate.compiler.pipeline import compile_network
 from greygate.emulator.engine import run
 from greygate.emulator.interpreter import interpret
-from greygate.verify import Scenario, verify
+from greygate.hardware.verify import Scenario, verify
+from greygate.machines.catalog import entry
 
 REPEATS = 7
 SLOW_STEPS = 2000  # for the interpreter

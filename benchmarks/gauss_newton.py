@@ -12,8 +12,8 @@ from time import process_time
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from greygate import catalog
-from greygate.models.problem import Problem
+from greygate.machines import catalog
+from greygate.models.training.problem import Problem
 
 
 def timed(work, repeats: int) -> list[float]:

@@ -14,8 +14,8 @@ from greygate.compiler.ranges import ranges
 from greygate.compiler.simplify import simplify
 from greygate.emulator.interpreter import interpret
 from greygate.errors import InputError
-from greygate.measured import stored
-from greygate.studies import STUDIES
+from greygate.machines.measured.identification import stored
+from greygate.machines.measured.studies import STUDIES
 
 
 def rms(x):

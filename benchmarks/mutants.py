@@ -33,7 +33,7 @@ from threading import Event
 from mutations import ROOT, Mutant, drawn, named
 
 SKIPPED = {".git", ".venv", ".hypothesis", ".pytest_cache", ".ruff_cache", "build", "demo", "hardware", "__pycache__"}
-PRODUCT = ("greygate", "models", "compiler", "emulator", "rtl", "plants", "mismatch")
+PRODUCT = ("greygate", "models", "compiler", "emulator", "rtl", "plants", "mismatch", "machines")
 PART = 60.0  # s of test files that run in one process
 SLOW = 3.0  # times the usual duration kill a mutant
 SLACK = 60.0  # s beside that, in which numba compiles anew

@@ -11,7 +11,7 @@ ROOT = Path(__file__).resolve().parents[1]
 AREAS = {
     "compiler": "compiler/*.py",
     "emulator": "emulator/*.py",
-    "kernels": "models/kernels.py",
+    "kernels": "models/training/kernels.py",
     "fit": "mismatch/fit.py",
     "selection": "mismatch/selection.py",
     "simulate": "plants/simulate.py",
@@ -58,12 +58,12 @@ NAMED = {  # what it is: (file, old, new); old stands there once
         "signed_width(int(m))",
     ),
     "a hard limit of slope 1": (
-        "models/kernels.py",
+        "models/training/kernels.py",
         "if activation in (HARDLIM, HARDLIMS):\n        return 0.0, o",
         "if activation in (HARDLIM, HARDLIMS):\n        return 1.0, o",
     ),
     "a held-out tail counts what its record skips": (
-        "models/problem.py",
+        "models/training/problem.py",
         "skip=max(h, r.skip)",
         "skip=h",
     ),

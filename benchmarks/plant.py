@@ -5,7 +5,8 @@ import time
 
 import numpy as np
 
-from greygate.plants import prms, simulate, valve_cylinder
+from greygate.machines.valve_cylinder import plant as valve_cylinder
+from greygate.plants import prms, simulate
 
 
 def seconds(supply: str, runs: int = 9) -> tuple[float, float]:

@@ -95,7 +95,7 @@ def main() -> None:
 
 
 def _all() -> list[str]:
-    from greygate.catalog import CATALOG
+    from greygate.machines.catalog import CATALOG
 
     return [*CATALOG, *(name + PRUNED for name, entry in CATALOG.items() if entry.prune)]
 

@@ -11,11 +11,11 @@ from greygate.compiler.prune import output_errors, prune_by_entropy
 from greygate.compiler.saliency import METHODS, Method, Step, prune_by_saliency
 from greygate.compiler.simplify import parameter_count
 from greygate.errors import InputError
+from greygate.machines.benchmark_systems.plant import b2, b2_input, b2_test_input
+from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
-from greygate.models.problem import Record
-from greygate.models.regression import noe
-from greygate.models.training import train
-from greygate.plants.benchmarks import b2, b2_input, b2_test_input
+from greygate.models.training.levenberg import train
+from greygate.models.training.problem import Record
 
 SIZES = (341, 300, 270, 244, 220, 200, 170, 140, 110, 80)
 DECAY = 1e-6

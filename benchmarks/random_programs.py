@@ -22,7 +22,7 @@ from oracle import differing_bits, perform
 from greygate.emulator.engine import run
 from greygate.emulator.interpreter import Run, interpret
 from greygate.emulator.program import Program
-from greygate.verify import Case, Scenario, verify_many
+from greygate.hardware.verify import Case, Scenario, verify_many
 
 ROOT = Path(__file__).parents[1]
 STEPS = 24

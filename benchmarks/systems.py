@@ -1,7 +1,8 @@
 """The thesis's benchmark systems over 10 seeds: training MSE and free-run RMSE, pruned and not, median and worst.
 
 python benchmarks/systems.py [SEEDS] : writes benchmarks/results/systems.csv, a line for each seed and network, and
-prints the table. A seed is the whole procedure, its starts chosen on held-out records (greygate/benchmark_systems.py).
+prints the table. A seed is the whole procedure, its starts chosen on held-out records
+(machines/benchmark_systems/study.py).
 """
 
 import csv
@@ -12,7 +13,7 @@ from statistics import median
 
 from threadpoolctl import threadpool_limits
 
-from greygate.benchmark_systems import SYSTEMS, THESIS, figures, identify, prune
+from greygate.machines.benchmark_systems.study import SYSTEMS, THESIS, figures, identify, prune
 
 RESULTS = Path(__file__).parent / "results" / "systems.csv"
 PRUNED = ("b1_30", "b2")

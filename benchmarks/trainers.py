@@ -67,10 +67,10 @@ class EndError(Exception):
 
 
 def greygate(case, start):
+    from greygate.models.families.regression import noe
     from greygate.models.network import Port
-    from greygate.models.problem import Record
-    from greygate.models.regression import noe
-    from greygate.models.training import train
+    from greygate.models.training.levenberg import train
+    from greygate.models.training.problem import Record
 
     network = noe("n", {Port("u"): case.inputs}, Port("y"), case.feedback, case.sizes[1:-1], bypass=False)
     ports = [f"u_z{d}" for d in case.inputs] + [f"y_z{d}" for d in case.feedback]

@@ -19,12 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.models.blocks import nguyen_widrow
+from greygate.machines.benchmark_systems.plant import b1, b1_input, b2, b2_input
+from greygate.models.families.blocks import nguyen_widrow
+from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
-from greygate.models.problem import Record
-from greygate.models.regression import noe
-from greygate.models.training import train
-from greygate.plants.benchmarks import b1, b1_input, b2, b2_input
+from greygate.models.training.levenberg import train
+from greygate.models.training.problem import Record
 
 LOOSE = 100  # the NARX start's error over the goal
 HERE = Path(__file__).parent

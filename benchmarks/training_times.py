@@ -9,17 +9,17 @@ from collections.abc import Callable
 
 import numpy as np
 
-from greygate import asymmetric_cylinder as second
-from greygate import valve_cylinder as first
+from greygate.machines.asymmetric_cylinder import study as second
+from greygate.machines.benchmark_systems.plant import b1, b1_input, b2, b2_input
+from greygate.machines.procedure import rms
+from greygate.machines.valve_cylinder import study as first
 from greygate.models.adaptation import adopt
-from greygate.models.blocks import nguyen_widrow
+from greygate.models.families.blocks import nguyen_widrow
+from greygate.models.families.regression import regression
 from greygate.models.network import Network, Port
-from greygate.models.problem import Record
-from greygate.models.regression import regression
-from greygate.models.training import Fit, train
-from greygate.plants.benchmarks import b1, b1_input, b2, b2_input
+from greygate.models.training.levenberg import Fit, train
+from greygate.models.training.problem import Record
 from greygate.plants.excitation import prms
-from greygate.procedure import rms
 
 
 def timed(what: str, thesis: str, work: Callable[[], Fit], figure: Callable[[Fit], str]) -> Fit:

@@ -11,15 +11,15 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from greygate import catalog
-from greygate.models.blocks import nguyen_widrow
+from greygate.machines import catalog
+from greygate.machines.procedure import rms
+from greygate.machines.valve_cylinder.plant import valve_cylinder
+from greygate.machines.valve_cylinder.scenarios import SAMPLE_TIME, SAMPLES, measure, scenario
+from greygate.models.families.blocks import nguyen_widrow
+from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
-from greygate.models.problem import Problem, Record
-from greygate.models.regression import noe
-from greygate.models.training import Outcome, narx_noe, train
-from greygate.plants.scenarios import SAMPLE_TIME, SAMPLES, measure, scenario
-from greygate.plants.valve_cylinder import valve_cylinder
-from greygate.procedure import rms
+from greygate.models.training.levenberg import Outcome, narx_noe, train
+from greygate.models.training.problem import Problem, Record
 
 BAR = 1e5
 TAIL = 0.2

@@ -4,13 +4,13 @@ python benchmarks/valve_laps.py : the trained SRNN and the same with other valve
 zero lap, an overlapped and an underlapped valve, v1's voltage. RMS error in bar, chambers A / B.
 """
 
-from greygate import catalog
-from greygate.models.blocks import fit_flow
-from greygate.models.problem import Record
-from greygate.plants.scenarios import measure, scenario
-from greygate.plants.valve_cylinder import valve_cylinder
-from greygate.procedure import rms
-from greygate.valve_cylinder import FLOW_SEED, swap_flow
+from greygate.machines import catalog
+from greygate.machines.procedure import rms
+from greygate.machines.valve_cylinder.plant import valve_cylinder
+from greygate.machines.valve_cylinder.scenarios import measure, scenario
+from greygate.machines.valve_cylinder.study import FLOW_SEED, swap_flow
+from greygate.models.families.blocks import fit_flow
+from greygate.models.training.problem import Record
 
 LAP = 0.05  # of the stroke
 VALVES = {"zero-lapped": 0.0, "overlapped": LAP, "underlapped": -LAP}

@@ -15,7 +15,7 @@ import numpy as np
 from greygate.compiler.emit import emit
 from greygate.emulator.interpreter import interpret
 from greygate.emulator.program import Program
-from greygate.verify import lanes, run_logged, simulator_environment
+from greygate.hardware.verify import lanes, run_logged, simulator_environment
 
 MAIN = Path(__file__).with_name("verilator_main.cpp")
 

@@ -15,7 +15,7 @@ from greygate.emulator.engine import run
 from greygate.emulator.program import Affine, Program
 from greygate.models.arithmetic import mean, product
 from greygate.models.network import Network
-from greygate.models.problem import Problem, Record
+from greygate.models.training.problem import Problem, Record
 
 SAMPLES = 2000  # steps of all records together, evenly spread
 

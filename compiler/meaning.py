@@ -1,8 +1,8 @@
 """Library networks become the logic that they stand for: multiplexers and comparators for saturated tanh.
 
-A module whose `meaning` names a library network (models/library.py), and whose weights are still those of the library,
-is replaced by the form below that computes its function exactly. That is proved twice: its inputs stay within the
-library's stated range on every record; and for every code that the tested signal can have in the finished program, the
+A module whose `meaning` names a library network (models/families/library.py), and whose weights are still those of the
+library, is replaced by the form below that computes its function exactly. That is proved twice: its inputs stay within
+the library's stated range on every record; and for every code that the tested signal can have in the finished program, the
 library network and the exact form differ by no more than the library's stated worst error. In a gap, where the library
 network is not what it stands for, it is the function that the exact form has to equal. A module that fails keeps its
 network, and a remark says why. What was trained (sine, flow, ...) has no exact form and stays as it is.
@@ -17,9 +17,9 @@ import numpy as np
 
 from greygate.compiler.ranges import ranges, sums
 from greygate.emulator.program import Affine, Program, Threshold
-from greygate.models.library import Entry, recalled, rounded_up
+from greygate.models.families.library import Entry, recalled, rounded_up
 from greygate.models.network import Layer, Network
-from greygate.models.problem import Record
+from greygate.models.training.problem import Record
 
 FEW = 64  # codes up to which a signal's are listed one by one
 MANY = 1 << 17  # codes up to which all are tried; of more, those about zero, where alone tanh is not saturated

@@ -17,7 +17,7 @@ from greygate.emulator.program import Fix, Program
 from greygate.errors import InputError
 from greygate.models.arithmetic import mean
 from greygate.models.network import Network
-from greygate.models.problem import Problem, Record
+from greygate.models.training.problem import Problem, Record
 
 SAME = 1e-9  # largest relative change of any output that a simplification may cause
 WIDTHS = range(8, 33)

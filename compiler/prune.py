@@ -7,8 +7,8 @@ import numpy as np
 
 from greygate.compiler.simplify import Graph
 from greygate.models.network import Network
-from greygate.models.problem import Problem, Record
-from greygate.models.training import Outcome, train
+from greygate.models.training.levenberg import Outcome, train
+from greygate.models.training.problem import Problem, Record
 
 WORKING_RANGE = {
     "tansig": (-1.0, 1.0),

@@ -7,7 +7,7 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.models.arithmetic import mean, product, xp
 from greygate.models.network import ACTIVATIONS, Layer, Network
-from greygate.models.problem import Problem, Record
+from greygate.models.training.problem import Problem, Record
 
 IMAGE = {
     "tansig": (-1.0, 1.0),

@@ -16,8 +16,8 @@ from greygate.compiler.prune import WORKING_RANGE, Round, output_errors, retrain
 from greygate.compiler.simplify import Graph, fold_constants, parameter_count
 from greygate.errors import InputError
 from greygate.models.network import Network
-from greygate.models.problem import Problem, Record
-from greygate.models.training import blas
+from greygate.models.training.levenberg import blas
+from greygate.models.training.problem import Problem, Record
 
 RIDGES = (1e-8, 1e-6, 1e-4, 1e-2)  # of the Hessian, times its mean diagonal: far from a quadratic a small one strays
 

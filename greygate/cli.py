@@ -146,7 +146,7 @@ def train(
 
     Your own is resumed from OUT/NAME.checkpoint if it was interrupted. Exit code 1 if its free run diverges.
     """
-    from greygate.catalog import CATALOG, TRAINED, entry
+    from greygate.machines.catalog import CATALOG, TRAINED, entry
 
     if name == "list":
         _give({n: e.title for n, e in CATALOG.items()}, as_json, [f"{n:20} {e.title}" for n, e in CATALOG.items()])
@@ -388,9 +388,9 @@ def report(
 
     With --all one FOLDER, `hardware` if none is given. Exit code 1 if --verify finds a differing bit.
     """
+    from greygate.pages.report import write
+    from greygate.pages.summary import WIDTHS, aligned, designs, results
     from greygate.project import Project, plants, study_project, verify_project
-    from greygate.report import write
-    from greygate.summary import WIDTHS, aligned, designs, results
 
     if every and len(folders) > 1:
         raise InputError(f"--all takes one folder that holds a folder for each plant, not {len(folders)}")
@@ -419,7 +419,7 @@ def report(
 
 def _errors(studies: list[dict]) -> list[str]:
     """RMSE of float and fixed, a line for each plant, scenario and output."""
-    from greygate.report import display
+    from greygate.pages.report import display
 
     lines = []
     for study in studies:
@@ -448,8 +448,8 @@ def validate(
 
     Exit code 1 if a free run is unbounded.
     """
+    from greygate.pages.validation import judge, table, write
     from greygate.project import Source
-    from greygate.validation_page import judge, table, write
 
     with _progress(f"validating {network}") as follow:
         judged = judge(Source(network, _recordings([_named(text) for text in record]), settle), lags, follow)
@@ -481,7 +481,7 @@ def diagnose(
     The files: docs/diagnosis.md. Exit code 0 whatever the verdict; of several rigs one that cannot be diagnosed is
     told, the others are written, and the exit code is 2.
     """
-    from greygate.explain import explain, explain_all
+    from greygate.diagnose import explain, explain_all
 
     if len(rigs) == 1 and backend is Backend.LOKY and scheduler is None:
         with _bar("diagnosing", 100) as follow:
@@ -542,7 +542,7 @@ def isolability(
 
     Without identify.csv, what motions within the inputs' ranges could tell.
     """
-    from greygate.explain import isolable
+    from greygate.diagnose import isolable
 
     spans = [_range(text) for text in ranges]
     if len(dict(spans)) < len(spans):
@@ -574,7 +574,7 @@ def simulate(
 
     Exit code 1 if the simulation diverges; what it wrote ends in nan.
     """
-    from greygate.explain import predict
+    from greygate.diagnose import predict
 
     rms = predict(rig, recording, diagnosis, out, effects)
     lines = [
@@ -597,7 +597,7 @@ def augment(
 
     Writes both as NAME.toml for `greygate compile`, and the recordings as they read them.
     """
-    from greygate.augmented import augment as join
+    from greygate.augment import augment as join
     from greygate.mismatch.simulation import read
 
     with _progress("augmenting") as follow:
@@ -620,7 +620,7 @@ def conceal(
     as_json: Json = False,
 ) -> None:
     """Write recordings of a rig with something concealed in it, and the sealed answer."""
-    from greygate.mismatch.conceal import conceal as write
+    from greygate.mismatch.concealed.conceal import conceal as write
 
     with _progress(f"recording {plant}"):
         write(plant, seed, out, kind=kind, effect=effect)
@@ -641,7 +641,7 @@ def reveal(
 
     Exit code 1 if the diagnosis is wrong: its verdict, its effects, or the parameter.
     """
-    from greygate.explain import score
+    from greygate.diagnose import score
 
     found, lines, right = score(folder, diagnosis, effects)
     _give(found, as_json, lines)

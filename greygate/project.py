@@ -24,7 +24,6 @@ from pathlib import Path
 import numpy as np
 
 from greygate.build import ARCHITECTURES, FACTS, read_facts, read_hardware, read_resources
-from greygate.catalog import CATALOG, PLANTS, TRAINED, entry
 from greygate.compiler.emit import emit, emitted
 from greygate.compiler.pipeline import (
     Compiled,
@@ -54,16 +53,17 @@ from greygate.files import (
     settle_folder,
     writing,
 )
-from greygate.measured import settled
+from greygate.hardware.synthesis import synthesize
+from greygate.hardware.verify import Case, Scenario, Verification, verify_many
+from greygate.machines.catalog import CATALOG, PLANTS, TRAINED, entry
+from greygate.machines.measured.identification import settled
+from greygate.machines.procedure import rms
 from greygate.models.network import Network, Port
-from greygate.models.problem import Record, held_out
-from greygate.models.training import Outcome, narx_noe, train
+from greygate.models.training.levenberg import Outcome, narx_noe, train
+from greygate.models.training.problem import Record, held_out
+from greygate.pages.report import plain, size
 from greygate.plants.recording import read_csv
-from greygate.procedure import rms
 from greygate.reading import read_json
-from greygate.report import plain, size
-from greygate.synthesis import synthesize
-from greygate.verify import Case, Scenario, Verification, verify_many
 
 LATER = (  # what verify and synthesize add to a build, in which nobody else writes
     r"verify\.json|resources\.json|results-(parallel|folded)\.xml|"
@@ -519,8 +519,8 @@ def synthesize_project(
 
 
 def study_project(project: Project, progress: Callable[[str], None] | None = None, **options) -> dict:
-    """What the report says of one project: see `greygate.report.study`, which takes the options."""
-    from greygate.report import study  # brings scipy.signal, which takes a second
+    """What the report says of one project: see `greygate.pages.report.study`, which takes the options."""
+    from greygate.pages.report import study  # brings scipy.signal, which takes a second
 
     records = project.source.records()
     return study(

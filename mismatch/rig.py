@@ -18,7 +18,7 @@ from greygate.plants.recording import Recording
 from greygate.reading import line, listed, named, number, one_of, read_toml, table, within
 from greygate.table import read_table
 
-PLANTS = Path(__file__).parent.parent / "plants" / "rigs"
+PLANTS = Path(__file__).parent.parent / "machines"  # NAME.toml in one of its folders is the plant NAME
 SHORTEST = 2.0  # s of recording below which nothing is diagnosed
 UNIFORM = 1e-3  # of a sample interval
 FEWEST = 10  # samples of a window
@@ -114,7 +114,7 @@ OPTIONAL = {
 
 
 def load(folder: Path | str, plants: Path | None = None) -> Rig:
-    """The rig of `folder`/rig.toml; its plant is one of `plants/rigs`, or a TOML file named beside it.
+    """The rig of `folder`/rig.toml; its plant is one of `machines/*/NAME.toml`, or a TOML file named beside it.
 
     Raises InputError naming file and entry.
     """
@@ -195,8 +195,9 @@ def _unit(plant: Plant, name: str) -> str | None:
 
 def _plant(rig: Path, name: str) -> Plant:
     own = rig.parent / check_file_name(name, f"{rig}: plant")
-    path = own if name.endswith(".toml") else PLANTS / f"{name}.toml"
+    known = {path.stem: path for path in sorted(PLANTS.glob("*/*.toml"))}
+    path = own if name.endswith(".toml") else known.get(name, own)
     if not path.exists():
-        known = ", ".join(sorted(p.stem for p in PLANTS.glob("*.toml")))
-        raise InputError(f"{rig}: plant {shown(name)} is unknown; give {known}, or a plant file beside rig.toml")
+        given = ", ".join(known)
+        raise InputError(f"{rig}: plant {shown(name)} is unknown; give {given}, or a plant file beside rig.toml")
     return Plant.read(path)

@@ -12,10 +12,10 @@ from scipy.linalg import eigh, toeplitz
 from threadpoolctl import threadpool_limits
 
 from greygate.errors import InputError
-from greygate.models.kernels import forward, tabulate
 from greygate.models.network import Network, Port
-from greygate.models.problem import CORES, Problem, Record
 from greygate.models.spectra import frequency_response
+from greygate.models.training.kernels import forward, tabulate
+from greygate.models.training.problem import CORES, Problem, Record
 
 HORIZONS = (1, 2, 5, 10, 20, 50, 100)  # steps ahead
 ORIGINS = 1000  # most points of a record from which it predicts k steps ahead

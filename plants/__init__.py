@@ -1,4 +1,4 @@
-"""Plants: declared once as named balance equations, simulated, excited and recorded."""
+"""The language of plants: named balance equations, declared once, simulated, excited and recorded."""
 
 from greygate.plants.excitation import (
     band_limited_noise,
@@ -12,9 +12,7 @@ from greygate.plants.excitation import (
 )
 from greygate.plants.plant import Definition, Equation, Parameter, Plant, State
 from greygate.plants.recording import Recording, read_csv
-from greygate.plants.scenarios import measure, scenario
 from greygate.plants.simulate import simulate
-from greygate.plants.valve_cylinder import spool_discrete, valve_cylinder
 
 __all__ = [
     "Definition",
@@ -27,14 +25,10 @@ __all__ = [
     "band_limited_noise_spectrum",
     "chirp",
     "chirp_spectrum",
-    "measure",
     "multisine",
     "multisine_spectrum",
     "prms",
     "prms_spectrum",
     "read_csv",
-    "scenario",
     "simulate",
-    "spool_discrete",
-    "valve_cylinder",
 ]

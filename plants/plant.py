@@ -137,7 +137,7 @@ class Plant:
 
     @classmethod
     def read(cls, path: Path | str) -> "Plant":
-        """The plant of a TOML file, as `plants/rigs/*.toml`; its name is the file's.
+        """The plant of a TOML file, as `machines/*/*.toml`; its name is the file's.
 
         Raises InputError naming file, line or entry.
         """

@@ -5,11 +5,20 @@ import json
 import numpy as np
 import pytest
 
-from greygate.asymmetric_cylinder import ADOPTED, CLOSED, SCENARIOS, THESIS, assemble, first_machine, fit, records
-from greygate.catalog import TRAINED, entry
 from greygate.compiler.pipeline import compile_network
+from greygate.machines.asymmetric_cylinder.study import (
+    ADOPTED,
+    CLOSED,
+    SCENARIOS,
+    THESIS,
+    assemble,
+    first_machine,
+    fit,
+    records,
+)
+from greygate.machines.catalog import TRAINED, entry
+from greygate.machines.procedure import bar, rms
 from greygate.models.adaptation import adopt
-from greygate.procedure import bar, rms
 from greygate.project import Source, fixed_and_float
 
 

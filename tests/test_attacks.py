@@ -12,16 +12,17 @@ from pathlib import Path
 import pytest
 from test_network import delay_line
 
-from greygate import project, table, verify
+from greygate import project, table
 from greygate.compiler.quantize import Formats
 from greygate.contents import contents
 from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.files import manifest, replacing_folder
+from greygate.hardware import verify
 from greygate.mismatch import effects, rig, simulation
-from greygate.mismatch.conceal import sealed
+from greygate.mismatch.concealed.conceal import sealed
 from greygate.models.network import Network
-from greygate.models.training import _Progress
+from greygate.models.training.levenberg import _Progress
 from greygate.plants.recording import read_csv
 from greygate.project import Project, Source, compile_project, verify_project
 from greygate.table import read_table

@@ -7,16 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from greygate import augmented, cli
-from greygate.augmented import PLANTS, Law, augment
+from greygate import augment as augmented
+from greygate import cli
+from greygate.augment import PLANTS, Law, augment
 from greygate.emulator.engine import run
 from greygate.errors import InputError
-from greygate.mismatch.conceal import conceal
+from greygate.machines.cable_drum.module import slip_sum
+from greygate.machines.procedure import rms
+from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.rig import load
-from greygate.models.blocks import feedforward
+from greygate.models.families.blocks import feedforward
 from greygate.models.network import Network, Port
-from greygate.models.structures.slip import slip_sum
-from greygate.procedure import rms
 from greygate.project import Project, Source, compile_project, read_record, verify_project
 
 KEPT = Path(__file__).parents[1] / "benchmarks" / "results" / "augmented"

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from greygate.measured import rmse
-from greygate.models.problem import Record
-from greygate.models.structures.axis import FORCE, POSITION, axis, moving, starting
+from greygate.machines.measured.axis import FORCE, POSITION, axis, moving, starting
+from greygate.machines.measured.identification import rmse
+from greygate.models.training.problem import Record
 
 PERIOD = 1e-3
 

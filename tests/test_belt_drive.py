@@ -5,13 +5,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from greygate import belt_drive as study
-from greygate.catalog import entry
 from greygate.compiler.pipeline import compile_network, fixed_error, float_error
 from greygate.errors import InputError
+from greygate.machines.belt_drive import study
+from greygate.machines.belt_drive.network import EXPERTS, REACH, E, X, belt_machine
+from greygate.machines.catalog import entry
 from greygate.models.network import Layer, Network, Port
-from greygate.models.problem import Record
-from greygate.models.structures.belt_drive import EXPERTS, REACH, E, X, belt_machine
+from greygate.models.training.problem import Record
 
 SLOPE = 2.0  # of a path, error over `REACH`
 

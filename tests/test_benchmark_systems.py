@@ -2,8 +2,9 @@ import json
 
 import pytest
 
-from greygate import benchmark_systems, catalog
-from greygate.benchmark_systems import SYSTEMS, THESIS, figures, identify, prune
+from greygate.machines import catalog
+from greygate.machines.benchmark_systems import study as benchmark_systems
+from greygate.machines.benchmark_systems.study import SYSTEMS, THESIS, figures, identify, prune
 
 
 def test_the_stored_network_of_b2_has_its_figures_and_the_thesis_is_behind():

@@ -1,12 +1,12 @@
 import numpy as np
 
-from greygate.catalog import entry
-from greygate.models.blocks import feedforward, flow_rate, flow_record, nguyen_widrow
+from greygate.machines.catalog import entry
+from greygate.machines.valve_cylinder.network import V_SCALE
+from greygate.machines.valve_cylinder.plant import spool_discrete, valve_cylinder
+from greygate.machines.valve_cylinder.study import swap_flow
+from greygate.models.families.blocks import feedforward, flow_rate, flow_record, nguyen_widrow
+from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Port
-from greygate.models.regression import noe
-from greygate.models.structures.cylinder import V_SCALE
-from greygate.plants.valve_cylinder import spool_discrete, valve_cylinder
-from greygate.valve_cylinder import swap_flow
 
 
 def test_neurons_of_a_sigmoid_layer_share_out_their_input_range():

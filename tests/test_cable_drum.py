@@ -5,8 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from greygate import catalog
-from greygate.cable_drum import (
+from greygate.compiler.pipeline import compile_network
+from greygate.emulator.engine import run
+from greygate.machines import catalog
+from greygate.machines.cable_drum.study import (
     ARCHITECTURES,
     HELD,
     THESIS,
@@ -21,11 +23,9 @@ from greygate.cable_drum import (
     residual,
     unswitched,
 )
-from greygate.compiler.pipeline import compile_network
-from greygate.emulator.engine import run
-from greygate.measured import rmse
-from greygate.models.problem import Problem
-from greygate.models.training import train
+from greygate.machines.measured.identification import rmse
+from greygate.models.training.levenberg import train
+from greygate.models.training.problem import Problem
 
 KEPT = json.loads((catalog.TRAINED / "cable_drum.json").read_text())
 

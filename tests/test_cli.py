@@ -12,13 +12,13 @@ from test_network import delay_line
 from typer.testing import CliRunner
 
 from greygate import __version__, cli
-from greygate.catalog import CATALOG
 from greygate.cli import app
 from greygate.errors import InputError
 from greygate.files import replacing_folder
-from greygate.models import training
-from greygate.models.library import library
+from greygate.machines.catalog import CATALOG
+from greygate.models.families.library import library
 from greygate.models.network import Layer, Network, Port
+from greygate.models.training import levenberg as training
 from greygate.plants.recording import Recording
 
 GREYGATE = str(Path(sys.executable).with_name("greygate"))

@@ -21,10 +21,10 @@ from greygate.emulator.interpreter import fit, interpret, lookup, round_shift
 from greygate.emulator.program import Affine, Fix, Overflow, Program, Rounding, Signal
 from greygate.emulator.program import Port as ProgramPort
 from greygate.errors import InputError
-from greygate.models.blocks import feedforward, flow_record
+from greygate.models.families.blocks import feedforward, flow_record
 from greygate.models.network import Layer, Network, Port
-from greygate.models.problem import Record
-from greygate.models.training import train
+from greygate.models.training.levenberg import train
+from greygate.models.training.problem import Record
 
 
 def record_of(network: Network, steps: int, seed: int) -> Record:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from greygate.models.structures.crane import PRESSURE, VALVE, crane
+from greygate.machines.measured.crane import PRESSURE, VALVE, crane
 
 
 def by_hand(network, u):

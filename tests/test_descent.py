@@ -10,13 +10,13 @@ from test_network import SMOOTH, delay_line
 from test_training import as_record
 
 from greygate.errors import InputError
-from greygate.models.blocks import feedforward, nguyen_widrow
-from greygate.models.descent import _Static, _Swept, adam, gradient_descent, lbfgs, rtrl
+from greygate.machines.benchmark_systems.plant import b1, b1_input
+from greygate.models.families.blocks import feedforward, nguyen_widrow
+from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
-from greygate.models.problem import Problem, Record
-from greygate.models.regression import noe
-from greygate.models.training import Outcome, multistart, train
-from greygate.plants.benchmarks import b1, b1_input
+from greygate.models.training.descent import _Static, _Swept, adam, gradient_descent, lbfgs, rtrl
+from greygate.models.training.levenberg import Outcome, multistart, train
+from greygate.models.training.problem import Problem, Record
 
 METHODS = {
     "gradient_descent": (gradient_descent, {"rate": 0.05}),

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from greygate import explain
-from greygate.mismatch import conceal
+from greygate import diagnose as explain
+from greygate.mismatch.concealed import conceal
 from greygate.mismatch.concealed.valve import VALVE
 
 DRUM = 3  # seed

@@ -6,10 +6,10 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
-from greygate import diagnosis_page
 from greygate.mismatch import rig
-from greygate.mismatch.conceal import conceal
+from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.diagnosis import diagnose
+from greygate.pages import diagnosis as diagnosis_page
 
 PLANT = """step = 1e-3
 outputs = ["x"]

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from greygate.catalog import CATALOG, entry
 from greygate.errors import InputError
+from greygate.machines.catalog import CATALOG, entry
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -30,8 +30,8 @@ def test_links_between_pages_lead_somewhere(page):
 
 
 def test_the_readme_shows_the_figures_of_the_stored_network():
-    from greygate.procedure import rms
-    from greygate.valve_cylinder import records
+    from greygate.machines.procedure import rms
+    from greygate.machines.valve_cylinder.study import records
 
     text = (ROOT / "README.md").read_text()
     network = entry("valve_cylinder").network()

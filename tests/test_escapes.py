@@ -16,7 +16,6 @@ from test_names import INJECTED, one_line
 from test_validation import linear, record
 
 import greygate
-from greygate import diagnosis_page, figures
 from greygate.compiler.folded import folded
 from greygate.compiler.parallel import parallel
 from greygate.compiler.pipeline import compile_network
@@ -25,15 +24,17 @@ from greygate.compiler.verilog import remark
 from greygate.emulator.interpreter import interpret
 from greygate.emulator.program import Program, _to_json
 from greygate.errors import InputError
-from greygate.figures import Line
-from greygate.models.problem import Record
+from greygate.hardware.verify import Case, Scenario, simulator_environment, verify_many
+from greygate.models.training.problem import Record
 from greygate.models.validation import coverage, validate
-from greygate.report import page, study
+from greygate.pages import diagnosis as diagnosis_page
+from greygate.pages import figures
+from greygate.pages.figures import Line
+from greygate.pages.report import page, study
+from greygate.pages.summary import results
+from greygate.pages.validation import Judged
+from greygate.pages.validation import page as validation_page
 from greygate.rtl import block
-from greygate.summary import results
-from greygate.validation_page import Judged
-from greygate.validation_page import page as validation_page
-from greygate.verify import Case, Scenario, simulator_environment, verify_many
 
 HOSTILE = [
     INJECTED, "*/ initial $finish; /*", "x\\", "x\\\n initial $finish;", "`include \"/etc/passwd\"",
@@ -237,7 +238,7 @@ def test_no_text_of_a_drawing_becomes_a_tag():
 
 
 def test_no_template_takes_text_as_it_stands():
-    templates = list(Path(greygate.__file__).parent.glob("*.html"))
+    templates = list(Path(greygate.__file__).parent.glob("**/*.html"))
     assert len(templates) >= 4
     for template in templates:
         assert not re.search(r"\|\s*safe|autoescape", template.read_text()), template

@@ -15,12 +15,14 @@ import pytest
 from faults import KILLED, LEAVING, libc_has_exchange, struck, unforked, without_exchange
 from test_network import delay_line
 
-from greygate import explain, files, project, report
+from greygate import diagnose as explain
+from greygate import files, project
 from greygate.compiler.quantize import Formats
+from greygate.hardware.verify import Verdict, Verification
 from greygate.models.network import Network
-from greygate.models.training import Fit, Outcome, _Progress
+from greygate.models.training.levenberg import Fit, Outcome, _Progress
+from greygate.pages import report
 from greygate.project import Project, Source, compile_project
-from greygate.verify import Verdict, Verification
 
 ALL = os.environ.get("GREYGATE_FAULTS") == "all"
 SAMPLE = 8  # points of each command and way that `make test` tries, and the last ones

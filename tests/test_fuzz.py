@@ -19,10 +19,11 @@ from programs import random_codes, random_program
 from greygate.emulator import engine
 from greygate.emulator.interpreter import interpret
 from greygate.emulator.program import Program
-from greygate.mismatch import conceal, effects, rig, simulation
+from greygate.mismatch import effects, rig, simulation
+from greygate.mismatch.concealed import conceal
+from greygate.models.families.regression import noe
 from greygate.models.network import Network
 from greygate.models.ports import ports
-from greygate.models.regression import noe
 from greygate.plants.recording import read_csv
 from greygate.project import Project, Source, compile_project
 
@@ -161,7 +162,7 @@ def _rigs(folder: Path) -> dict[str, dict[str, bytes]]:
     for path in RIGS:
         found[path.name] = {p.name: p.read_bytes() for p in path.glob("*.toml")}
     for name, maker in conceal.RIGS.items():
-        plant = (rig.PLANTS / f"{name}.toml").read_bytes()
+        plant = next(rig.PLANTS.glob(f"*/{name}.toml")).read_bytes()
         for rig_name, left_out in ((name, ()), (f"{name} without", maker.optional)):
             sheet, tolerance = ({k: v for k, v in table.items() if k not in left_out}
                                 for table in (maker.parameters, maker.tolerance))  # fmt: skip

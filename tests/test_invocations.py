@@ -15,7 +15,7 @@ from test_cli import recording
 from test_network import delay_line
 
 from greygate import cli
-from greygate.mismatch.conceal import conceal
+from greygate.mismatch.concealed.conceal import conceal
 from greygate.project import Source, compile_project
 
 LEAST = 400  # invocations

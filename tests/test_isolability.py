@@ -9,14 +9,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from greygate.diagnose import explain
 from greygate.errors import InputError
-from greygate.explain import explain
-from greygate.mismatch import conceal, rig
 from greygate.mismatch import effects as table
-from greygate.mismatch.experiment import MARGIN, Bounds, nominal
-from greygate.mismatch.isolability import isolability, typical
+from greygate.mismatch import rig
+from greygate.mismatch.concealed import conceal
+from greygate.mismatch.experiments.experiment import MARGIN, Bounds, nominal
+from greygate.mismatch.experiments.isolability import isolability, typical
+from greygate.mismatch.experiments.separation import NEEDED, Free, Trial, Trials, like
 from greygate.mismatch.search import Hypothesis, Search
-from greygate.mismatch.separation import NEEDED, Free, Trial, Trials, like
 from greygate.plants.recording import Recording
 
 PLANT = """step = 1e-3

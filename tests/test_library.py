@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from greygate.errors import InputError
-from greygate.models.library import LIBRARY, entry, library, markdown, recalled
+from greygate.models.families.library import LIBRARY, entry, library, markdown, recalled
 from greygate.models.network import Network, Port
 
 ARGUMENTS = [

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from greygate import explain
+from greygate import diagnose as explain
 from greygate.mismatch import locate as locating
 from greygate.mismatch import rig
-from greygate.mismatch.conceal import conceal
+from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.diagnosis import diagnose
 from greygate.mismatch.locate import added, band, left, locate, located
 

@@ -14,10 +14,10 @@ from greygate.compiler.quantize import Formats
 from greygate.emulator.engine import run
 from greygate.emulator.interpreter import interpret
 from greygate.emulator.program import Clamp, Lookup, Program, Select, Threshold
-from greygate.models.library import LIBRARY, entry, library
+from greygate.hardware.verify import Case, Scenario, verify_many
+from greygate.models.families.library import LIBRARY, entry, library
 from greygate.models.network import Layer, Network, Port
-from greygate.models.problem import Record
-from greygate.verify import Case, Scenario, verify_many
+from greygate.models.training.problem import Record
 
 WORDS = {Select: "multiplexer", Threshold: "comparator", Clamp: "clamp", Lookup: "table look-up"}
 

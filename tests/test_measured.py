@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from greygate.errors import InputError
-from greygate.measured import (
+from greygate.machines.measured.drives import drives
+from greygate.machines.measured.identification import (
     ROOT,
     Candidate,
     Study,
@@ -19,13 +20,12 @@ from greygate.measured import (
     stored,
     tails,
 )
+from greygate.machines.measured.studies import CRANE, MTS, STUDIES
+from greygate.machines.measured.tanks import MEAN, PUMP, pumped, square_root, tanks
+from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
-from greygate.models.problem import Problem, Record
-from greygate.models.regression import noe
-from greygate.models.structures.drives import drives
-from greygate.models.structures.tanks import MEAN, PUMP, pumped, square_root, tanks
-from greygate.models.training import Fit, Outcome, train
-from greygate.studies import CRANE, MTS, STUDIES
+from greygate.models.training.levenberg import Fit, Outcome, train
+from greygate.models.training.problem import Problem, Record
 
 CRANE_FILE = ROOT / "recordings" / "hydraulic-actuator-crane" / "actuator.csv"
 MTS_RUNS = ("chirp_0A", "15Hz0A", "chirp_1A", "15Hz1A")

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 from greygate.errors import InputError
 from greygate.mismatch import effects as table
-from greygate.mismatch.conceal import _toml
+from greygate.mismatch.concealed.conceal import _toml
 from greygate.mismatch.concealed.line import BELT, DRUM
 from greygate.mismatch.concealed.pump import PUMP
 from greygate.mismatch.concealed.valve import VALVE
@@ -123,7 +123,7 @@ def test_what_is_reported_of_an_effect_gives_its_values_back(key, models):
 
 
 def test_an_effect_in_a_place_that_is_none_is_named():
-    plant = Plant.read(table.TABLE.parent.parent / "plants" / "rigs" / "cable_drum.toml")
+    plant = Plant.read(table.TABLE.parent.parent / "machines" / "cable_drum" / "cable_drum.toml")
     lost = replace(TABLE["drift"], terms={"gear.drift": "drift * t"})
     with pytest.raises(InputError, match=r"effect drift: gear: cable_drum has no such place"):
         join(plant, [lost])

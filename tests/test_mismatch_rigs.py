@@ -9,9 +9,9 @@ import pytest
 
 from greygate.errors import InputError
 from greygate.mismatch import effects, simulation
-from greygate.mismatch.conceal import conceal, reveal
+from greygate.mismatch.concealed.conceal import conceal, reveal
 from greygate.mismatch.diagnosis import SCHEMA, Diagnosis, diagnose
-from greygate.mismatch.excitation import check, unseen
+from greygate.mismatch.experiments.excitation import check, unseen
 from greygate.mismatch.rig import load
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.mismatch.selection import Selection

@@ -16,11 +16,11 @@ from test_network import delay_line
 
 from greygate.emulator.program import Program, _to_json
 from greygate.errors import InputError
+from greygate.hardware.synthesis import synthesize
 from greygate.models.network import LARGEST_SIZE, Network, Port, _to_toml
 from greygate.models.ports import ports
 from greygate.names import check_file_name, check_name, check_path, check_text, check_unit
 from greygate.plants.recording import UNITS
-from greygate.synthesis import synthesize
 
 INJECTED = '\n    initial $system("touch canary");\n//'
 NOT_NAMES = [

@@ -3,11 +3,11 @@ import pytest
 from scipy.signal import lfilter
 
 from greygate.errors import InputError
+from greygate.machines.benchmark_systems.plant import b1, b1_input
+from greygate.models.families.orders import lipschitz
+from greygate.models.families.regression import arx
 from greygate.models.network import Port
-from greygate.models.orders import lipschitz
-from greygate.models.problem import Record
-from greygate.models.regression import arx
-from greygate.plants.benchmarks import b1, b1_input
+from greygate.models.training.problem import Record
 
 U, Y = Port("u"), Port("y", scale=0.1)
 

@@ -7,12 +7,14 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+import pictures
 import pytest
 
-from greygate import belt_drive, cable_drum, pictures
-from greygate.catalog import TRAINED, entry
 from greygate.errors import InputError
-from greygate.procedure import rms
+from greygate.machines.belt_drive import study as belt_drive
+from greygate.machines.cable_drum import study as cable_drum
+from greygate.machines.catalog import TRAINED, entry
+from greygate.machines.procedure import rms
 
 DOCS = Path(__file__).parents[1] / "docs"
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from greygate.errors import InputError
-from greygate.plants.asymmetric_cylinder import (
+from greygate.machines.asymmetric_cylinder.plant import (
     DIFFERENCES,
     SENSORS,
     asymmetric_cylinder,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from greygate.errors import InputError
-from greygate.plants.belt_drive import (
+from greygate.machines.belt_drive.plant import (
     ENCODER,
     MOTIONS,
     PLAY,

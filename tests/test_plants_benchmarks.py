@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from greygate.errors import InputError
-from greygate.plants.benchmarks import b1, b1_input, b2, b2_input, b2_test_input
+from greygate.machines.benchmark_systems.plant import b1, b1_input, b2, b2_input, b2_test_input
 
 
 def test_b1_is_its_equation_at_every_sample():

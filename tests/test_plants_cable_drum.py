@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from greygate.errors import InputError
-from greygate.plants.cable_drum import (
+from greygate.machines.cable_drum.plant import (
     ANOTHER_DAY,
     BEACON,
     COUNTS,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from greygate.errors import InputError
-from greygate.plants.pump_cylinder import DIFFERENCES, PUMP_CYLINDER, SENSORS, measure, pump_cylinder, record
+from greygate.machines.pump_cylinder.plant import DIFFERENCES, PUMP_CYLINDER, SENSORS, measure, pump_cylinder, record
 from greygate.plants.simulate import simulate
 
 K = {symbol: p.value for symbol, p in PUMP_CYLINDER.items()}

@@ -8,22 +8,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from greygate.errors import InputError
-from greygate.plants import (
-    Plant,
-    band_limited_noise,
-    chirp,
-    multisine,
-    prms,
-    read_csv,
-    scenario,
-    simulate,
-    spool_discrete,
-    valve_cylinder,
-)
-from greygate.plants.line import Line
-from greygate.plants.scenarios import RESOLUTION, converted
+from greygate.machines.valve_cylinder import plant as valve_cylinder
+from greygate.machines.valve_cylinder.line import Line
+from greygate.machines.valve_cylinder.plant import CYLINDER, SUPPLY, spool_discrete
+from greygate.machines.valve_cylinder.scenarios import RESOLUTION, converted, scenario
+from greygate.plants import Plant, band_limited_noise, chirp, multisine, prms, read_csv, simulate
 from greygate.plants.simulate import _module, source
-from greygate.plants.valve_cylinder import CYLINDER, SUPPLY
 
 STATES = ("i", "u", "u_dot", "x", "v", "z", "p_a", "p_b")
 DOCS = Path(__file__).parents[1] / "docs" / "plants.md"

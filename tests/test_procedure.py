@@ -7,13 +7,14 @@ import pytest
 
 from greygate.compiler.saliency import obs
 from greygate.errors import InputError
-from greygate.figures import weight_changes as draw
+from greygate.machines.procedure import OWN, Procedure
 from greygate.models.adaptation import adopt, weight_changes
-from greygate.models.blocks import feedforward
+from greygate.models.families.blocks import feedforward
 from greygate.models.network import Layer, Network, Port
-from greygate.models.problem import Record
-from greygate.models.training import Outcome, train
-from greygate.procedure import OWN, Procedure, draw_changes
+from greygate.models.training.levenberg import Outcome, train
+from greygate.models.training.problem import Record
+from greygate.pages.changes import draw_changes
+from greygate.pages.figures import weight_changes as draw
 
 U = np.linspace(-1, 1, 61)
 CURVE = Record({"u": U}, {"y": np.tanh(1.5 * U)})

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from test_network import delay_line
 
-from greygate import pruned
-from greygate.catalog import CATALOG, entry
 from greygate.compiler.pipeline import compile_network
 from greygate.errors import InputError
+from greygate.machines import pruned
+from greygate.machines.catalog import CATALOG, entry
+from greygate.machines.pruned import Kept, digest
 from greygate.models.arithmetic import exp, mean, product, tanh
 from greygate.models.network import Layer, Network, Port
 from greygate.plants.recording import Recording
 from greygate.project import Source, compile_project
-from greygate.pruned import Kept, digest
 
 ROOT = Path(__file__).parents[1]
 EPS = np.finfo(float).eps
@@ -136,7 +136,7 @@ def test_a_pruned_network_that_was_changed_is_refused(kept, tmp_path):
 
 @pytest.mark.parametrize("name", [n for n, e in CATALOG.items() if e.prune])
 def test_the_catalogues_pruned_networks_are_those_of_its_networks(name):
-    """A network that was trained again needs `python -m greygate.pruned`."""
+    """A network that was trained again needs `python -m greygate.machines.pruned`."""
     found = entry(name)
     compiled = compile_network(
         found.network(),

@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from greygate.catalog import TRAINED, entry
-from greygate.models.problem import Record
-from greygate.models.structures.pump_cylinder import leakage_bounds
-from greygate.models.training import train
-from greygate.procedure import rms
-from greygate.pump_cylinder import assemble, black_box, narx, recording
+from greygate.machines.catalog import TRAINED, entry
+from greygate.machines.procedure import rms
+from greygate.machines.pump_cylinder.network import leakage_bounds
+from greygate.machines.pump_cylinder.study import assemble, black_box, narx, recording
+from greygate.models.training.levenberg import train
+from greygate.models.training.problem import Record
 
 
 def worst(network):

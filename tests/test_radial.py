@@ -5,12 +5,12 @@ import torch
 from greygate.compiler.pipeline import compile_network, fixed_error, float_error
 from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
-from greygate.models.descent import _Swept
+from greygate.machines.benchmark_systems.plant import b1, b1_input
+from greygate.models.families.radial import RecursiveLeastSquares, radial, rbf
 from greygate.models.network import Port
-from greygate.models.problem import Problem, Record
-from greygate.models.radial import RecursiveLeastSquares, radial, rbf
-from greygate.models.training import train
-from greygate.plants.benchmarks import b1, b1_input
+from greygate.models.training.descent import _Swept
+from greygate.models.training.levenberg import train
+from greygate.models.training.problem import Problem, Record
 
 U, Y = Port("u", scale=2.0, offset=0.5), Port("y", scale=0.5, initial=0.2)
 TAPS = {U: (0, 2)}, Y, (1,)

@@ -10,10 +10,10 @@ from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
 from greygate.emulator.engine import run
 from greygate.emulator.program import Program
+from greygate.hardware.verify import Case, Scenario, verify_many
+from greygate.models.families.radial import radial
 from greygate.models.network import Port
-from greygate.models.problem import Record
-from greygate.models.radial import radial
-from greygate.verify import Case, Scenario, verify_many
+from greygate.models.training.problem import Record
 
 COUNT = 30
 

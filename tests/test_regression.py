@@ -3,9 +3,7 @@ import pytest
 from scipy.signal import lfilter
 
 from greygate.errors import InputError
-from greygate.models.network import Port
-from greygate.models.problem import Problem, Record
-from greygate.models.regression import (
+from greygate.models.families.regression import (
     armax,
     arx,
     bj,
@@ -21,7 +19,9 @@ from greygate.models.regression import (
     regressors,
     with_measured,
 )
-from greygate.models.training import Outcome, train
+from greygate.models.network import Port
+from greygate.models.training.levenberg import Outcome, train
+from greygate.models.training.problem import Problem, Record
 
 U, Y = Port("u", scale=2.0), Port("y", scale=4.0, initial=1.0)
 PLAIN = {Port("u"): (1, 2)}, Port("y"), (1, 2)

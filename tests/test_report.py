@@ -10,10 +10,10 @@ from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
 from greygate.emulator.interpreter import interpret
 from greygate.errors import InputError
-from greygate.figures import Scale, number
 from greygate.models.network import Layer, Network, Port
-from greygate.models.problem import Record
-from greygate.report import display, envelope, frequency_response, page, shown, study, write
+from greygate.models.training.problem import Record
+from greygate.pages.figures import Scale, number
+from greygate.pages.report import display, envelope, frequency_response, page, shown, study, write
 
 PERIOD = 2e-3
 RATES = np.array([0.02, 0.05])

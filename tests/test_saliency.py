@@ -24,11 +24,11 @@ from greygate.compiler.saliency import (
 from greygate.compiler.simplify import fold_constants, parameter_count
 from greygate.emulator.engine import run
 from greygate.errors import InputError
+from greygate.machines.benchmark_systems.plant import b2, b2_input
+from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
-from greygate.models.problem import Problem, Record
-from greygate.models.regression import noe
-from greygate.models.training import train
-from greygate.plants.benchmarks import b2, b2_input
+from greygate.models.training.levenberg import train
+from greygate.models.training.problem import Problem, Record
 
 
 def linear(mix: np.ndarray | None = None, samples: int = 200) -> tuple[Network, Record]:

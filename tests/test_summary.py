@@ -8,15 +8,17 @@ import test_report
 from test_report import PERIOD, record
 from typer.testing import CliRunner
 
-from greygate import catalog, project, report
+from greygate import project
 from greygate.cli import app
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.files import write_manifest
+from greygate.machines import catalog
 from greygate.models.network import Network
-from greygate.report import page, study
-from greygate.summary import aligned, designs, results
+from greygate.pages import report
+from greygate.pages.report import page, study
+from greygate.pages.summary import aligned, designs, results
 
 NAME = "tiny"
 

@@ -6,12 +6,13 @@ from dataclasses import replace
 import pytest
 from test_network import delay_line
 
-from greygate import project, synthesis
+from greygate import project
 from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
+from greygate.hardware import synthesis
+from greygate.hardware.synthesis import run_tool
+from greygate.pages.report import size
 from greygate.project import Project, Source, compile_project, synthesize_project
-from greygate.report import size
-from greygate.synthesis import run_tool
 
 
 @pytest.fixture

@@ -3,10 +3,10 @@ import pytest
 from scipy.signal import lfilter
 
 from greygate.errors import InputError
+from greygate.models.families.templates import TEMPLATES, elman, frnn, template
 from greygate.models.network import Network, Port
-from greygate.models.problem import Problem, Record
-from greygate.models.templates import TEMPLATES, elman, frnn, template
-from greygate.models.training import train
+from greygate.models.training.levenberg import train
+from greygate.models.training.problem import Problem, Record
 
 X, Y = Port("x", scale=2.0), Port("y", scale=4.0, offset=1.0, initial=2.0)
 WITH_PAST = [n for n in TEMPLATES if n != 1]

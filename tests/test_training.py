@@ -10,11 +10,11 @@ from networks import random_inputs, random_network
 from test_network import SMOOTH, delay_line
 
 from greygate.errors import InputError
-from greygate.models.blocks import feedforward, flow_rate, flow_record
+from greygate.models.families.blocks import feedforward, flow_rate, flow_record
+from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
-from greygate.models.problem import Problem, Record
-from greygate.models.regression import noe
-from greygate.models.training import Outcome, multistart, narx_noe, train
+from greygate.models.training.levenberg import Outcome, multistart, narx_noe, train
+from greygate.models.training.problem import Problem, Record
 
 
 def as_record(network: Network, steps: int, seed: int) -> Record:

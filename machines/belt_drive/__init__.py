@@ -1,0 +1,1 @@
+"""The timing-belt drive (thesis chapter 4)."""

@@ -1,0 +1,106 @@
+"""The timing-belt drive's machine: eight experts, switches, XOR and latches (thesis 4.5, figure 4.10).
+
+From the encoder's position alone it follows five states: direction, change of direction, latched position, latched
+error, boundary reached. A motion that turned at position p with error q (the play of the gears included) follows
+
+    path(k) = q + d(p, x(k) - p)    until it crosses    boundary(k) = e(x(k))
+
+p and q are latched when direction changes: on a boundary they are the last position and error; inside the band they are
+the point of the boundary from which a path would lead here (`sp`). Each expert stands there for either direction.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from greygate.errors import InputError
+from greygate.models.families.library import library
+from greygate.models.network import Layer, Network, Port
+
+COUNT = 1e-5  # m, of the encoder
+X_SCALE = COUNT * 2**14  # m; a count is an exact binary fraction
+X = Port("x", "m", X_SCALE, offset=0.15, resolution=COUNT)
+E = Port("e", "m", 1e-6 * 2**8)
+REACH = 0.040 / X_SCALE  # of a path from where it began
+MOVED = 2.0**9  # gain from position to motion
+HALF_COUNT = MOVED * 2.0**-15
+FAR = 100.0  # reach of a switch: its tanh form hands on a latched value unchanged over thousands of steps
+DIRECTIONS = ("forward", "backward")
+EXPERTS = tuple(f"{part}_{way}" for part in ("e", "d", "sp", "b") for way in DIRECTIONS)
+
+
+def belt_machine(experts: Mapping[str, Network]) -> Network:
+    """Position error `e` [m] from encoder position `x` [m].
+
+    experts, by the names of `EXPERTS`, normalised as `X` and `E`:
+    `e`: `x` -> error on the boundary; `d`: `start`, `away` (over `REACH`) -> error since the start of the path;
+    `sp`: `x`, `e` -> `y` (2,): start less x (over `REACH`), error there; `b`: `x` -> jump of the error at a reversal.
+    It starts on the lower boundary at x = 0, moving forward. Raises InputError for an expert that is missing.
+    """
+    if missing := [name for name in EXPERTS if name not in experts]:
+        raise InputError(f"belt drive: no expert {', '.join(missing)}; give {', '.join(EXPERTS)}")
+    home = -X.offset / X.scale
+    rest = float(experts["e_forward"].run({"x": np.full((1, 1), home)})["y"][0, 0])
+    machine = Network("belt_drive", [X], [replace(E, initial=rest * E.scale)])
+
+    def logic(name: str, kind: str, initial: float = 0.0, **sources: tuple) -> None:
+        """A library network; sources: port -> (source, delay, gain)."""
+        arguments = {"reach": FAR} if kind == "switch_2" else {}
+        module = library(kind, **arguments)
+        module.modules["out"] = replace(module.modules["out"], initial=initial)
+        machine.add(name, module)
+        connect(name, sources)
+
+    def total(name: str, weights: Mapping[str, float], bias: float = 0.0, **sources: tuple) -> None:
+        ports = {port: [[weight]] for port, weight in weights.items()}
+        machine.add(name, Layer(ports, [bias], frozen={*ports, "bias"}))
+        connect(name, sources)
+
+    def connect(name: str, sources: Mapping[str, tuple]) -> None:
+        for port, (source, *rest) in sources.items():
+            machine.connect(source, f"{name}.{port}", *rest)
+
+    def either(name: str, part: str, gain: np.ndarray | None = None, **sources: tuple) -> None:
+        """The answer of the expert of the present direction."""
+        for way in DIRECTIONS:
+            if f"{part}_{way}" not in machine.modules:
+                machine.add(f"{part}_{way}", experts[f"{part}_{way}"])
+                connect(f"{part}_{way}", sources)
+        values = {port: (f"{part}_{way}", 0, gain) for port, way in zip(("u1", "u2"), DIRECTIONS, strict=True)}
+        logic(name, "switch_2", s=("direction",), **values)
+
+    total("moved", {"now": MOVED, "before": -MOVED}, now=("x",), before=("x", 1))
+    logic("direction", "sign", 1.0, x=("moved",))
+    machine.connect("direction", "direction.x", delay=1, gain=HALF_COUNT)  # at rest it stays what it was
+    logic("changed", "xor", u1=("direction",), u2=("direction", 1))
+
+    either("play", "b", x=("x", 1))
+    total("turn", {"error": 1.0, "play": 1.0}, error=("error", 1), play=("play",))
+    either("start_away", "sp", np.array([[1.0, 0.0]]), x=("x", 1), e=("turn",))
+    either("start_error", "sp", np.array([[0.0, 1.0]]))
+    total("start", {"x": 1.0, "away": REACH}, x=("x", 1), away=("start_away",))
+    for name, latch, here, inside, initial in (
+        ("begun_at", "position", ("x", 1), ("start",), home),
+        ("begun_with", "error_there", ("turn",), ("start_error",), rest),
+    ):
+        logic(name, "switch_2", u1=here, u2=inside, s=("reached", 1))
+        logic(latch, "switch_2", initial, u1=(name,), u2=(latch, 1), s=("changed",))
+
+    total("gone", {"x": 1 / REACH, "start": -1 / REACH}, x=("x",), start=("position",))
+    machine.add("away", library("limiter", lo=-1.0, hi=1.0))
+    machine.connect("gone", "away.x")
+    either("slipped", "d", start=("position",), away=("away",))
+    total("path", {"start": 1.0, "slipped": 1.0}, start=("error_there",), slipped=("slipped",))
+    either("boundary", "e", x=("x",))
+
+    total("beyond", {"boundary": 1.0, "path": -1.0}, boundary=("boundary",), path=("path",))
+    logic("across", "switch_2", u1=("beyond",), u2=("beyond", 0, -1.0), s=("direction",))
+    logic("crossed", "sign", x=("across",))
+    total("keeps", {"reached": 1.0, "changed": -1.0}, -1.0, reached=("reached", 1), changed=("changed",))
+    logic("held", "sign", x=("keeps",))
+    total("one_of", {"crossed": 1.0, "held": 1.0}, 1.0, crossed=("crossed",), held=("held",))
+    logic("reached", "sign", 1.0, x=("one_of",))
+    logic("error", "switch_2", rest, u1=("boundary",), u2=("path",), s=("reached",))
+    machine.connect("error", "e")
+    return machine.check()

@@ -1,0 +1,1 @@
+"""The thesis's two benchmark systems (3.6)."""

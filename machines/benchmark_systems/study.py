@@ -1,0 +1,188 @@
+"""The thesis's benchmark systems B1 and B2 (3.6), identified seed by seed: NARX, free run, entropy pruning.
+
+A seed draws the training record and every start. Starts are compared on held-out records of the same system; the
+thesis's validation signal enters no choice.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from time import process_time
+
+import numpy as np
+
+from greygate.compiler.prune import Round, entropies, remove_neurons
+from greygate.compiler.saliency import Method, nonzero, obs, prune_by_saliency
+from greygate.compiler.simplify import parameter_count
+from greygate.machines.benchmark_systems.plant import b1, b1_input, b2, b2_input, b2_test_input
+from greygate.models.families.blocks import nguyen_widrow
+from greygate.models.families.regression import noe
+from greygate.models.network import Network, Port
+from greygate.models.training.levenberg import train
+from greygate.models.training.problem import Problem, Record
+from greygate.plants.excitation import chirp, prms
+
+U, Y = Port("u"), Port("y")
+SHARES = (0.1, 0.05, 0.03, 0.02)  # of the parameters, to be taken out in one round
+THESIS = {
+    "b1_10": {"mse": 1.38e-6, "seconds": 57 + 57},
+    "b1_30": {"mse": 7.4e-10, "seconds": 98 + 63, "pruned_neurons": 22},
+    "b2": {"mse": 8.57e-8, "rmse": 4.2e-3, "seconds": 64 + 190, "pruned_parameters": 244, "pruned_rmse": 5.2e-3},
+}
+
+
+@dataclass(frozen=True)
+class System:
+    """A benchmark: the plant, a start of its network, and what a start is trained and judged on.
+
+    held: records that only choose. good: RMS error over them at which no further start is tried. spare: the one that
+    pruning may reach. goal: parameters after pruning. epochs: series-parallel and free run. starts: at most.
+    """
+
+    name: str
+    plant: Callable[[np.ndarray], np.ndarray]
+    start: Callable[[int], Network]
+    excite: Callable[[int], np.ndarray]
+    held: tuple[np.ndarray, ...]
+    test: np.ndarray
+    epochs: tuple[int, int]
+    starts: int
+    good: float
+    spare: float
+    goal: int
+
+    def record(self, u: np.ndarray) -> Record:
+        return Record({"u": u}, {"y": self.plant(u)})
+
+
+def _b1(neurons: int) -> System:
+    return System(
+        f"b1_{neurons}",
+        b1,
+        lambda seed: nguyen_widrow(noe("b1", {U: (1,)}, Y, (1, 2), (neurons,), seed, bypass=False), seed),
+        b1_input,
+        (b1_input(1000),),
+        b1_input(2000, 1000),
+        (400, 200),
+        3,
+        1e-3 if neurons == 10 else 5e-4,
+        5e-4,
+        22 * 5 + 1,
+    )
+
+
+SYSTEMS = {
+    "b1_10": _b1(10),
+    "b1_30": _b1(30),
+    "b2": System(
+        "b2",
+        b2,
+        lambda seed: nguyen_widrow(noe("b2", {U: (1, 2)}, Y, (1, 2, 3), (20, 10), seed, bypass=False), seed),
+        b2_input,
+        (prms(2000, -1, 1, (5, 50), 7), chirp(2000, 1.0, 0.001, 0.05, 1.0)),
+        b2_test_input(),
+        (200, 500),
+        6,
+        1e-3,
+        2e-3,
+        244,
+    ),
+}
+
+
+def rms(network: Network, records: list[Record]) -> float:
+    """RMS error of the free run over all records; inf if one diverges."""
+    problem = Problem(network, records)
+    squares = problem.squares(problem.theta)
+    return float(np.sqrt(squares / problem.samples))
+
+
+def identify(system: System, seed: int, progress: Callable[[str], None] | None = None) -> tuple[Network, dict]:
+    """The best of the seed's starts on the held-out records. Returns it and its figures.
+
+    Figures: training MSE, RMS errors held out and on the test signal, starts tried, CPU seconds.
+    """
+    began = process_time()
+    training, held = [system.record(system.excite(seed))], [system.record(u) for u in system.held]
+    best, error, tried = None, np.inf, 0
+    while tried < system.starts and error > system.good:
+        start = system.start(100 * seed + tried)
+        narx = train(start, training, teacher=True, epochs=system.epochs[0], tolerance=1e-3)
+        fit = train(narx.network, training, epochs=system.epochs[1], tolerance=1e-4, held=held, patience=200)
+        tried += 1
+        found = rms(fit.network, held)
+        if progress:
+            progress(f"{system.name}, seed {seed}, start {tried}: {found:.3g} held out, {fit.outcome.value}")
+        if best is None or found < error:
+            best, error = fit.network, found
+    return best, figures(system, best, seed) | {"starts": tried, "cpu_seconds": round(process_time() - began, 1)}
+
+
+def figures(system: System, network: Network, seed: int) -> dict:
+    """Neurons, parameters, training MSE, RMS errors held out and on the test signal."""
+    return {
+        "neurons": sum(m.size for m in network.modules.values() if m.activation == "tansig"),
+        "parameters": parameter_count(network),
+        "mse": rms(network, [system.record(system.excite(seed))]) ** 2,
+        "held": rms(network, [system.record(u) for u in system.held]),
+        "rmse": rms(network, [system.record(system.test)]),
+    }
+
+
+def prune(
+    system: System,
+    seed: int,
+    network: Network,
+    allowed: float,
+    weights: Method = obs,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[Network, list[Round]]:
+    """Down to `goal` parameters: B1 loses neurons of least entropy, B2 single weights by a method of saliency.
+
+    allowed: factor to which the RMS error over the held-out records may rise from what it is, or from `spare` if that
+    is more.
+    """
+    training, held = [system.record(system.excite(seed))], [system.record(u) for u in system.held]
+    bound = allowed * max(rms(network, held), system.spare)
+    if system.plant is b1:
+        return _by_entropy(network, training, held, bound, system.goal)
+    return _by_saliency(network, training, held, bound, system, weights, progress)
+
+
+def _by_saliency(
+    network: Network, training, held, bound: float, system: System, method: Method, progress
+) -> tuple[Network, list[Round]]:
+    """With smaller and smaller rounds, until one way down is good on the held-out records."""
+    ways = []
+    for share in SHARES:
+        found = prune_by_saliency(network, training, method, bound, held=held, epochs=60, goal=system.goal, share=share)
+        free = nonzero(found.network)
+        fit = train(found.network, training, epochs=300, tolerance=1e-4, held=held, patience=60, free=free)
+        missed = max(parameter_count(found.network) - system.goal, 0)
+        ways.append((missed, rms(fit.network, held), fit.network, list(found.rounds)))
+        if progress:
+            progress(f"{system.name}, {share:.0%} a round: {missed} over the goal, {ways[-1][1]:.3g} held out")
+        if not missed and ways[-1][1] <= system.good:
+            break
+    _, _, smaller, rounds = min(ways, key=lambda way: way[:2])
+    return smaller, rounds
+
+
+def _by_entropy(network: Network, training, held, bound: float, goal: int) -> tuple[Network, list[Round]]:
+    """One neuron a round, or two, or four: retrained series-parallel, and at the end in free run. All of it or none.
+
+    An undo after every round ends far earlier: the neuron of least entropy is often not the one best spared.
+    """
+    for count in (1, 2, 4):
+        smaller, rounds = network, []
+        while parameter_count(smaller) > goal:
+            ranked = [(float(h), name, i) for name, v in entropies(smaller, training).items() for i, h in enumerate(v)]
+            chosen: dict[str, list[int]] = {}
+            for _, name, i in sorted(ranked)[:count]:
+                chosen.setdefault(name, []).append(i)
+            smaller = remove_neurons(smaller, training, chosen)
+            smaller = train(smaller, training, teacher=True, epochs=60, tolerance=1e-3).network
+            rounds.append(Round(chosen, len(ranked) - count, (rms(smaller, held),), True))
+        smaller = train(smaller, training, epochs=400, tolerance=1e-4, held=held, patience=400).network
+        if rms(smaller, held) <= bound:
+            return smaller, rounds
+    return network, [replace(r, kept=False) for r in rounds]

@@ -1,0 +1,1 @@
+"""The cable-drum sensor (thesis chapter 7)."""

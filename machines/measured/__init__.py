@@ -1,0 +1,1 @@
+"""Machines of which there are measured recordings alone: the networks, and the rules of a test run."""

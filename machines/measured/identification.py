@@ -1,0 +1,330 @@
+"""Identification on measured recordings, by rules that keep a test run a test.
+
+Structure and seed are chosen by free runs over blocks held out of the training runs; the chosen network is then fitted
+to the whole training runs, and the test runs are scored once. `studies.py` beside this holds the studies themselves.
+"""
+
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from statistics import median
+from time import monotonic
+
+import numpy as np
+
+from greygate import models, recordings
+from greygate.errors import InputError
+from greygate.models.network import Network
+from greygate.models.training.levenberg import Fit, Outcome
+from greygate.models.training.problem import Problem, Record
+from greygate.reading import read_json
+
+RECORDINGS = Path(recordings.__file__).resolve().parent
+ROOT = RECORDINGS.parent  # of a checkout, or of the package
+TRAINED = Path(models.__file__).resolve().parent / "trained"
+PRIOR = 1e-4  # weight of a start that is near rest against one squared normalised error
+
+Runs = Mapping[str, Record]
+
+
+@dataclass(frozen=True)
+class Fold:
+    """pieces: what is fitted. blocks: what judges, each after the `skip` samples that its state may settle in."""
+
+    pieces: Sequence[Record]
+    blocks: Sequence[Record]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A structure. build: seed -> start. fit: (start, records) -> what training makes of it.
+
+    grown: the start takes the weights of the linear baseline wherever it has weights of the same name.
+    """
+
+    build: Callable[[int], Network]
+    fit: Callable[[Network, Sequence[Record]], Fit]
+    grown: bool = False
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is identified from what.
+
+    recording: folder of the recording; published: where it can be had. load: that folder -> (training runs, test runs)
+    by name. linear: the baseline. start: (network, record) -> the record with the state from which a judged run begins;
+    it may look at the first `skip` samples only. period in s. typical: RMSEs of a candidate's seeds -> its own.
+    """
+
+    name: str
+    recording: str
+    published: str
+    load: Callable[[Path], tuple[dict[str, Record], dict[str, Record]]]
+    linear: Candidate
+    candidates: Mapping[str, Candidate]
+    seeds: Sequence[int]
+    folds: Callable[[Runs], list[Fold]]
+    period: float
+    start: Callable[[Network, Record], Record] = lambda network, record: record
+    typical: Callable[[Sequence[float]], float] = median
+
+    def runs(self, folder: Path | None = None) -> tuple[dict[str, Record], dict[str, Record]]:
+        """Training runs and test runs. Raises InputError where the recording is not there or not as published."""
+        return self.load(folder or find(self.recording, self.published))
+
+    def records(self, folder: Path | None = None) -> dict[str, Record]:
+        """Every run by name, training runs first."""
+        training, tests = self.runs(folder)
+        return training | tests
+
+    def score(self, network: Network, record: Record) -> float:
+        """RMSE of a free run over the record, after its `skip` samples, in the unit of the output."""
+        return rmse(network, self.start(network, record))
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What the held-out blocks chose. scores: candidate -> seed -> RMSE over all blocks; linear: the baseline's.
+
+    network, baseline: as fitted to the last fold.
+    """
+
+    candidate: str
+    seed: int
+    network: Network
+    baseline: Network
+    scores: dict[str, dict[int, float]]
+    linear: float
+
+
+def find(recording: str, published: str) -> Path:
+    """Folder of a recording: in `recordings/`, in $GREYGATE_RECORDINGS, or in ../shared/recordings beside the repo.
+
+    Raises InputError saying where it is published and where to put it.
+    """
+    given = os.environ.get("GREYGATE_RECORDINGS")
+    places = [RECORDINGS, *([Path(given)] if given else []), ROOT.parent / "shared" / "recordings"]
+    for place in places:
+        if (place / recording).is_dir():
+            return place / recording
+    raise InputError(
+        f"the recording {recording} is not here; get it from {published} and put its folder into {places[0]} "
+        "or into a folder that GREYGATE_RECORDINGS names"
+    )
+
+
+def rmse(network: Network, record: Record) -> float:
+    """Root mean square of free run less recording, from `record.skip` on.
+
+    In the unit of the output, of which there is one; inf if it diverges. Raises InputError as `Problem`.
+    """
+    problem = Problem(network, [record])
+    errors = problem.errors(problem.theta)
+    if errors is None:
+        return np.inf
+    return network.outputs[0].scale * float(np.sqrt(np.mean(errors[0][record.skip :] ** 2)))
+
+
+def settled(network: Network, record: Record, prior: float = PRIOR, steps: int = 30) -> Record:
+    """The record with the initial state that fits its first `skip` samples best, and weights as they are.
+
+    prior: weight of the square of (state - rest), against squared errors, all normalised. Gauss-Newton, halved steps.
+    """
+    held = {name: np.zeros(w.shape, bool) for name, w in network.flatten().parameters().items()}
+    if record.skip < 1:
+        return record
+    window = record.cut(0, record.skip, skip=0)
+    try:
+        problem = Problem(network, [window], free=held, estimate_initial=True)
+    except InputError:  # shorter than the delays: nothing to settle in
+        return record
+    rest = problem.theta[problem.free]
+
+    def cost(theta):
+        return problem.squares(theta) + prior * float(np.sum((theta[problem.free] - rest) ** 2))
+
+    value = cost(problem.theta)
+    for _ in range(steps):
+        problem.squares(problem.theta)
+        hessian, gradient = problem.normal_equations(problem.theta)
+        gradient += prior * (problem.theta[problem.free] - rest)
+        step = -np.linalg.solve(hessian + prior * np.eye(len(rest)), gradient)
+        while (trial := cost(problem.moved(problem.theta, step))) > value and np.abs(step).max() > 1e-9:
+            step /= 2
+        if not trial < value:
+            break
+        problem.theta, value = problem.moved(problem.theta, step), trial
+    return replace(record, initial=record.initial | problem.initial(problem.theta)[0])
+
+
+def resting(network: Network, initial: Mapping[str, np.ndarray]) -> Network:
+    """The flat network whose layers start, in hardware too, from a state of `Fit.initial` (its newest step)."""
+    flat = network.flatten()
+    modules = {n: replace(layer, initial=initial[n][-1]) for n, layer in flat.modules.items()}
+    return replace(flat, modules=modules)
+
+
+# ---- folds
+
+
+def tails(share: float) -> Callable[[Runs], list[Fold]]:
+    """One fold: the end of every run, run into from its beginning."""
+
+    def folds(runs: Runs) -> list[Fold]:
+        heads = {n: int((1 - share) * len(r)) for n, r in runs.items()}
+        blocks = [replace(r, skip=heads[n]) for n, r in runs.items()]
+        return [Fold([r.cut(0, heads[n]) for n, r in runs.items()], blocks)]
+
+    return folds
+
+
+def blocked(count: int, warm: int) -> Callable[[Runs], list[Fold]]:
+    """`count` folds, each without one of as many equal blocks of every run; `warm` samples before a block settle it.
+
+    Of the first block they are its own first samples.
+    """
+
+    def piece(run: Record, start: int, stop: int) -> Record:
+        if start == 0:
+            return run.cut(0, stop)
+        return run.cut(start, stop, skip=0, initial={n: float(v[start - 1]) for n, v in run.inputs.items()})
+
+    def part(run: Record, start: int, stop: int) -> tuple[list[Record], Record]:
+        kept = [piece(run, a, b) for a, b in ((0, start), (stop, len(run))) if b > a]
+        return kept, replace(piece(run, max(start - warm, 0), stop), skip=warm)
+
+    return partial(_each, count, part)
+
+
+def masked(count: int) -> Callable[[Runs], list[Fold]]:
+    """As `blocked`, but runs go through from their first sample, state and all: what is held out does not count."""
+
+    def part(run: Record, start: int, stop: int) -> tuple[list[Record], Record]:
+        kept = [run.cut(0, start)] * (start > 0) + [replace(run, skip=stop)] * (stop < len(run))
+        return kept, run.cut(0, stop, skip=start)
+
+    return partial(_each, count, part)
+
+
+def _each(count: int, part: Callable, runs: Runs) -> list[Fold]:
+    """part: (run, start, stop) -> (pieces to fit, block to judge) for the block start..stop."""
+    found = []
+    for i in range(count):
+        parts = [part(run, *(len(run) * k // count for k in (i, i + 1))) for run in runs.values()]
+        found.append(Fold([piece for kept, _ in parts for piece in kept], [block for _, block in parts]))
+    return found
+
+
+# ---- choice and result
+
+
+def choose(study: Study, training: Runs, progress: Callable[[str], None] | None = None) -> Choice:
+    """Fit every candidate from every seed on every fold and judge it by its RMSE over the held-out blocks.
+
+    The candidate whose seeds are typically lowest wins (`Study.typical`, the median: many seeds are no advantage), then
+    the lowest of its seeds.
+    """
+    say = progress or (lambda line: None)
+    folds = study.folds(training)
+
+    def judge(networks: Sequence[Network]) -> float:
+        pairs = zip(networks, folds, strict=True)
+        squares = [study.score(network, block) ** 2 for network, fold in pairs for block in fold.blocks]
+        return float(np.sqrt(np.mean(squares)))
+
+    linear = [study.linear.fit(study.linear.build(0), fold.pieces).network for fold in folds]
+    baseline = judge(linear)
+    unit = linear[0].outputs[0].unit
+    say(f"{study.name}, linear: {baseline:.4g} {unit} RMSE on held-out blocks")
+    scores: dict[str, dict[int, float]] = {}
+    best: dict[str, tuple[int, Network]] = {}  # of each candidate
+    for name, candidate in study.candidates.items():
+        scores[name] = {}
+        for seed in study.seeds:
+            networks = []
+            for fold, start in zip(folds, linear, strict=True):
+                network = candidate.build(seed)
+                if candidate.grown:
+                    network = network.with_parameters(start.parameters())
+                networks.append(candidate.fit(network, fold.pieces).network)
+            value, lowest = judge(networks), min(scores[name].values(), default=np.inf)
+            scores[name][seed] = value
+            say(f"{study.name}, {name}, seed {seed}: {value:.4g} {unit} RMSE on held-out blocks")
+            if value < lowest:
+                best[name] = seed, networks[-1]
+    if not best:
+        raise InputError(f"{study.name}: every candidate diverges on a held-out block; give others")
+    name = min(best, key=lambda n: (study.typical(list(scores[n].values())), min(scores[n].values())))
+    seed, network = best[name]
+    return Choice(name, seed, network, linear[-1], scores, baseline)
+
+
+@dataclass(frozen=True)
+class Result:
+    """network, and the linear baseline. figures: as in the JSON beside the stored network."""
+
+    study: Study
+    network: Network
+    linear: Network
+    training: Runs
+    tests: Runs
+    figures: dict
+
+    def save(self, folder: Path = TRAINED) -> None:
+        """Write NAME.toml, NAME.safetensors and NAME.json. Raises InputError where that cannot be done."""
+        self.network.save(folder / self.study.name, json.dumps(self.figures, indent=2) + "\n")
+
+
+def identify(study: Study, folder: Path | None = None, progress: Callable[[str], None] | None = None) -> Result:
+    """Choose, fit the chosen network of the last fold to the whole training runs, score the test runs.
+
+    progress: called with a line per start. Raises InputError as `Study.runs`, `choose` and the fits.
+    """
+    began = monotonic()
+    training, tests = study.runs(folder)
+    choice = choose(study, training, progress)
+    fits = [
+        candidate.fit(network, list(training.values()))
+        for candidate, network in (
+            (study.candidates[choice.candidate], choice.network),
+            (study.linear, choice.baseline),
+        )
+    ]
+    for fit in fits:
+        if fit.outcome is Outcome.DIVERGED:
+            raise InputError(f"{study.name}: the last fit diverged; {fit.outcome.value}")
+    network, linear = (fit.network for fit in fits)
+    seconds = monotonic() - began
+    output = network.outputs[0]
+
+    def table(model: Network, runs: Runs) -> dict[str, float]:
+        return {name: study.score(model, r) for name, r in runs.items()}
+
+    figures = {
+        "unit": output.unit,
+        "signal": {n: float(np.std(r.targets[output.name][r.skip :])) for n, r in (training | tests).items()},
+        "train": table(network, training),
+        "held_out": choice.scores[choice.candidate][choice.seed],
+        "test": table(network, tests),
+        "linear": {"held_out": choice.linear} | table(linear, training | tests),
+        "starts": {name: {str(seed): v for seed, v in of.items()} for name, of in choice.scores.items()},
+        "candidate": choice.candidate,
+        "seed": choice.seed,
+        "parameters": parameters(network),
+        "seconds": round(seconds, 1),
+    }
+    return Result(study, network, linear, training, tests, figures)
+
+
+def parameters(network: Network) -> int:
+    """Weights and biases that training may move."""
+    return len(Problem(network, []).free)
+
+
+def stored(study: Study, folder: Path = TRAINED) -> tuple[Network, dict]:
+    """The network kept in the package and its figures. Raises InputError as `Network.load`."""
+    network = Network.load(folder / study.name)
+    return network, read_json(folder / f"{study.name}.json", "train the network again")

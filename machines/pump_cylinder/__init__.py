@@ -1,0 +1,1 @@
+"""The pump-controlled cylinder (thesis chapter 6)."""

@@ -1,0 +1,1 @@
+"""The valve-controlled cylinder (thesis chapter 5): plant, simulated line, recordings, network, study."""

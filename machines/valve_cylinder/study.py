@@ -1,0 +1,133 @@
+"""The SRNN of the valve-controlled cylinder, trained on its simulated rig (thesis 5.3)."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from greygate.compiler.pipeline import float_error
+from greygate.compiler.prune import Round, output_errors, prune_by_entropy, retrained
+from greygate.compiler.saliency import Method, prune_by_saliency
+from greygate.machines.procedure import OWN, Procedure, bar
+from greygate.machines.valve_cylinder.network import mean_spool, valve_srnn
+from greygate.machines.valve_cylinder.plant import spool_discrete, valve_cylinder
+from greygate.machines.valve_cylinder.scenarios import measure, scenario
+from greygate.models.adaptation import adopt
+from greygate.models.families.blocks import divider_record, feedforward, fit_divider, fit_flow, flow_record
+from greygate.models.network import Network
+from greygate.models.training.problem import Record
+from greygate.plants.excitation import band_limited_noise, prms
+
+SCENARIOS = ("training", "v1", "v2")
+THESIS = {  # RMS in bar, chambers A and B (table 5.4, section 5.3.3)
+    "assembled": (0.396, 0.773),
+    "training": (0.190, 0.598),
+    "v1": (0.552, 0.430),
+    "v2": (0.758, 0.540),
+}
+THESIS_FLOW = 1.42e-4  # RMS of Network Qa over Q_max: 8.52e-9 of 6e-5 m^3/s
+FLOW_SEED, DIVIDER_SEED = 1, 0
+REHEARSAL = 1.0  # a sample of the parts' own records counts like one of the training scenario
+EPOCHS = 25
+PRUNING_EPOCHS = 4
+
+
+@lru_cache
+def records() -> dict[str, Record]:
+    """Training, v1, v2: `v_c` [V] and `x` [m] as the sensors give them; targets are the true pressures [Pa]."""
+    found = {}
+    for name in SCENARIOS:
+        c = scenario(name).channels
+        found[name] = Record({n: c[n] for n in ("v_c", "x")}, {n: c[n] for n in ("p_a", "p_b")})
+    return found
+
+
+def assemble(flow: Network, divider: Network) -> Network:
+    """The SRNN with the plant's nominal parameters. Supply pressure is the gauge's mean over the training run."""
+    plant = valve_cylinder()
+    k = {symbol: p.value for symbol, p in plant.parameters.items()}
+    training = scenario("training").channels
+    rest = float(training["p_a"][0])
+    k |= {"p_s": float(np.mean(training["p_s"])), "p_a_rest": rest, "p_b_rest": rest}
+    k |= {"area_a": k["area"], "area_b": k["area"]}
+    return valve_srnn(k, flow, divider, mean_spool(*spool_discrete(plant), k["u_max"]))
+
+
+def train_srnn(progress: Callable[[str], None] | None = None) -> tuple[Network, dict]:
+    """Fit the parts, join them, train them as one on the training scenario. Returns the network and its figures.
+
+    progress: called with a line now and then. Figures: RMS in bar of each scenario as assembled and trained, seconds.
+    """
+
+    def following(step: str):
+        return progress and (lambda epoch, loss: progress(f"{step}, epoch {epoch}, loss {loss:.3g}"))
+
+    q, d = flow_record(), divider_record()
+    snn = Procedure(records(), subsystems=("flow", "divider"))
+    snn.take("flow", fit_flow(FLOW_SEED, progress=following("flow")), q)
+    snn.take("divider", fit_divider(DIVIDER_SEED, progress=following("divider")), d)
+    snn.join(assemble)
+    q, d = (replace(r, weight=REHEARSAL) for r in (q, d))
+    rehearse = {"qa": q, "qb": q, "pa.divider": d, "pb.divider": d}
+    snn.train(epochs=EPOCHS, decay=1e-6, rehearse=rehearse, progress=following("the whole"))
+    figures = {
+        "flow_rms": snn["flow"].errors[OWN]["y"],
+        "divider_rms": snn["divider"].errors[OWN]["y"],
+        "assembled": bar(snn["joined"].errors),
+        "trained": bar(snn["trained"].errors),
+        "thesis": THESIS | {"flow_rms": THESIS_FLOW},
+        "seconds": {"flow": snn["flow"].seconds, "divider": snn["divider"].seconds, "srnn": snn["trained"].seconds},
+        "outcome": snn["trained"].note,
+    }
+    return snn.network, figures
+
+
+def swap_flow(network: Network, flow: Network) -> Network:
+    """The SRNN with another valve's flow network in the place of both of its own (thesis 5.4.3)."""
+    divider = feedforward("divider", ["omega", "gamma"], [20], 0)
+    return adopt(assemble(flow, divider), network, ("pa.divider", "pb.divider", "speed_a", "speed_b"))
+
+
+def exercise(network: Network) -> Record:
+    """Another run of the rig, pushed about by a random force, with the network's own answers as targets.
+
+    It tells pruning what the network does beyond the training scenario, and nothing new of the plant.
+    """
+    v_c = prms(10_000, -1.0, 1.0, (20, 150), seed=11)
+    force = band_limited_noise(10_000, 1500.0, 0.1, 5.0, 1e-3, seed=12)
+    c = measure(valve_cylinder(), v_c, force, source="exercise").channels
+    inputs = {n: c[n] for n in ("v_c", "x")}
+    bare = Record(inputs, {n: c[n] for n in ("p_a", "p_b")})
+    errors = float_error(network, bare)
+    return Record(inputs, {n: bare.targets[n] + errors[n] for n in errors})
+
+
+def prune(
+    network: Network, allowed: float, weights: Method | None = None, progress: Callable[[str], None] | None = None
+) -> tuple[Network, list[Round]]:
+    """Entropy pruning of the generic network, then its weights by a method of `compiler.saliency`, if one is given.
+
+    allowed: factor by which each chamber's RMS error over training scenario and `exercise` may rise; the exercise keeps
+    what the network does under load.
+    """
+    kept = [records()["training"], exercise(network)]
+    say = progress or (lambda line: None)
+
+    def retrain(smaller: Network) -> Network:
+        say(f"retraining with {sum(layer.size for layer in smaller.modules.values())} neurons")
+        return retrained(smaller, kept, PRUNING_EPOCHS)
+
+    bound = allowed * output_errors(network, kept)
+    network, rounds = prune_by_entropy(network, kept, retrain, bound)
+    if weights:
+        pruned = prune_by_saliency(
+            network,
+            kept,
+            weights,
+            bound,
+            epochs=PRUNING_EPOCHS,
+            progress=lambda step: say(f"{step.parameters} parameters left"),
+        )
+        network, rounds = pruned.network, [*rounds, *pruned.rounds]
+    return network, rounds

@@ -1,0 +1,219 @@
+"""What a rig's sensors and a recording's motion can show, before anything is explained.
+
+Each effect moves the predicted channels in a direction. What the parameters, inside their tolerances, and the windows'
+beginnings can take up of it is not seen. What another effect, of any size, can take up but for noise, or but for a
+tenth, is not told apart: a machine's effect is not quite the table's.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from greygate.mismatch.coloured import scaled
+from greygate.mismatch.effects import Effect
+from greygate.mismatch.experiments.separation import (
+    ITERATIONS,
+    NEEDED,
+    WORTH,
+    Separation,
+    Trials,
+    deviations,
+    figure,
+    imagined,
+    sensor,
+)
+from greygate.mismatch.fit import Fit, Problem
+from greygate.mismatch.search import ROUGH, Hypothesis, Search
+
+FORM = 0.1  # of an effect, by which a machine's may differ from the table's: a difference below that tells nothing
+TOLD = 1.0  # singular value below which the data sheet knows more than the recording
+WEIGHTY = 0.3  # of a combination of parameters, the least that is named
+
+
+@dataclass(frozen=True)
+class Group:
+    """Effects that are not told apart, or one that is not told from nothing; of the two most alike, what would tell.
+
+    pair: these two. here: standard deviations of the noise between them on the recording. sensor: (state, standard
+    deviations with a sensor of it, on the same recording). Either is None where nothing tells.
+    """
+
+    effects: tuple[str, ...]
+    pair: tuple[str, ...]
+    here: float
+    experiment: Separation | None
+    sensor: tuple[str, float] | None
+
+    def as_dict(self, units: Mapping[str, str]) -> dict:
+        named = dict(zip(("state", "apart"), self.sensor, strict=True)) if self.sensor else None
+        tried = self.experiment.as_dict(units) if self.experiment else None
+        return {"effects": self.effects, "pair": self.pair, "here": self.here, "experiment": tried, "sensor": named}
+
+
+@dataclass(frozen=True)
+class Isolability:
+    """groups: effects that cannot be told apart. unseen: those that, of typical size, do not show.
+
+    singular: values of the Jacobian, scaled by noise and tolerance, largest first. weak: those below TOLD, of which the
+    recording says less than the data sheet, each with its combination of parameters. units: of the channels.
+    """
+
+    groups: list[Group]
+    unseen: list[Group]
+    singular: list[float]
+    weak: list[tuple[float, dict[str, float]]]
+    units: Mapping[str, str]
+
+    def as_dict(self) -> dict:
+        return {
+            "groups": [group.as_dict(self.units) for group in self.groups],
+            "unseen": [group.as_dict(self.units) for group in self.unseen],
+            "singular_values": self.singular,
+            "left_to_data_sheet": [{"singular_value": value, "parameters": parts} for value, parts in self.weak],
+        }
+
+    def lines(self) -> list[str]:
+        """What a person reads."""
+        out = []
+        for group in self.groups:
+            less = ", less than a tenth of it" if group.here > NEEDED else ""
+            apart = f"{' and '.join(group.pair)} differ by {deviations(group.here)}{less}"
+            out += [f"not told apart: {', '.join(group.effects)}", f"  {apart}", *self._remedies(group, "apart")]
+        for group in self.unseen:
+            out += [f"hardly shows: {group.effects[0]}, {deviations(group.here)}", *self._remedies(group, "seen")]
+        for value, parts in self.weak:
+            mixed = " ".join(f"{weight:+.2f} {symbol}" for symbol, weight in parts.items())
+            out.append(f"left to the data sheet: {mixed}, singular value {value:.2g}")
+        if self.singular:
+            out.append(f"singular values of the parameters: {', '.join(map(figure, self.singular))}")
+        return out if self.groups or self.unseen else ["every effect shows, and no two are alike", *out]
+
+    def _remedies(self, group: Group, end: str) -> list[str]:
+        if group.experiment is None and group.sensor is None:
+            return [f"  {end} by no experiment that was tried, and by no sensor of a state"]
+        experiment = [f"  {end} by {group.experiment.words(self.units)}"] if group.experiment else []
+        state, apart = group.sensor or ("", 0.0)
+        return experiment + ([f"  {end} by a sensor of {state}: {deviations(apart)}"] if state else [])
+
+
+def isolability(search: Search) -> Isolability:
+    """Of the effects of `search`, each of its typical size and in its plain form, on its recording."""
+    fit = base(search)
+    effects: dict[str, Effect] = {}
+    for effect in search.effects.values():
+        effects.setdefault(effect.id, effect)
+    rows = _coordinates(fit, {name: moved(fit, effect) for name, effect in effects.items()})
+    sizes = {name: float(np.sqrt(np.max(np.sum(columns**2, axis=0)))) for name, columns in rows.items()}
+    seen = [name for name, size in sizes.items() if size > NEEDED]
+    apart = {}
+    for pair in combinations(seen, 2):
+        ways = (pair, pair[::-1])
+        apart[pair] = min(_left(rows[a], rows[b], _reach(effects[b])) / max(NEEDED, FORM * sizes[a]) for a, b in ways)
+    groups = []
+    for names in _groups(seen, apart):
+        pair = min(combinations(names, 2), key=lambda pair: apart[pair])
+        groups.append(_group(search, fit, names, *(effects[name] for name in pair)))
+    unseen = [_group(search, fit, (name,), effects[name]) for name in sizes if name not in seen]
+    units = {name: channel.unit for name, channel in search.rig.channels.items()}
+    return Isolability(groups, unseen, *_singular(fit), units)
+
+
+def base(search: Search) -> Fit:
+    """The plant of the data sheet. Where the noise is not told, it is what the calibrated plant leaves, and effects get
+    the size of that."""
+    unknowns = search.unknowns(Hypothesis())
+    if search.rig.stated:
+        return search.screen.fit(unknowns, iterations=0)
+    fit = search.fit(search.final, Hypothesis(), {})
+    problem = fit.problem.ordered(fit.problem.residual(fit.values))
+    search.effects = {key: scaled(problem, effect, fit) for key, effect in search.effects.items()}
+    return Problem.fit(problem, unknowns, fit.values, iterations=0)
+
+
+def typical(effect: Effect) -> dict[str, float]:
+    """Values at which an effect has its typical size."""
+    return {**effect.set, **{f.symbol: f.guess[0] if f.guess else f.typical for f in effect.free}}
+
+
+def moved(fit: Fit, effect: Effect) -> np.ndarray:
+    """Columns (rows, n) by which an effect of typical size moves the errors: one a strength, or one of all together
+    where they start from a guess or from a parameter's value."""
+    full, problem = typical(effect), fit.problem
+    nothing = {f.symbol: 0.0 for f in effect.strengths}
+    steps = [full] if _together(effect) else [{**full, **nothing, s: full[s]} for s in nothing]
+    changes = [np.nan_to_num(problem.errors({**fit.values, **step}, fit.shifts) - fit.errors) for step in steps]
+    columns = problem.rows(np.stack(changes, axis=2), fit.temper)
+    return problem.eliminate(columns, None, fit.basis)[0].reshape(-1, len(steps))
+
+
+def _together(effect: Effect) -> bool:
+    return effect.frees or any(f.guess for f in effect.strengths)
+
+
+def _reach(effect: Effect) -> tuple[np.ndarray, np.ndarray]:
+    """Between which multiples of its columns an effect may be, (n,) each."""
+    if _together(effect):
+        return np.zeros(1), np.full(1, np.inf)
+    ends = np.sort([(f.low / f.typical, f.high / f.typical) for f in effect.strengths], axis=1)
+    return ends[:, 0], ends[:, 1]
+
+
+def _coordinates(fit: Fit, rows: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The columns less what the parameters take up, in a basis of all of them."""
+    count = len(fit.unknowns)
+    slopes = np.concatenate([fit.slopes.reshape(-1, count), np.diag(np.sqrt(fit.weight))])
+    basis, _ = np.linalg.qr(slopes)
+    stacked = np.concatenate(list(rows.values()), axis=1)
+    stacked = np.concatenate([stacked, np.zeros((count, stacked.shape[1]))])
+    left = np.linalg.qr(stacked - basis @ (basis.T @ stacked), mode="r")
+    at = np.cumsum([columns.shape[1] for columns in rows.values()])[:-1]
+    return dict(zip(rows, np.split(left, at, axis=1), strict=True))
+
+
+def _left(columns: np.ndarray, others: np.ndarray, reach: tuple[np.ndarray, np.ndarray]) -> float:
+    """Of the column of which `others`, within `reach`, leave least, how much is left."""
+    return min(float(np.sqrt(2 * max(lsq_linear(others, column, reach).cost, 0.0))) for column in columns.T)
+
+
+def _groups(names: list[str], apart: Mapping[tuple[str, str], float]) -> list[tuple[str, ...]]:
+    """Those that are joined by pairs which are less than 1 apart, in units of what tells them apart."""
+    groups = [{name} for name in names]
+    for pair, by in apart.items():
+        if by < 1.0:
+            joined = [group for group in groups if group & set(pair)]
+            groups = [group for group in groups if group not in joined] + [set().union(*joined)]
+    return [tuple(sorted(group, key=names.index)) for group in groups if len(group) > 1]
+
+
+def _group(search: Search, fit: Fit, names: tuple[str, ...], one: Effect, other: Effect | None = None) -> Group:
+    """With what tells `one` from the best fit of `other`, or of nothing, to what it makes."""
+    values = {**fit.values, **typical(one)}
+    unknowns = search.unknowns(Hypothesis((other.key,) if other else ()))
+    start = {**fit.values, **(typical(other) if other else {})}
+    rival = Problem.fit(imagined(fit.problem, values), unknowns, start, iterations=ITERATIONS, enough=ROUGH)
+    here = float(np.sqrt(rival.cost))
+    experiment = Trials(fit.problem, values).apart(rival, here)
+    sensed = sensor(fit.problem, values, rival)
+    return Group(
+        names,
+        (one.id, other.id) if other else (one.id,),
+        here,
+        experiment if experiment and experiment.tells else None,
+        sensed if sensed and sensed[1] > max(WORTH * here, NEEDED) else None,
+    )
+
+
+def _singular(fit: Fit) -> tuple[list[float], list[tuple[float, dict[str, float]]]]:
+    symbols = [u.symbol for u in fit.unknowns]
+    if not symbols:
+        return [], []
+    _, values, rights = np.linalg.svd(np.linalg.qr(fit.slopes.reshape(-1, len(symbols)), mode="r"))
+    weak = [
+        (float(value), {s: float(w) for s, w in zip(symbols, right, strict=True) if abs(w) > WEIGHTY})
+        for value, right in zip(values, rights, strict=True)
+        if value < TOLD
+    ]
+    return values.tolist(), weak

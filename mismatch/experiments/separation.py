@@ -1,0 +1,258 @@
+"""The experiment, or the sensor, that tells two explanations of a recording apart: both explanations are simulated.
+
+The one explanation is run free over each experiment, as the sensors would record it; the other is judged on that record
+by the rule of the rigs, after its parameters have taken up what they can and the recording so far lets them. What is
+left is a distance in standard deviations of the noise.
+"""
+
+import copy
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from greygate.mismatch.coloured import Coloured
+from greygate.mismatch.diagnosis import Diagnosis
+from greygate.mismatch.experiments.experiment import FEWEST, HOLD, SECONDS, Bounds, Experiment, Free, experiments
+from greygate.mismatch.fit import Fit, Problem
+from greygate.mismatch.locate import scaled
+from greygate.mismatch.model import Model
+from greygate.mismatch.rig import Channel
+from greygate.mismatch.search import Hypothesis
+from greygate.plants.recording import Recording
+
+REACHES = (1.0, 1.5)  # of what was recorded; the second where the first tells too little
+NEEDED = 3.5  # standard deviations, from which on two explanations are told apart
+WORTH = 2.0  # times what there is already, which is worth an experiment or a sensor
+ENOUGH = 3.0  # times what is needed or there already, which an experiment need not surpass
+SHORTLIST = 4  # experiments of which the parameters' part is taken off
+FINE = 1e-3  # of its range, the noise of a sensor that might be added
+ITERATIONS = 4  # of the fit of a rival
+
+
+@dataclass(frozen=True)
+class Separation:
+    """apart: standard deviations of the noise by which two explanations then differ; here: on the recording so far."""
+
+    experiment: Experiment
+    apart: float
+    here: float
+
+    @property
+    def tells(self) -> bool:
+        return self.apart > max(WORTH * self.here, NEEDED)
+
+    @property
+    def enough(self) -> bool:
+        return self.apart > ENOUGH * max(self.here, NEEDED)
+
+    @property
+    def merit(self) -> tuple:
+        """Enough comes first, then what tells at all, then what a second of it brings."""
+        return self.enough, self.tells, self.apart / np.sqrt(self.experiment.seconds)
+
+    def as_dict(self, units: Mapping[str, str]) -> dict:
+        """shape, inputs: channel -> low, high, unit; seconds, apart, here."""
+        spans = {
+            n: {"low": float(np.min(s)), "high": float(np.max(s)), "unit": units[n]}
+            for n, s in self.experiment.inputs.items()
+        }
+        figures = {"seconds": self.experiment.seconds, "apart": self.apart, "here": self.here}
+        return {"shape": self.experiment.shape, "inputs": spans, **figures}
+
+    def words(self, units: Mapping[str, str]) -> str:
+        """Input, amplitude, duration, and what it brings."""
+        spans = [_span(n, s, units[n]) for n, s in self.experiment.inputs.items()]
+        return (
+            f"{', '.join(spans)}: {self.experiment.shape}, for {self.experiment.seconds:.3g} s; "
+            f"{deviations(self.apart)} apart, here {figure(self.here)}"
+        )
+
+
+def deviations(size: float) -> str:
+    return f"{figure(size)} standard deviations of the noise"
+
+
+def figure(size: float) -> str:
+    return f"{size:.0f}" if size >= 10 else f"{size:.2g}"
+
+
+def _span(name: str, signal: np.ndarray, unit: str) -> str:
+    low, high = float(np.min(signal)), float(np.max(signal))
+    factor, label = scaled(unit, max(abs(low), abs(high)))
+    low, high = f"{factor * low:.3g}", f"{factor * high:.3g}"
+    return f"{name} {low} to {high} {label}".rstrip() if low != high else f"{name} at {low} {label}".rstrip()
+
+
+@dataclass(frozen=True)
+class Trial:
+    """problem: that of what was recorded, were the explanation `values` true. experiment: by which; None on the
+    recording so far."""
+
+    problem: Problem
+    values: Mapping[str, float]
+    experiment: Experiment | None = None
+
+    @cached_property
+    def truth(self) -> np.ndarray:
+        """Errors of the explanation (samples, channels): on an experiment those of rounding."""
+        return self.problem.errors(self.values, self.problem.nothing())
+
+    @cached_property
+    def basis(self):
+        even = np.ones(self.truth.shape[1])
+        return self.problem.basis(self.values, self.problem.nothing(), self.truth, even)
+
+    def left(self, rival: Fit) -> np.ndarray:
+        """What `rival` predicts otherwise, in units of the noise, less what other beginnings of the windows explain,
+        (windows, rows); 0 where it diverges."""
+        errors = self.problem.errors(rival.values, self.problem.nothing()) - self.truth
+        errors = errors if np.isfinite(errors).all() else np.zeros_like(errors)
+        rows = self.problem.rows(errors, np.ones(errors.shape[1]))
+        return self.problem.eliminate(rows[:, :, None], None, self.basis)[0][:, :, 0]
+
+    def distance(self, rival: Fit) -> float:
+        """Standard deviations of the noise by which `rival` differs, when its parameters have taken up what they can as
+        far as its own recording leaves them free."""
+        shifts, even = self.problem.nothing(), np.ones(self.truth.shape[1])
+        errors = self.problem.errors(rival.values, shifts)
+        slopes = self.problem.slopes(rival.unknowns, rival.values, shifts, errors, even)
+        slopes = self.problem.eliminate(slopes, None, self.basis)[0].reshape(-1, len(rival.unknowns))
+        left = self.left(rival).reshape(-1)
+        pull = slopes.T @ left
+        step = np.linalg.lstsq(slopes.T @ slopes + rival.information, pull, rcond=1e-13)[0]
+        return float(np.sqrt(max(left @ left - pull @ step, 0.0)))
+
+
+class Trials:
+    """Experiments on the rig of `problem`, run as the explanation `values` (symbol -> value) would have them."""
+
+    def __init__(self, problem: Problem, values: Mapping[str, float]):
+        self.problem = problem
+        self.free = Free(problem.model.rig, problem.model.effects, values)
+        self._over: dict[float, list[Trial]] = {}
+
+    def apart(self, rival: Fit, here: float) -> Separation | None:
+        """The experiment that tells `rival` from the explanation best; None where the rig stands none of them.
+
+        here: standard deviations of the noise between the two on the recording so far.
+        """
+        found: list[Separation] = []
+        for reach in REACHES:
+            trials = sorted(self.over(reach), key=lambda t: -np.sum(t.left(rival) ** 2) / t.experiment.seconds)
+            found += [Separation(t.experiment, t.distance(rival), here) for t in trials[:SHORTLIST]]
+            if any(s.tells for s in found):
+                break
+        return max(found, key=lambda s: s.merit, default=None)
+
+    def over(self, reach: float) -> list[Trial]:
+        """Of every kind of experiment the strongest and the mildest that keeps within `reach` of what was recorded."""
+        if reach not in self._over:
+            model = self.problem.model
+            recording = model.recording
+            seconds = min(max(SECONDS, FEWEST * recording.dt), recording.samples * recording.dt)
+            bounds = self.free.settled(Bounds.of(model.rig, recording, reach), recording, HOLD * seconds)
+            found = []
+            for kind in experiments(bounds, seconds, recording.dt):
+                stood = [(e, r) for e in kind if (r := self.free.record(e.inputs, bounds)) is not None]
+                found += [self._trial(*pair) for pair in (*stood[:1], *stood[1:][-1:])]
+            self._over[reach] = found
+        return self._over[reach]
+
+    def _trial(self, experiment: Experiment, record: Recording) -> Trial:
+        return Trial(like(self.problem, self.problem.model.over(record)), self.free.values, experiment)
+
+
+def like(problem: Problem, model: Model) -> Problem:
+    """A problem with the noise of `problem` over the recording of another model, which may have further channels."""
+    made = type(problem)(model)
+    if isinstance(problem, Coloured):
+        further = [model.rig.channels[name].noise for name in model.rig.predict[len(problem.scale) :]]
+        made.ar = [*problem.ar, *(np.zeros(problem.order) for _ in further)]
+        made.scale = np.append(problem.scale, further)
+    return made
+
+
+def sensor(problem: Problem, values: Mapping[str, float], rival: Fit) -> tuple[str, float] | None:
+    """(state, distance): the state whose sensor, of FINE resolution, would tell `rival` from `values` best.
+
+    On the recording as it is; None where every state is a channel already, or the rate of one.
+    """
+    model = problem.model
+    values = {**model.values, **{s: v for s, v in values.items() if s in model.values}}
+    states, _ = model.states(values, problem.nothing())
+    found = []
+    for symbol, signal in zip(model.plant.states, states.T, strict=True):
+        known = symbol in model.rig.channels or symbol in model.rates or symbol not in model.rig.plant.states
+        if known or not 0.0 < np.ptp(signal) < np.inf:
+            continue
+        trial = Trial(like(problem, _with_sensor(model, symbol, signal)), values)
+        found.append((trial.distance(rival), symbol))
+    return max(found)[::-1] if found else None
+
+
+def _with_sensor(model: Model, symbol: str, signal: np.ndarray) -> Model:
+    """`model` on a rig that also has a sensor of the state `symbol`, which showed `signal`."""
+    rig, recording = model.rig, model.recording
+    channel = Channel(model.plant.states[symbol].unit, "output", noise=FINE * float(np.ptp(signal)))
+    richer = replace(rig, channels={**rig.channels, symbol: channel}, predict=(*rig.predict, symbol))
+    channels, units = {**recording.channels, symbol: signal}, {**recording.units, symbol: channel.unit}
+    return Model(richer, Recording(recording.dt, channels, units), model.effects, model.window)
+
+
+def imagined(problem: Problem, values: Mapping[str, float]) -> Problem:
+    """`problem` had it recorded what `values` (symbol -> value) predict, without noise."""
+    other = copy.copy(problem)
+    other.model = copy.copy(problem.model)
+    other.model.target = problem.model.predict({**problem.model.values, **values}, problem.nothing())
+    return other
+
+
+# -- of a diagnosis --------------------------------------------------------------------------------------------------
+
+
+def separations(result: Diagnosis, entries: Iterable[Mapping], count: int) -> dict[tuple[str, str], Separation]:
+    """What tells effects of a diagnosis from what they are not told apart from, (effect, other) -> separation.
+
+    entries: of its `effects`. Only the first `count` alternatives are tried; those are left out for which the rig
+    stands no experiment.
+    """
+    problem = result.search.screen if result.rig.stated else result.corrected.problem
+    pairs = [(entry, other) for entry in entries for other in entry["not_told_apart_from"]]
+    trials, found = None, {}
+    for entry, other in pairs[:count]:
+        rival = _rival(result, entry, other)
+        if rival is None:
+            continue
+        trials = trials or Trials(problem, result.corrected.values)
+        here = float(np.sqrt(max(result.rivals[rival] - result.rivals[result.best], 0.0)))
+        told = trials.apart(_fitted(result, problem, rival), here)
+        if told is not None:
+            found[entry["id"], other] = told
+    return found
+
+
+def _rival(result: Diagnosis, entry: Mapping, other: str) -> Hypothesis | None:
+    """The best hypothesis that has `other` in the place of an effect of the diagnosis."""
+    effects = result.search.effects
+    rest = {key for key in result.best.effects if key != entry.get("form", entry["id"])}
+    found = []
+    for hypothesis, cost in result.rivals.items():
+        names = [effects[key].id for key in hypothesis.effects if key not in rest] + list(hypothesis.released)
+        if hypothesis.size == result.best.size and rest <= set(hypothesis.effects) and other in names:
+            found.append((cost, hypothesis))
+    return min(found, key=lambda pair: pair[0])[1] if found else None
+
+
+def _fitted(result: Diagnosis, problem: Problem, rival: Hypothesis) -> Fit:
+    """The fit of a rival, which a search may have kept."""
+    search = result.search
+    if rival not in search.fits:
+        own = Hypothesis(tuple(k for k in rival.effects if k not in result.best.effects), rival.released)
+        narrow = copy.copy(search)
+        narrow.effects = {key: search.effects[key] for key in own.effects}
+        scores = narrow.scores(result.calibrated.problem, result.calibrated, Hypothesis())
+        start = next((s.values for s in scores if s.hypothesis == own), {})
+        search.fits[rival] = search.fit(problem, rival, {**result.corrected.values, **start}, iterations=ITERATIONS)
+    return search.fits[rival]

@@ -1,0 +1,457 @@
+"""Standard library networks: modules whose weights are known, by name (thesis 3.4 and 7.4.2; Dolen 2000).
+
+Switches, logic and limits are constructed; where there is no construction a small tanh network was trained once and is
+kept in `trained/library` (`python -m greygate.models.families.library` trains them again). Each states the function it
+stands for, the range of its ports and a bound of its error there, and carries its name as `Network.meaning`, from which the
+compiler emits a multiplexer or a comparator instead (compiler/meaning.py). Constructed weights are frozen.
+"""
+
+import json
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from decimal import ROUND_CEILING, Context, Decimal, localcontext
+from pathlib import Path
+
+import numpy as np
+
+from greygate.errors import InputError
+from greygate.files import replacing
+from greygate.models.families.blocks import feedforward, fit_divider, fit_flow, flow_rate
+from greygate.models.network import Layer, Network, Port
+from greygate.models.training.levenberg import train
+from greygate.models.training.problem import Record
+
+TRAINED = Path(__file__).parents[1] / "trained" / "library"
+ERRORS = TRAINED / "errors.json"  # name -> worst error of each trained network
+SATURATED = 15.0  # tanh is 1 to 2e-13 from here on
+PASSED = 100.0  # a signal divided by it passes the linear part of tanh (kappa of 3.4, 1/0.01 of 3.7)
+ANY = (-math.inf, math.inf)
+FAR = 10.0  # how far grids go where a range has no end
+DENSE = {1: 20_001, 2: 401, 3: 41}  # points an axis, by the number of ports
+ROUNDING = 1e-15  # of a few float operations, relative
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A library network and what it promises.
+
+    function: the exact answer to arrays given by port name, NaN where it has none. text: the same in a line. ranges:
+    port -> (low, high), in the port's unit. gaps: port -> open intervals of its range in which the network is on its
+    way from one value to the other. worst_error: no deviation from the function over the ranges is larger, gaps left
+    out. cure: what moves values out of the gaps. hardware: its operations.
+    """
+
+    network: Network
+    function: Callable[..., np.ndarray]
+    text: str
+    ranges: Mapping[str, tuple[float, float]]
+    worst_error: float
+    hardware: str
+    gaps: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
+    cure: str = ""
+
+    @property
+    def neurons(self) -> int:
+        """Neurons that are not linear."""
+        return sum(layer.size for layer in self.network.layers().values() if layer.activation != "linear")
+
+    def grid(self, points: int | None = None) -> dict[str, np.ndarray]:
+        """Every combination of `points` values of each port, the ends of its range and of its gaps among them."""
+        axes = []
+        for port, (low, high) in self.ranges.items():
+            axis = np.linspace(max(low, -FAR), min(high, FAR), points or DENSE[len(self.ranges)])
+            for a, b in self.gaps.get(port, ()):
+                axis = np.append(axis[(axis <= a) | (axis >= b)], (a, b))
+            axes.append(np.unique(axis))
+        return {p: v.ravel() for p, v in zip(self.ranges, np.meshgrid(*axes), strict=True)}
+
+    def errors(self, at: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Deviation from the function at values given by port name, (N,)."""
+        answer = self.network.run({p: v[:, None] for p, v in at.items()})["y"][:, 0]
+        return np.abs(answer - self.function(**at))
+
+    def measured_error(self, points: int | None = None) -> float:
+        """The worst error on that grid."""
+        return float(self.errors(self.grid(points)).max())
+
+
+# ---- constructed
+
+
+def _network(name: str, inputs: str, layers: Mapping[str, tuple[Layer, Mapping[str, str]]]) -> Network:
+    """Frozen layers {name: (layer, {port: source})}, the last of which is the output `y`."""
+    network = Network(name, [Port(i) for i in inputs.split()], [Port("y")])
+    for layer_name, (layer, sources) in layers.items():
+        network.add(layer_name, replace(layer, frozen=frozenset({*layer.weights, "bias"})))
+        for port, source in sources.items():
+            network.connect(source, f"{layer_name}.{port}")
+    network.connect(layer_name, "y")
+    return network
+
+
+def _positive(name: str, **values: float) -> None:
+    for key, value in values.items():
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(f"library network {name}: {key} = {value} must be a positive number")
+
+
+def _passing_error(reach: float) -> float:
+    """Of tanh that passes a signal, and of a saturated gate that is not quite 1, times 10 and 100."""
+    return reach * (1 - PASSED * math.tanh(1 / PASSED) + 2 * PASSED * 10 * (1 - math.tanh(SATURATED)))
+
+
+def switch_1(reach: float = 1.0) -> Entry:
+    """Switching network type 1 (3.4), kappa = 100: y = u1 for s = 1, u2 for s = -1. reach: of u1 and u2."""
+    _positive("switch_1", reach=reach)
+    k, r = PASSED, PASSED * reach
+    gates = Layer({"u1": [[1 / r], [0]], "u2": [[0], [1 / r]], "s": [[k], [k]]}, [-k, k], "tansig")
+    out = Layer({"gates": [[r, r]], "s": [[-r]]}, [0.0])
+    layers = {"gates": (gates, {"u1": "u1", "u2": "u2", "s": "s"}), "out": (out, {"gates": "gates", "s": "s"})}
+    return Entry(
+        _network("switch_1", "u1 u2 s", layers),
+        lambda u1, u2, s: np.select([s == 1, s == -1], [u1, u2], np.nan),
+        "u1 for s = 1, u2 for s = -1",
+        {"u1": (-reach, reach), "u2": (-reach, reach), "s": (-1, 1)},
+        _passing_error(reach),
+        "1 multiplexer",
+        {"s": ((-1, 1),)},
+        "put library network sign before s, or take switch_2",
+    )
+
+
+def switch_2(gain: float = 1e6, reach: float = 1.0) -> Entry:
+    """Switching network type 2 (3.5 to 3.7): y = u1 for s >= 0, u2 for s < 0.
+
+    The thesis writes it as a recurrent layer whose third neuron feeds the other two one update later; here that neuron
+    stands before them, so that y answers within the step. Its bias is 15 instead of 0: at s = 0 it says "not negative",
+    where the thesis's would give 0, neither u1 nor u2. Between -30/gain and 0 it is on its way, and y is far off.
+    gain: 1e5 in the thesis. reach: of u1 and u2.
+    """
+    _positive("switch_2", gain=gain, reach=reach)
+    r = PASSED * reach
+    gate = Layer({"s": [[gain]]}, [SATURATED], "tansig")
+    values = Layer({"u1": [[1 / r], [0]], "u2": [[0], [1 / r]], "gate": [[10.0], [10.0]]}, [-10.0, 10.0], "tansig")
+    layers = {
+        "gate": (gate, {"s": "s"}),
+        "values": (values, {"u1": "u1", "u2": "u2", "gate": "gate"}),
+        "out": (Layer({"values": [[r, r]], "gate": [[-r]]}, [0.0]), {"values": "values", "gate": "gate"}),
+    }
+    return Entry(
+        _network("switch_2", "u1 u2 s", layers),
+        lambda u1, u2, s: np.where(s >= 0, u1, u2),
+        "u1 for s >= 0, else u2",
+        {"u1": (-reach, reach), "u2": (-reach, reach), "s": ANY},
+        _passing_error(reach),
+        "1 multiplexer",
+        {"s": ((-2 * SATURATED / gain, 0.0),)},
+    )
+
+
+def xor(gain: float = 1e5) -> Entry:
+    """Exclusive or (3.8, 3.9): y = -1 where sgn(u1) = sgn(u2), else 1. The sign of 0 is 0, equal to that of 0 alone.
+
+    Up to about 0.55/gain a sign is not told from 0. gain: K of the thesis, at least 100.
+    """
+    if not 100 <= gain < math.inf:
+        raise InputError(f"library network xor: gain = {gain} is below 100 or not finite")
+    signs = Layer({"u1": [[gain], [0]], "u2": [[0], [gain]]}, [0.0, 0.0], "tansig")
+    compared = Layer({"signs": [[gain, -gain], [gain, -gain]]}, [-gain / 2, gain / 2], "tansig")
+    layers = {
+        "signs": (signs, {"u1": "u1", "u2": "u2"}),
+        "compared": (compared, {"signs": "signs"}),
+        "out": (Layer({"compared": [[1.0, -1.0]]}, [1.0]), {"compared": "compared"}),
+    }
+    gap = math.atanh(0.5 + 20 / gain) / gain
+    return Entry(
+        _network("xor", "u1 u2", layers),
+        lambda u1, u2: np.where(np.sign(u1) == np.sign(u2), -1.0, 1.0),
+        "-1 if sgn(u1) = sgn(u2), else 1; sgn(0) = 0",
+        {"u1": ANY, "u2": ANY},
+        0.0,
+        "7 comparators",
+        dict.fromkeys(("u1", "u2"), ((-gap, 0.0), (0.0, gap))),
+    )
+
+
+def sign(gain: float = 1e6) -> Entry:
+    """y = 1 for x >= 0, -1 for x < 0, by one tanh neuron whose bias of 15 settles x = 0."""
+    _positive("sign", gain=gain)
+    layers = {"out": (Layer({"x": [[gain]]}, [SATURATED], "tansig"), {"x": "x"})}
+    return Entry(
+        _network("sign", "x", layers),
+        lambda x: np.where(x >= 0, 1.0, -1.0),
+        "1 for x >= 0, else -1",
+        {"x": ANY},
+        1 - math.tanh(SATURATED),
+        "1 comparator",
+        {"x": ((-2 * SATURATED / gain, 0.0),)},
+    )
+
+
+def zero_region(threshold: float = 1e-3) -> Entry:
+    """Zero-region detector (7.4.2): y = 1 for |x| <= threshold, else -1, by two hard limits; it drives a switch."""
+    _positive("zero_region", threshold=threshold)
+    layers = {
+        "above": (Layer({"x": [[1.0]]}, [threshold], "hardlim"), {"x": "x"}),
+        "below": (Layer({"x": [[-1.0]]}, [threshold], "hardlim"), {"x": "x"}),
+        "out": (Layer({"above": [[2.0]], "below": [[2.0]]}, [-3.0]), {"above": "above", "below": "below"}),
+    }
+    return Entry(
+        _network("zero_region", "x", layers),
+        lambda x: np.where(np.abs(x) <= threshold, 1.0, -1.0),
+        f"1 for |x| <= {threshold:g}, else -1",
+        {"x": ANY},
+        0.0,
+        "3 comparators",
+    )
+
+
+def absolute(reach: float = 1.0) -> Entry:
+    """y = |x| for |x| <= reach, by two saturating neurons."""
+    _positive("absolute", reach=reach)
+    layers = {
+        "halves": (Layer({"x": [[1 / reach], [-1 / reach]]}, [0.0, 0.0], "satlin"), {"x": "x"}),
+        "out": (Layer({"halves": [[reach, reach]]}, [0.0]), {"halves": "halves"}),
+    }
+    ranges, error = {"x": (-reach, reach)}, ROUNDING * reach
+    return Entry(_network("absolute", "x", layers), lambda x: np.abs(x), "|x|", ranges, error, "1 multiplexer")
+
+
+def limiter(lo: float = 0.0, hi: float = 1.0) -> Entry:
+    """y = min(hi, max(x, lo)), by one saturating neuron; by a multiplexer if lo is -inf or hi is inf."""
+    if not lo < hi or (lo == -math.inf and hi == math.inf):
+        raise InputError(f"library network limiter: lo = {lo}, hi = {hi}; give lo < hi, one of them may be infinite")
+    span, text, error = hi - lo, f"min({hi:g}, max(x, {lo:g}))", ROUNDING * (abs(lo) + abs(hi))
+    layers = {
+        "part": (Layer({"x": [[1 / span]]}, [-lo / span], "satlin"), {"x": "x"}),
+        "out": (Layer({"part": [[span]]}, [lo]), {"part": "part"}),
+    }
+    hardware = "1 clamp"
+    if math.isinf(span):
+        end, side, text = (lo, 1.0, f"max(x, {lo:g})") if math.isinf(hi) else (hi, -1.0, f"min(x, {hi:g})")
+        chosen = Layer({"x": [[side], [1.0], [0.0]]}, [-side * end, 0.0, end], "select")
+        layers, hardware, error = {"out": (chosen, {"x": "x"})}, "1 multiplexer", 0.0
+    return Entry(_network("limiter", "x", layers), lambda x: np.clip(x, lo, hi), text, {"x": ANY}, error, hardware)
+
+
+def gaussian() -> Entry:
+    """y = exp(-x^2 / 2), by one radial neuron."""
+    layers = {"out": (Layer({"x": [[1 / math.sqrt(2)]]}, [0.0], "radbas"), {"x": "x"})}
+    network = _network("gaussian", "x", layers)
+    function, text = (lambda x: np.exp(-(x**2) / 2)), "exp(-x^2 / 2)"
+    return Entry(network, function, text, {"x": ANY}, ROUNDING, "1 table look-up")
+
+
+# ---- trained
+
+
+@dataclass(frozen=True)
+class Function:
+    """What a network is trained on: function(*ports) over ranges, with that many tanh neurons."""
+
+    function: Callable[..., np.ndarray]
+    text: str
+    ranges: Mapping[str, tuple[float, float]]
+    hidden: int
+
+    def record(self) -> Record:
+        """Chebyshev points, which stand closer together at the ends of a range."""
+        points = -np.cos(np.linspace(0, np.pi, 600 if len(self.ranges) == 1 else 41))
+        axes = [(low + high) / 2 + (high - low) / 2 * points for low, high in self.ranges.values()]
+        at = {p: v.ravel() for p, v in zip(self.ranges, np.meshgrid(*axes), strict=True)}
+        return Record(at, {"y": self.function(**at)})
+
+    def fit(self, name: str, seed: int) -> Network:
+        network = feedforward(name, list(self.ranges), [self.hidden], seed)
+        network.inputs = [
+            Port(p, scale=(high - low) / 2, offset=(low + high) / 2) for p, (low, high) in self.ranges.items()
+        ]
+        return train(network, [self.record()], epochs=600, decay=1e-10, tolerance=1e-5).network
+
+
+FUNCTIONS = {
+    "square": Function(lambda x: x * x, "x^2", {"x": (-1, 1)}, 3),
+    "product": Function(lambda x1, x2: x1 * x2, "x1 x2", {"x1": (-1, 1), "x2": (-1, 1)}, 4),
+    "sine": Function(lambda x: np.sin(x), "sin(x)", {"x": (-math.pi, math.pi)}, 6),
+    "cosine": Function(lambda x: np.cos(x), "cos(x)", {"x": (-math.pi, math.pi)}, 6),
+    "arccosine": Function(lambda x: np.arccos(x), "arccos(x)", {"x": (-1, 1)}, 8),
+    "square_root": Function(lambda x: np.sqrt(x), "sqrt(x)", {"x": (0.01, 1)}, 6),
+}
+SEEDS = range(4)
+
+
+def _tables(network: Network) -> str:
+    return f"{sum(v.size for v in network.layers().values() if v.activation == 'tansig')} table look-ups"
+
+
+def _trained(name: str) -> Callable[[], Entry]:
+    """Builder of a network of `FUNCTIONS`."""
+
+    def build() -> Entry:
+        f, network = FUNCTIONS[name], Network.load(TRAINED / name)
+        return Entry(network, f.function, f.text, f.ranges, _stored_error(name), _tables(network))
+
+    build.__doc__ = f"y = {FUNCTIONS[name].text}, trained."
+    return build
+
+
+def _stored_error(name: str) -> float:
+    return json.loads(ERRORS.read_text())[name]
+
+
+def divider() -> Entry:
+    """y = omega / (gamma + 1), trained (5.3.2.2)."""
+    network, ranges = Network.load(TRAINED / "divider"), {"omega": (-1, 1), "gamma": (-0.9, 0.9)}
+    function, text = (lambda omega, gamma: omega / (gamma + 1)), "omega / (gamma + 1)"
+    return Entry(network, function, text, ranges, _stored_error("divider"), _tables(network))
+
+
+def flow(lap: float = 0.0) -> Entry:
+    """Flow into a chamber through a valve (5.3.2.1; A.1, A.4, A.6), normalised, from a trained zero-lapped one.
+
+        y = f(u + lap) sqrt(1 - p) - f(lap - u) sqrt(p),   f(x) = max(x, 0)
+
+    u: spool in [-1, 1], p: pressure over that of the supply. lap: of the spool's stroke; 0 for a zero-lapped valve,
+    positive for an under-lapped one (then |u| <= 1 - lap), negative for an over-lapped one. With a lap the trained
+    network is given the opening of each edge, which limits form exactly; its worst error is then a bound.
+    """
+    if not -0.9 <= lap <= 0.9:
+        raise InputError(f"library network flow: lap = {lap} is not within -0.9..0.9 of the spool's stroke")
+    whole, error = Network.load(TRAINED / "flow"), _stored_error("flow")
+    reach, p = 1 - max(lap, 0.0), (0.01, 0.99)
+
+    def function(u, p):
+        return flow_rate(np.maximum(u + lap, 0), p) + flow_rate(np.minimum(u - lap, 0), p)
+
+    text = "f(u + lap) sqrt(1 - p) - f(lap - u) sqrt(p), f(x) = max(x, 0)"
+    if lap:
+        trained, span = whole, 1 + min(lap, 0.0)
+        whole = Network("flow", [Port("u"), Port("p")], [Port("y")])
+        fixed = frozenset({"u", "bias"})
+        edges = Layer({"u": [[1 / span], [-1 / span]]}, [lap / span, lap / span], "satlin", frozen=fixed)
+        whole.add("openings", edges)  # to the supply, to the tank
+        whole.connect("u", "openings.u")
+        parts = {"supply": [span, 0], "tank": [0, -span]} if lap > 0 else {"either": [span, -span]}
+        for name, gain in parts.items():
+            whole.add(name, trained)
+            whole.connect("openings", f"{name}.u", gain=np.array([gain], float))
+            whole.connect("p", f"{name}.p")
+            whole.connect(name, "y")
+        error *= len(parts)
+    return Entry(whole, function, text, {"u": (-reach, reach), "p": p}, error, _tables(whole))
+
+
+# ---- the library
+
+LIBRARY: dict[str, Callable[..., Entry]] = {
+    build.__name__: build
+    for build in (switch_1, switch_2, xor, sign, zero_region, absolute, limiter, gaussian, divider, flow)
+} | {name: _trained(name) for name in FUNCTIONS}
+
+
+def entry(name: str, **args: float) -> Entry:
+    """A library network with what it promises. Raises InputError for a name or an argument that does not exist."""
+    if name not in LIBRARY:
+        raise InputError(f"no library network is called {name!r}; there are {', '.join(LIBRARY)}")
+    try:
+        found = LIBRARY[name](**args)
+    except TypeError:
+        raise InputError(
+            f"library network {name}: does not take {', '.join(args)}; see greygate.models.families.library"
+        ) from None
+    given = ", ".join(f"{k}={float(v)!r}" for k, v in args.items())
+    return replace(found, network=replace(found.network, meaning=f"{name}({given})" if given else name))
+
+
+def library(name: str, **args: float) -> Network:
+    """A library network, ready to be added to another, such as `library("switch_2", gain=1e7)`."""
+    return entry(name, **args).network
+
+
+def recalled(meaning: str) -> tuple[str, Entry]:
+    """The name and the entry that `Network.meaning` was written from. Raises InputError if it names none."""
+    match = re.fullmatch(r"(\w+)(?:\((.*)\))?", meaning)
+    try:
+        pairs = [part.split("=") for part in match[2].split(", ")] if match[2] else []
+        return match[1], entry(match[1], **{k: float(v) for k, v in pairs})
+    except (TypeError, ValueError) as error:
+        raise InputError(f"meaning {meaning!r} names no library network; remove it ({error})") from None
+
+
+def rounded_up(value: float, digits: int) -> str:
+    """The least number of so many digits that is not below value."""
+    with localcontext(Context(prec=digits, rounding=ROUND_CEILING)):
+        return f"{float(+Decimal(repr(float(value)))):g}"
+
+
+def listing() -> list[dict[str, str]]:
+    """Every library network with its default arguments, a row each, in words."""
+    rows = []
+    for name in LIBRARY:
+        e = entry(name)
+        spans = []
+        for port, (low, high) in e.ranges.items():
+            gaps = "".join(f" without ({a:.2g}, {b:.2g})" for a, b in e.gaps.get(port, ()))
+            span = "any" if math.isinf(high) else f"{low:.4g}..{high:.4g}"
+            spans.append(f"{port} {span}{gaps}")
+        rows.append(
+            {
+                "network": name,
+                "y": e.text,
+                "range": "; ".join(spans),
+                "worst error": rounded_up(e.worst_error, 2),
+                "neurons": str(e.neurons),
+                "in hardware": e.hardware,
+            }
+        )
+    return rows
+
+
+def markdown() -> str:
+    """`listing` as the table of docs/library.md."""
+    rows = listing()
+    lines = [list(rows[0]), ["---"] * len(rows[0]), *(list(r.values()) for r in rows)]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines) + "\n"
+
+
+def bound(found: Entry, zooms: int = 6) -> float:
+    """The worst error between grid points too: about the worst points of the grid, finer and finer grids."""
+    at = found.grid()
+    steps = {p: (high - low) / (DENSE[len(at)] - 1) for p, (low, high) in found.ranges.items()}
+    worst = 0.0
+    for _ in range(zooms):
+        errors = found.errors(at)
+        worst = max(worst, float(errors.max()))
+        near = np.stack(np.meshgrid(*[np.linspace(-1, 1, 9)] * len(at)), -1).reshape(-1, len(at))
+        chosen = np.argsort(errors)[-100:]
+        at = {
+            p: np.clip((v[chosen, None] + step * offset).ravel(), *found.ranges[p])
+            for (p, v), step, offset in zip(at.items(), steps.values(), near.T, strict=True)
+        }
+        steps = {p: step / 4 for p, step in steps.items()}
+    return worst
+
+
+def fit_library(progress: Callable[[str], None] = print) -> None:
+    """Train what is trained, of several seeds the one with the lowest worst error, and keep it in `TRAINED`."""
+    errors = {}
+    networks = {"flow": fit_flow(seed=1).network, "divider": fit_divider(seed=0).network}
+    for name, f in FUNCTIONS.items():
+        fits = [f.fit(name, seed) for seed in SEEDS]
+        networks[name] = min(fits, key=lambda n: Entry(n, f.function, "", f.ranges, 0.0, "").measured_error())
+    for name, network in networks.items():
+        network.save(TRAINED / name)
+        errors[name] = 0.0
+    with replacing(ERRORS) as path:
+        path.write_text(json.dumps(errors))
+    errors = {name: float(rounded_up(bound(entry(name)), 3)) for name in networks}
+    with replacing(ERRORS) as path:
+        path.write_text(json.dumps(errors, indent=1) + "\n")
+    for name, error in errors.items():
+        progress(f"{name}: worst error {error:.3g}")
+
+
+if __name__ == "__main__":
+    fit_library()
