@@ -109,7 +109,7 @@ class Connection:
 class Network:
     """Modules joined by connections; itself a module of another network.
 
-    meaning: name of the library function that it stands for (`families/library.py`), which the compiler may emit instead.
+    meaning: name of the library function that it stands for (families/library.py), which the compiler may emit instead.
     """
 
     name: str

@@ -2,8 +2,8 @@
 
 Switches, logic and limits are constructed; where there is no construction a small tanh network was trained once and is
 kept in `trained/library` (`python -m greygate.models.families.library` trains them again). Each states the function it
-stands for, the range of its ports and a bound of its error there, and carries its name as `Network.meaning`, from which the
-compiler emits a multiplexer or a comparator instead (compiler/meaning.py). Constructed weights are frozen.
+stands for, the range of its ports and a bound of its error there, and carries its name as `Network.meaning`, from which
+the compiler emits a multiplexer or a comparator instead (compiler/meaning.py). Constructed weights are frozen.
 """
 
 import json
