@@ -3,9 +3,9 @@
 A module whose `meaning` names a library network (models/families/library.py), and whose weights are still those of the
 library, is replaced by the form below that computes its function exactly. That is proved twice: its inputs stay within
 the library's stated range on every record; and for every code that the tested signal can have in the finished program,
-the library network and the exact form differ by no more than the library's stated worst error. In a gap, where the library
-network is not what it stands for, it is the function that the exact form has to equal. A module that fails keeps its
-network, and a remark says why. What was trained (sine, flow, ...) has no exact form and stays as it is.
+the library network and the exact form differ by no more than the library's stated worst error. In a gap, where the
+library network is not what it stands for, it is the function that the exact form has to equal. A module that fails
+keeps its network, and a remark says why. What was trained (sine, flow, ...) has no exact form and stays as it is.
 """
 
 import math

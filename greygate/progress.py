@@ -1,0 +1,9 @@
+"""How long work tells where it is: a callable that takes one line of text."""
+
+from collections.abc import Callable
+
+Progress = Callable[[str], None]
+
+
+def silent(line: str) -> None:
+    """Say nothing: the default of every `progress`."""
