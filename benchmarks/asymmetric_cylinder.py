@@ -18,7 +18,7 @@ from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.regression import noe
 from greygate.models.network import Port
 from greygate.models.training.levenberg import Outcome, narx_noe, train
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 INPUTS = {Port("u", "V", 5.0): (0, 1), Port("x", "m", 0.05): (0, 1), Port("v", "m/s", 0.2): (0, 1)}
 CHAMBERS = {"p_a": Port("p_a", "Pa", 30e5, 40e5), "p_b": Port("p_b", "Pa", 60e5, 75e5)}

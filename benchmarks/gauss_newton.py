@@ -13,7 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from greygate.machines import catalog
-from greygate.models.training.problem import Problem
+from greygate.models.training.objective import Objective
 
 
 def timed(work, repeats: int) -> list[float]:
@@ -28,7 +28,7 @@ def timed(work, repeats: int) -> list[float]:
 
 def main(repeats: int) -> None:
     entry = catalog.entry("valve_cylinder")
-    problem = Problem(entry.network(), [entry.records()["training"]])
+    problem = Objective(entry.network(), [entry.records()["training"]])
     size = len(problem.free)
     jacobian = np.random.default_rng(0).normal(size=(2048, size))
     runs = problem.samples / len(jacobian)

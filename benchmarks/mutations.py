@@ -63,7 +63,7 @@ NAMED = {  # what it is: (file, old, new); old stands there once
         "if activation in (HARDLIM, HARDLIMS):\n        return 1.0, o",
     ),
     "a held-out tail counts what its record skips": (
-        "models/training/problem.py",
+        "models/training/record.py",
         "skip=max(h, r.skip)",
         "skip=h",
     ),

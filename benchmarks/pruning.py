@@ -15,7 +15,7 @@ from greygate.machines.benchmark_systems.plant import b2, b2_input, b2_test_inpu
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import train
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 SIZES = (341, 300, 270, 244, 220, 200, 170, 140, 110, 80)
 DECAY = 1e-6

@@ -70,7 +70,7 @@ def greygate(case, start):
     from greygate.models.families.regression import noe
     from greygate.models.network import Port
     from greygate.models.training.levenberg import train
-    from greygate.models.training.problem import Record
+    from greygate.models.training.record import Record
 
     network = noe("n", {Port("u"): case.inputs}, Port("y"), case.feedback, case.sizes[1:-1], bypass=False)
     ports = [f"u_z{d}" for d in case.inputs] + [f"y_z{d}" for d in case.feedback]

@@ -24,7 +24,7 @@ from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import train
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 LOOSE = 100  # the NARX start's error over the goal
 HERE = Path(__file__).parent

@@ -18,7 +18,7 @@ from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.regression import regression
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Fit, train
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 from greygate.plants.excitation import prms
 
 

@@ -19,7 +19,8 @@ from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Outcome, narx_noe, train
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 
 BAR = 1e5
 TAIL = 0.2
@@ -48,7 +49,7 @@ def free_run(network: Network, run: Record) -> float:
 
 
 def one_step(network: Network, run: Record) -> float:
-    problem = Problem(network, [run], teacher=True)
+    problem = Objective(network, [run], teacher=True)
     return network.outputs[0].scale / BAR * float(np.sqrt(problem.squares(problem.theta) / problem.samples))
 
 

@@ -10,7 +10,7 @@ from greygate.machines.valve_cylinder.plant import valve_cylinder
 from greygate.machines.valve_cylinder.scenarios import measure, scenario
 from greygate.machines.valve_cylinder.study import FLOW_SEED, swap_flow
 from greygate.models.families.blocks import fit_flow
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 LAP = 0.05  # of the stroke
 VALVES = {"zero-lapped": 0.0, "overlapped": LAP, "underlapped": -LAP}

@@ -15,14 +15,15 @@ from greygate.emulator.engine import run
 from greygate.emulator.program import Affine, Program
 from greygate.models.arithmetic import mean, product
 from greygate.models.network import Network
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 
 SAMPLES = 2000  # steps of all records together, evenly spread
 
 
 def centre_biases(program: Program, network: Network, records: Sequence[Record]) -> Program:
     """Correct the biases of every AFFINE operation that rounds weights, in program order, on records."""
-    problem = Problem(network, list(records))
+    problem = Objective(network, list(records))
     past: dict[str, list[np.ndarray]] = {}  # signal -> by delay, its values at the chosen steps of all records
     codes = []
     for record, trace in zip(records, problem.simulate(problem.theta), strict=True):
@@ -66,7 +67,7 @@ def centre_biases(program: Program, network: Network, records: Sequence[Record])
     return program.check()
 
 
-def _before(problem: Problem, name: str) -> np.ndarray:
+def _before(problem: Objective, name: str) -> np.ndarray:
     """What a signal is before the first step, normalised."""
     port = next((p for p in problem.flat.inputs if p.name == name), None)
     if port is None:

@@ -19,7 +19,7 @@ from greygate.compiler.ranges import ranges, sums
 from greygate.emulator.program import Affine, Program, Threshold
 from greygate.models.families.library import Entry, recalled, rounded_up
 from greygate.models.network import Layer, Network
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 FEW = 64  # codes up to which a signal's are listed one by one
 MANY = 1 << 17  # codes up to which all are tried; of more, those about zero, where alone tanh is not saturated

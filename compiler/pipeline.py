@@ -17,7 +17,8 @@ from greygate.emulator.program import Fix, Program
 from greygate.errors import InputError
 from greygate.models.arithmetic import mean
 from greygate.models.network import Network
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 
 SAME = 1e-9  # largest relative change of any output that a simplification may cause
 WIDTHS = range(8, 33)
@@ -139,7 +140,7 @@ def fixed_error(program: Program, record: Record) -> dict[str, np.ndarray]:
 
 def float_error(network: Network, record: Record) -> dict[str, np.ndarray]:
     """Float prediction less target, by output, in physical units, (N,) or (N, size)."""
-    problem = Problem(network, [record])
+    problem = Objective(network, [record])
     errors = problem.errors(problem.theta)
     if errors is None:
         raise InputError(f"network {network.name}: diverges on the record")
@@ -234,7 +235,7 @@ def _summary(name: str, network: Network, change: float) -> Pass:
 def _outputs(network: Network, records: Mapping[str, Record]) -> dict[str, np.ndarray]:
     found = {}
     for name, record in records.items():
-        problem = Problem(network, [record])
+        problem = Objective(network, [record])
         runs = problem.simulate(problem.theta)
         if runs is None:
             raise InputError(f"network {network.name}: diverges on scenario {name}; train it before compiling")

@@ -8,7 +8,8 @@ import numpy as np
 from greygate.compiler.simplify import Graph
 from greygate.models.network import Network
 from greygate.models.training.levenberg import Outcome, train
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 
 WORKING_RANGE = {
     "tansig": (-1.0, 1.0),
@@ -37,7 +38,7 @@ class Round:
 
 def entropies(network: Network, records: list[Record]) -> dict[str, np.ndarray]:
     """H = -sum p ln p of each hidden neuron's histogram over its whole working range (3.14), in nats, by layer."""
-    problem = Problem(network, records)
+    problem = Objective(network, records)
     run = np.concatenate(problem.simulate(problem.theta))
     found = {}
     for name, columns in problem.elements().items():
@@ -52,7 +53,7 @@ def entropies(network: Network, records: list[Record]) -> dict[str, np.ndarray]:
 
 def output_errors(network: Network, records: list[Record]) -> np.ndarray:
     """RMS error over all records, normalised, of each output column; inf where a run diverges."""
-    problem = Problem(network, records)
+    problem = Objective(network, records)
     errors = problem.errors(problem.theta)
     if errors is None:
         return np.full(sum(p.size for p in problem.flat.outputs), np.inf)
@@ -65,7 +66,7 @@ def remove_neurons(network: Network, records: list[Record], chosen: dict[str, li
     """Remove neurons. Those they fed receive the mean instead, in their biases, and what the layer's other neurons can
     say of the rest, by linear regression, in their weights.
     """
-    problem = Problem(network, records)
+    problem = Objective(network, records)
     run = np.concatenate(problem.simulate(problem.theta))
     g = Graph(problem.flat)
     for name, indices in chosen.items():

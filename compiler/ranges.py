@@ -7,7 +7,8 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.models.arithmetic import mean, product, xp
 from greygate.models.network import ACTIVATIONS, Layer, Network
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 
 IMAGE = {
     "tansig": (-1.0, 1.0),
@@ -52,7 +53,7 @@ def sums(name: str, layer: Layer) -> dict[str, slice]:
 
 def ranges(network: Network, records: list[Record]) -> dict[str, Range]:
     """Ranges of every input and layer of a flat network, and of every pre-activation by its name in `sums`."""
-    problem = Problem(network, records)
+    problem = Objective(network, records)
     flat, runs = problem.flat, problem.simulate(problem.theta)
     if runs is None:
         raise InputError(f"network {network.name}: diverges on the records; train it before compiling")

@@ -17,7 +17,8 @@ from greygate.compiler.simplify import Graph, fold_constants, parameter_count
 from greygate.errors import InputError
 from greygate.models.network import Network
 from greygate.models.training.levenberg import blas
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 
 RIDGES = (1e-8, 1e-6, 1e-4, 1e-2)  # of the Hessian, times its mean diagonal: far from a quadratic a small one strays
 
@@ -48,7 +49,7 @@ class Expansion:
     J'J. ridge: times the mean of its diagonal, is added to it: weights that nothing depends on make it singular.
     """
 
-    problem: Problem
+    problem: Objective
     theta: np.ndarray
     weights: np.ndarray
     curvature: np.ndarray
@@ -59,7 +60,7 @@ class Expansion:
     def of(network: Network, records: Sequence[Record], decay: float = 0.0, ridge: float = RIDGES[0]) -> "Expansion":
         """Of a network that is trained. Raises InputError if its free run diverges on a record."""
         network = fold_constants(network)
-        problem = Problem(network, list(records), free=nonzero(network))
+        problem = Objective(network, list(records), free=nonzero(network))
         if not np.isfinite(problem.squares(problem.theta)):
             raise InputError(f"network {network.name}: diverges on a record; train it before pruning")
         curvature, _ = problem.normal_equations(problem.theta)
@@ -369,7 +370,7 @@ def _retrained(
 ) -> Network:
     """On the records, with the weights of the lowest error over the held-out ones, if any."""
     free = nonzero(network)
-    if not len(Problem(network, list(records), free=free).free):
+    if not len(Objective(network, list(records), free=free).free):
         return network
     return retrained(network, list(records), epochs, decay=decay, free=free, held=held, patience=epochs)
 
@@ -381,7 +382,7 @@ def _step(network: Network, records: Sequence[Record], held: Sequence[Record]) -
     return Step(network, parameter_count(network), neurons, tuple(error.tolist()), tuple(other.tolist()))
 
 
-def _named(problem: Problem, weights: np.ndarray) -> dict[str, list[int]]:
+def _named(problem: Objective, weights: np.ndarray) -> dict[str, list[int]]:
     """Indices of theta by parameter, each flat."""
     found = {n: np.flatnonzero(np.isin(where, weights)).tolist() for n, where in problem.slices().items()}
     return {n: which for n, which in found.items() if which}

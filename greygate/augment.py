@@ -31,7 +31,7 @@ from greygate.models.families.blocks import feedforward
 from greygate.models.families.library import library
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import train
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 from greygate.plants.plant import Values
 from greygate.plants.recording import Recording
 

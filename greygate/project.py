@@ -60,7 +60,7 @@ from greygate.machines.measured.identification import settled
 from greygate.machines.procedure import rms
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Outcome, narx_noe, train
-from greygate.models.training.problem import Record, held_out
+from greygate.models.training.record import Record, held_out
 from greygate.pages.report import plain, size
 from greygate.plants.recording import read_csv
 from greygate.reading import read_json

@@ -17,7 +17,7 @@ from greygate.machines.pruned import Kept
 from greygate.machines.pump_cylinder import study as pump_cylinder
 from greygate.machines.valve_cylinder import study as valve_cylinder
 from greygate.models.network import Network
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 TRAINED = measured.TRAINED
 

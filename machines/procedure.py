@@ -25,7 +25,7 @@ from greygate.compiler.simplify import parameter_count, simplify
 from greygate.errors import InputError
 from greygate.models.network import Network
 from greygate.models.training.levenberg import Fit, train
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 OWN = "own record"  # heading of a part's error, on the record of its own ports
 

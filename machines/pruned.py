@@ -22,7 +22,7 @@ from greygate.compiler.prune import Round
 from greygate.errors import InputError
 from greygate.machines.measured.identification import TRAINED
 from greygate.models.network import Network
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 from greygate.reading import read_json
 
 PRUNED = TRAINED / "pruned"

@@ -15,7 +15,8 @@ from greygate.errors import InputError
 from greygate.models.network import Network, Port
 from greygate.models.spectra import frequency_response
 from greygate.models.training.kernels import forward, tabulate
-from greygate.models.training.problem import CORES, Problem, Record
+from greygate.models.training.objective import CORES, Objective
+from greygate.models.training.record import Record
 
 HORIZONS = (1, 2, 5, 10, 20, 50, 100)  # steps ahead
 ORIGINS = 1000  # most points of a record from which it predicts k steps ahead
@@ -153,14 +154,14 @@ def validate(
     k steps ahead: up to step t the measured outputs stand in the feedback, and the prediction of t + k is k steps of
     free run from there, for up to 1000 points t of the record. Hidden states, which nobody measured, start from where
     the measured outputs before t have brought them.
-    Raises InputError as `Problem`, and for a record with fewer than 4 (lags + 2) samples.
+    Raises InputError as `Objective`, and for a record with fewer than 4 (lags + 2) samples.
     """
     if not records:
         raise InputError(f"network {network.name}: no records to validate on")
     if lags < 1 or not horizons or min(horizons) < 1:
         raise InputError(f"network {network.name}: {lags} lags, horizons {tuple(horizons)}; give numbers above 0")
     for name, record in records.items():
-        Problem(network, [record])  # names what is wrong with it
+        Objective(network, [record])  # names what is wrong with it
         if (used := len(record) - record.skip) < 4 * (lags + 2):
             raise InputError(
                 f"record {name}: {used} samples are too few for {lags} lags; give {4 * (lags + 2)}, or fewer lags"
@@ -280,7 +281,7 @@ class _Model:
     """A flat network as arrays for `kernels.forward`, run from any state."""
 
     def __init__(self, network: Network):
-        problem = Problem(network, [])
+        problem = Objective(network, [])
         self.flat, self.theta, self.columns = problem.flat, problem.theta, problem.elements()
         self.tables, _ = tabulate(self.flat)
         self.depth = self.tables.depth

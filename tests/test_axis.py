@@ -3,7 +3,7 @@ import pytest
 
 from greygate.machines.measured.axis import FORCE, POSITION, axis, moving, starting
 from greygate.machines.measured.identification import rmse
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 PERIOD = 1e-3
 

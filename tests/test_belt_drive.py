@@ -11,7 +11,7 @@ from greygate.machines.belt_drive import study
 from greygate.machines.belt_drive.network import EXPERTS, REACH, E, X, belt_machine
 from greygate.machines.catalog import entry
 from greygate.models.network import Layer, Network, Port
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 SLOPE = 2.0  # of a path, error over `REACH`
 

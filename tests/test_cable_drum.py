@@ -25,7 +25,7 @@ from greygate.machines.cable_drum.study import (
 )
 from greygate.machines.measured.identification import rmse
 from greygate.models.training.levenberg import train
-from greygate.models.training.problem import Problem
+from greygate.models.training.objective import Objective
 
 KEPT = json.loads((catalog.TRAINED / "cable_drum.json").read_text())
 
@@ -88,7 +88,7 @@ def test_black_boxes_have_the_regressors_of_the_tables():
     assert [c.target for c in fnn(2, 10).connections if c.target.startswith("hidden1.")] == [
         f"hidden1.{n}_z{d}" for n in ("x_pe", "v_pe") for d in (0, 1)
     ]
-    assert Problem(recurrent(3, 30, turning=True), []).flat.modules["hidden1"].weights.keys() == {
+    assert Objective(recurrent(3, 30, turning=True), []).flat.modules["hidden1"].weights.keys() == {
         *(f"{n}_z{d}" for n in ("x_pe", "v_pe") for d in range(3)),
         "cos_z0",
         "sin_z0",
@@ -99,7 +99,7 @@ def test_black_boxes_have_the_regressors_of_the_tables():
 def test_a_narx_is_good_one_step_ahead_and_an_fnn_cannot_know_the_past():
     r = black_box(records()["training"])
     narx = train(recurrent(1, 10), [r], teacher=True, epochs=15).network
-    problem = Problem(narx, [r], teacher=True)
+    problem = Objective(narx, [r], teacher=True)
     ahead = 1e3 * np.sqrt(problem.squares(problem.theta) / problem.samples)
     assert ahead < 15
     assert 1e6 * rmse(train(fnn(1, 10), [r], epochs=15).network, r) > 10 * ahead

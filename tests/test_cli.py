@@ -367,13 +367,13 @@ def test_a_training_whose_free_run_diverges_falls_back_to_shooting_and_says_so(t
     unstable().save(tmp_path / "line")
     record = recording(tmp_path / "a.csv", steps=1000)
     windows = []
-    problem = training.Problem
+    problem = training.Objective
 
     def watched(*arguments, shooting=None, **options):
         windows.append(shooting)
         return problem(*arguments, shooting=shooting, **options)
 
-    monkeypatch.setattr(training, "Problem", watched)
+    monkeypatch.setattr(training, "Objective", watched)
     out = tmp_path / "out"
     code, printed, error = greygate(
         "train", tmp_path / "line.toml", "--record", record, "--epochs", 4, "--out", out, *how

@@ -24,7 +24,7 @@ from greygate.errors import InputError
 from greygate.models.families.blocks import feedforward, flow_record
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import train
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 
 def record_of(network: Network, steps: int, seed: int) -> Record:

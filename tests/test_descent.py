@@ -16,7 +16,8 @@ from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
 from greygate.models.training.descent import _Static, _Swept, adam, gradient_descent, lbfgs, rtrl
 from greygate.models.training.levenberg import Outcome, multistart, train
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 
 METHODS = {
     "gradient_descent": (gradient_descent, {"rate": 0.05}),
@@ -42,7 +43,7 @@ def linear() -> tuple[Network, Record]:
 
 
 def squares(network: Network, record: Record) -> float:
-    problem = Problem(network, [record])
+    problem = Objective(network, [record])
     return problem.squares(problem.theta)
 
 
@@ -92,7 +93,7 @@ def test_every_method_lowers_the_loss_of_its_network(name, teacher):
     fit = method(network, [record], epochs=150, teacher=teacher, **options)
     assert fit.outcome is Outcome.EPOCHS
     assert fit.history[-1] < 0.1 * fit.history[0]
-    problem = Problem(fit.network, [record], teacher)
+    problem = Objective(fit.network, [record], teacher)
     assert problem.squares(problem.theta) / (2 * problem.samples) == pytest.approx(min(fit.history), rel=1e-9)
 
 
@@ -115,7 +116,7 @@ def test_lbfgs_finds_the_minimum_that_levenberg_marquardt_finds():
 
 def test_rtrl_goes_along_the_batch_gradient_as_its_rate_goes_to_zero():
     network, record = learner()
-    problem = Problem(network, [record])
+    problem = Objective(network, [record])
     problem.squares(problem.theta)
     gradient = problem.normal_equations(problem.theta)[1]
     far, near = (

@@ -25,7 +25,7 @@ from greygate.emulator.interpreter import interpret
 from greygate.emulator.program import Program, _to_json
 from greygate.errors import InputError
 from greygate.hardware.verify import Case, Scenario, simulator_environment, verify_many
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 from greygate.models.validation import coverage, validate
 from greygate.pages import diagnosis as diagnosis_page
 from greygate.pages import figures

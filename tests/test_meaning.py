@@ -17,7 +17,7 @@ from greygate.emulator.program import Clamp, Lookup, Program, Select, Threshold
 from greygate.hardware.verify import Case, Scenario, verify_many
 from greygate.models.families.library import LIBRARY, entry, library
 from greygate.models.network import Layer, Network, Port
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 WORDS = {Select: "multiplexer", Threshold: "comparator", Clamp: "clamp", Lookup: "table look-up"}
 

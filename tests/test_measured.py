@@ -25,7 +25,8 @@ from greygate.machines.measured.tanks import MEAN, PUMP, pumped, square_root, ta
 from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import Fit, Outcome, train
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 
 CRANE_FILE = ROOT / "recordings" / "hydraulic-actuator-crane" / "actuator.csv"
 MTS_RUNS = ("chirp_0A", "15Hz0A", "chirp_1A", "15Hz1A")
@@ -91,7 +92,7 @@ def test_with_a_teacher_the_network_is_the_narx_written_by_hand(linear_loop):
     rng = np.random.default_rng(0)
     u, y = rng.normal(size=(2, 40))
     network = small(linear_loop=linear_loop)
-    problem = Problem(network, [Record({"u": u}, {"y": y})], teacher=True)
+    problem = Objective(network, [Record({"u": u}, {"y": y})], teacher=True)
     assert 4 * problem.errors(problem.theta)[0][:, 0] + y == pytest.approx(by_hand(network, u, y), abs=1e-12)
 
 

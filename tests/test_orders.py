@@ -7,7 +7,7 @@ from greygate.machines.benchmark_systems.plant import b1, b1_input
 from greygate.models.families.orders import lipschitz
 from greygate.models.families.regression import arx
 from greygate.models.network import Port
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 U, Y = Port("u"), Port("y", scale=0.1)
 

@@ -12,7 +12,7 @@ from greygate.models.adaptation import adopt, weight_changes
 from greygate.models.families.blocks import feedforward
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import Outcome, train
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 from greygate.pages.changes import draw_changes
 from greygate.pages.figures import weight_changes as draw
 

@@ -10,7 +10,7 @@ from greygate.machines.procedure import rms
 from greygate.machines.pump_cylinder.network import leakage_bounds
 from greygate.machines.pump_cylinder.study import assemble, black_box, narx, recording
 from greygate.models.training.levenberg import train
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 
 def worst(network):

@@ -10,7 +10,8 @@ from greygate.models.families.radial import RecursiveLeastSquares, radial, rbf
 from greygate.models.network import Port
 from greygate.models.training.descent import _Swept
 from greygate.models.training.levenberg import train
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 
 U, Y = Port("u", scale=2.0, offset=0.5), Port("y", scale=0.5, initial=0.2)
 TAPS = {U: (0, 2)}, Y, (1,)
@@ -47,7 +48,7 @@ def test_derivatives_of_a_radial_network_in_a_loop_are_those_of_torch():
     )
     u, y = rng.normal(size=(2, 20))
     records = [Record({"u": u}, {"y": y})]
-    problem = Problem(network, records)
+    problem = Objective(network, records)
     problem.squares(problem.theta)
     _, gradient = problem.normal_equations(problem.theta)
     swept = _Swept(network, records)
@@ -63,7 +64,7 @@ def test_derivatives_of_a_radial_network_in_a_loop_are_those_of_torch():
 
 def test_output_weights_of_the_whole_record_are_the_least_squares_ones():
     fit = identified()
-    problem = Problem(fit.network, [Record(benchmark().inputs, benchmark().targets, skip=2)], teacher=True)
+    problem = Objective(fit.network, [Record(benchmark().inputs, benchmark().targets, skip=2)], teacher=True)
     elements = problem.elements()
     kernels = problem.simulate(problem.theta)[0][2:, elements["kernels"]]
     y = benchmark().targets["y"][2:]
@@ -75,7 +76,7 @@ def test_output_weights_of_the_whole_record_are_the_least_squares_ones():
 def test_more_neurons_fit_better_and_training_goes_on_from_there():
     few, many = (identified(neurons) for neurons in (5, 40))
     assert many.history[-1] < 0.1 * few.history[-1]
-    held = Problem(many.network, [benchmark(1)], teacher=True)
+    held = Objective(many.network, [benchmark(1)], teacher=True)
     assert held.squares(held.theta) / held.samples < 0.02 * np.var(benchmark(1).targets["y"])
     narx = train(few.network, [benchmark()], teacher=True, epochs=30)
     assert narx.history[-1] < 0.1 * few.history[-1]

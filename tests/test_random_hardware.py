@@ -13,7 +13,7 @@ from greygate.emulator.program import Program
 from greygate.hardware.verify import Case, Scenario, verify_many
 from greygate.models.families.radial import radial
 from greygate.models.network import Port
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 COUNT = 30
 

@@ -21,7 +21,8 @@ from greygate.models.families.regression import (
 )
 from greygate.models.network import Port
 from greygate.models.training.levenberg import Outcome, train
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 
 U, Y = Port("u", scale=2.0), Port("y", scale=4.0, initial=1.0)
 PLAIN = {Port("u"): (1, 2)}, Port("y"), (1, 2)
@@ -37,7 +38,7 @@ def plant(noise, samples=2000, seed=0):
 
 
 def errors(network, record, teacher):
-    problem = Problem(network, [with_measured(record, network)], teacher=teacher)
+    problem = Objective(network, [with_measured(record, network)], teacher=teacher)
     return problem.errors(problem.theta)[0][:, 0]
 
 

@@ -11,7 +11,7 @@ from greygate.compiler.quantize import Formats
 from greygate.emulator.interpreter import interpret
 from greygate.errors import InputError
 from greygate.models.network import Layer, Network, Port
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 from greygate.pages.figures import Scale, number
 from greygate.pages.report import display, envelope, frequency_response, page, shown, study, write
 

@@ -28,7 +28,8 @@ from greygate.machines.benchmark_systems.plant import b2, b2_input
 from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import train
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 
 
 def linear(mix: np.ndarray | None = None, samples: int = 200) -> tuple[Network, Record]:
@@ -57,7 +58,7 @@ def refit(network: Network, record: Record, decay: float, gone=()) -> tuple[np.n
 def expansion(network: Network, record: Record, decay: float = 0.0, ridge: float = 0.0) -> tuple[Expansion, float]:
     """At the minimum of a linear network, and half its sum of squared errors."""
     theta, loss = refit(network, record, decay)
-    return Expansion.of(Problem(network, [record]).unpack(theta), [record], decay, ridge), loss
+    return Expansion.of(Objective(network, [record]).unpack(theta), [record], decay, ridge), loss
 
 
 def two_layers(hidden: np.ndarray, bias: np.ndarray, out: np.ndarray) -> tuple[Network, Record]:
@@ -190,7 +191,7 @@ def test_no_method_touches_frozen_or_pruned_weights(name):
 
 def test_a_singular_hessian_is_named_and_a_ridge_mends_it():
     network, record = linear(np.diag([1.0, 0.0]))  # the second input is zero
-    at = Problem(network, [record]).unpack(np.array([1.0, 2.0, 3.0]))
+    at = Objective(network, [record]).unpack(np.array([1.0, 2.0, 3.0]))
     with pytest.raises(InputError, match="singular"):
         obs(Expansion.of(at, [record], ridge=0.0), 1)
     removal = obs(Expansion.of(at, [record]), 1)

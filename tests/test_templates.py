@@ -6,7 +6,8 @@ from greygate.errors import InputError
 from greygate.models.families.templates import TEMPLATES, elman, frnn, template
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import train
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 
 X, Y = Port("x", scale=2.0), Port("y", scale=4.0, offset=1.0, initial=2.0)
 WITH_PAST = [n for n in TEMPLATES if n != 1]
@@ -75,7 +76,7 @@ def test_f_and_g_read_what_table_3_2_gives_them(number):
 def test_a_teacher_stands_in_every_feedback_of_a_template(number):
     x, y = np.random.default_rng(1).normal(size=(2, 20))
     network = build(number)
-    problem = Problem(network, [Record({"x": x}, {"y": y})], teacher=True)
+    problem = Objective(network, [Record({"x": x}, {"y": y})], teacher=True)
     inside_x, inside_y = np.r_[0, 0, x] / 2, (np.r_[2, 2, y] - 1) / 4
     want = [by_table(number, network, inside_x[[k - 1, k - 2]], inside_y[[k - 1, k - 2]]) for k in range(2, 22)]
     np.testing.assert_allclose(problem.errors(problem.theta)[0][:, 0] + inside_y[2:], want, atol=1e-13)
@@ -143,7 +144,7 @@ def test_recurrent_networks_learn_a_system_with_memory(build):
     x = np.random.default_rng(0).uniform(-1, 1, 300)
     y = lfilter([1.0], [1.0, -0.7], np.tanh(x))
     fit = train(build("n", {Port("x"): (0,)}, [Port("y", scale=2.0)], (4,), seed=4), [Record({"x": x}, {"y": y})])
-    problem = Problem(fit.network, [Record({"x": x}, {"y": y})])
+    problem = Objective(fit.network, [Record({"x": x}, {"y": y})])
     assert np.std(2 * problem.errors(problem.theta)[0]) < 0.01 * np.std(y)
 
 

@@ -14,7 +14,8 @@ from greygate.models.families.blocks import feedforward, flow_rate, flow_record
 from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import Outcome, multistart, narx_noe, train
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 
 
 def as_record(network: Network, steps: int, seed: int) -> Record:
@@ -29,7 +30,7 @@ def as_record(network: Network, steps: int, seed: int) -> Record:
 def test_gradients_through_time_equal_those_of_torch_for_any_topology(seed):
     network = random_network(seed, activations=SMOOTH)
     record = as_record(network, 15, seed)
-    problem = Problem(network, [record])
+    problem = Objective(network, [record])
     assert np.isfinite(problem.squares(problem.theta))
     _, gradient = problem.normal_equations(problem.theta)
     tensors = {n: torch.tensor(v, requires_grad=True) for n, v in problem.flat.parameters().items()}
@@ -48,7 +49,7 @@ def test_the_free_run_of_the_kernel_is_the_free_run_of_the_network():
     network = random_network(5)
     inputs = random_inputs(network, 30, 5)
     outputs = network.run(inputs)
-    errors = (p := Problem(network, [Record(inputs, outputs)])).errors(p.theta)[0]
+    errors = (p := Objective(network, [Record(inputs, outputs)])).errors(p.theta)[0]
     np.testing.assert_allclose(errors, 0, atol=1e-12)
 
 
@@ -66,7 +67,7 @@ def test_levenberg_marquardt_finds_weights_it_cannot_be_told_apart_from():
 def test_series_parallel_training_feeds_the_measured_output_back():
     network = delay_line()
     u, y = np.array([3.0, 1.0, 5.0]), np.array([7.0, -2.0, 4.0])
-    errors = (p := Problem(network, [Record({"u": u}, {"y": y})], teacher=True)).errors(p.theta)[0][:, 0]
+    errors = (p := Objective(network, [Record({"u": u}, {"y": y})], teacher=True)).errors(p.theta)[0][:, 0]
     past = np.array([0.2, 0.7, -0.2])  # initial, then measured / 10
     want = np.array([1, 0, 2]) + 0.5 * np.array([2, 2, 1]) + 0.25 * past + 0.1 - y / 10
     np.testing.assert_allclose(errors, want, rtol=1e-14)
@@ -96,7 +97,7 @@ def test_rehearsal_keeps_a_part_right_where_the_record_does_not_reach():
     record = Record({"u": u, "p": p}, {"y": 1.1 * flow_rate(u, p)})
 
     def error_elsewhere(network):
-        problem = Problem(network, [flow_record()])
+        problem = Objective(network, [flow_record()])
         return problem.squares(problem.theta)
 
     alone = train(whole, [record], epochs=20)
@@ -202,7 +203,7 @@ def test_bounds_hold_and_the_rest_is_the_optimum_within_them():
     assert fit.network.parameters()["s.u"] == 1.5
     own = fit.network.parameters()["s.own"].item()
     for other in (own - 1e-3, own + 1e-3):
-        problem = Problem(fit.network.with_parameters({"s.own": np.array([[other]])}), [record])
+        problem = Objective(fit.network.with_parameters({"s.own": np.array([[other]])}), [record])
         assert problem.squares(problem.theta) > 2 * fit.history[-1] * problem.samples * (1 - 1e-9)
     with pytest.raises(InputError, match="no parameter"):
         train(loop(), [record], bounds={"s.x": (0, 1)})
@@ -226,7 +227,7 @@ def test_the_tail_of_a_record_is_not_trained_on_and_decides_when_to_stop():
     fit = train(start, [record], tail=0.3, epochs=300, patience=15)
     assert fit.outcome is Outcome.EARLY
     assert len(fit.held) == len(fit.history)
-    judge = Problem(fit.network, [replace(record, skip=42)])
+    judge = Objective(fit.network, [replace(record, skip=42)])
     assert judge.squares(judge.theta) / judge.samples == pytest.approx(min(fit.held), rel=1e-12)
     assert train(start, [spoilt], tail=0.3, epochs=5).history == train(start, [record], tail=0.3, epochs=5).history
 
@@ -238,7 +239,7 @@ def test_the_initial_state_is_estimated_with_the_weights():
     fit = train(loop(0.5, 0.5), [record], estimate_initial=True, goal=1e-24)
     assert fit.outcome is Outcome.REACHED
     np.testing.assert_allclose(fit.initial[0]["s"], [[5.0]], atol=1e-9)
-    again = Problem(fit.network, [replace(record, initial=fit.initial[0])])
+    again = Objective(fit.network, [replace(record, initial=fit.initial[0])])
     assert again.squares(again.theta) < 1e-18
     np.testing.assert_allclose(fit.network.run(record.inputs, fit.initial[0])["y"], record.targets["y"], atol=1e-9)
 
@@ -261,7 +262,7 @@ def test_derivatives_by_initial_states_and_across_windows_are_exact(options):
         network.connect(f"out_{port}", port)
     targets = {"y": rng.normal(size=40), "z": rng.normal(size=40)}
     record = Record({"u": rng.normal(size=40)}, targets, skip=3, weight=2.0)
-    problem = Problem(network, [record, replace(record, skip=0)], **options)
+    problem = Objective(network, [record, replace(record, skip=0)], **options)
     problem.continuity = 3.0
     theta = problem.moved(problem.theta, 0.1 * rng.normal(size=len(problem.free)))
     problem.squares(theta)
@@ -308,7 +309,7 @@ def test_starts_are_ranked_by_their_score_and_do_not_depend_on_how_many_run_at_o
         return train(feedforward("f", ["u", "p"], [3], seed), [flow_record()], epochs=5)
 
     def score(network):
-        problem = Problem(network, [flow_record()])
+        problem = Objective(network, [flow_record()])
         return problem.squares(problem.theta)
 
     ranked = multistart(fit, score, range(4))
@@ -377,14 +378,14 @@ def test_held_out_records_are_judged_from_their_own_start_and_tails_from_that_of
 
 def test_ties_that_share_a_member_hold_in_any_order_and_fixed_members_are_refused():
     record = excited(loop(0.5, 0.5), 100)
-    names = list(Problem(loop(0.5, 0.3), [record]).slices())
+    names = list(Objective(loop(0.5, 0.3), [record]).slices())
     assert len(names) >= 3
     a, b, c = names[:3]
     for groups in ([(a, b), (b, c)], [(b, c), (a, b)]):
         values = train(loop(0.5, 0.3), [record], tied=groups, epochs=3).network.parameters()
         assert values[a].item() == values[b].item() == values[c].item()
     with pytest.raises(InputError, match="held fixed; no tie"):
-        Problem(loop(0.5, 0.3), [record], tied=[(a, b)], free={b: np.zeros(1, bool)})
+        Objective(loop(0.5, 0.3), [record], tied=[(a, b)], free={b: np.zeros(1, bool)})
 
 
 @pytest.mark.parametrize(
@@ -434,7 +435,7 @@ def test_a_hard_limit_passes_no_gradient_on(activation):
     network.add("sum", Layer({"sign": [[0.5]], "u": [[0.3]]}, [0.2]))
     for source, target in (("u", "sign.u"), ("sign", "sum.sign"), ("u", "sum.u"), ("sum", "y")):
         network.connect(source, target)
-    problem = Problem(network, [excited(loop(0.9, 1.0), 50)])
+    problem = Objective(network, [excited(loop(0.9, 1.0), 50)])
     assert np.isfinite(problem.squares(problem.theta))
     _, gradient = problem.normal_equations(problem.theta)
     small = 1e-6 * np.eye(len(problem.theta))

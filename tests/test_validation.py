@@ -11,7 +11,8 @@ from threadpoolctl import threadpool_limits
 from greygate.errors import InputError
 from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 from greygate.models.validation import REPETITIONS, correlation, coverage, fit_per_cent, residual_tests, validate
 
 PERIOD = 1e-2
@@ -82,7 +83,7 @@ def test_one_step_ahead_is_series_parallel_and_far_ahead_comes_near_the_free_run
     r = record(equation_noise=0.3)
     network = linear(gain=0.9)
     (v,) = validate(network, {"run": r}, period=PERIOD)
-    problem = Problem(network, [r], teacher=True)
+    problem = Objective(network, [r], teacher=True)
     taught = 4.0 * problem.errors(problem.theta)[0][:, 0]
     np.testing.assert_allclose(v.measured - v.one_step, -taught, atol=1e-12)
     assert v.ahead[1][0] == pytest.approx(np.sqrt(np.mean(taught**2)), rel=1e-12)

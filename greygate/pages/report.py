@@ -23,7 +23,8 @@ from greygate.errors import InputError
 from greygate.files import replacing_all
 from greygate.models.network import Network
 from greygate.models.spectra import frequency_response, spectrum
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 from greygate.pages import figures
 from greygate.pages.figures import Line
 
@@ -159,7 +160,7 @@ def _elements(program: Program, values: Mapping[str, np.ndarray]) -> dict[str, n
 
 def _float(network: Network, program: Program, record: Record) -> dict[str, np.ndarray]:
     """Free run of the float network, by output element, in physical units."""
-    problem = Problem(network, [record])
+    problem = Objective(network, [record])
     errors = problem.errors(problem.theta)
     if errors is None:
         raise InputError(f"network {network.name}: diverges on the record")

@@ -18,7 +18,7 @@ from greygate.models.adaptation import adopt
 from greygate.models.families.blocks import feedforward
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Fit, train
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 SCENARIOS = ("training", "v3", "v4", "v5", "v6")
 THESIS = {  # RMS in bar, chambers A and B (table 5.7, section 5.4.4)

@@ -17,7 +17,7 @@ from greygate.models.families.regression import noe
 from greygate.models.families.templates import elman, frnn
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import Fit, train
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 SCENARIOS = ("s1", "s2", "s3", "s4")
 THESIS = {  # um RMS, tables 4.3 and 4.4

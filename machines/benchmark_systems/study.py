@@ -18,7 +18,8 @@ from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import train
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 from greygate.plants.excitation import chirp, prms
 
 U, Y = Port("u"), Port("y")
@@ -91,7 +92,7 @@ SYSTEMS = {
 
 def rms(network: Network, records: list[Record]) -> float:
     """RMS error of the free run over all records; inf if one diverges."""
-    problem = Problem(network, records)
+    problem = Objective(network, records)
     squares = problem.squares(problem.theta)
     return float(np.sqrt(squares / problem.samples))
 

@@ -15,7 +15,8 @@ from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.regression import nfir, noe
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import train
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 
 POSITION = Port("x_pe", "m", 2**16 * STEP, resolution=STEP)
 TRIPS = ("trips_50", "trips_100", "trips_140")
@@ -119,7 +120,7 @@ def at_rest(network: Network, record: Record) -> np.ndarray:
     longest = int(np.argmax(np.diff(moved)))
     start, stop = moved[longest] + 4, moved[longest + 1] + 1  # taps reach two steps back
     inputs = {n: np.append(v[:stop], np.full(HELD, v[stop - 1])) for n, v in record.inputs.items()}
-    problem = Problem(network, [Record(inputs, {"e": np.zeros(stop + HELD)})])
+    problem = Objective(network, [Record(inputs, {"e": np.zeros(stop + HELD)})])
     errors = problem.errors(problem.theta)
     return np.full(1, np.inf) if errors is None else ERROR.scale * errors[0][start:, 0]
 
@@ -164,7 +165,7 @@ def tables(say: Callable[[str], None] = lambda line: None) -> dict:
 
     def run(kind: str, network: Network, epochs: int, teacher: bool = False) -> Network:
         result = train(network, [training], epochs=epochs, teacher=teacher)
-        problem = Problem(result.network, [training], teacher=teacher)
+        problem = Objective(result.network, [training], teacher=teacher)
         found[kind].append(1e6 * ERROR.scale * float(np.sqrt(problem.squares(problem.theta) / problem.samples)))
         found["seconds"][kind].append(result.seconds)
         say(f"{kind} #{len(found[kind])}: {found[kind][-1]:.1f} um in {result.seconds:.1f} s")

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from greygate.models.network import Layer, Network, Port
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 FORCE = Port("f_motor", "N", 128.0)
 POSITION = Port("position", "m", 0.256)

@@ -19,7 +19,8 @@ from greygate import models, recordings
 from greygate.errors import InputError
 from greygate.models.network import Network
 from greygate.models.training.levenberg import Fit, Outcome
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 from greygate.reading import read_json
 
 RECORDINGS = Path(recordings.__file__).resolve().parent
@@ -119,9 +120,9 @@ def find(recording: str, published: str) -> Path:
 def rmse(network: Network, record: Record) -> float:
     """Root mean square of free run less recording, from `record.skip` on.
 
-    In the unit of the output, of which there is one; inf if it diverges. Raises InputError as `Problem`.
+    In the unit of the output, of which there is one; inf if it diverges. Raises InputError as `Objective`.
     """
-    problem = Problem(network, [record])
+    problem = Objective(network, [record])
     errors = problem.errors(problem.theta)
     if errors is None:
         return np.inf
@@ -138,7 +139,7 @@ def settled(network: Network, record: Record, prior: float = PRIOR, steps: int =
         return record
     window = record.cut(0, record.skip, skip=0)
     try:
-        problem = Problem(network, [window], free=held, estimate_initial=True)
+        problem = Objective(network, [window], free=held, estimate_initial=True)
     except InputError:  # shorter than the delays: nothing to settle in
         return record
     rest = problem.theta[problem.free]
@@ -321,7 +322,7 @@ def identify(study: Study, folder: Path | None = None, progress: Callable[[str],
 
 def parameters(network: Network) -> int:
     """Weights and biases that training may move."""
-    return len(Problem(network, []).free)
+    return len(Objective(network, []).free)
 
 
 def stored(study: Study, folder: Path = TRAINED) -> tuple[Network, dict]:

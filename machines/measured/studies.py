@@ -27,7 +27,7 @@ from greygate.machines.measured.tanks import LEVEL, PUMP, pumped, tanks
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Fit, train
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 from greygate.plants.recording import Recording, read_csv
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from greygate.models.families.blocks import feedforward
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import train
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 PUMP = Port("u", "V", 10.0, initial=3.2567)  # the pump's rest: what the training record begins with
 LEVEL = Port("y", "V", 10.0)  # of the sensor, which ends where the lower tank is full

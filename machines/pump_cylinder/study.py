@@ -17,7 +17,7 @@ from greygate.models.families.library import library
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Fit, train
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 TRAINING = ("rig_training",)
 SCENARIOS = ("rig_training", "rig_chirp", "rig_random", "rig_open")

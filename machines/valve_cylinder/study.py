@@ -16,7 +16,7 @@ from greygate.machines.valve_cylinder.scenarios import measure, scenario
 from greygate.models.adaptation import adopt
 from greygate.models.families.blocks import divider_record, feedforward, fit_divider, fit_flow, flow_record
 from greygate.models.network import Network
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 from greygate.plants.excitation import band_limited_noise, prms
 
 SCENARIOS = ("training", "v1", "v2")

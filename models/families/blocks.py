@@ -6,7 +6,7 @@ import numpy as np
 
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import Fit, train
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 
 def feedforward(

@@ -21,7 +21,7 @@ from greygate.files import replacing
 from greygate.models.families.blocks import feedforward, fit_divider, fit_flow, flow_rate
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import train
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 TRAINED = Path(__file__).parents[1] / "trained" / "library"
 ERRORS = TRAINED / "errors.json"  # name -> worst error of each trained network

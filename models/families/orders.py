@@ -14,7 +14,7 @@ from scipy.spatial.distance import pdist
 from greygate.errors import InputError
 from greygate.models.families.regression import Taps, regressors
 from greygate.models.network import Port
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 SHARE = 0.015  # of the rows: how many of the largest quotients count (He and Asada: 0.01 to 0.02)
 

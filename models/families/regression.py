@@ -23,7 +23,8 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import Fit, Outcome, train
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 
 Taps = Mapping[Port, Sequence[int]]
 SAME = 1e-9  # a regressor that others leave no more of than this, relative to its own size, is collinear
@@ -292,7 +293,7 @@ def arx(records: Sequence[Record], inputs: Taps, output: Port, feedback: Sequenc
     solution = np.linalg.lstsq(np.column_stack([phi.matrix, np.ones(len(phi.target))]), phi.target)[0]
     weights = {f"sum.{tap}": np.array([[w]]) for tap, w in zip(phi.taps, solution[:-1], strict=True)}
     network = noe(name, inputs, output, feedback).with_parameters(weights | {"sum.bias": solution[-1:]})
-    problem = Problem(network, settled(records, inputs, feedback), teacher=True)
+    problem = Objective(network, settled(records, inputs, feedback), teacher=True)
     loss = problem.squares(problem.theta) / (2 * problem.samples)
     return Fit(problem.unpack(problem.theta), Outcome.CONVERGED, (loss,), monotonic() - began)
 

@@ -1,1 +1,1 @@
-"""Training: the objective over records (problem), its compiled gradients (kernels), Levenberg-Marquardt and descent."""
+"""Training: records, the objective over them, its compiled gradients (kernels), Levenberg-Marquardt and descent."""

@@ -6,7 +6,7 @@ for, since RTRL learns while samples arrive. Elsewhere `training.train` is faste
 Every function takes, by name, what `train` takes: teacher, free, tied, decay, held, tail, patience, epochs, goal,
 seconds, progress; tolerance is the relative fall over a hundred epochs below which it has converged. The gradient comes
 from one sweep back through time, or where no sample depends on another from torch, all samples at once. Ctrl-C and
-divergence keep the best weights so far. Raises InputError as `Problem`, and for a rate that is not positive.
+divergence keep the best weights so far. Raises InputError as `Objective`, and for a rate that is not positive.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,7 +21,8 @@ from greygate.errors import InputError
 from greygate.models.network import ACTIVATIONS, Network
 from greygate.models.training.kernels import Tables, forward, sensitivities, slope
 from greygate.models.training.levenberg import STOP, Fit, Outcome, _Whole, blas
-from greygate.models.training.problem import Problem, Record, held_out
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record, held_out
 
 RUNAWAY = 10.0  # times the first loss, or that of predicting zero if larger: beyond it a training has diverged
 SCALE = 1e8  # first loss that L-BFGS sees: torch takes y's <= 1e-10 for no curvature
@@ -174,7 +175,7 @@ class _Descent:
         self.began = monotonic()
         used, judged = held_out(self.network, self.records, self.tail, self.held)
         self.problem = _Swept(self.network, used, self.teacher, self.free, tied=self.tied)
-        self.judge = Problem(self.network, judged, self.teacher) if judged else None
+        self.judge = Objective(self.network, judged, self.teacher) if judged else None
         self.engine = _Static(self.problem) if self.problem.is_static else self.problem
         self.start = self.problem.theta[self.problem.free]
         self.size = len(self.start)
@@ -270,7 +271,7 @@ def _stands(lowest: list[float], tolerance: float) -> bool:
     return len(lowest) > WINDOW and lowest[-1 - WINDOW] - lowest[-1] < tolerance * lowest[-1]
 
 
-class _Swept(Problem):
+class _Swept(Objective):
     """A problem whose gradient is swept back through time: no Jacobian, time and memory in proportion to N."""
 
     @property

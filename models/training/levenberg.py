@@ -20,7 +20,8 @@ from greygate.contents import contents
 from greygate.errors import InputError
 from greygate.files import replacing
 from greygate.models.network import Network
-from greygate.models.training.problem import Problem, Record, held_out
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record, held_out
 
 CONTINUITY = (1.0, 1e1, 1e2, 1e3)  # weights of the gaps, one multiple-shooting stage each
 SAVE_EVERY = 10.0  # s between checkpoints
@@ -65,13 +66,13 @@ class Fit:
 class _Whole:
     """A network on its records, with decay, and modules of it on records of their own, over one theta."""
 
-    def __init__(self, main: Problem, network: Network, decay: float | Mapping[str, float], rehearse: Mapping):
+    def __init__(self, main: Objective, network: Network, decay: float | Mapping[str, float], rehearse: Mapping):
         self.main = main
         self.decay = self._decay(decay)
         self.parts = []
         place = main.slices()
         for path, record in rehearse.items():
-            part = Problem(_module(network, path), [record])
+            part = Objective(_module(network, path), [record])
             index = np.concatenate([place[f"{path}.{n}"] for n in part.slices()])
             moving = np.flatnonzero(main.variable[index[part.free]] >= 0)
             self.parts.append((part, index, moving, main.variable[index[part.free]][moving]))
@@ -175,7 +176,7 @@ def train(
 ) -> Fit:
     """Levenberg-Marquardt (Levenberg 1944, Marquardt 1963; Nielsen's damping). The trained network is flat.
 
-    teacher, free, tied, estimate_initial, shooting: as for `Problem`. After multiple shooting, whose gaps are closed
+    teacher, free, tied, estimate_initial, shooting: as for `Objective`. After multiple shooting, whose gaps are closed
     step by step, the free run is trained once more.
     decay: D of the loss, one number for every free weight (biases included), or {module, layer or parameter: number}.
     rehearse: module path -> a record of its own ports, weighted by `Record.weight`: parts that were right stay right
@@ -186,7 +187,7 @@ def train(
     goal: stop at this loss. tolerance: relative fall over ten epochs below which it has converged.
     checkpoint: a file that is written now and then, and taken up if it is there; a finished training removes it, or
     with `keep` leaves it to whoever saves the result first.
-    progress: called with (epoch, loss). Ctrl-C keeps the best weights so far. Raises InputError as `Problem`.
+    progress: called with (epoch, loss). Ctrl-C keeps the best weights so far. Raises InputError as `Objective`.
     """
     began = monotonic()
     if epochs < 0:
@@ -196,10 +197,10 @@ def train(
     used, judged = held_out(network, records, tail, held)
     options = {"teacher": teacher, "free": free, "tied": tied}
     count = len(records) if tail else 0
-    judge = [Problem(network, judged[:count], teacher, estimate_initial=estimate_initial)] if count else []
-    judge += [Problem(network, judged[count:], teacher)] if held else []
+    judge = [Objective(network, judged[:count], teacher, estimate_initial=estimate_initial)] if count else []
+    judge += [Objective(network, judged[count:], teacher)] if held else []
 
-    def climb(problem: Problem, goal: float, epochs: int, checkpoint: Path | str | None) -> Fit:
+    def climb(problem: Objective, goal: float, epochs: int, checkpoint: Path | str | None) -> Fit:
         whole = _Whole(problem, network, decay, rehearse or {})
         left = seconds - (monotonic() - began)
         path = Path(checkpoint) if checkpoint else None
@@ -210,7 +211,7 @@ def train(
     with blas().limit(limits=1, user_api="blas"):  # two BLAS threads are slower than one on matrices this small
         fit = None
         if shooting is not None:
-            problem = Problem(network, used, **options, estimate_initial=estimate_initial, shooting=shooting)
+            problem = Objective(network, used, **options, estimate_initial=estimate_initial, shooting=shooting)
             for problem.continuity in CONTINUITY:
                 fit = climb(problem, 0.0, max(epochs // len(CONTINUITY), 1), None)
                 if fit.outcome in (Outcome.INTERRUPTED, Outcome.TIME):
@@ -219,7 +220,7 @@ def train(
                 replace(r, initial=r.initial | i) for r, i in zip(used, problem.initial(problem.theta), strict=True)
             ]
         if fit is None or fit.outcome not in (Outcome.INTERRUPTED, Outcome.TIME):
-            problem = Problem(fit.network if fit else network, used, **options, estimate_initial=estimate_initial)
+            problem = Objective(fit.network if fit else network, used, **options, estimate_initial=estimate_initial)
             fit = climb(problem, goal, epochs, checkpoint)
     return replace(fit, seconds=monotonic() - began, remarks=(*fit.remarks, *problem.remarks()))
 
@@ -234,7 +235,7 @@ class _Climb:
     """One descent of Levenberg-Marquardt from the problem's theta."""
 
     def __init__(
-        self, whole: _Whole, judge: Sequence[Problem], tails: bool, bounds: Mapping[str, tuple], patience: int
+        self, whole: _Whole, judge: Sequence[Objective], tails: bool, bounds: Mapping[str, tuple], patience: int
     ):
         self.whole, self.judge, self.tails, self.patience = whole, judge, tails, patience
         problem = self.problem = whole.main

@@ -3,13 +3,14 @@
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from greygate.errors import InputError
 from greygate.models.network import Network
 from greygate.models.training.kernels import Tables, forward, sensitivities, tabulate
+from greygate.models.training.record import Record, check_skips
 
 CHUNK = 2048  # steps of Jacobian held at once
 CORES = ThreadPoolExecutor(2, "greygate")  # kernels and BLAS both let go of the interpreter
@@ -17,57 +18,6 @@ WORTH = 2e6  # multiplications below which a second core does not pay
 NARROW = 0.9  # share of free columns above which it is faster to leave out the others after J'J than before
 IN_RANGE = 10.0  # of a normalised signal
 COLLINEAR = 1e-9  # smallest singular value of the scaled regressors, relative to the largest
-
-
-@dataclass(frozen=True)
-class Record:
-    """One sequence to learn: inputs and targets {port: (N,)} in physical units.
-
-    initial: as for `Network.run`, or what `Fit.initial` found. skip: first samples that do not count. weight: of this
-    record in the loss.
-    """
-
-    inputs: Mapping[str, np.ndarray]
-    targets: Mapping[str, np.ndarray]
-    initial: Mapping[str, float | np.ndarray] = field(default_factory=dict)
-    skip: int = 0
-    weight: float = 1.0
-
-    def __len__(self) -> int:
-        return len(next(iter(self.targets.values()), ()))
-
-    def cut(self, start: int, stop: int, **changes) -> "Record":
-        """Samples start..stop alone; `changes` as for `dataclasses.replace`."""
-        parts = ({n: v[start:stop] for n, v in part.items()} for part in (self.inputs, self.targets))
-        return replace(self, **(dict(zip(("inputs", "targets"), parts, strict=True)) | changes))
-
-
-def held_out(
-    network: Network, records: Sequence[Record], tail: float, held: Sequence[Record]
-) -> tuple[list[Record], list[Record]]:
-    """(records to train on, records to judge on): the share `tail` at the end of each is judged, and so is `held`.
-
-    A tail is run from the start of its record; of one that skips beyond it nothing is left to train on. Raises
-    InputError for a share outside [0, 1), no records, or a record that skips itself wholly.
-    """
-    if not records:
-        raise InputError(f"network {network.name}: no records to train on")
-    if not 0 <= tail < 1:
-        raise InputError(f"tail {tail}: a share from 0 up to 1, without 1")
-    _check_skips(network, [*records, *held])
-    if not tail:
-        return list(records), list(held)
-    heads = [int((1 - tail) * len(r)) for r in records]
-    tails = [replace(r, skip=max(h, r.skip)) for r, h in zip(records, heads, strict=True)]
-    return [r.cut(0, h) for r, h in zip(records, heads, strict=True)], tails + list(held)
-
-
-def _check_skips(network: Network, records: Sequence[Record]) -> None:
-    for i, record in enumerate(records):
-        if len(record) and not 0 <= record.skip < len(record):
-            raise InputError(
-                f"network {network.name}: record {i} skips {record.skip} of its {len(record)} samples; skip fewer"
-            )
 
 
 @dataclass
@@ -83,7 +33,7 @@ class _Window:
     follows: bool  # its initial state should be what the window before ends with
 
 
-class Problem:
+class Objective:
     """Residuals and normal equations of a network on records, as functions of theta.
 
     theta: every weight and bias (frozen ones too), then the initial states that are estimated. Steps are taken in the
@@ -127,7 +77,7 @@ class Problem:
         self._state = self._state_elements()
         whole = [self._arrays(r, i, first) for i, r in enumerate(records)]
         if not any(0 <= r.skip < len(w.target) for r, w in zip(records, whole, strict=True)):
-            _check_skips(network, records)
+            check_skips(network, records)
         longest = max((len(w.target) for w in whole), default=0)
         if shooting is not None and not 1 <= shooting <= longest // 2:
             raise InputError(f"shooting {shooting}: give windows of 1 to {longest // 2} steps, half the longest record")
@@ -367,7 +317,7 @@ class Problem:
             found.update(array.tobytes())
         return found.hexdigest()
 
-    def taking(self, other: "Problem", theta: np.ndarray, states: bool) -> np.ndarray:
+    def taking(self, other: "Objective", theta: np.ndarray, states: bool) -> np.ndarray:
         """Theta with the weights of another's; states: and the initial states of its records, in their order."""
         mine = self.theta.copy()
         mine[: self._size] = theta[: self._size]

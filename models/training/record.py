@@ -1,0 +1,60 @@
+"""Records to train on and to judge on."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from greygate.errors import InputError
+from greygate.models.network import Network
+
+
+@dataclass(frozen=True)
+class Record:
+    """One sequence to learn: inputs and targets {port: (N,)} in physical units.
+
+    initial: as for `Network.run`, or what `Fit.initial` found. skip: first samples that do not count. weight: of this
+    record in the loss.
+    """
+
+    inputs: Mapping[str, np.ndarray]
+    targets: Mapping[str, np.ndarray]
+    initial: Mapping[str, float | np.ndarray] = field(default_factory=dict)
+    skip: int = 0
+    weight: float = 1.0
+
+    def __len__(self) -> int:
+        return len(next(iter(self.targets.values()), ()))
+
+    def cut(self, start: int, stop: int, **changes) -> "Record":
+        """Samples start..stop alone; `changes` as for `dataclasses.replace`."""
+        parts = ({n: v[start:stop] for n, v in part.items()} for part in (self.inputs, self.targets))
+        return replace(self, **(dict(zip(("inputs", "targets"), parts, strict=True)) | changes))
+
+
+def held_out(
+    network: Network, records: Sequence[Record], tail: float, held: Sequence[Record]
+) -> tuple[list[Record], list[Record]]:
+    """(records to train on, records to judge on): the share `tail` at the end of each is judged, and so is `held`.
+
+    A tail is run from the start of its record; of one that skips beyond it nothing is left to train on. Raises
+    InputError for a share outside [0, 1), no records, or a record that skips itself wholly.
+    """
+    if not records:
+        raise InputError(f"network {network.name}: no records to train on")
+    if not 0 <= tail < 1:
+        raise InputError(f"tail {tail}: a share from 0 up to 1, without 1")
+    check_skips(network, [*records, *held])
+    if not tail:
+        return list(records), list(held)
+    heads = [int((1 - tail) * len(r)) for r in records]
+    tails = [replace(r, skip=max(h, r.skip)) for r, h in zip(records, heads, strict=True)]
+    return [r.cut(0, h) for r, h in zip(records, heads, strict=True)], tails + list(held)
+
+
+def check_skips(network: Network, records: Sequence[Record]) -> None:
+    for i, record in enumerate(records):
+        if len(record) and not 0 <= record.skip < len(record):
+            raise InputError(
+                f"network {network.name}: record {i} skips {record.skip} of its {len(record)} samples; skip fewer"
+            )
