@@ -17,12 +17,12 @@ from greygate.models.adaptation import adopt
 from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.regression import regression
 from greygate.models.network import Network, Port
-from greygate.models.training.levenberg import Fit, train
+from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
 from greygate.plants.excitation import prms
 
 
-def timed(what: str, thesis: str, work: Callable[[], Fit], figure: Callable[[Fit], str]) -> Fit:
+def timed(what: str, thesis: str, work: Callable[[], Trained], figure: Callable[[Trained], str]) -> Trained:
     """Print one row: ours in CPU and wall seconds, the epochs that were used, the error that was reached."""
     wall, cpu = time.perf_counter(), time.process_time()
     fit = work()
@@ -59,7 +59,7 @@ def slip() -> None:
 
 
 def _narx_noe(name, network, record, epochs, thesis, shown=True) -> None:
-    def squares(fit: Fit) -> str:
+    def squares(fit: Trained) -> str:
         return f"MSE {2 * fit.history[-1]:.2e}" if shown else ""
 
     narx = timed(f"NARX {name}", thesis[0], lambda: train(network, [record], teacher=True, epochs=epochs[0]), squares)

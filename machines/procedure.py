@@ -24,7 +24,7 @@ from greygate.compiler.saliency import Method, saliency_pruning
 from greygate.compiler.simplify import parameter_count, simplify
 from greygate.errors import InputError
 from greygate.models.network import Network
-from greygate.models.training.levenberg import Fit, train
+from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
 
 OWN = "own record"  # heading of a part's error, on the record of its own ports
@@ -73,13 +73,13 @@ class Procedure:
             raise InputError("procedure: there is no whole network yet; join the parts first")
         return self.steps[-1].network
 
-    def take(self, name: str, part: Network | Fit, record: Record | None = None) -> Network:
+    def take(self, name: str, part: Network | Trained, record: Record | None = None) -> Network:
         """A subsystem's network: from the library, or trained. record: of its own ports, to judge it on."""
         if self.subsystems and name not in self.subsystems:
             raise InputError(f"procedure: no subsystem {name!r}; there are {', '.join(self.subsystems)}")
         network, note = _unpacked(part)
         self.parts[name] = network
-        seconds = part.seconds if isinstance(part, Fit) else 0.0
+        seconds = part.seconds if isinstance(part, Trained) else 0.0
         return self._add(name, network, {OWN: record} if record else {}, seconds, note)
 
     def join(self, build: Callable[..., Network] | Network) -> Network:
@@ -114,7 +114,7 @@ class Procedure:
             pruning = entropy_pruning(records, partial(retrained, records=records, epochs=epochs), allowed)
         return self.step(f"pruned by {method.__name__ if method else 'entropy'}", partial(pruning, self.network))
 
-    def step(self, name: str, work: Callable[[], Network | Fit | tuple[Network, list[Round]]]) -> Network:
+    def step(self, name: str, work: Callable[[], Network | Trained | tuple[Network, list[Round]]]) -> Network:
         """Any other step: `work()` is timed, and what it gives is judged on every record."""
         began = monotonic()
         network, note = _unpacked(work())
@@ -162,9 +162,9 @@ def bar(errors: Mapping[str, Mapping[str, float]]) -> dict[str, tuple[float, ...
     return {scenario: tuple(v / 1e5 for v in by_output.values()) for scenario, by_output in errors.items()}
 
 
-def _unpacked(result: Network | Fit | tuple[Network, list[Round]]) -> tuple[Network, str]:
+def _unpacked(result: Network | Trained | tuple[Network, list[Round]]) -> tuple[Network, str]:
     """The network in what a step gave, and a word on how it went."""
-    if isinstance(result, Fit):
+    if isinstance(result, Trained):
         return result.network, f"{len(result.history) - 1} epochs. {result.outcome.value}"
     if isinstance(result, tuple):
         network, rounds = result

@@ -20,7 +20,7 @@ from greygate import files, project
 from greygate.compiler.quantize import Formats
 from greygate.hardware.verify import Verdict, Verification
 from greygate.models.network import Network
-from greygate.models.training.levenberg import Fit, Outcome, _Progress
+from greygate.models.training.levenberg import Outcome, Trained, _Progress
 from greygate.pages import report
 from greygate.project import Project, Source, compile_project
 
@@ -140,7 +140,7 @@ def test_train_leaves_the_old_network_or_the_new_one_with_its_figures(line, tmp_
         at.save(checkpoint, "key")
         checkpoint.unlink()
         trained = network.with_parameters({n: 0.9 * v for n, v in network.parameters().items()})
-        return Fit(trained, Outcome.CONVERGED, (1.0, 0.5), 0.0)
+        return Trained(trained, Outcome.CONVERGED, (1.0, 0.5), 0.0)
 
     monkeypatch.setattr(project, "narx_noe", learn)
     out = tmp_path / "here"

@@ -24,7 +24,7 @@ from greygate.machines.measured.studies import CRANE, MTS, STUDIES
 from greygate.machines.measured.tanks import MEAN, PUMP, pumped, square_root, tanks
 from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
-from greygate.models.training.levenberg import Fit, Outcome, train
+from greygate.models.training.levenberg import Outcome, Trained, train
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 
@@ -207,7 +207,7 @@ def test_a_structure_is_chosen_by_the_median_of_its_seeds_unless_the_study_says_
         return network
 
     def fit(network, records):
-        return Fit(network, Outcome.CONVERGED, (), 0.0)
+        return Trained(network, Outcome.CONVERGED, (), 0.0)
 
     u = np.random.default_rng(0).normal(size=200)
     runs = {"all": Record({"u": u}, {"y": u})}

@@ -17,7 +17,7 @@ from greygate.machines.valve_cylinder.network import measured_spool, valve_srnn
 from greygate.models.adaptation import adopt
 from greygate.models.families.blocks import feedforward
 from greygate.models.network import Network, Port
-from greygate.models.training.levenberg import Fit, train
+from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
 
 SCENARIOS = ("training", "v3", "v4", "v5", "v6")
@@ -65,7 +65,7 @@ def first_machine() -> Network:
     return Network.load(TRAINED / "valve_cylinder")
 
 
-def fit(network: Network, epochs: int, progress: Callable[[str], None] | None = None) -> Fit:
+def fit(network: Network, epochs: int, progress: Callable[[str], None] | None = None) -> Trained:
     """Free-run training on the 50,001 samples, both flow networks held to `CLOSED`; its network keeps its modules.
 
     Of its weights 0, 1e5, 1e6, 1e7 the record `choice` was best with 1e6 or 1e5.

@@ -16,7 +16,7 @@ from greygate.models.families.radial import rbf as radial_fit
 from greygate.models.families.regression import noe
 from greygate.models.families.templates import elman, frnn
 from greygate.models.network import Layer, Network, Port
-from greygate.models.training.levenberg import Fit, train
+from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
 
 SCENARIOS = ("s1", "s2", "s3", "s4")
@@ -231,7 +231,7 @@ BASELINES = ("elman", "noe", "frnn")
 BASELINE_STEP = 40  # samples of the training recording to one of the baselines', about as many as the thesis's 1067
 
 
-def baseline(kind: str, neurons: int, seed: int = 0, epochs: int = 125, seconds: float = 900.0) -> Fit:
+def baseline(kind: str, neurons: int, seed: int = 0, epochs: int = 125, seconds: float = 900.0) -> Trained:
     """A black box of table 4.1 on x(k), x(k-1), x(k-2), trained for the thesis's epochs on its number of samples.
 
     seconds: after so many it is stopped with the weights it has.

@@ -18,7 +18,7 @@ import numpy as np
 from greygate import models, recordings
 from greygate.errors import InputError
 from greygate.models.network import Network
-from greygate.models.training.levenberg import Fit, Outcome
+from greygate.models.training.levenberg import Outcome, Trained
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 from greygate.reading import read_json
@@ -47,7 +47,7 @@ class Candidate:
     """
 
     build: Callable[[int], Network]
-    fit: Callable[[Network, Sequence[Record]], Fit]
+    fit: Callable[[Network, Sequence[Record]], Trained]
     grown: bool = False
 
 
@@ -162,7 +162,7 @@ def settled(network: Network, record: Record, prior: float = PRIOR, steps: int =
 
 
 def resting(network: Network, initial: Mapping[str, np.ndarray]) -> Network:
-    """The flat network whose layers start, in hardware too, from a state of `Fit.initial` (its newest step)."""
+    """The flat network whose layers start, in hardware too, from a state of `Trained.initial` (its newest step)."""
     flat = network.flatten()
     modules = {n: replace(layer, initial=initial[n][-1]) for n, layer in flat.modules.items()}
     return replace(flat, modules=modules)

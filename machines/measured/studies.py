@@ -26,7 +26,7 @@ from greygate.machines.measured.identification import (
 from greygate.machines.measured.tanks import LEVEL, PUMP, pumped, tanks
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
-from greygate.models.training.levenberg import Fit, train
+from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
 from greygate.plants.recording import Recording, read_csv
 
@@ -38,7 +38,7 @@ def _record(recording: Recording, inputs: Sequence[str], output: str) -> Record:
 def _linear(name: str, inputs: Mapping[Port, Sequence[int]], output: Port, feedback: Sequence[int], **options):
     """Linear output-error model, from the weights of its ARX brother. options: of `train`."""
 
-    def fit(network: Network, records: Sequence[Record]) -> Fit:
+    def fit(network: Network, records: Sequence[Record]) -> Trained:
         taught = train(network, list(records), teacher=True, **options).network
         return train(taught, list(records), **options)
 
@@ -48,7 +48,7 @@ def _linear(name: str, inputs: Mapping[Port, Sequence[int]], output: Port, feedb
 def _hammerstein(hidden: int, *orders, **options) -> dict[str, Candidate]:
     """`hidden` neurons on the inputs beside the linear model of the same orders, from whose weights they start."""
 
-    def fit(network: Network, records: Sequence[Record]) -> Fit:
+    def fit(network: Network, records: Sequence[Record]) -> Trained:
         return train(network, list(records), **options)
 
     return {f"{hidden} neurons": Candidate(lambda seed: noe(*orders, (hidden,), seed, True), fit, grown=True)}
@@ -116,7 +116,7 @@ def _crane_folds(runs: Runs) -> list[Fold]:
     ]
 
 
-def _crane_fit(network: Network, records: Sequence[Record]) -> Fit:
+def _crane_fit(network: Network, records: Sequence[Record]) -> Trained:
     """A piece from the middle has an initial state to be found; the run itself starts from rest."""
     cut = any(r.initial for r in records)
     return train(network, list(records), decay=0.02, epochs=200, estimate_initial=cut)
@@ -166,7 +166,7 @@ def _emps_folds(runs: Runs) -> list[Fold]:
     return found
 
 
-def _emps_fit(network: Network, records: Sequence[Record], free=None) -> Fit:
+def _emps_fit(network: Network, records: Sequence[Record], free=None) -> Trained:
     fit = train(network, list(records), epochs=60, free=free)
     return replace(fit, network=starting(fit.network, records[0]))
 
@@ -206,7 +206,7 @@ def _tanks(folder: Path) -> tuple[dict[str, Record], dict[str, Record]]:
     return {"train": run("train", 0)}, {"test": run("test", 5)}
 
 
-def _tanks_fit(network: Network, records: Sequence[Record]) -> Fit:
+def _tanks_fit(network: Network, records: Sequence[Record]) -> Trained:
     """The lowest loss from three pump gains: where the upper tank overflows at first decides which minimum is found."""
     starts = [pumped(network, factor) for factor in (0.7, 1.0, 1.4)]
     fits = [train(start, list(records), estimate_initial=True, decay=1e-2, epochs=200) for start in starts]
@@ -250,7 +250,7 @@ def _ced(folder: Path) -> tuple[dict[str, Record], dict[str, Record]]:
     return {n: r.cut(0, 300) for n, r in runs.items()}, {f"{n}_test": replace(r, skip=300) for n, r in runs.items()}
 
 
-def _ced_fit(network: Network, records: Sequence[Record]) -> Fit:
+def _ced_fit(network: Network, records: Sequence[Record]) -> Trained:
     return train(network, list(records), decay=1e-4, epochs=200)
 
 

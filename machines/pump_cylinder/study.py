@@ -16,7 +16,7 @@ from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.library import library
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
-from greygate.models.training.levenberg import Fit, train
+from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
 
 TRAINING = ("rig_training",)
@@ -74,7 +74,7 @@ def assemble(known: str = "") -> Network:
     return pump_srnn(k, library("divider"), speeds, Port("x", "m", X_SCALE, resolution=SENSORS["x"][2]), known)
 
 
-def fit(network: Network, name: str, known: str = "", progress: Callable | None = None) -> Fit:
+def fit(network: Network, name: str, known: str = "", progress: Callable | None = None) -> Trained:
     """Free-run training on one record, the leakage kept as `assemble` bounds it."""
     bounds = leakage_bounds(assemble(known))
     follow = progress and (lambda epoch, loss: progress(f"{name}, epoch {epoch}, loss {loss:.3g}"))

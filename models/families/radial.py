@@ -17,7 +17,7 @@ from scipy.spatial.distance import cdist
 from greygate.errors import InputError
 from greygate.models.families.regression import Taps, regressors, settled
 from greygate.models.network import Layer, Network, Port
-from greygate.models.training.levenberg import Fit, Outcome
+from greygate.models.training.levenberg import Outcome, Trained
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 
@@ -70,7 +70,7 @@ def rbf(
     seed: int = 0,
     overlap: float = 3.0,
     name: str = "rbf",
-) -> Fit:
+) -> Trained:
     """Identify a radial network as NARX: centres by k-means, widths by their neighbours, output by least squares.
 
     Moody, Darken 1989. A width is `overlap` times the root mean square distance to the two nearest centres, where each
@@ -98,7 +98,7 @@ def rbf(
     weights = {"sum.kernels": estimator.theta[None, :-1], "sum.bias": estimator.theta[-1:]}
     problem = Objective(network.with_parameters(weights), settled(records, inputs, feedback), teacher=True)
     loss = problem.squares(problem.theta) / (2 * problem.samples)
-    return Fit(problem.unpack(problem.theta), Outcome.CONVERGED, (loss,), monotonic() - began)
+    return Trained(problem.unpack(problem.theta), Outcome.CONVERGED, (loss,), monotonic() - began)
 
 
 class RecursiveLeastSquares:

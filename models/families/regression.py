@@ -22,7 +22,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.models.network import Layer, Network, Port
-from greygate.models.training.levenberg import Fit, Outcome, train
+from greygate.models.training.levenberg import Outcome, Trained, train
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 
@@ -280,7 +280,7 @@ def _signal(signals: Mapping[str, np.ndarray], port: Port) -> np.ndarray:
 # ---- linear models, the baselines that a network has to beat
 
 
-def arx(records: Sequence[Record], inputs: Taps, output: Port, feedback: Sequence[int], name: str = "arx") -> Fit:
+def arx(records: Sequence[Record], inputs: Taps, output: Port, feedback: Sequence[int], name: str = "arx") -> Trained:
     """y(k) = sum b_d u(k-d) + sum a_d y(k-d) + bias + e(k): the least squares solution itself.
 
     Linear fits leave out the rows whose taps reach before a record. Raises InputError as `regressors`, and naming the
@@ -295,10 +295,10 @@ def arx(records: Sequence[Record], inputs: Taps, output: Port, feedback: Sequenc
     network = noe(name, inputs, output, feedback).with_parameters(weights | {"sum.bias": solution[-1:]})
     problem = Objective(network, settled(records, inputs, feedback), teacher=True)
     loss = problem.squares(problem.theta) / (2 * problem.samples)
-    return Fit(problem.unpack(problem.theta), Outcome.CONVERGED, (loss,), monotonic() - began)
+    return Trained(problem.unpack(problem.theta), Outcome.CONVERGED, (loss,), monotonic() - began)
 
 
-def fir(records: Sequence[Record], inputs: Taps, output: Port, name: str = "fir") -> Fit:
+def fir(records: Sequence[Record], inputs: Taps, output: Port, name: str = "fir") -> Trained:
     """y(k) = sum b_d u(k-d) + bias + e(k), as `arx`."""
     return arx(records, inputs, output, (), name)
 
@@ -310,7 +310,7 @@ def armax(
     feedback: Sequence[int],
     noise: Sequence[int],
     name: str = "armax",
-) -> Fit:
+) -> Trained:
     """`arx` with e(k) + sum c_d e(k-d) for its noise, trained from the ARX solution. Raises as `arx`."""
     start = arx(records, inputs, output, feedback, name).network
     network = narmax(name, inputs, output, feedback, noise).with_parameters(start.parameters())
@@ -318,7 +318,7 @@ def armax(
     return train(network, given, teacher=True, epochs=300)
 
 
-def oe(records: Sequence[Record], inputs: Taps, output: Port, feedback: Sequence[int], name: str = "oe") -> Fit:
+def oe(records: Sequence[Record], inputs: Taps, output: Port, feedback: Sequence[int], name: str = "oe") -> Trained:
     """y_hat(k) = sum b_d u(k-d) + sum a_d y_hat(k-d) + bias: least error in free run, trained from the ARX solution.
 
     The free run starts from rest, so a record that does not should `skip` its beginning. An ARX solution that is
@@ -337,7 +337,7 @@ def bj(
     noise: Sequence[int],
     shaping: Sequence[int],
     name: str = "bj",
-) -> Fit:
+) -> Trained:
     """`oe` with a noise filter beside it (`box_jenkins`), trained from the OE solution. Raises as `arx`."""
     network = box_jenkins(oe(records, inputs, output, feedback, name).network, noise, shaping)
     given = [with_measured(r, network) for r in settled(records, inputs, (*feedback, *noise, *shaping))]

@@ -20,7 +20,7 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.models.network import ACTIVATIONS, Network
 from greygate.models.training.kernels import Tables, forward, sensitivities, slope
-from greygate.models.training.levenberg import STOP, Fit, Outcome, _Whole, blas
+from greygate.models.training.levenberg import STOP, Outcome, Trained, _Whole, blas
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record, held_out
 
@@ -33,7 +33,7 @@ WINDOW = 100  # epochs over which the fall of the loss is judged
 
 def gradient_descent(
     network: Network, records: Sequence[Record], rate: float = 0.1, momentum: float = 0.9, **options
-) -> Fit:
+) -> Trained:
     """Back-propagation through time over all records at once (Werbos 1990) with momentum (Polyak 1964).
 
     rate: of the first step along the gradient of J, in the normalised units of the ports. A step that would raise the
@@ -58,7 +58,7 @@ def gradient_descent(
     return descent.run(epoch, rate)
 
 
-def rtrl(network: Network, records: Sequence[Record], rate: float = 0.01, **options) -> Fit:
+def rtrl(network: Network, records: Sequence[Record], rate: float = 0.01, **options) -> Trained:
     """Real-time recurrent learning (Williams, Zipser 1989): the weights move after every sample, records in turn.
 
     The forward sensitivities go on as they stand, though the weights have moved: exact as the rate goes to zero.
@@ -82,7 +82,7 @@ def adam(
     batch: int | None = None,
     seed: int = 0,
     **options,
-) -> Fit:
+) -> Trained:
     """Adam (Kingma, Ba 2015) of torch. options: see the module.
 
     batch: samples a step, drawn anew from `seed` in every epoch; all of them if None. Raises InputError for a batch
@@ -116,7 +116,7 @@ def adam(
     return descent.run(epoch, rate)
 
 
-def lbfgs(network: Network, records: Sequence[Record], memory: int = 20, **options) -> Fit:
+def lbfgs(network: Network, records: Sequence[Record], memory: int = 20, **options) -> Trained:
     """L-BFGS (Liu, Nocedal 1989) of torch with a strong Wolfe line search over all records. options: see the module."""
     torch = _torch()
     descent = _Descent(network, records, **options)
@@ -217,7 +217,7 @@ class _Descent:
         """What the best weights have the lowest of: mean squared error held out, or the loss if nothing is."""
         return self.judge.squares(self.theta(x)) / self.judge.samples if self.judge else loss
 
-    def run(self, epoch: Callable[[np.ndarray], np.ndarray], rate: float = 1.0) -> Fit:
+    def run(self, epoch: Callable[[np.ndarray], np.ndarray], rate: float = 1.0) -> Trained:
         """`epoch` maps x to the next x, until one of the stops."""
         if not rate > 0:
             raise InputError(f"rate {rate:g}: give a positive one")
@@ -264,7 +264,7 @@ class _Descent:
             remarks.append(f"rate {rate:g} is too large for this start: lower it")
         held = tuple(scores) if self.judge else ()
         network = self.problem.unpack(self.theta(best))
-        return Fit(network, outcome, tuple(history), monotonic() - self.began, held, tuple(remarks))
+        return Trained(network, outcome, tuple(history), monotonic() - self.began, held, tuple(remarks))
 
 
 def _stands(lowest: list[float], tolerance: float) -> bool:

@@ -46,7 +46,7 @@ class Outcome(Enum):
 
 
 @dataclass(frozen=True)
-class Fit:
+class Trained:
     """A trained network, flat.
 
     history: loss J after each epoch, J = (1/2N) sum e^2 + (1/2N) theta' D theta, normalised.
@@ -173,7 +173,7 @@ def train(
     checkpoint: Path | str | None = None,
     keep: bool = False,
     progress: Callable[[int, float], None] | None = None,
-) -> Fit:
+) -> Trained:
     """Levenberg-Marquardt (Levenberg 1944, Marquardt 1963; Nielsen's damping). The trained network is flat.
 
     teacher, free, tied, estimate_initial, shooting: as for `Objective`. After multiple shooting, whose gaps are closed
@@ -200,7 +200,7 @@ def train(
     judge = [Objective(network, judged[:count], teacher, estimate_initial=estimate_initial)] if count else []
     judge += [Objective(network, judged[count:], teacher)] if held else []
 
-    def climb(problem: Objective, goal: float, epochs: int, checkpoint: Path | str | None) -> Fit:
+    def climb(problem: Objective, goal: float, epochs: int, checkpoint: Path | str | None) -> Trained:
         whole = _Whole(problem, network, decay, rehearse or {})
         left = seconds - (monotonic() - began)
         path = Path(checkpoint) if checkpoint else None
@@ -293,7 +293,7 @@ class _Climb:
         step = np.clip(x + step, self.low, self.high) - x
         return step if np.isfinite(step).all() else None
 
-    def run(self, epochs, goal, seconds, tolerance, checkpoint, keep, progress) -> Fit:
+    def run(self, epochs, goal, seconds, tolerance, checkpoint, keep, progress) -> Trained:
         began = saved = monotonic()
         whole, problem = self.whole, self.problem
         at = _Progress(problem.theta.copy(), problem.theta.copy())
@@ -341,7 +341,7 @@ class _Climb:
             outcome = Outcome.DIVERGED
         if outcome not in (Outcome.INTERRUPTED, Outcome.TIME) and self.judge and not np.isfinite(min(at.held)):
             outcome = Outcome.DIVERGED
-        return Fit(
+        return Trained(
             problem.unpack(at.best),
             outcome,
             tuple(at.history),
@@ -379,7 +379,7 @@ class _Climb:
         return None
 
 
-def narx_noe(network: Network, records: Sequence[Record], narx_epochs: int = 200, **options) -> Fit:
+def narx_noe(network: Network, records: Sequence[Record], narx_epochs: int = 200, **options) -> Trained:
     """Series-parallel training first, then free run from its weights (thesis 3.2; Norgaard 2000). options: of `train`.
 
     Where the NARX weights diverge in free run, multiple shooting leads there, in windows of a twentieth of the shortest
@@ -418,12 +418,12 @@ class Start:
     """One start of `multistart`: its seed, what came of it, and its score (lower is better; inf where it diverged)."""
 
     seed: int
-    fit: Fit
+    fit: Trained
     score: float
 
 
 def multistart(
-    fit: Callable[[int], Fit],
+    fit: Callable[[int], Trained],
     score: Callable[[Network], float],
     seeds: Sequence[int],
     jobs: int = 2,

@@ -13,8 +13,8 @@ from greygate.models.network import Network
 class Record:
     """One sequence to learn: inputs and targets {port: (N,)} in physical units.
 
-    initial: as for `Network.run`, or what `Fit.initial` found. skip: first samples that do not count. weight: of this
-    record in the loss.
+    initial: as for `Network.run`, or what `Trained.initial` found. skip: first samples that do not count. weight: of
+    this record in the loss.
     """
 
     inputs: Mapping[str, np.ndarray]
