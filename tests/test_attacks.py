@@ -22,7 +22,7 @@ from greygate.hardware import verify
 from greygate.mismatch import effects, rig, simulation
 from greygate.mismatch.concealed.conceal import sealed
 from greygate.models.network import Network
-from greygate.models.training.levenberg import _Progress
+from greygate.models.training.checkpoint import Checkpoint
 from greygate.plants.recording import read_csv
 from greygate.project import Project, Source, compile_project, verify_project
 from greygate.table import read_table
@@ -90,7 +90,7 @@ READERS = {  # of what a stranger sends, with the name that it reads
     "build": ("compile.json", Project.open),
     "manifest": ("manifest.json", lambda folder: manifest(folder, "compile")),
     "seal": ("sealed.json.sha256", sealed),
-    "checkpoint": ("n.checkpoint", lambda folder: _Progress.load(folder / "n.checkpoint", "key")),
+    "checkpoint": ("n.checkpoint", lambda folder: Checkpoint.load(folder / "n.checkpoint", "key")),
 }
 
 

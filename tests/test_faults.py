@@ -20,7 +20,8 @@ from greygate import files, project
 from greygate.compiler.quantize import Formats
 from greygate.hardware.verify import Verdict, Verification
 from greygate.models.network import Network
-from greygate.models.training.levenberg import Outcome, Trained, _Progress
+from greygate.models.training.checkpoint import Checkpoint
+from greygate.models.training.levenberg import Outcome, Trained
 from greygate.pages import report
 from greygate.project import Project, Source, compile_project
 
@@ -136,7 +137,7 @@ def built(line, tmp_path) -> Path:
 
 def test_train_leaves_the_old_network_or_the_new_one_with_its_figures(line, tmp_path, monkeypatch):
     def learn(network, records, checkpoint, **options):
-        at = _Progress.load(checkpoint, "key") if checkpoint.exists() else _Progress(np.zeros(3), np.ones(3))
+        at = Checkpoint.load(checkpoint, "key") if checkpoint.exists() else Checkpoint(np.zeros(3), np.ones(3))
         at.save(checkpoint, "key")
         checkpoint.unlink()
         trained = network.with_parameters({n: 0.9 * v for n, v in network.parameters().items()})

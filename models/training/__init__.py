@@ -1,1 +1,1 @@
-"""Training: records, the objective over them, its compiled gradients (kernels), Levenberg-Marquardt and descent."""
+"""Training: records, the objective over them and its gradients, the loss, Levenberg-Marquardt and descent."""

@@ -20,7 +20,8 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.models.network import ACTIVATIONS, Network
 from greygate.models.training.kernels import Tables, forward, sensitivities, slope
-from greygate.models.training.levenberg import STOP, Outcome, Trained, _Whole, blas
+from greygate.models.training.levenberg import STOP, Outcome, Trained, blas
+from greygate.models.training.loss import Loss
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record, held_out
 
@@ -179,7 +180,7 @@ class _Descent:
         self.engine = _Static(self.problem) if self.problem.is_static else self.problem
         self.start = self.problem.theta[self.problem.free]
         self.size = len(self.start)
-        self.diagonal = _Whole(self.problem, self.network, self.decay, {}).decay  # D's diagonal, (size,)
+        self.diagonal = Loss(self.problem, self.network, self.decay, {}).decay  # D's diagonal, (size,)
         self._at, self._loss, self._gradient = np.full(self.size, np.nan), np.inf, None  # of the last evaluation
 
     def theta(self, x: np.ndarray) -> np.ndarray:

@@ -3,23 +3,21 @@
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cache
-from io import BytesIO
 from pathlib import Path
 from threading import Event
 from time import monotonic
-from zipfile import BadZipFile
 
 import numpy as np
 import scipy.linalg
 from threadpoolctl import ThreadpoolController
 
-from greygate.contents import contents
 from greygate.errors import InputError
-from greygate.files import replacing
 from greygate.models.network import Network
+from greygate.models.training.checkpoint import Checkpoint
+from greygate.models.training.loss import Loss
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record, held_out
 
@@ -61,94 +59,6 @@ class Trained:
     held: tuple[float, ...] = ()
     remarks: tuple[str, ...] = ()
     initial: tuple[dict[str, np.ndarray], ...] = ()
-
-
-class _Whole:
-    """A network on its records, with decay, and modules of it on records of their own, over one theta."""
-
-    def __init__(self, main: Objective, network: Network, decay: float | Mapping[str, float], rehearse: Mapping):
-        self.main = main
-        self.decay = self._decay(decay)
-        self.parts = []
-        place = main.slices()
-        for path, record in rehearse.items():
-            part = Objective(_module(network, path), [record])
-            index = np.concatenate([place[f"{path}.{n}"] for n in part.slices()])
-            moving = np.flatnonzero(main.variable[index[part.free]] >= 0)
-            self.parts.append((part, index, moving, main.variable[index[part.free]][moving]))
-
-    def _decay(self, decay: float | Mapping[str, float]) -> np.ndarray:
-        """D's diagonal over the variables; initial states do not decay."""
-        place = self.main.slices()
-        size = sum(map(len, place.values()))
-        diagonal = np.zeros(len(self.main.theta))
-        if not isinstance(decay, Mapping):
-            diagonal[:size] = decay
-        else:
-            for name in decay:
-                if name not in place and not any(n.startswith(name + ".") for n in place):
-                    raise InputError(f"decay names {name}, which is no module, layer or parameter of the network")
-            for name, columns in place.items():  # the longest name that fits counts
-                fits = [d for d in decay if name == d or name.startswith(d + ".")]
-                diagonal[columns] = decay[max(fits, key=len)] if fits else 0.0
-        if not ((diagonal >= 0) & np.isfinite(diagonal)).all():
-            raise InputError(f"decay {decay}: give finite numbers from 0 on; a negative one rewards large weights")
-        return diagonal[self.main.free]
-
-    def loss(self, theta: np.ndarray) -> float:
-        """J = (1/2N) (sum e^2 + rehearsal's weighted sum e^2 + theta' D theta); inf where a run diverges."""
-        squares = self.main.squares(theta) + sum(part.squares(theta[index]) for part, index, _, _ in self.parts)
-        if self.decay.any():
-            squares += float(self.decay @ theta[self.main.free] ** 2)
-        return squares / (2 * self.main.samples)
-
-    def normal_equations(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        hessian, gradient = self.main.normal_equations(theta)
-        for part, index, moving, where in self.parts:
-            h, g = part.normal_equations(theta[index])
-            np.add.at(hessian, np.ix_(where, where), h[np.ix_(moving, moving)])
-            np.add.at(gradient, where, g[moving])
-        hessian.ravel()[:: len(hessian) + 1] += self.decay
-        return hessian, gradient + self.decay * theta[self.main.free]
-
-
-def _module(network: Network, path: str) -> Network:
-    for name in path.split("."):
-        network = getattr(network, "modules", {}).get(name)
-        if not isinstance(network, Network):
-            raise InputError(f"cannot rehearse {path}: {name} is not a network with ports of its own")
-    return network
-
-
-@dataclass
-class _Progress:
-    """Where a training stands: all that a checkpoint keeps."""
-
-    theta: np.ndarray
-    best: np.ndarray
-    damping: float = 1e-3
-    growth: float = 2.0
-    history: list[float] = field(default_factory=list)
-    held: list[float] = field(default_factory=list)
-
-    def save(self, path: Path, key: str) -> None:
-        with replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez(file, key=key, **{f.name: getattr(self, f.name) for f in fields(self)})
-
-    @staticmethod
-    def load(path: Path, key: str) -> "_Progress":
-        try:
-            with np.load(BytesIO(contents(path))) as data:
-                if str(data["key"]) != key:
-                    raise InputError(
-                        f"{path}: a checkpoint of other records, options or weights; remove it or give another path"
-                    )
-                values = {f.name: data[f.name] for f in fields(_Progress)}
-        except InputError:
-            raise
-        except (OSError, ValueError, KeyError, EOFError, BadZipFile) as error:
-            raise InputError(f"{path}: not a readable checkpoint ({error}); remove it") from None
-        return _Progress(**{n: v if v.ndim and n in ("theta", "best") else v.tolist() for n, v in values.items()})
 
 
 def train(
@@ -201,10 +111,10 @@ def train(
     judge += [Objective(network, judged[count:], teacher)] if held else []
 
     def climb(problem: Objective, goal: float, epochs: int, checkpoint: Path | str | None) -> Trained:
-        whole = _Whole(problem, network, decay, rehearse or {})
+        whole = Loss(problem, network, decay, rehearse or {})
         left = seconds - (monotonic() - began)
         path = Path(checkpoint) if checkpoint else None
-        return _Climb(whole, judge, count > 0, bounds or {}, patience).run(
+        return LevenbergMarquardt(whole, judge, count > 0, bounds or {}, patience).run(
             epochs, goal, left, tolerance, path, keep, progress
         )
 
@@ -231,11 +141,11 @@ def blas() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-class _Climb:
+class LevenbergMarquardt:
     """One descent of Levenberg-Marquardt from the problem's theta."""
 
     def __init__(
-        self, whole: _Whole, judge: Sequence[Objective], tails: bool, bounds: Mapping[str, tuple], patience: int
+        self, whole: Loss, judge: Sequence[Objective], tails: bool, bounds: Mapping[str, tuple], patience: int
     ):
         self.whole, self.judge, self.tails, self.patience = whole, judge, tails, patience
         problem = self.problem = whole.main
@@ -296,11 +206,11 @@ class _Climb:
     def run(self, epochs, goal, seconds, tolerance, checkpoint, keep, progress) -> Trained:
         began = saved = monotonic()
         whole, problem = self.whole, self.problem
-        at = _Progress(problem.theta.copy(), problem.theta.copy())
+        at = Checkpoint(problem.theta.copy(), problem.theta.copy())
         key = self.key() if checkpoint else ""
         resumed = bool(checkpoint and checkpoint.exists())
         if resumed:
-            at = _Progress.load(checkpoint, key)
+            at = Checkpoint.load(checkpoint, key)
             begun = len(at.history) - 1
         else:
             at.history.append(whole.loss(at.theta))
@@ -351,7 +261,7 @@ class _Climb:
             initial=tuple(problem.initial(at.best)) if problem.estimate_initial else (),
         )
 
-    def epoch(self, at: _Progress) -> Outcome | None:
+    def epoch(self, at: Checkpoint) -> Outcome | None:
         """Take one step that lowers the loss, raising the damping until there is one."""
         whole, problem, loss = self.whole, self.problem, at.history[-1]
         hessian, gradient = whole.normal_equations(at.theta)
