@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 from scipy.stats import norm
 
 from greygate.mismatch.effects import Effect
-from greygate.mismatch.fit import Fit, Problem, Unknown
+from greygate.mismatch.fit import Fit, Likelihood, Unknown
 from greygate.mismatch.model import Model
 from greygate.mismatch.search import Hypothesis, Search
 
@@ -35,7 +35,7 @@ LAGS = (0, 1, 2, 4, 8, 16)  # samples by which a signal goes before the innovati
 SIGNIFICANT = 1e-4  # chance of so large a correlation where there is none, after correction
 
 
-class Coloured(Problem):
+class Coloured(Likelihood):
     """A problem with an autoregression by channel: ar[i] (order,), scale (channels,) of its innovations, RMS.
 
     It forgets within MEMORY of the recording: what is slower than that is laid to the plant, not to noise. Before the
@@ -97,7 +97,7 @@ class Coloured(Problem):
         options = {k: v for k, v in options.items() if k not in ("rival", "tempered")}
         problem, values, best = self, dict(values or {}), None
         for _ in range(ROUNDS if self.order else 2):
-            fit = Problem.fit(problem, unknowns, values, shifts, **options)
+            fit = Likelihood.fit(problem, unknowns, values, shifts, **options)
             residual = problem.residual(fit.values)
             if not np.isfinite(residual).all():
                 return best or replace(fit, cost=np.inf)

@@ -53,7 +53,7 @@ class Fit:
     parameters' priors. temper: by which the errors of each channel counted less.
     """
 
-    problem: "Problem"
+    problem: "Likelihood"
     unknowns: tuple[Unknown, ...]
     fixed: Mapping[str, float]
     numbers: np.ndarray
@@ -135,7 +135,7 @@ def _larger(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return one * np.outer(stretch, stretch)
 
 
-class Problem:
+class Likelihood:
     """A model's recording with its weights: sigma (samples, channels) of what the sensors make of the truth."""
 
     def __init__(self, model: Model):

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from greygate.mismatch.effects import Effect, Free, fitting
-from greygate.mismatch.fit import Fit, Problem, Unknown
+from greygate.mismatch.fit import Fit, Likelihood, Unknown
 from greygate.mismatch.model import BLUR, TIMING, Model
 from greygate.mismatch.rig import Rig
 from greygate.plants.expressions import names
@@ -58,14 +58,16 @@ class Score:
 class Search:
     """All hypotheses on one recording of one rig. whole: the problem of a rig that runs free."""
 
-    def __init__(self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], whole: type[Problem] = Problem):
+    def __init__(
+        self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], whole: type[Likelihood] = Likelihood
+    ):
         self.rig = rig
         self.effects = fitting(rig.plant, rig.datasheet, effects)
         self.travel = max(float(np.ptp(recording[name])) for name in rig.inputs)
         self.toleranced = [s for s, p in rig.plant.parameters.items() if p.tolerance]
 
-        def over(seconds: float) -> Problem:
-            return Problem(Model(rig, recording, self.effects, min(max(round(seconds / rig.dt), 10), rig.window)))
+        def over(seconds: float) -> Likelihood:
+            return Likelihood(Model(rig, recording, self.effects, min(max(round(seconds / rig.dt), 10), rig.window)))
 
         self.final = over(LONG_WINDOW) if rig.window else whole(Model(rig, recording, self.effects))
         self.screen = over(SHORT) if rig.window else self.final
@@ -147,7 +149,7 @@ class Search:
             and not filtered & set(effect.filters)
         )
 
-    def scores(self, problem: Problem, fit: Fit, given: Hypothesis) -> list[Score]:
+    def scores(self, problem: Likelihood, fit: Fit, given: Hypothesis) -> list[Score]:
         """Every candidate's promise at `fit`, best first."""
         ranked = []
         for candidate in self.candidates(given):
@@ -156,7 +158,7 @@ class Search:
                 ranked.append(best)
         return sorted(ranked, key=lambda s: -s.gain)
 
-    def pairs(self, problem: Problem, fit: Fit, count: int) -> list[Score]:
+    def pairs(self, problem: Likelihood, fit: Fit, count: int) -> list[Score]:
         """The `count` pairs of effects that promise most at `fit` together; each alone may promise little."""
         effects = [e for e in self.effects.values() if self.joined(Hypothesis(), e)]
         blocks = [(effect, *found) for effect in effects for found in self.directions(problem, fit, effect)]
@@ -177,7 +179,7 @@ class Search:
             out.append(Score(Hypothesis(tuple(blocks[i][0].key for i in pair)), gain - plain, values))
         return sorted(out, key=lambda score: -score.gain)[:count]
 
-    def _promises(self, problem: Problem, fit: Fit, candidate: Hypothesis) -> Iterable[Score]:
+    def _promises(self, problem: Likelihood, fit: Fit, candidate: Hypothesis) -> Iterable[Score]:
         plain = _plain(fit)
         if candidate.released:
             j = [u.symbol for u in fit.unknowns].index(candidate.released[0])
@@ -213,7 +215,7 @@ class Search:
             values |= {**shape, **{s: float(np.clip(v, *reach[s])) for s, v in found.items()}}
         return values, gain
 
-    def directions(self, problem: Problem, fit: Fit, effect: Effect) -> Iterable[tuple[dict, dict, np.ndarray]]:
+    def directions(self, problem: Likelihood, fit: Fit, effect: Effect) -> Iterable[tuple[dict, dict, np.ndarray]]:
         """(shape, point, columns): in which directions an effect moves the errors, for every shape on its grid.
 
         point: the sizes from which a secant is drawn, one column; empty where columns are slopes, one a strength.
@@ -262,11 +264,13 @@ class Search:
 
     # -- full fits ---------------------------------------------------------------------------------------------------
 
-    def base(self, problem: Problem) -> Fit:
+    def base(self, problem: Likelihood) -> Fit:
         """The plant as it stands, its parameters kept near the data sheet."""
         return problem.fit(self.unknowns(Hypothesis(), 2.0), tempered=True, iterations=4)
 
-    def fit(self, problem: Problem, hypothesis: Hypothesis, values: Mapping[str, float], shifts=None, **options) -> Fit:
+    def fit(
+        self, problem: Likelihood, hypothesis: Hypothesis, values: Mapping[str, float], shifts=None, **options
+    ) -> Fit:
         """The full fit of a hypothesis, from `values` on."""
         free = {f.symbol for key in hypothesis.effects for f in self.effects[key].free}
         start = {s: v for s, v in values.items() if s in free or s in self.toleranced or s in (TIMING, BLUR)}

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from greygate.mismatch.effects import Effect
-from greygate.mismatch.fit import Fit, Problem
+from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.model import BLUR
 from greygate.mismatch.search import Hypothesis, Score, Search
 
@@ -37,7 +37,7 @@ class Selection:
     costs: the least of each. fits: the best of each that is possible. best: of those, by size.
     """
 
-    def __init__(self, search: Search, problem: Problem, start: Fit, say: Callable[[str], None]):
+    def __init__(self, search: Search, problem: Likelihood, start: Fit, say: Callable[[str], None]):
         self.search, self.problem, self.start, self.say = search, problem, start, say
         self.costs: dict[Hypothesis, float] = {}
         self.fits: dict[Hypothesis, Fit] = {}
@@ -184,7 +184,7 @@ class Selection:
 
     # -- long windows ------------------------------------------------------------------------------------------------
 
-    def over(self, final: Problem, best: Hypothesis, current: Fit) -> tuple["Selection", Hypothesis, Fit]:
+    def over(self, final: Likelihood, best: Hypothesis, current: Fit) -> tuple["Selection", Hypothesis, Fit]:
         """The selection over longer windows: every hypothesis that explains all, in every form, and the best of them.
 
         Long windows tell forms apart that short ones do not. A further unknown costs what BIC says. A fit that gave up
@@ -305,7 +305,7 @@ def whole(fit: Fit) -> bool:
     return slow < STRUCTURE or (slow < 1.0 and fit.cost < fit.problem.count)
 
 
-def floor(problem: Problem) -> float:
+def floor(problem: Likelihood) -> float:
     """Cost of a fit that leaves nothing."""
     return problem.count * FLOOR
 

@@ -8,7 +8,7 @@ import pytest
 from greygate.mismatch import rig, simulation
 from greygate.mismatch.diagnosis import diagnose
 from greygate.mismatch.effects import Effect, Free
-from greygate.mismatch.fit import LONGEST, Fit, Problem, Unknown, roughness, runs
+from greygate.mismatch.fit import LONGEST, Fit, Likelihood, Unknown, roughness, runs
 from greygate.mismatch.model import FILTERS, Model, delayed, lagged
 from greygate.mismatch.search import pair_gains
 from greygate.plants.plant import Plant
@@ -64,11 +64,11 @@ def recorded(folder, seed: int, samples: int = 300, stiffness: float = TRUE["sti
     np.savetxt(folder / "identify.csv", table, delimiter=",", header="t,force,x", comments="", fmt="%.10g")
 
 
-def problem(folder, window: float | None, seed: int = 0) -> Problem:
+def problem(folder, window: float | None, seed: int = 0) -> Likelihood:
     recorded(folder, seed)
     (folder / "rig.toml").write_text(RIG if window is None else RIG.replace("predict", f"window_s = {window}\npredict"))
     loaded = rig.load(folder)
-    return Problem(Model(loaded, loaded.recording(folder / "identify.csv"), {"spring": SPRING}))
+    return Likelihood(Model(loaded, loaded.recording(folder / "identify.csv"), {"spring": SPRING}))
 
 
 def unknowns(spring: bool = True) -> list[Unknown]:
@@ -326,7 +326,7 @@ def test_the_rounding_of_an_input_counts_where_it_is_of_the_predicted_kind_alone
         recorded(tmp_path, 0)
         loaded = rig.load(tmp_path)
         model = Model(loaded, loaded.recording(tmp_path / "identify.csv"), {"spring": SPRING})
-        sigma.append(Problem(model).sigma[0, 0])
+        sigma.append(Likelihood(model).sigma[0, 0])
     assert sigma[0] == pytest.approx(NOISE)
     held = runs(model.recording["force"])[0]
     assert sigma[1] == pytest.approx(np.sqrt(NOISE**2 + held * 1e-8 / 12))
@@ -343,7 +343,7 @@ def test_the_first_quarter_second_counts_for_nothing_where_a_state_has_no_sensor
     table = np.column_stack([t, np.sin(t), 1e-3 * np.sin(t)])
     np.savetxt(tmp_path / "identify.csv", table, delimiter=",", header="t,force,x", comments="", fmt="%.10g")
     loaded = rig.load(tmp_path)
-    p = Problem(Model(loaded, loaded.recording(tmp_path / "identify.csv"), {}))
+    p = Likelihood(Model(loaded, loaded.recording(tmp_path / "identify.csv"), {}))
     counted = np.isfinite(p.sigma[:, 0])
     assert not counted[:25].any()
     assert counted[25:].all()

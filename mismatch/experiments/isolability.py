@@ -25,7 +25,7 @@ from greygate.mismatch.experiments.separation import (
     imagined,
     sensor,
 )
-from greygate.mismatch.fit import Fit, Problem
+from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.search import ROUGH, Hypothesis, Search
 
 FORM = 0.1  # of an effect, by which a machine's may differ from the table's: a difference below that tells nothing
@@ -130,7 +130,7 @@ def base(search: Search) -> Fit:
     fit = search.fit(search.final, Hypothesis(), {})
     problem = fit.problem.ordered(fit.problem.residual(fit.values))
     search.effects = {key: scaled(problem, effect, fit) for key, effect in search.effects.items()}
-    return Problem.fit(problem, unknowns, fit.values, iterations=0)
+    return Likelihood.fit(problem, unknowns, fit.values, iterations=0)
 
 
 def typical(effect: Effect) -> dict[str, float]:
@@ -193,7 +193,7 @@ def _group(search: Search, fit: Fit, names: tuple[str, ...], one: Effect, other:
     values = {**fit.values, **typical(one)}
     unknowns = search.unknowns(Hypothesis((other.key,) if other else ()))
     start = {**fit.values, **(typical(other) if other else {})}
-    rival = Problem.fit(imagined(fit.problem, values), unknowns, start, iterations=ITERATIONS, enough=ROUGH)
+    rival = Likelihood.fit(imagined(fit.problem, values), unknowns, start, iterations=ITERATIONS, enough=ROUGH)
     here = float(np.sqrt(rival.cost))
     experiment = Trials(fit.problem, values).apart(rival, here)
     sensed = sensor(fit.problem, values, rival)

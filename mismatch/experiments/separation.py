@@ -15,7 +15,7 @@ import numpy as np
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.experiments.experiment import FEWEST, HOLD, SECONDS, Bounds, Experiment, Free, experiments
-from greygate.mismatch.fit import Fit, Problem
+from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.locate import scaled
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import Channel
@@ -90,7 +90,7 @@ class Trial:
     """problem: that of what was recorded, were the explanation `values` true. experiment: by which; None on the
     recording so far."""
 
-    problem: Problem
+    problem: Likelihood
     values: Mapping[str, float]
     experiment: Experiment | None = None
 
@@ -128,7 +128,7 @@ class Trial:
 class Trials:
     """Experiments on the rig of `problem`, run as the explanation `values` (symbol -> value) would have them."""
 
-    def __init__(self, problem: Problem, values: Mapping[str, float]):
+    def __init__(self, problem: Likelihood, values: Mapping[str, float]):
         self.problem = problem
         self.free = Free(problem.model.rig, problem.model.effects, values)
         self._over: dict[float, list[Trial]] = {}
@@ -164,7 +164,7 @@ class Trials:
         return Trial(like(self.problem, self.problem.model.over(record)), self.free.values, experiment)
 
 
-def like(problem: Problem, model: Model) -> Problem:
+def like(problem: Likelihood, model: Model) -> Likelihood:
     """A problem with the noise of `problem` over the recording of another model, which may have further channels."""
     made = type(problem)(model)
     if isinstance(problem, Coloured):
@@ -174,7 +174,7 @@ def like(problem: Problem, model: Model) -> Problem:
     return made
 
 
-def sensor(problem: Problem, values: Mapping[str, float], rival: Fit) -> tuple[str, float] | None:
+def sensor(problem: Likelihood, values: Mapping[str, float], rival: Fit) -> tuple[str, float] | None:
     """(state, distance): the state whose sensor, of FINE resolution, would tell `rival` from `values` best.
 
     On the recording as it is; None where every state is a channel already, or the rate of one.
@@ -201,7 +201,7 @@ def _with_sensor(model: Model, symbol: str, signal: np.ndarray) -> Model:
     return Model(richer, Recording(recording.dt, channels, units), model.effects, model.window)
 
 
-def imagined(problem: Problem, values: Mapping[str, float]) -> Problem:
+def imagined(problem: Likelihood, values: Mapping[str, float]) -> Likelihood:
     """`problem` had it recorded what `values` (symbol -> value) predict, without noise."""
     other = copy.copy(problem)
     other.model = copy.copy(problem.model)
@@ -245,7 +245,7 @@ def _rival(result: Diagnosis, entry: Mapping, other: str) -> Hypothesis | None:
     return min(found, key=lambda pair: pair[0])[1] if found else None
 
 
-def _fitted(result: Diagnosis, problem: Problem, rival: Hypothesis) -> Fit:
+def _fitted(result: Diagnosis, problem: Likelihood, rival: Hypothesis) -> Fit:
     """The fit of a rival, which a search may have kept."""
     search = result.search
     if rival not in search.fits:
