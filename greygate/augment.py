@@ -34,6 +34,7 @@ from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
 from greygate.plants.plant import Values
 from greygate.plants.recording import Recording
+from greygate.progress import titled
 
 FACTS = "augment.json"
 RECORDINGS = ("identify", "holdout")
@@ -202,7 +203,7 @@ def augment(folder: Path | str, diagnosis: Mapping, out: Path | str, say: Callab
             decay=DECAY,
             rehearse={n: replace(law.record(), weight=REHEARSAL) for n in own},
             tied=(*kind.tied, *_alike(own)),
-            progress=lambda epoch, loss, name=name: say(f"{name}, epoch {epoch}, loss {loss:.3g}"),
+            progress=titled(say, name),
         )
         networks[name] = joined.with_parameters(fit.network.parameters())
         figures[name] = {

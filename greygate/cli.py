@@ -175,7 +175,7 @@ def _train_own(name, record, held, settle, narx, how, out, as_json) -> None:
         raise InputError("--out is missing: the folder that the trained network is written into")
     source = Source(name, _recordings([_named(text) for text in record]), settle)
     others = _recordings([_named(text) for text in held])
-    with _bar(f"training {Path(name).stem}", how["epochs"]) as follow:
+    with _progress(f"training {Path(name).stem}") as follow:
         trained = train_source(source, out, others, narx=narx, progress=follow, **how)
     for remark in trained["remarks"]:
         _say(remark)

@@ -63,6 +63,7 @@ from greygate.models.training.levenberg import Outcome, narx_noe, train
 from greygate.models.training.record import Record, held_out
 from greygate.pages.report import plain, size
 from greygate.plants.recording import read_csv
+from greygate.progress import Progress, silent
 from greygate.reading import read_json
 
 LATER = (  # what verify and synthesize add to a build, in which nobody else writes
@@ -169,7 +170,7 @@ def train_source(
     held: Mapping[str, str],
     *,
     narx: bool = True,
-    progress: Callable[[int, str], None] | None = None,
+    progress: Progress = silent,
     **options,
 ) -> dict:
     """Train the network on its recordings and write it, with the figures returned, into the folder.
@@ -185,7 +186,6 @@ def train_source(
         raise InputError("one file is given twice, under two names; give another to judge on")
     network, found = source.network(), replace(source, recordings=source.recordings | held).records()
     records, others = ({name: found[name] for name in names} for names in (source.recordings, held))
-    follow = progress and (lambda epoch, loss: progress(epoch, f"loss {loss:.3g}"))
     learn = narx_noe if narx and not options.get("shooting") else train
     checkpoint = folder / f"{network.name}.checkpoint"
     with making(folder), writing(folder):
@@ -195,7 +195,7 @@ def train_source(
             held=list(others.values()),
             checkpoint=checkpoint,
             keep=True,
-            progress=follow,
+            progress=progress,
             estimate_initial=source.settle > 0,
             **options,
         )

@@ -211,7 +211,7 @@ def test_ctrl_c_in_a_multistart_ends_the_starts_under_way(name):
         both.wait(10)
         return method(network, [record], epochs=(1, 10**9)[seed], tolerance=0.0, seconds=10.0, **options)
 
-    def interrupt(start):
+    def interrupt(line):
         raise KeyboardInterrupt
 
     ranked = multistart(fit, lambda network: squares(network, record), range(2), progress=interrupt)
@@ -228,8 +228,8 @@ def test_time_and_goal_end_a_training():
 
 
 def test_an_interrupt_keeps_the_best_weights():
-    def interrupt(epoch, loss):
-        if epoch == 3:
+    def interrupt(line):
+        if line.startswith("epoch 3 "):
             raise KeyboardInterrupt
 
     network, record = learner()

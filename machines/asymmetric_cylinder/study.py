@@ -4,7 +4,6 @@ The weights are those that the first machine taught; G1, G2 and the other normal
 data sheets. What its rig does otherwise (`machines/asymmetric_cylinder/plant.py`) the network learns from one record.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
 
@@ -19,6 +18,7 @@ from greygate.models.families.blocks import feedforward
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
+from greygate.progress import Progress, silent
 
 SCENARIOS = ("training", "v3", "v4", "v5", "v6")
 THESIS = {  # RMS in bar, chambers A and B (table 5.7, section 5.4.4)
@@ -65,18 +65,17 @@ def first_machine() -> Network:
     return Network.load(TRAINED / "valve_cylinder")
 
 
-def fit(network: Network, epochs: int, progress: Callable[[str], None] | None = None) -> Trained:
+def fit(network: Network, epochs: int, progress: Progress = silent) -> Trained:
     """Free-run training on the 50,001 samples, both flow networks held to `CLOSED`; its network keeps its modules.
 
     Of its weights 0, 1e5, 1e6, 1e7 the record `choice` was best with 1e6 or 1e5.
     """
-    follow = progress and (lambda epoch, loss: progress(f"epoch {epoch}, loss {loss:.3g}"))
     closed = {"qa": CLOSED, "qb": CLOSED}
-    found = train(network, [records()["training"]], epochs=epochs, decay=1e-6, rehearse=closed, progress=follow)
+    found = train(network, [records()["training"]], epochs=epochs, decay=1e-6, rehearse=closed, progress=progress)
     return replace(found, network=network.with_parameters(found.network.parameters()))
 
 
-def adapt(progress: Callable[[str], None] | None = None) -> tuple[Network, dict]:
+def adapt(progress: Progress = silent) -> tuple[Network, dict]:
     """Adopt, then train: the thesis's 10 epochs, then on to `EPOCHS`. Returns the network and its figures.
 
     Figures: RMS in bar by step and scenario, seconds.

@@ -3,7 +3,6 @@
 No pressure sensor takes part in a prediction; `sensor_backup` gives the other chamber's pressure, as the thesis had to.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache, partial
 
@@ -18,6 +17,7 @@ from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
+from greygate.progress import Progress, silent, titled
 
 TRAINING = ("rig_training",)
 SCENARIOS = ("rig_training", "rig_chirp", "rig_random", "rig_open")
@@ -74,14 +74,13 @@ def assemble(known: str = "") -> Network:
     return pump_srnn(k, library("divider"), speeds, Port("x", "m", X_SCALE, resolution=SENSORS["x"][2]), known)
 
 
-def fit(network: Network, name: str, known: str = "", progress: Callable | None = None) -> Trained:
+def fit(network: Network, name: str, known: str = "", progress: Progress = silent) -> Trained:
     """Free-run training on one record, the leakage kept as `assemble` bounds it."""
     bounds = leakage_bounds(assemble(known))
-    follow = progress and (lambda epoch, loss: progress(f"{name}, epoch {epoch}, loss {loss:.3g}"))
-    return train(network, [recording(name, known)], epochs=EPOCHS, bounds=bounds, progress=follow)
+    return train(network, [recording(name, known)], epochs=EPOCHS, bounds=bounds, progress=titled(progress, name))
 
 
-def train_srnn(progress: Callable[[str], None] | None = None) -> tuple[Network, dict]:
+def train_srnn(progress: Progress = silent) -> tuple[Network, dict]:
     """Train on the nominal plant, adapt on the rig's training record. Returns the network and its figures.
 
     Figures: RMS in Pa, chambers A and B, by step and record; `constant`: of the training record's mean pressures.
@@ -107,7 +106,7 @@ def constant() -> dict[str, tuple[float, ...]]:
     }
 
 
-def sensor_backup(progress: Callable[[str], None] | None = None) -> dict[str, tuple[float, ...]]:
+def sensor_backup(progress: Progress = silent) -> dict[str, tuple[float, ...]]:
     """RMS in Pa of `RNN P_A` and `RNN P_B`, each with the other chamber's sensor (figs. 6.5, 6.6, table 6.4)."""
     found: dict[str, tuple[float, ...]] = dict.fromkeys(SCENARIOS, ())
     for known in "ba":
@@ -150,7 +149,7 @@ def narx(samples: int, neurons: int, seed: int = 0) -> Network:
     return nguyen_widrow(noe("narx", taps, output, past, (neurons,), bypass=False), seed)
 
 
-def black_boxes(progress: Callable[[str], None] | None = None) -> dict:
+def black_boxes(progress: Progress = silent) -> dict:
     """Table 6.2 and the NOE of 6.3.1 on the nominal plant, a linear rival on the rig; RMS in Pa of both chambers.
 
     `narx`: by architecture, one step ahead in training, and the same network's free run of the chirp (inf: diverges).
@@ -160,13 +159,12 @@ def black_boxes(progress: Callable[[str], None] | None = None) -> dict:
     training, chirp = black_box("training"), black_box("chirp")
     found, fits = {}, {}
     for number, (samples, neurons) in NARX.items():
-        follow = progress and (lambda epoch, loss, n=number: progress(f"NARX {n}, epoch {epoch}, loss {loss:.3g}"))
-        fits[number] = train(narx(samples, neurons), [training], teacher=True, epochs=NARX_EPOCHS, progress=follow)
+        told = titled(progress, f"NARX {number}")
+        fits[number] = train(narx(samples, neurons), [training], teacher=True, epochs=NARX_EPOCHS, progress=told)
         ahead = float(np.sqrt(2 * fits[number].history[-1])) * P_MAX
         found[number] = {"ahead": ahead, "chirp": _both(fits[number].network, chirp), "seconds": fits[number].seconds}
     best = min(found, key=lambda n: found[n]["ahead"])
-    follow = progress and (lambda epoch, loss: progress(f"NOE, epoch {epoch}, loss {loss:.3g}"))
-    fit = train(fits[best].network, [training], epochs=NOE_EPOCHS, progress=follow)
+    fit = train(fits[best].network, [training], epochs=NOE_EPOCHS, progress=titled(progress, "NOE"))
     errors = {"training": _both(fit.network, training), "chirp": _both(fit.network, chirp)}
     own = {"architecture": best, "seconds": fit.seconds, "outcome": fit.outcome.value}
     ahead = train(narx(2, 0), [black_box("rig_training")], teacher=True, epochs=EPOCHS).network

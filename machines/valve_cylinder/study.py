@@ -18,6 +18,7 @@ from greygate.models.families.blocks import divider_record, feedforward, fit_div
 from greygate.models.network import Network
 from greygate.models.training.record import Record
 from greygate.plants.excitation import band_limited_noise, prms
+from greygate.progress import Progress, silent, titled
 
 SCENARIOS = ("training", "v1", "v2")
 THESIS = {  # RMS in bar, chambers A and B (table 5.4, section 5.3.3)
@@ -54,23 +55,19 @@ def assemble(flow: Network, divider: Network) -> Network:
     return valve_srnn(k, flow, divider, mean_spool(*spool_discrete(plant), k["u_max"]))
 
 
-def train_srnn(progress: Callable[[str], None] | None = None) -> tuple[Network, dict]:
+def train_srnn(progress: Progress = silent) -> tuple[Network, dict]:
     """Fit the parts, join them, train them as one on the training scenario. Returns the network and its figures.
 
     progress: called with a line now and then. Figures: RMS in bar of each scenario as assembled and trained, seconds.
     """
-
-    def following(step: str):
-        return progress and (lambda epoch, loss: progress(f"{step}, epoch {epoch}, loss {loss:.3g}"))
-
     q, d = flow_record(), divider_record()
     snn = Procedure(records(), subsystems=("flow", "divider"))
-    snn.take("flow", fit_flow(FLOW_SEED, progress=following("flow")), q)
-    snn.take("divider", fit_divider(DIVIDER_SEED, progress=following("divider")), d)
+    snn.take("flow", fit_flow(FLOW_SEED, progress=titled(progress, "flow")), q)
+    snn.take("divider", fit_divider(DIVIDER_SEED, progress=titled(progress, "divider")), d)
     snn.join(assemble)
     q, d = (replace(r, weight=REHEARSAL) for r in (q, d))
     rehearse = {"qa": q, "qb": q, "pa.divider": d, "pb.divider": d}
-    snn.train(epochs=EPOCHS, decay=1e-6, rehearse=rehearse, progress=following("the whole"))
+    snn.train(epochs=EPOCHS, decay=1e-6, rehearse=rehearse, progress=titled(progress, "SRNN"))
     figures = {
         "flow_rms": snn["flow"].errors[OWN]["y"],
         "divider_rms": snn["divider"].errors[OWN]["y"],

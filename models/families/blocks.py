@@ -7,6 +7,7 @@ import numpy as np
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
+from greygate.progress import Progress, silent
 
 
 def feedforward(
@@ -85,7 +86,7 @@ def divider_record() -> Record:
     return Record({"omega": omega, "gamma": gamma}, {"y": omega / (gamma + 1)})
 
 
-def fit_flow(seed: int, epochs: int = 800, progress=None, lap: float = 0.0) -> Trained:
+def fit_flow(seed: int, epochs: int = 800, progress: Progress = silent, lap: float = 0.0) -> Trained:
     """`Network Qa`: 2-10-10-1 on `flow_record` (table 5.3, #4). lap: as for `flow_rate`.
 
     `Network Qb` is its mirror: q_b(u, p) = -q_a(-u, p).
@@ -94,7 +95,7 @@ def fit_flow(seed: int, epochs: int = 800, progress=None, lap: float = 0.0) -> T
     return train(network, [flow_record(lap)], epochs=epochs, decay=1e-6, progress=progress)
 
 
-def fit_divider(seed: int, epochs: int = 500, progress=None) -> Trained:
+def fit_divider(seed: int, epochs: int = 500, progress: Progress = silent) -> Trained:
     """`divider`: 2-20-1 on `divider_record`, omega / (gamma + 1) (5.3.2.2)."""
     network = feedforward("divider", ["omega", "gamma"], [20], seed)
     return train(network, [divider_record()], epochs=epochs, decay=1e-8, progress=progress)

@@ -20,10 +20,12 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.models.network import ACTIVATIONS, Network
 from greygate.models.training.kernels import Tables, forward, sensitivities, slope
-from greygate.models.training.levenberg import STOP, Outcome, Trained, blas
+from greygate.models.training.levenberg import STOP, Outcome, Trained, blas, stands
 from greygate.models.training.loss import Loss
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record, held_out
+from greygate.models.training.remarks import remarks
+from greygate.progress import Progress, silent
 
 RUNAWAY = 10.0  # times the first loss, or that of predicting zero if larger: beyond it a training has diverged
 SCALE = 1e8  # first loss that L-BFGS sees: torch takes y's <= 1e-10 for no curvature
@@ -66,12 +68,12 @@ def rtrl(network: Network, records: Sequence[Record], rate: float = 0.01, **opti
     rate: of the step along the gradient of half the sample's squared error. options: see the module.
     """
     descent = _Descent(network, records, **options)
-    problem = descent.problem
+    objective = descent.objective
 
     def epoch(x: np.ndarray) -> np.ndarray:
         theta = descent.theta(x)
-        problem.learn_online(theta, rate, descent.diagonal / problem.samples)
-        return theta[problem.free]
+        objective.learn_online(theta, rate, descent.diagonal / objective.samples)
+        return theta[objective.free]
 
     return descent.run(epoch, rate)
 
@@ -170,28 +172,30 @@ class _Descent:
     goal: float = 0.0
     seconds: float = np.inf
     tolerance: float = 1e-7
-    progress: Callable[[int, float], None] | None = None
+    progress: Progress = silent
 
     def __post_init__(self):
         self.began = monotonic()
         used, judged = held_out(self.network, self.records, self.tail, self.held)
-        self.problem = _Swept(self.network, used, self.teacher, self.free, tied=self.tied)
+        self.objective = _Swept(self.network, used, self.teacher, self.free, tied=self.tied)
         self.judge = Objective(self.network, judged, self.teacher) if judged else None
-        self.engine = _Static(self.problem) if self.problem.is_static else self.problem
-        self.start = self.problem.theta[self.problem.free]
+        self.engine = _Static(self.objective) if self.objective.is_static else self.objective
+        self.start = self.objective.theta[self.objective.free]
         self.size = len(self.start)
-        self.diagonal = Loss(self.problem, self.network, self.decay, {}).decay  # D's diagonal, (size,)
+        self.diagonal = Loss(self.objective, self.network, self.decay, {}).decay  # D's diagonal, (size,)
         self._at, self._loss, self._gradient = np.full(self.size, np.nan), np.inf, None  # of the last evaluation
 
     def theta(self, x: np.ndarray) -> np.ndarray:
-        variable = self.problem.variable
-        return np.where(variable >= 0, x[variable], self.problem.theta)
+        variable = self.objective.variable
+        return np.where(variable >= 0, x[variable], self.objective.theta)
 
     def loss(self, x: np.ndarray) -> float:
         """J = (1/2N) (sum e^2 + x'Dx); inf where the run diverges."""
         if not np.array_equal(x, self._at):
             with np.errstate(over="ignore", invalid="ignore"):
-                value = (self.engine.squares(self.theta(x)) + float(self.diagonal @ x**2)) / (2 * self.problem.samples)
+                value = (self.engine.squares(self.theta(x)) + float(self.diagonal @ x**2)) / (
+                    2 * self.objective.samples
+                )
             self._at, self._loss, self._gradient = x.copy(), value if np.isfinite(value) else np.inf, None
         return self._loss
 
@@ -210,9 +214,9 @@ class _Descent:
         return self._of(x, self.engine.gradient(theta) * (self.engine.samples / len(rows)))
 
     def _of(self, x: np.ndarray, along_theta: np.ndarray) -> np.ndarray:
-        moving = self.problem.variable >= 0
-        sums = np.bincount(self.problem.variable[moving], along_theta[moving], self.size)
-        return (sums + self.diagonal * x) / self.problem.samples
+        moving = self.objective.variable >= 0
+        sums = np.bincount(self.objective.variable[moving], along_theta[moving], self.size)
+        return (sums + self.diagonal * x) / self.objective.samples
 
     def score(self, x: np.ndarray, loss: float) -> float:
         """What the best weights have the lowest of: mean squared error held out, or the loss if nothing is."""
@@ -223,12 +227,12 @@ class _Descent:
         if not rate > 0:
             raise InputError(f"rate {rate:g}: give a positive one")
         x = best = self.start
-        remarks = self.problem.remarks()
+        said = remarks(self.objective)
         with blas().limit(limits=1, user_api="blas"):  # two BLAS threads are slower than one on small matrices
             history = [self.loss(x)]
             scores = [self.score(x, history[0])]
             lowest = [history[0]]
-            ceiling = RUNAWAY * max(history[0], self.problem.power)
+            ceiling = RUNAWAY * max(history[0], self.objective.power)
             outcome = Outcome.EPOCHS if np.isfinite(history[0]) else Outcome.DIVERGED
             if history[0] <= self.goal:
                 outcome = Outcome.REACHED
@@ -245,13 +249,12 @@ class _Descent:
                     scores.append(self.score(x, loss))
                     if scores[-1] < scores[leader]:
                         best, leader = x, len(scores) - 1
-                    if self.progress:
-                        self.progress(len(history) - 1, loss)
+                    self.progress(f"epoch {len(history) - 1} of {self.epochs}, loss {loss:.3g}")
                     if loss <= self.goal:
                         outcome = Outcome.REACHED
                     elif self.judge and len(scores) - 1 - leader >= self.patience:
                         outcome = Outcome.EARLY
-                    elif np.array_equal(x, before) or _stands(lowest, self.tolerance):
+                    elif np.array_equal(x, before) or stands(lowest, WINDOW, self.tolerance):
                         outcome = Outcome.CONVERGED
                     elif STOP.is_set():
                         outcome = Outcome.INTERRUPTED
@@ -262,47 +265,43 @@ class _Descent:
         if outcome is Outcome.EPOCHS and lowest[-1] == history[0] < history[-1]:
             outcome = Outcome.DIVERGED
         if outcome is Outcome.DIVERGED and np.isfinite(history[0]):
-            remarks.append(f"rate {rate:g} is too large for this start: lower it")
+            said.append(f"rate {rate:g} is too large for this start: lower it")
         held = tuple(scores) if self.judge else ()
-        network = self.problem.unpack(self.theta(best))
-        return Trained(network, outcome, tuple(history), monotonic() - self.began, held, tuple(remarks))
-
-
-def _stands(lowest: list[float], tolerance: float) -> bool:
-    return len(lowest) > WINDOW and lowest[-1 - WINDOW] - lowest[-1] < tolerance * lowest[-1]
+        network = self.objective.unpack(self.theta(best))
+        return Trained(network, outcome, tuple(history), monotonic() - self.began, held, tuple(said))
 
 
 class _Swept(Objective):
-    """A problem whose gradient is swept back through time: no Jacobian, time and memory in proportion to N."""
+    """An objective whose gradient is swept back through time: no Jacobian, time and memory in proportion to N."""
 
     @property
     def is_static(self) -> bool:
         """No sample depends on what the network said at another."""
-        return not (self._tables.row_of >= 0).any()
+        return not (self.tables.row_of >= 0).any()
 
     def gradient(self, theta: np.ndarray) -> np.ndarray:
         """J'e over theta. Call after `squares` at the same theta (it uses that run)."""
         found = np.zeros(len(theta))
-        for w in self._windows:
-            error = w.weight * (w.now[self.depth :, self._tables.rows[self._tables.shown]] - w.target)
+        for w in self.windows:
+            error = w.weight * (w.now[self.depth :, self.tables.rows[self.tables.shown]] - w.target)
             error[: w.skip] = 0.0
-            _back(self._tables, theta, w.now, w.past, self._forced, error, found)
+            _back(self.tables, theta, w.now, w.past, self.forced, error, found)
         return found
 
     def learn_online(self, theta: np.ndarray, rate: float, decay: np.ndarray) -> None:
         """Move theta after every sample of every record (RTRL). decay: of each variable."""
         room = np.zeros(len(self.free))
-        for w in self._windows:
+        for w in self.windows:
             step = rate * w.weight
-            _learn(self._tables, theta, w.now, w.past, self._forced, w.target, w.skip, step, decay, self.variable, room)
+            _learn(self.tables, theta, w.now, w.past, self.forced, w.target, w.skip, step, decay, self.variable, room)
 
 
 class _Static:
-    """A static problem in torch, all samples at once; `squares` and `gradient` as those of a problem."""
+    """A static objective in torch, all samples at once; `squares` and `gradient` as those of a objective."""
 
-    def __init__(self, problem: _Swept):
-        self.torch, self.tables = _torch(), problem._tables
-        t, windows = problem._tables, problem._windows
+    def __init__(self, objective: _Swept):
+        self.torch, self.tables = _torch(), objective.tables
+        t, windows = objective.tables, objective.windows
 
         def joined(parts) -> "torch.Tensor":  # noqa: F821
             return self.torch.as_tensor(np.concatenate(list(parts)))

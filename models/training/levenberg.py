@@ -17,14 +17,20 @@ from threadpoolctl import ThreadpoolController
 from greygate.errors import InputError
 from greygate.models.network import Network
 from greygate.models.training.checkpoint import Checkpoint
+from greygate.models.training.gauss_newton import bounded, search
 from greygate.models.training.loss import Loss
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record, held_out
+from greygate.models.training.remarks import remarks
+from greygate.progress import Progress, silent
 
 CONTINUITY = (1.0, 1e1, 1e2, 1e3)  # weights of the gaps, one multiple-shooting stage each
 SAVE_EVERY = 10.0  # s between checkpoints
 RUNAWAY = 10.0  # times the loss of predicting zero: a free run that ends above it has diverged
 EXACT = 1e-24  # of the loss of predicting zero: rounding is all that is left
+WINDOW = 10  # epochs over which the fall of the loss is judged
+FLAT = 1e-6  # of the residuals' root mean square: a mean slope below it is a minimum, as far as rounding can tell
+TINY = 1e-300  # keeps the damping of an all-zero Jacobian positive
 STOP = Event()  # ends every training under way in other threads, as Ctrl-C does in this one
 
 
@@ -41,6 +47,9 @@ class Outcome(Enum):
     DIVERGED = (
         "The free run diverges; the weights are the best so far. Start from a NARX fit, smaller weights or shooting."
     )
+
+
+CUT_SHORT = (Outcome.INTERRUPTED, Outcome.TIME)  # these leave a checkpoint, to be taken up
 
 
 @dataclass(frozen=True)
@@ -82,22 +91,25 @@ def train(
     shooting: int | None = None,
     checkpoint: Path | str | None = None,
     keep: bool = False,
-    progress: Callable[[int, float], None] | None = None,
+    progress: Progress = silent,
 ) -> Trained:
-    """Levenberg-Marquardt (Levenberg 1944, Marquardt 1963; Nielsen's damping). The trained network is flat.
+    """Train a network by Levenberg-Marquardt (Levenberg 1944, Marquardt 1963). The trained network is flat.
 
-    teacher, free, tied, estimate_initial, shooting: as for `Objective`. After multiple shooting, whose gaps are closed
-    step by step, the free run is trained once more.
+    teacher, free, tied, estimate_initial, shooting: as for `Objective`. After multiple shooting, which closes the gaps
+    in stages, the network is trained once more in free-run simulation.
     decay: D of the loss, one number for every free weight (biases included), or {module, layer or parameter: number}.
-    rehearse: module path -> a record of its own ports, weighted by `Record.weight`: parts that were right stay right
+    rehearse: {module path: a record of its own ports}, weighted by `Record.weight`: a module that was right stays right
     where `records` do not reach.
-    bounds: {parameter: (low, high)}, numbers or arrays of its shape.
-    held, tail: records, and the share at the end of each training record, that are not trained on; the weights of the
-    lowest error there are kept, and `patience` epochs without a lower one end the training.
-    goal: stop at this loss. tolerance: relative fall over ten epochs below which it has converged.
-    checkpoint: a file that is written now and then, and taken up if it is there; a finished training removes it, or
-    with `keep` leaves it to whoever saves the result first.
-    progress: called with (epoch, loss). Ctrl-C keeps the best weights so far. Raises InputError as `Objective`.
+    bounds: {parameter: (low, high)}, numbers or arrays of its shape, in normalised units.
+    held: held-out records. tail: the share at the end of each training record that is held out. What is held out is not
+    trained on: the weights with the lowest error there are returned, and `patience` epochs without a lower one end the
+    training.
+    goal: the loss at which to stop. seconds: the time after which to stop. tolerance: the training has converged when
+    ten epochs lower the loss relatively by less.
+    checkpoint: a file that is written every ten seconds, and from which the training resumes if it exists. A finished
+    training removes it; with `keep` it stays, for whoever must save the result first.
+    progress: told every epoch. Ctrl-C ends the training; the best weights so far are returned.
+    Raises InputError as `Objective`, and for options that make no sense.
     """
     began = monotonic()
     if epochs < 0:
@@ -105,34 +117,36 @@ def train(
     if np.isnan(seconds):
         raise InputError(f"seconds {seconds}: give a number")
     used, judged = held_out(network, records, tail, held)
-    options = {"teacher": teacher, "free": free, "tied": tied}
+    options = {"teacher": teacher, "free": free, "tied": tied, "estimate_initial": estimate_initial}
     count = len(records) if tail else 0
-    judge = [Objective(network, judged[:count], teacher, estimate_initial=estimate_initial)] if count else []
-    judge += [Objective(network, judged[count:], teacher)] if held else []
+    judges = [Objective(network, judged[:count], teacher, estimate_initial=estimate_initial)] if count else []
+    judges += [Objective(network, judged[count:], teacher)] if held else []
 
-    def climb(problem: Objective, goal: float, epochs: int, checkpoint: Path | str | None) -> Trained:
-        whole = Loss(problem, network, decay, rehearse or {})
+    def descend(objective: Objective, epochs: int, goal: float = 0.0, checkpoint: Path | str | None = None) -> Trained:
+        loss = Loss(objective, network, decay, rehearse or {})
         left = seconds - (monotonic() - began)
-        path = Path(checkpoint) if checkpoint else None
-        return LevenbergMarquardt(whole, judge, count > 0, bounds or {}, patience).run(
-            epochs, goal, left, tolerance, path, keep, progress
-        )
+        trainer = LevenbergMarquardt(loss, judges, count > 0, bounds or {}, patience, tolerance, progress)
+        return trainer.run(epochs, goal, left, Path(checkpoint) if checkpoint else None, keep)
 
     with blas().limit(limits=1, user_api="blas"):  # two BLAS threads are slower than one on matrices this small
-        fit = None
+        found = None
         if shooting is not None:
-            problem = Objective(network, used, **options, estimate_initial=estimate_initial, shooting=shooting)
-            for problem.continuity in CONTINUITY:
-                fit = climb(problem, 0.0, max(epochs // len(CONTINUITY), 1), None)
-                if fit.outcome in (Outcome.INTERRUPTED, Outcome.TIME):
+            objective = Objective(network, used, **options, shooting=shooting)
+            for objective.continuity in CONTINUITY:
+                found = descend(objective, max(epochs // len(CONTINUITY), 1))
+                if found.outcome in CUT_SHORT:
                     break
-            used = [
-                replace(r, initial=r.initial | i) for r, i in zip(used, problem.initial(problem.theta), strict=True)
-            ]
-        if fit is None or fit.outcome not in (Outcome.INTERRUPTED, Outcome.TIME):
-            problem = Objective(fit.network if fit else network, used, **options, estimate_initial=estimate_initial)
-            fit = climb(problem, goal, epochs, checkpoint)
-    return replace(fit, seconds=monotonic() - began, remarks=(*fit.remarks, *problem.remarks()))
+            initial = objective.initial(objective.theta)
+            used = [replace(r, initial=r.initial | i) for r, i in zip(used, initial, strict=True)]
+        if found is None or found.outcome not in CUT_SHORT:
+            objective = Objective(found.network if found else network, used, **options)
+            found = descend(objective, epochs, goal, checkpoint)
+    return replace(found, seconds=monotonic() - began, remarks=(*found.remarks, *remarks(objective)))
+
+
+def stands(lowest: Sequence[float], window: int, tolerance: float) -> bool:
+    """Whether the lowest loss so far, by epoch, has fallen relatively by less than `tolerance` in the last `window`."""
+    return len(lowest) > window and lowest[-1 - window] - lowest[-1] < tolerance * lowest[-1]
 
 
 @cache
@@ -141,97 +155,73 @@ def blas() -> ThreadpoolController:
     return ThreadpoolController()
 
 
+def _bounds(objective: Objective, bounds: Mapping[str, tuple]) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest value of each variable (len(objective.free),), in normalised units."""
+    low, high = np.full(len(objective.theta), -np.inf), np.full(len(objective.theta), np.inf)
+    place = objective.slices()
+    for name, (lo, hi) in bounds.items():
+        if name not in place:
+            raise InputError(f"bounds name {name}, which is no parameter of the network")
+        if not np.isin(place[name], objective.free).all():
+            raise InputError(
+                f"bounds on {name}, which is frozen, not free or tied to another; bound the one that moves"
+            )
+        if any(np.size(b) not in (1, len(place[name])) for b in (lo, hi)):
+            raise InputError(f"bounds on {name}: give two numbers, or arrays of its shape")
+        low[place[name]], high[place[name]] = np.ravel(lo), np.ravel(hi)
+    if (low > high).any():
+        raise InputError("bounds: a lower bound lies above its upper bound")
+    return low[objective.free], high[objective.free]
+
+
 class LevenbergMarquardt:
-    """One descent of Levenberg-Marquardt from the problem's theta."""
+    """One descent of a loss from its objective's theta, within bounds.
+
+    judges: objectives on what is held out; the first one is on the tails of the training records if `tails`.
+    The other arguments are those of `train`.
+    """
 
     def __init__(
-        self, whole: Loss, judge: Sequence[Objective], tails: bool, bounds: Mapping[str, tuple], patience: int
+        self,
+        loss: Loss,
+        judges: Sequence[Objective],
+        tails: bool,
+        bounds: Mapping[str, tuple],
+        patience: int,
+        tolerance: float,
+        progress: Progress,
     ):
-        self.whole, self.judge, self.tails, self.patience = whole, judge, tails, patience
-        problem = self.problem = whole.main
-        if not len(problem.free):
-            raise InputError(f"network {problem.flat.name}: nothing to train; every parameter is frozen or held")
-        low, high = np.full(len(problem.theta), -np.inf), np.full(len(problem.theta), np.inf)
-        place = problem.slices()
-        for name, (lo, hi) in bounds.items():
-            if name not in place:
-                raise InputError(f"bounds name {name}, which is no parameter of the network")
-            if not np.isin(place[name], problem.free).all():
-                raise InputError(
-                    f"bounds on {name}, which is frozen, held or tied to another; bound the one that moves"
-                )
-            if any(np.size(b) not in (1, len(place[name])) for b in (lo, hi)):
-                raise InputError(f"bounds on {name}: give two numbers, or arrays of its shape")
-            low[place[name]], high[place[name]] = np.ravel(lo), np.ravel(hi)
-        if (low > high).any():
-            raise InputError("bounds: a lower bound lies above its upper bound")
-        self.low, self.high = low[problem.free], high[problem.free]
-        problem.theta = problem.moved(
-            problem.theta, np.clip(problem.theta[problem.free], self.low, self.high) - problem.theta[problem.free]
-        )
+        self.loss, self.judges, self.tails = loss, judges, tails
+        self.patience, self.tolerance, self.progress = patience, tolerance, progress
+        objective = self.objective = loss.objective
+        if not len(objective.free):
+            raise InputError(f"network {objective.flat.name}: nothing to train; no parameter is free")
+        self.low, self.high = _bounds(objective, bounds)
+        start = objective.theta[objective.free]
+        objective.theta = objective.moved(objective.theta, np.clip(start, self.low, self.high) - start)
 
-    def key(self) -> str:
-        """What must be equal for a checkpoint to fit: records, options and start."""
-        whole = self.whole
-        found = hashlib.sha256(repr([p.fingerprint() for p in (self.problem, *self.judge)]).encode())
-        for array in (whole.decay, self.low, self.high):
-            found.update(array.tobytes())
-        found.update(repr([part.fingerprint() for part, *_ in whole.parts]).encode())
-        return found.hexdigest()[:16]
-
-    def held(self, theta: np.ndarray) -> float:
-        """Mean squared error on tails, from the state their record starts from, and on held-out records, from rest."""
-        total = sum(
-            p.squares(p.taking(self.problem, theta, states=self.tails and i == 0)) for i, p in enumerate(self.judge)
-        )
-        return total / sum(p.samples for p in self.judge)
-
-    def step(self, theta: np.ndarray, hessian: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray | None:
-        """The damped Gauss-Newton step within the bounds; None where there is none."""
-        x = theta[self.problem.free]
-        stuck = ((x <= self.low) & (gradient > 0)) | ((x >= self.high) & (gradient < 0))
-        moving = np.flatnonzero(~stuck)
-        h = hessian[np.ix_(moving, moving)] if stuck.any() else hessian
-        damped = h.copy()  # Levenberg's identity, scaled: Marquardt's diagonal gets stuck where neurons are redundant
-        damped.ravel()[:: len(h) + 1] += damping * (np.trace(h) / max(len(h), 1) + 1e-300)
-        try:
-            factor = scipy.linalg.cho_factor(damped, overwrite_a=True, check_finite=False)
-        except scipy.linalg.LinAlgError:
-            return None
-        step = np.zeros(len(x))
-        step[moving] = -scipy.linalg.cho_solve(factor, gradient[moving], check_finite=False)
-        step = np.clip(x + step, self.low, self.high) - x
-        return step if np.isfinite(step).all() else None
-
-    def run(self, epochs, goal, seconds, tolerance, checkpoint, keep, progress) -> Trained:
+    def run(self, epochs: int, goal: float, seconds: float, checkpoint: Path | None, keep: bool) -> Trained:
+        """Descend until one of the stops of `train`."""
         began = saved = monotonic()
-        whole, problem = self.whole, self.problem
-        at = Checkpoint(problem.theta.copy(), problem.theta.copy())
-        key = self.key() if checkpoint else ""
+        key = self._key() if checkpoint else ""
         resumed = bool(checkpoint and checkpoint.exists())
-        if resumed:
-            at = Checkpoint.load(checkpoint, key)
-            begun = len(at.history) - 1
-        else:
-            at.history.append(whole.loss(at.theta))
-            if self.judge:
-                at.held.append(self.held(at.theta))
-        outcome = Outcome.EPOCHS if np.isfinite(whole.loss(at.theta)) else Outcome.DIVERGED
-        floor = EXACT * problem.power
-        if at.history[-1] <= max(goal, floor):
-            outcome = Outcome.REACHED if goal else Outcome.CONVERGED
+        at = Checkpoint.load(checkpoint, key) if resumed else self._start()
+        remarks = (f"resumed at epoch {len(at.history) - 1}",) if resumed else ()
+        goal, reached = max(goal, EXACT * self.objective.power), Outcome.REACHED if goal else Outcome.CONVERGED
+        outcome = Outcome.EPOCHS if np.isfinite(self.loss(at.theta)) else Outcome.DIVERGED
+        if at.history[-1] <= goal:
+            outcome = reached
         try:
             while outcome is Outcome.EPOCHS and len(at.history) <= epochs:
-                outcome = self.epoch(at) or outcome
-                if outcome is not Outcome.EPOCHS:
+                if failed := self._epoch(at):
+                    outcome = failed
                     break
-                if progress:
-                    progress(len(at.history) - 1, at.history[-1])
-                if at.history[-1] <= max(goal, floor):
-                    outcome = Outcome.REACHED if goal else Outcome.CONVERGED
-                elif len(at.history) > 10 and at.history[-11] - at.history[-1] < tolerance * at.history[-1]:
+                self.progress(f"epoch {len(at.history) - 1} of {epochs}, loss {at.history[-1]:.3g}")
+                if at.history[-1] <= goal:
+                    outcome = reached
+                elif stands(at.history, WINDOW, self.tolerance):
                     outcome = Outcome.CONVERGED
-                elif self.judge and len(at.held) - 1 - int(np.argmin(at.held)) >= self.patience:
+                elif self.judges and len(at.held) - 1 - int(np.argmin(at.held)) >= self.patience:
                     outcome = Outcome.EARLY
                 elif STOP.is_set():
                     outcome = Outcome.INTERRUPTED
@@ -242,51 +232,89 @@ class LevenbergMarquardt:
                     saved = monotonic()
         except KeyboardInterrupt:
             outcome = Outcome.INTERRUPTED
-        if checkpoint and (keep or outcome in (Outcome.INTERRUPTED, Outcome.TIME)):
+        if checkpoint and (keep or outcome in CUT_SHORT):
             at.save(checkpoint, key)
         elif checkpoint:
             checkpoint.unlink(missing_ok=True)
-        problem.theta = at.best
-        if outcome in (Outcome.EPOCHS, Outcome.STALLED) and not at.history[-1] <= RUNAWAY * problem.power:
-            outcome = Outcome.DIVERGED
-        if outcome not in (Outcome.INTERRUPTED, Outcome.TIME) and self.judge and not np.isfinite(min(at.held)):
-            outcome = Outcome.DIVERGED
-        return Trained(
-            problem.unpack(at.best),
-            outcome,
-            tuple(at.history),
-            monotonic() - began,
-            held=tuple(at.held),
-            remarks=(f"resumed at epoch {begun}",) if resumed else (),
-            initial=tuple(problem.initial(at.best)) if problem.estimate_initial else (),
-        )
+        return self._ended(at, outcome, monotonic() - began, remarks)
 
-    def epoch(self, at: Checkpoint) -> Outcome | None:
-        """Take one step that lowers the loss, raising the damping until there is one."""
-        whole, problem, loss = self.whole, self.problem, at.history[-1]
-        hessian, gradient = whole.normal_equations(at.theta)
-        while True:
-            step = self.step(at.theta, hessian, gradient, at.damping)
-            if step is not None:
-                trial = problem.moved(at.theta, step)
-                value = whole.loss(trial)
-                expected = -float(gradient @ step + 0.5 * step @ (hessian @ step)) / problem.samples
-                ratio = (loss - value) / expected if expected > 0 else -1.0
-                if value < loss:
-                    break
-            at.damping *= at.growth
-            at.growth *= 2
-            if at.damping > 1e12:
-                small = np.linalg.norm(gradient) < 1e-6 * np.sqrt(loss) * len(gradient)
-                return Outcome.CONVERGED if small else Outcome.STALLED
-        at.theta, at.growth = trial, 2.0
-        at.damping = max(at.damping * max(1 / 3, 1 - (2 * ratio - 1) ** 3), 1e-15)
+    def _key(self) -> str:
+        """What must be equal for a checkpoint to fit: records, options and start."""
+        found = hashlib.sha256(repr([o.fingerprint() for o in (self.objective, *self.judges)]).encode())
+        for array in (self.loss.decay, self.low, self.high):
+            found.update(array.tobytes())
+        found.update(repr([part.fingerprint() for part, *_ in self.loss.parts]).encode())
+        return found.hexdigest()[:16]
+
+    def _start(self) -> Checkpoint:
+        theta = self.objective.theta
+        held = [self._judged(theta)] if self.judges else []
+        return Checkpoint(theta.copy(), theta.copy(), history=[self.loss(theta)], held=held)
+
+    def _judged(self, theta: np.ndarray) -> float:
+        """Mean squared error on tails, from the state their record starts from, and on held-out records, from rest."""
+        total = sum(
+            judge.squares(judge.taking(self.objective, theta, states=self.tails and i == 0))
+            for i, judge in enumerate(self.judges)
+        )
+        return total / sum(judge.samples for judge in self.judges)
+
+    def _epoch(self, at: Checkpoint) -> Outcome | None:
+        """Take one step that lowers the loss. If there is none: how the training ended."""
+        hessian, gradient = self.loss.normal_equations(at.theta)
+        loss = at.history[-1]
+
+        def attempt(damping: float) -> tuple[np.ndarray, float, float] | None:
+            """(theta, loss, fall of the loss relative to what the linear model predicts) of a step that lowers it."""
+            step = self._step(at.theta, hessian, gradient, damping)
+            if step is None:
+                return None
+            theta = self.objective.moved(at.theta, step)
+            value = self.loss(theta)
+            predicted = -float(gradient @ step + 0.5 * step @ (hessian @ step)) / self.objective.samples
+            ratio = (loss - value) / predicted if predicted > 0 else -1.0
+            return (theta, value, ratio) if value < loss else None
+
+        found = search(attempt, at.damping)
+        if found is None:
+            flat = np.linalg.norm(gradient) < FLAT * np.sqrt(loss) * len(gradient)
+            return Outcome.CONVERGED if flat else Outcome.STALLED
+        at.theta, value, ratio = found
+        at.damping.fall(ratio)
         at.history.append(value)
-        if self.judge:
-            at.held.append(self.held(trial))
-        if not self.judge or at.held[-1] <= min(at.held):
-            at.best = trial
+        if self.judges:
+            at.held.append(self._judged(at.theta))
+        if not self.judges or at.held[-1] <= min(at.held):
+            at.best = at.theta
         return None
+
+    def _step(self, theta: np.ndarray, hessian: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray | None:
+        """The damped Gauss-Newton step within the bounds; None where there is none."""
+
+        def solved(moving: np.ndarray) -> np.ndarray:
+            damped = hessian[np.ix_(moving, moving)] if len(moving) < len(hessian) else hessian.copy()
+            # Levenberg's identity, times the mean diagonal: Marquardt's diagonal stalls where neurons are redundant
+            damped.flat[:: len(moving) + 1] += damping * (np.trace(damped) / max(len(moving), 1) + TINY)
+            factor = scipy.linalg.cho_factor(damped, overwrite_a=True, check_finite=False)
+            return -scipy.linalg.cho_solve(factor, gradient[moving], check_finite=False)
+
+        x = theta[self.objective.free]
+        try:
+            step = bounded(x, gradient, self.low, self.high, solved) - x
+        except scipy.linalg.LinAlgError:
+            return None
+        return step if np.isfinite(step).all() else None
+
+    def _ended(self, at: Checkpoint, outcome: Outcome, seconds: float, remarks: tuple[str, ...]) -> Trained:
+        objective = self.objective
+        objective.theta = at.best
+        if outcome in (Outcome.EPOCHS, Outcome.STALLED) and not at.history[-1] <= RUNAWAY * objective.power:
+            outcome = Outcome.DIVERGED
+        if outcome not in CUT_SHORT and self.judges and not np.isfinite(min(at.held)):
+            outcome = Outcome.DIVERGED
+        initial = tuple(objective.initial(at.best)) if objective.estimate_initial else ()
+        network = objective.unpack(at.best)
+        return Trained(network, outcome, tuple(at.history), seconds, tuple(at.held), remarks, initial)
 
 
 def narx_noe(network: Network, records: Sequence[Record], narx_epochs: int = 200, **options) -> Trained:
@@ -306,7 +334,7 @@ def narx_noe(network: Network, records: Sequence[Record], narx_epochs: int = 200
     if path:
         shared["checkpoint"] = f"{path}.narx"
     narx = train(network, records, teacher=True, epochs=narx_epochs, patience=narx_epochs, **shared)
-    if narx.outcome in (Outcome.INTERRUPTED, Outcome.TIME):
+    if narx.outcome in CUT_SHORT:
         return narx
     if "seconds" in options:
         options["seconds"] -= narx.seconds
@@ -337,7 +365,7 @@ def multistart(
     score: Callable[[Network], float],
     seeds: Sequence[int],
     jobs: int = 2,
-    progress: Callable[[Start], None] | None = None,
+    progress: Progress = silent,
 ) -> list[Start]:
     """Fit from every seed, `jobs` at a time, and rank by `score`: an error on records that no fit has seen.
 
@@ -355,8 +383,7 @@ def multistart(
         try:
             for future in as_completed(waiting):
                 done.append(future.result())
-                if progress:
-                    progress(done[-1])
+                progress(f"seed {done[-1].seed}: score {done[-1].score:.3g}, {len(done)} of {len(waiting)} starts done")
         except KeyboardInterrupt:
             STOP.set()
             pool.shutdown(cancel_futures=True)

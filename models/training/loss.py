@@ -10,24 +10,28 @@ from greygate.models.training.objective import Objective
 
 
 class Loss:
-    """A network on its records, with decay, and modules of it on records of their own, over one theta."""
+    """J = (1/2N) (sum e^2 + theta' D theta), and the same for modules on records of their own, over one theta.
 
-    def __init__(self, main: Objective, network: Network, decay: float | Mapping[str, float], rehearse: Mapping):
-        self.main = main
+    objective: of the network on its records. decay: of the weights, rehearse: {module: record}, both as for `train`.
+    Raises InputError for a name that the network does not have and a decay that is negative or not finite.
+    """
+
+    def __init__(self, objective: Objective, network: Network, decay: float | Mapping[str, float], rehearse: Mapping):
+        self.objective = objective
         self.decay = self._decay(decay)
         self.parts = []
-        place = main.slices()
+        place = objective.slices()
         for path, record in rehearse.items():
             part = Objective(_module(network, path), [record])
             index = np.concatenate([place[f"{path}.{n}"] for n in part.slices()])
-            moving = np.flatnonzero(main.variable[index[part.free]] >= 0)
-            self.parts.append((part, index, moving, main.variable[index[part.free]][moving]))
+            moving = np.flatnonzero(objective.variable[index[part.free]] >= 0)
+            self.parts.append((part, index, moving, objective.variable[index[part.free]][moving]))
 
     def _decay(self, decay: float | Mapping[str, float]) -> np.ndarray:
         """D's diagonal over the variables; initial states do not decay."""
-        place = self.main.slices()
+        place = self.objective.slices()
         size = sum(map(len, place.values()))
-        diagonal = np.zeros(len(self.main.theta))
+        diagonal = np.zeros(len(self.objective.theta))
         if not isinstance(decay, Mapping):
             diagonal[:size] = decay
         else:
@@ -39,23 +43,23 @@ class Loss:
                 diagonal[columns] = decay[max(fits, key=len)] if fits else 0.0
         if not ((diagonal >= 0) & np.isfinite(diagonal)).all():
             raise InputError(f"decay {decay}: give finite numbers from 0 on; a negative one rewards large weights")
-        return diagonal[self.main.free]
+        return diagonal[self.objective.free]
 
-    def loss(self, theta: np.ndarray) -> float:
+    def __call__(self, theta: np.ndarray) -> float:
         """J = (1/2N) (sum e^2 + rehearsal's weighted sum e^2 + theta' D theta); inf where a run diverges."""
-        squares = self.main.squares(theta) + sum(part.squares(theta[index]) for part, index, _, _ in self.parts)
+        squares = self.objective.squares(theta) + sum(part.squares(theta[index]) for part, index, _, _ in self.parts)
         if self.decay.any():
-            squares += float(self.decay @ theta[self.main.free] ** 2)
-        return squares / (2 * self.main.samples)
+            squares += float(self.decay @ theta[self.objective.free] ** 2)
+        return squares / (2 * self.objective.samples)
 
     def normal_equations(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        hessian, gradient = self.main.normal_equations(theta)
+        hessian, gradient = self.objective.normal_equations(theta)
         for part, index, moving, where in self.parts:
             h, g = part.normal_equations(theta[index])
             np.add.at(hessian, np.ix_(where, where), h[np.ix_(moving, moving)])
             np.add.at(gradient, where, g[moving])
         hessian.ravel()[:: len(hessian) + 1] += self.decay
-        return hessian, gradient + self.decay * theta[self.main.free]
+        return hessian, gradient + self.decay * theta[self.objective.free]
 
 
 def _module(network: Network, path: str) -> Network:

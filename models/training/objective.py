@@ -17,7 +17,6 @@ CORES = ThreadPoolExecutor(2, "greygate")  # kernels and BLAS both let go of the
 WORTH = 2e6  # multiplications below which a second core does not pay
 NARROW = 0.9  # share of free columns above which it is faster to leave out the others after J'J than before
 IN_RANGE = 10.0  # of a normalised signal
-COLLINEAR = 1e-9  # smallest singular value of the scaled regressors, relative to the largest
 
 
 @dataclass
@@ -62,18 +61,18 @@ class Objective:
         self.continuity = 1.0
         feeds = self.flat.feeds()
         outputs = {p.name for p in self.flat.outputs}
-        self._tables, self._names = tabulate(self.flat, frozenset(outputs) if teacher else frozenset())
+        self.tables, self._names = tabulate(self.flat, frozenset(outputs) if teacher else frozenset())
         values = self.flat.parameters()
         self._shapes = [values[n].shape for n in self._names]
         theta = np.concatenate([values[n].ravel() for n in self._names])
         self._size = len(theta)
-        elements = int(self._tables.layers[-1, 0])
-        first = {n: int(e) for n, e in zip(self.flat.order(), self._tables.layers[:, 0], strict=False)}
+        elements = int(self.tables.layers[-1, 0])
+        first = {n: int(e) for n, e in zip(self.flat.order(), self.tables.layers[:, 0], strict=False)}
         self._outputs = np.zeros(elements, bool)
         for p in self.flat.outputs:
             at = first[feeds[p.name][0]]
             self._outputs[at : at + p.size] = True
-        self._forced = self._outputs if teacher else np.zeros(elements, bool)
+        self.forced = self._outputs if teacher else np.zeros(elements, bool)
         self._state = self._state_elements()
         whole = [self._arrays(r, i, first) for i, r in enumerate(records)]
         if not any(0 <= r.skip < len(w.target) for r, w in zip(records, whole, strict=True)):
@@ -81,11 +80,11 @@ class Objective:
         longest = max((len(w.target) for w in whole), default=0)
         if shooting is not None and not 1 <= shooting <= longest // 2:
             raise InputError(f"shooting {shooting}: give windows of 1 to {longest // 2} steps, half the longest record")
-        self._windows = list(self._windowed(whole, theta, estimate_initial, shooting))
-        states = [self._state_of(w.now) for w in self._windows if w.state.stop > w.state.start]
+        self.windows = list(self._windowed(whole, theta, estimate_initial, shooting))
+        states = [self._state_of(w.now) for w in self.windows if w.state.stop > w.state.start]
         self.theta = np.concatenate([theta, *states])
         self._variables(free or {}, tied)
-        self.samples = sum((len(w.target) - w.skip) * w.target.shape[1] for w in self._windows)
+        self.samples = sum((len(w.target) - w.skip) * w.target.shape[1] for w in self.windows)
         if records and self.samples <= 0:
             raise InputError(f"network {network.name}: no samples to train on; the records are empty or all skipped")
 
@@ -95,7 +94,7 @@ class Objective:
         shapes = dict(zip(self._names, self._shapes, strict=True))
         for name, which in free.items():
             if name not in shapes:
-                raise InputError(f"network {self.flat.name}: no parameter {name} to leave free or hold")
+                raise InputError(f"network {self.flat.name}: no parameter {name} to leave free")
             if np.size(which) not in (1, int(np.prod(shapes[name]))):
                 raise InputError(f"free: {name} has shape {shapes[name]}, not {np.shape(which)}")
         may_move = np.concatenate(
@@ -112,7 +111,7 @@ class Objective:
                 if len(columns) != len(leader):
                     raise InputError(f"network {self.flat.name}: {name} and {group[0]} differ in shape; no tie")
                 if not (may_move[columns].all() and may_move[leader].all()):
-                    raise InputError(f"network {self.flat.name}: {name} or {group[0]} is held fixed; no tie")
+                    raise InputError(f"network {self.flat.name}: {name} or {group[0]} may not move; no tie")
                 like[columns] = like[leader]
         while (like[like] != like).any():  # groups that share a member
             like = like[like]
@@ -153,7 +152,7 @@ class Objective:
     # ---- records as arrays
 
     def _arrays(self, record: Record, index: int, first: dict[str, int]) -> _Window:
-        flat, depth = self.flat, self._tables.depth
+        flat, depth = self.flat, self.tables.depth
         if not record.weight > 0:
             raise InputError(f"network {flat.name}: record {index} weighs {record.weight}; give a positive weight")
 
@@ -187,12 +186,12 @@ class Objective:
             )
         past = now.copy()
         if self.teacher:
-            past[depth:, self._forced] = target
+            past[depth:, self.forced] = target
         return _Window(now, past, target, record.skip, record.weight, slice(0, 0), False)
 
     def _state_elements(self) -> np.ndarray:
         """(X, 2): element and lag of every past value of a layer that is read."""
-        t = self._tables
+        t = self.tables
         longest = np.zeros(int(t.layers[-1, 0]), int)
         for source, width, delay, _ in t.links:
             longest[source : source + width] = np.maximum(longest[source : source + width], delay)
@@ -202,12 +201,12 @@ class Objective:
 
     def _state_of(self, now: np.ndarray, step: int = 0) -> np.ndarray:
         """The state before `step`."""
-        return now[self._tables.depth + step - self._state[:, 1], self._state[:, 0]]
+        return now[self.tables.depth + step - self._state[:, 1], self._state[:, 0]]
 
     def _windowed(
         self, whole: list[_Window], theta: np.ndarray, estimate: bool, shooting: int | None
     ) -> Iterator[_Window]:
-        depth, width = self._tables.depth, len(self._state)
+        depth, width = self.tables.depth, len(self._state)
         at = self._size
 
         def own_state() -> slice:
@@ -221,7 +220,7 @@ class Objective:
             if len(w.target) < 2 * length or not width:
                 yield replace(w, state=first)
                 continue
-            t, shown = self._tables, self._tables.rows[self._tables.shown]
+            t, shown = self.tables, self.tables.rows[self.tables.shown]
             guess = w.past.copy()  # what is shown was measured, and teaches what is not, if that stays in range
             guess[depth:, shown] = w.target
             forward(t.layers, t.links, t.n_inputs, depth, theta, w.now, guess, self._outputs)
@@ -242,9 +241,9 @@ class Objective:
 
     def initial(self, theta: np.ndarray) -> list[dict[str, np.ndarray]]:
         """The state that each record starts from, as for `Record.initial`: layer -> (depth, size), oldest first."""
-        depth, place = self._tables.depth, self.elements()
+        depth, place = self.tables.depth, self.elements()
         found = []
-        for w in self._windows:
+        for w in self.windows:
             if not w.follows:
                 self._start(w, theta)
                 found.append({n: w.now[:depth, place[n]].copy() for n in self.flat.modules})
@@ -255,7 +254,7 @@ class Objective:
     @property
     def depth(self) -> int:
         """The longest delay, in steps."""
-        return self._tables.depth
+        return self.tables.depth
 
     def elements(self) -> dict[str, np.ndarray]:
         """Columns of each input and layer in `simulate`'s traces."""
@@ -265,31 +264,31 @@ class Objective:
 
     def _start(self, w: _Window, theta: np.ndarray) -> None:
         if w.state.stop > w.state.start:
-            row, column = self._tables.depth - self._state[:, 1], self._state[:, 0]
+            row, column = self.tables.depth - self._state[:, 1], self._state[:, 0]
             w.now[row, column] = w.past[row, column] = theta[w.state]
 
     def simulate(self, theta: np.ndarray) -> list[np.ndarray] | None:
         """Every element's signal, (N, elements) per record or window, inputs first; None if it diverges."""
-        t = self._tables
+        t = self.tables
 
         def run(w: _Window) -> bool:
             self._start(w, theta)
-            done = forward(t.layers, t.links, t.n_inputs, t.depth, theta, w.now, w.past, self._forced)
+            done = forward(t.layers, t.links, t.n_inputs, t.depth, theta, w.now, w.past, self.forced)
             return done == len(w.target)
 
-        work = max((len(w.target) for w in self._windows), default=0) * self._size
-        ways = CORES.map if len(self._windows) > 1 and work > WORTH else map
-        if not all(list(ways(run, self._windows))):
+        work = max((len(w.target) for w in self.windows), default=0) * self._size
+        ways = CORES.map if len(self.windows) > 1 and work > WORTH else map
+        if not all(list(ways(run, self.windows))):
             return None
-        return [w.now[t.depth :] for w in self._windows]
+        return [w.now[t.depth :] for w in self.windows]
 
     def errors(self, theta: np.ndarray) -> list[np.ndarray] | None:
         """Normalised prediction less target, (N, outputs) per record or window; None if the free run diverges."""
         runs = self.simulate(theta)
         if runs is None:
             return None
-        shown = self._tables.rows[self._tables.shown]
-        return [run[:, shown] - w.target for run, w in zip(runs, self._windows, strict=True)]
+        shown = self.tables.rows[self.tables.shown]
+        return [run[:, shown] - w.target for run, w in zip(runs, self.windows, strict=True)]
 
     def squares(self, theta: np.ndarray) -> float:
         """Weighted sum of squared errors, gaps between windows included; inf where the run diverges."""
@@ -298,7 +297,7 @@ class Objective:
             return np.inf
         with np.errstate(over="ignore", invalid="ignore"):
             total = sum(
-                w.weight * float(np.vdot(e[w.skip :], e[w.skip :])) for e, w in zip(errors, self._windows, strict=True)
+                w.weight * float(np.vdot(e[w.skip :], e[w.skip :])) for e, w in zip(errors, self.windows, strict=True)
             )
             total += self.continuity * sum(float(np.sum(gap**2)) for _, gap in self._gaps(theta))
         return total if np.isfinite(total) else np.inf
@@ -306,14 +305,14 @@ class Objective:
     @property
     def power(self) -> float:
         """The loss of an output of zero."""
-        total = sum(w.weight * float(np.vdot(w.target[w.skip :], w.target[w.skip :])) for w in self._windows)
+        total = sum(w.weight * float(np.vdot(w.target[w.skip :], w.target[w.skip :])) for w in self.windows)
         return total / (2 * max(self.samples, 1))
 
     def fingerprint(self) -> str:
         """Of the records, what is free, and where theta starts: equal problems have equal ones."""
-        scalars = (self._names, self._shapes, self.teacher, [(w.skip, w.weight) for w in self._windows])
+        scalars = (self._names, self._shapes, self.teacher, [(w.skip, w.weight) for w in self.windows])
         found = hashlib.sha256(repr(scalars).encode())
-        for array in (self.theta, self.variable, *(a for w in self._windows for a in (w.past, w.target))):
+        for array in (self.theta, self.variable, *(a for w in self.windows for a in (w.past, w.target))):
             found.update(array.tobytes())
         return found.hexdigest()
 
@@ -322,16 +321,16 @@ class Objective:
         mine = self.theta.copy()
         mine[: self._size] = theta[: self._size]
         if states:
-            own, given = ([w.state for w in p._windows if not w.follows] for p in (self, other))
+            own, given = ([w.state for w in p.windows if not w.follows] for p in (self, other))
             for here, there in zip(own, given, strict=True):
                 mine[here] = theta[there]
         return mine
 
     def _gaps(self, theta: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
         """(window, the state it ends with less the one that the next begins with)."""
-        for i, following in enumerate(self._windows[1:]):
+        for i, following in enumerate(self.windows[1:]):
             if following.follows:
-                w = self._windows[i]
+                w = self.windows[i]
                 yield i, self._state_of(w.now, len(w.target)) - theta[following.state]
 
     def normal_equations(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -339,8 +338,8 @@ class Objective:
         size = len(self.free)
         hessian, gradient = np.zeros((size, size)), np.zeros(size)
         gaps = dict(self._gaps(theta))
-        jobs = enumerate(self._windows)
-        spread = len(self._windows) > 1 and self.samples * size**2 > WORTH
+        jobs = enumerate(self.windows)
+        spread = len(self.windows) > 1 and self.samples * size**2 > WORTH
         ways = CORES.map if spread else map
         for i, (columns, h, g, end) in enumerate(
             ways(lambda job: self._window_equations(job[1], theta, job[0] in gaps, spread), jobs)
@@ -350,7 +349,7 @@ class Objective:
                 gradient += g
                 continue
             if i in gaps:  # d gap = end (columns) - d next state
-                after = self.variable[self._windows[i + 1].state]
+                after = self.variable[self.windows[i + 1].state]
                 joint = np.concatenate([columns, after])
                 end = np.hstack([end, -np.eye(len(after))])
                 hessian[np.ix_(joint, joint)] += self.continuity * end.T @ end
@@ -361,7 +360,7 @@ class Objective:
 
     def _window_equations(self, w: _Window, theta: np.ndarray, wants_end: bool, alone: bool):
         """(variables that act on it, J'J, J'e, sensitivity of the state at its end) of one window."""
-        t: Tables = self._tables
+        t: Tables = self.tables
         n, own = self._size, w.state.stop - w.state.start
         carried = np.zeros((t.depth + 1, len(t.rows), n + own))
         if own:
@@ -413,47 +412,7 @@ class Objective:
 
     def _span(self, row: int, used: np.ndarray, size: int) -> slice | np.ndarray:
         """Free columns of theta that act on a row: as a slice, where few of those between are frozen."""
-        lo, hi = self._tables.spans[row]
+        lo, hi = self.tables.spans[row]
         acts = used[((used >= lo) & (used < hi)) | (used >= size)]
         first, last = (int(acts[0]), int(acts[-1]) + 1) if len(acts) else (0, 0)
         return slice(first, last) if len(acts) > NARROW * (last - first) else acts
-
-    # ---- what a person should know of the data
-
-    def remarks(self) -> list[str]:
-        """Why the weights may not be found from these records, a sentence each: constant inputs, collinear regressors,
-        fewer samples than weights."""
-        found = []
-        if self.samples < len(self.free):
-            found.append(f"{self.samples} samples for {len(self.free)} free weights: more data, fewer weights or decay")
-        columns = [f"{p.name}[{i}]" if p.size > 1 else p.name for p in self.flat.outputs for i in range(p.size)]
-        for label, target in zip(columns, np.concatenate([w.target for w in self._windows]).T, strict=True):
-            if np.ptp(target) <= 1e-12 * (1 + np.abs(target).max()):
-                found.append(f"target {label} is constant: a bias alone fits it; record it while it moves")
-        names, taps = [], []
-        t, place = self._tables, self.elements()
-        for name, columns in place.items():
-            delays = {int(d) for s, width, d, _ in t.links if s == columns[0] and width == len(columns)}
-            if name in self.flat.modules and not self._forced[columns].any():
-                continue
-            for i, c in enumerate(columns):
-                component = name if len(columns) == 1 else f"{name}[{i}]"
-                used = np.concatenate([w.past[t.depth :, c] for w in self._windows])
-                if name not in self.flat.modules and len(used) and np.ptp(used) <= 1e-12 * (1 + np.abs(used).max()):
-                    found.append(
-                        f"input {component} is constant: its weights cannot be told from the biases; excite it"
-                    )
-                    continue
-                for d in sorted(delays):
-                    names.append(f"{component}(k-{d})" if d else f"{component}(k)")
-                    taps.append(
-                        np.concatenate([w.past[t.depth - d : len(w.past) - d or None, c] for w in self._windows])
-                    )
-        if len(taps) > 1 and len(taps[0]) > 1:
-            x = np.array(taps).T[:: max(1, len(taps[0]) // 5000)]
-            x = x - x.mean(axis=0)
-            _, s, v = np.linalg.svd(x / (np.linalg.norm(x, axis=0) + 1e-300), full_matrices=False)
-            if s[-1] < COLLINEAR * s[0]:
-                alike = [n for n, c in zip(names, v[-1], strict=True) if abs(c) > 0.1 * np.abs(v[-1]).max()]
-                found.append(f"regressors {', '.join(alike)} are collinear: leave one out, or excite them apart")
-        return found
