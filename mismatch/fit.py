@@ -1,26 +1,33 @@
 """Maximum-likelihood fit of a plant's free parameters to one recording.
 
-Two kinds of unknowns are fitted together by Gauss-Newton: free parameters (those with a tolerance, held to the data
-sheet by it, and those of the effects under test), and where each window begins (x, v, pressures: as recorded, and
-shifted). The shifts of a window touch that window alone and are eliminated there.
+Gauss-Newton fits two kinds of unknowns together. The first are free parameters: those with a tolerance, which draws
+them to the data sheet, and those of the effects under test. The second are the states in which the windows begin (x, v,
+pressures): as recorded, plus a shift. The shifts of a window act on that window alone and are eliminated there.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from greygate.mismatch.model import Model
+from greygate.mismatch.noise import deviation
+from greygate.models.training.gauss_newton import Decades, bounded, search
 
-WARM = 0.25  # s at the beginning of a recording that count for nothing where states are not measured
+WARM = 0.25  # s at the beginning of a recording that do not count where states are not measured: these die away
 LOOSE = 0.05  # m/s by which a smoothed velocity may be off where a window begins, RMS
-LONGEST = 200  # samples of one recorded code that are counted as one reading
+SHIFT = 1e-3  # m/s, scale of the shift of a velocity; a measured state's is its sensor's noise
+FREE = 1e-6  # weight of a measured state's shift in the cost: a thousand times the noise before it counts
 STEP = 1e-3  # of a parameter's scale, for differences
+SHIFTED = 0.1  # of a shift's scale, for differences
 BLOCK = 0.25  # s within which errors may depend on each other, for intervals where there are no windows
-HALVINGS = 6  # of a start from which the run diverges
-ENOUGH = 0.05  # of cost, below which a further step is not taken
+HALVINGS = 6  # of the way from the unknowns' origins to a start from which the run diverges
+ENOUGH = 0.05  # of cost, a twentieth of what noise alone makes of one parameter: a further step tells nothing more
+RIDGE = 1e-9  # added to the curvature of each number, far below a prior's: what does not act on the errors stays
+STRAIGHT = 0.7  # share of the promised gain from which the linearisation still serves; a new one costs k + 1 runs
+HOPED = 2.0  # times the gain of its last step, that a fit may still gain: near its end steps gain ever less
+NEAR = 1.1  # times the rival's cost: a fit that is not hoped to come below gives up
 
 
 @dataclass(frozen=True)
@@ -44,13 +51,25 @@ class Unknown:
         return (value - self.origin) / self.scale
 
 
+def _bounds(unknowns: Sequence[Unknown]) -> np.ndarray:
+    """Lowest and highest number of each unknown (2, k)."""
+    return np.array([sorted((u.number(u.low), u.number(u.high))) for u in unknowns]).reshape(-1, 2).T
+
+
+def _values(unknowns: Sequence[Unknown], numbers: np.ndarray, fixed: Mapping[str, float]) -> dict[str, float]:
+    """Value of every unknown and of what is fixed."""
+    return {**fixed, **{u.symbol: float(u.value(n)) for u, n in zip(unknowns, numbers, strict=True)}}
+
+
 @dataclass(frozen=True)
 class Fit:
     """What a fit found.
 
-    problem: of which it is the fit. numbers: of the unknowns, scaled (k,). shifts: (restarts, locals).
-    errors: (target - prediction) / sigma, (samples, channels). cost: sum of squares of errors, of the shifts' and the
-    parameters' priors. temper: by which the errors of each channel counted less.
+    problem: the likelihood that was fitted. fixed: values of other parameters. numbers: of the unknowns (k,).
+    shifts: of the windows' first states, in units of their scales (restarts, locals).
+    errors: (target - prediction) / sigma, (samples, channels). weight: of each number's square in the cost (k,).
+    cost: sum of squares of the tempered errors, of the shifts and of the numbers, each by its prior.
+    temper: what the errors of each channel were divided by (channels,).
     """
 
     problem: "Likelihood"
@@ -66,16 +85,18 @@ class Fit:
 
     @cached_property
     def basis(self):
-        """Of each window's shifts."""
+        """Of each window's shifts: (q, r), or None where nothing is shifted."""
         return self.problem.basis(self.values, self.shifts, self.errors, self.temper)
 
     @cached_property
     def slopes(self) -> np.ndarray:
+        """Of the errors by the unknowns' numbers, less what the shifts explain (windows, rows, k)."""
         slopes = self.problem.slopes(self.unknowns, self.values, self.shifts, self.errors, self.temper)
         return self.problem.eliminate(slopes, None, self.basis)[0]
 
     @cached_property
     def projected(self) -> np.ndarray:
+        """The errors less what the shifts explain (windows, rows)."""
         tail = None if self.basis is None else (np.sqrt(self.problem.heavy) * self.shifts)[:, :, None]
         rows = self.problem.rows(self.errors, self.temper)[:, :, None]
         return self.problem.eliminate(rows, tail, self.basis)[0][:, :, 0]
@@ -83,12 +104,11 @@ class Fit:
     @cached_property
     def values(self) -> dict[str, float]:
         """Value of every unknown and of what was fixed."""
-        found = {u.symbol: float(u.value(n)) for u, n in zip(self.unknowns, self.numbers, strict=True)}
-        return {**self.fixed, **found}
+        return _values(self.unknowns, self.numbers, self.fixed)
 
     @cached_property
     def information(self) -> np.ndarray:
-        """Of the numbers, prior included, were errors white and of unit variance (k, k)."""
+        """Of the numbers, prior included, if the errors are white and of unit variance (k, k)."""
         flat = self.slopes.reshape(-1, len(self.numbers))
         return flat.T @ flat + np.diag(self.weight)
 
@@ -102,22 +122,22 @@ class Fit:
         meat = scores.T @ scores * n / max(n - k, 1)
         naive = np.diag(self.weight)
         robust = bread @ (meat + naive) @ bread
-        # no narrower than white errors of this size would have it
+        # no narrower than if errors of this size were white
         white = bread * max(1.0, float(np.mean(self.projected**2)))
         return _larger(robust, white)
 
     def held_out(self, stretch: float = 1.0) -> float:
-        """Cost of every other `stretch` s of the recording with the parameters that the rest alone would give.
+        """Cost of the errors on each half of the recording, with the parameters that the other half alone gives.
 
-        Both halves are judged so, each by the other; the step from the whole recording's parameters is linearised.
+        The halves are every other `stretch` s. A half's parameters come from one linearised step from those of both.
         """
         block = self.problem.block * self.problem.model.rig.dt
         even = (np.arange(len(self.slopes)) // max(round(stretch / block), 1)) % 2 == 0
-        low, high = np.array([sorted((u.number(u.low), u.number(u.high))) for u in self.unknowns]).reshape(-1, 2).T
+        low, high = _bounds(self.unknowns)
         total = 0.0
         for learn in (even, ~even):
             flat, errors = self.slopes[learn].reshape(-1, len(self.numbers)), self.projected[learn].reshape(-1)
-            normal = flat.T @ flat + np.diag(self.weight + 1e-9)
+            normal = flat.T @ flat + np.diag(self.weight + RIDGE)
             step = np.linalg.lstsq(normal, -(flat.T @ errors) - self.weight * self.numbers, rcond=1e-13)[0]
             step = np.clip(self.numbers + step, low, high) - self.numbers
             total += float(np.sum((self.projected[~learn] + self.slopes[~learn] @ step) ** 2))
@@ -136,33 +156,26 @@ def _larger(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 class Likelihood:
-    """A model's recording with its weights: sigma (samples, channels) of what the sensors make of the truth."""
+    """What a model's recording says of parameters: sigma (samples, channels) weighs the errors.
+
+    sigma: standard deviation of what the sensors make of the truth, inf where a sample does not count.
+    count: of samples that count, all channels together. windows, block: number of stretches within which errors may
+    depend on each other, and their samples.
+    """
 
     def __init__(self, model: Model):
         self.model = model
         rig, samples = model.rig, len(model.target)
-        free = model.window is None
-        sigma = []
-        for i, name in enumerate(rig.predict):
-            channel = rig.channels[name]
-            variance = np.full(samples, channel.noise**2)
-            if channel.resolution:
-                variance += channel.resolution**2 / 12 * runs(model.target[:, i])
-            for given in rig.inputs if free else ():
-                if rig.channels[given].unit != channel.unit:
-                    continue  # how much of its rounding arrives the plant alone knows
-                variance += rig.channels[given].resolution ** 2 / 12 * runs(model.recording[given])
-            sigma.append(np.sqrt(variance) * (1.0 if channel.noise else roughness(model.target[:, i], channel.sigma)))
-        self.sigma = np.stack(sigma, axis=1)
+        self.sigma = deviation(model)
         scale = {name: rig.channels[name].sigma for name in model.measured}
-        self.local_scale = np.array([scale.get(s, 1e-3) for s in model.locals])
-        self.heavy = np.array([1e-6 if s in scale else (1e-3 / LOOSE) ** 2 for s in model.locals])
+        self.local_scale = np.array([scale.get(s, SHIFT) for s in model.locals])
+        self.heavy = np.array([FREE if s in scale else (SHIFT / LOOSE) ** 2 for s in model.locals])
         block = model.window or round(BLOCK / rig.dt)
         self.windows, self.block = samples // block, block
         counted = np.zeros(samples, bool)
         counted[: self.windows * block] = True
-        if not free and not all(model.reset):
-            counted[: max(model.window, round(WARM / rig.dt))] = False  # states that no sensor shows settle
+        if model.window is not None and not all(model.reset):
+            counted[: max(model.window, round(WARM / rig.dt))] = False
         self.sigma[~counted] = np.inf
         self.count = int(counted.sum()) * self.sigma.shape[1]
 
@@ -176,6 +189,7 @@ class Likelihood:
         return what / self.sigma[(..., *(None,) * (what.ndim - 2))]
 
     def nothing(self) -> np.ndarray:
+        """No shifts: every window begins as recorded."""
         return np.zeros((len(self.model.restarts), len(self.model.locals)))
 
     def cost(self, errors: np.ndarray, shifts: np.ndarray, temper: np.ndarray) -> float:
@@ -185,8 +199,8 @@ class Likelihood:
 
     def rows(self, what: np.ndarray, temper: np.ndarray) -> np.ndarray:
         """(windows, rows, ...) of (samples, channels, ...), each channel divided by its `temper`."""
-        scaled = what / temper[(slice(None), *(None,) * (what.ndim - 2))]
-        kept = scaled[: self.windows * self.block]
+        tempered = what / temper[(slice(None), *(None,) * (what.ndim - 2))]
+        kept = tempered[: self.windows * self.block]
         return kept.reshape(self.windows, self.block * what.shape[1], *what.shape[2:])
 
     def basis(self, values: Mapping[str, float], shifts: np.ndarray, errors: np.ndarray, temper: np.ndarray):
@@ -197,8 +211,8 @@ class Likelihood:
         columns = []
         for j in range(count):
             moved = shifts.copy()
-            moved[:, j] += 0.1
-            columns.append(self.rows(np.nan_to_num(self.errors(values, moved) - errors) / 0.1, temper))
+            moved[:, j] += SHIFTED
+            columns.append(self.rows(np.nan_to_num(self.errors(values, moved) - errors) / SHIFTED, temper))
         local = np.stack(columns, axis=2)
         prior = np.broadcast_to(np.diag(np.sqrt(self.heavy)), (self.windows, count, count))
         return np.linalg.qr(np.concatenate([local, prior], axis=1))
@@ -237,120 +251,146 @@ class Likelihood:
         enough: float = ENOUGH,
         slack: float = 0.0,
     ) -> Fit:
-        """The best fit near `values` (of unknowns and others that stay) and `shifts`.
+        """The best fit near `values` (of unknowns, and of other parameters, which stay) and `shifts`.
 
-        enough: gain of cost below which no further step is taken; slack: the same, as a share of the cost beyond that
-        of noise. rival: a cost; a fit that is on no way to it gives up. tempered: errors above the sensors' are laid to
-        what the plant leaves out, so that they count less and the data sheet more. The cost is inf where even the
-        plant of the data sheet diverges.
+        The fit has converged when a step lowers the cost by less than `enough`, or by less than `slack` as a share of
+        what the cost exceeds that of noise. rival: a cost; a fit that is on no way to it gives up. tempered: errors
+        beyond the sensors' noise are taken for what the plant leaves out, so that they count less and the data sheet
+        counts more. The cost is inf if the run diverges from `values` and from nearer to the unknowns' origins too.
         """
-        temper = np.ones(self.sigma.shape[1])
-        unknowns, values = tuple(unknowns), dict(values or {})
-        k = len(unknowns)
-        numbers = np.array([u.number(values.pop(u.symbol, u.origin)) for u in unknowns])
-        bounds = np.array([sorted((u.number(u.low), u.number(u.high))) for u in unknowns]).reshape(k, 2)
-        low, high = bounds.T
-        numbers = np.clip(numbers, low, high)
-        shifts = self.nothing() if shifts is None else shifts.copy()
-        weight = np.array([0.0 if np.isinf(u.prior) else 1.0 / u.prior**2 for u in unknowns])
+        descent = _Descent(self, unknowns, values or {}, self.nothing() if shifts is None else shifts.copy())
+        converged = descent.at.cost < np.inf and descent.run(iterations, tempered, rival, enough, slack)
+        return descent.fit(converged)
 
-        def full(n):
-            return {**values, **{u.symbol: float(u.value(x)) for u, x in zip(unknowns, n, strict=True)}}
 
-        def at(n, s):
-            e = self.errors(full(n), s)
-            return e, self.cost(e, s, temper) + float(np.sum(weight * n**2))
+@dataclass(frozen=True)
+class _Point:
+    """Numbers of the unknowns (k,), shifts of the windows, and the errors and the cost there."""
 
-        errors, cost = at(numbers, shifts)
-        for _ in range(HALVINGS):  # a start from which the run diverges: nearer to where each unknown has its origin
-            if np.isfinite(cost):
+    numbers: np.ndarray
+    shifts: np.ndarray
+    errors: np.ndarray
+    cost: float
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """A likelihood linearised at a point, the windows' shifts eliminated.
+
+    slopes: of the errors that shifts do not explain, by the unknowns' numbers (rows, k). explained: slopes of what
+    shifts explain (windows, locals, k). basis: of the shifts, (q, r) or None.
+    """
+
+    slopes: np.ndarray
+    explained: np.ndarray
+    basis: tuple[np.ndarray, np.ndarray] | None
+    curvature: np.ndarray
+
+
+class _Descent:
+    """Gauss-Newton from a start, within the unknowns' bounds.
+
+    Simulations are dear, and a linearisation takes one for every unknown and every shift: it is kept for as long as the
+    steps do what it promises.
+    """
+
+    def __init__(self, likelihood: Likelihood, unknowns: Sequence[Unknown], values: Mapping, shifts: np.ndarray):
+        self.likelihood, self.unknowns, self.fixed = likelihood, tuple(unknowns), dict(values)
+        start = np.array([u.number(self.fixed.pop(u.symbol, u.origin)) for u in self.unknowns])
+        self.low, self.high = _bounds(self.unknowns)
+        self.weight = np.array([0.0 if np.isinf(u.prior) else 1.0 / u.prior**2 for u in self.unknowns])
+        self.temper = np.ones(likelihood.sigma.shape[1])
+        self.at = self.point(np.clip(start, self.low, self.high), shifts)
+        for _ in range(HALVINGS):
+            if np.isfinite(self.at.cost):
                 break
-            numbers = np.clip(numbers / 2, low, high)
-            errors, cost = at(numbers, shifts)
-        if not np.isfinite(cost):
-            return Fit(self, unknowns, values, numbers, shifts, errors, weight, cost, False, temper)
-        damping, converged, slopes, basis, fresh = 0.0, False, None, None, False
+            self.at = self.point(np.clip(self.at.numbers / 2, self.low, self.high), shifts)
+
+    def fit(self, converged: bool) -> Fit:
+        at = self.at
+        return Fit(
+            self.likelihood, self.unknowns, self.fixed, at.numbers, at.shifts, at.errors, self.weight, at.cost,
+            converged, self.temper,
+        )  # fmt: skip
+
+    def point(self, numbers: np.ndarray, shifts: np.ndarray) -> _Point:
+        errors = self.likelihood.errors(_values(self.unknowns, numbers, self.fixed), shifts)
+        return _Point(numbers, shifts, errors, self.cost(numbers, shifts, errors))
+
+    def cost(self, numbers: np.ndarray, shifts: np.ndarray, errors: np.ndarray) -> float:
+        return self.likelihood.cost(errors, shifts, self.temper) + float(np.sum(self.weight * numbers**2))
+
+    def run(self, iterations: int, tempered: bool, rival: float, enough: float, slack: float) -> bool:
+        """Whether it has converged, after so many iterations or before. Arguments: as for `Likelihood.fit`."""
+        damping, linear = Decades(), None
         for iteration in range(iterations):
             if tempered:
-                temper = np.maximum(np.sqrt(np.sum(errors**2, axis=0) / (self.count / errors.shape[1])), 1.0)
-                cost = self.cost(errors, shifts, temper) + float(np.sum(weight * numbers**2))
-                slopes = None
-            if slopes is None:
-                basis = self.basis(full(numbers), shifts, errors, temper)
-                slopes = self.slopes(unknowns, full(numbers), shifts, errors, temper)
-                slopes, inside = self.eliminate(slopes, None, basis)
-                flat = slopes.reshape(-1, k)
-                curvature, fresh = flat.T @ flat, True
-            tail = None if basis is None else (np.sqrt(self.heavy) * shifts)[:, :, None]
-            e, pulled = self.eliminate(self.rows(errors, temper)[:, :, None], tail, basis)
-            right = -(e.reshape(-1) @ flat) - weight * numbers
-            held = ((numbers <= low) & (right < 0)) | ((numbers >= high) & (right > 0))
-            taken = None
-            while damping < 1e8:
-                normal = curvature + np.diag(weight + damping * (np.diag(curvature) + weight) + 1e-9)
-                step = np.zeros(k)
-                if (~held).any():
-                    step[~held] = np.linalg.solve(normal[np.ix_(~held, ~held)], right[~held])
-                moved = np.clip(numbers + step, low, high)
-                step = moved - numbers
-                promised = float(right @ step) + float(np.sum(pulled**2))
-                if promised < enough:
-                    converged = True
-                    break
-                s = shifts
-                if basis is not None:
-                    wanted = pulled[:, :, 0] + inside @ step
-                    s = shifts - np.linalg.solve(basis[1], wanted[:, :, None])[:, :, 0] / (1 + damping)
-                trial, c = at(moved, s)
-                if c < cost:
-                    taken = (moved, s, trial, c)
-                    break
-                if not fresh:
-                    break
-                damping = max(damping * 10, 1e-2)
-            if converged or (taken is None and fresh):
-                converged = True
-                break
-            if taken is None:
-                slopes = None
+                self.reweigh()
+                linear = None
+            fresh = linear is None
+            linear = linear or self.linearised()
+            found = self.step(linear, damping, enough, fresh)
+            if found is None:
+                return True
+            point, promised = found
+            if not point.cost < self.at.cost:
+                linear = None  # of a point too far away
                 continue
-            gain = cost - taken[3]
-            numbers, shifts, errors, cost = taken
-            damping = damping / 10 if damping > 1e-3 else 0.0
-            if gain < max(enough, slack * (cost - self.count)):
-                converged = True
-                break
-            if iteration and cost - 2 * gain > 1.1 * rival:
-                break
-            fresh = False
-            if gain < 0.7 * promised or damping > 0:
-                slopes = None  # the plant bends: made anew where it stands now
-        return Fit(self, unknowns, values, numbers, shifts, errors, weight, cost, converged, temper)
+            gain, self.at = self.at.cost - point.cost, point
+            damping.fall()
+            if gain < max(enough, slack * (point.cost - self.likelihood.count)):
+                return True
+            if iteration and point.cost - HOPED * gain > NEAR * rival:
+                return False
+            if gain < STRAIGHT * promised or damping.value > 0:
+                linear = None
+        return False
 
+    def reweigh(self) -> None:
+        """Let each channel's errors count less by as much as they exceed the sensors', here."""
+        errors, samples = self.at.errors, self.likelihood.count / self.at.errors.shape[1]
+        self.temper = np.maximum(np.sqrt(np.sum(errors**2, axis=0) / samples), 1.0)
+        self.at = replace(self.at, cost=self.cost(self.at.numbers, self.at.shifts, errors))
 
-def runs(signal: np.ndarray) -> np.ndarray:
-    """For each sample the length of the run of equal values it stands in, at most LONGEST."""
-    change = np.flatnonzero(np.diff(signal) != 0) + 1
-    edges = np.concatenate(([0], change, [len(signal)]))
-    lengths = np.diff(edges)
-    return np.minimum(np.repeat(lengths, lengths), LONGEST).astype(float)
+    def linearised(self) -> _Linear:
+        """The likelihood linearised here."""
+        likelihood, at = self.likelihood, self.at
+        values = _values(self.unknowns, at.numbers, self.fixed)
+        basis = likelihood.basis(values, at.shifts, at.errors, self.temper)
+        slopes = likelihood.slopes(self.unknowns, values, at.shifts, at.errors, self.temper)
+        slopes, explained = likelihood.eliminate(slopes, None, basis)
+        flat = slopes.reshape(-1, len(self.unknowns))
+        return _Linear(flat, explained, basis, flat.T @ flat)
 
+    def step(self, linear: _Linear, damping: Decades, enough: float, fresh: bool) -> tuple[_Point, float] | None:
+        """(the point that a step leads to, the gain of cost that the linear model promises of it).
 
-def roughness(signal: np.ndarray, sigma: float) -> float:
-    """How much rougher a channel is than its rounding alone makes it, at least 1; for a sensor whose noise is not told.
+        The cost there is lower, unless the linearisation is not fresh: then the first point is given as it is. None
+        where less than `enough` is promised, or no step lowers the cost.
+        """
+        likelihood, at = self.likelihood, self.at
+        tail = None if linear.basis is None else (np.sqrt(likelihood.heavy) * at.shifts)[:, :, None]
+        left, pulled = likelihood.eliminate(likelihood.rows(at.errors, self.temper)[:, :, None], tail, linear.basis)
+        gradient = left.reshape(-1) @ linear.slopes + self.weight * at.numbers
+        diagonal = np.diag(linear.curvature) + self.weight
 
-    From what a cubic over nine samples leaves of the signal where it moves.
-    """
-    left = signal - savgol_filter(signal, 9, 3)
-    moving = runs(signal) < 5
-    if moving.mean() < 0.05:
-        return 1.0
-    share = 1.0 - savgol_coefficient(9, 3)
-    return max(1.0, float(np.sqrt(np.mean(left[moving] ** 2) / share) / sigma))
+        def attempt(value: float) -> tuple[_Point, float] | None:
+            normal = linear.curvature + np.diag(self.weight + value * diagonal + RIDGE)
 
+            def solved(moving: np.ndarray) -> np.ndarray:
+                return np.linalg.solve(normal[np.ix_(moving, moving)], -gradient[moving]) if len(moving) else moving
 
-def savgol_coefficient(window: int, order: int) -> float:
-    """Weight of a sample in its own smoothed value."""
-    from scipy.signal import savgol_coeffs
+            numbers = bounded(at.numbers, gradient, self.low, self.high, solved)
+            step = numbers - at.numbers
+            promised = float(np.sum(pulled**2)) - float(gradient @ step)
+            if promised < enough:
+                return at, promised
+            shifts = at.shifts
+            if linear.basis is not None:
+                wanted = pulled[:, :, 0] + linear.explained @ step
+                shifts = shifts - np.linalg.solve(linear.basis[1], wanted[:, :, None])[:, :, 0] / (1 + value)
+            point = self.point(numbers, shifts)
+            return (point, promised) if point.cost < at.cost or not fresh else None
 
-    return float(savgol_coeffs(window, order)[window // 2])
+        found = search(attempt, damping)
+        return None if found is None or found[1] < enough else found

@@ -8,8 +8,9 @@ import pytest
 from greygate.mismatch import rig, simulation
 from greygate.mismatch.diagnosis import diagnose
 from greygate.mismatch.effects import Effect, Free
-from greygate.mismatch.fit import LONGEST, Fit, Likelihood, Unknown, roughness, runs
+from greygate.mismatch.fit import Fit, Likelihood, Unknown
 from greygate.mismatch.model import FILTERS, Model, delayed, lagged
+from greygate.mismatch.noise import LONGEST, roughness, runs
 from greygate.mismatch.search import pair_gains
 from greygate.plants.plant import Plant
 from greygate.plants.simulate import simulate
