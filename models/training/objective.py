@@ -11,17 +11,18 @@ from greygate.errors import InputError
 from greygate.models.network import Network
 from greygate.models.training.kernels import Tables, forward, sensitivities, tabulate
 from greygate.models.training.record import Record, check_skips
+from greygate.models.training.variables import leaders, movable
 
 CHUNK = 2048  # steps of Jacobian held at once
 CORES = ThreadPoolExecutor(2, "greygate")  # kernels and BLAS both let go of the interpreter
 WORTH = 2e6  # multiplications below which a second core does not pay
-NARROW = 0.9  # share of free columns above which it is faster to leave out the others after J'J than before
-IN_RANGE = 10.0  # of a normalised signal
+NARROW = 0.9  # share of free columns above which it is faster to drop the others after J'J than before
+IN_RANGE = 10.0  # of a normalised signal: a guess beyond it has diverged
 
 
 @dataclass
 class _Window:
-    """A run of its own: arrays for the kernels, and the columns of theta that hold its initial state, if any."""
+    """One run of the network: arrays for the kernels, and the columns of theta that hold its initial state, if any."""
 
     now: np.ndarray  # (depth + N, elements)
     past: np.ndarray
@@ -37,12 +38,14 @@ class Objective:
 
     theta: every weight and bias (frozen ones too), then the initial states that are estimated. Steps are taken in the
     variables `free`; `moved` applies one.
-    teacher: feed measured outputs back instead of the network's own (series-parallel, NARX); else free run (NOE).
-    free: {parameter: bool array} of single weights that may move (pruned ones stay zero); others follow `frozen`.
+    teacher: feed measured outputs back instead of the network's own (one-step prediction, series-parallel, NARX).
+    Without it the network feeds back its own (free-run simulation, NOE).
+    free: {parameter: bool array}, the single weights that may move (pruned ones stay zero). A parameter that is not
+    named moves unless its layer declares it `frozen`.
     tied: groups of modules, layers or parameters that keep equal weights, those of the first.
     estimate_initial: the state before each record is free too. shooting: steps of a window; each record is run in
     windows whose initial states are free, and `continuity` weighs the gaps between them (multiple shooting, Bock 1984).
-    Raises InputError for records that are too short or not finite, naming what and where.
+    Raises InputError for a signal that is missing, too short or not finite, naming what and where.
     """
 
     def __init__(
@@ -74,64 +77,32 @@ class Objective:
             self._outputs[at : at + p.size] = True
         self.forced = self._outputs if teacher else np.zeros(elements, bool)
         self._state = self._state_elements()
-        whole = [self._arrays(r, i, first) for i, r in enumerate(records)]
-        if not any(0 <= r.skip < len(w.target) for r, w in zip(records, whole, strict=True)):
+        runs = [self._arrays(r, i, first) for i, r in enumerate(records)]
+        if not any(0 <= r.skip < len(w.target) for r, w in zip(records, runs, strict=True)):
             check_skips(network, records)
-        longest = max((len(w.target) for w in whole), default=0)
+        longest = max((len(w.target) for w in runs), default=0)
         if shooting is not None and not 1 <= shooting <= longest // 2:
             raise InputError(f"shooting {shooting}: give windows of 1 to {longest // 2} steps, half the longest record")
-        self.windows = list(self._windowed(whole, theta, estimate_initial, shooting))
+        self.windows = list(self._windowed(runs, theta, estimate_initial, shooting))
         states = [self._state_of(w.now) for w in self.windows if w.state.stop > w.state.start]
         self.theta = np.concatenate([theta, *states])
-        self._variables(free or {}, tied)
+        self._choose(free or {}, tied)
         self.samples = sum((len(w.target) - w.skip) * w.target.shape[1] for w in self.windows)
         if records and self.samples <= 0:
             raise InputError(f"network {network.name}: no samples to train on; the records are empty or all skipped")
 
     # ---- what is free
 
-    def _variables(self, free: Mapping, tied: Sequence[Sequence[str]]) -> None:
-        shapes = dict(zip(self._names, self._shapes, strict=True))
-        for name, which in free.items():
-            if name not in shapes:
-                raise InputError(f"network {self.flat.name}: no parameter {name} to leave free")
-            if np.size(which) not in (1, int(np.prod(shapes[name]))):
-                raise InputError(f"free: {name} has shape {shapes[name]}, not {np.shape(which)}")
-        may_move = np.concatenate(
-            [
-                np.full(int(np.prod(shape)), not self._frozen(n)) & np.asarray(free.get(n, True), bool).ravel()
-                for n, shape in zip(self._names, self._shapes, strict=True)
-            ]
-            + [np.ones(len(self.theta) - self._size, bool)]
-        )
-        like = np.arange(len(self.theta))  # the column that each one follows
-        for group in tied:
-            leader, *others = [self._columns(name) for name in group]
-            for name, columns in zip(group[1:], others, strict=True):
-                if len(columns) != len(leader):
-                    raise InputError(f"network {self.flat.name}: {name} and {group[0]} differ in shape; no tie")
-                if not (may_move[columns].all() and may_move[leader].all()):
-                    raise InputError(f"network {self.flat.name}: {name} or {group[0]} may not move; no tie")
-                like[columns] = like[leader]
-        while (like[like] != like).any():  # groups that share a member
-            like = like[like]
-        self.theta[:] = self.theta[like]
+    def _choose(self, free: Mapping, tied: Sequence[Sequence[str]]) -> None:
+        place = self.slices()
+        may_move = np.concatenate([movable(self.flat, place, free), np.ones(len(self.theta) - self._size, bool)])
+        like = leaders(self.flat, place, may_move, tied)
+        self.theta = self.theta[like]
         self.free = np.flatnonzero(may_move & (like == np.arange(len(like))))
         position = np.full(len(self.theta), -1)
         position[self.free] = np.arange(len(self.free))
         self.variable = position[like]  # of each column of theta; -1 where it stays
         self._tied = bool(tied)
-
-    def _columns(self, name: str) -> np.ndarray:
-        place = self.slices()
-        found = [c for n, c in place.items() if n == name or n.startswith(name + ".")]
-        if not found:
-            raise InputError(f"network {self.flat.name}: no module, layer or parameter {name} to tie")
-        return np.concatenate(found)
-
-    def _frozen(self, name: str) -> bool:
-        layer, _, port = name.rpartition(".")
-        return port in self.flat.modules[layer].frozen
 
     def moved(self, theta: np.ndarray, step: np.ndarray) -> np.ndarray:
         """theta after a step (len(free),) of the variables."""
@@ -204,8 +175,10 @@ class Objective:
         return now[self.tables.depth + step - self._state[:, 1], self._state[:, 0]]
 
     def _windowed(
-        self, whole: list[_Window], theta: np.ndarray, estimate: bool, shooting: int | None
+        self, runs: list[_Window], theta: np.ndarray, estimate: bool, shooting: int | None
     ) -> Iterator[_Window]:
+        """Each record's run as it is, or cut into windows of `shooting` steps, with the columns of theta added that
+        hold the initial states."""
         depth, width = self.tables.depth, len(self._state)
         at = self._size
 
@@ -214,14 +187,14 @@ class Objective:
             at += width
             return slice(at - width, at)
 
-        for w in whole:
+        for w in runs:
             first = own_state() if estimate and width else slice(0, 0)
             length = max(shooting or len(w.target), depth, 1)
             if len(w.target) < 2 * length or not width:
                 yield replace(w, state=first)
                 continue
             t, shown = self.tables, self.tables.rows[self.tables.shown]
-            guess = w.past.copy()  # what is shown was measured, and teaches what is not, if that stays in range
+            guess = w.past.copy()  # outputs were measured; with them fed back, the other signals follow, if in range
             guess[depth:, shown] = w.target
             forward(t.layers, t.links, t.n_inputs, depth, theta, w.now, guess, self._outputs)
             starts = list(range(0, len(w.target) - length + 1, length))
@@ -309,7 +282,7 @@ class Objective:
         return total / (2 * max(self.samples, 1))
 
     def fingerprint(self) -> str:
-        """Of the records, what is free, and where theta starts: equal problems have equal ones."""
+        """A digest of the records, of what is free, and of where theta starts: equal objectives have equal ones."""
         scalars = (self._names, self._shapes, self.teacher, [(w.skip, w.weight) for w in self.windows])
         found = hashlib.sha256(repr(scalars).encode())
         for array in (self.theta, self.variable, *(a for w in self.windows for a in (w.past, w.target))):
@@ -317,7 +290,7 @@ class Objective:
         return found.hexdigest()
 
     def taking(self, other: "Objective", theta: np.ndarray, states: bool) -> np.ndarray:
-        """Theta with the weights of another's; states: and the initial states of its records, in their order."""
+        """This objective's theta with the weights of another's, and with `states` the initial states of its records."""
         mine = self.theta.copy()
         mine[: self._size] = theta[: self._size]
         if states:
