@@ -28,19 +28,19 @@ def timed(work, repeats: int) -> list[float]:
 
 def main(repeats: int) -> None:
     entry = catalog.entry("valve_cylinder")
-    problem = Objective(entry.network(), [entry.records()["training"]])
-    size = len(problem.free)
+    objective = Objective(entry.network(), [entry.records()["training"]])
+    size = len(objective.free)
     jacobian = np.random.default_rng(0).normal(size=(2048, size))
-    runs = problem.samples / len(jacobian)
+    runs = objective.samples / len(jacobian)
     with threadpool_limits(1, "blas"):
-        run = timed(lambda: problem.squares(problem.theta), repeats)
-        equations = timed(lambda: problem.normal_equations(problem.theta), repeats)
+        run = timed(lambda: objective.squares(objective.theta), repeats)
+        equations = timed(lambda: objective.normal_equations(objective.theta), repeats)
         floor = [runs * t for t in timed(lambda: jacobian.T @ jacobian, 4 * repeats)]
-    whole = [a + b for a, b in zip(run, equations, strict=True)]
-    print(f"{problem.samples} residuals, {len(problem.theta)} parameters, {size} free")
-    for name, times in (("run", run), ("Jacobian, J'J, J'e", equations), ("evaluation", whole), ("J'J alone", floor)):
+    both = [a + b for a, b in zip(run, equations, strict=True)]
+    print(f"{objective.samples} residuals, {len(objective.theta)} parameters, {size} free")
+    for name, times in (("run", run), ("Jacobian, J'J, J'e", equations), ("evaluation", both), ("J'J alone", floor)):
         print(f"{name:20} median {median(times):.3f} s  least {min(times):.3f} s")
-    print(f"evaluation over J'J alone: {median(whole) / median(floor):.2f}")
+    print(f"evaluation over J'J alone: {median(both) / median(floor):.2f}")
 
 
 main(int(sys.argv[1]) if len(sys.argv) > 1 else 20)

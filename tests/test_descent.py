@@ -43,8 +43,8 @@ def linear() -> tuple[Network, Record]:
 
 
 def squares(network: Network, record: Record) -> float:
-    problem = Objective(network, [record])
-    return problem.squares(problem.theta)
+    objective = Objective(network, [record])
+    return objective.squares(objective.theta)
 
 
 def moved(network: Network, fit) -> np.ndarray:
@@ -57,18 +57,18 @@ def moved(network: Network, fit) -> np.ndarray:
 def test_the_sweep_back_through_time_equals_torch_for_any_topology(seed):
     network = random_network(seed, activations=SMOOTH)
     record = as_record(network, 15, seed)
-    problem = _Swept(network, [record, record.cut(0, 9, weight=0.5)])
-    problem.squares(problem.theta)
-    tensors = {n: torch.tensor(v, requires_grad=True) for n, v in problem.flat.parameters().items()}
+    objective = _Swept(network, [record, record.cut(0, 9, weight=0.5)])
+    objective.squares(objective.theta)
+    tensors = {n: torch.tensor(v, requires_grad=True) for n, v in objective.flat.parameters().items()}
     for part, weight in ((record, 1.0), (record.cut(0, 9), 0.5)):
-        run = problem.flat.run(part.inputs, parameters=tensors)
-        for p in problem.flat.outputs:
+        run = objective.flat.run(part.inputs, parameters=tensors)
+        for p in objective.flat.outputs:
             error = (run[p.name] - torch.tensor(part.targets[p.name])) / p.scale
             (0.5 * weight * (error[part.skip :] ** 2).sum()).backward(retain_graph=True)
     grads = {n: np.zeros(t.shape) if t.grad is None else t.grad.numpy() for n, t in tensors.items()}
-    want = np.concatenate([grads[n].ravel() for n in problem.slices()])
+    want = np.concatenate([grads[n].ravel() for n in objective.slices()])
     floor = 1e-8 * (np.abs(want).max(initial=0) + 1e-3)
-    np.testing.assert_allclose(problem.gradient(problem.theta), want, rtol=1e-8, atol=floor)
+    np.testing.assert_allclose(objective.gradient(objective.theta), want, rtol=1e-8, atol=floor)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -93,8 +93,8 @@ def test_every_method_lowers_the_loss_of_its_network(name, teacher):
     fit = method(network, [record], epochs=150, teacher=teacher, **options)
     assert fit.outcome is Outcome.EPOCHS
     assert fit.history[-1] < 0.1 * fit.history[0]
-    problem = Objective(fit.network, [record], teacher)
-    assert problem.squares(problem.theta) / (2 * problem.samples) == pytest.approx(min(fit.history), rel=1e-9)
+    objective = Objective(fit.network, [record], teacher)
+    assert objective.squares(objective.theta) / (2 * objective.samples) == pytest.approx(min(fit.history), rel=1e-9)
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -116,9 +116,9 @@ def test_lbfgs_finds_the_minimum_that_levenberg_marquardt_finds():
 
 def test_rtrl_goes_along_the_batch_gradient_as_its_rate_goes_to_zero():
     network, record = learner()
-    problem = Objective(network, [record])
-    problem.squares(problem.theta)
-    gradient = problem.normal_equations(problem.theta)[1]
+    objective = Objective(network, [record])
+    objective.squares(objective.theta)
+    gradient = objective.normal_equations(objective.theta)[1]
     far, near = (
         np.abs(moved(network, rtrl(network, [record], rate=r, epochs=1)) / r + gradient).max() for r in (1e-5, 1e-7)
     )
@@ -130,8 +130,8 @@ def test_mini_batches_take_many_steps_an_epoch():
     network = feedforward("f", ["u", "v"], [8], 0)
     u, v = np.random.default_rng(0).uniform(-1, 1, (2, 600))
     record = Record({"u": u, "v": v}, {"y": u * v})
-    whole, parts = (adam(network, [record], rate=0.01, epochs=10, batch=b) for b in (None, 30))
-    assert parts.history[-1] < 0.3 * whole.history[-1]
+    full, parts = (adam(network, [record], rate=0.01, epochs=10, batch=b) for b in (None, 30))
+    assert parts.history[-1] < 0.3 * full.history[-1]
     assert parts.history == adam(network, [record], rate=0.01, epochs=10, batch=30).history
     with pytest.raises(InputError, match="samples that do not depend on each other"):
         adam(learner()[0], [learner()[1]], batch=10)

@@ -65,7 +65,7 @@ def recorded(folder, seed: int, samples: int = 300, stiffness: float = TRUE["sti
     np.savetxt(folder / "identify.csv", table, delimiter=",", header="t,force,x", comments="", fmt="%.10g")
 
 
-def problem(folder, window: float | None, seed: int = 0) -> Likelihood:
+def likelihood(folder, window: float | None, seed: int = 0) -> Likelihood:
     recorded(folder, seed)
     (folder / "rig.toml").write_text(RIG if window is None else RIG.replace("predict", f"window_s = {window}\npredict"))
     loaded = rig.load(folder)
@@ -78,7 +78,7 @@ def unknowns(spring: bool = True) -> list[Unknown]:
 
 
 def test_a_step_is_that_of_the_joint_least_squares_over_parameters_and_every_windows_start(folder):
-    p = problem(folder, 0.25)
+    p = likelihood(folder, 0.25)
     asked = unknowns()
     values, shifts = {u.symbol: u.value(0.0) for u in asked}, p.nothing()
     errors = p.errors(values, shifts)
@@ -110,7 +110,7 @@ def test_a_step_is_that_of_the_joint_least_squares_over_parameters_and_every_win
 
 @pytest.mark.parametrize("window", [None, 0.25])
 def test_parameters_and_effect_are_found_within_their_intervals(folder, window):
-    fit = problem(folder, window).fit(unknowns())
+    fit = likelihood(folder, window).fit(unknowns())
     assert fit.converged
     for symbol, true in TRUE.items():
         assert abs(fit.values[symbol] - true) < 3 * fit.deviation(symbol), symbol
@@ -119,19 +119,19 @@ def test_parameters_and_effect_are_found_within_their_intervals(folder, window):
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say(folder):
-    fits = [problem(folder, None, seed).fit(unknowns()) for seed in range(40)]
+    fits = [likelihood(folder, None, seed).fit(unknowns()) for seed in range(40)]
     scores = np.array([[(f.values[s] - TRUE[s]) / f.deviation(s) for s in TRUE] for f in fits])
     assert 0.9 < np.mean(np.abs(scores) < 1.96) < 0.995
     assert np.abs(scores.mean(axis=0)).max() < 0.6
 
 
-def test_a_smaller_problem_fits_worse_and_one_that_starts_elsewhere_fits_as_well(folder):
-    p = problem(folder, None)
-    whole, less = p.fit(unknowns()), p.fit(unknowns(spring=False))
-    assert less.cost > whole.cost + 1000
+def test_a_smaller_model_fits_worse_and_one_that_starts_elsewhere_fits_as_well(folder):
+    p = likelihood(folder, None)
+    full, less = p.fit(unknowns()), p.fit(unknowns(spring=False))
+    assert less.cost > full.cost + 1000
     elsewhere = p.fit(unknowns(), {"mass": 22.0, "viscous": 330.0, "stiffness": 20.0}, iterations=30)
-    assert elsewhere.cost == pytest.approx(whole.cost, abs=0.5)
-    assert elsewhere.values["stiffness"] == pytest.approx(whole.values["stiffness"], rel=1e-3)
+    assert elsewhere.cost == pytest.approx(full.cost, abs=0.5)
+    assert elsewhere.values["stiffness"] == pytest.approx(full.values["stiffness"], rel=1e-3)
 
 
 def test_the_gain_of_a_pair_is_that_of_the_joint_least_squares():
@@ -156,7 +156,7 @@ def test_the_gain_of_a_pair_is_that_of_the_joint_least_squares():
 
 
 def test_a_start_from_which_the_run_diverges_is_brought_nearer_to_the_data_sheet(folder):
-    p = problem(folder, None)
+    p = likelihood(folder, None)
     stiff = {"stiffness": 1e7}  # 700 rad/s, a step of 5 ms
     with np.errstate(over="ignore", invalid="ignore"):
         assert not np.isfinite(p.cost(p.errors(stiff, p.nothing()), p.nothing(), np.ones(1)))
@@ -165,13 +165,13 @@ def test_a_start_from_which_the_run_diverges_is_brought_nearer_to_the_data_sheet
 
 
 def test_a_bound_holds(folder):
-    held = [*unknowns(spring=False), Unknown("stiffness", 0.0, 50.0, np.inf, 0.0, 60.0)]
-    fit = problem(folder, None).fit(held)
+    bounded = [*unknowns(spring=False), Unknown("stiffness", 0.0, 50.0, np.inf, 0.0, 60.0)]
+    fit = likelihood(folder, None).fit(bounded)
     assert fit.values["stiffness"] == 60.0
 
 
 def test_the_data_sheet_holds_a_parameter_that_the_recording_does_not_tell(folder):
-    p = problem(folder, None)
+    p = likelihood(folder, None)
     little = Unknown("stiffness", TRUE["stiffness"], 1e-9, 1.0)  # of that size the recording says nothing
     for start in (0.0, 30.0):  # of its deviations away
         fit = p.fit([*unknowns(spring=False), little], {"stiffness": TRUE["stiffness"] + start * 1e-9})
@@ -267,7 +267,7 @@ def test_intervals_hold_the_truth_where_errors_hang_together_too(folder):
     """Errors that last a quarter of a second, not a sample: twelve a recording; as if they were white, 40 % hold it."""
     scores = []
     for seed in range(40):
-        p = problem(folder, None, seed)
+        p = likelihood(folder, None, seed)
         slow = np.random.default_rng(1000 + seed).standard_normal((12, 1))
         p.model.target += NOISE * np.repeat(slow, 25, axis=0)
         fit = p.fit(unknowns())
@@ -329,8 +329,8 @@ def test_the_rounding_of_an_input_counts_where_it_is_of_the_predicted_kind_alone
         model = Model(loaded, loaded.recording(tmp_path / "identify.csv"), {"spring": SPRING})
         sigma.append(Likelihood(model).sigma[0, 0])
     assert sigma[0] == pytest.approx(NOISE)
-    held = runs(model.recording["force"])[0]
-    assert sigma[1] == pytest.approx(np.sqrt(NOISE**2 + held * 1e-8 / 12))
+    repeated = runs(model.recording["force"])[0]
+    assert sigma[1] == pytest.approx(np.sqrt(NOISE**2 + repeated * 1e-8 / 12))
 
 
 def test_the_first_quarter_second_counts_for_nothing_where_a_state_has_no_sensor(tmp_path):
@@ -352,7 +352,7 @@ def test_the_first_quarter_second_counts_for_nothing_where_a_state_has_no_sensor
 
 
 def test_the_cost_of_a_fit_counts_how_far_it_strays_from_the_data_sheet(folder):
-    p = problem(folder, None)
+    p = likelihood(folder, None)
     strict = [Unknown("mass", 20.0, 1.0, 0.001), Unknown("viscous", 300.0, 30.0, 1.0), Unknown("stiffness", 0.0, 50.0)]
     fit = p.fit(strict)
     strayed = np.sum(np.array([1e6, 1.0, 0.0]) * fit.numbers**2)
@@ -362,7 +362,7 @@ def test_the_cost_of_a_fit_counts_how_far_it_strays_from_the_data_sheet(folder):
 
 @pytest.mark.parametrize("start", [{"stiffness": 2000.0}, {"viscous": 3.0, "stiffness": 2000.0}])
 def test_a_fit_that_begins_far_away_comes_back_by_shorter_steps(folder, start):
-    p = problem(folder, None)
+    p = likelihood(folder, None)
     with np.errstate(over="ignore", invalid="ignore"):  # full steps diverge
         fit = p.fit(unknowns(), start, iterations=60)
     assert fit.converged
@@ -370,9 +370,9 @@ def test_a_fit_that_begins_far_away_comes_back_by_shorter_steps(folder, start):
 
 
 def test_a_fit_ends_well_where_a_step_saves_less_than_asked_for(folder):
-    p = problem(folder, None)
+    p = likelihood(folder, None)
     start = {"mass": 20.5}
-    once, whole = p.fit(unknowns(), start, slack=1e9), p.fit(unknowns(), start)
+    once, full = p.fit(unknowns(), start, slack=1e9), p.fit(unknowns(), start)
     assert once.converged
-    assert whole.cost < once.cost < p.fit(unknowns(), start, iterations=0).cost  # it took that one step
+    assert full.cost < once.cost < p.fit(unknowns(), start, iterations=0).cost  # it took that one step
     assert not p.fit(unknowns(), start, iterations=1).converged  # of which it does not know how good it is

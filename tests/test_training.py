@@ -30,18 +30,18 @@ def as_record(network: Network, steps: int, seed: int) -> Record:
 def test_gradients_through_time_equal_those_of_torch_for_any_topology(seed):
     network = random_network(seed, activations=SMOOTH)
     record = as_record(network, 15, seed)
-    problem = Objective(network, [record])
-    assert np.isfinite(problem.squares(problem.theta))
-    _, gradient = problem.normal_equations(problem.theta)
-    tensors = {n: torch.tensor(v, requires_grad=True) for n, v in problem.flat.parameters().items()}
-    run = problem.flat.run(record.inputs, parameters=tensors)
+    objective = Objective(network, [record])
+    assert np.isfinite(objective.squares(objective.theta))
+    _, gradient = objective.normal_equations(objective.theta)
+    tensors = {n: torch.tensor(v, requires_grad=True) for n, v in objective.flat.parameters().items()}
+    run = objective.flat.run(record.inputs, parameters=tensors)
     loss = sum(
         0.5 * (((run[p.name] - torch.tensor(record.targets[p.name])) / p.scale)[record.skip :] ** 2).sum()
-        for p in problem.flat.outputs
+        for p in objective.flat.outputs
     )
     loss.backward()
     grads = {n: np.zeros(t.shape) if t.grad is None else t.grad.numpy() for n, t in tensors.items()}
-    want = np.concatenate([grads[n].ravel() for n in problem.slices()])[problem.free]
+    want = np.concatenate([grads[n].ravel() for n in objective.slices()])[objective.free]
     np.testing.assert_allclose(gradient, want, rtol=1e-8, atol=1e-8 * (np.abs(want).max(initial=0) + 1e-3))
 
 
@@ -86,25 +86,24 @@ def test_frozen_and_pruned_weights_stay():
 
 def test_rehearsal_keeps_a_part_right_where_the_record_does_not_reach():
     part = train(feedforward("part", ["u", "p"], [6], 1), [flow_record()], epochs=60).network
-    whole = Network("whole", [Port("u"), Port("p")], [Port("y")])
-    nested = feedforward("part", ["u", "p"], [6], 1).with_parameters(part.parameters())
-    whole.add("part", nested)
+    nested = Network("nested", [Port("u"), Port("p")], [Port("y")])
+    nested.add("part", feedforward("part", ["u", "p"], [6], 1).with_parameters(part.parameters()))
     for name in ("u", "p"):
-        whole.connect(name, f"part.{name}")
-    whole.connect("part", "y")
+        nested.connect(name, f"part.{name}")
+    nested.connect("part", "y")
     rng = np.random.default_rng(0)
     u, p = rng.uniform(0.1, 0.2, 300), rng.uniform(0.4, 0.5, 300)
     record = Record({"u": u, "p": p}, {"y": 1.1 * flow_rate(u, p)})
 
     def error_elsewhere(network):
-        problem = Objective(network, [flow_record()])
-        return problem.squares(problem.theta)
+        objective = Objective(network, [flow_record()])
+        return objective.squares(objective.theta)
 
-    alone = train(whole, [record], epochs=20)
-    kept = train(whole, [record], epochs=20, rehearse={"part": flow_record()})
+    alone = train(nested, [record], epochs=20)
+    kept = train(nested, [record], epochs=20, rehearse={"part": flow_record()})
     assert error_elsewhere(kept.network) < 0.2 * error_elsewhere(alone.network)
     with pytest.raises(InputError, match=r"cannot rehearse part[.]hidden1"):
-        train(whole, [record], rehearse={"part.hidden1": flow_record()})
+        train(nested, [record], rehearse={"part.hidden1": flow_record()})
 
 
 def test_training_stops_at_the_best_weights_when_interrupted():
@@ -203,8 +202,8 @@ def test_bounds_hold_and_the_rest_is_the_optimum_within_them():
     assert fit.network.parameters()["s.u"] == 1.5
     own = fit.network.parameters()["s.own"].item()
     for other in (own - 1e-3, own + 1e-3):
-        problem = Objective(fit.network.with_parameters({"s.own": np.array([[other]])}), [record])
-        assert problem.squares(problem.theta) > 2 * fit.history[-1] * problem.samples * (1 - 1e-9)
+        objective = Objective(fit.network.with_parameters({"s.own": np.array([[other]])}), [record])
+        assert objective.squares(objective.theta) > 2 * fit.history[-1] * objective.samples * (1 - 1e-9)
     with pytest.raises(InputError, match="no parameter"):
         train(loop(), [record], bounds={"s.x": (0, 1)})
 
@@ -262,14 +261,15 @@ def test_derivatives_by_initial_states_and_across_windows_are_exact(options):
         network.connect(f"out_{port}", port)
     targets = {"y": rng.normal(size=40), "z": rng.normal(size=40)}
     record = Record({"u": rng.normal(size=40)}, targets, skip=3, weight=2.0)
-    problem = Objective(network, [record, replace(record, skip=0)], **options)
-    problem.continuity = 3.0
-    theta = problem.moved(problem.theta, 0.1 * rng.normal(size=len(problem.free)))
-    problem.squares(theta)
-    _, gradient = problem.normal_equations(theta)
-    steps = 1e-6 * np.eye(len(problem.free))
+    objective = Objective(network, [record, replace(record, skip=0)], **options)
+    objective.continuity = 3.0
+    theta = objective.moved(objective.theta, 0.1 * rng.normal(size=len(objective.free)))
+    objective.squares(theta)
+    _, gradient = objective.normal_equations(theta)
+    steps = 1e-6 * np.eye(len(objective.free))
     slopes = [
-        (problem.squares(problem.moved(theta, s)) - problem.squares(problem.moved(theta, -s))) / 4e-6 for s in steps
+        (objective.squares(objective.moved(theta, s)) - objective.squares(objective.moved(theta, -s))) / 4e-6
+        for s in steps
     ]
     np.testing.assert_allclose(gradient, slopes, rtol=1e-6, atol=1e-6 * np.abs(gradient).max())
 
@@ -285,7 +285,7 @@ def test_multiple_shooting_trains_from_weights_whose_free_run_diverges():
 
 def test_a_training_that_was_cut_off_goes_on_from_its_checkpoint_as_if_it_had_not_been(tmp_path):
     start, path = feedforward("f", ["u", "p"], [4], 0), tmp_path / "training.npz"
-    whole = train(start, [flow_record()], epochs=12)
+    at_once = train(start, [flow_record()], epochs=12)
 
     def interrupt(line):
         if line.startswith("epoch 5 "):
@@ -296,8 +296,8 @@ def test_a_training_that_was_cut_off_goes_on_from_its_checkpoint_as_if_it_had_no
     with pytest.raises(InputError, match="checkpoint of other records, options or weights"):
         train(feedforward("f", ["u", "p"], [4], 1), [flow_record()], epochs=12, checkpoint=path)
     resumed = train(start, [flow_record()], epochs=12, checkpoint=path, keep=True)
-    assert resumed.history == whole.history
-    assert train(start, [flow_record()], epochs=12, checkpoint=path).history == whole.history
+    assert resumed.history == at_once.history
+    assert train(start, [flow_record()], epochs=12, checkpoint=path).history == at_once.history
     assert not path.exists()
     path.write_text("no")
     with pytest.raises(InputError, match="not a readable checkpoint"):
@@ -309,8 +309,8 @@ def test_starts_are_ranked_by_their_score_and_do_not_depend_on_how_many_run_at_o
         return train(feedforward("f", ["u", "p"], [3], seed), [flow_record()], epochs=5)
 
     def score(network):
-        problem = Objective(network, [flow_record()])
-        return problem.squares(problem.theta)
+        objective = Objective(network, [flow_record()])
+        return objective.squares(objective.theta)
 
     ranked = multistart(fit, score, range(4))
     assert [s.score for s in ranked] == sorted(s.score for s in ranked)
@@ -435,11 +435,11 @@ def test_a_hard_limit_passes_no_gradient_on(activation):
     network.add("sum", Layer({"sign": [[0.5]], "u": [[0.3]]}, [0.2]))
     for source, target in (("u", "sign.u"), ("sign", "sum.sign"), ("u", "sum.u"), ("sum", "y")):
         network.connect(source, target)
-    problem = Objective(network, [excited(loop(0.9, 1.0), 50)])
-    assert np.isfinite(problem.squares(problem.theta))
-    _, gradient = problem.normal_equations(problem.theta)
-    small = 1e-6 * np.eye(len(problem.theta))
-    want = [(problem.squares(problem.theta + d) - problem.squares(problem.theta - d)) / 4e-6 for d in small]
+    objective = Objective(network, [excited(loop(0.9, 1.0), 50)])
+    assert np.isfinite(objective.squares(objective.theta))
+    _, gradient = objective.normal_equations(objective.theta)
+    small = 1e-6 * np.eye(len(objective.theta))
+    want = [(objective.squares(objective.theta + d) - objective.squares(objective.theta - d)) / 4e-6 for d in small]
     np.testing.assert_allclose(gradient, want, atol=1e-6)
 
 
