@@ -29,16 +29,9 @@ from greygate.mismatch.locate import scaled
 from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.search import Search
 from greygate.mismatch.simulation import read, simulate
+from greygate.mismatch.verdict import Verdict
 from greygate.plants.expressions import names
 from greygate.plants.recording import Recording
-
-VERDICTS = {
-    "consistent": "consistent: the parameters, inside their tolerances, explain the recording",
-    "parameter_error": "parameter error: one parameter lies outside its tolerance, and that explains the recording",
-    "missing_physics": "missing physics: the simulation leaves out what is named here",
-    "unexplained": "unexplained: something is missing that no effect of the table has",
-}
-"""What a verdict says."""
 
 EXPERIMENTS = {
     "x": "the same moves on another part of the travel, up to its ends",
@@ -321,7 +314,7 @@ def lines(result: Diagnosis) -> list[str]:
     seconds = result.calibrated.problem.model.recording.samples * result.rig.dt
     out = [
         f"{result.rig.folder.resolve().name} ({found['plant']}), {seconds:.4g} s of recording",
-        VERDICTS[found["verdict"]],
+        Verdict(found["verdict"]).words,
     ]
     for i, (place, acts) in enumerate(where(found)):
         out.append(_row("" if i else "where", place))

@@ -19,6 +19,7 @@ from greygate.mismatch.effects import Effect
 from greygate.mismatch.fit import Fit, Problem, Unknown
 from greygate.mismatch.model import Model
 from greygate.mismatch.search import Hypothesis, Search
+from greygate.mismatch.verdict import Verdict
 
 ORDERS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24)  # of the autoregression, one of them by BIC
 MEMORY = 0.02  # of a recording, within which noise forgets
@@ -132,7 +133,7 @@ def _late(signal: np.ndarray, by: int) -> np.ndarray:
 class Found:
     """What `explain` found; for each claimed effect `gains` has (cost saved, cost saved on held-out blocks)."""
 
-    verdict: str
+    verdict: Verdict
     best: Hypothesis
     calibrated: Fit
     corrected: Fit
@@ -185,9 +186,9 @@ def explain(search: Search, say: Callable[[str, float], None]) -> Found:
     costs = {h: f.cost for h, f in tried.items()}
     left = remaining(fit)
     if best == nothing:
-        verdict = "unexplained" if left else "consistent"
+        verdict = Verdict.UNEXPLAINED if left else Verdict.CONSISTENT
     else:
-        verdict = "missing_physics" if best.effects else "parameter_error"
+        verdict = Verdict.MISSING_PHYSICS if best.effects else Verdict.PARAMETER_ERROR
     return Found(verdict, best, calibrated, fit, costs, gains, left, search)
 
 

@@ -26,6 +26,7 @@ from greygate.mismatch.model import Model
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.mismatch.selection import STRUCTURE, Selection, inflation, structure, whole
+from greygate.mismatch.verdict import Verdict
 
 SCHEMA = "diagnosis/1"
 APART = 12.0  # of cost, within which two hypotheses are not told apart
@@ -38,7 +39,7 @@ class Diagnosis:
     """Everything found; `as_dict` is the file's content."""
 
     rig: Rig
-    verdict: str
+    verdict: Verdict
     best: Hypothesis
     calibrated: Fit
     corrected: Fit
@@ -84,7 +85,7 @@ class Diagnosis:
             place["regime"] += f"; {what}" if place["regime"] else what
             acting.setdefault(equation, []).extend([tuple(symbols)] if symbols else [])
 
-        if self.verdict == "unexplained":
+        if self.verdict == Verdict.UNEXPLAINED:
             fitted = (self.unknown.get("effect") or {}).get("parameters", {})
             for place in self.unknown["where"]:
                 acts(place["equation"], place["regime"], place["depends_on"], fitted)
@@ -97,9 +98,9 @@ class Diagnosis:
         return [located(self.corrected, place, acting[equation]) for equation, place in places.items()]
 
     def _effects(self) -> list[dict]:
-        if self.verdict == "unexplained":
+        if self.verdict == Verdict.UNEXPLAINED:
             return [self.unknown["effect"]] if self.unknown.get("effect") else []
-        if self.verdict not in ("missing_physics",):
+        if self.verdict != Verdict.MISSING_PHYSICS:
             return []
         out = []
         for key in self.best.effects:
@@ -252,17 +253,17 @@ def diagnose(
     open_ = max(left.values()) > STRUCTURE and not whole(current)
     unknown = None
     if not best.size and not open_:
-        verdict = "consistent"
+        verdict = Verdict.CONSISTENT
     elif open_ and explained < SHARE:
-        verdict = "unexplained"
+        verdict = Verdict.UNEXPLAINED
         say("looking for the equation", 0.9)
         unknown, closed = closure(search)
         corrected = closed or search.fit(search.final, Hypothesis(), short.plain.values)
         best, left = Hypothesis(), structure(corrected)
     elif best.effects:
-        verdict = "missing_physics"
+        verdict = Verdict.MISSING_PHYSICS
     else:
-        verdict = "parameter_error"
+        verdict = Verdict.PARAMETER_ERROR
     rivals = {hypothesis: cost / inflation(current) for hypothesis, cost in costs.items()}
     result = Diagnosis(rig, verdict, best, short.plain, corrected, rivals, left, explained, search, unknown)
     say("predicting the recordings", 0.95)
@@ -275,7 +276,7 @@ def _coloured(search: Search, recording, began: float, say) -> Diagnosis:
     """`diagnose` where the noise is not told."""
     found = explain(search, say)
     unknown = None
-    if found.verdict == "unexplained":
+    if found.verdict == Verdict.UNEXPLAINED:
         unknown = {"where": [{"equation": "", "depends_on": [], "regime": found.left}]}
     result = Diagnosis(
         search.rig, found.verdict, found.best, found.calibrated, found.corrected, found.costs, {},

@@ -17,6 +17,7 @@ from greygate.mismatch.experiments.excitation import unseen
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.locate import signals
 from greygate.mismatch.model import Model
+from greygate.mismatch.verdict import Verdict
 from greygate.pages import figures
 from greygate.pages.figures import Line, Scale
 from greygate.pages.report import BINS, envelope, shortened, templates
@@ -52,7 +53,7 @@ def page(result: Diagnosis) -> str:
     return template.render(
         d=found,
         title=result.rig.folder.resolve().name,
-        sentence=explain.VERDICTS[found["verdict"]],
+        sentence=Verdict(found["verdict"]).words,
         facts=facts(result, found),
         effects=[(e, explain.means(result, e), amounts(e["parameters"])) for e in found["effects"]],
         parameters=[(n, explain.parameter(result, n, p)) for n, p in found["parameters"].items()],
@@ -71,7 +72,7 @@ def page(result: Diagnosis) -> str:
 
 def changed(result: Diagnosis) -> bool:
     """The diagnosis corrects more than parameters inside their tolerances."""
-    return result.verdict != "consistent" and (result.best.size > 0 or bool(result.as_dict()["effects"]))
+    return result.verdict != Verdict.CONSISTENT and (result.best.size > 0 or bool(result.as_dict()["effects"]))
 
 
 def amounts(parameters: Mapping) -> list[tuple[str, explain.Amount, str]]:
@@ -309,7 +310,7 @@ def ladder(result: Diagnosis, width: int = 980) -> Markup:
     if len(result.rivals) < 2:
         return Markup("")
     best = min(result.rivals.values())
-    taken = None if result.verdict == "unexplained" else result.best
+    taken = None if result.verdict == Verdict.UNEXPLAINED else result.best
     rungs = sorted((cost - best, str(h), h == taken) for h, cost in result.rivals.items())
     rungs = [*rungs[:LADDER], *(rung for rung in rungs[LADDER:] if rung[1] == "nothing")]
     right, row, below = 70, 22, 40
