@@ -41,7 +41,7 @@ class Channel:
 
     @property
     def sigma(self) -> float:
-        """RMS of noise and rounding: the square root of the sum of their squares."""
+        """RMS of noise and rounding together."""
         return float(np.hypot(self.noise, self.resolution / np.sqrt(UNIFORM_VARIANCE)))
 
 
@@ -68,7 +68,7 @@ class Rig:
 
     @property
     def stated(self) -> bool:
-        """Whether rig.toml states the noise of every predicted channel; else a fit estimates it along with the plant."""
+        """Whether rig.toml states the noise of every predicted channel; if not, it is fitted along with the plant."""
         return all(self.channels[name].sigma > 0 for name in self.predict)
 
     @property
@@ -97,7 +97,9 @@ class Rig:
         if samples * self.dt < shortest:
             raise InputError(f"{path}: {samples} samples, {samples * self.dt:g} s; record at least {shortest:g} s")
         steps = np.diff(table.values[:, 0])
-        table.require_steps(steps, np.abs(steps - self.dt) > JITTER * self.dt + TIME_ROUNDING, self.dt, "stands in rig.toml")
+        table.require_steps(
+            steps, np.abs(steps - self.dt) > JITTER * self.dt + TIME_ROUNDING, self.dt, "stands in rig.toml"
+        )
         channels = {name: table.values[:, header.index(name)] for name in self.channels}
         recording = Recording(self.dt, channels, {n: c.unit for n, c in self.channels.items()}, source=str(path))
         return recording, [row[0] for row in table.cells]

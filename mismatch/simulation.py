@@ -1,4 +1,4 @@
-"""The simulation by the rule of the rigs: with the data sheet, or as a diagnosis corrected it."""
+"""The simulation by the comparison rule of the rigs: with the data sheet's values, or as a diagnosis corrects it."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from greygate.mismatch.coloured import scaled
+from greygate.mismatch.coloured import resized
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.experiments.separation import (
     ITERATIONS,
@@ -129,7 +129,7 @@ def base(search: Search) -> Fit:
         return search.screen.fit(unknowns, iterations=0)
     fit = search.fit(search.final, Hypothesis(), {})
     problem = fit.problem.ordered(fit.problem.residual(fit.values))
-    search.effects = {key: scaled(problem, effect, fit) for key, effect in search.effects.items()}
+    search.effects = {key: resized(problem, effect, fit) for key, effect in search.effects.items()}
     return Problem.fit(problem, unknowns, fit.values, iterations=0)
 
 

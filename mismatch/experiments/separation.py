@@ -16,7 +16,7 @@ from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.experiments.experiment import FEWEST, HOLD, SECONDS, Bounds, Experiment, Free, experiments
 from greygate.mismatch.fit import Fit, Problem
-from greygate.mismatch.locate import scaled
+from greygate.mismatch.locate import display_unit
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import Channel
 from greygate.mismatch.search import Hypothesis
@@ -80,7 +80,7 @@ def figure(size: float) -> str:
 
 def _span(name: str, signal: np.ndarray, unit: str) -> str:
     low, high = float(np.min(signal)), float(np.max(signal))
-    factor, label = scaled(unit, max(abs(low), abs(high)))
+    factor, label = display_unit(unit, max(abs(low), abs(high)))
     low, high = f"{factor * low:.3g}", f"{factor * high:.3g}"
     return f"{name} {low} to {high} {label}".rstrip() if low != high else f"{name} at {low} {label}".rstrip()
 
