@@ -83,7 +83,7 @@ class Diagnosis:
 
     @cached_property
     def _where(self) -> list[dict]:
-        """Places, each with what acts there, in which regime of the plant, when, and in which frequency band."""
+        """Every place where something acts: what it is, in which regime of the plant, when, at which frequencies."""
         places: dict[str, dict] = {}
         acting: dict[str, list[tuple[str, ...]]] = {}
 

@@ -44,7 +44,7 @@ DISPLAYED = {
 
 @dataclass(frozen=True)
 class Location:
-    """In words: "|x| above 31 mm", "from 12 s on", "80 % of its power between 0.2 and 3 Hz"."""
+    """Where a mismatch acts, in words: "|x| above 31 mm", "from 12 s on", "80 % of its power between 0.2 and 3 Hz"."""
 
     regime: str
     time: str
@@ -159,7 +159,7 @@ def signals(model: Model) -> tuple[dict[str, np.ndarray], dict[str, str]]:
             units[name] = unit
     for name, channel in rig.channels.items():
         if name != moved and (channel.role == "input" or channel.unit != "m"):
-            signal = recording[name]  # an output smoothed: its noise is in its residual, too
+            signal = recording[name]  # an output is smoothed, for its noise is in the residual, too
             found[name] = savgol_filter(signal, 2 * half + 1, PARABOLA) if channel.role == "output" else signal
             units[name] = channel.unit
     found["t"], units["t"] = recording.time, "s"
@@ -172,10 +172,11 @@ def signals(model: Model) -> tuple[dict[str, np.ndarray], dict[str, str]]:
 def locate(
     signal: np.ndarray, time: np.ndarray, variables: Mapping[str, np.ndarray], units: Mapping[str, str]
 ) -> Location:
-    """Regime among `variables`, time and band in which `signal` is.
+    """The regime among `variables`, the time and the frequency band in which `signal` acts.
 
-    signal: (samples, columns), its energy the sum of their squares. time: (samples,) in s. variables: name ->
-    (samples,) SI, among them v for the direction; of any two in one unit the difference counts, too. units: of these.
+    signal: (samples, columns); its energy is the sum of their squares. time: (samples,) in s. variables: name ->
+    (samples,) in SI; v among them gives the direction, and the difference of any two in one unit is a variable, too.
+    units: name -> unit of each variable.
     """
     energy = Energy.of(np.sum(signal**2, axis=1))
     seen = {name: energy.beside(s) for name, s in variables.items() if name != "t"}
@@ -376,5 +377,5 @@ def display_unit(unit: str, reach: float) -> tuple[float, str]:
 
 
 def _figure(value: float) -> str:
-    """Two significant digits."""
+    """`value` to two significant digits."""
     return f"{float(f'{value:{FIGURE}}'):g}".replace("-", "−")

@@ -35,7 +35,7 @@ START_TRIALS = 60  # runs in which starting values are fitted, at most
 
 
 class Model:
-    """The rig's plant with all its effects joined, at null, over one recording.
+    """The rig's plant over one recording; all effects have joined it, at values where they do nothing.
 
     values: symbol -> value at which the plant is that of the data sheet.
     locals: the states that begin at every restart as recorded; a fit may shift them.
@@ -92,7 +92,7 @@ class Model:
         self._last = (None, None)
 
     def _moving(self) -> list[str]:
-        """Parameters that change the states: all but those that stand in outputs and sensors alone."""
+        """Parameters that change the states: all but those that only outputs and sensors use."""
         plant = self.plant
         outputs = {name for name, d in plant.definitions.items() if d.symbol in self.rig.predict}
         texts = [text for name, d in plant.definitions.items() if name not in outputs for text in d.terms.values()]
@@ -139,7 +139,7 @@ class Model:
         return signals
 
     def starts(self, values: Mapping[str, float], signals: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Where each state begins at each restart, (restarts, states), by the rule of the rigs."""
+        """Where each state begins at each restart, (restarts, states), by the comparison rule of the rigs."""
         at = self.restarts
         scope = Values(self.plant, {name: signal[at] for name, signal in signals.items()})
         scope.update(values)
@@ -262,12 +262,12 @@ def lagged(signal: np.ndarray, lag: float, dt: float, start: float | None = None
     return signal + (begin - signal) * (lag / dt) * (1.0 - decay)
 
 
-def dead(signal: np.ndarray, width: float, dt: float) -> np.ndarray:
+def dead_band(signal: np.ndarray, width: float, dt: float) -> np.ndarray:
     """An input behind a dead band: `width` on either side of zero does nothing."""
     return np.sign(signal) * np.maximum(np.abs(signal) - width, 0.0)
 
 
-def played(signal: np.ndarray, width: float, dt: float) -> np.ndarray:
+def backlash(signal: np.ndarray, width: float, dt: float) -> np.ndarray:
     """An input behind a backlash of half width `width`; at the first sample it stands in the middle."""
     out = np.empty_like(signal)
     at = signal[0]
@@ -283,8 +283,8 @@ FILTERS = {
     "lag_from_rest": lambda signal, lag, dt: lagged(signal, lag, dt, 0.0),
     "lag_twice_from_rest": lambda signal, lag, dt: lagged(lagged(signal, lag / 2, dt, 0.0), lag / 2, dt, 0.0),
     "offset": lambda signal, by, dt: signal + by,
-    "dead_zone": dead,
-    "play": played,
+    "dead_zone": dead_band,
+    "play": backlash,
     "skew": lambda signal, by, dt: signal + by * np.abs(signal),
 }
 

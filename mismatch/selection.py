@@ -322,7 +322,7 @@ def possible(search: Search, hypothesis: Hypothesis, fit: Fit) -> bool:
     effects = [search.effects[key] for key in hypothesis.effects]
     sizes = [[np.hypot(*(fit.values[s] for s in pair)) for pair in effect.wave.values()] for effect in effects]
     if any(overtones and max(overtones) > fundamental for fundamental, *overtones in filter(None, sizes)):
-        return False  # a wave of that overtone's own period
+        return False  # then it is a wave of the overtone's period
     free = [f for effect in effects for f in effect.strengths]
     return not any(b and np.isclose(fit.values[f.symbol], b, rtol=ON_BOUND) for f in free for b in (f.low, f.high))
 
