@@ -19,6 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
+from greygate.mismatch.verdict import Verdict
+
 RESULTS = Path(__file__).parent / "results"
 PLANTS = ("valve_hydraulic", "pump_hydraulic", "belt_drive", "cable_drum")
 CASES = {"one": 38, "clean": 8, "parameter": 4, "foreign": 10, "two": 10}  # of each plant
@@ -136,7 +138,7 @@ def table(rows: list[dict]) -> list[str]:
     inside = [ok for row in right for ok in json.loads(row["inside"]).values()]
     removed = [float(row["removed"]) for row in strong + two if row["removed"] not in ("", "None")]
     seconds, cpu = (np.median([float(row[key]) for row in rows]) for key in ("seconds", "cpu"))
-    honest = [row for row in foreign if row["verdict"] == "unexplained"]
+    honest = [row for row in foreign if row["verdict"] == Verdict.UNEXPLAINED]
     lines = [
         f"cases: {len(rows)} ({', '.join(f'{k} {len(v)}' for k, v in by.items())})",
         f"right effect first, where it removes half or more of the error: {share(strong, _first)}",
@@ -146,10 +148,10 @@ def table(rows: list[dict]) -> list[str]:
         f"parameter outside its tolerance found: {share(by['parameter'], lambda r: r['parameter'] in r['released'])}",
         f"true values inside 95 % intervals (standard forms): {share(inside, bool)}",
         f"median share of the removable error removed on unseen data: {np.median(removed) if removed else np.nan:.3f}",
-        f"outside the vocabulary, unexplained: {share(foreign, lambda r: r['verdict'] == 'unexplained')}",
+        f"outside the vocabulary, unexplained: {share(foreign, lambda r: r['verdict'] == Verdict.UNEXPLAINED)}",
         f"  of these with the right equation: {share(honest, _placed)}",
         f"  and a right variable: {share(honest, lambda r: _placed(r) and float(r['variables'] or 1) > 0)}",
-        f"  a wrong name claimed: {share(foreign, lambda r: r['verdict'] == 'missing_physics')}",
+        f"  a wrong name claimed: {share(foreign, lambda r: r['verdict'] == Verdict.MISSING_PHYSICS)}",
         f"two effects, both named: {share(two, lambda r: r['all'] == 'True')}",
         f"  none false: {share(two, lambda r: not r['false'])}",
         f"seconds a rig, median: {seconds:.0f} (processor {cpu:.0f})",
@@ -205,7 +207,7 @@ def draw(rows: list[dict], path: Path) -> None:
     for j, b in enumerate(named):
         x = left + cell * j + cell / 2 + 4
         parts.append(f'<text x="{x}" y="{top - 6}" transform="rotate(-60 {x} {top - 6})" fill="#333333">{b}</text>')
-    same = {"clean": "consistent", "parameter": "parameter_error"}
+    same = {"clean": Verdict.CONSISTENT, "parameter": Verdict.PARAMETER_ERROR}
     for i, a in enumerate(hidden):
         y = top + cell * i
         parts.append(f'<text x="{left - 6}" y="{y + 14}" text-anchor="end" fill="#333333">{a}</text>')

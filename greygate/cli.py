@@ -484,12 +484,12 @@ def diagnose(
     from greygate.diagnose import explain, explain_all
 
     if len(rigs) == 1 and backend is Backend.LOKY and scheduler is None:
-        with _bar("diagnosing", 100) as follow:
-            found, lines = explain(rigs[0], out, html, effects, lambda text, share: follow(round(100 * share), text))
+        with _progress("diagnosing") as progress:
+            found, lines = explain(rigs[0], out, html, effects, progress)
         failed = []
     else:
-        with _joblib(backend, scheduler), _bar("diagnosing", len(rigs)) as follow:
-            results = explain_all(rigs, out, html, effects, jobs, follow)
+        with _joblib(backend, scheduler), _progress("diagnosing") as progress:
+            results = explain_all(rigs, out, html, effects, jobs, progress)
         found = {name: content for name, (content, _) in results.items()}
         failed = [name for name, content in found.items() if "error" in content]
         found = found if len(rigs) > 1 else next(iter(found.values()))

@@ -5,7 +5,7 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -24,21 +24,15 @@ from greygate.mismatch.experiments.excitation import check, unseen
 from greygate.mismatch.experiments.experiment import nominal
 from greygate.mismatch.experiments.isolability import isolability
 from greygate.mismatch.experiments.separation import separations
-from greygate.mismatch.fit import Likelihood
-from greygate.mismatch.locate import scaled
+from greygate.mismatch.fit import Problem
+from greygate.mismatch.locate import display_unit
 from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.search import Search
 from greygate.mismatch.simulation import read, simulate
+from greygate.mismatch.verdict import Verdict
 from greygate.plants.expressions import names
 from greygate.plants.recording import Recording
-
-VERDICTS = {
-    "consistent": "consistent: the parameters, inside their tolerances, explain the recording",
-    "parameter_error": "parameter error: one parameter lies outside its tolerance, and that explains the recording",
-    "missing_physics": "missing physics: the simulation leaves out what is named here",
-    "unexplained": "unexplained: something is missing that no effect of the table has",
-}
-"""What a verdict says."""
+from greygate.progress import Progress, silent
 
 EXPERIMENTS = {
     "x": "the same moves on another part of the travel, up to its ends",
@@ -67,7 +61,7 @@ def explain(
     out: Path | None = None,
     html: Path | None = None,
     own: Sequence[Path] = (),
-    say: Callable[[str, float], None] | None = None,
+    progress: Progress = silent,
 ) -> tuple[dict, list[str]]:
     """Diagnose the rig in `folder` and write what is asked for; (content of diagnosis.json, lines to print).
 
@@ -76,7 +70,7 @@ def explain(
     for path in (out, html):
         if path is not None and not path.absolute().parent.is_dir():
             raise InputError(f"{path.parent}: no such folder; make it, or write elsewhere")
-    made = Explained.of(folder, html is not None, own, say)
+    made = Explained.of(folder, html is not None, own, progress)
     made.write(out, html)
     return made.found, made.lines
 
@@ -87,14 +81,14 @@ def explain_all(
     html: Path | None = None,
     own: Sequence[Path] = (),
     jobs: int | None = None,
-    follow: Callable[[int, str], None] | None = None,
+    progress: Progress = silent,
 ) -> dict[str, tuple[dict, list[str]]]:
     """`explain` for several rigs: name of the folder -> (content of diagnosis.json, lines to print).
 
     out, html: of one rig a file, of several a folder of NAME.json, NAME.html; each is written as soon as it is found.
     jobs: rigs at a time. They run where joblib is told to, so that `with joblib.parallel_config(backend="dask")` sends
-    them to a cluster, whose workers read the rigs at the same paths. follow: called with how many are done and the last
-    one's name.
+    them to a cluster, whose workers read the rigs at the same paths. progress: told how many rigs are done, and the
+    name of the last one.
 
     What is wrong with one of several rigs ends no other: it stands as its content, {"error": line}, and in its lines.
     Raises InputError for two rigs of one name, no folder to write to, and for one rig whatever `explain` does.
@@ -118,8 +112,7 @@ def explain_all(
             if not several:
                 raise
             results[name] = {"error": str(error)}, [f"{name}: not diagnosed: {error}"]
-        if follow is not None:
-            follow(len(results), name)
+        progress(f"{len(results)} of {len(folders)}: {name}")
     return results
 
 
@@ -151,13 +144,13 @@ class Explained:
     page: str | None
 
     @classmethod
-    def of(cls, folder: Path, page: bool = False, own: Sequence[Path] = (), say: Callable | None = None) -> "Explained":
+    def of(cls, folder: Path, page: bool = False, own: Sequence[Path] = (), progress: Progress = silent) -> "Explained":
         rig = _uncertain(folder)
         recording = rig.recording(rig.folder / "identify.csv")
         effects = table_of(own, rig, recording)
         check(rig, recording, effects)
         try:
-            result = diagnose(rig, effects, say)
+            result = diagnose(rig, effects, progress)
         except np.linalg.LinAlgError as error:
             raise InputError(
                 f"{folder}: the fit runs out of numbers ({error}); look at the values and units in rig.toml, "
@@ -206,7 +199,7 @@ def isolable(
         recording = rig.recording(path)
     effects = table_of(own, rig, recording)
     check(rig, recording, effects)
-    found = isolability(Search(rig, recording, effects, whole=Likelihood if rig.stated else Coloured))
+    found = isolability(Search(rig, recording, effects, free_run=Problem if rig.stated else Coloured))
     seconds = recording.samples * recording.dt
     motion = "motion by rule" if ranges else "recording"
     head = f"{rig.folder.resolve().name} ({rig.plant.name}), {seconds:.4g} s of {motion}"
@@ -297,7 +290,7 @@ class Amount:
 
 def amount(value: float, ci95: Sequence[float] | None, unit: str) -> Amount:
     """`value` with its interval as a person reads it."""
-    factor, label = scaled(unit, abs(value))
+    factor, label = display_unit(unit, abs(value))
     value, (low, high) = value * factor, (b * factor for b in ci95 or (value, value))
     half = (high - low) / 2
     if not half > 0:
@@ -321,7 +314,7 @@ def lines(result: Diagnosis) -> list[str]:
     seconds = result.calibrated.problem.model.recording.samples * result.rig.dt
     out = [
         f"{result.rig.folder.resolve().name} ({found['plant']}), {seconds:.4g} s of recording",
-        VERDICTS[found["verdict"]],
+        Verdict(found["verdict"]).words,
     ]
     for i, (place, acts) in enumerate(where(found)):
         out.append(_row("" if i else "where", place))
@@ -363,7 +356,7 @@ def where(found: Mapping) -> list[tuple[str, str]]:
 def parameter(result: Diagnosis, name: str, found: Mapping) -> str:
     """A fitted parameter beside its data sheet."""
     given = result.rig.plant.parameters[name]
-    factor, _ = scaled(given.unit, abs(found["value"]))
+    factor, _ = display_unit(given.unit, abs(found["value"]))
     off = " OUTSIDE ITS TOLERANCE" if found.get("outside_tolerance") else ""
     sheet = f"data sheet {given.value * factor:.5g} ± {100 * given.tolerance:g} %"
     return f"{name:<14} {amount(found['value'], found['ci95'], found['unit'])}  ({sheet}){off}"
@@ -375,7 +368,7 @@ def fit_table(fit: Mapping) -> list[str]:
     for recording, channels in fit.items():
         for channel, rms in channels.items():
             values = [rms[kind] for kind in ("simulation", "calibrated", "corrected")]
-            factor, unit = scaled(rms["unit"], max((v for v in values if math.isfinite(v)), default=0.0))
+            factor, unit = display_unit(rms["unit"], max((v for v in values if math.isfinite(v)), default=0.0))
             texts = [f"{factor * v:.4g}" for v in values]
             out.append(_row("", f"{recording:<10}{channel:<8}{unit:<4}{texts[0]:>11}{texts[1]:>12}{texts[2]:>11}"))
     return out

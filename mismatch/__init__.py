@@ -1,1 +1,8 @@
-"""Mismatch: which physics a simulation leaves out of a recording. Rig, model, fit, search, selection, diagnosis."""
+"""Mismatch: which physics a simulation leaves out that a recording shows.
+
+`rig` reads what an engineer knows, `effects` what may be missing; `model` runs the plant with effects over a recording,
+and `fit` fits it. `search` ranks and fits hypotheses, `selection` chooses among them, `diagnosis` says what was found.
+`coloured` and `coloured_selection` serve recordings whose noise is not stated. `closure` finds terms that no effect
+has, and `locate` says where a mismatch acts. `experiments` proposes what to record next. `concealed` makes cases with a
+known answer, by equations of its own.
+"""

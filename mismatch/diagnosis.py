@@ -1,15 +1,14 @@
 """What a recording says about a plant: the verdict, its grounds, and the file that keeps them (`diagnosis.json`).
 
-A claim only where its evidence is strong and little is left, and `unexplained` where structure stays that no effect of
-the table has.
+A diagnosis claims an effect only where its evidence is strong and little is left unexplained. Where structure stays in
+the errors that no effect of the table explains, the verdict is `unexplained`.
 """
 
 import json
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -18,27 +17,37 @@ from greygate.errors import InputError
 from greygate.files import replacing
 from greygate.mismatch import effects as table
 from greygate.mismatch.closure import closure
-from greygate.mismatch.coloured import Coloured, explain, settled
+from greygate.mismatch.coloured import Coloured, remaining
+from greygate.mismatch.coloured_selection import ColouredSelection
 from greygate.mismatch.effects import Effect
-from greygate.mismatch.fit import Fit
+from greygate.mismatch.fit import Fit, Problem
 from greygate.mismatch.locate import located
-from greygate.mismatch.model import Model
+from greygate.mismatch.model import TINY, Model, begun
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.search import Hypothesis, Search
-from greygate.mismatch.selection import STRUCTURE, Selection, inflation, structure, whole
+from greygate.mismatch.selection import STRUCTURE, Selection, complete, inflation, structure
+from greygate.mismatch.verdict import Verdict
+from greygate.progress import Progress, silent
 
 SCHEMA = "diagnosis/1"
-APART = 12.0  # of cost, within which two hypotheses are not told apart
-SHARE = 0.99  # of what can be explained, which a named effect explains though structure is left
+APART = 12.0  # of cost: two hypotheses that differ by less are not told apart
+SHARE = 0.99  # of what can be explained: an effect that explains so much is named, though structure is left
+NORMAL = 1.96  # standard deviations on either side that hold 95 % of a normal distribution
 WIDER = 1.25  # by which intervals are widened: then 95 % of the true values of concealed cases are inside
+FARTHEST = 1400.0  # of cost: a rival this far away has a likelihood of exp(-700), the least that a float can hold
+DIGITS = 4  # after the point, of a confidence
 
 
 @dataclass
 class Diagnosis:
-    """Everything found; `as_dict` is the file's content."""
+    """Everything that was found; `as_dict` gives the content of diagnosis.json.
+
+    calibrated, corrected: the fits of the plant without effects, and of `best`. rivals: cost of every hypothesis that
+    was fitted. structure: by channel, what slow errors are left. explained: the share of what can be explained.
+    """
 
     rig: Rig
-    verdict: str
+    verdict: Verdict
     best: Hypothesis
     calibrated: Fit
     corrected: Fit
@@ -74,7 +83,7 @@ class Diagnosis:
 
     @cached_property
     def _where(self) -> list[dict]:
-        """Places, each with what acts there, in which regime of the plant, when, and in which frequency band."""
+        """Every place where something acts: what it is, in which regime of the plant, when, at which frequencies."""
         places: dict[str, dict] = {}
         acting: dict[str, list[tuple[str, ...]]] = {}
 
@@ -84,7 +93,7 @@ class Diagnosis:
             place["regime"] += f"; {what}" if place["regime"] else what
             acting.setdefault(equation, []).extend([tuple(symbols)] if symbols else [])
 
-        if self.verdict == "unexplained":
+        if self.verdict == Verdict.UNEXPLAINED:
             fitted = (self.unknown.get("effect") or {}).get("parameters", {})
             for place in self.unknown["where"]:
                 acts(place["equation"], place["regime"], place["depends_on"], fitted)
@@ -97,9 +106,9 @@ class Diagnosis:
         return [located(self.corrected, place, acting[equation]) for equation, place in places.items()]
 
     def _effects(self) -> list[dict]:
-        if self.verdict == "unexplained":
+        if self.verdict == Verdict.UNEXPLAINED:
             return [self.unknown["effect"]] if self.unknown.get("effect") else []
-        if self.verdict not in ("missing_physics",):
+        if self.verdict != Verdict.MISSING_PHYSICS:
             return []
         out = []
         for key in self.best.effects:
@@ -109,7 +118,7 @@ class Diagnosis:
                 {
                     "id": effect.id,
                     "equations": list(effect.equations),
-                    "confidence": round(self._confidence(rivals), 4),
+                    "confidence": round(self._confidence(rivals), DIGITS),
                     "form": key,
                     "parameters": reported(effect, self.corrected),
                     "not_told_apart_from": sorted(name for name, gap in rivals.items() if gap < APART),
@@ -118,7 +127,7 @@ class Diagnosis:
         return out
 
     def _rivals(self, key: str) -> dict[str, float]:
-        """Other explanations in the place of effect `key` -> cost above the best."""
+        """Every other explanation in the place of effect `key` -> its cost above the best."""
         mine = self.search.effects[key].id
         rest = [k for k in self.best.effects if k != key]
         out: dict[str, float] = {}
@@ -134,7 +143,7 @@ class Diagnosis:
         return out
 
     def _confidence(self, rivals: Mapping[str, float]) -> float:
-        return float(1.0 / (1.0 + sum(np.exp(-min(max(gap, 0.0), 1400.0) / 2) for gap in rivals.values())))
+        return float(1.0 / (1.0 + sum(np.exp(-min(max(gap, 0.0), FARTHEST) / 2) for gap in rivals.values())))
 
     def _parameters(self) -> dict:
         out = {}
@@ -160,12 +169,12 @@ class Diagnosis:
 
 
 def _interval(value: float, deviation: float) -> list[float]:
-    reach = 1.96 * WIDER * deviation
+    reach = NORMAL * WIDER * deviation
     return [value - reach, value + reach]
 
 
 def reported(effect: Effect, fit: Fit) -> dict:
-    """An effect's parameters as the diagnosis names them: value, ci95, unit."""
+    """An effect's parameters as the diagnosis names them -> value, ci95, unit."""
     symbols = [u.symbol for u in fit.unknowns]
     scales = np.array([abs(u.scale) for u in fit.unknowns])
     covariance = fit.covariance * np.outer(scales, scales)
@@ -174,7 +183,7 @@ def reported(effect: Effect, fit: Fit) -> dict:
     for name, (sine, cosine) in effect.wave.items():
         s, c = fit.values[sine], fit.values[cosine]
         at = [symbols.index(sine), symbols.index(cosine)]
-        size = max(float(np.hypot(s, c)), 1e-300)
+        size = max(float(np.hypot(s, c)), TINY)
         inner = covariance[np.ix_(at, at)]
         along, across = np.array([s, c]) / size, np.array([-c, s]) / size**2
         unit = next(f.unit for f in effect.free if f.symbol == sine)
@@ -194,7 +203,10 @@ def reported(effect: Effect, fit: Fit) -> dict:
 
 
 def recovered(effect: Effect, found: Mapping[str, Mapping]) -> dict[str, float]:
-    """Symbols' values from what a diagnosis reports of an effect; the inverse of `reported`."""
+    """Symbols -> values, from what a diagnosis reports of an effect: the inverse of `reported`.
+
+    Raises InputError where one of its parameters is missing.
+    """
 
     def given(name: str) -> float:
         if name not in found:
@@ -215,80 +227,76 @@ def recovered(effect: Effect, found: Mapping[str, Mapping]) -> dict[str, float]:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a trial may diverge
-def diagnose(
-    rig: Rig, effects: Mapping[str, Effect] | None = None, say: Callable[[str, float], None] | None = None
-) -> Diagnosis:
-    """Explain `rig.folder`/identify.csv; look at holdout.csv for the report alone.
+def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Progress = silent) -> Diagnosis:
+    """Explain the recording `rig.folder`/identify.csv; holdout.csv serves for the report alone.
 
-    say: called with what is being done and how far it is (0 to 1).
+    effects: those to be tried, by key; by default all that are known for the rig. Raises InputError where a recording
+    or the table of effects cannot serve.
     """
     began = time.perf_counter()
-    say = say or (lambda text, share: None)
     recording = rig.recording(rig.folder / "identify.csv")
     effects = table.known(rig, recording) if effects is None else effects
-    say("compiling the plant", 0.0)
-    if not rig.stated:
-        return _coloured(Search(rig, recording, effects, whole=Coloured), recording, began, say)
-    search = Search(rig, recording, effects)
-    say("calibrating", 0.05)
-    done = count()
+    progress("compiling the plant")
+    search = Search(rig, recording, effects, free_run=Problem if rig.stated else Coloured)
+    progress("calibrating")
+    result = (_of_stated_noise if rig.stated else _of_coloured_noise)(search, progress)
+    progress("predicting the recordings")
+    result.fits = fits(result, recording)
+    result.seconds = time.perf_counter() - began
+    return result
+
+
+def _of_stated_noise(search: Search, progress: Progress) -> Diagnosis:
     base = search.base(search.screen)
-    short = Selection(search, search.screen, base, lambda text: say(text, 0.9 - 0.85 * 0.95 ** next(done)))
+    short = Selection(search, search.screen, base, progress)
     best, current = short.forward(Hypothesis(), short.plain, base)
-    if not whole(current):
+    if not complete(current):
         best, current = short.paired(best, current, base)
     best, current = short.backward(best, current)
     selection, costs = short, short.costs
-    if best.size and whole(current):
+    if best.size and complete(current):
         longer, best, corrected = short.over(search.final, best, current)
         costs = longer.costs
-        if best.size == 1 and not whole(corrected):  # a second effect that long windows alone show
+        if best.size == 1 and not complete(corrected):  # a second effect that long windows alone show
             more, fit = longer.backward(*longer.forward(best, corrected, corrected))
             if more != best:
                 selection, best, current, corrected = longer, more, fit, fit
     else:
         corrected = search.fit(search.final, best, current.values)
     left, explained = structure(corrected), selection.explained(current)
-    open_ = max(left.values()) > STRUCTURE and not whole(current)
-    unknown = None
-    if not best.size and not open_:
-        verdict = "consistent"
-    elif open_ and explained < SHARE:
-        verdict = "unexplained"
-        say("looking for the equation", 0.9)
+    open_ = max(left.values()) > STRUCTURE and not complete(current)
+    verdict, unknown = _verdict(best, open_ and explained < SHARE), None
+    if verdict == Verdict.UNEXPLAINED:
+        progress("looking for the equation")
         unknown, closed = closure(search)
         corrected = closed or search.fit(search.final, Hypothesis(), short.plain.values)
         best, left = Hypothesis(), structure(corrected)
-    elif best.effects:
-        verdict = "missing_physics"
-    else:
-        verdict = "parameter_error"
     rivals = {hypothesis: cost / inflation(current) for hypothesis, cost in costs.items()}
-    result = Diagnosis(rig, verdict, best, short.plain, corrected, rivals, left, explained, search, unknown)
-    say("predicting the recordings", 0.95)
-    result.fits = fits(result, recording)
-    result.seconds = time.perf_counter() - began
-    return result
+    return Diagnosis(search.rig, verdict, best, short.plain, corrected, rivals, left, explained, search, unknown)
 
 
-def _coloured(search: Search, recording, began: float, say) -> Diagnosis:
-    """`diagnose` where the noise is not told."""
-    found = explain(search, say)
-    unknown = None
-    if found.verdict == "unexplained":
-        unknown = {"where": [{"equation": "", "depends_on": [], "regime": found.left}]}
-    result = Diagnosis(
-        search.rig, found.verdict, found.best, found.calibrated, found.corrected, found.costs, {},
-        1.0, search, unknown, left=found.left,
+def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
+    selection = ColouredSelection(search, progress)
+    best, fit = selection.backward(*selection.forward(Hypothesis(), selection.plain, selection.plain))
+    left = remaining(fit)
+    verdict = _verdict(best, not best.size and bool(left))
+    unexplained = {"where": [{"equation": "", "depends_on": [], "regime": left}]}
+    return Diagnosis(
+        search.rig, verdict, best, selection.plain, fit, {h: f.cost for h, f in selection.fits.items()}, {},
+        1.0, search, unexplained if verdict == Verdict.UNEXPLAINED else None, left=left,
     )  # fmt: skip
-    say("predicting the recordings", 0.95)
-    result.fits = fits(result, recording)
-    result.seconds = time.perf_counter() - began
-    return result
+
+
+def _verdict(best: Hypothesis, unexplained: bool) -> Verdict:
+    if unexplained:
+        return Verdict.UNEXPLAINED
+    if best.effects:
+        return Verdict.MISSING_PHYSICS
+    return Verdict.PARAMETER_ERROR if best.size else Verdict.CONSISTENT
 
 
 def fits(result: Diagnosis, identify) -> dict:
-    """RMS of every predicted channel by the rule of the rigs: data sheet, calibrated, corrected."""
+    """RMS error of every predicted channel by the comparison rule: of the data sheet's plant, calibrated, corrected."""
     rig = result.rig
     recordings = {"identify": identify}
     if (rig.folder / "holdout.csv").exists():
@@ -301,7 +309,7 @@ def fits(result: Diagnosis, identify) -> dict:
         for kind, values in kinds.items():
             known = {s: v for s, v in values.items() if s in model.values}
             skip = rig.settle if name == "holdout" else 0
-            error = (model.predict(settled(model, known, skip)) - model.target)[skip:]
+            error = (model.predict(begun(model, known, skip)) - model.target)[skip:]
             rms[kind] = np.sqrt(np.mean(error**2, axis=0))
         out[name] = {
             channel: {**{kind: float(rms[kind][i]) for kind in kinds}, "unit": rig.channels[channel].unit}

@@ -1,9 +1,9 @@
 """Effects that a plant's equations may leave out: a table in TOML, and how an effect joins a plant.
 
-All effects that may enter a plant are joined to it once, with parameters at which they do nothing; a hypothesis is then
-a set of parameters that become free, and nothing is compiled twice. Of the plant nothing is overwritten: an effect's
-terms carry its key (`spring.spring`), general effects take symbols that the plant has not, and any other clash is
-refused (`_Joining`).
+All effects that may enter a plant join it once, with parameters at which they do nothing. A hypothesis is then a set of
+parameters that become free, and nothing is compiled twice. Joining overwrites nothing of the plant: an effect's terms
+carry its key (`spring.spring`), general effects take symbols that the plant does not have, and every other clash is an
+error (`_Joining`).
 """
 
 from collections.abc import Collection, Iterable, Mapping
@@ -31,9 +31,10 @@ SENSOR = "sensor_"  # the place of a term that changes a channel's reading
 class Free:
     """A parameter that an effect sets free.
 
-    typical: its scale. low, high: physical bounds. guess: where a search starts, besides `typical`. scan: "wave" where
-    the period of a wave is looked for in the residual. shape: it only shapes the effect and means nothing at effect
-    zero. whole: it is a whole number. reported: the name it goes by in a diagnosis.
+    typical: its scale. low, high: physical bounds. guess: values at which a search starts, besides `typical`. scan:
+    "wave" for the period of a wave, which is looked for along the travel. shape: the parameter shapes the effect, and
+    has no meaning where the effect is zero. whole: the value is a whole number and is not fitted. reported: its name in
+    a diagnosis.
     """
 
     symbol: str
@@ -61,7 +62,7 @@ class Free:
 
 @dataclass(frozen=True)
 class Effect:
-    """One entry of the table (its comment says what each field is)."""
+    """One entry of the table; the comment at the head of `effects.toml` says what each field is."""
 
     key: str
     means: str
@@ -108,22 +109,22 @@ class Effect:
 
     @property
     def id(self) -> str:
-        """The name in a diagnosis: that of the effect of which this is a form."""
+        """The name in a diagnosis: the key, or that of the effect of which this is another form."""
         return self.of or self.key
 
     @cached_property
     def symbols(self) -> Collection[str]:
-        """Those that it brings."""
+        """The symbols that it brings along: of parameters, states and definitions."""
         own = () if self.frees else (f.symbol for f in self.free)
         return {*own, *self.states, *(d.symbol for d in self.definitions.values())}
 
     @cached_property
     def strengths(self) -> tuple[Free, ...]:
-        """The parameters that make the effect, without those that only shape it."""
+        """The parameters that make the effect, without those that only shape it; at 0 there is no effect."""
         return tuple(f for f in self.free if not f.shape)
 
     def lazily(self, expression: str) -> str:
-        """`expression`, computed only where the effect is there."""
+        """`expression`, computed only while a strength differs from 0."""
         size = " + ".join(f"abs({f.symbol})" for f in self.strengths)
         return f"when({size}, {parse(expression)})" if size and not self.frees else expression
 
@@ -142,9 +143,9 @@ def _table(path: Path) -> dict:
 
 
 def known(rig, recording) -> dict[str, Effect]:
-    """The effects to be tried on a rig: the table's, and those of `effects.toml` in its folder.
+    """The effects to be tried on a rig: those of the table, and those of `effects.toml` in its folder.
 
-    Where the rig's noise is not told, also the general ones in every place of its plant that they fit.
+    Where the rig does not state its noise, also the general effects in every place of its plant that they fit.
     """
     path = rig.folder / "effects.toml"
     effects, own = read(), read(path) if path.exists() else {}
@@ -154,10 +155,10 @@ def known(rig, recording) -> dict[str, Effect]:
 
 
 def general(rig, recording, beside: Iterable[Effect] = ()) -> dict[str, Effect]:
-    """The general effects in every place of the rig's plant that they fit; the head of `general.toml` tells places.
+    """The general effects in every place of the rig's plant that they fit; the head of `general.toml` lists the places.
 
-    Where the plant, or an effect that stands `beside` them, has one of their symbols, they take another, and go by the
-    same name in a diagnosis.
+    Where the plant, or an effect `beside` them, has one of their symbols already, they take another symbol. A diagnosis
+    reports it by the name that stands in the table.
     """
     plant, out = rig.plant, {}
     taken = plant.symbols | {symbol for effect in beside for symbol in effect.symbols}
@@ -179,7 +180,7 @@ def general(rig, recording, beside: Iterable[Effect] = ()) -> dict[str, Effect]:
 
 
 def _renamed(entry: dict, taken: Collection[str]) -> dict:
-    """`entry` with other symbols in place of those that are taken."""
+    """`entry` with new symbols in place of those that are `taken`."""
     own = entry["parameters"]
     new = {s: next(f"{s}_{n}" for n in count(2) if f"{s}_{n}" not in {*taken, *own}) for s in own if s in taken}
     if not new:
@@ -192,7 +193,7 @@ def _renamed(entry: dict, taken: Collection[str]) -> dict:
 
 
 def _placed(entry, place: Mapping[str, str], rig, recording):
-    """`entry` with names for placeholders, and for "rate 0.5 {x}" that quantile of the channel's rate, or of itself."""
+    """`entry` with names in place of placeholders, and quantiles of the recording in place of "rate 0.5 {x}"."""
     match entry:
         case dict():
             return {_placed(k, place, rig, recording): _placed(v, place, rig, recording) for k, v in entry.items()}
@@ -260,22 +261,22 @@ def _effect(path: Path, key: str, entry) -> Effect:
 
 
 def fitting(plant: Plant, datasheet: Mapping[str, float], effects: Mapping[str, Effect]) -> dict[str, Effect]:
-    """Those effects that may enter `plant`, as its `datasheet` (symbol -> value) tells it."""
+    """The effects that may enter `plant`, and that its `datasheet` (symbol -> value) does not have already."""
     chosen = {}
     for key, effect in effects.items():
         if plant.name not in effect.plants and ANY not in effect.plants:
             continue
         if effect.frees and any(datasheet.get(f.symbol, 0.0) for f in effect.free):
-            continue  # it is there already
+            continue
         chosen[key] = effect
     return chosen
 
 
 def join(plant: Plant, effects: Iterable[Effect]) -> tuple[Plant, dict[str, dict[str, str]]]:
-    """(plant with the effects' terms in it, doing nothing; reading terms by channel).
+    """(the plant with the effects' terms, at values where they do nothing; the terms of sensors by channel).
 
-    Raises InputError naming effect and place where a term does not fit, or where a name is the plant's, or that of
-    another effect which is no form of the same one.
+    Raises InputError naming effect and place where a term does not fit, or where a name belongs to the plant or to
+    another effect that is no form of the same one.
     """
     joining, effects = _Joining(plant), list(effects)
     for effect in effects:
@@ -304,7 +305,7 @@ class _Joining:
         raise InputError(f"effect {effect.key}: {problem}")
 
     def claim(self, effect: Effect, kind: str, name: str, what, taken: Collection[str]) -> None:
-        """`name` is the effect's: the plant has it not, nor another effect, but a relative with the same under it."""
+        """Give `name` to the effect. Only a form of the same effect may have it, too, and mean the same by it."""
         if name in taken:
             self.fail(effect, f"{kind} {name}: plant {self.plant.name} has this name too; rename one")
         other, same = self.owners.setdefault((kind, name), (effect, what))
@@ -312,7 +313,7 @@ class _Joining:
             self.fail(effect, f"{kind} {name}: effect {other.key} has something else of this name; rename one")
 
     def bring(self, effect: Effect) -> None:
-        """Parameters, definitions, states and balances of the effect's own."""
+        """Bring the effect's own parameters, definitions, states and balances along."""
         plant = self.plant
         for f in effect.free:
             if not effect.frees:
@@ -336,7 +337,7 @@ class _Joining:
                 self.fail(effect, f"filters.{name}: plant {plant.name} has no such input")
 
     def enter(self, effect: Effect) -> None:
-        """Its terms, each under the effect's key."""
+        """Enter the effect's terms, each under the effect's key."""
         for path, text in effect.terms.items():
             where, _, term = path.partition(".")
             if where.startswith(SENSOR):
@@ -355,7 +356,7 @@ class _Joining:
                 self.fail(effect, f"set {symbol}: plant {self.plant.name} has no such parameter")
 
     def show(self, effect: Effect, channel: str, term: str, text: str) -> None:
-        """What its sensor adds to a channel, of the channel and parameters alone."""
+        """Enter a term that a sensor adds to its channel; it may use that channel and parameters, nothing else."""
         if channel not in self.plant.symbols or channel in self.plant.parameters:
             self.fail(effect, f"{SENSOR}{channel}: plant {self.plant.name} has no signal {channel}")
         for name in parse(text).names:

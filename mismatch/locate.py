@@ -1,10 +1,10 @@
 """Where a mismatch acts: in which regime of the plant, when, and in which frequency band.
 
-What is located is the term that a correction adds to a balance equation, along the recording; where nothing corrects,
-what the fit leaves. Its energy is compared with where the plant was. A regime is the range of a variable in which the
-share of energy exceeds the share of time by most (Kolmogorov's distance of the two distributions). It is told where
-that is clear, and where the same energy in another order is rarely as concentrated: stretches of it are permuted, as
-long as it hangs together.
+What is located is the term that a correction adds to a balance equation, along the recording; where nothing is
+corrected, it is what the fit leaves. The energy of this signal is compared with the values of a variable. A regime is
+the range of that variable in which the share of energy exceeds the share of time by most (the Kolmogorov distance of
+the two distributions). A regime is reported where this excess is large, and where chance rarely concentrates the same
+energy as much. Chance is simulated: stretches of the signal, as long as its energy is correlated, are permuted.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,25 +17,34 @@ from scipy.signal import savgol_filter
 
 from greygate.mismatch.effects import SENSOR
 from greygate.mismatch.fit import Fit
-from greygate.mismatch.model import SMOOTH, Model
+from greygate.mismatch.model import FEWEST_BESIDE, PARABOLA, SMOOTH, TINY, Model
 from greygate.plants.plant import Values
 
 CELLS = 1000  # of a recording, in each of which energy and variables are averaged
-STRETCHES = 12  # at least, that are permuted
-DRAWS = 199  # permutations
-CHANCE = 0.01  # of so much concentration where there is none, below which a regime is told
-CLEAR = 0.35  # by which a regime's share of energy exceeds its share of time
-ONE_WAY = 0.95  # of the energy, which acts in one direction
+STRETCHES = 12  # that are permuted, at least
+DRAWS = 199  # permutations: with the order as it is 200, so that one in a hundred can be told
+CHANCE = 0.01  # of so much concentration where there is none, below which a regime is reported
+CLEAR = 0.35  # by which a regime's share of energy must exceed its share of time
+ONE_WAY = 0.95  # of the energy: when so much acts in one direction, that direction is the regime
 EDGE = 0.02  # of the time, nearer than which to an end of its range a variable is at that end
-EVEN = 0.2  # of its width, within which a range lies even about zero
-POWER = (0.1, 0.9)  # shares between which the frequency band lies
-STEADY = 0.9  # of the energy, which makes a signal constant
-SLOWEST = 2  # periods in the recording, below which a frequency is not told
+EVEN = 0.2  # of its width, within which a range lies symmetrically about zero
+POWER = (0.1, 0.9)  # shares of the power below the two ends of the frequency band
+STEADY = 0.9  # of the energy: a signal whose mean holds so much is constant
+SLOWEST = 2  # periods in the recording: a lower frequency is not resolved
+PERCENT = 100
+FIGURE = ".2g"  # two significant digits
+DISPLAYED = {
+    "Pa": ((np.inf, 1e-5, "bar"),),
+    "m": ((1e-3, 1e6, "µm"), (np.inf, 1e3, "mm")),
+    "m/s": ((1e-3, 1e6, "µm/s"), (0.1, 1e3, "mm/s")),
+    "s": ((1.0, 1e3, "ms"),),
+}
+"""SI unit -> (sizes below this one, factor, unit that a person reads); larger sizes are read in the SI unit."""
 
 
 @dataclass(frozen=True)
 class Location:
-    """In words: "|x| above 31 mm", "from 12 s on", "80 % of its power between 0.2 and 3 Hz"."""
+    """Where a mismatch acts, in words: "|x| above 31 mm", "from 12 s on", "80 % of its power between 0.2 and 3 Hz"."""
 
     regime: str
     time: str
@@ -44,10 +53,10 @@ class Location:
 
 @np.errstate(over="ignore", invalid="ignore")  # a window may diverge
 def located(fit: Fit, place: Mapping, acting: Sequence[Iterable[str]]) -> dict:
-    """An entry of a diagnosis's `where`, its regime followed by where in it the correction acts, with `time`, `band`.
+    """`place`, an entry of a diagnosis's `where`, with the regime in which the correction acts, its `time` and `band`.
 
-    acting: symbols of the parameters of each effect of the correction, which counts by how much it changes the
-    prediction; what the fit leaves is located where there are none.
+    acting: the symbols of the parameters of each effect of the correction; an effect counts by how much it changes the
+    prediction. Where there are none, what the fit leaves is located.
     """
     equation, model = place["equation"], fit.problem.model
     parts = [_unit(added(fit, equation, symbols)) * _weight(fit, symbols) for symbols in map(tuple, acting)]
@@ -64,13 +73,13 @@ def located(fit: Fit, place: Mapping, acting: Sequence[Iterable[str]]) -> dict:
 
 
 def _unit(columns: np.ndarray) -> np.ndarray:
-    """Columns of one size each, their sum of squares 1 in the mean."""
+    """The columns that are not 0, scaled to one size; the sum of their squares is 1 in the mean."""
     columns = columns[:, np.any(columns, axis=0)]
     return columns / np.sqrt(np.mean(columns**2, axis=0) * max(columns.shape[1], 1))
 
 
 def _weight(fit: Fit, symbols: Iterable[str]) -> float:
-    """By how much parameters change the prediction, beside their values on the data sheet, RMS in units of noise."""
+    """By how much parameters change the prediction against their values on the data sheet, RMS in units of noise."""
     at_rest = {symbol: fit.problem.model.values[symbol] for symbol in symbols}
     change = fit.problem.errors({**fit.values, **at_rest}, fit.shifts) - fit.errors
     return float(np.sqrt(np.mean(np.where(np.isfinite(change), change, 0.0) ** 2)))
@@ -80,11 +89,11 @@ def _weight(fit: Fit, symbols: Iterable[str]) -> float:
 
 
 def added(fit: Fit, equation: str, symbols: Iterable[str]) -> np.ndarray:
-    """What parameters add to a balance, beside their values on the data sheet, (samples, columns).
+    """What parameters add to a balance against their values on the data sheet, (samples, columns).
 
-    In the unit of the equation's terms, on the simulated states. Where they do not enter the equation itself, a column
-    each balance, definition of a predicted channel and sensor that they do enter; else a column each channel, by how
-    much it is predicted differently.
+    The columns are in the unit of the equation's terms, on the simulated states. Where the parameters do not enter the
+    equation itself, there is one column for each balance, definition of a predicted channel and sensor that they do
+    enter; where they enter none, one for each channel: by how much its prediction changes.
     """
     problem = fit.problem
     model, shifts = problem.model, fit.shifts * problem.local_scale
@@ -112,7 +121,7 @@ def added(fit: Fit, equation: str, symbols: Iterable[str]) -> np.ndarray:
 
 
 def _difference(model: Model, place: str, on: Values, off: Values) -> np.ndarray | float:
-    """By how much an equation, a definition or a sensor differs between two scopes on the same states; else 0."""
+    """By how much an equation, a definition or a sensor differs between two scopes on the same states, 0 for others."""
     plant = model.plant
     if equation := plant.equations.get(place):
         rates = [_sum(scope, equation.terms) / scope.evaluate(equation.storage) for scope in (on, off)]
@@ -128,7 +137,7 @@ def _sum(scope: Values, terms: Mapping[str, str]):
 
 
 def left(fit: Fit, equation: str = "") -> np.ndarray:
-    """Errors that neither parameters nor starts of windows explain, (samples, channels); of a sensor its channel's."""
+    """Errors that neither parameters nor starts of windows explain (samples, channels); a sensor has one channel."""
     channels = fit.problem.model.rig.predict
     rows = fit.projected[:, : fit.problem.block * len(channels)].reshape(-1, len(channels))
     sensor = equation.removeprefix(SENSOR)
@@ -139,7 +148,7 @@ def signals(model: Model) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """(name -> signal, name -> unit): position, velocity and acceleration, the other channels, time."""
     rig, recording, plant = model.rig, model.recording, model.plant
     found, units = {}, {}
-    half = max(round(SMOOTH / rig.dt), 2)
+    half = max(round(SMOOTH / rig.dt), FEWEST_BESIDE)
     moved = next((x for x, s in plant.states.items() if s.rate and x in rig.channels), None)
     moved = moved or next((n for n in (*rig.inputs, *rig.channels) if rig.channels[n].unit == "m"), None)
     if moved is not None:
@@ -150,8 +159,8 @@ def signals(model: Model) -> tuple[dict[str, np.ndarray], dict[str, str]]:
             units[name] = unit
     for name, channel in rig.channels.items():
         if name != moved and (channel.role == "input" or channel.unit != "m"):
-            signal = recording[name]  # an output smoothed: its noise is in its residual, too
-            found[name] = savgol_filter(signal, 2 * half + 1, 2) if channel.role == "output" else signal
+            signal = recording[name]  # an output is smoothed, for its noise is in the residual, too
+            found[name] = savgol_filter(signal, 2 * half + 1, PARABOLA) if channel.role == "output" else signal
             units[name] = channel.unit
     found["t"], units["t"] = recording.time, "s"
     return found, units
@@ -163,10 +172,11 @@ def signals(model: Model) -> tuple[dict[str, np.ndarray], dict[str, str]]:
 def locate(
     signal: np.ndarray, time: np.ndarray, variables: Mapping[str, np.ndarray], units: Mapping[str, str]
 ) -> Location:
-    """Regime among `variables`, time and band in which `signal` is.
+    """The regime among `variables`, the time and the frequency band in which `signal` acts.
 
-    signal: (samples, columns), its energy the sum of their squares. time: (samples,) in s. variables: name ->
-    (samples,) SI, among them v for the direction; of any two in one unit the difference counts, too. units: of these.
+    signal: (samples, columns); its energy is the sum of their squares. time: (samples,) in s. variables: name ->
+    (samples,) in SI; v among them gives the direction, and the difference of any two in one unit is a variable, too.
+    units: name -> unit of each variable.
     """
     energy = Energy.of(np.sum(signal**2, axis=1))
     seen = {name: energy.beside(s) for name, s in variables.items() if name != "t"}
@@ -187,7 +197,7 @@ def locate(
 class Energy:
     """Shares of a signal's energy in cells of equal length, (stretches, cells of a stretch).
 
-    A stretch is as long as the amplitude hangs together (until its autocorrelation is below zero).
+    A stretch is as long as the amplitude is correlated: until its autocorrelation falls below zero.
     """
 
     stretches: np.ndarray
@@ -218,37 +228,37 @@ class Energy:
 
 
 def _cells(signal: np.ndarray) -> np.ndarray:
-    """Means over CELLS pieces of equal length, over each sample where there are fewer."""
+    """Means over CELLS pieces of equal length; the samples themselves where there are fewer."""
     size = max(len(signal) // CELLS, 1)
     return signal[: len(signal) // size * size].reshape(-1, size).mean(axis=1)
 
 
 def _excess(cells: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Share of energy less share of time below each value of a variable, (..., cells + 1); `order` sorts it."""
+    """Share of energy less share of time below each value of a variable, (..., cells + 1). order: that sorts it."""
     summed = np.cumsum(cells[..., order] - 1.0 / len(order), axis=-1)
     return np.concatenate([np.zeros((*summed.shape[:-1], 1)), summed], axis=-1)
 
 
 def _distance(excess: np.ndarray) -> np.ndarray:
-    """By how much energy exceeds time in the densest range of the variable, or beyond one."""
+    """By how much the share of energy exceeds that of time in the densest region of a variable."""
     inside = excess - np.minimum.accumulate(excess, axis=-1)
     outside = np.maximum.accumulate(excess, axis=-1) - excess
     return np.maximum(inside.max(axis=-1), outside.max(axis=-1))
 
 
 def _correlation(rows: np.ndarray, shape: np.ndarray) -> np.ndarray:
-    """Of each row (..., cells) with `shape` (cells,)."""
+    """Correlation of each row (..., cells) with `shape` (cells,)."""
     away, shape = rows - rows.mean(axis=-1, keepdims=True), shape - np.mean(shape)
-    return away @ shape / np.maximum(np.linalg.norm(away, axis=-1) * np.linalg.norm(shape), 1e-300)
+    return away @ shape / np.maximum(np.linalg.norm(away, axis=-1) * np.linalg.norm(shape), TINY)
 
 
 def _rare(found: float, drawn: np.ndarray) -> bool:
-    """Seldom as large where the energy stands in another order."""
+    """Whether chance is seldom as large: where the same energy stands in another order."""
     return (1 + np.sum(drawn >= found)) / (1 + len(drawn)) <= CHANCE
 
 
 def _way(energy: Energy, v: np.ndarray) -> str:
-    """The direction in which nearly all acts, if it is one."""
+    """The direction in which nearly all energy acts, if there is one."""
     for word, there in (("forward", v > 0), ("backward", v < 0)):
         share = energy.cells[there].sum()
         if share >= ONE_WAY and _rare(share, energy.shuffled[:, there].sum(axis=1)):
@@ -257,7 +267,7 @@ def _way(energy: Energy, v: np.ndarray) -> str:
 
 
 def _regime(energy: Energy, seen: Mapping[str, np.ndarray], units: Mapping[str, str]) -> str:
-    """The range where the energy is densest, of whichever variable tells most."""
+    """The region in which the energy is densest, of the variable that tells most."""
     orders = {name: np.argsort(s, kind="stable") for name, s in seen.items()}
     distances = {name: float(_distance(_excess(energy.cells, order))) for name, order in orders.items()}
     name = max(distances, key=distances.get, default="")
@@ -266,9 +276,9 @@ def _regime(energy: Energy, seen: Mapping[str, np.ndarray], units: Mapping[str, 
     drawn = np.max([_distance(_excess(energy.shuffled, order)) for order in orders.values()], axis=0)
     if not _rare(distances[name], drawn):
         return ""
-    part = Range.densest(energy, seen[name])
-    shares = 100 * energy.cells[part.inside].sum(), 100 * part.inside.mean()
-    words = part.words(name, *scaled(units[name], float(np.abs(seen[name]).max())))
+    part = Region.densest(energy, seen[name])
+    shares = PERCENT * energy.cells[part.inside].sum(), PERCENT * part.inside.mean()
+    words = part.words(name, *display_unit(units[name], float(np.abs(seen[name]).max())))
     return f"{words} ({shares[0]:.0f} % of it, in {shares[1]:.0f} % of the time)"
 
 
@@ -278,7 +288,7 @@ def _when(energy: Energy, clock: np.ndarray) -> str:
     distance = float(_distance(_excess(energy.cells, order)))
     if distance < CLEAR:
         return ""
-    part = Range.densest(energy, clock)
+    part = Region.densest(energy, clock)
     ramp, jump = (_correlation(np.sqrt(energy.cells), shape) for shape in (clock, part.inside))
     if part.open and abs(ramp) >= jump:
         steady = _rare(abs(ramp), np.abs(_correlation(np.sqrt(energy.shuffled), clock)))
@@ -292,8 +302,11 @@ def _when(energy: Energy, clock: np.ndarray) -> str:
 
 
 @dataclass(frozen=True)
-class Range:
-    """Of a variable: between low and high, None where open; or beyond both. inside: (cells,) in it."""
+class Region:
+    """Values of a variable between low and high, or beyond both. An end is None where the region is open.
+
+    inside: whether each cell is in the region (cells,).
+    """
 
     low: float | None
     high: float | None
@@ -302,12 +315,12 @@ class Range:
 
     @property
     def open(self) -> bool:
-        """It reaches to one end of all values."""
+        """Whether the region reaches to one end of all values."""
         return self.low is None or self.high is None
 
     @classmethod
-    def densest(cls, energy: Energy, variable: np.ndarray) -> "Range":
-        """Where, or beyond which, the energy exceeds the time by most."""
+    def densest(cls, energy: Energy, variable: np.ndarray) -> "Region":
+        """The region in which the share of energy exceeds the share of time by most."""
         order = np.argsort(variable, kind="stable")
         excess, count = _excess(energy.cells, order), len(variable)
         rise, fall = excess - np.minimum.accumulate(excess), np.maximum.accumulate(excess) - excess
@@ -327,7 +340,7 @@ class Range:
         return cls(low, high, True, ~within)
 
     def words(self, name: str, factor: float, unit: str) -> str:
-        """As a person says it: "|x| above 31 mm"; a range that lies even about zero by its half width."""
+        """The region as a person says it: "|x| above 31 mm"; a symmetric one is told by its half width."""
         low, high = (None if b is None else b * factor for b in (self.low, self.high))
         unit = f" {unit}" if unit else ""
         if self.open:
@@ -341,7 +354,7 @@ class Range:
 
 
 def band(columns: np.ndarray, dt: float) -> str:
-    """The frequencies between which most power of `columns` (samples, columns) lies, sampled every `dt` s."""
+    """The frequencies between which most power of `columns` (samples, columns), sampled every `dt` s, lies."""
     away = columns - columns.mean(axis=0)
     if np.sum(away**2) < (1 - STEADY) * np.sum(columns**2):
         return "constant"
@@ -349,25 +362,20 @@ def band(columns: np.ndarray, dt: float) -> str:
     low, high = np.searchsorted(np.cumsum(power) / power.sum(), POWER)
     resolved = 1.0 / (len(columns) * dt)
     if low <= SLOWEST:
-        return f"{100 * POWER[1]:.0f} % of its power below {_figure(max(high, SLOWEST) * resolved)} Hz"
+        return f"{PERCENT * POWER[1]:.0f} % of its power below {_figure(max(high, SLOWEST) * resolved)} Hz"
     low, high = _figure(low * resolved), _figure(high * resolved)
     where = f"between {low} and {high} Hz" if low != high else f"at {low} Hz"
-    return f"{100 * (POWER[1] - POWER[0]):.0f} % of its power {where}"
+    return f"{PERCENT * (POWER[1] - POWER[0]):.0f} % of its power {where}"
 
 
-def scaled(unit: str, reach: float) -> tuple[float, str]:
-    """(factor, label) from SI to what a person reads: bar, µm or mm, ms."""
-    if unit == "Pa":
-        return 1e-5, "bar"
-    if unit == "m":
-        return (1e3, "mm") if reach >= 1e-3 else (1e6, "µm")
-    if unit == "m/s" and reach < 0.1:
-        return (1e3, "mm/s") if reach >= 1e-3 else (1e6, "µm/s")
-    if unit == "s" and reach < 1.0:
-        return 1e3, "ms"
+def display_unit(unit: str, reach: float) -> tuple[float, str]:
+    """(factor, label) from SI to what a person reads for sizes up to `reach`: bar, µm or mm, ms."""
+    for below, factor, label in DISPLAYED.get(unit, ()):
+        if reach < below or below == np.inf:
+            return factor, label
     return 1.0, "" if unit == "1" else unit
 
 
 def _figure(value: float) -> str:
-    """Two significant digits."""
-    return f"{float(f'{value:.2g}'):g}".replace("-", "−")
+    """`value` to two significant digits."""
+    return f"{float(f'{value:{FIGURE}}'):g}".replace("-", "−")

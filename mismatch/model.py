@@ -1,7 +1,7 @@
 """One recording under one plant: what the plant predicts where it restarts, for any values of its parameters.
 
-A run restarts every window from the recorded state and is free in between (the rule of the rigs), or runs free from the
-first sample to the last where the rig has no window.
+The comparison rule of the rigs: a simulation restarts from the recorded state at the beginning of every window, and
+runs free in between. Where the rig has no window, it runs free from the first sample to the last.
 """
 
 import copy
@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.signal import lfilter, savgol_filter
 
 from greygate.errors import InputError
@@ -20,13 +21,21 @@ from greygate.plants.recording import Recording
 from greygate.plants.simulate import Restarted
 
 TIMING = "input_timing"  # s by which inputs act later than the recording says: a nuisance, known to a hundredth sample
-BLUR = "input_blur"  # how much finer a second rate is than smoothing over SMOOTH makes it: a nuisance, 1 of FINER
+BLUR = "input_blur"  # a nuisance: at 0 an acceleration is smoothed over SMOOTH, at 1 over the shorter FINER * SMOOTH
 FINER = 0.6  # of SMOOTH
-SMOOTH = 0.02  # s on either side of a sample, of which a smoothed rate is made
+SMOOTH = 0.02  # s on either side of a sample, over which a smoothed rate is taken
+SMOOTH_START = 0.01  # s likewise, for the velocity at a restart: it may lag a change of motion less than SMOOTH does
+FEWEST_BESIDE = 2  # samples on either side, at least: a cubic needs four, and five leave one to smooth
+PARABOLA, CUBIC = 2, 3  # degrees of the polynomials whose derivatives are smoothed rates
+READINGS = 3  # rounds in which a sensor's error, a small function of the true value, is taken off its reading
+TINY = 1e-300  # instead of a size that is 0, by which something is divided
+START_SIZE = 1e-3  # in its own unit: the least size of a starting value, by which its steps are scaled
+START_STEP = 1e-4  # of that size, for a difference
+START_TRIALS = 60  # runs in which starting values are fitted, at most
 
 
 class Model:
-    """The rig's plant with all its effects joined, at null, over one recording.
+    """The rig's plant over one recording; all effects have joined it, at values where they do nothing.
 
     values: symbol -> value at which the plant is that of the data sheet.
     locals: the states that begin at every restart as recorded; a fit may shift them.
@@ -56,7 +65,7 @@ class Model:
         self.runs = 0
 
     def _add(self, nuisance: str, unit: str) -> None:
-        """A parameter of the simulation itself."""
+        """Give the plant a parameter of the simulation itself."""
         if nuisance in self.plant.symbols:
             raise InputError(f"plant {self.plant.name}: {nuisance}: is the simulation's own name; rename it")
         self.plant = replace(self.plant, parameters={**self.plant.parameters, nuisance: Parameter(0.0, unit)})
@@ -83,7 +92,7 @@ class Model:
         self._last = (None, None)
 
     def _moving(self) -> list[str]:
-        """Parameters that change the states: all but those that stand in outputs and sensors alone."""
+        """Parameters that change the states: all but those that only outputs and sensors use."""
         plant = self.plant
         outputs = {name for name, d in plant.definitions.items() if d.symbol in self.rig.predict}
         texts = [text for name, d in plant.definitions.items() if name not in outputs for text in d.terms.values()]
@@ -102,16 +111,16 @@ class Model:
             return self.recording.time
         how, _, source = self.plant.derived[name].partition(" ")
         signal, dt = recorded[source], self.rig.dt
-        half = max(round(share * SMOOTH / dt), 2)
+        half = max(round(share * SMOOTH / dt), FEWEST_BESIDE)
         match how:
             case "rate":
                 return np.append(np.diff(signal) / dt, 0.0)
             case "integral":
                 return np.concatenate(([0.0], np.cumsum(signal[:-1]) * dt))
             case "smooth_rate":
-                return savgol_filter(signal, 2 * half + 1, 2, deriv=1, delta=dt)
+                return savgol_filter(signal, 2 * half + 1, PARABOLA, deriv=1, delta=dt)
             case "smooth_acceleration":
-                return savgol_filter(signal, 2 * half + 1, 3, deriv=2, delta=dt)
+                return savgol_filter(signal, 2 * half + 1, CUBIC, deriv=2, delta=dt)
         raise InputError(f"plant {self.plant.name}: derived {name}: {how!r}; give rate, integral, smooth_rate or so")
 
     def _signals(self, values: Mapping[str, float]) -> dict[str, np.ndarray]:
@@ -130,7 +139,7 @@ class Model:
         return signals
 
     def starts(self, values: Mapping[str, float], signals: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Where each state begins at each restart, (restarts, states), by the rule of the rigs."""
+        """Where each state begins at each restart, (restarts, states), by the comparison rule of the rigs."""
         at = self.restarts
         scope = Values(self.plant, {name: signal[at] for name, signal in signals.items()})
         scope.update(values)
@@ -150,14 +159,15 @@ class Model:
         return out
 
     def smooth_rate(self, channel: str) -> np.ndarray:
-        half = max(round(0.01 / self.rig.dt), 2)
-        return savgol_filter(self.recording[channel], 2 * half + 1, 2, deriv=1, delta=self.rig.dt)
+        """Velocity of a recorded channel (samples,), in its unit a second, as a restart takes it."""
+        half = max(round(SMOOTH_START / self.rig.dt), FEWEST_BESIDE)
+        return savgol_filter(self.recording[channel], 2 * half + 1, PARABOLA, deriv=1, delta=self.rig.dt)
 
     @np.errstate(over="ignore", invalid="ignore")  # a reading may be infinite
     def _unread(self, channel: str, read: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
-        """The state that a channel shows as `read`."""
+        """The state that a channel shows as `read`: what its sensor adds is taken off, round after round."""
         state = read
-        for _ in range(3 if channel in self.readings else 0):
+        for _ in range(READINGS if channel in self.readings else 0):
             state = read - self._reading(channel, state, values)
         return state
 
@@ -201,9 +211,9 @@ class Model:
         return np.stack(columns, axis=1)
 
     def added(self, effect: Effect, values: Mapping[str, float]) -> Callable[[Mapping[str, float]], np.ndarray] | None:
-        """For an effect that is only added to predicted channels: its strengths and shapes -> what it adds.
+        """A function of an effect's parameters: what the effect adds to the predicted channels (samples, predict).
 
-        The function gives (samples, predict); None where the effect does more than that. values: of all others.
+        None where the effect does more than to add to these channels. values: of all other parameters.
         """
         places = {name: d.symbol for name, d in self.plant.definitions.items() if d.symbol in self.rig.predict}
         if effect.definitions or effect.states or effect.filters or effect.frees:
@@ -230,17 +240,20 @@ class Model:
 
 
 def delayed(signal: np.ndarray, delay: float, dt: float) -> np.ndarray:
-    """A held input `delay` s late: the mean over each sample of what is then held, at rest before the first one."""
-    whole, part = divmod(delay / dt, 1.0)
-    k = np.arange(len(signal)) - int(whole)
+    """An input that is constant over each sample, `delay` s late: its mean over each sample.
+
+    Before the first sample the input rests at its first value.
+    """
+    steps, part = divmod(delay / dt, 1.0)
+    k = np.arange(len(signal)) - int(steps)
     late, later = signal[np.clip(k, 0, len(k) - 1)], signal[np.clip(k - 1, 0, len(k) - 1)]
     return (1.0 - part) * late + part * later
 
 
 def lagged(signal: np.ndarray, lag: float, dt: float, start: float | None = None) -> np.ndarray:
-    """A held input behind a first-order lag of `lag` s, its mean over each sample.
+    """An input that is constant over each sample, behind a first-order lag of `lag` s: its mean over each sample.
 
-    start: what it has come to when the recording begins, by default the first sample.
+    start: where the lag stands when the recording begins, by default at the first sample.
     """
     first = signal[0] if start is None else start
     decay = np.exp(-dt / lag)
@@ -249,13 +262,13 @@ def lagged(signal: np.ndarray, lag: float, dt: float, start: float | None = None
     return signal + (begin - signal) * (lag / dt) * (1.0 - decay)
 
 
-def dead(signal: np.ndarray, width: float, dt: float) -> np.ndarray:
-    """An input of which `width` on either side of zero does nothing."""
+def dead_band(signal: np.ndarray, width: float, dt: float) -> np.ndarray:
+    """An input behind a dead band: `width` on either side of zero does nothing."""
     return np.sign(signal) * np.maximum(np.abs(signal) - width, 0.0)
 
 
-def played(signal: np.ndarray, width: float, dt: float) -> np.ndarray:
-    """An input behind a play of half width `width`, in its middle at the first sample."""
+def backlash(signal: np.ndarray, width: float, dt: float) -> np.ndarray:
+    """An input behind a backlash of half width `width`; at the first sample it stands in the middle."""
     out = np.empty_like(signal)
     at = signal[0]
     for k, x in enumerate(signal.tolist()):
@@ -270,7 +283,34 @@ FILTERS = {
     "lag_from_rest": lambda signal, lag, dt: lagged(signal, lag, dt, 0.0),
     "lag_twice_from_rest": lambda signal, lag, dt: lagged(lagged(signal, lag / 2, dt, 0.0), lag / 2, dt, 0.0),
     "offset": lambda signal, by, dt: signal + by,
-    "dead_zone": dead,
-    "play": played,
+    "dead_zone": dead_band,
+    "play": backlash,
     "skew": lambda signal, by, dt: signal + by * np.abs(signal),
 }
+
+
+# -- where a recording begins ----------------------------------------------------------------------------------------
+
+
+def beginnings(model: Model) -> list[str]:
+    """Parameters that differ from recording to recording: initial values of states, and those the rig calls `anew`."""
+    initial = {s.initial for s in model.plant.states.values() if isinstance(s.initial, str)}
+    return [symbol for symbol in model.plant.parameters if symbol in initial or symbol in model.rig.anew]
+
+
+def begun(model: Model, values: Mapping[str, float], samples: int) -> dict[str, float]:
+    """`values`, in which the `beginnings` are fitted to the recording's first `samples` by least squares."""
+    values = {**model.values, **values}
+    symbols = beginnings(model)
+    if not symbols or not samples:
+        return values
+    scale = np.std(model.target, axis=0) + TINY
+
+    def errors(at):
+        given = {**values, **dict(zip(symbols, at, strict=True))}
+        return ((model.target - model.predict(given))[:samples] / scale).ravel()
+
+    start = np.array([values[s] for s in symbols])
+    size = np.maximum(np.abs(start), START_SIZE)
+    found = least_squares(errors, start, x_scale=size, diff_step=START_STEP, max_nfev=START_TRIALS)
+    return {**values, **dict(zip(symbols, map(float, found.x), strict=True))}

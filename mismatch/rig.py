@@ -3,10 +3,9 @@
 The layout is that of `docs/diagnosis.md`: `rig.toml`, `identify.csv`, `holdout.csv`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 
@@ -19,16 +18,21 @@ from greygate.reading import line, listed, named, number, one_of, read_toml, tab
 from greygate.table import read_table
 
 PLANTS = Path(__file__).parent.parent / "machines"  # NAME.toml in one of its folders is the plant NAME
-SHORTEST = 2.0  # s of recording below which nothing is diagnosed
-UNIFORM = 1e-3  # of a sample interval
-FEWEST = 10  # samples of a window
+SHORTEST = 2.0  # s: a shorter recording holds too little motion for any diagnosis
+JITTER = 1e-3  # of a sample interval, by which one interval may differ from the next
+TIME_ROUNDING = 1e-12  # s, by which the difference of two written times may be off
+FEWEST = 10  # samples: a shorter window is mostly its own beginning
 LONGEST = 1e9  # s of a sample, a window, a settling: thirty years
-MOST = 100_000  # steps of integration in a sample, above which a simulation seems to hang
+MOST = 100_000  # steps of integration in a sample; with more the simulation seems to hang
+UNIFORM_VARIANCE = 12  # an error spread evenly over a width has the variance width^2 / 12
 
 
 @dataclass(frozen=True)
 class Channel:
-    """A recorded signal. resolution: its quantum; noise: its white noise, RMS; both in `unit`, 0 where not stated."""
+    """A recorded signal: its `role` is input or output.
+
+    resolution: the quantum of its converter; noise: the RMS of its white noise; both in `unit`, 0 where not stated.
+    """
 
     unit: str
     role: str
@@ -37,17 +41,19 @@ class Channel:
 
     @property
     def sigma(self) -> float:
-        """RMS of noise and rounding."""
-        return float(np.hypot(self.noise, self.resolution / np.sqrt(12)))
+        """RMS of noise and rounding together."""
+        return float(np.hypot(self.noise, self.resolution / np.sqrt(UNIFORM_VARIANCE)))
 
 
 @dataclass(frozen=True)
 class Rig:
-    """plant: with the data sheet's values and tolerances. datasheet: symbol -> value as `rig.toml` gives it.
+    """What `rig.toml` says.
 
-    window: samples between restarts of the simulation, None for one run from the first sample to the last.
-    settle: samples of holdout.csv that do not count: to them are fitted the initial states, and the parameters in
-    `anew`, which every recording has of its own.
+    plant: with the data sheet's values and tolerances. datasheet: symbol -> value as `rig.toml` gives it.
+    predict: the channels that a simulation predicts. dt: the sample interval in s.
+    window: samples between restarts of the simulation, None for one free run from the first sample to the last.
+    anew: parameters that have another value in each recording. settle: how many first samples of holdout.csv serve
+    only to fit its initial states and the parameters in `anew`; the error there does not count.
     """
 
     plant: Plant
@@ -62,7 +68,7 @@ class Rig:
 
     @property
     def stated(self) -> bool:
-        """The noise of every predicted channel is told; else it is estimated from what a fit leaves."""
+        """Whether rig.toml states the noise of every predicted channel; if not, it is fitted along with the plant."""
         return all(self.channels[name].sigma > 0 for name in self.predict)
 
     @property
@@ -70,14 +76,15 @@ class Rig:
         return tuple(name for name, channel in self.channels.items() if channel.role == "input")
 
     def recording(self, path: Path | str) -> Recording:
-        """A recording of this rig: first column `t` in s, then one column a channel.
+        """Read a recording of this rig: its first column is `t` in s, each further column is a channel.
 
-        Raises InputError for missing or unknown channels, NaN, time that is not uniform, too short a recording.
+        Raises InputError where a channel is missing or unknown, a value is NaN, the time steps differ from each other
+        or from `dt`, or the recording is too short.
         """
         return self.timed(path)[0]
 
     def timed(self, path: Path | str) -> tuple[Recording, list[str]]:
-        """The recording, and its column `t` as it is written there."""
+        """The recording, and the column `t` as the file writes it."""
         table = read_table(path)
         path, header = table.path, table.header
         if header[0] != "t":
@@ -90,7 +97,9 @@ class Rig:
         if samples * self.dt < shortest:
             raise InputError(f"{path}: {samples} samples, {samples * self.dt:g} s; record at least {shortest:g} s")
         steps = np.diff(table.values[:, 0])
-        table.require_steps(steps, np.abs(steps - self.dt) > UNIFORM * self.dt + 1e-12, self.dt, "stands in rig.toml")
+        table.require_steps(
+            steps, np.abs(steps - self.dt) > JITTER * self.dt + TIME_ROUNDING, self.dt, "stands in rig.toml"
+        )
         channels = {name: table.values[:, header.index(name)] for name in self.channels}
         recording = Recording(self.dt, channels, {n: c.unit for n, c in self.channels.items()}, source=str(path))
         return recording, [row[0] for row in table.cells]
@@ -113,7 +122,7 @@ OPTIONAL = {
 }
 
 
-def load(folder: Path | str, plants: Path | None = None) -> Rig:
+def load(folder: Path | str) -> Rig:
     """The rig of `folder`/rig.toml; its plant is one of `machines/*/NAME.toml`, or a TOML file named beside it.
 
     Raises InputError naming file and entry.
@@ -121,51 +130,12 @@ def load(folder: Path | str, plants: Path | None = None) -> Rig:
     folder = Path(folder)
     path = folder / "rig.toml"
     found = table(read_toml(path, "give the folder of a rig"), f"{path}:", NEEDED, OPTIONAL, others=True)
-    predict, anew, dt, window = found["predict"], found.get("anew", ()), found["sample_time_s"], found.get("window_s")
-    datasheet, tolerance = found["parameters"], found.get("tolerance", {})
-
-    def fail(where: str, problem: str) -> NoReturn:
-        raise InputError(f"{path}: {where}: {problem}")
-
-    if not predict or len(set(predict)) < len(predict):
-        fail("predict", f"{shown(predict)}; list the channels that a simulation predicts, each once")
     plant = _plant(path, found["plant"])
-    if not dt <= MOST * plant.step:
-        fail("sample_time_s", f"{dt:g} s, {plant.name} takes steps of {plant.step:g} s; take {MOST} a sample at most")
-    if window is not None and window < FEWEST * dt:
-        fail("window_s", f"{window:g}; give at least {FEWEST} samples, in s")
-    for symbol in datasheet:
-        if symbol not in plant.parameters:
-            fail(f"parameters.{symbol}", f"{plant.name} has {', '.join(plant.parameters)}")
-    if missing := [s for s in plant.required if s not in datasheet]:
-        fail("parameters", f"{', '.join(missing)} missing; {plant.name} needs {'it' if len(missing) == 1 else 'them'}")
-    for symbol in tolerance:
-        if symbol not in datasheet:
-            fail(f"tolerance.{symbol}", "is no entry of [parameters]; give its value there")
-    channels = {}
-    for name, entry in found["channels"].items():
-        unit, role = entry["unit"], entry["role"]
-        known = plant.inputs.get(name) if role == "input" else _unit(plant, name)
-        if known is None:
-            there = [n for n in plant.inputs if n not in plant.derived] if role == "input" else plant.outputs
-            fail(f"channels.{name}", f"{plant.name} has no {role} of that name; it has {', '.join(there)}")
-        if unit != known:
-            fail(f"channels.{name}", f"unit {shown(unit)}, {plant.name} has it in {known}; convert it")
-        channels[name] = Channel(known, role, entry.get("resolution", 0.0), entry.get("noise_rms", 0.0))
-    for name in plant.inputs:
-        if name not in channels and name not in plant.derived and name != "t":
-            fail(f"channels.{name}", f"is missing; it is an input of {plant.name}")
-    for name, how in plant.derived.items():
-        if (source := how.partition(" ")[2]) not in channels:
-            fail(f"channels.{source}", f"is missing; {plant.name} derives {name} of it")
-    for name in predict:
-        if name not in channels or channels[name].role != "output":
-            fail("predict", f"{shown(name)} is no output channel")
-    if not all(channels[name].sigma > 0 for name in predict) and window is not None:
-        fail("window_s", "needs resolution or noise_rms of every predicted channel; give these, or run free")
-    for symbol in anew:
-        if symbol not in datasheet:
-            fail("anew", f"{shown(symbol)} is no entry of [parameters]; give its value there")
+    for check in (_wrong_times, _wrong_parameters, _wrong_channels, _wrong_predictions):
+        for where, problem in check(found, plant):
+            raise InputError(f"{path}: {where}: {problem}")
+    dt, window = found["sample_time_s"], found.get("window_s")
+    datasheet, tolerance = found["parameters"], found.get("tolerance", {})
     switched = {on: 1.0 for on, by in plant.switches.items() if datasheet.get(by)}
     parameters = {
         symbol: Parameter(
@@ -176,14 +146,75 @@ def load(folder: Path | str, plants: Path | None = None) -> Rig:
     return Rig(
         replace(plant, parameters=parameters),
         datasheet,
-        channels,
-        tuple(predict),
+        {name: _channel(entry) for name, entry in found["channels"].items()},
+        tuple(found["predict"]),
         dt,
         None if window is None else round(window / dt),
         folder,
         round(found.get("settle_s", 0.0) / dt),
-        tuple(anew),
+        tuple(found.get("anew", ())),
     )
+
+
+def _channel(entry: Mapping) -> Channel:
+    return Channel(entry["unit"], entry["role"], entry.get("resolution", 0.0), entry.get("noise_rms", 0.0))
+
+
+Mistakes = Iterator[tuple[str, str]]
+"""Pairs of an entry of rig.toml and what is wrong with it; a check may rely on what the checks before it passed."""
+
+
+def _wrong_times(found: Mapping, plant: Plant) -> Mistakes:
+    dt, window = found["sample_time_s"], found.get("window_s")
+    if not dt <= MOST * plant.step:
+        yield "sample_time_s", f"{dt:g} s, {plant.name} takes steps of {plant.step:g} s; take {MOST} a sample at most"
+    if window is not None and window < FEWEST * dt:
+        yield "window_s", f"{window:g}; give at least {FEWEST} samples, in s"
+
+
+def _wrong_parameters(found: Mapping, plant: Plant) -> Mistakes:
+    datasheet = found["parameters"]
+    for symbol in datasheet:
+        if symbol not in plant.parameters:
+            yield f"parameters.{symbol}", f"{plant.name} has {', '.join(plant.parameters)}"
+    if missing := [s for s in plant.required if s not in datasheet]:
+        them = "it" if len(missing) == 1 else "them"
+        yield "parameters", f"{', '.join(missing)} missing; {plant.name} needs {them}"
+    for symbol in found.get("tolerance", {}):
+        if symbol not in datasheet:
+            yield f"tolerance.{symbol}", "is no entry of [parameters]; give its value there"
+    for symbol in found.get("anew", ()):
+        if symbol not in datasheet:
+            yield "anew", f"{shown(symbol)} is no entry of [parameters]; give its value there"
+
+
+def _wrong_channels(found: Mapping, plant: Plant) -> Mistakes:
+    channels = found["channels"]
+    for name, entry in channels.items():
+        unit, role = entry["unit"], entry["role"]
+        known = plant.inputs.get(name) if role == "input" else _unit(plant, name)
+        if known is None:
+            there = [n for n in plant.inputs if n not in plant.derived] if role == "input" else plant.outputs
+            yield f"channels.{name}", f"{plant.name} has no {role} of that name; it has {', '.join(there)}"
+        if unit != known:
+            yield f"channels.{name}", f"unit {shown(unit)}, {plant.name} has it in {known}; convert it"
+    for name in plant.inputs:
+        if name not in channels and name not in plant.derived and name != "t":
+            yield f"channels.{name}", f"is missing; it is an input of {plant.name}"
+    for name, how in plant.derived.items():
+        if (source := how.partition(" ")[2]) not in channels:
+            yield f"channels.{source}", f"is missing; {plant.name} derives {name} from it"
+
+
+def _wrong_predictions(found: Mapping, plant: Plant) -> Mistakes:
+    predict, channels = found["predict"], found["channels"]
+    if not predict or len(set(predict)) < len(predict):
+        yield "predict", f"{shown(predict)}; list the channels that a simulation predicts, each once"
+    for name in predict:
+        if name not in channels or channels[name]["role"] != "output":
+            yield "predict", f"{shown(name)} is no output channel"
+    if "window_s" in found and not all(_channel(channels[name]).sigma > 0 for name in predict):
+        yield "window_s", "needs resolution or noise_rms of every predicted channel; give these, or run free"
 
 
 def _unit(plant: Plant, name: str) -> str | None:

@@ -1,7 +1,7 @@
 """Hypotheses on what a plant leaves out, scored cheaply and fitted in full, one effect after another.
 
-A hypothesis is a set of effects and, at most, one parameter let out of its tolerance. A screen over short windows, in
-which a wrong model stays near the recording, ranks them; the final fit is over the rig's own windows.
+A hypothesis is a set of effects and, at most, one parameter whose tolerance is lifted. A screen over short windows
+ranks the hypotheses, for there even a wrong model stays near the recording. The final fit is over longer windows.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,25 +12,36 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from greygate.mismatch.effects import Effect, Free, fitting
-from greygate.mismatch.fit import Fit, Likelihood, Unknown
-from greygate.mismatch.model import BLUR, TIMING, Model
-from greygate.mismatch.rig import Rig
+from greygate.mismatch.fit import Fit, Problem, Unknown
+from greygate.mismatch.model import BLUR, TIMING, TINY, Model
+from greygate.mismatch.rig import FEWEST, Rig
 from greygate.plants.expressions import names
 from greygate.plants.recording import Recording
 
 SHORT = 0.04  # s of a window in the screen
-LONG_WINDOW = 0.1  # s of a window in the last fit: what integrators differ by does not add up yet
-WITHIN = 4.0  # standard deviations within which a toleranced parameter is looked for
-EXACT = 0.01  # of a sample, to which the instant is known at which an input acts, RMS
-ROUGH = 2.0  # of cost, below which a fit that only ranks is not made better
-SLACK = 3e-4  # likewise, of the cost beyond that of noise
+LONG_WINDOW = 0.1  # s of a window in the final fit: errors of two integrators do not add up to more than noise yet
+WITHIN, NEAR_SHEET = 4.0, 2.0  # standard deviations within which a toleranced parameter is fitted; in the first fit
+RELEASED = 20.0  # times or part of its value, within which a parameter whose tolerance is lifted is fitted
+EXACT = 0.01  # of a sample, RMS: the uncertainty of the instant at which an input acts
+ROUGH = 2.0  # of cost: a fit that only ranks stops when a step gains less
+SLACK = 3e-4  # of the cost beyond that of noise: likewise
+FIRST_STEPS = 4  # of the fit of the data sheet's plant, which only has to stand where effects can be compared
 LONG = 1.5  # of the travel: the longest period of a wave
-WAVES = 1.0  # cycles over the travel by which neighbouring periods of a scan differ, inverse
+WAVES = 2.0  # periods of a scan for each cycle over the travel: neighbours differ by half a cycle
+FEWEST_WAVES = 4  # periods of a scan, at least
+PERIOD_SCALE = 1e-3  # of its typical value: a period is known that well, for its phase adds up along the travel
+SHAPE_SCALE = 0.1  # of its typical value: the step in which another shape parameter is fitted
+GUESSES = (0.3, 1.0, 3.0)  # times its typical value, at which a parameter of the plant that becomes free is tried
+SECANT_REACH = 3.0  # times the point to which a secant is drawn, beyond which it says nothing
+UNBOUNDED = 1e3  # standard deviations that a released parameter may go in the linearised fit: no bound in practice
+SOLVED_PAIRS = 4  # times the pairs that are wanted are solved within bounds, after a ranking without bounds
+RIDGE = 1e-10  # of a unit diagonal: keeps a normal matrix regular whose columns depend on each other
+BOUND_SLACK = 1e-9  # by which bounds are widened, for the solver needs a low bound below the high one
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """effects: keys of the table. released: parameters whose tolerance is lifted."""
+    """What a plant may lack. effects: keys of the table. released: parameters whose tolerance is lifted."""
 
     effects: tuple[str, ...] = ()
     released: tuple[str, ...] = ()
@@ -45,10 +56,14 @@ class Hypothesis:
     def plus(self, other: "Hypothesis") -> "Hypothesis":
         return Hypothesis((*self.effects, *other.effects), (*self.released, *other.released))
 
+    def without(self, name: str) -> "Hypothesis":
+        """The same less one effect or released parameter."""
+        return Hypothesis(*(tuple(n for n in names if n != name) for names in (self.effects, self.released)))
+
 
 @dataclass(frozen=True)
 class Score:
-    """gain: of cost that the linearised fit promises. values: where the full fit starts."""
+    """gain: the cost that a linearised fit saves. values: where the full fit starts."""
 
     hypothesis: Hypothesis
     gain: float
@@ -56,33 +71,33 @@ class Score:
 
 
 class Search:
-    """All hypotheses on one recording of one rig. whole: the problem of a rig that runs free."""
+    """All hypotheses on one recording of one rig. free_run: the problem of a rig without windows."""
 
     def __init__(
-        self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], whole: type[Likelihood] = Likelihood
+        self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], free_run: type[Problem] = Problem
     ):
         self.rig = rig
         self.effects = fitting(rig.plant, rig.datasheet, effects)
         self.travel = max(float(np.ptp(recording[name])) for name in rig.inputs)
         self.toleranced = [s for s, p in rig.plant.parameters.items() if p.tolerance]
 
-        def over(seconds: float) -> Likelihood:
-            return Likelihood(Model(rig, recording, self.effects, min(max(round(seconds / rig.dt), 10), rig.window)))
+        def over(seconds: float) -> Problem:
+            return Problem(Model(rig, recording, self.effects, min(max(round(seconds / rig.dt), FEWEST), rig.window)))
 
-        self.final = over(LONG_WINDOW) if rig.window else whole(Model(rig, recording, self.effects))
+        self.final = over(LONG_WINDOW) if rig.window else free_run(Model(rig, recording, self.effects))
         self.screen = over(SHORT) if rig.window else self.final
-        self.fits: dict[Hypothesis, Fit] = {}  # of rivals, kept for what is proposed to tell them apart
+        self.fits: dict[Hypothesis, Fit] = {}  # of rivals, kept for experiments that tell them apart
 
     # -- unknowns ----------------------------------------------------------------------------------------------------
 
     def unknowns(self, hypothesis: Hypothesis, within: float = WITHIN) -> list[Unknown]:
-        """What a hypothesis leaves to be fitted."""
+        """What a hypothesis leaves free. within: standard deviations that a parameter with a tolerance may go."""
         found = []
         for symbol in self.toleranced:
             p = self.rig.plant.parameters[symbol]
             scale = abs(p.value) * p.tolerance / 2
             if symbol in hypothesis.released:
-                low, high = sorted((p.value / 20, p.value * 20))
+                low, high = sorted((p.value / RELEASED, p.value * RELEASED))
                 found.append(Unknown(symbol, p.value, scale, np.inf, low, high))
             else:
                 reach = within * scale
@@ -101,14 +116,14 @@ class Search:
         origin = f.typical if f.shape else 0.0
         if f.shape and f.scan == "wave":
             longest = max(min(f.high, LONG * self.travel), f.low)
-            return Unknown(f.symbol, origin, 1e-3 * f.typical, np.inf, f.low, longest)
-        return Unknown(f.symbol, origin, f.typical * (0.1 if f.shape else 1.0), np.inf, f.low, f.high)
+            return Unknown(f.symbol, origin, PERIOD_SCALE * f.typical, np.inf, f.low, longest)
+        return Unknown(f.symbol, origin, f.typical * (SHAPE_SCALE if f.shape else 1.0), np.inf, f.low, f.high)
 
     def constants(self, hypothesis: Hypothesis) -> dict[str, float]:
         return {s: v for key in hypothesis.effects for s, v in self.effects[key].set.items()}
 
     def places(self, symbol: str) -> list[str]:
-        """Equations, of those that effects name, in which a parameter acts."""
+        """The equations in which a parameter acts; where no effect names an equation, those that use what it makes."""
         named = {place for effect in self.effects.values() for place in effect.equations}
         plant = self.rig.plant
         texts = {name: (d.symbol, d.terms.values()) for name, d in plant.definitions.items()}
@@ -139,7 +154,10 @@ class Search:
         return out
 
     def joined(self, given: Hypothesis, effect: Effect) -> bool:
-        """An effect may stand beside the others: no form of one of them, no delay beside a lag of the same input."""
+        """Whether an effect may stand beside the given ones.
+
+        It is no other form of one of them, shares no parameter with them, and filters none of their inputs.
+        """
         others = [self.effects[key] for key in given.effects]
         symbols = {f.symbol for other in others for f in other.free}
         filtered = {name for other in others for name in other.filters}
@@ -149,8 +167,8 @@ class Search:
             and not filtered & set(effect.filters)
         )
 
-    def scores(self, problem: Likelihood, fit: Fit, given: Hypothesis) -> list[Score]:
-        """Every candidate's promise at `fit`, best first."""
+    def scores(self, problem: Problem, fit: Fit, given: Hypothesis) -> list[Score]:
+        """What every candidate promises to save, by a fit linearised at `fit`; best first."""
         ranked = []
         for candidate in self.candidates(given):
             best = max(self._promises(problem, fit, candidate), key=lambda s: s.gain, default=None)
@@ -158,8 +176,8 @@ class Search:
                 ranked.append(best)
         return sorted(ranked, key=lambda s: -s.gain)
 
-    def pairs(self, problem: Likelihood, fit: Fit, count: int) -> list[Score]:
-        """The `count` pairs of effects that promise most at `fit` together; each alone may promise little."""
+    def pairs(self, problem: Problem, fit: Fit, count: int) -> list[Score]:
+        """The `count` pairs of effects that together promise most at `fit`; each alone may promise little."""
         effects = [e for e in self.effects.values() if self.joined(Hypothesis(), e)]
         blocks = [(effect, *found) for effect in effects for found in self.directions(problem, fit, effect)]
         if not blocks:
@@ -174,7 +192,7 @@ class Search:
                 i, j = np.unravel_index(np.argmax(part), part.shape)
                 found.append((part[i, j], mine[i], others[j]))
         out, plain = [], _plain(fit)
-        for _, *pair in sorted(found, reverse=True)[: 4 * count]:
+        for _, *pair in sorted(found, reverse=True)[: SOLVED_PAIRS * count]:
             values, gain = self._within(fit, [blocks[i] for i in pair])
             out.append(Score(Hypothesis(tuple(blocks[i][0].key for i in pair)), gain - plain, values))
         return sorted(out, key=lambda score: -score.gain)[:count]
@@ -184,7 +202,7 @@ class Search:
         if candidate.released:
             j = [u.symbol for u in fit.unknowns].index(candidate.released[0])
             weight, wide = fit.weight.copy(), _bounds(fit)
-            weight[j], wide[j] = 0.0, (-1e3, 1e3)
+            weight[j], wide[j] = 0.0, (-UNBOUNDED, UNBOUNDED)
             prior = float(fit.weight[j] * fit.numbers[j] ** 2)
             step, gain = _solve(fit, _nothing(fit), wide, weight)
             unknown = fit.unknowns[j]
@@ -196,11 +214,11 @@ class Search:
             yield Score(candidate, gain - plain, values)
 
     def _within(self, fit: Fit, blocks: Sequence[tuple[Effect, dict, dict, np.ndarray]]) -> tuple[dict, float]:
-        """(values, gain) of some effects in one shape each, by the linearised fit within all bounds."""
+        """(values, gain) of the linearised fit of some effects, each in one shape, within all bounds."""
         reach, columns = [], []
         for effect, _, point, made in blocks:
             strengths = effect.strengths
-            reach += [(0.0, 3.0)] if point else [(f.low / f.typical, f.high / f.typical) for f in strengths]
+            reach += [(0.0, SECANT_REACH)] if point else [(f.low / f.typical, f.high / f.typical) for f in strengths]
             columns.append(made)
         bounds = np.concatenate([_bounds(fit), reach])
         step, gain = _solve(fit, np.concatenate(columns, axis=2), bounds, fit.weight)
@@ -215,11 +233,11 @@ class Search:
             values |= {**shape, **{s: float(np.clip(v, *reach[s])) for s, v in found.items()}}
         return values, gain
 
-    def directions(self, problem: Likelihood, fit: Fit, effect: Effect) -> Iterable[tuple[dict, dict, np.ndarray]]:
-        """(shape, point, columns): in which directions an effect moves the errors, for every shape on its grid.
+    def directions(self, problem: Problem, fit: Fit, effect: Effect) -> Iterable[tuple[dict, dict, np.ndarray]]:
+        """(shape, point, columns) for every shape on the effect's grid: how the effect moves the errors there.
 
-        point: the sizes from which a secant is drawn, one column; empty where columns are slopes, one a strength.
-        columns: (windows, rows, n), the windows' shifts eliminated.
+        columns: (windows, rows, n), from which the windows' shifts are eliminated. They are slopes, one for each
+        strength, where `point` is empty; else one secant from no effect to the sizes `point`.
         """
         add = None if self._points(effect) != [{}] else problem.model.added(effect, fit.values)
         for shape in self._shapes(effect):
@@ -242,7 +260,7 @@ class Search:
         guesses = {f.symbol: f.guess for f in effect.strengths if f.guess}
         if not guesses:
             if effect.frees:
-                return [{f.symbol: f.typical * m for f in effect.free} for m in (0.3, 1.0, 3.0)]
+                return [{f.symbol: f.typical * m for f in effect.free} for m in GUESSES]
             return [{}]
         return [dict(zip(guesses, values, strict=True)) for values in product(*guesses.values())]
 
@@ -256,7 +274,7 @@ class Search:
                 if longest <= f.low:
                     return []
                 first, last = 1.0 / longest, 1.0 / f.low
-                count = max(int((last - first) * self.travel * 2 / WAVES), 4)
+                count = max(int((last - first) * self.travel * WAVES), FEWEST_WAVES)
                 grids[f.symbol] = 1.0 / np.linspace(first, last, count)
             else:
                 grids[f.symbol] = f.guess or (f.typical,)
@@ -264,9 +282,9 @@ class Search:
 
     # -- full fits ---------------------------------------------------------------------------------------------------
 
-    def base(self, problem: Likelihood) -> Fit:
-        """The plant as it stands, its parameters kept near the data sheet."""
-        return problem.fit(self.unknowns(Hypothesis(), 2.0), tempered=True, iterations=4)
+    def base(self, problem: Problem) -> Fit:
+        """The fit of the plant without any effect, its parameters near the data sheet."""
+        return problem.fit(self.unknowns(Hypothesis(), NEAR_SHEET), tempered=True, iterations=FIRST_STEPS)
 
     def fit(
         self, problem: Likelihood, hypothesis: Hypothesis, values: Mapping[str, float], shifts=None, **options
@@ -281,7 +299,7 @@ class Search:
 
 
 def _bounds(fit: Fit) -> np.ndarray:
-    """How far each unknown's number may step (k, 2)."""
+    """By how much each unknown's number may change (k, 2)."""
     bounds = np.array([(u.number(u.low), u.number(u.high)) for u in fit.unknowns]).reshape(-1, 2)
     return bounds - fit.numbers[:, None]
 
@@ -291,12 +309,12 @@ def _nothing(fit: Fit) -> np.ndarray:
 
 
 def _plain(fit: Fit) -> float:
-    """Cost that the unknowns alone still save."""
+    """The cost that the unknowns alone still save."""
     return _solve(fit, _nothing(fit), _bounds(fit), fit.weight)[1]
 
 
 def _normal(fit: Fit, columns: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normal matrix (k + n, k + n) and right side of the unknowns and of `columns`."""
+    """Normal matrix (k + n, k + n) and right side (k + n,) of the unknowns and of `columns`."""
     k = len(fit.unknowns)
     flat = np.concatenate([fit.slopes, columns], axis=2).reshape(-1, k + columns.shape[2])
     normal, right = flat.T @ flat, -(flat.T @ fit.projected.reshape(-1))
@@ -306,18 +324,21 @@ def _normal(fit: Fit, columns: np.ndarray, weight: np.ndarray) -> tuple[np.ndarr
 
 
 def pair_gains(fit: Fit, columns: np.ndarray, widths: Sequence[int]) -> np.ndarray:
-    """Cost that every two of m blocks of columns save beside the unknowns, bounds aside (m, m). widths: of blocks."""
+    """The cost that every two of m blocks of columns save beside the unknowns, without bounds (m, m).
+
+    widths: how many columns each block has.
+    """
     k, m, w = len(fit.unknowns), len(widths), max(widths)
     normal, right = _normal(fit, columns, fit.weight)
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scale = np.sqrt(np.maximum(np.diag(normal), TINY))
     normal, right = normal / np.outer(scale, scale), right / scale
-    known = np.linalg.solve(normal[:k, :k] + 1e-10 * np.eye(k), np.column_stack([normal[:k], right[:k]]))
+    known = np.linalg.solve(normal[:k, :k] + RIDGE * np.eye(k), np.column_stack([normal[:k], right[:k]]))
     normal, right = normal[k:, k:] - normal[k:, :k] @ known[:, k:-1], right[k:] - normal[k:, :k] @ known[:, -1]
     place = np.full((m, w), len(right))  # of each block's columns; a narrow block is filled up with zeros
     for i, (end, width) in enumerate(zip(np.cumsum(widths), widths, strict=True)):
         place[i, :width] = np.arange(end - width, end)
     normal, right = np.pad(normal, (0, 1)), np.pad(right, (0, 1))[place]
-    own = normal[place[:, :, None], place[:, None, :]] + 1e-10 * np.eye(w)
+    own = normal[place[:, :, None], place[:, None, :]] + RIDGE * np.eye(w)
     alone = np.einsum("mw,mw->m", right, np.linalg.solve(own, right[:, :, None])[:, :, 0])
     out = np.empty((m, m))
     for i in range(m):
@@ -329,11 +350,11 @@ def pair_gains(fit: Fit, columns: np.ndarray, widths: Sequence[int]) -> np.ndarr
 
 
 def _solve(fit: Fit, columns: np.ndarray, bounds: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, float]:
-    """(step of the unknowns and of `columns`, cost that the linearised fit saves), within `bounds` (k + n, 2)."""
+    """(step of the unknowns and of `columns`, cost that it saves): the linearised fit within `bounds` (k + n, 2)."""
     normal, right = _normal(fit, columns, weight)
-    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scale = np.sqrt(np.maximum(np.diag(normal), TINY))
     normal, right = normal / np.outer(scale, scale), right / scale
-    root = np.linalg.cholesky(normal + 1e-10 * np.eye(len(normal)))
+    root = np.linalg.cholesky(normal + RIDGE * np.eye(len(normal)))
     low, high = (bounds * scale[:, None]).T
-    found = lsq_linear(root.T, np.linalg.solve(root, right), (low - 1e-9, high + 1e-9)).x
+    found = lsq_linear(root.T, np.linalg.solve(root, right), (low - BOUND_SLACK, high + BOUND_SLACK)).x
     return found / scale, float(2 * right @ found - found @ normal @ found)

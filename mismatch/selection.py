@@ -1,44 +1,57 @@
-"""Which hypothesis a recording bears out.
+"""Which hypothesis a recording supports.
 
-Forward selection over the hypotheses of `search`; pairs, where one effect after the other leaves something; backward
-elimination; and the rivals and forms that short windows leave, compared over long ones.
+Forward selection over the hypotheses of `search`; then pairs of effects, where one effect after the other does not
+explain everything; then backward elimination. At the end longer windows compare the rivals, and the forms of effects,
+that short windows cannot tell apart.
+
+`Selection` is for a recording whose noise is stated. `coloured_selection` overrides what differs where it is not: which
+fits are proposed, what an effect must pay, and what it must predict.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
 
 import numpy as np
 
 from greygate.mismatch.effects import Effect
-from greygate.mismatch.fit import Fit, Likelihood
-from greygate.mismatch.model import BLUR
+from greygate.mismatch.fit import Fit, Problem
+from greygate.mismatch.model import BLUR, TINY
 from greygate.mismatch.search import Hypothesis, Score, Search
+from greygate.progress import Progress, silent
 
-EVIDENCE = 30.0  # of cost, robust, that an effect must save; some thirty hypotheses are tried
-EFFECTS = 3  # at most
+EVIDENCE = 30.0  # of cost, robust, that an effect must save: some thirty hypotheses are tried
+CALIBRATED = EVIDENCE / 10  # of cost: the fit without effects stops when a step gains less, for less decides nothing
+PROMISED = EVIDENCE / 3  # of cost that a linearised fit must promise, or no full fit is worth its time
+EFFECTS = 3  # in a hypothesis, at most
 STRUCTURE = 0.3  # of slow error over white error, above which structure is left
 SLOW = 0.02  # s of a mean that tells slow errors from white ones
-BLURRED = 0.2  # s of it where an effect acts by acceleration, whose jumps are known to some 20 ms
-FLOOR = 0.92  # of the count of readings: cost of a fit that leaves nothing
+BLURRED = 0.2  # s of that mean where an effect acts by acceleration, whose jumps are known to some 20 ms
+FLOOR = 0.92  # of the count of readings: the cost of a complete fit, whose unknowns take up some noise, too
 FIRST, LATER = 6, 4  # hypotheses of the first round and of later ones that are fitted in full
-STALLED = 0.1  # of what the best saves: cost above it of a fit that gave up, and is a rival too
-FAR = 0.3  # of the most promising hypothesis's gain
-NEARLY = 0.95  # of the gain that the plain form of an effect promises, that of another form counts
-OWN = 0.05  # of what can be explained, which a second effect must explain by itself where the two leave something
-PAIR = 0.5  # or of what the first effect leaves
-LEAST = 5e-3  # of what can be explained, which an effect must explain beside one that acts by acceleration
-AHEAD = 0.1  # of what it saves there, if that is below OWN, by which it must do so better than any other
+STALLED = 0.1  # of what the best saves: a fit that gave up within so much cost above the best is a rival, too
+FAR = 0.3  # of the most promising gain: below that, no hypothesis is tried beside one whose fit is complete
+NEARLY = 0.95  # of the gain that another form of an effect promises, which its plain form must promise to come first
+OWN = 0.05  # of what can be explained: a second effect must explain that much where the fit is not complete,
+PAIR = 0.5  # or so much of what the first effect leaves
+LEAST = 5e-3  # of what can be explained: an effect must explain that much beside one that acts by acceleration,
+AHEAD = 0.1  # and be better than any other by so much of what it saves, where it saves less than OWN
 NEAR, RIVALS = 0.05, 6  # of the count of readings: cost above the best; how many rivals see longer windows
+MOST_INFLATED = 20.0  # by which evidence is widened, at most: a fit that is bad everywhere would else allow no effect
+RANK = 1e-14  # of the largest singular value, below which the information on a direction is rounding
+ON_BOUND = 1e-6  # relative distance from a bound within which a value lies on it
 
 
 class Selection:
-    """Hypotheses fitted to one problem. say: called with what is being done; start: from which nothing is fitted.
+    """The hypotheses that are fitted to one problem, and the choice among them.
 
-    costs: the least of each. fits: the best of each that is possible. best: of those, by size.
+    start: the fit from which the plant without effects is fitted. costs: the least cost of each hypothesis. fits: the
+    best fit of each that is physically possible. best: the best of those fits by the size of its hypothesis.
     """
 
-    def __init__(self, search: Search, problem: Likelihood, start: Fit, say: Callable[[str], None]):
-        self.search, self.problem, self.start, self.say = search, problem, start, say
+    most = EFFECTS  # effects in a hypothesis
+
+    def __init__(self, search: Search, problem: Problem, start: Fit, progress: Progress = silent):
+        self.search, self.problem, self.start, self.progress = search, problem, start, progress
         self.costs: dict[Hypothesis, float] = {}
         self.fits: dict[Hypothesis, Fit] = {}
         self.best: dict[int, tuple[Hypothesis, Fit]] = {}
@@ -47,8 +60,7 @@ class Selection:
     def plain(self) -> Fit:
         """The calibrated plant, with nothing added."""
         shifts = self.start.shifts if self.start.problem is self.problem else None
-        enough = EVIDENCE / 10
-        fit = self.search.fit(self.problem, Hypothesis(), self.start.values, shifts, enough=enough)
+        fit = self.search.fit(self.problem, Hypothesis(), self.start.values, shifts, enough=CALIBRATED)
         self.add(Hypothesis(), fit)
         return fit
 
@@ -63,8 +75,8 @@ class Selection:
     def fit(
         self, hypothesis: Hypothesis, values: Mapping[str, float], shifts, new: Hypothesis | None = None, **options
     ):
-        """(fit of `hypothesis` from `values` on, whether what is `new` in it is physically possible)."""
-        self.say(f"fitting {hypothesis}")
+        """(fit of `hypothesis`, started at `values`; whether what is `new` in it is physically possible)."""
+        self.progress(f"fitting {hypothesis}")
         fit = self.search.fit(self.problem, hypothesis, values, shifts, **options)
         allowed = possible(self.search, new or hypothesis, fit)
         self.add(hypothesis, fit, allowed)
@@ -73,30 +85,46 @@ class Selection:
     # -- steps -------------------------------------------------------------------------------------------------------
 
     def forward(self, best: Hypothesis, current: Fit, start: Fit) -> tuple[Hypothesis, Fit]:
-        """One effect or released parameter more as long as it pays. start: where scores are taken first."""
-        while best.size < EFFECTS and not (best.size and whole(current)):
-            found = self._added(best, current, start)
-            if not found:
+        """Add one effect or released parameter after another while one pays. start: where scores are taken first."""
+        while best.size < self.most and not self.done(best, current):
+            proposals = self.proposed(best, current, start)
+            taken = next((found for found in proposals if self.pays(best, current, *found)), None)
+            if taken is None:
                 break
+            best, current = self.exchanged(*taken)
+            start = current
+        return best, current
+
+    def done(self, best: Hypothesis, current: Fit) -> bool:
+        """Whether no further effect is looked for."""
+        return best.size > 0 and complete(current)
+
+    def proposed(self, best: Hypothesis, current: Fit, start: Fit) -> Iterator[tuple[Hypothesis, Fit]]:
+        """Fits with one effect or parameter more, the most likely first: here the best one, in its best form."""
+        if found := self._added(best, current, start):
             hypothesis, fit = min(found, key=_cost)
-            if not whole(fit):
-                hypothesis, fit = self.reshape(hypothesis, fit)
-            enough = LEAST * self.explicable(self.plain) if blurred(current) else 0.0
-            if current.cost - fit.cost < max(EVIDENCE * inflation(fit), enough) or fit.held_out() > current.held_out():
-                break
-            best, current, start = hypothesis, fit, fit
+            yield (hypothesis, fit) if complete(fit) else self.reshape(hypothesis, fit)
+
+    def pays(self, best: Hypothesis, current: Fit, hypothesis: Hypothesis, fit: Fit) -> bool:
+        """Whether `hypothesis` saves enough cost over `best`, also where its parameters are not fitted."""
+        enough = LEAST * self.explicable(self.plain) if blurred(current) else 0.0
+        price = max(EVIDENCE * inflation(fit), enough)
+        return not (current.cost - fit.cost < price or fit.held_out() > current.held_out())
+
+    def exchanged(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
+        """The same after an earlier effect is replaced by one that now does better: here none is."""
         return best, current
 
     def _added(self, best: Hypothesis, current: Fit, start: Fit) -> list[tuple[Hypothesis, Fit]]:
         """`best` with each of the most promising hypotheses added."""
         ranked = alternatives(self.search, self.search.scores(self.problem, start, best))
-        self.say(f"scored {len(ranked)} hypotheses")
-        ranked = [forms for forms in ranked if forms[0].gain > EVIDENCE / 3][: LATER if best.size else FIRST]
+        self.progress(f"scored {len(ranked)} hypotheses")
+        ranked = [forms for forms in ranked if forms[0].gain > PROMISED][: LATER if best.size else FIRST]
         found: list[tuple[Hypothesis, Fit]] = []
         for forms in ranked:
             most = ranked[0][0].gain
-            if found and forms[0].gain < FAR * most and whole(min(found, key=_cost)[1]):
-                break  # one explains all, and this one promises little
+            if found and forms[0].gain < FAR * most and complete(min(found, key=_cost)[1]):
+                break  # one explains everything, and this one promises little
             for score in forms:
                 hypothesis = best.plus(score.hypothesis)
                 rival = min(map(_cost, found), default=np.inf)
@@ -110,7 +138,7 @@ class Selection:
         return found
 
     def restarted(self, hypothesis: Hypothesis, score: Score, start: Fit, worse: Fit) -> tuple[Fit, bool]:
-        """A fit worse than one with less came to a local minimum: once more, from where there is no effect."""
+        """Fit again from no effect: `worse`, which costs more than a fit with less, has ended in a local minimum."""
         effects = [self.search.effects[key] for key in score.hypothesis.effects]
         strengths = {f.symbol for effect in effects for f in effect.strengths}
         shapes = {s: v for s, v in score.values.items() if s not in strengths and not score.hypothesis.released}
@@ -119,7 +147,7 @@ class Selection:
         return better, possible(self.search, score.hypothesis, better)
 
     def reshape(self, best: Hypothesis, fit: Fit) -> tuple[Hypothesis, Fit]:
-        """Put every effect of `best` in the form in which it fits best, where another form is better by enough."""
+        """`best` with each effect in another form, where that form is better by enough."""
         for key in best.effects:
             for other, values in forms(self.search, best, fit.values, (key,)):
                 again, allowed = self.fit(other, values, fit.shifts)
@@ -128,7 +156,7 @@ class Selection:
         return best, fit
 
     def paired(self, best: Hypothesis, current: Fit, start: Fit) -> tuple[Hypothesis, Fit]:
-        """Two effects taken up together, where `best` leaves something: each alone may fit badly."""
+        """Try pairs of effects where the fit of `best` is not complete: each of the two alone may fit badly."""
         for score in self.search.pairs(self.problem, start, LATER):
             if score.hypothesis in self.costs:
                 continue
@@ -140,12 +168,12 @@ class Selection:
         return best, current
 
     def backward(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
-        """Drop effects without which the fit is as good, and a second one that explains little where much is left."""
+        """Drop effects without which the fit is as good; drop a second one that explains little where much is left."""
         changed = True
         while changed and best.size > 1:
             changed = False
             for drop in (*best.effects, *best.released):
-                less = Hypothesis(*(tuple(k for k in kind if k != drop) for kind in (best.effects, best.released)))
+                less = best.without(drop)
                 fit, _ = self.fit(less, current.values, current.shifts, rival=current.cost + EVIDENCE)
                 if fit.cost < current.cost + EVIDENCE:
                     best, current, changed = less, fit, True
@@ -153,7 +181,7 @@ class Selection:
         if best.size < 2:
             return best, current
         (single, one), (pair, two) = self.best[1], self.best.get(2, (best, current))
-        if whole(current) and not blurred(one):
+        if complete(current) and not blurred(one):
             return best, current
         saved, all_ = one.cost - two.cost, self.explicable(self.plain)
         enough = min(OWN * all_, PAIR * self.explicable(one))
@@ -162,7 +190,7 @@ class Selection:
         return (pair, two) if saved > enough else (single, one)
 
     def ahead(self, single: Hypothesis, pair: Hypothesis) -> float:
-        """Cost by which a pair fits better than `single` with any other second effect or parameter."""
+        """By how much cost `pair` is better than `single` with any other second effect or parameter."""
 
         def named(hypothesis: Hypothesis) -> set[str]:
             return {self.search.effects[key].id for key in hypothesis.effects} | set(hypothesis.released)
@@ -175,20 +203,20 @@ class Selection:
         return min(others, default=np.inf) - self.costs[pair]
 
     def explicable(self, fit: Fit) -> float:
-        """Cost that a fit could still save."""
+        """The cost that could still be saved beyond `fit`."""
         return fit.cost - floor(self.problem)
 
     def explained(self, fit: Fit) -> float:
-        """Share of what could be explained that a fit explains."""
+        """The share of what can be explained that `fit` explains."""
         return (self.plain.cost - fit.cost) / max(self.explicable(self.plain), 1.0)
 
     # -- long windows ------------------------------------------------------------------------------------------------
 
-    def over(self, final: Likelihood, best: Hypothesis, current: Fit) -> tuple["Selection", Hypothesis, Fit]:
-        """The selection over longer windows: every hypothesis that explains all, in every form, and the best of them.
+    def over(self, final: Problem, best: Hypothesis, current: Fit) -> tuple["Selection", Hypothesis, Fit]:
+        """(the selection over longer windows, the best hypothesis there, its fit).
 
-        Long windows tell forms apart that short ones do not. A further unknown costs what BIC says. A fit that gave up
-        on its way to all goes on there.
+        Long windows tell forms of an effect apart that short ones do not. So every hypothesis whose fit is complete is
+        fitted there, in every form. Each further unknown costs what BIC says. A fit that gave up on its way goes on.
         """
         saved = self.plain.cost - current.cost
 
@@ -196,13 +224,13 @@ class Selection:
             above = fit.cost - current.cost
             if not fit.converged and above < STALLED * saved:
                 return True
-            return above < min(NEAR * self.problem.count, saved / 2) and whole(fit)
+            return above < min(NEAR * self.problem.count, saved / 2) and complete(fit)
 
         rivals = {h: f for h, f in self.fits.items() if h.size == best.size and near(f)}
         rivals = {best: current, **{h: rivals[h] for h in sorted(rivals, key=lambda h: rivals[h].cost)[:RIVALS]}}
         longer = self
         if final is not self.problem:
-            longer = Selection(self.search, final, self.plain, self.say)
+            longer = Selection(self.search, final, self.plain, self.progress)
         for hypothesis, fit in rivals.items():
             for form, values in [(hypothesis, fit.values), *forms(self.search, hypothesis, fit.values)]:
                 if form not in longer.costs or (form == hypothesis and not fit.converged):
@@ -222,7 +250,7 @@ class Selection:
 
 
 def alternatives(search: Search, ranked: Iterable[Score]) -> list[list[Score]]:
-    """One list an effect or parameter, of its forms: the plain one first where it promises nearly the most."""
+    """For each effect or parameter its forms; the plain one comes first where it promises nearly the most."""
     by_name: dict[str, list[Score]] = {}
     for score in ranked:
         key = next(iter(score.hypothesis.effects), None)
@@ -238,7 +266,7 @@ def alternatives(search: Search, ranked: Iterable[Score]) -> list[list[Score]]:
 def forms(
     search: Search, hypothesis: Hypothesis, values: Mapping[str, float], keys: Iterable[str] | None = None
 ) -> Iterable[tuple[Hypothesis, dict]]:
-    """(`hypothesis` with one effect, of `keys`, in another form, values from which it is fitted)."""
+    """(`hypothesis` with one of its effects `keys` in another form, the values from which that is fitted)."""
     for key in hypothesis.effects if keys is None else keys:
         effect = search.effects[key]
         for form in search.effects.values():
@@ -248,7 +276,7 @@ def forms(
 
 
 def carried(effect: Effect, form: Effect, values: Mapping[str, float]) -> dict[str, float]:
-    """Where the parameters of another form start: at what those of the same name are in `effect`."""
+    """Where the parameters of another form start: at the values that those of the same name have in `effect`."""
     found = {f.reported: values[f.symbol] for f in effect.free if f.symbol in values}
     return {f.symbol: found.get(f.reported, f.guess[0] if f.guess else f.typical) for f in form.free}
 
@@ -257,7 +285,7 @@ def carried(effect: Effect, form: Effect, values: Mapping[str, float]) -> dict[s
 
 
 def structure(fit: Fit) -> dict[str, float]:
-    """Per channel, how much larger slow errors are than white noise would have them, less one."""
+    """Channel -> the variance of its slow errors over that of the slow part of white noise, less one."""
     problem = fit.problem
     model, channels = problem.model, problem.model.rig.predict
     projected = fit.projected[:, : problem.block * len(channels)].reshape(-1, problem.block, len(channels))
@@ -272,41 +300,41 @@ def structure(fit: Fit) -> dict[str, float]:
 
 
 def blurred(fit: Fit) -> bool:
-    """An effect of the fit acts by an acceleration that is made of a position."""
+    """Whether an effect of the fit acts by an acceleration that is derived from a recorded position."""
     return any(u.symbol == BLUR for u in fit.unknowns)
 
 
 def _fast(e: np.ndarray) -> float:
-    """Variance of what is fast in `e`."""
+    """The variance of the fast part of `e`: half that of its differences from sample to sample."""
     return float(np.mean(np.diff(e, axis=1) ** 2) / 2)
 
 
 def inflation(fit: Fit) -> float:
-    """By how much errors that depend on each other widen the evidence on the last unknown."""
-    bread = np.linalg.pinv(fit.information, hermitian=True, rcond=1e-14)
-    return float(np.clip(fit.covariance[-1, -1] / max(bread[-1, -1], 1e-300), 1.0, 20.0))
+    """The factor by which errors that depend on each other widen the evidence on the last unknown."""
+    bread = np.linalg.pinv(fit.information, hermitian=True, rcond=RANK)
+    return float(np.clip(fit.covariance[-1, -1] / max(bread[-1, -1], TINY), 1.0, MOST_INFLATED))
 
 
 def possible(search: Search, hypothesis: Hypothesis, fit: Fit) -> bool:
-    """The fit runs, no size of the effect lies on its physical bound, no overtone is larger than its wave."""
+    """Whether the fit runs, no strength lies on its physical bound, and no overtone is larger than its wave."""
     if not np.isfinite(fit.cost):
         return False
     effects = [search.effects[key] for key in hypothesis.effects]
     sizes = [[np.hypot(*(fit.values[s] for s in pair)) for pair in effect.wave.values()] for effect in effects]
     if any(overtones and max(overtones) > fundamental for fundamental, *overtones in filter(None, sizes)):
-        return False  # a wave of that overtone's own period
+        return False  # then it is a wave of the overtone's period
     free = [f for effect in effects for f in effect.strengths]
-    return not any(b and np.isclose(fit.values[f.symbol], b, rtol=1e-6) for f in free for b in (f.low, f.high))
+    return not any(b and np.isclose(fit.values[f.symbol], b, rtol=ON_BOUND) for f in free for b in (f.low, f.high))
 
 
-def whole(fit: Fit) -> bool:
-    """Nothing is left to be explained: no slow errors, or few, and no more error than the sensors make."""
+def complete(fit: Fit) -> bool:
+    """Whether a fit leaves nothing to explain: no slow errors, or few and no more error than the sensors make."""
     slow = max(structure(fit).values())
     return slow < STRUCTURE or (slow < 1.0 and fit.cost < fit.problem.count)
 
 
-def floor(problem: Likelihood) -> float:
-    """Cost of a fit that leaves nothing."""
+def floor(problem: Problem) -> float:
+    """The cost of a complete fit."""
     return problem.count * FLOOR
 
 

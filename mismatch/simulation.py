@@ -1,4 +1,4 @@
-"""The simulation by the rule of the rigs: with the data sheet, or as a diagnosis corrected it."""
+"""The simulation by the comparison rule of the rigs: with the data sheet's values, or as a diagnosis corrects it."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -50,7 +50,7 @@ def simulate(
 
 
 def read(path: Path | str) -> dict:
-    """A diagnosis.json. Raises InputError where it is none that can be simulated."""
+    """Read a diagnosis.json. Raises InputError where it cannot be simulated."""
     check(found := read_json(path, "give a diagnosis.json"))
     return found
 
@@ -62,7 +62,7 @@ UNKNOWN = named(lambda *entry: table(*entry, TERM, others=True), check_symbol)
 
 
 def _effect(value: object, where: str) -> dict:
-    """An effect that a diagnosis claims; one that it calls unknown brings its terms."""
+    """An effect that a diagnosis claims; one that is called unknown brings its own terms."""
     unknown = isinstance(value, dict) and value.get("id") == "unknown"
     needed = {"id": line, "parameters": UNKNOWN if unknown else PARAMETERS}
     return table(value, where, needed, {"form": line, "equations": listed(line)}, others=True)
@@ -73,7 +73,7 @@ ENTRIES = {"plant": line, "effects": listed(_effect), "parameters": PARAMETERS}
 
 
 def check(diagnosis: object) -> dict:
-    """What of a diagnosis.json a simulation takes. Raises InputError where that is missing or of another kind."""
+    """The part of a diagnosis.json that a simulation needs. Raises InputError where an entry is missing or wrong."""
     try:
         table(diagnosis, "diagnosis:", HEAD, others=True)  # one of another schema may have other entries
         return table(diagnosis, "diagnosis:", ENTRIES, others=True)

@@ -11,8 +11,16 @@ import pytest
 from greygate import diagnose as explain
 from greygate.mismatch.concealed import conceal
 from greygate.mismatch.concealed.valve import VALVE
+from greygate.mismatch.verdict import Verdict
 
 DRUM = 3  # seed
+
+
+@pytest.mark.parametrize("verdict", Verdict)
+def test_a_verdict_is_the_string_of_the_file_and_its_words_begin_with_its_name(verdict):
+    assert json.loads(json.dumps({"verdict": verdict})) == {"verdict": verdict.value}
+    assert Verdict(verdict.value) is verdict
+    assert verdict.words.startswith(verdict.value.replace("_", " ") + ": ")
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from greygate.mismatch import rig
 from greygate.mismatch.concealed import conceal
 from greygate.mismatch.experiments.experiment import MARGIN, Bounds, nominal
 from greygate.mismatch.experiments.isolability import isolability, typical
-from greygate.mismatch.experiments.separation import NEEDED, Free, Trial, Trials, like
+from greygate.mismatch.experiments.separation import NEEDED, FreeRun, Trial, Trials, like
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.plants.recording import Recording
 
@@ -81,7 +81,7 @@ def motor(folder: Path, text: str = RIG, low: float = 0.0) -> Path:
     (folder / "rig.toml").write_text(text)
     (folder / "effects.toml").write_text(own(low))
     t, loaded = np.arange(2000) * 5e-3, rig.load(folder)
-    real = Free(loaded, table.read(folder / "effects.toml"), {"loss": 0.1})
+    real = FreeRun(loaded, table.read(folder / "effects.toml"), {"loss": 0.1})
     shown = noisy(real, {"u": 2.0 * np.sin(2 * np.pi * 0.3 * t)})
     columns = {"t": t, **shown}
     table_ = np.column_stack(list(columns.values()))
@@ -89,7 +89,7 @@ def motor(folder: Path, text: str = RIG, low: float = 0.0) -> Path:
     return folder
 
 
-def noisy(free: Free, inputs) -> dict:
+def noisy(free: FreeRun, inputs) -> dict:
     """What the sensors show, channel -> (samples,)."""
     rng, shown = np.random.default_rng(2), free.shown(inputs)
     noise = {n: free.rig.channels[n].noise * rng.standard_normal(len(shown[n])) for n in free.rig.predict}
@@ -133,7 +133,7 @@ def drums(drum):
 
 def recorded(looked: Search, name: str, inputs) -> Recording:
     """What the rig's sensors show of `inputs` where the effect is true, of SMALL its typical size."""
-    made = Free(
+    made = FreeRun(
         looked.rig, looked.screen.model.effects, {s: SMALL * v for s, v in typical(looked.effects[name]).items()}
     )
     noise, rng = {n: made.rig.channels[n].noise for n in made.rig.predict}, np.random.default_rng(2)
@@ -225,7 +225,8 @@ def test_commands_rest_where_the_plant_stays_and_keep_their_sign(blind):
     bounds = Bounds.of(looked.rig, lifted, 1.5)
     assert bounds.low["u"] == pytest.approx(0.0)  # never below zero, so it stays
     assert bounds.rest["u"] == pytest.approx(3.0)
-    assert Free(looked.rig, model.effects, {}).settled(bounds, lifted, 0.75).rest["u"] == pytest.approx(0.0, abs=0.02)
+    rest = FreeRun(looked.rig, model.effects, {}).at_rest(bounds, lifted, 0.75).rest
+    assert rest["u"] == pytest.approx(0.0, abs=0.02)
 
 
 def test_a_diagnosis_names_the_experiment_that_tells_its_alternatives_apart(drum, tmp_path):

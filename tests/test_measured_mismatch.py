@@ -9,9 +9,9 @@ import pytest
 
 from greygate.errors import InputError
 from greygate.mismatch import effects as table
-from greygate.mismatch.coloured import Coloured, settled
+from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.diagnosis import diagnose
-from greygate.mismatch.model import FILTERS, Model
+from greygate.mismatch.model import FILTERS, Model, begun
 from greygate.mismatch.rig import load
 
 ROOT = Path(__file__).parent.parent
@@ -85,7 +85,7 @@ def test_overflow_of_the_tanks_is_named_where_a_sensor_offset_is_the_alternative
 
 def test_what_a_recording_has_anew_is_fitted_to_its_first_samples(tanks):
     model = Model(tanks, tanks.recording(tanks.folder / "holdout.csv"), {})
-    values = settled(model, {}, tanks.settle)
+    values = begun(model, {}, tanks.settle)
     assert {s for s in values if values[s] != model.values[s]} == {"h_0", "y_0"}
     first = model.target[0, 0]
     assert abs(values["y_0"] - first) < abs(model.values["y_0"] - first)

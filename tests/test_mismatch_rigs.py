@@ -137,13 +137,14 @@ def test_the_holdout_is_never_fitted(case, tmp_path):
     assert set(alone["fit"]) == {"identify"}
 
 
-def test_the_progress_of_a_diagnosis_only_grows(case, tmp_path):
+def test_a_diagnosis_says_what_it_is_doing_in_single_lines(case):
     folder, _ = case("slip")
-    shares = []
-    diagnose(load(folder), say=lambda text, share: shares.append(share))
-    assert shares[0] == 0.0
-    assert sorted(shares) == shares
-    assert shares[-1] <= 1.0
+    lines: list[str] = []
+    diagnose(load(folder), progress=lines.append)
+    assert lines[0] == "compiling the plant"
+    assert "fitting speed_slip" in lines
+    assert lines[-1] == "predicting the recordings"
+    assert all(line and "\n" not in line for line in lines)
 
 
 def test_a_diagnosis_is_written_whole_or_not_at_all(case, tmp_path):

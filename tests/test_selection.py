@@ -8,7 +8,7 @@ import pytest
 from greygate.mismatch import selection
 from greygate.mismatch.effects import Effect, Free
 from greygate.mismatch.search import Hypothesis, Score
-from greygate.mismatch.selection import EVIDENCE, FLOOR, Selection, alternatives, forms, possible, structure, whole
+from greygate.mismatch.selection import EVIDENCE, FLOOR, Selection, alternatives, complete, forms, possible, structure
 
 NOTHING, DRIFT, SLIP = Hypothesis(), Hypothesis(("drift",)), Hypothesis(("slip",))
 
@@ -27,8 +27,8 @@ def fit(cost: float, held: float = 0.0, **values: float):
 
 @pytest.fixture
 def chosen(monkeypatch):
-    """A selection whose fits are never whole, and do not hang together."""
-    for name, value in (("whole", False), ("inflation", 1.0), ("blurred", False)):
+    """A selection whose fits are never complete, and do not hang together."""
+    for name, value in (("complete", False), ("inflation", 1.0), ("blurred", False)):
         monkeypatch.setattr(selection, name, lambda fit, value=value: value)
     made = Selection(SimpleNamespace(effects=EFFECTS), SimpleNamespace(count=0), None, lambda text: None)
     made.plain = fit(1000.0, 1000.0)
@@ -142,10 +142,10 @@ def test_slow_errors_are_structure_unless_they_are_small_and_the_cost_is_that_of
     steps = np.repeat(np.random.default_rng(1).standard_normal((400, 5)), 20, axis=1)  # each lasts 20 ms
     for size, share in ((0.0, 0.0), (0.2, 0.8), (0.5, 5.0)):  # its variance, twenty times
         assert structure(left(white + size * steps, 1.0))["x"] == pytest.approx(share, abs=0.15)
-    assert whole(left(white, 1.1 * white.size))
-    assert whole(left(white + 0.2 * steps, 0.99 * white.size))
-    assert not whole(left(white + 0.2 * steps, 1.01 * white.size))
-    assert not whole(left(white + 0.5 * steps, 0.99 * white.size))
+    assert complete(left(white, 1.1 * white.size))
+    assert complete(left(white + 0.2 * steps, 0.99 * white.size))
+    assert not complete(left(white + 0.2 * steps, 1.01 * white.size))
+    assert not complete(left(white + 0.5 * steps, 0.99 * white.size))
     less = white * 0.1  # errors below the sensors' own are none
     assert structure(left(less + 0.1 * steps, 1.0))["x"] < 0.0
     assert structure(left(3.0 * white, 1.0))["x"] == pytest.approx(0.0, abs=0.15)  # larger, but as white
@@ -173,7 +173,7 @@ def test_once_an_effect_explains_all_those_that_promise_little_are_not_fitted(ch
     gains = {DRIFT: 900.0, SLIP: 500.0, Hypothesis(("creep",)): 200.0, NOTHING.plus(Hypothesis((), ("mass",))): 5.0}
     scores = [Score(h, g, {}) for h, g in gains.items()]
     chosen.search.scores = lambda *_: scores
-    monkeypatch.setattr(selection, "whole", lambda fit: explains)
+    monkeypatch.setattr(selection, "complete", lambda fit: explains)
     asked = []
 
     def fitted(hypothesis, *_, **options):
@@ -239,7 +239,7 @@ def test_over_the_same_windows_a_rival_that_gave_up_near_the_best_is_fitted_to_i
 
 def over_longer_windows(chosen, monkeypatch, costs: dict, unknowns: dict):
     """(What fits over longer windows are asked for, what is chosen of them); `costs` there, of so many unknowns."""
-    monkeypatch.setattr(selection, "whole", lambda fit: True)
+    monkeypatch.setattr(selection, "complete", lambda fit: True)
     asked, final = [], SimpleNamespace(count=1000)
 
     def made(h: Hypothesis, cost: float):

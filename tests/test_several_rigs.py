@@ -58,12 +58,10 @@ def test_they_run_where_joblib_is_told_to(drums, tmp_path):
     joblib.register_parallel_backend("watched", Watched)
     followed = []
     with joblib.parallel_config(backend="watched", n_jobs=2):
-        results = explain_all(
-            drums, out=tmp_path, html=tmp_path, follow=lambda done, name: followed.append((done, name))
-        )
+        results = explain_all(drums, out=tmp_path, html=tmp_path, progress=followed.append)
     assert len(taken) == 2
     assert verdicts(results) == {"fast": "missing_physics", "clean": "consistent"}
-    assert followed == [(1, "fast"), (2, "clean")]
+    assert followed == ["1 of 2: fast", "2 of 2: clean"]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["clean.html", "clean.json", "fast.html", "fast.json"]
     alone, lines = explain(drums[0])
     assert {**alone, "seconds": 0} == {**json.loads((tmp_path / "fast.json").read_text()), "seconds": 0}

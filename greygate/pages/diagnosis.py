@@ -11,12 +11,12 @@ from markupsafe import Markup
 
 from greygate import diagnose as explain
 from greygate.files import replacing
-from greygate.mismatch.coloured import settled
 from greygate.mismatch.diagnosis import APART, Diagnosis
 from greygate.mismatch.experiments.excitation import unseen
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.locate import signals
-from greygate.mismatch.model import Model
+from greygate.mismatch.model import Model, begun
+from greygate.mismatch.verdict import Verdict
 from greygate.pages import figures
 from greygate.pages.figures import Line, Scale
 from greygate.pages.report import BINS, envelope, shortened, templates
@@ -52,7 +52,7 @@ def page(result: Diagnosis) -> str:
     return template.render(
         d=found,
         title=result.rig.folder.resolve().name,
-        sentence=explain.VERDICTS[found["verdict"]],
+        sentence=Verdict(found["verdict"]).words,
         facts=facts(result, found),
         effects=[(e, explain.means(result, e), amounts(e["parameters"])) for e in found["effects"]],
         parameters=[(n, explain.parameter(result, n, p)) for n, p in found["parameters"].items()],
@@ -71,7 +71,7 @@ def page(result: Diagnosis) -> str:
 
 def changed(result: Diagnosis) -> bool:
     """The diagnosis corrects more than parameters inside their tolerances."""
-    return result.verdict != "consistent" and (result.best.size > 0 or bool(result.as_dict()["effects"]))
+    return result.verdict != Verdict.CONSISTENT and (result.best.size > 0 or bool(result.as_dict()["effects"]))
 
 
 def amounts(parameters: Mapping) -> list[tuple[str, explain.Amount, str]]:
@@ -97,7 +97,7 @@ def facts(result: Diagnosis, found: Mapping) -> list[tuple[str, str, bool | None
             lines.append((name, explain.parameter(result, name, p), None))
     record = "holdout" if "holdout" in found["fit"] else "identify"
     channel, rms = min(found["fit"][record].items(), key=lambda item: item[1]["corrected"] / item[1]["calibrated"])
-    factor, unit = explain.scaled(rms["unit"], rms["calibrated"])
+    factor, unit = explain.display_unit(rms["unit"], rms["calibrated"])
     was, now = (figures.number(factor * rms[kind]) for kind in ("calibrated", "corrected"))
     if changed(result):
         better = rms["corrected"] < 0.98 * rms["calibrated"]
@@ -209,10 +209,10 @@ def against(before: Residual, after: Residual | None, told: Sequence[str]) -> li
     for channel, error in before.errors.items():
         drawn = {name: binned(x, error) for name, x in before.variables.items()}
         values = np.concatenate([[0.0], *(q.ravel() for _, q in drawn.values())])
-        factor, unit = explain.scaled(before.units[channel], float(np.abs(values).max()) or 1.0)
+        factor, unit = explain.display_unit(before.units[channel], float(np.abs(values).max()) or 1.0)
         pictures = []
         for name, (middle, quartiles) in drawn.items():
-            scale, label = explain.scaled(before.units[name], float(np.abs(before.variables[name]).max()))
+            scale, label = explain.display_unit(before.units[name], float(np.abs(before.variables[name]).max()))
             x, q = middle * scale, quartiles * factor
             lines = [Line([*x, *x[::-1]], [*q[:, 0], *q[::-1, 2]], "quartiles"), Line(x, q[:, 1], "before")]
             if after is not None:
@@ -254,7 +254,7 @@ def maps(before: Residual, after: Residual | None, told: Sequence[str]) -> list[
             for title, residual in (("calibrated", before), ("corrected", after)):
                 if residual is not None:
                     pictures.append((title, pair, heat(residual, channel, pair, reach)))
-        factor, unit = explain.scaled(before.units[channel], reach)
+        factor, unit = explain.display_unit(before.units[channel], reach)
         rows.append({"channel": channel, "pictures": pictures, "reach": f"{figures.number(reach * factor)} {unit}"})
     return rows
 
@@ -278,7 +278,8 @@ def heat(residual: Residual, channel: str, pair: tuple[str, str], reach: float, 
     mean, at, edges = cells(residual, channel, pair)
     columns, rows = (len(e) - 1 for e in edges)
     signals = [residual.variables[name] for name in pair]
-    labels = [explain.scaled(residual.units[n], float(np.abs(s).max())) for n, s in zip(pair, signals, strict=True)]
+    found = zip(pair, signals, strict=True)
+    labels = [explain.display_unit(residual.units[n], float(np.abs(s).max())) for n, s in found]
     frame = figures.chart(
         [Line([e * labels[0][0] for e in edges[0][[0, -1]]], [e * labels[1][0] for e in edges[1][[0, -1]]], "none")],
         x=_label(pair[0], labels[0][1]),
@@ -309,7 +310,7 @@ def ladder(result: Diagnosis, width: int = 980) -> Markup:
     if len(result.rivals) < 2:
         return Markup("")
     best = min(result.rivals.values())
-    taken = None if result.verdict == "unexplained" else result.best
+    taken = None if result.verdict == Verdict.UNEXPLAINED else result.best
     rungs = sorted((cost - best, str(h), h == taken) for h, cost in result.rivals.items())
     rungs = [*rungs[:LADDER], *(rung for rung in rungs[LADDER:] if rung[1] == "nothing")]
     right, row, below = 70, 22, 40
@@ -361,7 +362,7 @@ def runs(result: Diagnosis) -> list[dict]:
     if not changed(result):
         del kinds["corrected"]
     skip = rig.settle if path.exists() else 0
-    predicted = {kind: model.predict(settled(model, known(model, fit), skip)) for kind, fit in kinds.items()}
+    predicted = {kind: model.predict(begun(model, known(model, fit), skip)) for kind, fit in kinds.items()}
     rows = []
     for i, channel in enumerate(rig.predict):
         target = model.target[:, i]
@@ -385,7 +386,7 @@ def run_picture(errors: Mapping[str, np.ndarray], result: Diagnosis, channel: st
     dt = result.rig.dt
     later = [e[result.rig.window or 0 :] for e in errors.values()]
     low, high = min(float(e.min()) for e in later), max(float(e.max()) for e in later)
-    factor, label = explain.scaled(result.rig.channels[channel].unit, max(-low, high))
+    factor, label = explain.display_unit(result.rig.channels[channel].unit, max(-low, high))
     lines = []
     for kind, error in errors.items():
         points = envelope(error * factor, BINS)
@@ -410,7 +411,7 @@ def zoom_picture(result: Diagnosis, target: np.ndarray, predicted: Mapping[str, 
     starts = np.arange(window or 0, len(target) - length + 1, window or max(length // 4, 1))
     first = int(starts[np.argmax(power[starts + length] - power[starts])]) if len(starts) else 0
     steps = np.arange(first, min(first + length, len(target)), max(length // 500, 1))
-    factor, label = explain.scaled(result.rig.channels[channel].unit, float(np.abs(missed[steps]).max()))
+    factor, label = explain.display_unit(result.rig.channels[channel].unit, float(np.abs(missed[steps]).max()))
     times = (steps * dt).tolist()
     lines = [Line(times, shortened(missed[steps] * factor), "reference")]
     if "corrected" in predicted:

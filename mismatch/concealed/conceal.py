@@ -1,7 +1,9 @@
 """Recordings of a rig with something concealed in it, and the score of a diagnosis against what was concealed.
 
-A diagnosis must not hang on one formula: half of the seeds use the standard form of an effect, half its variant, here
-after the slashes ("same": there is one form).
+This is an independent second implementation on purpose: the head of the package says why.
+
+A diagnosis must not depend on one formula. So half of the seeds use the standard form of an effect, and half its
+variant, which stands after the slashes here ("same": there is one form).
 
     valve and pump
     internal, cylinder, external leakage   c dp // c dp / sqrt(1 + |dp| / 8 MPa)
@@ -51,14 +53,19 @@ from greygate.table import read_table
 
 from .line import BELT, DRUM
 from .pump import PUMP
-from .rig import SAMPLE_TIME, Columns, Rig, calibrate, errors, rms
+from .rig import SAMPLE_TIME, Columns, ConcealedRig, calibrate, errors, rms
 from .valve import VALVE
 
-RIGS: dict[str, Rig] = {rig.plant: rig for rig in (VALVE, PUMP, BELT, DRUM)}
+RIGS: dict[str, ConcealedRig] = {rig.plant: rig for rig in (VALVE, PUMP, BELT, DRUM)}
 KINDS = {"clean": 0.15, "parameter": 0.1, "one": 0.5, "two": 0.1, "foreign": 0.15}
 LEAST = {"two": 0.4, "foreign": 0.3}  # where the sizes begin, of their range: a pair or an unknown is to be seen
 RECORDINGS = {"identify": 20.0, "holdout": 8.0, "third": 8.0}  # seconds
 CLAIM = {"verdict": line, "effects": listed(anything), "where": listed(anything), "parameters": named(anything)}
+OFF_TOLERANCES = 3, 6  # by how many tolerances a wrong parameter is off
+FARTHEST_DOWN = 0.7  # of its value: a parameter that is off by more is larger than the data sheet's, not smaller
+BARE = 0.1  # of the rigs have none of their `optional` parameters
+EVERY = 8  # of the windows is seen by the generator's own calibration
+NOISE = (0.6, 1.6)  # times the usual noise of a rig's outputs
 DECIMALS = {"V": 5, "m": 7, "rev/s": 4, "Pa": 0}
 
 
@@ -89,19 +96,11 @@ def conceal(plant: str, seed: int, out: Path, *, effect: str | None = None, kind
     values = {name: known[name].draw(rng, LEAST.get(kind, 0.0)) for name in names}
     concealed = {key: value for drawn in values.values() for key, value in drawn.items()}
     missing = {key for name in names for key in known[name].without}
-    missing |= set(rig.optional) if rng.uniform() < 0.1 else set()
+    missing |= set(rig.optional) if rng.uniform() < BARE else set()
     datasheet = {key: value for key, value in rig.parameters.items() if key not in missing}
     rig = replace(rig, tolerance={key: value for key, value in rig.tolerance.items() if key in datasheet})
 
-    true = dict(datasheet)
-    for name, tolerance in rig.tolerance.items():
-        true[name] *= 1 + np.clip(rng.normal(0, tolerance / 2), -tolerance, tolerance)
-    off = None
-    if kind == "parameter":
-        off = str(rng.choice(list(rig.tolerance)))
-        change = rng.uniform(3, 6) * rig.tolerance[off]
-        true[off] = datasheet[off] * (1 + (change if change > 0.7 else change * rng.choice([-1.0, 1.0])))
-
+    true, off = _true(rig, datasheet, kind, rng)
     recordings = {}
     for name, seconds in RECORDINGS.items():
         signals = rig.record(true, concealed, form, seconds, rng)
@@ -131,6 +130,21 @@ def conceal(plant: str, seed: int, out: Path, *, effect: str | None = None, kind
         (folder / "sealed.json").write_text(sealed)
         (folder / "sealed.json.sha256").write_text(f"{hashlib.sha256(sealed.encode()).hexdigest()}  sealed.json\n")
     return Path(out)
+
+
+def _true(
+    rig: ConcealedRig, datasheet: dict[str, float], kind: str, rng: np.random.Generator
+) -> tuple[dict[str, float], str | None]:
+    """(the rig's true parameters, the one of them that lies outside its tolerance)."""
+    true = dict(datasheet)
+    for name, tolerance in rig.tolerance.items():
+        true[name] *= 1 + np.clip(rng.normal(0, tolerance / 2), -tolerance, tolerance)
+    if kind != "parameter":
+        return true, None
+    off = str(rng.choice(list(rig.tolerance)))
+    change = rng.uniform(*OFF_TOLERANCES) * rig.tolerance[off]
+    true[off] = datasheet[off] * (1 + (change if change > FARTHEST_DOWN else change * rng.choice([-1.0, 1.0])))
+    return true, off
 
 
 def reveal(folder: Path, diagnosis: Path, predicted: dict[str, Path] | None = None) -> dict:
@@ -242,11 +256,17 @@ def _relative(fit: dict[str, float], third: dict) -> float:
 
 
 def _fits(
-    rig: Rig, recordings: dict[str, Columns], datasheet: dict, bare: dict, true: dict, concealed: dict, form: float
+    rig: ConcealedRig,
+    recordings: dict[str, Columns],
+    datasheet: dict,
+    bare: dict,
+    true: dict,
+    concealed: dict,
+    form: float,
 ) -> dict:
     """Fit of datasheet, calibrated and true simulation on `third`, and what is concealed does there beside `bare`."""
     third = recordings["third"]
-    calibrated = calibrate(rig, recordings["identify"], datasheet, every=8)
+    calibrated = calibrate(rig, recordings["identify"], datasheet, every=EVERY)
     fits = {
         "simulation": errors(rig, third, datasheet, {}, 0.0),
         "calibrated": errors(rig, third, calibrated, {}, 0.0),
@@ -255,21 +275,21 @@ def _fits(
     without = errors(rig, third, bare, {}, 0.0)
     fit = {c.name: {key: rms(e[c.name]) for key, e in fits.items()} | {"unit": c.unit} for c in rig.predicted}
     strength = {c.name: rms(fits["true"][c.name] - without[c.name]) / c.error for c in rig.predicted}
-    whole = _relative({name: values["calibrated"] for name, values in fit.items()}, fit)
+    calibrated_error = _relative({name: values["calibrated"] for name, values in fit.items()}, fit)
     return {
         "strength": strength,
-        "removable": max(0.0, 1 - 1 / whole) if concealed or bare != true else 0.0,
+        "removable": max(0.0, 1 - 1 / calibrated_error) if concealed or bare != true else 0.0,
         "third": fit,
     }
 
 
-def _rig(plant: str) -> Rig:
+def _rig(plant: str) -> ConcealedRig:
     if plant not in RIGS:
         raise InputError(f"conceal: no plant {plant!r}; there are {', '.join(RIGS)}")
     return RIGS[plant]
 
 
-def _kind(rig: Rig, kind: str, effect: str | None, rng: np.random.Generator) -> str:
+def _kind(rig: ConcealedRig, kind: str, effect: str | None, rng: np.random.Generator) -> str:
     if kind not in (*KINDS, "any"):
         raise InputError(f"conceal: no kind {kind!r}; there are {', '.join(KINDS)} and any")
     drawn = str(rng.choice(list(KINDS), p=list(KINDS.values())))
@@ -284,7 +304,7 @@ def _kind(rig: Rig, kind: str, effect: str | None, rng: np.random.Generator) -> 
     return fitting[0] if kind == "any" else kind
 
 
-def _effects(rig: Rig, kind: str, effect: str | None, rng: np.random.Generator) -> list[str]:
+def _effects(rig: ConcealedRig, kind: str, effect: str | None, rng: np.random.Generator) -> list[str]:
     """Names of what is concealed: as many as the kind says, no two that are one claim."""
     if kind in ("clean", "parameter"):
         return []
@@ -295,9 +315,9 @@ def _effects(rig: Rig, kind: str, effect: str | None, rng: np.random.Generator) 
     return names
 
 
-def _sensors(rig: Rig, rng: np.random.Generator) -> Rig:
-    """The rig with outputs of its own quality: noise between 0.6 and 1.6 of the usual."""
-    factor = float(f"{np.exp(rng.uniform(np.log(0.6), np.log(1.6))):.2f}")
+def _sensors(rig: ConcealedRig, rng: np.random.Generator) -> ConcealedRig:
+    """The rig with outputs of its own quality: noise between NOISE times the usual."""
+    factor = float(f"{np.exp(rng.uniform(*np.log(NOISE))):.2f}")
     noisy = tuple(replace(c, noise=c.noise * factor) if c.role == "output" else c for c in rig.channels)
     return replace(rig, channels=noisy)
 
@@ -317,7 +337,7 @@ def _union(tuples) -> list[str]:
     return list(dict.fromkeys(name for names in tuples for name in names))
 
 
-def _toml(rig: Rig, datasheet: dict[str, float]) -> str:
+def _toml(rig: ConcealedRig, datasheet: dict[str, float]) -> str:
     """`rig.toml` as the shared campaigns lay it out."""
     lines = [f'plant = "{rig.plant}"', "sample_time_s = 0.001"]
     lines += [f"window_s = {rig.window}"] if rig.window else []
@@ -336,7 +356,7 @@ def _toml(rig: Rig, datasheet: dict[str, float]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _write(path: Path, rig: Rig, columns: Columns) -> None:
+def _write(path: Path, rig: ConcealedRig, columns: Columns) -> None:
     table = np.column_stack(
         [np.arange(len(columns[rig.channels[0].name])) * SAMPLE_TIME, *(columns[c.name] for c in rig.channels)]
     )
@@ -350,13 +370,13 @@ def _read(path: Path) -> Columns:
 
 
 def sealed(folder: Path) -> dict:
-    """The answer in `folder`, if its seal is whole."""
+    """The answer in `folder`, if its seal is unbroken."""
     path = folder / "sealed.json"
     try:
         seal = contents(folder / "sealed.json.sha256").decode().split()[0]
-        whole = hashlib.sha256(contents(path)).hexdigest() == seal
+        unbroken = hashlib.sha256(contents(path)).hexdigest() == seal
     except (OSError, ValueError, IndexError):
         raise InputError(f"{folder}: holds no sealed answer; make the folder with greygate conceal") from None
-    if not whole:
+    if not unbroken:
         raise InputError(f"{path}: is not what was sealed (SHA-256 differs); make the case again")
     return read_json(path, "make the case again")

@@ -5,9 +5,18 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from .rig import SAMPLE_TIME, Channel, Columns, Effect, Rig, motion, smoothed_difference
+from .rig import SAMPLE_TIME, Columns, ConcealedRig, HiddenEffect, Sensor, motion, smoothed_difference
 
-FINE = 10  # steps of the true motion a recorded sample
+FINE = 10  # steps of the true motion in a recorded sample
+HALF = 8  # samples on either side, over which a recorded speed or acceleration is taken
+TRAVELLED, SPEEDS = (0.5, 1.0), (0.6, 1.0)  # of the travel and of the highest speed, by the draw
+HARMONIC = 0.1  # of the variant: the second harmonic of a sine, over the sine
+STRETCHING, WARMING, DRIFTING = 0.005, 30, 40  # s, of the variants: in which the belt stretches, growth and drift end
+DRAGGED = 0.4  # m: where the guide drags on the belt no more
+SLIPPING = 0.02  # s, of the variant: in which slip follows speed and acceleration
+CREEP = 2e-4  # the data sheet's creep, to which the variant's slip is in proportion
+SLOW_SHARE, SLOWER = 0.5, 3  # of the variant: the share of the wind-up that relaxes more slowly, and how much so
+CABLE = 0.8  # m of cable at the beginning
 TURN = 2 * np.pi
 PHASE = (0.0, TURN)
 WHERE = ("transmission",)
@@ -70,20 +79,20 @@ def _belt(x, v, a, dt, plant, e):
         error = plant.offset + band * h + g
         error += e.ripple * np.sin(turn * x[k] / e.pitch + e.ripple_phase)
         if e.form:  # variant: teeth and pulleys are not quite sinusoidal
-            error += 0.1 * e.ripple * np.sin(2 * turn * x[k] / e.pitch + e.ripple_phase)
-            error += 0.1 * e.guide * np.sin(2 * turn * x[k] / e.guide_period)
+            error += HARMONIC * e.ripple * np.sin(2 * turn * x[k] / e.pitch + e.ripple_phase)
+            error += HARMONIC * e.guide * np.sin(2 * turn * x[k] / e.guide_period)
         error += e.ecc * np.sin(turn * x[k] / e.pulley_rev + e.ecc_phase)
         error += e.guide * np.sin(turn * x[k] / e.guide_period + e.guide_phase)
-        # variant: the belt is damped, the stretch follows through 5 ms
-        bend += min(dt / 0.005, 1.0) * (-e.inertia * a[k] - bend) if e.form else -e.inertia * a[k] - bend
+        # variant: the belt is damped, and the stretch follows later
+        bend += min(dt / STRETCHING, 1.0) * (-e.inertia * a[k] - bend) if e.form else -e.inertia * a[k] - bend
         error += bend
         t = k * dt
-        error += e.thermal * x[k] * (30 * (1 - np.exp(-t / 30)) if e.form else t)
-        error += e.drift * (40 * (1 - np.exp(-t / 40)) if e.form else t)
+        error += e.thermal * x[k] * (WARMING * (1 - np.exp(-t / WARMING)) if e.form else t)
+        error += e.drift * (DRIFTING * (1 - np.exp(-t / DRIFTING)) if e.form else t)
         error += e.scale * x[k]
         error += e.bump * np.exp(-(((x[k] - e.bump_at) / e.bump_width) ** 2))
         error -= e.speed_stretch * np.sign(v[k]) * max(abs(v[k]) - e.speed_from, 0.0)
-        error -= e.drag * v[k] * (0.4 - x[k])
+        error -= e.drag * v[k] * (DRAGGED - x[k])
         y[k] = x[k] + error
     return y
 
@@ -126,22 +135,22 @@ def _drum(x, v, a, dt, plant, e):
     turn = 2 * np.pi
     for k in range(len(x)):
         dx = x[k] - x[k - 1] if k else 0.0
-        # variant: slip follows speed and acceleration through 20 ms
-        fast = fast + min(dt / 0.02, 1.0) * (abs(v[k]) - fast) if e.form else abs(v[k])
-        hard = hard + min(dt / 0.02, 1.0) * (abs(a[k]) - hard) if e.form else abs(a[k])
-        # variant: the extra slip is in proportion to the creep, whose datasheet value is 2e-4
-        back = e.asym * (plant.creep / 2e-4 if e.form else 1.0) if dx < 0 else 0.0
+        # variant: slip follows speed and acceleration later
+        fast = fast + min(dt / SLIPPING, 1.0) * (abs(v[k]) - fast) if e.form else abs(v[k])
+        hard = hard + min(dt / SLIPPING, 1.0) * (abs(a[k]) - hard) if e.form else abs(a[k])
+        # variant: the extra slip is in proportion to the creep
+        back = e.asym * (plant.creep / CREEP if e.form else 1.0) if dx < 0 else 0.0
         slip += (plant.creep + back + e.speed_slip * fast + e.accel_slip * hard) * dx
         # variant: half of the wind-up relaxes three times more slowly
-        share = 0.5 if e.form else 1.0
+        share = SLOW_SHARE if e.form else 1.0
         wound += share * e.rest_relax * dx - dt * wound / e.rest_time
-        slow += (1 - share) * e.rest_relax * dx - dt * slow / (3 * e.rest_time)
+        slow += (1 - share) * e.rest_relax * dx - dt * slow / (SLOWER * e.rest_time)
         t = k * dt
         error = slip + wound + slow + e.ecc * (np.sin(x[k] / plant.radius + e.ecc_phase) - np.sin(e.ecc_phase))
         if e.form:
-            error += 0.1 * e.ecc * np.sin(2 * x[k] / plant.radius)
-        error += e.drift * (40 * (1 - np.exp(-t / 40)) if e.form else t)
-        error -= e.stretch * a[k] * (e.length + x[k] if e.form else 0.8 - x[k])
+            error += HARMONIC * e.ecc * np.sin(2 * x[k] / plant.radius)
+        error += e.drift * (DRIFTING * (1 - np.exp(-t / DRIFTING)) if e.form else t)
+        error -= e.stretch * a[k] * (e.length + x[k] if e.form else CABLE - x[k])
         error += e.winding * x[k] * x[k] + (e.step if x[k] > e.step_at else 0.0)
         error += e.warmth * (np.sin(turn * t / e.cycle + e.cycle_phase) - np.sin(e.cycle_phase))
         y[k] = x[k] + error
@@ -153,8 +162,8 @@ def _pair(kernel, plant, effects, motor: str, motions: tuple[float, float, float
 
     def record(parameters, extra, form, seconds, rng) -> Columns:
         dt = SAMPLE_TIME / FINE
-        travel = rng.uniform(0.5, 1.0) * motions[0]
-        x, v, a = motion(rng, seconds + SAMPLE_TIME, dt, travel, rng.uniform(0.6, 1.0) * motions[1], motions[2])
+        travel = rng.uniform(*TRAVELLED) * motions[0]
+        x, v, a = motion(rng, seconds + SAMPLE_TIME, dt, travel, rng.uniform(*SPEEDS) * motions[1], motions[2])
         x, v, a = (np.concatenate([np.zeros(1), s]) for s in (x, v, a))
         y = kernel(x, v, a, dt, plant(**parameters), effects(form=form, **extra))
         samples = round(seconds / SAMPLE_TIME) + 1
@@ -162,24 +171,24 @@ def _pair(kernel, plant, effects, motor: str, motions: tuple[float, float, float
 
     def predict(columns, parameters, extra, form, every=1) -> Columns:
         x = columns[motor]
-        v = smoothed_difference(x, 8)
-        a = smoothed_difference(v, 8)
+        v = smoothed_difference(x, HALF)
+        a = smoothed_difference(v, HALF)
         return {"x_load": kernel(x, v, a, SAMPLE_TIME, plant(**parameters), effects(form=form, **extra))}
 
     return record, predict
 
 
-def _effect(sizes: dict, on: str, others: dict | None = None, **options) -> Effect:
-    return Effect(WHERE, tuple(on.split()), sizes, others or {}, **options)
+def _effect(sizes: dict, on: str, others: dict | None = None, **options) -> HiddenEffect:
+    return HiddenEffect(WHERE, tuple(on.split()), sizes, others or {}, **options)
 
 
 _belt_record, _belt_predict = _pair(_belt, Belt, BeltEffects, "x_motor", (0.30, 0.07, 0.2))
-BELT = Rig(
+BELT = ConcealedRig(
     plant="belt_drive",
     parameters={"band": 0.00015, "closing": 0.004, "play": 6e-05, "offset": 0.0},
     tolerance={"band": 0.08, "closing": 0.15, "play": 0.08},
     places={"band": WHERE, "closing": WHERE, "play": WHERE},
-    channels=(Channel("x_motor", "m", "input", resolution=1e-6), Channel("x_load", "m", "output", noise=1e-6)),
+    channels=(Sensor("x_motor", "m", "input", resolution=1e-6), Sensor("x_load", "m", "output", noise=1e-6)),
     window=None,
     optional=("play",),
     record=_belt_record,
@@ -203,12 +212,12 @@ BELT = Rig(
 )
 
 _drum_record, _drum_predict = _pair(_drum, Drum, DrumEffects, "x_drum", (0.60, 0.12, 0.3))
-DRUM = Rig(
+DRUM = ConcealedRig(
     plant="cable_drum",
     parameters={"radius": 0.025, "creep": 0.0002},
     tolerance={"creep": 0.25},
     places={"creep": WHERE},
-    channels=(Channel("x_drum", "m", "input", resolution=2e-6), Channel("x_load", "m", "output", noise=1e-6)),
+    channels=(Sensor("x_drum", "m", "input", resolution=2e-6), Sensor("x_load", "m", "output", noise=1e-6)),
     window=None,
     record=_drum_record,
     predict=_drum_predict,

@@ -6,11 +6,26 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from .cylinder import bulk, held, reference, seep, stribeck
-from .rig import SAMPLE_TIME, Channel, Columns, Effect, Rig, smoothed_difference
+from .cylinder import HALF, QUANTUM, SIGN_SPEED, STOP, WEIGHTS, WINDOW, bulk, command_at, reference, seep, stribeck
+from .rig import SAMPLE_TIME, Columns, ConcealedRig, HiddenEffect, Sensor, smoothed_difference
 
 FINE, COARSE = 25, 16  # steps a sample: the true rig, a simulation of it
 OFFSETS = -1.2294  # lambda: offset speed of pump 1 over that of pump 2
+STAGES = 5  # of Runge-Kutta 4: four slopes, and a state between
+LOSS_PRESSURE = 1e7  # Pa, at which `disp_loss` is the share of the displacement that is lost
+AHEAD = 0.5  # rad, of the variant: by which the ripple of pump 1 goes before that of pump 2
+LAMINAR = 1e5  # Pa, of the variant: below which the turbulent leak is laminar; the standard form's 1 Pa only avoids 0/0
+BEGIN_A, BEGIN_B = 5e6, 6e6  # Pa
+BIAS = 0.3, 2  # of the offset, between which the controller of the pressures may set it
+FASTEST = 7.0  # rev/s, that the controller of the position commands
+SIGNALS = ("n_1", "n_2", "x", "p_a", "p_b")
+
+# the controllers, by the draw
+REACH, QUICK = 0.032, (8, 25)  # m and rad/s of the reference
+TOTAL = (16e6, 36e6)  # Pa, of the sum of the pressures
+REGULATED = 0.5  # of the rigs control that sum
+SUM_GAIN, SUM_RESET = (2e-8, 8e-8), (2e-8, 2e-7)  # rev/s per Pa, rev/s per Pa and s
+GAIN = (150, 350)  # rev/s per m
 P_A, P_B, X, V, BRISTLE, TURN_1, TURN_2, N_1, N_2, M_1, M_2, SENSED, STATES = range(13)
 
 
@@ -79,16 +94,21 @@ def _slopes(s, n_1, n_2, t, p, e, d):
 
     # the loss grows with the pressure across each pump; variant: with p_a for both
     high = p_a if variant else abs(p_a - p_b)
-    other = e.ripple_phase + (0.5 if variant else 0.0)
-    flow_1 = p.displacement * n_1 * (1 - e.disp_loss * p_a / 1e7) * _pulse(s[TURN_1], e.ripple, e.teeth, other)
+    other = e.ripple_phase + (AHEAD if variant else 0.0)
+    flow_1 = (
+        p.displacement * n_1 * (1 - e.disp_loss * p_a / LOSS_PRESSURE) * _pulse(s[TURN_1], e.ripple, e.teeth, other)
+    )
     flow_2 = (
-        p.displacement * n_2 * (1 - e.disp_loss * high / 1e7) * _pulse(s[TURN_2], e.ripple, e.teeth, e.ripple_phase)
+        p.displacement
+        * n_2
+        * (1 - e.disp_loss * high / LOSS_PRESSURE)
+        * _pulse(s[TURN_2], e.ripple, e.teeth, e.ripple_phase)
     )
     drop = p_a - p_b
     c_i = p.c_i * (1 + e.warming * t)
     back = c_i * drop
-    if e.c_turb > 0:  # variant: laminar below 0.1 MPa
-        back += e.c_turb * drop / np.sqrt(abs(drop) + (1e5 if variant else 1.0))
+    if e.c_turb > 0:  # variant: laminar at small pressures
+        back += e.c_turb * drop / np.sqrt(abs(drop) + (LAMINAR if variant else 1.0))
     across = seep(e.c_cyl, drop, variant)
     q_a = flow_2 - back - p.c_ea * p_a + flow_1 - c_i * p_a - p.c_ea * p_a
     q_b = flow_2 - back + p.c_eb * p_b
@@ -102,7 +122,7 @@ def _slopes(s, n_1, n_2, t, p, e, d):
     d[BRISTLE] = v - abs(v) * s[BRISTLE] * p.sigma0 / level
     friction = p.sigma0 * s[BRISTLE] + p.sigma1 * d[BRISTLE] + p.sigma2 * v
     if e.f_position > 0:
-        friction += e.f_position * abs(x) * np.tanh(v / 0.003)
+        friction += e.f_position * abs(x) * np.tanh(v / SIGN_SPEED)
     d[X] = v
     pull = p.viscous * v + p.mass * p.gravity + friction + e.f_load
     d[V] = (p.area_a * p_a - p.area_b * p_b - pull) / p.mass
@@ -110,23 +130,23 @@ def _slopes(s, n_1, n_2, t, p, e, d):
 
 @njit(cache=True)
 def _step(s, n_1, n_2, t, dt, p, e, work):
-    """One step of Runge-Kutta 4, then the limits of pressures and stroke. work: (5, STATES)."""
+    """One step of Runge-Kutta 4, then the limits of pressures and stroke. work: (STAGES, STATES)."""
     k1, k2, k3, k4, mid = work[0], work[1], work[2], work[3], work[4]
     _slopes(s, n_1, n_2, t, p, e, k1)
     for n in range(STATES):
-        mid[n] = s[n] + 0.5 * dt * k1[n]
-    _slopes(mid, n_1, n_2, t + 0.5 * dt, p, e, k2)
+        mid[n] = s[n] + HALF * dt * k1[n]
+    _slopes(mid, n_1, n_2, t + HALF * dt, p, e, k2)
     for n in range(STATES):
-        mid[n] = s[n] + 0.5 * dt * k2[n]
-    _slopes(mid, n_1, n_2, t + 0.5 * dt, p, e, k3)
+        mid[n] = s[n] + HALF * dt * k2[n]
+    _slopes(mid, n_1, n_2, t + HALF * dt, p, e, k3)
     for n in range(STATES):
         mid[n] = s[n] + dt * k3[n]
     _slopes(mid, n_1, n_2, t + dt, p, e, k4)
     for n in range(STATES):
-        s[n] += dt / 6 * (k1[n] + 2 * k2[n] + 2 * k3[n] + k4[n])
+        s[n] += dt / WEIGHTS * (k1[n] + 2 * k2[n] + 2 * k3[n] + k4[n])
     s[P_A], s[P_B] = max(s[P_A], 0.0), max(s[P_B], 0.0)
-    if abs(s[X]) > 0.0499:
-        s[X] = np.sign(s[X]) * 0.0499
+    if abs(s[X]) > STOP:
+        s[X] = np.sign(s[X]) * STOP
         s[V] = 0.0
 
 
@@ -138,17 +158,17 @@ def _record(target, gain, offset, total, gain_sum, reset_sum, p, e, fine):
     gains may be zero.
     """
     samples = len(target)
-    out, n_1, n_2 = np.empty((5, samples)), np.empty(samples), np.empty(samples)
-    s, work = np.zeros(STATES), np.empty((5, STATES))
-    s[P_A], s[P_B], s[SENSED] = 5e6, 6e6, 6e6
+    out, n_1, n_2 = np.empty((len(SIGNALS), samples)), np.empty(samples), np.empty(samples)
+    s, work = np.zeros(STATES), np.empty((STAGES, STATES))
+    s[P_A], s[P_B], s[SENSED] = BEGIN_A, BEGIN_B, BEGIN_B
     ratio = p.area_a / p.area_b - 1
     summed = 0.0
     for k in range(samples):
         short = total - s[P_A] - s[P_B]
-        summed += reset_sum * 1e-3 * short
-        bias = min(max(offset + gain_sum * short + summed, 0.3 * offset), 2 * offset)
+        summed += reset_sum * SAMPLE_TIME * short
+        bias = min(max(offset + gain_sum * short + summed, BIAS[0] * offset), BIAS[1] * offset)
         n_20 = bias / (OFFSETS - ratio)
-        moving = min(max(gain * (target[k] - 5e-6 * np.round(s[X] / 5e-6)), -7.0), 7.0)
+        moving = min(max(gain * (target[k] - QUANTUM * np.round(s[X] / QUANTUM)), -FASTEST), FASTEST)
         n_2[k], n_1[k] = moving + n_20, ratio * moving + OFFSETS * n_20
         if k == 0:
             s[N_1] = s[M_1] = n_1[0]
@@ -156,9 +176,9 @@ def _record(target, gain, offset, total, gain_sum, reset_sum, p, e, fine):
         out[0, k], out[1, k], out[2, k], out[3, k] = n_1[k] + e.n1_offset * np.sign(n_1[k]), n_2[k], s[X], s[P_A]
         out[4, k] = s[SENSED] if e.pb_lag > 0 else s[P_B]
         for n in range(fine):
-            into = n * 1e-3 / fine
-            first, second = held(n_1, k, into, e.delay), held(n_2, k, into, e.delay)
-            _step(s, first, second, k * 1e-3 + into, 1e-3 / fine, p, e, work)
+            into = n * SAMPLE_TIME / fine
+            first, second = command_at(n_1, k, into, e.delay), command_at(n_2, k, into, e.delay)
+            _step(s, first, second, k * SAMPLE_TIME + into, SAMPLE_TIME / fine, p, e, work)
     return out
 
 
@@ -166,24 +186,24 @@ def _record(target, gain, offset, total, gain_sum, reset_sum, p, e, fine):
 def _predict(n_1, n_2, x, p_a, p_b, speed, window, every, p, e, fine):
     """Simulated x, p_a, p_b (3, samples): restarted from the record every `window` samples, NaN in windows left out."""
     samples = len(n_1)
-    out = np.full((3, samples), np.nan)
-    s, work = np.zeros(STATES), np.empty((5, STATES))
+    out = np.full((len(SIGNALS[2:]), samples), np.nan)
+    s, work = np.zeros(STATES), np.empty((STAGES, STATES))
     n_1 = n_1 - e.n1_offset * np.sign(n_1)
-    turn_1, turn_2 = np.cumsum(n_1) * 1e-3, np.cumsum(n_2) * 1e-3
+    turn_1, turn_2 = np.cumsum(n_1) * SAMPLE_TIME, np.cumsum(n_2) * SAMPLE_TIME
     for start in range(0, samples, window * every):
         s[P_A], s[P_B], s[SENSED] = p_a[start], p_b[start], p_b[start]
         s[X], s[V] = x[start], speed[start]
         s[BRISTLE] = np.sign(s[V]) * stribeck(s[V], p.f_coulomb, p.f_static, p.v_stribeck) / p.sigma0
-        s[N_1] = s[M_1] = held(n_1, start, 0.0, e.delay)
-        s[N_2] = s[M_2] = held(n_2, start, 0.0, e.delay)
-        s[TURN_1], s[TURN_2] = turn_1[start] - n_1[start] * 1e-3, turn_2[start] - n_2[start] * 1e-3
+        s[N_1] = s[M_1] = command_at(n_1, start, 0.0, e.delay)
+        s[N_2] = s[M_2] = command_at(n_2, start, 0.0, e.delay)
+        s[TURN_1], s[TURN_2] = turn_1[start] - n_1[start] * SAMPLE_TIME, turn_2[start] - n_2[start] * SAMPLE_TIME
         for k in range(start, min(start + window, samples)):
             out[0, k], out[1, k] = s[X], s[P_A]
             out[2, k] = s[SENSED] if e.pb_lag > 0 else s[P_B]
             for n in range(fine):
-                into = n * 1e-3 / fine
-                first, second = held(n_1, k, into, e.delay), held(n_2, k, into, e.delay)
-                _step(s, first, second, k * 1e-3 + into, 1e-3 / fine, p, e, work)
+                into = n * SAMPLE_TIME / fine
+                first, second = command_at(n_1, k, into, e.delay), command_at(n_2, k, into, e.delay)
+                _step(s, first, second, k * SAMPLE_TIME + into, SAMPLE_TIME / fine, p, e, work)
     return out
 
 
@@ -200,31 +220,33 @@ def _offset(p: Pump, e: PumpEffects, total: float) -> float:
 
 def record(parameters: dict, extra: dict, form: float, seconds: float, rng: np.random.Generator) -> Columns:
     """True signals of one campaign from mid-stroke, 5 and 6 MPa, `seconds` + one sample long."""
-    target = reference(rng, round(seconds / SAMPLE_TIME) + 1, 0.032, (8, 25))
+    target = reference(rng, round(seconds / SAMPLE_TIME) + 1, REACH, QUICK)
     p, e = Pump(**parameters), PumpEffects(form=form, **extra)
-    total = rng.uniform(16e6, 36e6)
-    regulated = float(rng.uniform() < 0.5)
-    gains = regulated * rng.uniform(2e-8, 8e-8), regulated * rng.uniform(2e-8, 2e-7)
-    out = _record(target, rng.uniform(150, 350), _offset(p, e, total), total, *gains, p, e, FINE)
-    return dict(zip(("n_1", "n_2", "x", "p_a", "p_b"), out, strict=True))
+    total = rng.uniform(*TOTAL)
+    regulated = float(rng.uniform() < REGULATED)
+    gains = regulated * rng.uniform(*SUM_GAIN), regulated * rng.uniform(*SUM_RESET)
+    out = _record(target, rng.uniform(*GAIN), _offset(p, e, total), total, *gains, p, e, FINE)
+    return dict(zip(SIGNALS, out, strict=True))
 
 
 def predict(columns: Columns, parameters: dict, extra: dict, form: float, every: int = 1) -> Columns:
-    """x, p_a, p_b by the comparison rule: restarted every 0.25 s from the recorded state."""
+    """x, p_a, p_b by the comparison rule: restarted every WINDOW samples from the recorded state."""
     speed = smoothed_difference(columns["x"])
-    signals = (columns[name] for name in ("n_1", "n_2", "x", "p_a", "p_b"))
-    out = _predict(*signals, speed, 250, every, Pump(**parameters), PumpEffects(form=form, **extra), COARSE)
-    return dict(zip(("x", "p_a", "p_b"), out, strict=True))
+    signals = (columns[name] for name in SIGNALS)
+    out = _predict(*signals, speed, WINDOW, every, Pump(**parameters), PumpEffects(form=form, **extra), COARSE)
+    return dict(zip(SIGNALS[2:], out, strict=True))
 
 
 FLOWS, FILLS, MOTION = ("flow_a", "flow_b"), ("continuity_a", "continuity_b"), ("motion",)
 
 
-def _effect(equation: tuple[str, ...], on: str, others: dict | None = None, signed: bool = False, **sizes) -> Effect:
-    return Effect(equation, tuple(on.split()), sizes, others or {}, signed=signed)
+def _effect(
+    equation: tuple[str, ...], on: str, others: dict | None = None, signed: bool = False, **sizes
+) -> HiddenEffect:
+    return HiddenEffect(equation, tuple(on.split()), sizes, others or {}, signed=signed)
 
 
-PUMP = Rig(
+PUMP = ConcealedRig(
     plant="pump_hydraulic",
     parameters={
         "mass": 12.3,
@@ -267,11 +289,11 @@ PUMP = Rig(
         "f_static": MOTION,
     },
     channels=(
-        Channel("n_1", "rev/s", "input", resolution=0.001),
-        Channel("n_2", "rev/s", "input", resolution=0.001),
-        Channel("x", "m", "output", resolution=5e-6),
-        Channel("p_a", "Pa", "output", noise=12e3),
-        Channel("p_b", "Pa", "output", noise=12e3),
+        Sensor("n_1", "rev/s", "input", resolution=0.001),
+        Sensor("n_2", "rev/s", "input", resolution=0.001),
+        Sensor("x", "m", "output", resolution=5e-6),
+        Sensor("p_a", "Pa", "output", noise=12e3),
+        Sensor("p_b", "Pa", "output", noise=12e3),
     ),
     window=0.25,
     record=record,

@@ -8,11 +8,25 @@ from numba import njit
 
 Columns = dict[str, np.ndarray]
 
-SAMPLE_TIME = 1e-3
+SAMPLE_TIME = 1e-3  # s
+UNIFORM_VARIANCE = 12  # an error spread evenly over a width has the variance width^2 / 12
+PRESSURES, CODES = 40e6, 2**16  # Pa, and the codes of the converter that cover them
+OFFSET_STEP, STEP = 1e-6, 1e-3  # for differences: of an offset in its unit, of a relative change
+SMOOTHED = 5  # samples on either side, over which a recorded speed is taken
+
+# a motion, by the draw
+HARDNESS, SPEED = (0.3, 1.0), (0.35, 1.0)  # of the highest acceleration and speed
+LONG_SHARE, HOME_SHARE = 0.6, 0.2  # of the moves are long, of them go home
+LONG, SHORT = (0.2, 1.0), (0.01, 0.06)  # of the travel
+LASTING = 2.5  # s, that a move goes on, at most
+LEAST_MOVE = 1e-4  # m
+PAUSE = (0.02, 0.5)  # s, between some moves
+EVEN = 0.5  # of a draw with two outcomes
+AXIS = (40, 90), (0.7, 1.0)  # rad/s and damping of an axis that follows through a lag
 
 
 @dataclass(frozen=True)
-class Effect:
+class HiddenEffect:
     """One thing that a simulation may lack: where it enters, what it depends on, how large it may be.
 
     `sizes` are drawn log-uniformly between their bounds (with either sign if `signed`), `others` (periods, phases,
@@ -40,7 +54,7 @@ class Effect:
 
 
 @dataclass(frozen=True)
-class Channel:
+class Sensor:
     """A recorded signal: `resolution` is rounded to, `noise` is Gaussian with that RMS; both in `unit`."""
 
     name: str
@@ -52,18 +66,18 @@ class Channel:
     @property
     def error(self) -> float:
         """RMS of what the sensor adds."""
-        return float(np.hypot(self.noise, self.resolution / np.sqrt(12)))
+        return float(np.hypot(self.noise, self.resolution / np.sqrt(UNIFORM_VARIANCE)))
 
     def measure(self, signal: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """What the recorder writes: noise first, then the converter's grid (16 bits of 40 MPa for pressures)."""
-        step = self.resolution or (self.noise / 2 if self.unit == "m" else 40e6 / 2**16)
+        step = self.resolution or (self.noise / 2 if self.unit == "m" else PRESSURES / CODES)
         noisy = signal + self.noise * rng.standard_normal(len(signal)) if self.noise else signal
         rounded = step * np.round(noisy / step)
         return np.round(rounded) if self.unit == "Pa" else rounded
 
 
 @dataclass(frozen=True)
-class Rig:
+class ConcealedRig:
     """One plant as its maker knows it.
 
     `record(parameters, effects, form, seconds, rng)` gives the true signals of a campaign, `predict(columns,
@@ -76,22 +90,24 @@ class Rig:
     parameters: dict[str, float]
     tolerance: dict[str, float]
     places: dict[str, tuple[str, ...]]
-    channels: tuple[Channel, ...]
+    channels: tuple[Sensor, ...]
     window: float | None
-    effects: dict[str, Effect]
-    foreign: dict[str, Effect]
+    effects: dict[str, HiddenEffect]
+    foreign: dict[str, HiddenEffect]
     record: Callable[..., Columns]
     predict: Callable[..., Columns]
     same: tuple[frozenset[str], ...] = ()
     optional: tuple[str, ...] = ()
 
     @property
-    def predicted(self) -> list[Channel]:
+    def predicted(self) -> list[Sensor]:
         """The channels that a simulation predicts."""
         return [channel for channel in self.channels if channel.role == "output"]
 
 
-def errors(rig: Rig, columns: Columns, parameters: dict, effects: dict, form: float, every: int = 1) -> Columns:
+def errors(
+    rig: ConcealedRig, columns: Columns, parameters: dict, effects: dict, form: float, every: int = 1
+) -> Columns:
     """Simulated minus recorded, channel by channel; of every `every`-th window only (0.25 s, else of the whole)."""
     simulated = rig.predict(columns, parameters, effects, form, every)
     return {name: simulated[name] - columns[name] for name in simulated}
@@ -102,7 +118,9 @@ def rms(error: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean(np.square(error))))
 
 
-def calibrate(rig: Rig, columns: Columns, known: dict[str, float], rounds: int = 2, every: int = 1) -> dict[str, float]:
+def calibrate(
+    rig: ConcealedRig, columns: Columns, known: dict[str, float], rounds: int = 2, every: int = 1
+) -> dict[str, float]:
     """Parameters without any effect that fit `columns` best under the tolerance as prior (sigma = tolerance / 2).
 
     Gauss-Newton on relative changes, weighted by what is left in each channel; stops where a round does not help.
@@ -122,7 +140,7 @@ def calibrate(rig: Rig, columns: Columns, known: dict[str, float], rounds: int =
     def raw(change: np.ndarray) -> list[np.ndarray]:
         return list(errors(rig, columns, at(change), {}, 0.0, every).values())
 
-    step = np.array([1e-6 if name == "offset" else 1e-3 for name in names])
+    step = np.array([OFFSET_STEP if name == "offset" else STEP for name in names])
     best, weights = np.zeros(len(names)), [1.0] * len(rig.predicted)
     for _ in range(rounds):
         weights = [max(rms(e), c.error) for e, c in zip(raw(best), rig.predicted, strict=True)]
@@ -136,7 +154,7 @@ def calibrate(rig: Rig, columns: Columns, known: dict[str, float], rounds: int =
     return at(best)
 
 
-def smoothed_difference(position: np.ndarray, half: int = 5) -> np.ndarray:
+def smoothed_difference(position: np.ndarray, half: int = SMOOTHED) -> np.ndarray:
     """Velocity [unit/s] of a recorded position: slope of a line through 2 `half` + 1 samples."""
     weights = np.arange(half, -half - 1, -1) / (2 * np.sum(np.arange(1, half + 1) ** 2) * SAMPLE_TIME)
     return np.convolve(np.pad(position, half, mode="reflect", reflect_type="odd"), weights, mode="valid")
@@ -151,24 +169,24 @@ def motion(rng: np.random.Generator, seconds: float, dt: float, travel: float, s
     moves, samples = [], round(seconds / dt)
     at, clock = 0.0, 0.0
     while clock < seconds:
-        a, v = hardness * rng.uniform(0.3, 1.0), speed * rng.uniform(0.35, 1.0)
-        long = rng.uniform() < 0.6
-        reach = min(rng.uniform(0.2, 1.0) * travel, 2.5 * v) if long else rng.uniform(0.01, 0.06) * travel
-        way = [-1.0, 1.0][int(len(moves) != 1 and (at - reach < 0 or rng.uniform() < 0.5))]
-        to = 0.0 if rng.uniform() < 0.2 else float(np.clip(at + way * reach, 0, travel))
-        if abs(to - at) < 1e-4:
+        a, v = hardness * rng.uniform(*HARDNESS), speed * rng.uniform(*SPEED)
+        long = rng.uniform() < LONG_SHARE
+        reach = min(rng.uniform(*LONG) * travel, LASTING * v) if long else rng.uniform(*SHORT) * travel
+        way = [-1.0, 1.0][int(len(moves) != 1 and (at - reach < 0 or rng.uniform() < EVEN))]
+        to = 0.0 if rng.uniform() < HOME_SHARE else float(np.clip(at + way * reach, 0, travel))
+        if abs(to - at) < LEAST_MOVE:
             continue
         v = min(v, np.sqrt(a * abs(to - at)))
         moves.append((clock, at, to, v, a))
-        clock += abs(to - at) / v + v / a + rng.choice([0.0, rng.uniform(0.02, 0.5)])
+        clock += abs(to - at) / v + v / a + rng.choice([0.0, rng.uniform(*PAUSE)])
         at = to
     v, t = np.zeros(samples), np.arange(samples) * dt
     for start, begin, end, top, hard in moves:
         duration = abs(end - begin) / top + top / hard
         into = t - start
         v += np.sign(end - begin) * np.clip(np.minimum(hard * into, hard * (duration - into)), 0, top)
-    if rng.uniform() < 0.5:
-        v = lag(v, dt, rng.uniform(40, 90), rng.uniform(0.7, 1.0))
+    if rng.uniform() < EVEN:
+        v = lag(v, dt, *(rng.uniform(*bounds) for bounds in AXIS))
     return np.cumsum(v) * dt, v, np.gradient(v, dt)
 
 

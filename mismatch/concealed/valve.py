@@ -5,11 +5,27 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from .cylinder import bulk, held, reference, seep, stribeck
-from .rig import SAMPLE_TIME, Channel, Columns, Effect, Rig, smoothed_difference
+from .cylinder import HALF, QUANTUM, SIGN_SPEED, STOP, WEIGHTS, WINDOW, bulk, command_at, reference, seep, stribeck
+from .rig import SAMPLE_TIME, Columns, ConcealedRig, HiddenEffect, Sensor, smoothed_difference
 
 FINE, COARSE = 25, 16  # steps a sample: the true rig, a simulation of it
 VOLT = 10 / 2**11  # 12 bits of +-10 V: the plant sees the rounded command
+STAGES = 5  # of Runge-Kutta 4: four slopes, and a state between
+DISCRIMINANT = 4  # of a quadratic: b^2 - 4 a c
+ROUNDED = 1.6e-11  # m^2, of the variant: 4 squared lengths of 2 um, over which an edge is rounded
+SPLIT = 0.5  # of the variant's asymmetry: the supply edges have one half of it, the tank edges the other
+BRAKED, BRAKING = 0.018, 0.0319  # m: where the end cushion begins, and over which it throttles
+BRAKED_LATE, BRAKING_LONG = 0.02, 0.05  # m: the same of the variant
+SAGGING = 0.02  # s, of the variant: in which the supply follows what is drawn
+SOFT, SLOW = 0.5, 0.5  # of the variant: stiffness of bristles and Stribeck speed over the usual ones
+BEGIN = 0.5  # of the supply pressure, in both chambers
+INTEGRATED, LIMIT = 1.5, 1.499  # V: commands that are integrated, and that are given
+SIGNALS = ("v_c", "x", "p_a", "p_b")
+
+# the controller, by the draw
+REACH, QUICK = 0.036, (12, 80)  # m and rad/s of the reference
+PI_SHARE, RESET = 0.4, (20, 120)  # of the controllers integrate; V per m and s
+GAIN = (60, 130)  # V per m
 CURRENT, SPOOL, RATE, P_A, P_B, X, V, BRISTLE, SUPPLY, SENSED, STATES = range(11)
 
 
@@ -71,7 +87,7 @@ def _edge(spool, overlap, rounded):
     """Opening of one edge [m]: sharp, or (variant) rounded over 4 um where the lap is not zero."""
     opening = spool - overlap
     if rounded and overlap != 0.0:
-        return 0.5 * (opening + np.sqrt(opening * opening + 1.6e-11))
+        return HALF * (opening + np.sqrt(opening * opening + ROUNDED))
     return max(opening, 0.0)
 
 
@@ -88,7 +104,7 @@ def _supplied(opening, supply, chamber, droop):
     if drop <= 0 or droop == 0.0:
         return _orifice(opening, supply, chamber)
     c = opening * opening
-    return 0.5 * (np.sqrt(c * c * droop * droop + 4 * c * drop) - c * droop)
+    return HALF * (np.sqrt(c * c * droop * droop + DISCRIMINANT * c * drop) - c * droop)
 
 
 @njit(cache=True)
@@ -102,16 +118,16 @@ def _slopes(s, volt, t, p, e, d):
 
     full = p.p_supply * (np.exp(-e.sinking * t) if e.sinking > 0 else 1.0)
     supply, sag = (s[SUPPLY], 0.0) if variant and e.droop > 0 else (full, e.droop * p.k_valve)
-    rich = 1 + e.orifice_asym * (0.5 if variant else 1.0)
-    poor = 1 - 0.5 * e.orifice_asym if variant else 1.0
+    rich = 1 + e.orifice_asym * (SPLIT if variant else 1.0)
+    poor = 1 - SPLIT * e.orifice_asym if variant else 1.0
     out, back = _edge(u, e.overlap, variant), _edge(-u, e.overlap, variant)
     from_a, from_b = rich * _supplied(out, supply, p_a, sag), rich * _supplied(back, supply, p_b, sag)
     to_a, to_b = poor * _orifice(back, p_a, p.p_tank), poor * _orifice(out, p_b, p.p_tank)
-    near = max(abs(x) - 0.018, 0.0) / 0.0319  # variant: begins later, without the square
-    throttle = 1 / (1 + e.cushion * (max(abs(x) - 0.02, 0.0) / 0.05 if variant else near * near))
+    near = max(abs(x) - BRAKED, 0.0) / BRAKING  # variant: begins later, without the square
+    throttle = 1 / (1 + e.cushion * (max(abs(x) - BRAKED_LATE, 0.0) / BRAKING_LONG if variant else near * near))
     from_a, from_b, to_a, to_b = from_a * throttle, from_b * throttle, to_a * throttle, to_b * throttle
     drawn = p.k_valve * (max(from_a, 0.0) + max(from_b, 0.0))
-    d[SUPPLY] = (full - e.droop * drawn - s[SUPPLY]) / 0.02
+    d[SUPPLY] = (full - e.droop * drawn - s[SUPPLY]) / SAGGING
 
     across = seep(e.c_internal, p_a - p_b, variant)
     q_a = p.k_valve * (from_a - to_a) - across - seep(e.c_external, p_a - p.p_tank, variant)
@@ -121,11 +137,11 @@ def _slopes(s, volt, t, p, e, d):
     d[SENSED] = (p_b - s[SENSED]) / e.pb_lag if e.pb_lag > 0 else 0.0
 
     coulomb, static = max(p.f_coulomb, e.f_coulomb), max(p.f_static, e.f_static)
-    friction = e.f_position * abs(x) * np.tanh(v / 0.003) if e.f_position > 0 else 0.0
+    friction = e.f_position * abs(x) * np.tanh(v / SIGN_SPEED) if e.f_position > 0 else 0.0
     d[BRISTLE] = 0.0
     if coulomb > 0:
         # variant: softer bristles and a lower Stribeck speed than the usual ones
-        soft, speed = (0.5, 0.5 * p.v_stribeck) if variant and e.f_coulomb > 0 else (1.0, p.v_stribeck)
+        soft, speed = (SOFT, SLOW * p.v_stribeck) if variant and e.f_coulomb > 0 else (1.0, p.v_stribeck)
         level = stribeck(v, coulomb, static, speed)
         d[BRISTLE] = v - abs(v) * s[BRISTLE] * soft * p.sigma0 / level
         friction += soft * p.sigma0 * s[BRISTLE] + p.sigma1 * d[BRISTLE] + p.sigma2 * v
@@ -137,27 +153,27 @@ def _slopes(s, volt, t, p, e, d):
 
 @njit(cache=True)
 def _step(s, volt, t, dt, p, e, work):
-    """One step of Runge-Kutta 4, then the limits of current, spool, pressures and stroke. work: (5, STATES)."""
+    """One step of Runge-Kutta 4, then the limits of current, spool, pressures and stroke. work: (STAGES, STATES)."""
     k1, k2, k3, k4, mid = work[0], work[1], work[2], work[3], work[4]
     _slopes(s, volt, t, p, e, k1)
     for n in range(STATES):
-        mid[n] = s[n] + 0.5 * dt * k1[n]
-    _slopes(mid, volt, t + 0.5 * dt, p, e, k2)
+        mid[n] = s[n] + HALF * dt * k1[n]
+    _slopes(mid, volt, t + HALF * dt, p, e, k2)
     for n in range(STATES):
-        mid[n] = s[n] + 0.5 * dt * k2[n]
-    _slopes(mid, volt, t + 0.5 * dt, p, e, k3)
+        mid[n] = s[n] + HALF * dt * k2[n]
+    _slopes(mid, volt, t + HALF * dt, p, e, k3)
     for n in range(STATES):
         mid[n] = s[n] + dt * k3[n]
     _slopes(mid, volt, t + dt, p, e, k4)
     for n in range(STATES):
-        s[n] += dt / 6 * (k1[n] + 2 * k2[n] + 2 * k3[n] + k4[n])
+        s[n] += dt / WEIGHTS * (k1[n] + 2 * k2[n] + 2 * k3[n] + k4[n])
     s[CURRENT] = min(max(s[CURRENT], -p.i_max), p.i_max)
     if abs(s[SPOOL]) > p.u_max:
         s[SPOOL] = np.sign(s[SPOOL]) * p.u_max
         s[RATE] = 0.0
     s[P_A], s[P_B] = max(s[P_A], 0.0), max(s[P_B], 0.0)
-    if abs(s[X]) > 0.0499:
-        s[X] = np.sign(s[X]) * 0.0499
+    if abs(s[X]) > STOP:
+        s[X] = np.sign(s[X]) * STOP
         s[V] = 0.0
 
 
@@ -165,25 +181,25 @@ def _step(s, volt, t, dt, p, e, work):
 def _record(target, gain, reset, p, e, fine):
     """Signals (4, samples) v_c, x, p_a, p_b of a rig that follows `target` [m] under P or PI control at 1 kHz."""
     samples = len(target)
-    out, command = np.empty((4, samples)), np.empty(samples)
-    s, work = np.zeros(STATES), np.empty((5, STATES))
-    s[P_A] = s[P_B] = s[SENSED] = 0.5 * p.p_supply
+    out, command = np.empty((len(SIGNALS), samples)), np.empty(samples)
+    s, work = np.zeros(STATES), np.empty((STAGES, STATES))
+    s[P_A] = s[P_B] = s[SENSED] = BEGIN * p.p_supply
     s[SUPPLY] = p.p_supply
     total, felt = 0.0, 0.0
     for k in range(samples):
-        seen = 5e-6 * np.round(s[X] / 5e-6)
+        seen = QUANTUM * np.round(s[X] / QUANTUM)
         volt = gain * (target[k] - seen) + total
-        if abs(volt) < 1.5:
-            total += reset * 1e-3 * (target[k] - seen)
-        volt = VOLT * np.round(min(max(volt, -1.499), 1.499) / VOLT)
+        if abs(volt) < INTEGRATED:
+            total += reset * SAMPLE_TIME * (target[k] - seen)
+        volt = VOLT * np.round(min(max(volt, -LIMIT), LIMIT) / VOLT)
         out[0, k], out[1, k] = volt, s[X]
         out[2, k] = (s[P_A] * (1 + e.pa_gain)) + e.pa_offset
         out[3, k] = s[SENSED] if e.pb_lag > 0 else s[P_B]
         felt = min(max(felt, volt - e.hysteresis), volt + e.hysteresis)
         command[k] = felt
         for n in range(fine):
-            into = n * 1e-3 / fine
-            _step(s, held(command, k, into, e.delay), k * 1e-3 + into, 1e-3 / fine, p, e, work)
+            into = n * SAMPLE_TIME / fine
+            _step(s, command_at(command, k, into, e.delay), k * SAMPLE_TIME + into, SAMPLE_TIME / fine, p, e, work)
     return out
 
 
@@ -191,15 +207,15 @@ def _record(target, gain, reset, p, e, fine):
 def _predict(volts, x, p_a, p_b, speed, window, every, p, e, fine):
     """Simulated x, p_a, p_b (3, samples): restarted from the record every `window` samples, NaN in windows left out."""
     samples = len(volts)
-    out = np.full((3, samples), np.nan)
-    s, work = np.zeros(STATES), np.empty((5, STATES))
+    out = np.full((len(SIGNALS[1:]), samples), np.nan)
+    s, work = np.zeros(STATES), np.empty((STAGES, STATES))
     command = np.empty(samples)
     felt = 0.0
     for k in range(samples):
         felt = min(max(felt, volts[k] - e.hysteresis), volts[k] + e.hysteresis)
         command[k] = felt
     for first in range(0, samples, window * every):
-        acting = held(command, first, 0.0, e.delay)
+        acting = command_at(command, first, 0.0, e.delay)
         s[CURRENT] = min(max(acting / p.r_coil, -p.i_max), p.i_max)
         s[SPOOL] = min(max(p.k_h * s[CURRENT], -p.u_max), p.u_max)
         s[RATE] = 0.0
@@ -207,7 +223,7 @@ def _predict(volts, x, p_a, p_b, speed, window, every, p, e, fine):
         s[P_B] = s[SENSED] = p_b[first]
         s[X], s[V] = x[first], speed[first]
         coulomb = max(p.f_coulomb, e.f_coulomb)
-        soft, slow = (0.5, 0.5 * p.v_stribeck) if e.form != 0.0 and e.f_coulomb > 0 else (1.0, p.v_stribeck)
+        soft, slow = (SOFT, SLOW * p.v_stribeck) if e.form != 0.0 and e.f_coulomb > 0 else (1.0, p.v_stribeck)
         level = stribeck(s[V], coulomb, max(p.f_static, e.f_static), slow)
         s[BRISTLE] = np.sign(s[V]) * level / (soft * p.sigma0)
         flow = p.k_valve * np.sqrt(max(p.p_supply - (s[P_A] if s[SPOOL] > 0 else s[P_B]), 0.0)) * abs(s[SPOOL])
@@ -216,33 +232,33 @@ def _predict(volts, x, p_a, p_b, speed, window, every, p, e, fine):
             out[0, k], out[1, k] = s[X], s[P_A] * (1 + e.pa_gain) + e.pa_offset
             out[2, k] = s[SENSED] if e.pb_lag > 0 else s[P_B]
             for n in range(fine):
-                into = n * 1e-3 / fine
-                _step(s, held(command, k, into, e.delay), k * 1e-3 + into, 1e-3 / fine, p, e, work)
+                into = n * SAMPLE_TIME / fine
+                _step(s, command_at(command, k, into, e.delay), k * SAMPLE_TIME + into, SAMPLE_TIME / fine, p, e, work)
     return out
 
 
 def record(parameters: dict, extra: dict, form: float, seconds: float, rng: np.random.Generator) -> Columns:
     """True signals of one campaign from rest at mid-stroke, `seconds` + one sample long."""
-    target = reference(rng, round(seconds / SAMPLE_TIME) + 1, 0.036, (12, 80))
-    reset = rng.uniform(20, 120) if rng.uniform() < 0.4 else 0.0
-    out = _record(target, rng.uniform(60, 130), reset, Valve(**parameters), ValveEffects(form=form, **extra), FINE)
-    return dict(zip(("v_c", "x", "p_a", "p_b"), out, strict=True))
+    target = reference(rng, round(seconds / SAMPLE_TIME) + 1, REACH, QUICK)
+    reset = rng.uniform(*RESET) if rng.uniform() < PI_SHARE else 0.0
+    out = _record(target, rng.uniform(*GAIN), reset, Valve(**parameters), ValveEffects(form=form, **extra), FINE)
+    return dict(zip(SIGNALS, out, strict=True))
 
 
 def predict(columns: Columns, parameters: dict, extra: dict, form: float, every: int = 1) -> Columns:
-    """x, p_a, p_b by the comparison rule: restarted every 0.25 s from the recorded state."""
+    """x, p_a, p_b by the comparison rule: restarted every WINDOW samples from the recorded state."""
     speed = smoothed_difference(columns["x"])
-    signals = (columns[name] for name in ("v_c", "x", "p_a", "p_b"))
-    out = _predict(*signals, speed, 250, every, Valve(**parameters), ValveEffects(form=form, **extra), COARSE)
-    return dict(zip(("x", "p_a", "p_b"), out, strict=True))
+    signals = (columns[name] for name in SIGNALS)
+    out = _predict(*signals, speed, WINDOW, every, Valve(**parameters), ValveEffects(form=form, **extra), COARSE)
+    return dict(zip(SIGNALS[1:], out, strict=True))
 
 
 SPOOL_EQ, FLOWS, FILLS, MOTION = ("spool",), ("flow_a", "flow_b"), ("continuity_a", "continuity_b"), ("motion",)
 
 
-def _effect(equation: tuple[str, ...], on: str, others: dict | None = None, **options) -> Effect:
+def _effect(equation: tuple[str, ...], on: str, others: dict | None = None, **options) -> HiddenEffect:
     signed, without = options.pop("signed", False), options.pop("without", ())
-    return Effect(equation, tuple(on.split()), options, others or {}, signed=signed, without=without)
+    return HiddenEffect(equation, tuple(on.split()), options, others or {}, signed=signed, without=without)
 
 
 FRICTION = {
@@ -253,7 +269,7 @@ FRICTION = {
     "f_static": 130.0,
     "v_stribeck": 0.1,
 }
-VALVE = Rig(
+VALVE = ConcealedRig(
     plant="valve_hydraulic",
     parameters={
         "mass": 9.0,
@@ -295,10 +311,10 @@ VALVE = Rig(
         "omega_n": SPOOL_EQ,
     },
     channels=(
-        Channel("v_c", "V", "input", resolution=VOLT),
-        Channel("x", "m", "output", resolution=5e-6),
-        Channel("p_a", "Pa", "output", noise=12e3),
-        Channel("p_b", "Pa", "output", noise=12e3),
+        Sensor("v_c", "V", "input", resolution=VOLT),
+        Sensor("x", "m", "output", resolution=5e-6),
+        Sensor("p_a", "Pa", "output", noise=12e3),
+        Sensor("p_b", "Pa", "output", noise=12e3),
     ),
     window=0.25,
     record=record,

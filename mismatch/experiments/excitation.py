@@ -1,4 +1,4 @@
-"""What a recording can show at all: a signal that never moves says nothing of the effects that hang on it."""
+"""What a recording can show at all: a signal that never moves tells nothing about the effects that depend on it."""
 
 from collections.abc import Iterable, Mapping
 from itertools import combinations
@@ -11,8 +11,8 @@ from greygate.mismatch.fit import Fit
 from greygate.mismatch.rig import Rig
 from greygate.plants.recording import Recording
 
-STILL = 3.0  # RMS of the sensor within which a signal does not move
-SEEN = 10.0  # of cost that an effect of its typical size must make
+STILL = 3.0  # times the RMS of the sensor: a signal that stays within does not move
+SEEN = 10.0  # of cost that an effect of its typical size must cause to be seen
 NAMED = 4  # effects in a message
 
 
@@ -32,7 +32,7 @@ def check(rig: Rig, recording: Recording, effects: Mapping[str, Effect]) -> None
 
 
 def unseen(fit: Fit) -> list[str]:
-    """Effects of the table that, at their typical size, would change nothing that the sensors show at `fit`."""
+    """Effects of the table that, at their typical size, change nothing at `fit` that the sensors show."""
     problem = fit.problem
     model = problem.model
     values = {s: v for s, v in fit.values.items() if s in model.values}
@@ -49,7 +49,7 @@ def unseen(fit: Fit) -> list[str]:
 
 
 def _still(signal: np.ndarray, sigma: float, about: float | None = None) -> bool:
-    """The signal stays `about` a value, its mean if None, within what the sensor makes of rest."""
+    """Whether the signal stays `about` a value, by default its mean, within the noise of its sensor."""
     away = signal - (np.mean(signal) if about is None else about)
     return bool(np.ptp(signal) == 0.0 or np.sqrt(np.mean(away**2)) <= STILL * sigma)
 

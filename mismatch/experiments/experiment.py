@@ -1,4 +1,4 @@
-"""Experiments on a rig: inputs made by rule, within what a recording shows the rig to stand."""
+"""Experiments on a rig: inputs made by rule, within the bounds that a recording shows the rig to withstand."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -8,21 +8,28 @@ from scipy.signal import savgol_filter
 
 from greygate.errors import InputError
 from greygate.mismatch.effects import Effect, fitting
-from greygate.mismatch.model import SMOOTH, Model
+from greygate.mismatch.model import FEWEST_BESIDE, SMOOTH, Model
 from greygate.mismatch.rig import Channel, Rig
 from greygate.plants.recording import Recording
 
-SECONDS = 3.0  # of an experiment, or
-FEWEST = 1000  # samples of it where samples are slow
+SECONDS = 3.0  # of an experiment, or, where samples are slow,
+FEWEST = 1000  # samples of it
 REST = 20.0  # lengths of an experiment that a rig rests before a move is repeated
 AMPLITUDES = (1.0, 0.5, 0.25, 0.1)  # of a swing
-MARGIN = 0.1  # of its recorded range by which an output may leave it
+MARGIN = 0.1  # of its recorded range, by which an output may leave it
+OFF_STOP = 1e-3  # of its recorded range: an output that stays so far from a stop has not touched it
 EXTREME = 0.99  # quantile of a command that counts as its largest
-NOMINAL = 2.0  # s of each motion of the recording that stands for one that is not there
-SLOW, SOFT = 0.5, 5.0  # travels a second, a second squared: of moves where none is recorded
+NOMINAL = 2.0  # s of each motion of the simulated recording, where nothing is recorded yet
+SLOW, SOFT = 0.5, 5.0  # travels a second, travels a second squared: of moves where none is recorded
 HOLD = 0.25  # of an experiment's length, after which inputs at rest shall have moved nothing
-SETTLE, NUDGE, TAME = 4, 0.02, 1e-4  # steps towards such inputs, their trials (of what is recorded), their damping
+RESTS, NUDGE, TAME = 4, 0.02, 1e-4  # steps towards such inputs, their trials (of what is recorded), their damping
 FIRM = 10.0  # by which a position's place counts more than another output's mean
+STEPS = (2, 8, 32)  # in an experiment: slow enough to come to rest, as fast as a plant follows, and faster
+HEIGHTS = 16  # of steps that rise to the full swing
+SINES = (1, 4, 20)  # cycles of a sine in an experiment
+SWEEP = 40  # cycles in an experiment's length at the upper end of a sine whose frequency rises,
+SWEPT = 0.1  # of the sampling rate, at most
+HALFWAY = 0.5  # of a step: where it begins at its middle
 
 
 @dataclass(frozen=True)
@@ -42,9 +49,9 @@ class Experiment:
 class Bounds:
     """What may be asked of a rig, each in its channel's unit.
 
-    rest: every input where nothing is asked. swing: away from there, of the inputs that command, in the proportion in
-    which they go together. low, high: of every channel. speed, acceleration: of the other inputs, which are positions
-    (in `unit`), in travels a second (squared).
+    rest: every input while nothing is asked. swing: how far the commands among the inputs may go from there, in the
+    proportion in which they go together. low, high: bounds of every channel. speed, acceleration: of the other inputs,
+    which are positions (in `unit`), in travels a second (squared).
     """
 
     rest: Mapping[str, float]
@@ -61,13 +68,15 @@ class Bounds:
 
     @classmethod
     def of(cls, rig: Rig, recording: Recording, reach: float = 1.0) -> "Bounds":
-        """`reach` times what `recording` shows, though no longer travel, no other sign of an input, and no limit of a
-        state that was never touched."""
+        """`reach` times what `recording` shows.
+
+        Travels stay as they are, inputs keep their sign, and a limit of a state that was not touched stays untouched.
+        """
         low, high, moved = {}, {}, positions(rig)
         for name, channel in rig.channels.items():
             least, most = float(np.min(recording[name])), float(np.max(recording[name]))
             wider = 0.0 if name in moved else (reach - 1.0 + MARGIN * (channel.role == "output")) * (most - least)
-            bottom, top = _stops(rig, name, 1e-3 * (most - least))
+            bottom, top = _stops(rig, name, OFF_STOP * (most - least))
             if channel.role == "input":
                 bottom, top = (0.0 if least >= 0.0 else -np.inf), (0.0 if most <= 0.0 else np.inf)
             low[name], high[name] = max(least - wider, min(least, bottom)), min(most + wider, max(most, top))
@@ -90,7 +99,7 @@ def positions(rig: Rig) -> list[str]:
 
 
 def _stops(rig: Rig, name: str, off: float = 0.0) -> tuple[float, float]:
-    """Limits of the state `name` by the plant, `off` them; infinite where there are none."""
+    """The plant's limits of the state `name`, less `off` on either side; infinite where there are none."""
     state = rig.plant.states.get(name)
     low = -np.inf if state is None or state.low is None else rig.plant.constant(state.low) + off
     high = np.inf if state is None or state.high is None else rig.plant.constant(state.high) - off
@@ -98,7 +107,7 @@ def _stops(rig: Rig, name: str, off: float = 0.0) -> tuple[float, float]:
 
 
 def _together(recording: Recording, names: list[str]) -> dict[str, float]:
-    """How far the named inputs go from their means, along the direction in which they go most."""
+    """How far the named inputs go from their means, along the direction in which they vary most."""
     if not names:
         return {}
     away = np.stack([recording[name] - np.mean(recording[name]) for name in names], axis=1)
@@ -109,7 +118,7 @@ def _together(recording: Recording, names: list[str]) -> dict[str, float]:
 
 def _rates(recording: Recording, name: str) -> tuple[float, float]:
     """(speed, acceleration) that a position comes to, in travels a second (squared)."""
-    half, dt = max(round(SMOOTH / recording.dt), 2), recording.dt
+    half, dt = max(round(SMOOTH / recording.dt), FEWEST_BESIDE), recording.dt
     rates = (savgol_filter(recording[name], 2 * half + 1, n + 1, deriv=n, delta=dt) for n in (1, 2))
     return tuple(float(np.max(np.abs(r))) / float(np.ptp(recording[name])) for r in rates)
 
@@ -119,7 +128,10 @@ def _rates(recording: Recording, name: str) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Move:
-    """There and back between two parts of the travel; shares of speed out, back, and of acceleration; then a rest."""
+    """A move between two shares of the travel, there and back.
+
+    out, back, acceleration: shares of the highest speeds and acceleration. rest: repeat it after a rest.
+    """
 
     begin: float = 0.0
     end: float = 1.0
@@ -150,23 +162,23 @@ def _commanding(wave: np.ndarray, bounds: Bounds) -> dict[str, np.ndarray]:
 
 
 def _waves(seconds: float, dt: float) -> Iterable[tuple[str, np.ndarray]]:
-    """(in words, signal within +-1). They begin at their peak, so that what integrates them stays about its start."""
+    """(in words, signal within +-1). Each begins at its peak: a state that integrates it then stays near its start."""
     t = np.arange(round(seconds / dt)) * dt
-    for half in (seconds / 2, seconds / 8, seconds / 32):
-        yield f"steps every {half:.2g} s", np.where(np.floor(t / half + 0.5) % 2 == 0, 1.0, -1.0)
-    hold = seconds / 16
-    rising = (1 + np.floor(t / hold)) / 16
+    for half in (seconds / steps for steps in STEPS):
+        yield f"steps every {half:.2g} s", np.where(np.floor(t / half + HALFWAY) % 2 == 0, 1.0, -1.0)
+    hold = seconds / HEIGHTS
+    rising = (1 + np.floor(t / hold)) / HEIGHTS
     yield f"steps of rising height every {hold:.2g} s", rising * np.where(np.floor(t / hold) % 2 == 0, 1.0, -1.0)
-    for cycles in (1, 4, 20):
+    for cycles in SINES:
         yield f"a sine of {cycles / seconds:.2g} Hz", np.cos(2 * np.pi * cycles * t / seconds)
-    first, last = 1 / seconds, min(40 / seconds, 0.1 / dt)
+    first, last = 1 / seconds, min(SWEEP / seconds, SWEPT / dt)
     phase = 2 * np.pi * (first + (last - first) * t / (2 * seconds)) * t
     yield f"a sine that rises from {first:.2g} to {last:.2g} Hz", np.cos(phase)
     yield "rest", np.zeros(len(t))
 
 
 def _moving(moves: Iterable[Move], bounds: Bounds, seconds: float, dt: float) -> dict[str, np.ndarray]:
-    """One move after the other, from where the position rests on; what commands is at rest."""
+    """One move after the other, from where the position rests; the commands are at rest."""
     name = bounds.positions[0]
     path = [np.array([(bounds.rest[name] - bounds.low[name]) / (bounds.high[name] - bounds.low[name])])]
 
@@ -192,11 +204,11 @@ def _moving(moves: Iterable[Move], bounds: Bounds, seconds: float, dt: float) ->
 
 
 def _leg(begin: float, end: float, speed: float, acceleration: float, dt: float) -> np.ndarray:
-    """From `begin`, left out, to `end`, under constant acceleration, speed, and deceleration."""
+    """A path from `begin`, which is left out, to `end` with constant acceleration, speed, and deceleration."""
     way = abs(end - begin)
     top = min(speed, np.sqrt(way * acceleration))
     count = int(np.ceil((way / top + top / acceleration) / dt)) + 1
-    t = (np.arange(count) + 0.5) * dt
+    t = (np.arange(count) + HALFWAY) * dt
     rate = np.clip(np.minimum(acceleration * t, acceleration * (count * dt - t)), 0.0, top)
     path = begin + (end - begin) * np.cumsum(rate) / np.sum(rate)
     path[-1] = end
@@ -215,8 +227,8 @@ def _words(move: Move, bounds: Bounds, seconds: float) -> str:
 # -- a rig that runs free --------------------------------------------------------------------------------------------
 
 
-class Free:
-    """A rig's plant run free, with `values` (symbol -> value), as the sensors show it."""
+class FreeRun:
+    """A rig's plant in free run, with `values` (symbol -> value), as the sensors show it."""
 
     def __init__(self, rig: Rig, effects: Mapping[str, Effect], values: Mapping[str, float]):
         outputs = tuple(name for name, channel in rig.channels.items() if channel.role == "output")
@@ -238,10 +250,13 @@ class Free:
         shown = self.shown(inputs)
         return Recording(self.rig.dt, shown, self.units) if bounds.stood(shown) else None
 
-    def settled(self, bounds: Bounds, recording: Recording, seconds: float) -> Bounds:
-        """`bounds` with commands that hold positions where they begin, and other outputs at their recorded means."""
+    def at_rest(self, bounds: Bounds, recording: Recording, seconds: float) -> Bounds:
+        """`bounds` with inputs at rest that keep positions at their start, other outputs at their recorded means.
+
+        seconds: after which nothing shall have moved.
+        """
         rig, names, states = self.rig, list(bounds.swing), self.rig.plant.states
-        held = [n for n in rig.predict if n in states and states[n].rate]
+        kept = [n for n in rig.predict if n in states and states[n].rate]
         reach = np.array([np.ptp(recording[n]) for n in names])
 
         def resting(numbers: np.ndarray) -> Bounds:
@@ -252,13 +267,13 @@ class Free:
         def gone(numbers: np.ndarray) -> np.ndarray:
             shown = self.shown({n: np.full(round(seconds / rig.dt), v) for n, v in resting(numbers).rest.items()})
             away = [
-                (shown[n][-1] - (shown[n][0] if n in held else np.mean(recording[n]))) / np.ptp(recording[n])
+                (shown[n][-1] - (shown[n][0] if n in kept else np.mean(recording[n]))) / np.ptp(recording[n])
                 for n in rig.predict
             ]
-            return np.nan_to_num(away) * [FIRM if n in held else 1.0 for n in rig.predict]
+            return np.nan_to_num(away) * [FIRM if n in kept else 1.0 for n in rig.predict]
 
         numbers = np.zeros(len(names))
-        for _ in range(SETTLE if names else 0):
+        for _ in range(RESTS if names else 0):
             now = gone(numbers)
             slopes = np.stack([(gone(numbers + NUDGE * one) - now) / NUDGE for one in np.eye(len(names))], axis=1)
             damped = slopes.T @ slopes + TAME * np.eye(len(names))
@@ -267,13 +282,13 @@ class Free:
 
 
 def nominal(rig: Rig, effects: Mapping[str, Effect], ranges: Mapping[str, tuple[float, float]]) -> Recording:
-    """What the data sheet's plant would record of motions by rule, where nothing is recorded yet.
+    """What the sensors would record of the data sheet's plant under motions by rule, where nothing is recorded yet.
 
-    ranges: of every input, in its unit. Raises InputError where one is missing or unknown, where the noise is not told,
-    and where the plant stands no such motion.
+    ranges: (low, high) of every input, in its unit. Raises InputError where one is missing or unknown, where the noise
+    is not stated, and where such motions take the plant to its limits.
     """
     if not rig.stated:
-        raise InputError(f"{rig.folder}/rig.toml: before data the noise must be told; give noise_rms or resolution")
+        raise InputError(f"{rig.folder}/rig.toml: before data the noise must be stated; give noise_rms or resolution")
     if set(ranges) != set(rig.inputs):
         raise InputError(f"range of {', '.join(ranges)}: the inputs are {', '.join(rig.inputs)}; give one of each")
     for name, (low, high) in ranges.items():
@@ -285,7 +300,7 @@ def nominal(rig: Rig, effects: Mapping[str, Effect], ranges: Mapping[str, tuple[
     stops = {n: _stops(rig, n) for n, c in rig.channels.items() if c.role == "output"}
     low, high = ({n: pair[i] for n, pair in {**stops, **ranges}.items()} for i in (0, 1))
     bounds = Bounds(rest, swing, low, high)
-    free = Free(rig, fitting(rig.plant, rig.datasheet, effects), {})
+    free = FreeRun(rig, fitting(rig.plant, rig.datasheet, effects), {})
     if moved:
         tried = [_moving([m for m in MOVES if not m.rest], bounds, NOMINAL, rig.dt)]
     else:

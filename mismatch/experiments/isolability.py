@@ -1,8 +1,9 @@
 """What a rig's sensors and a recording's motion can show, before anything is explained.
 
-Each effect moves the predicted channels in a direction. What the parameters, inside their tolerances, and the windows'
-beginnings can take up of it is not seen. What another effect, of any size, can take up but for noise, or but for a
-tenth, is not told apart: a machine's effect is not quite the table's.
+Each effect changes the predicted channels in a direction. The part of this change that the parameters, inside their
+tolerances, and the windows' beginnings can take up is not seen. Two effects are not told apart where one of them, of
+any size, takes up the change of the other but for noise, or but for a tenth: a machine's effect is never quite the
+table's.
 """
 
 from collections.abc import Mapping
@@ -12,7 +13,7 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from greygate.mismatch.coloured import scaled
+from greygate.mismatch.coloured import resized
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.experiments.separation import (
     ITERATIONS,
@@ -28,14 +29,14 @@ from greygate.mismatch.experiments.separation import (
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.search import ROUGH, Hypothesis, Search
 
-FORM = 0.1  # of an effect, by which a machine's may differ from the table's: a difference below that tells nothing
+FORM = 0.1  # of an effect, by which a machine's may differ from the table's: a smaller difference tells nothing
 TOLD = 1.0  # singular value below which the data sheet knows more than the recording
 WEIGHTY = 0.3  # of a combination of parameters, the least that is named
 
 
 @dataclass(frozen=True)
 class Group:
-    """Effects that are not told apart, or one that is not told from nothing; of the two most alike, what would tell.
+    """Effects that are not told apart, or one that is not told from nothing, and what would tell the two most alike.
 
     pair: these two. here: standard deviations of the noise between them on the recording. sensor: (state, standard
     deviations with a sensor of it, on the same recording). Either is None where nothing tells.
@@ -100,7 +101,7 @@ class Isolability:
 
 
 def isolability(search: Search) -> Isolability:
-    """Of the effects of `search`, each of its typical size and in its plain form, on its recording."""
+    """What the recording of `search` shows of its effects, each in its plain form and of its typical size."""
     fit = base(search)
     effects: dict[str, Effect] = {}
     for effect in search.effects.values():
@@ -122,15 +123,17 @@ def isolability(search: Search) -> Isolability:
 
 
 def base(search: Search) -> Fit:
-    """The plant of the data sheet. Where the noise is not told, it is what the calibrated plant leaves, and effects get
-    the size of that."""
+    """The fit of the data sheet's plant.
+
+    Where the noise is not stated, it is what the calibrated plant leaves, and the effects become as large as that.
+    """
     unknowns = search.unknowns(Hypothesis())
     if search.rig.stated:
         return search.screen.fit(unknowns, iterations=0)
     fit = search.fit(search.final, Hypothesis(), {})
     problem = fit.problem.ordered(fit.problem.residual(fit.values))
-    search.effects = {key: scaled(problem, effect, fit) for key, effect in search.effects.items()}
-    return Likelihood.fit(problem, unknowns, fit.values, iterations=0)
+    search.effects = {key: resized(problem, effect, fit) for key, effect in search.effects.items()}
+    return Problem.fit(problem, unknowns, fit.values, iterations=0)
 
 
 def typical(effect: Effect) -> dict[str, float]:
@@ -139,8 +142,10 @@ def typical(effect: Effect) -> dict[str, float]:
 
 
 def moved(fit: Fit, effect: Effect) -> np.ndarray:
-    """Columns (rows, n) by which an effect of typical size moves the errors: one a strength, or one of all together
-    where they start from a guess or from a parameter's value."""
+    """Columns (rows, n) by which an effect of typical size changes the errors.
+
+    There is one for each strength, or one for all of them where they start from a guess or from a parameter's value.
+    """
     full, problem = typical(effect), fit.problem
     nothing = {f.symbol: 0.0 for f in effect.strengths}
     steps = [full] if _together(effect) else [{**full, **nothing, s: full[s]} for s in nothing]
@@ -154,7 +159,7 @@ def _together(effect: Effect) -> bool:
 
 
 def _reach(effect: Effect) -> tuple[np.ndarray, np.ndarray]:
-    """Between which multiples of its columns an effect may be, (n,) each."""
+    """The least and the largest multiple of each of its columns that an effect may have, (n,) each."""
     if _together(effect):
         return np.zeros(1), np.full(1, np.inf)
     ends = np.sort([(f.low / f.typical, f.high / f.typical) for f in effect.strengths], axis=1)
@@ -174,12 +179,12 @@ def _coordinates(fit: Fit, rows: Mapping[str, np.ndarray]) -> dict[str, np.ndarr
 
 
 def _left(columns: np.ndarray, others: np.ndarray, reach: tuple[np.ndarray, np.ndarray]) -> float:
-    """Of the column of which `others`, within `reach`, leave least, how much is left."""
+    """What `others`, within `reach`, leave of the column of which they leave least."""
     return min(float(np.sqrt(2 * max(lsq_linear(others, column, reach).cost, 0.0))) for column in columns.T)
 
 
 def _groups(names: list[str], apart: Mapping[tuple[str, str], float]) -> list[tuple[str, ...]]:
-    """Those that are joined by pairs which are less than 1 apart, in units of what tells them apart."""
+    """Names that are joined by pairs which are less than 1 apart, in units of what would tell them apart."""
     groups = [{name} for name in names]
     for pair, by in apart.items():
         if by < 1.0:
@@ -189,7 +194,7 @@ def _groups(names: list[str], apart: Mapping[tuple[str, str], float]) -> list[tu
 
 
 def _group(search: Search, fit: Fit, names: tuple[str, ...], one: Effect, other: Effect | None = None) -> Group:
-    """With what tells `one` from the best fit of `other`, or of nothing, to what it makes."""
+    """The group `names`, with what tells `one` from the best fit of `other`, or of nothing, to its own record."""
     values = {**fit.values, **typical(one)}
     unknowns = search.unknowns(Hypothesis((other.key,) if other else ()))
     start = {**fit.values, **(typical(other) if other else {})}

@@ -1,8 +1,8 @@
 """The experiment, or the sensor, that tells two explanations of a recording apart: both explanations are simulated.
 
-The one explanation is run free over each experiment, as the sensors would record it; the other is judged on that record
-by the rule of the rigs, after its parameters have taken up what they can and the recording so far lets them. What is
-left is a distance in standard deviations of the noise.
+The first explanation is simulated in free run over each experiment, as the sensors would record it. The second is
+compared with that record by the comparison rule, after its parameters have adapted as far as the recording so far
+allows. What is left is a distance in standard deviations of the noise.
 """
 
 import copy
@@ -14,21 +14,23 @@ import numpy as np
 
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.diagnosis import Diagnosis
-from greygate.mismatch.experiments.experiment import FEWEST, HOLD, SECONDS, Bounds, Experiment, Free, experiments
-from greygate.mismatch.fit import Fit, Likelihood
-from greygate.mismatch.locate import scaled
+from greygate.mismatch.experiments.experiment import FEWEST, HOLD, SECONDS, Bounds, Experiment, FreeRun, experiments
+from greygate.mismatch.fit import Fit, Problem
+from greygate.mismatch.locate import display_unit
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import Channel
 from greygate.mismatch.search import Hypothesis
 from greygate.plants.recording import Recording
 
 REACHES = (1.0, 1.5)  # of what was recorded; the second where the first tells too little
-NEEDED = 3.5  # standard deviations, from which on two explanations are told apart
-WORTH = 2.0  # times what there is already, which is worth an experiment or a sensor
-ENOUGH = 3.0  # times what is needed or there already, which an experiment need not surpass
-SHORTLIST = 4  # experiments of which the parameters' part is taken off
-FINE = 1e-3  # of its range, the noise of a sensor that might be added
+NEEDED = 3.5  # standard deviations by which two explanations must differ to be told apart
+WORTH = 2.0  # times the distance on the recording so far: less is not worth an experiment or a sensor
+ENOUGH = 3.0  # times what is needed, or there already: an experiment that brings so much is good enough
+SHORTLIST = 4  # experiments for which the distance is computed after the parameters have adapted
+FINE = 1e-3  # of its range: the noise of a sensor that might be added
 ITERATIONS = 4  # of the fit of a rival
+INDEPENDENT = 1e-13  # of the largest singular value, below which parameters count as dependent on each other
+TWO_DIGITS = 10  # from which a distance is written without digits after the point
 
 
 @dataclass(frozen=True)
@@ -75,20 +77,22 @@ def deviations(size: float) -> str:
 
 
 def figure(size: float) -> str:
-    return f"{size:.0f}" if size >= 10 else f"{size:.2g}"
+    return f"{size:.0f}" if size >= TWO_DIGITS else f"{size:.2g}"
 
 
 def _span(name: str, signal: np.ndarray, unit: str) -> str:
     low, high = float(np.min(signal)), float(np.max(signal))
-    factor, label = scaled(unit, max(abs(low), abs(high)))
+    factor, label = display_unit(unit, max(abs(low), abs(high)))
     low, high = f"{factor * low:.3g}", f"{factor * high:.3g}"
     return f"{name} {low} to {high} {label}".rstrip() if low != high else f"{name} at {low} {label}".rstrip()
 
 
 @dataclass(frozen=True)
 class Trial:
-    """problem: that of what was recorded, were the explanation `values` true. experiment: by which; None on the
-    recording so far."""
+    """A recording as it would be if the explanation `values` were true.
+
+    problem: that of the recording. experiment: in which it is recorded; None for the recording so far.
+    """
 
     problem: Likelihood
     values: Mapping[str, float]
@@ -105,36 +109,40 @@ class Trial:
         return self.problem.basis(self.values, self.problem.nothing(), self.truth, even)
 
     def left(self, rival: Fit) -> np.ndarray:
-        """What `rival` predicts otherwise, in units of the noise, less what other beginnings of the windows explain,
-        (windows, rows); 0 where it diverges."""
+        """By how much `rival` predicts otherwise, in units of the noise, (windows, rows); 0 where it diverges.
+
+        What other beginnings of the windows explain is taken off.
+        """
         errors = self.problem.errors(rival.values, self.problem.nothing()) - self.truth
         errors = errors if np.isfinite(errors).all() else np.zeros_like(errors)
         rows = self.problem.rows(errors, np.ones(errors.shape[1]))
         return self.problem.eliminate(rows[:, :, None], None, self.basis)[0][:, :, 0]
 
     def distance(self, rival: Fit) -> float:
-        """Standard deviations of the noise by which `rival` differs, when its parameters have taken up what they can as
-        far as its own recording leaves them free."""
+        """Standard deviations of the noise by which `rival` differs after its parameters have adapted.
+
+        They adapt as far as the recording of its own fit leaves them free.
+        """
         shifts, even = self.problem.nothing(), np.ones(self.truth.shape[1])
         errors = self.problem.errors(rival.values, shifts)
         slopes = self.problem.slopes(rival.unknowns, rival.values, shifts, errors, even)
         slopes = self.problem.eliminate(slopes, None, self.basis)[0].reshape(-1, len(rival.unknowns))
         left = self.left(rival).reshape(-1)
         pull = slopes.T @ left
-        step = np.linalg.lstsq(slopes.T @ slopes + rival.information, pull, rcond=1e-13)[0]
+        step = np.linalg.lstsq(slopes.T @ slopes + rival.information, pull, rcond=INDEPENDENT)[0]
         return float(np.sqrt(max(left @ left - pull @ step, 0.0)))
 
 
 class Trials:
-    """Experiments on the rig of `problem`, run as the explanation `values` (symbol -> value) would have them."""
+    """Experiments on the rig of `problem`, as they run if the explanation `values` (symbol -> value) is true."""
 
     def __init__(self, problem: Likelihood, values: Mapping[str, float]):
         self.problem = problem
-        self.free = Free(problem.model.rig, problem.model.effects, values)
+        self.free = FreeRun(problem.model.rig, problem.model.effects, values)
         self._over: dict[float, list[Trial]] = {}
 
     def apart(self, rival: Fit, here: float) -> Separation | None:
-        """The experiment that tells `rival` from the explanation best; None where the rig stands none of them.
+        """The experiment that tells `rival` from the explanation best; None where the rig withstands none of them.
 
         here: standard deviations of the noise between the two on the recording so far.
         """
@@ -147,12 +155,12 @@ class Trials:
         return max(found, key=lambda s: s.merit, default=None)
 
     def over(self, reach: float) -> list[Trial]:
-        """Of every kind of experiment the strongest and the mildest that keeps within `reach` of what was recorded."""
+        """The strongest and the mildest experiment of every kind that stay within `reach` times what was recorded."""
         if reach not in self._over:
             model = self.problem.model
             recording = model.recording
             seconds = min(max(SECONDS, FEWEST * recording.dt), recording.samples * recording.dt)
-            bounds = self.free.settled(Bounds.of(model.rig, recording, reach), recording, HOLD * seconds)
+            bounds = self.free.at_rest(Bounds.of(model.rig, recording, reach), recording, HOLD * seconds)
             found = []
             for kind in experiments(bounds, seconds, recording.dt):
                 stood = [(e, r) for e in kind if (r := self.free.record(e.inputs, bounds)) is not None]
@@ -201,8 +209,8 @@ def _with_sensor(model: Model, symbol: str, signal: np.ndarray) -> Model:
     return Model(richer, Recording(recording.dt, channels, units), model.effects, model.window)
 
 
-def imagined(problem: Likelihood, values: Mapping[str, float]) -> Likelihood:
-    """`problem` had it recorded what `values` (symbol -> value) predict, without noise."""
+def imagined(problem: Problem, values: Mapping[str, float]) -> Problem:
+    """`problem` as if it had recorded what `values` (symbol -> value) predict, without noise."""
     other = copy.copy(problem)
     other.model = copy.copy(problem.model)
     other.model.target = problem.model.predict({**problem.model.values, **values}, problem.nothing())
@@ -215,8 +223,8 @@ def imagined(problem: Likelihood, values: Mapping[str, float]) -> Likelihood:
 def separations(result: Diagnosis, entries: Iterable[Mapping], count: int) -> dict[tuple[str, str], Separation]:
     """What tells effects of a diagnosis from what they are not told apart from, (effect, other) -> separation.
 
-    entries: of its `effects`. Only the first `count` alternatives are tried; those are left out for which the rig
-    stands no experiment.
+    entries: some of its `effects`. Only the first `count` alternatives are tried. Those are left out for which the rig
+    withstands no experiment.
     """
     problem = result.search.screen if result.rig.stated else result.corrected.problem
     pairs = [(entry, other) for entry in entries for other in entry["not_told_apart_from"]]

@@ -1,0 +1,186 @@
+"""Which hypothesis a recording supports whose noise nobody stated.
+
+The steps are those of `selection`. What differs is the price: an effect must pay for its parameters and for the number
+of hypotheses, and it must also predict blocks of the recording that were held out of its fit.
+"""
+
+import copy
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from greygate.mismatch.coloured import Coloured, resized
+from greygate.mismatch.fit import Fit
+from greygate.mismatch.model import beginnings
+from greygate.mismatch.search import Hypothesis, Score, Search
+from greygate.mismatch.selection import Selection
+from greygate.progress import Progress, silent
+
+EFFECTS = 4  # in a hypothesis, at most
+ORDERINGS = 2  # times the order of the noise is chosen: for what the data sheet's plant leaves, then for a better fit
+TRIED = 5  # hypotheses of a round that are fitted in full, by each of two scores
+DRAWS = 50  # from the data sheet's tolerance, the best of which starts a fit
+EXCHANGED = 3  # hypotheses that are tried in the place of an earlier one
+SURE = 10.0  # of cost that an effect must save beyond what its parameters and the number of hypotheses cost
+FOLDS = 5  # of the recording, held out in turn
+BLOCKS = 4  # of a fold
+REFIT = 8  # iterations of a fit without a fold, which begins at that of the whole recording
+
+
+class ColouredSelection(Selection):
+    """The hypotheses fitted to one recording, each with a noise of its own."""
+
+    most = EFFECTS
+
+    def __init__(self, search: Search, progress: Progress = silent):
+        calibrated = _calibrated(search)
+        search.final = search.screen = calibrated.problem
+        search.effects = {key: resized(calibrated.problem, e, calibrated) for key, e in search.effects.items()}
+        super().__init__(search, calibrated.problem, calibrated, progress)
+        self.plain = calibrated
+        self.fits = {Hypothesis(): calibrated}
+        self.anew = set(beginnings(search.final.model))
+
+    def done(self, best: Hypothesis, current: Fit) -> bool:
+        return False
+
+    def proposed(self, best: Hypothesis, current: Fit, start: Fit) -> Iterator[tuple[Hypothesis, Fit]]:
+        """Those of the most promising hypotheses that pay their price, the one that saves most beyond it first."""
+        ranked = [s for s in self.promising(current, best, TRIED) if not set(s.hypothesis.released) & self.anew]
+        self.progress(f"fitting {len(ranked)} hypotheses")
+        found = []
+        for score in ranked:
+            hypothesis = best.plus(score.hypothesis)
+            fit = self.fitted(current, hypothesis, score.values)
+            if not np.isfinite(fit.cost):
+                continue
+            if fit.cost < getattr(self.fits.get(hypothesis), "cost", np.inf):
+                self.fits[hypothesis] = fit
+            price = SURE + 2 * np.log(len(self.search.effects)) + _price(fit, current)
+            if current.cost - fit.cost > price:
+                found.append((fit.cost + price, hypothesis, fit))
+        for _, hypothesis, fit in sorted(found, key=lambda f: f[0]):
+            yield hypothesis, fit
+
+    def pays(self, best: Hypothesis, current: Fit, hypothesis: Hypothesis, fit: Fit) -> bool:
+        """Whether `hypothesis` predicts blocks that were held out of the fits better, and in most folds."""
+        self.progress(f"holding out blocks from {hypothesis}")
+        saved = self.saved(best, current, hypothesis, fit)
+        return float(np.sum(saved)) > 0 and int(np.sum(saved > 0)) > FOLDS / 2
+
+    def exchanged(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
+        """The same with earlier effects replaced by others that do better now that the last one is there."""
+        for drop in best.effects[:-1]:
+            less = best.without(drop)
+            without = self.fits.get(less) or self.search.fit(current.problem, less, current.values)
+            self.fits[less] = without
+            for score in self.promising(without, less, EXCHANGED):
+                hypothesis = less.plus(score.hypothesis)
+                if not score.hypothesis.effects or set(hypothesis.effects) == set(best.effects):
+                    continue
+                if hypothesis in self.fits:
+                    continue
+                other = self.fits[hypothesis] = self.fitted(without, hypothesis, score.values)
+                if other.cost + _price(other, current) < current.cost:
+                    best, current = hypothesis, other
+        return best, current
+
+    def backward(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
+        """Drop the effects that no longer pay."""
+        for drop in (*best.effects, *best.released):
+            if best.size < 2:
+                break
+            less = best.without(drop)
+            fit = self.fits[less] = self.search.fit(current.problem, less, current.values)
+            if fit.cost - current.cost < SURE + _price(current, fit):
+                best, current = less, fit
+        return best, current
+
+    # -- fits --------------------------------------------------------------------------------------------------------
+
+    def promising(self, fit: Fit, given: Hypothesis, count: int) -> list[Score]:
+        """The `count` hypotheses of best score under the noise of `fit`, and as many under white noise.
+
+        Noise that is learnt from a wrong plant takes its slow errors for noise, and would rank their cause last.
+        """
+        problem = _white(fit)
+        white = replace(fit, problem=problem, errors=problem.errors(fit.values, fit.shifts))
+        return [score for f in (fit, white) for score in self.search.scores(f.problem, f, given)[:count]]
+
+    def fitted(self, fit: Fit, hypothesis: Hypothesis, values: Mapping[str, float]) -> Fit:
+        """The best of several fits from `values` on: with the noise of `fit`, and with white noise first.
+
+        The first effect has a third fit, from the best draw from the data sheet: the parameters of a plant that lacks
+        something may be far off.
+        """
+        search, start = self.search, {**fit.values, **values}
+        found = [search.fit(fit.problem, hypothesis, start)]
+        white = _white(fit)
+        starts = [start]
+        if hypothesis.size == 1:
+            starts.append(drawn(search, white, hypothesis, values))
+        for start in starts:
+            plain = search.fit(white, hypothesis, start)
+            if np.isfinite(plain.cost):
+                coloured = plain.problem.learnt(plain.problem.residual(plain.values), fit.problem.order)
+                found.append(search.fit(coloured, hypothesis, plain.values))
+        return min(found, key=lambda f: f.cost)
+
+    def saved(self, less: Hypothesis, fit: Fit, more: Hypothesis, richer: Fit) -> np.ndarray:
+        """Cost that `more` saves over `less` in each fold (FOLDS,), held out of the fits of both.
+
+        The blocks of a fold are spread over the recording, so that no regime is held out entirely.
+        """
+        mask = fit.problem.mask
+        fold = (np.arange(len(mask)) * FOLDS * BLOCKS // len(mask)) % FOLDS
+        costs = [
+            [self._unseen(mask & (fold == k), hypothesis, full) for hypothesis, full in ((less, fit), (more, richer))]
+            for k in range(FOLDS)
+        ]
+        return np.array([without - with_ for without, with_ in costs])
+
+    def _unseen(self, block: np.ndarray, hypothesis: Hypothesis, full: Fit) -> float:
+        """Cost in `block` (samples,) of a fit to all other samples, which starts at `full`."""
+        others = copy.copy(full.problem)
+        others.mask = full.problem.mask & ~block
+        fit = self.search.fit(others, hypothesis, full.values, iterations=REFIT)
+        judge = copy.copy(fit.problem)
+        judge.mask = block
+        return float(np.sum(judge.errors(fit.values, fit.shifts) ** 2)) + judge.likelihood()
+
+
+def _calibrated(search: Search) -> Fit:
+    """The fit of the plant without effects, and of the noise that this leaves."""
+    nothing = Hypothesis()
+    fit = search.fit(search.final, nothing, drawn(search, search.final, nothing, {}))
+    for _ in range(ORDERINGS):
+        problem = fit.problem.ordered(fit.problem.residual(fit.values))
+        fit = search.fit(problem, nothing, fit.values)
+    return fit
+
+
+def _white(fit: Fit) -> Coloured:
+    """The problem of `fit` with white noise as large as its residual."""
+    return fit.problem.learnt(fit.problem.residual(fit.values), 0)
+
+
+def _price(more: Fit, less: Fit) -> float:
+    """What BIC asks for the parameters that one fit has and the other has not."""
+    return (len(more.unknowns) - len(less.unknowns)) * np.log(more.problem.count)
+
+
+def drawn(search: Search, problem: Coloured, hypothesis: Hypothesis, values: Mapping[str, float]) -> dict[str, float]:
+    """`values`, and the best of DRAWS sets of the other parameters, drawn within the data sheet's tolerance."""
+    rng = np.random.default_rng(0)
+    own = {u.symbol: u for u in search.unknowns(hypothesis) if u.symbol in search.toleranced}
+    constants = search.constants(hypothesis)
+    best, least = dict(values), np.inf
+    for k in range(DRAWS):
+        numbers = rng.uniform(-2.0, 2.0, len(own)) * (k > 0)  # the data sheet itself comes first
+        tried = {s: float(np.clip(u.value(x), u.low, u.high)) for (s, u), x in zip(own.items(), numbers, strict=True)}
+        residual = problem.residual({**constants, **tried, **values})
+        cost = float(np.sum(np.mean(residual**2, axis=0) / np.var(problem.model.target, axis=0)))
+        if cost < least:
+            best, least = {**tried, **values}, cost
+    return best
