@@ -24,7 +24,7 @@ from greygate.mismatch.experiments.excitation import check, unseen
 from greygate.mismatch.experiments.experiment import nominal
 from greygate.mismatch.experiments.isolability import isolability
 from greygate.mismatch.experiments.separation import separations
-from greygate.mismatch.fit import Problem
+from greygate.mismatch.fit import Likelihood
 from greygate.mismatch.locate import display_unit
 from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.search import Search
@@ -199,7 +199,7 @@ def isolable(
         recording = rig.recording(path)
     effects = table_of(own, rig, recording)
     check(rig, recording, effects)
-    found = isolability(Search(rig, recording, effects, free_run=Problem if rig.stated else Coloured))
+    found = isolability(Search(rig, recording, effects, free_run=Likelihood if rig.stated else Coloured))
     seconds = recording.samples * recording.dt
     motion = "motion by rule" if ranges else "recording"
     head = f"{rig.folder.resolve().name} ({rig.plant.name}), {seconds:.4g} s of {motion}"

@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from scipy.stats import norm
 
 from greygate.mismatch.effects import Effect
-from greygate.mismatch.fit import Fit, Problem, Unknown
+from greygate.mismatch.fit import Fit, Likelihood, Unknown
 from greygate.mismatch.model import TINY, Model
 
 ORDERS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24)  # of the autoregression, among which BIC chooses
@@ -32,7 +32,7 @@ LAGS = (0, 1, 2, 4, 8, 16)  # samples by which a signal goes before the innovati
 SIGNIFICANT = 1e-4  # chance of so large a correlation where there is none, after correction
 
 
-class Coloured(Problem):
+class Coloured(Likelihood):
     """A problem whose noise is an autoregression in each channel.
 
     ar: coefficients of each channel (order,). scale: RMS of the innovations (channels,). mask: samples that count.
@@ -95,7 +95,7 @@ class Coloured(Problem):
         options = {k: v for k, v in options.items() if k not in ("rival", "tempered")}
         problem, values, best = self, dict(values or {}), None
         for _ in range(ROUNDS if self.order else WHITE_ROUNDS):
-            fit = Problem.fit(problem, unknowns, values, shifts, **options)
+            fit = Likelihood.fit(problem, unknowns, values, shifts, **options)
             residual = problem.residual(fit.values)
             if not np.isfinite(residual).all():
                 return best or replace(fit, cost=np.inf)

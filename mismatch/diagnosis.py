@@ -20,7 +20,7 @@ from greygate.mismatch.closure import closure
 from greygate.mismatch.coloured import Coloured, remaining
 from greygate.mismatch.coloured_selection import ColouredSelection
 from greygate.mismatch.effects import Effect
-from greygate.mismatch.fit import Fit, Problem
+from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.locate import located
 from greygate.mismatch.model import TINY, Model, begun
 from greygate.mismatch.rig import Rig
@@ -237,7 +237,7 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
     recording = rig.recording(rig.folder / "identify.csv")
     effects = table.known(rig, recording) if effects is None else effects
     progress("compiling the plant")
-    search = Search(rig, recording, effects, free_run=Problem if rig.stated else Coloured)
+    search = Search(rig, recording, effects, free_run=Likelihood if rig.stated else Coloured)
     progress("calibrating")
     result = (_of_stated_noise if rig.stated else _of_coloured_noise)(search, progress)
     progress("predicting the recordings")

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from greygate.mismatch.effects import Effect, Free, fitting
-from greygate.mismatch.fit import Fit, Problem, Unknown
+from greygate.mismatch.fit import Fit, Likelihood, Unknown
 from greygate.mismatch.model import BLUR, TIMING, TINY, Model
 from greygate.mismatch.rig import FEWEST, Rig
 from greygate.plants.expressions import names
@@ -74,15 +74,17 @@ class Search:
     """All hypotheses on one recording of one rig. free_run: the problem of a rig without windows."""
 
     def __init__(
-        self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], free_run: type[Problem] = Problem
+        self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], free_run: type[Likelihood] = Likelihood
     ):
         self.rig = rig
         self.effects = fitting(rig.plant, rig.datasheet, effects)
         self.travel = max(float(np.ptp(recording[name])) for name in rig.inputs)
         self.toleranced = [s for s, p in rig.plant.parameters.items() if p.tolerance]
 
-        def over(seconds: float) -> Problem:
-            return Problem(Model(rig, recording, self.effects, min(max(round(seconds / rig.dt), FEWEST), rig.window)))
+        def over(seconds: float) -> Likelihood:
+            return Likelihood(
+                Model(rig, recording, self.effects, min(max(round(seconds / rig.dt), FEWEST), rig.window))
+            )
 
         self.final = over(LONG_WINDOW) if rig.window else free_run(Model(rig, recording, self.effects))
         self.screen = over(SHORT) if rig.window else self.final
@@ -167,7 +169,7 @@ class Search:
             and not filtered & set(effect.filters)
         )
 
-    def scores(self, problem: Problem, fit: Fit, given: Hypothesis) -> list[Score]:
+    def scores(self, problem: Likelihood, fit: Fit, given: Hypothesis) -> list[Score]:
         """What every candidate promises to save, by a fit linearised at `fit`; best first."""
         ranked = []
         for candidate in self.candidates(given):
@@ -176,7 +178,7 @@ class Search:
                 ranked.append(best)
         return sorted(ranked, key=lambda s: -s.gain)
 
-    def pairs(self, problem: Problem, fit: Fit, count: int) -> list[Score]:
+    def pairs(self, problem: Likelihood, fit: Fit, count: int) -> list[Score]:
         """The `count` pairs of effects that together promise most at `fit`; each alone may promise little."""
         effects = [e for e in self.effects.values() if self.joined(Hypothesis(), e)]
         blocks = [(effect, *found) for effect in effects for found in self.directions(problem, fit, effect)]
@@ -233,7 +235,7 @@ class Search:
             values |= {**shape, **{s: float(np.clip(v, *reach[s])) for s, v in found.items()}}
         return values, gain
 
-    def directions(self, problem: Problem, fit: Fit, effect: Effect) -> Iterable[tuple[dict, dict, np.ndarray]]:
+    def directions(self, problem: Likelihood, fit: Fit, effect: Effect) -> Iterable[tuple[dict, dict, np.ndarray]]:
         """(shape, point, columns) for every shape on the effect's grid: how the effect moves the errors there.
 
         columns: (windows, rows, n), from which the windows' shifts are eliminated. They are slopes, one for each
@@ -282,7 +284,7 @@ class Search:
 
     # -- full fits ---------------------------------------------------------------------------------------------------
 
-    def base(self, problem: Problem) -> Fit:
+    def base(self, problem: Likelihood) -> Fit:
         """The fit of the plant without any effect, its parameters near the data sheet."""
         return problem.fit(self.unknowns(Hypothesis(), NEAR_SHEET), tempered=True, iterations=FIRST_STEPS)
 

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from greygate.mismatch.effects import Effect
-from greygate.mismatch.fit import Fit, Problem
+from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.model import BLUR, TINY
 from greygate.mismatch.search import Hypothesis, Score, Search
 from greygate.progress import Progress, silent
@@ -50,7 +50,7 @@ class Selection:
 
     most = EFFECTS  # effects in a hypothesis
 
-    def __init__(self, search: Search, problem: Problem, start: Fit, progress: Progress = silent):
+    def __init__(self, search: Search, problem: Likelihood, start: Fit, progress: Progress = silent):
         self.search, self.problem, self.start, self.progress = search, problem, start, progress
         self.costs: dict[Hypothesis, float] = {}
         self.fits: dict[Hypothesis, Fit] = {}
@@ -212,7 +212,7 @@ class Selection:
 
     # -- long windows ------------------------------------------------------------------------------------------------
 
-    def over(self, final: Problem, best: Hypothesis, current: Fit) -> tuple["Selection", Hypothesis, Fit]:
+    def over(self, final: Likelihood, best: Hypothesis, current: Fit) -> tuple["Selection", Hypothesis, Fit]:
         """(the selection over longer windows, the best hypothesis there, its fit).
 
         Long windows tell forms of an effect apart that short ones do not. So every hypothesis whose fit is complete is
@@ -333,7 +333,7 @@ def complete(fit: Fit) -> bool:
     return slow < STRUCTURE or (slow < 1.0 and fit.cost < fit.problem.count)
 
 
-def floor(problem: Problem) -> float:
+def floor(problem: Likelihood) -> float:
     """The cost of a complete fit."""
     return problem.count * FLOOR
 

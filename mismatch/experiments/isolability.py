@@ -133,7 +133,7 @@ def base(search: Search) -> Fit:
     fit = search.fit(search.final, Hypothesis(), {})
     problem = fit.problem.ordered(fit.problem.residual(fit.values))
     search.effects = {key: resized(problem, effect, fit) for key, effect in search.effects.items()}
-    return Problem.fit(problem, unknowns, fit.values, iterations=0)
+    return Likelihood.fit(problem, unknowns, fit.values, iterations=0)
 
 
 def typical(effect: Effect) -> dict[str, float]:

@@ -15,7 +15,7 @@ import numpy as np
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.experiments.experiment import FEWEST, HOLD, SECONDS, Bounds, Experiment, FreeRun, experiments
-from greygate.mismatch.fit import Fit, Problem
+from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.locate import display_unit
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import Channel
@@ -209,7 +209,7 @@ def _with_sensor(model: Model, symbol: str, signal: np.ndarray) -> Model:
     return Model(richer, Recording(recording.dt, channels, units), model.effects, model.window)
 
 
-def imagined(problem: Problem, values: Mapping[str, float]) -> Problem:
+def imagined(problem: Likelihood, values: Mapping[str, float]) -> Likelihood:
     """`problem` as if it had recorded what `values` (symbol -> value) predict, without noise."""
     other = copy.copy(problem)
     other.model = copy.copy(problem.model)
