@@ -44,9 +44,9 @@ def centre_biases(program: Program, network: Network, records: Sequence[Record])
     feeds = problem.flat.feeds()
     summed = {}  # signal -> layer and its rows; sign tests are left alone
     for name, layer in problem.flat.modules.items():
-        if layer.activation == "linear":
+        if layer.is_linear:
             summed[name] = name, slice(None)
-        elif layer.activation not in ("hardlim", "hardlims"):
+        elif layer.function.lowered != "threshold":
             summed |= {p: (name, r) for p, r in sums(name, layer).items() if not p.endswith(".condition")}
     for at, operation in enumerate(program.operations):
         name, rows = summed.get(operation.out.name, ("", None))

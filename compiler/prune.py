@@ -6,17 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greygate.compiler.simplify import Graph
-from greygate.models.network import Network
+from greygate.models.network import Layer, Network
 from greygate.models.training.levenberg import Outcome, train
 from greygate.models.training.problem import Problem, Record
 
-WORKING_RANGE = {
-    "tansig": (-1.0, 1.0),
-    "logsig": (0.0, 1.0),
-    "satlin": (0.0, 1.0),
-    "radbas": (0.0, 1.0),
-    "negexp": (0.0, 1.0),
-}
 BINS = 100
 RIDGE = 1e-9  # of the regression, per sample
 
@@ -35,17 +28,21 @@ class Round:
     kept: bool
 
 
+def spareable(layer: Layer) -> bool:
+    """Whether its neurons may be pruned: they have a working range, and more to say than yes or no."""
+    return layer.function.is_bounded and layer.function.lowered != "threshold"
+
+
 def entropies(network: Network, records: list[Record]) -> dict[str, np.ndarray]:
     """H = -sum p ln p of each hidden neuron's histogram over its whole working range (3.14), in nats, by layer."""
     problem = Problem(network, records)
     run = np.concatenate(problem.simulate(problem.theta))
     found = {}
     for name, columns in problem.elements().items():
-        activation = problem.flat.modules[name].activation if name in problem.flat.modules else None
-        if activation not in WORKING_RANGE:
+        layer = problem.flat.modules.get(name)
+        if layer is None or not spareable(layer):
             continue
-        low, high = WORKING_RANGE[activation]
-        p = np.stack([np.histogram(v, BINS, (low, high))[0] for v in run[:, columns].T]) / len(run)
+        p = np.stack([np.histogram(v, BINS, layer.function.image)[0] for v in run[:, columns].T]) / len(run)
         found[name] = -np.sum(p * np.log(np.where(p > 0, p, 1.0)), axis=1)
     return found
 

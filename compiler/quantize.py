@@ -9,13 +9,14 @@ from fractions import Fraction
 import numpy as np
 
 from greygate.compiler.ranges import Range, sums
-from greygate.compiler.tables import FUNCTIONS, flat_from, integer_bits, make_table, output_fix
+from greygate.compiler.tables import flat_from, integer_bits, make_table, output_fix
 from greygate.emulator.program import (
     ACCUMULATOR_BITS,
     Affine,
     Clamp,
     Fix,
     Lookup,
+    Op,
     Operation,
     Overflow,
     Port,
@@ -183,13 +184,14 @@ class _Quantizer:
     def _declare(self, name: str) -> None:
         """Fix the format of a layer's output before any layer reads it, delayed reads included."""
         layer, width = self.flat.modules[name], self.formats.width
-        if layer.activation in FUNCTIONS:
-            holds = self._square_fix(name) if layer.activation == "square" else output_fix(width + self.formats.finer)
+        f = layer.function
+        if f.lowered == Op.TABLE:
+            holds = output_fix(width + self.formats.finer) if f.is_bounded else self._unbounded_fix(name)
             fix = self.formats.signals.get(name, holds)
-        elif layer.activation in ("hardlim", "hardlims"):
+        elif f.lowered == Op.THRESHOLD:
             fix = Fix(2, 0)
-        elif layer.activation == "satlin":
-            fix = Fix(width, width - 2)
+        elif f.lowered == Op.CLAMP:
+            fix = Fix(width, width - 1 - integer_bits(max(map(abs, f.image))))
         else:
             fix = self.fix(name, width)
             spare = fix.frac - self._exact_frac(name)
@@ -268,20 +270,20 @@ class _Quantizer:
         return self.signals[name]
 
     def _layer(self, name: str) -> None:
-        layer, f = self.flat.modules[name], self.formats
-        out = self.signals[name]
-        if layer.activation == "select":
+        layer, f, out = self.flat.modules[name], self.formats, self.signals[name]
+        lowered, (low, high) = layer.function.lowered, layer.function.image
+        if lowered == Op.SELECT:
             return self._select(name)
-        sign_test = layer.activation in ("hardlim", "hardlims")
+        sign_test = lowered == Op.THRESHOLD
         if sign_test and self._comparator(name):
             return None
         reads = []
         for port, w in layer.weights.items():
             source, delay = self.feeds[f"{name}.{port}"]
             signal = self._delayed(source, delay)
-            whole = source == name or layer.activation == "linear" or sign_test
+            whole = source == name or lowered == Op.AFFINE or sign_test
             reads.append((signal if whole else self._narrow(signal), w))
-        if layer.activation == "linear":
+        if lowered == Op.AFFINE:
             gain = min(loop_gain(self._loops(name)), self.formats.horizon)
             finer = math.ceil(round(math.log2(gain), AGREED)) if gain > 1 else 0
             if finer:
@@ -289,7 +291,7 @@ class _Quantizer:
                 self.notes[name] = "; ".join(filter(None, [self.notes.get(name), why]))
             return self._affine(out, layer.bias, reads, finer)
         pre = f"{name}.n"
-        if layer.activation in FUNCTIONS:
+        if lowered == Op.TABLE:
             frac, reach = self._argument(layer.activation, name, out.fix)
             fix = self.formats.signals.get(pre, Fix(frac + reach + 1, frac))
             signal = Signal(pre, layer.size, fix)
@@ -298,13 +300,13 @@ class _Quantizer:
             key = (table.function, table.arg, table.out)
             self.tables.setdefault(key, table)
             self.operations.append(Lookup(out, pre, table.name))
-        elif layer.activation == "satlin":
+        elif lowered == Op.CLAMP:
             fix = Fix(f.width + f.wide, f.width + f.wide - 1 - max(1, self.fix_bits(pre)))
             self._affine(Signal(pre, layer.size, fix), layer.bias, reads)
-            self.operations.append(Clamp(out, pre, 0, 1 << fix.frac, f.rounding))
+            self.operations.append(Clamp(out, pre, *(int(v * 2**fix.frac) for v in (low, high)), f.rounding))
         else:
             self._signed(Signal(pre, layer.size, self._sign_fix(pre)), layer.bias, reads)
-            self.operations.append(Threshold(out, pre, 0, -1 if layer.activation == "hardlims" else 0, 1))
+            self.operations.append(Threshold(out, pre, 0, int(low), int(high)))
 
     def _comparator(self, name: str) -> bool:
         """A hard limit of one signal compares its codes with a constant, exactly: nothing is multiplied."""
@@ -313,7 +315,8 @@ class _Quantizer:
             return False
         source, delay, weight, bias = plain
         signal = self._delayed(source, delay)
-        answers = (-1 if self.flat.modules[name].activation == "hardlims" else 0, 1)
+        low, high = self.flat.modules[name].function.image
+        answers = int(low), int(high)
         at = -Fraction(bias) / Fraction(weight) * Fraction(2) ** signal.fix.frac  # where weight * code + bias is 0
         if weight > 0:
             at = math.ceil(at)
@@ -364,7 +367,7 @@ class _Quantizer:
         alike = [n for n, layer in self.flat.modules.items() if layer.activation == function and frac(n) == frac(name)]
         return frac(name), max(self.fix_bits(f"{n}.n") for n in alike)
 
-    def _square_fix(self, name: str) -> Fix:
+    def _unbounded_fix(self, name: str) -> Fix:
         """A format whose end is a power of four: there the square saturates, at a point of its table."""
         fix = self.fix(name, self.formats.width)
         return Fix(fix.width, fix.frac - (fix.width - 1 - fix.frac) % 2)

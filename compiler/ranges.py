@@ -6,21 +6,9 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.models.arithmetic import mean, product, xp
-from greygate.models.network import ACTIVATIONS, Layer, Network
+from greygate.models.network import Layer, Network
 from greygate.models.training.problem import Problem, Record
 
-IMAGE = {
-    "tansig": (-1.0, 1.0),
-    "logsig": (0.0, 1.0),
-    "linear": (-np.inf, np.inf),
-    "hardlim": (0.0, 1.0),
-    "hardlims": (-1.0, 1.0),
-    "satlin": (0.0, 1.0),
-    "radbas": (0.0, 1.0),
-    "negexp": (0.0, 1.0),
-    "square": (0.0, np.inf),
-    "select": (-np.inf, np.inf),
-}
 WIDEN_AFTER = 50  # sweeps of interval arithmetic before a signal that still grows is called unbounded
 
 
@@ -44,7 +32,7 @@ class Range:
 
 def sums(name: str, layer: Layer) -> dict[str, slice]:
     """What a layer adds up, by signal name, as slices of its rows: `layer.n`, or the three parts of a select."""
-    if layer.activation != "select":
+    if layer.function.rows == 1:
         return {f"{name}.n": slice(None)}
     size = layer.size
     return {f"{name}.{part}": slice(i * size, (i + 1) * size) for i, part in enumerate(("condition", "above", "below"))}
@@ -114,6 +102,7 @@ def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dic
         changed = False
         for name in flat.order():
             layer = flat.modules[name]
+            f = layer.function
             a, b = layer.bias.copy(), layer.bias.copy()
             for port, w in layer.weights.items():
                 source, _ = feeds[f"{name}.{port}"]
@@ -121,22 +110,22 @@ def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dic
                 a += sum((_times(up, low[source]) + _times(down, high[source])).T)
                 b += sum((_times(up, high[source]) + _times(down, low[source])).T)
             bounds |= {p: (float(a[rows].min()), float(b[rows].max())) for p, rows in sums(name, layer).items()}
-            if layer.activation in ("radbas", "negexp", "square"):  # even, and monotone on either side of zero
+            if f.symmetry == "even":  # and monotone on either side of zero
                 nearest = np.where((a <= 0) & (b >= 0), 0.0, np.minimum(np.abs(a), np.abs(b)))
-                ends = [ACTIVATIONS[layer.activation](xp, n) for n in (nearest, np.maximum(np.abs(a), np.abs(b)))]
+                ends = [f.value(xp, n) for n in (nearest, np.maximum(np.abs(a), np.abs(b)))]
                 a, b = np.minimum(*ends), np.maximum(*ends)
-            elif layer.activation == "select":
+            elif f.lowered == "select":
                 never, always = np.split(b, 3)[0] < -1e-12, np.split(a, 3)[0] > 1e-12
                 (_, *a), (_, *b) = np.split(a, 3), np.split(b, 3)
                 a = np.where(always, a[0], np.where(never, a[1], np.minimum(*a)))
                 b = np.where(always, b[0], np.where(never, b[1], np.maximum(*b)))
             else:
-                a, b = (ACTIVATIONS[layer.activation](xp, n) for n in (a, b))
+                a, b = (f.value(xp, n) for n in (a, b))
             grow_low, grow_high = a < low[name] - 1e-12, b > high[name] + 1e-12
             if grow_low.any() or grow_high.any():
                 changed = True
                 wide = sweep >= WIDEN_AFTER
-                least, most = IMAGE[layer.activation]
+                least, most = f.image
                 low[name] = np.where(grow_low, least if wide else a, low[name])
                 high[name] = np.where(grow_high, most if wide else b, high[name])
         if not changed:

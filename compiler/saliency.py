@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg
 
-from greygate.compiler.prune import WORKING_RANGE, Round, output_errors, retrained
+from greygate.compiler.prune import Round, output_errors, retrained, spareable
 from greygate.compiler.simplify import Graph, fold_constants, parameter_count
 from greygate.errors import InputError
 from greygate.models.network import Network
@@ -94,7 +94,7 @@ class Expansion:
         position[self.weights] = np.arange(len(self.weights))
         found = []
         for name, layer in flat.modules.items():
-            if name in graph.shown() or layer.activation not in WORKING_RANGE:
+            if name in graph.shown() or not spareable(layer):
                 continue
             read = [place[f"{r}.{p}"].reshape(-1, layer.size) for r, p, _ in graph.readers(name)]
             own = [place[f"{name}.{p}"].reshape(layer.size, -1) for p in (*layer.weights, "bias")]
@@ -375,7 +375,7 @@ def _retrained(
 
 
 def _step(network: Network, records: Sequence[Record], held: Sequence[Record]) -> Step:
-    neurons = sum(layer.size for layer in network.modules.values() if layer.activation in WORKING_RANGE)
+    neurons = sum(layer.size for layer in network.modules.values() if spareable(layer))
     error = output_errors(network, list(records))
     other = output_errors(network, list(held)) if held else np.array([])
     return Step(network, parameter_count(network), neurons, tuple(error.tolist()), tuple(other.tolist()))

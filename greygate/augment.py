@@ -208,7 +208,7 @@ def augment(folder: Path | str, diagnosis: Mapping, out: Path | str, say: Callab
         figures[name] = {
             "joined": {n: rms(joined, r) for n, r in records.items()},
             "trained": {n: rms(networks[name], r) for n, r in records.items()},
-            "neurons": sum(v.size for v in joined.layers().values() if v.activation != "linear"),
+            "neurons": joined.neurons(),
             "seconds": round(fit.seconds, 2),
             "outcome": fit.outcome.value,
         }

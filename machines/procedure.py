@@ -121,7 +121,7 @@ class Procedure:
         return self._add(name, network, self.records, monotonic() - began, note)
 
     def _add(self, name: str, network: Network, records: Mapping[str, Record], seconds: float, note: str) -> Network:
-        neurons = sum(layer.size for layer in network.layers().values() if layer.activation != "linear")
+        neurons = network.neurons()
         errors = {scenario: rms(network, record) for scenario, record in records.items()}
         self.steps.append(Step(name, network, neurons, parameter_count(network), errors, seconds, note))
         return network

@@ -18,31 +18,13 @@ import tomli_w
 
 from greygate.errors import InputError, shown
 from greygate.files import read_all, replacing_all
+from greygate.models.activations import ACTIVATIONS, Activation, known
 from greygate.models.arithmetic import product
 from greygate.names import check_name, check_path, check_text, check_unit
 from greygate.reading import Kind, anything, array, entry_of, listed, named, number, read_toml, table, whole
 
 LONGEST_DELAY = 500  # steps
 LARGEST_SIZE = 4096  # signals of a port, neurons of a layer
-# Each takes the array namespace (numpy or torch) and the pre-activation n.
-ACTIVATIONS = {
-    "tansig": lambda xp, n: xp.tanh(n),
-    "logsig": lambda xp, n: 0.5 + 0.5 * xp.tanh(0.5 * n),
-    "linear": lambda xp, n: n,
-    "hardlim": lambda xp, n: xp.where(n >= 0, xp.ones_like(n), xp.zeros_like(n)),
-    "hardlims": lambda xp, n: xp.where(n >= 0, xp.ones_like(n), -xp.ones_like(n)),
-    "satlin": lambda xp, n: xp.clip(n, 0.0, 1.0),
-    "radbas": lambda xp, n: xp.exp(-n * n),
-    "square": lambda xp, n: n * n,
-    "negexp": lambda xp, n: xp.exp(-abs(n)),
-    "select": lambda xp, n: _select(xp, n),
-}
-
-
-def _select(xp, n):
-    """Rows of n in three parts: where the first is not negative the second, else the third."""
-    size = n.shape[-1] // 3
-    return xp.where(n[..., :size] >= 0, n[..., size : 2 * size], n[..., 2 * size :])
 
 
 @dataclass(frozen=True)
@@ -64,10 +46,10 @@ class Port:
 
 @dataclass(frozen=True)
 class Layer:
-    """activation(sum_p weights[p] @ input_p + bias).
+    """activation(sum_p weights[p] @ input_p + bias). Raises InputError for an activation that does not exist.
 
     weights: port -> (rows, n). bias: (rows,). initial: (size,), its output before the first step. A neuron is a row;
-    only `select`, a multiplexer, has three rows a neuron: condition, value where it is >= 0, value else.
+    only `select`, a multiplexer, has three rows a neuron (`models.activations`).
     frozen: names of ports (or "bias") that training leaves as they are.
     """
 
@@ -78,6 +60,7 @@ class Layer:
     frozen: frozenset[str] = frozenset()
 
     def __post_init__(self):
+        known(self.activation, "layer:")
         bias = np.atleast_1d(np.asarray(self.bias, float))
         object.__setattr__(self, "bias", bias)
         object.__setattr__(self, "weights", {p: np.atleast_2d(np.asarray(w, float)) for p, w in self.weights.items()})
@@ -92,7 +75,16 @@ class Layer:
     @property
     def size(self) -> int:
         """Neurons, which are its outputs."""
-        return len(self.bias) // 3 if self.activation == "select" else len(self.bias)
+        return len(self.bias) // self.function.rows
+
+    @property
+    def function(self) -> Activation:
+        """All there is to know of its activation."""
+        return ACTIVATIONS[self.activation]
+
+    @property
+    def is_linear(self) -> bool:
+        return self.function.lowered == "affine"
 
 
 @dataclass(frozen=True)
@@ -146,6 +138,10 @@ class Network:
             else:
                 found |= {f"{name}.{path}": layer for path, layer in module.layers().items()}
         return found
+
+    def neurons(self) -> int:
+        """How many neurons its layers have that are not linear."""
+        return sum(layer.size for layer in self.layers().values() if not layer.is_linear)
 
     def parameters(self) -> dict[str, np.ndarray]:
         """Every weight matrix `layer.port` and bias `layer.bias`."""
@@ -325,7 +321,7 @@ class Runner:
             n = self._values[f"{name}.bias"]
             for port in layer.weights:
                 n = n + feed(f"{name}.{port}") @ self._values[f"{name}.{port}"].T
-            now[name] = ACTIVATIONS[layer.activation](self.xp, n)
+            now[name] = layer.function.value(self.xp, n)
         outputs = {p.name: feed(p.name) * p.scale + p.offset for p in self._flat.outputs}
         for name, past in self._past.items():
             if past:
@@ -420,10 +416,9 @@ class _Flattener:
             self.fail(f"port {path}: scale, offset, initial, resolution must be finite, scale not 0")
 
     def _layer(self, layer: Layer, path: str) -> None:
-        if layer.activation not in ACTIVATIONS:
-            self.fail(f"layer {path}: unknown activation {shown(layer.activation)}; known: {', '.join(ACTIVATIONS)}")
-        if layer.activation == "select" and layer.rows % 3:
-            self.fail(f"layer {path}: select has {layer.rows} rows; it needs three for each neuron")
+        if layer.rows % layer.function.rows:
+            per_neuron = f"it needs {layer.function.rows} for each neuron"
+            self.fail(f"layer {path}: {layer.activation} has {layer.rows} rows; {per_neuron}")
         self._declare(self.size, path, layer.size, "layer")
         for port, w in layer.weights.items():
             if "." in check_path(port, f"{self.where} layer {path}: port") or port == "bias":
@@ -610,7 +605,7 @@ _PORT_OPTIONS: dict[str, Kind] = {
 }  # fmt: skip
 _CONNECTION: dict[str, Kind] = {"from": check_path, "to": check_path, "delay": whole(0, LONGEST_DELAY)}
 _LAYER: dict[str, Kind] = {
-    "activation": check_text,
+    "activation": known,
     "rows": whole(1, 3 * LARGEST_SIZE),
     "ports": named(whole(1, LARGEST_SIZE)),
     "initial": array,
@@ -656,7 +651,7 @@ class _Reader:
                 )
             values[port] = found
         bias, initial = values.pop("bias"), said["initial"]
-        size = said["rows"] // 3 if said["activation"] == "select" else said["rows"]
+        size = said["rows"] // ACTIVATIONS[said["activation"]].rows
         if initial.shape not in ((), (1,), (size,)):
             raise InputError(f"{where}.initial has shape {initial.shape}; give {size} numbers")
         return Layer(values, bias, said["activation"], initial, frozenset(said["frozen"]))

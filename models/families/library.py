@@ -55,7 +55,7 @@ class Entry:
     @property
     def neurons(self) -> int:
         """Neurons that are not linear."""
-        return sum(layer.size for layer in self.network.layers().values() if layer.activation != "linear")
+        return self.network.neurons()
 
     def grid(self, points: int | None = None) -> dict[str, np.ndarray]:
         """Every combination of `points` values of each port, the ends of its range and of its gaps among them."""

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 from time import monotonic
 
-import numba
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.models.network import ACTIVATIONS, Network
-from greygate.models.training.kernels import Tables, forward, sensitivities, slope
+from greygate.models.activations import ACTIVATIONS
+from greygate.models.network import Network
+from greygate.models.training.kernels import Tables, forward, kernel, sensitivities, slope
 from greygate.models.training.levenberg import STOP, Fit, Outcome, _Whole, blas
 from greygate.models.training.problem import Problem, Record, held_out
 
@@ -330,20 +330,20 @@ class _Static:
         return self.at.grad.numpy()
 
     def _outputs(self, rows):
-        torch, t, kinds = self.torch, self.tables, list(ACTIVATIONS)
+        torch, t, kinds = self.torch, self.tables, list(ACTIVATIONS.values())
         signals, layers, count = {}, t.layers.tolist(), len(self.target[rows])
         for (first, size, kind, bias, lo), (*_, hi) in pairwise(layers):
             links = t.links[lo:hi].tolist()
-            n = self.at[bias : bias + size * (3 if kinds[kind] == "select" else 1)].expand(count, -1)
+            n = self.at[bias : bias + size * kinds[kind].rows].expand(count, -1)
             if links:
                 x = [self.given[s, d][rows] if (s, d) in self.given else signals[s] for s, _, d, _ in links]
                 w = [self.at[o : o + n.shape[1] * width].view(-1, width) for _, width, _, o in links]
                 n = torch.addmm(n, torch.cat(x, 1), torch.cat(w, 1).T)
-            signals[first] = ACTIVATIONS[kinds[kind]](torch, n)
+            signals[first] = kinds[kind].value(torch, n)
         return torch.cat([signals[e] for e in t.rows[t.shown].tolist() if e in signals], 1)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
+@kernel(fastmath={"contract", "reassoc"})
 def _back(t: Tables, theta, now, past, forced, error, gradient):  # pragma: no cover - compiled
     """gradient += d/d theta of sum(error * output), swept back through all steps; error: (N, outputs)."""
     ring = t.depth + 1
@@ -380,7 +380,7 @@ def _back(t: Tables, theta, now, past, forced, error, gradient):  # pragma: no c
         a[:] = 0.0
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _learn(
     t: Tables, theta, now, past, forced, target, skip, rate, decay, variable, room
 ):  # pragma: no cover - compiled
