@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greygate.errors import InputError
+from greygate.models.activations import Activation
 from greygate.models.arithmetic import mean, product, xp
 from greygate.models.network import Layer, Network
 from greygate.models.training.problem import Problem, Record
@@ -120,7 +121,7 @@ def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dic
                 a = np.where(always, a[0], np.where(never, a[1], np.minimum(*a)))
                 b = np.where(always, b[0], np.where(never, b[1], np.maximum(*b)))
             else:
-                a, b = (f.value(xp, n) for n in (a, b))
+                a, b = _at(f, a), _at(f, b)
             grow_low, grow_high = a < low[name] - 1e-12, b > high[name] + 1e-12
             if grow_low.any() or grow_high.any():
                 changed = True
@@ -131,6 +132,12 @@ def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dic
         if not changed:
             break
     return bounds | {n: (float(low[n].min()), float(high[n].max())) for n in low}
+
+
+def _at(f: Activation, n: np.ndarray) -> np.ndarray:
+    """A monotone activation of bounds, which may be infinite: there it is at an end of its image."""
+    finite = np.isfinite(n)
+    return np.where(finite, f.value(xp, np.where(finite, n, 0.0)), np.clip(n, *f.image))
 
 
 def _times(w: np.ndarray, bound: np.ndarray) -> np.ndarray:
