@@ -125,6 +125,14 @@ ACTIVATIONS: dict[str, Activation] = {
         lowered="select",
         rows=3,
     ),
+    "softsign": Activation(
+        value=lambda xp, n: n / (1.0 + abs(n)),
+        slope=lambda xp, y: (1.0 - abs(y)) ** 2,
+        image=(-1.0, 1.0),
+        lowered="table",
+        symmetry="odd",
+        flat_from=lambda decades, most: math.exp(decades) - 1.0,
+    ),
 }
 
 

@@ -10,10 +10,18 @@ import numpy as np
 import pytest
 import torch
 
+from greygate.compiler.pipeline import compile_network, strain
+from greygate.compiler.quantize import Formats
+from greygate.emulator.engine import run
+from greygate.hardware.verify import Case, Scenario, verify_many
+from greygate.machines.procedure import rms
 from greygate.models import activations, arithmetic, scalars
 from greygate.models.activations import ACTIVATIONS
+from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training import descent, kernels
+from greygate.models.training.levenberg import train
+from greygate.models.training.problem import Record
 
 N = np.array([-40.0, -3.0, -1.0, -0.3, -1e-3, 0.0, 1e-3, 0.3, 1.0, 3.0, 40.0, 0.5])
 ONE_ROW = [name for name, a in ACTIVATIONS.items() if a.rows == 1]
@@ -99,3 +107,25 @@ def test_the_documentation_lists_every_activation():
     page = (Path(__file__).parents[1] / "docs" / "network.md").read_text()
     (row,) = re.findall(r"^\| `transferFcn` \|.*$", page, re.MULTILINE)
     assert " ".join(re.findall(r"`([a-z ]+)`", row)).split() == list(ACTIVATIONS)
+
+
+def test_a_network_of_softsigns_is_trained_compiled_and_verified(tmp_path):
+    """It stands for any entry: nothing but its row in the table knows of it."""
+    rng = np.random.default_rng(0)
+    u = np.cumsum(rng.normal(size=400)) / 10
+    y = np.zeros(400)
+    for k in range(1, 400):
+        y[k] = 0.8 * y[k - 1] + 0.2 * np.tanh(2 * u[k])
+    inputs = {Port("u", scale=float(np.abs(u).max())): (0, 1)}
+    start = noe("softsigns", inputs, Port("y"), (1,), (4,), seed=1, activation="softsign")
+    record = Record({"u": u}, {"y": y})
+    network = train(start, [record], epochs=30).network
+    compiled = compile_network(network, {"walk": record}, Formats(14))
+    program = compiled.program
+    assert {t.function for t in program.tables} == {"softsign"}
+    assert rms(network, record)["y"] < 0.1 * rms(start, record)["y"]
+    assert strain(program, compiled.network, [record]) < 1.1
+    codes = program.encode({"u": u[:60]})
+    answer = run(program, codes)
+    case = Case(program, {"walk": Scenario(codes, answer.outputs, answer.states)}, "parallel")
+    assert [v.mismatch for v in verify_many([case], tmp_path, seed=1).verdicts] == [None]

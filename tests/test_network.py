@@ -48,6 +48,7 @@ def test_every_activation_is_its_definition(name):
         "radbas": np.exp(-(n**2)),
         "square": n**2,
         "negexp": np.exp(-np.abs(n)),
+        "softsign": n / (1 + np.abs(n)),
         "select": [2.0, -1.0],  # -3 and -0.5 choose between 0 or 2, and 0.25 or -1
     }
     np.testing.assert_allclose(ACTIVATIONS[name].value(np, n), by_hand[name], atol=1e-15)
