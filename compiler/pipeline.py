@@ -1,6 +1,5 @@
 """From a trained network to an integer program: the whole list of passes, each checked before and after."""
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -8,14 +7,14 @@ import numpy as np
 
 from greygate.compiler.centre import centre_biases
 from greygate.compiler.meaning import prove, use_meanings
-from greygate.compiler.prune import Round, output_errors, prune_by_entropy
+from greygate.compiler.prune import Round, prune_by_entropy
 from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.ranges import Range, ranges
 from greygate.compiler.simplify import SIMPLIFICATIONS, merge_linear, multiplications, parameter_count
 from greygate.emulator.engine import run
 from greygate.emulator.program import Fix, Program
 from greygate.errors import InputError
-from greygate.models.arithmetic import mean
+from greygate.models.accuracy import float_error, pooled_rms, portable_rms
 from greygate.models.network import Network
 from greygate.models.training.problem import Problem, Record
 
@@ -125,7 +124,7 @@ def entropy_pruning(
     records may rise, or over `records` if none are held out."""
 
     def prune(network: Network) -> tuple[Network, list[Round]]:
-        error = output_errors(network, list(held or records))
+        error = pooled_rms(network, list(held or records))
         return prune_by_entropy(network, list(records), retrain, allowed * error, held=held)
 
     return prune
@@ -137,21 +136,10 @@ def fixed_error(program: Program, record: Record) -> dict[str, np.ndarray]:
     return {p.name: decoded[p.name] - np.asarray(record.targets[p.name]) for p in program.outputs}
 
 
-def float_error(network: Network, record: Record) -> dict[str, np.ndarray]:
-    """Float prediction less target, by output, in physical units, (N,) or (N, size)."""
-    problem = Problem(network, [record])
-    errors = problem.errors(problem.theta)
-    if errors is None:
-        raise InputError(f"network {network.name}: diverges on the record")
-    ends = np.cumsum([p.size for p in problem.flat.outputs])[:-1]
-    parts = zip(problem.flat.outputs, np.split(errors[0], ends, axis=1), strict=True)
-    return {p.name: (e if p.size > 1 else e[:, 0]) * p.scale for p, e in parts}
-
-
 def strain(program: Program, network: Network, records: Sequence[Record]) -> float:
     """RMS error of fixed point over that of float, the worst of all outputs and records."""
     return max(
-        _rms(fixed_error(program, r)[n], r) / max(_rms(e, r), 1e-300)
+        portable_rms(fixed_error(program, r)[n], r.skip) / max(portable_rms(e, r.skip), 1e-300)
         for r in records
         for n, e in float_error(network, r).items()
     )
@@ -191,7 +179,7 @@ def meet_budget(
 
     for r in records:
         for name, error in float_error(network, r).items():
-            if _rms(error, r) <= EXACT * float(np.std(r.targets[name])):
+            if portable_rms(error, r.skip) <= EXACT * float(np.std(r.targets[name])):
                 raise InputError(
                     f"output {name}: float repeats the record exactly, so a budget means nothing; use --width"
                 )
@@ -221,10 +209,6 @@ def meet_budget(
 
 def _less(fix: Fix) -> Fix:
     return Fix(fix.width - 1, fix.frac - 1)
-
-
-def _rms(error: np.ndarray, record: Record) -> float:
-    return math.sqrt(float(mean(error[record.skip :].ravel() ** 2)))
 
 
 def _summary(name: str, network: Network, change: float) -> Pass:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greygate.compiler.simplify import Graph
+from greygate.models.accuracy import pooled_rms
 from greygate.models.network import Layer, Network
 from greygate.models.training.levenberg import Outcome, train
 from greygate.models.training.problem import Problem, Record
@@ -45,17 +46,6 @@ def entropies(network: Network, records: list[Record]) -> dict[str, np.ndarray]:
         p = np.stack([np.histogram(v, BINS, layer.function.image)[0] for v in run[:, columns].T]) / len(run)
         found[name] = -np.sum(p * np.log(np.where(p > 0, p, 1.0)), axis=1)
     return found
-
-
-def output_errors(network: Network, records: list[Record]) -> np.ndarray:
-    """RMS error over all records, normalised, of each output column; inf where a run diverges."""
-    problem = Problem(network, records)
-    errors = problem.errors(problem.theta)
-    if errors is None:
-        return np.full(sum(p.size for p in problem.flat.outputs), np.inf)
-    used = np.concatenate([e[r.skip :] for e, r in zip(errors, records, strict=True)])
-    with np.errstate(over="ignore"):  # finite and still too large to square: inf
-        return np.sqrt(np.mean(used**2, axis=0))
 
 
 def remove_neurons(network: Network, records: list[Record], chosen: dict[str, list[int]]) -> Network:
@@ -123,8 +113,8 @@ def prune_by_entropy(
             if len(chosen.get(name, [])) < len(found[name]) - 1:
                 chosen.setdefault(name, []).append(i)
         trial = retrain(remove_neurons(network, records, chosen))
-        error = output_errors(trial, records)
-        kept = bool(((output_errors(trial, list(held)) if held else error) <= allowed).all())
+        error = pooled_rms(trial, records)
+        kept = bool(((pooled_rms(trial, list(held)) if held else error) <= allowed).all())
         rounds.append(Round(chosen, len(ranked) - sum(map(len, chosen.values())), tuple(error.tolist()), kept))
         if kept:
             network = trial

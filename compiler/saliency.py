@@ -12,9 +12,10 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg
 
-from greygate.compiler.prune import Round, output_errors, retrained, spareable
+from greygate.compiler.prune import Round, retrained, spareable
 from greygate.compiler.simplify import Graph, fold_constants, parameter_count
 from greygate.errors import InputError
+from greygate.models.accuracy import pooled_rms
 from greygate.models.network import Network
 from greygate.models.training.levenberg import blas
 from greygate.models.training.problem import Problem, Record
@@ -351,7 +352,7 @@ def saliency_pruning(
     """
 
     def prune(network: Network) -> tuple[Network, list[Round]]:
-        error = output_errors(network, list(held or records))
+        error = pooled_rms(network, list(held or records))
         pruned = prune_by_saliency(network, records, method, allowed * error, held=held, **options)
         return pruned.network, list(pruned.rounds)
 
@@ -376,8 +377,8 @@ def _retrained(
 
 def _step(network: Network, records: Sequence[Record], held: Sequence[Record]) -> Step:
     neurons = sum(layer.size for layer in network.modules.values() if spareable(layer))
-    error = output_errors(network, list(records))
-    other = output_errors(network, list(held)) if held else np.array([])
+    error = pooled_rms(network, list(records))
+    other = pooled_rms(network, list(held)) if held else np.array([])
     return Step(network, parameter_count(network), neurons, tuple(error.tolist()), tuple(other.tolist()))
 
 

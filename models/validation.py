@@ -12,6 +12,7 @@ from scipy.linalg import eigh, toeplitz
 from threadpoolctl import threadpool_limits
 
 from greygate.errors import InputError
+from greygate.models.accuracy import rms
 from greygate.models.network import Network, Port
 from greygate.models.spectra import frequency_response
 from greygate.models.training.kernels import forward, tabulate
@@ -367,10 +368,10 @@ def _validated(
             samples=len(y),
             skip=record.skip,
             spread=float(np.std(y)),
-            rms=_rms(y - y_hat),
+            rms=rms(y - y_hat),
             worst=float(np.abs(y - y_hat).max()) if finite else np.inf,
             fit=fit_per_cent(y, y_hat) if finite else -np.inf,
-            ahead={k: (_rms(e[:, j]), fit_per_cent(m[:, j], m[:, j] - e[:, j])) for k, (m, e) in ahead.items()},
+            ahead={k: (rms(e[:, j]), fit_per_cent(m[:, j], m[:, j] - e[:, j])) for k, (m, e) in ahead.items()},
             tests={n: residual_tests(e, inputs, lags) for n, e in residuals.items() if np.isfinite(e).all()},
             response=_response(y, y_hat, period) if finite else None,
             long_run=long_runs[j],
@@ -405,7 +406,7 @@ def _long_runs(model: _Model, record: Record, measured: np.ndarray) -> list[Long
     middle, half = np.mean(measured, axis=0), np.ptp(measured, axis=0) / 2
     half = np.where(half > 0, half, np.maximum(np.abs(middle), 1e-300))
     spread = np.where(np.std(measured, axis=0) > 0, np.std(measured, axis=0), half)
-    rms = np.full((outputs, REPETITIONS), np.inf)
+    errors = np.full((outputs, REPETITIONS), np.inf)
     reach = np.full((outputs, len(AMPLITUDES), REPETITIONS), np.inf)
     for a, amplitude in enumerate(AMPLITUDES):
         before = np.inf
@@ -416,23 +417,18 @@ def _long_runs(model: _Model, record: Record, measured: np.ndarray) -> list[Long
             same = slice(r, None if periodic else r + 1)  # repetitions that are as this one
             reach[:, a, same] = (np.max(np.abs(outcome - middle)[settled], axis=0) / half)[:, None]
             if amplitude == 1.0:
-                rms[:, same] = [[_rms(e)] for e in (measured - outcome)[settled].T]
+                errors[:, same] = [[rms(e)] for e in (measured - outcome)[settled].T]
             if periodic:
                 break
             before = outcome
     found = []
     for j in range(outputs):
-        finite = np.isfinite(rms[j]).all()
-        slope = np.polyfit(np.arange(1, REPETITIONS), rms[j, 1:], 1)[0] if finite else np.inf
-        found.append(LongRun(rms[j], reach[j], float(slope / spread[j])))
+        finite = np.isfinite(errors[j]).all()
+        slope = np.polyfit(np.arange(1, REPETITIONS), errors[j, 1:], 1)[0] if finite else np.inf
+        found.append(LongRun(errors[j], reach[j], float(slope / spread[j])))
     return found
 
 
 def _response(y: np.ndarray, y_hat: np.ndarray, period: float) -> dict:
     found = frequency_response(y, {"free run": y_hat}, period)
     return {"frequency": found["frequency"], **found["free run"]}
-
-
-def _rms(error: np.ndarray) -> float:
-    value = float(np.sqrt(np.mean(np.square(error))))
-    return value if np.isfinite(value) else np.inf

@@ -10,7 +10,7 @@ from networks import random_inputs, random_network
 from test_network import delay_line
 
 from greygate.compiler.centre import centre_biases
-from greygate.compiler.pipeline import compile_network, entropy_pruning, fixed_error, float_error
+from greygate.compiler.pipeline import compile_network, entropy_pruning, fixed_error
 from greygate.compiler.prune import entropies, remove_neurons
 from greygate.compiler.quantize import Formats, loop_gain, memory, quantize
 from greygate.compiler.ranges import ranges
@@ -21,6 +21,7 @@ from greygate.emulator.interpreter import fit, interpret, lookup, round_shift
 from greygate.emulator.program import Affine, Fix, Overflow, Program, Rounding, Signal
 from greygate.emulator.program import Port as ProgramPort
 from greygate.errors import InputError
+from greygate.models.accuracy import float_error
 from greygate.models.activations import ACTIVATIONS
 from greygate.models.arithmetic import xp
 from greygate.models.families.blocks import feedforward, flow_record

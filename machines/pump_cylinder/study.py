@@ -9,9 +9,10 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from greygate.machines.procedure import Procedure, rms
+from greygate.machines.procedure import Procedure
 from greygate.machines.pump_cylinder.network import leakage_bounds, pump_srnn
 from greygate.machines.pump_cylinder.plant import PUMP_CYLINDER, RECORDS, SAMPLE_TIME, SENSORS, pump_cylinder, record
+from greygate.models.accuracy import free_run_rms, rms
 from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.library import library
 from greygate.models.families.regression import noe
@@ -101,10 +102,7 @@ def train_srnn(progress: Callable[[str], None] | None = None) -> tuple[Network, 
 def constant() -> dict[str, tuple[float, ...]]:
     """RMS in Pa of the least that a model can say: the mean pressures of the rig's training record."""
     mean = {p: v.mean() for p, v in recording("rig_training").targets.items()}
-    return {
-        name: tuple(float(np.sqrt(np.mean((v - mean[p]) ** 2))) for p, v in recording(name).targets.items())
-        for name in SCENARIOS
-    }
+    return {name: tuple(rms(v - mean[p]) for p, v in recording(name).targets.items()) for name in SCENARIOS}
 
 
 def sensor_backup(progress: Callable[[str], None] | None = None) -> dict[str, tuple[float, ...]]:
@@ -114,7 +112,7 @@ def sensor_backup(progress: Callable[[str], None] | None = None) -> dict[str, tu
         network = fit(assemble(known), "training", known, progress).network
         network = fit(network, "rig_training", known, progress).network
         for name in SCENARIOS:
-            found[name] += tuple(rms(network, recording(name, known)).values())
+            found[name] += tuple(free_run_rms(network, recording(name, known)).values())
     return found
 
 
@@ -128,7 +126,7 @@ def noisy_position(nominal: Network) -> dict[str, tuple[float, ...]]:
 
     bounds = leakage_bounds(assemble())
     network = train(nominal, [noisier("rig_training")], epochs=EPOCHS, bounds=bounds).network
-    return {name: tuple(rms(network, noisier(name)).values()) for name in SCENARIOS}
+    return {name: tuple(free_run_rms(network, noisier(name)).values()) for name in SCENARIOS}
 
 
 def black_box(name: str) -> Record:
@@ -176,7 +174,7 @@ def black_boxes(progress: Callable[[str], None] | None = None) -> dict:
 
 
 def _both(network: Network, record: Record) -> float:
-    return rms(network, record)["p"]
+    return free_run_rms(network, record)["p"]
 
 
 def random_starts(bounded: bool, seeds: range = range(3)) -> list[tuple[float, ...]]:
@@ -194,5 +192,5 @@ def random_starts(bounded: bool, seeds: range = range(3)) -> list[tuple[float, .
         }
         bounds = leakage_bounds(start) if bounded else None
         network = train(start.with_parameters(drawn), [recording("rig_training")], epochs=EPOCHS, bounds=bounds).network
-        found.append(tuple(rms(network, recording("rig_chirp")).values()))
+        found.append(tuple(free_run_rms(network, recording("rig_chirp")).values()))
     return found
