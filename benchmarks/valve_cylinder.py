@@ -38,7 +38,7 @@ def record(name: str, chamber: str) -> Record:
 def at_rest(network: Network, runs: dict[str, Record]) -> Network:
     """The network whose feedback starts at the pressure of rest."""
     port = network.outputs[0]
-    level = (float(runs["training"].targets[port.name][0]) - port.offset) / port.scale
+    level = port.normalised(float(runs["training"].targets[port.name][0]))
     modules = {n: replace(m, initial=level) if n == "sum" else m for n, m in network.modules.items()}
     return replace(network, modules=modules)
 

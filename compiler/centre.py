@@ -24,13 +24,13 @@ def centre_biases(program: Program, network: Network, records: Sequence[Record])
     """Correct the biases of every AFFINE operation that rounds weights, in program order, on records."""
     problem = Problem(network, list(records))
     past: dict[str, list[np.ndarray]] = {}  # signal -> by delay, its values at the chosen steps of all records
-    codes = []
+    codes, rest = [], problem.flat.rest()
     for record, trace in zip(records, problem.simulate(problem.theta), strict=True):
         count = max(1, min(SAMPLES // len(records), len(trace)))
         steps = np.unique(np.linspace(0, len(trace) - 1, count).astype(int))
         codes.append(program.encode(record.inputs)[steps])
         for name, columns in problem.elements().items():
-            whole = np.concatenate([np.tile(_before(problem, name), (problem.depth, 1)), trace[:, columns]])
+            whole = np.concatenate([np.tile(rest[name], (problem.depth, 1)), trace[:, columns]])
             delayed = [whole[steps + problem.depth - d] for d in range(problem.depth + 1)]
             before = past.get(name, [d[:0] for d in delayed])
             past[name] = [np.concatenate(pair) for pair in zip(before, delayed, strict=True)]
@@ -64,14 +64,6 @@ def centre_biases(program: Program, network: Network, records: Sequence[Record])
         changed = replace(operation, bias=bias)
         program = replace(program, operations=(*program.operations[:at], changed, *program.operations[at + 1 :]))
     return program.check()
-
-
-def _before(problem: Problem, name: str) -> np.ndarray:
-    """What a signal is before the first step, normalised."""
-    port = next((p for p in problem.flat.inputs if p.name == name), None)
-    if port is None:
-        return problem.flat.modules[name].initial
-    return np.full(port.size, (port.initial - port.offset) / port.scale)
 
 
 def _rounds_nothing(operation: Affine) -> bool:

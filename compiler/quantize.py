@@ -231,13 +231,7 @@ class _Quantizer:
         return self.signals[name]
 
     def _initial(self, source: str, fix: Fix) -> np.ndarray:
-        port = next((p for p in self.flat.inputs if p.name == source), None)
-        value = (
-            self.flat.modules[source].initial
-            if port is None
-            else np.full(port.size, (port.initial - port.offset) / port.scale)
-        )
-        codes = np.floor(value * 2.0**fix.frac + 0.5)
+        codes = np.floor(self.flat.rest()[source] * 2.0**fix.frac + 0.5)
         if (codes < fix.lo - 1).any() or (codes > fix.hi + 1).any():
             raise InputError(
                 f"signal {source}: its initial value does not fit {fix}; check the record it was ranged on"

@@ -45,8 +45,7 @@ def ranges(network: Network, records: list[Record]) -> dict[str, Range]:
     flat, runs = problem.flat, problem.simulate(problem.theta)
     if runs is None:
         raise InputError(f"network {network.name}: diverges on the records; train it before compiling")
-    start = {p.name: np.full(p.size, (p.initial - p.offset) / p.scale) for p in flat.inputs}
-    start |= {n: layer.initial for n, layer in flat.modules.items()}
+    start = flat.rest()
     past = {}
     for source, delay in flat.feeds().values():
         past[source] = max(past.get(source, 0), delay)
@@ -62,7 +61,7 @@ def ranges(network: Network, records: list[Record]) -> dict[str, Range]:
             first = start[n]
             if n in record.initial:
                 port = next((p for p in flat.inputs if p.name == n), None)
-                value = record.initial[n] if port is None else (record.initial[n] - port.offset) / port.scale
+                value = record.initial[n] if port is None else port.normalised(record.initial[n])
                 first = np.full(len(first), value)
             history[n] = np.concatenate([np.broadcast_to(first, (d, len(first))), signal[n]])
         feeds = flat.feeds()

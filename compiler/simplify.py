@@ -89,8 +89,7 @@ def merge_linear(network: Network, always: bool = False) -> Network:
             layer, readers = g.layers[name], g.readers(name)
             if not layer.is_linear or name in g.shown() or any(r == name for r, _, _ in readers) or not readers:
                 continue
-            start = {p.name: np.full(p.size, (p.initial - p.offset) / p.scale) for p in g.flat.inputs}
-            start |= {n: part.initial for n, part in g.layers.items()}
+            start = g.flat.rest() | {n: part.initial for n, part in g.layers.items()}
             before = layer.bias + sum(product(w, start[s]) for s, _, w, _ in g.terms(name))
             if any(d for _, _, d in readers) and not np.allclose(before, layer.initial, rtol=0, atol=1e-15):
                 continue

@@ -43,6 +43,15 @@ class Port:
     initial: float = 0.0
     resolution: float = 0.0
 
+    def normalised(self, value):
+        """What stands inside for a value (number or array) in `unit`."""
+        return (value - self.offset) / self.scale
+
+    @property
+    def rest(self) -> float:
+        """What stands inside before step 0."""
+        return self.normalised(self.initial)
+
 
 @dataclass(frozen=True)
 class Layer:
@@ -204,6 +213,11 @@ class Network:
         """
         return _Flattener(self).network()
 
+    def rest(self) -> dict[str, np.ndarray]:
+        """Of a flat network: every input and layer before step 0, (size,), normalised."""
+        inputs = {p.name: np.full(p.size, p.rest) for p in self.inputs}
+        return inputs | {name: layer.initial for name, layer in self.modules.items()}
+
     def feeds(self) -> dict[str, tuple[str, int]]:
         """Of a flat network: `layer.port` or output -> (source, delay)."""
         return {c.target: (c.source, c.delay) for c in self.connections}
@@ -296,8 +310,8 @@ class Runner:
         self._feeds = flat.feeds()
         as_array = (lambda v: v) if self.xp is np else (lambda v: self.xp.as_tensor(v, dtype=self.xp.float64))
         self._values = {n: as_array((parameters or {}).get(n, np.asarray(v))) for n, v in values.items()}
-        start = {p.name: np.full(p.size, (initial.get(p.name, p.initial) - p.offset) / p.scale) for p in flat.inputs}
-        start |= {n: initial.get(n, layer.initial) for n, layer in flat.modules.items()}
+        given = {p.name: np.full(p.size, p.normalised(initial[p.name])) for p in flat.inputs if p.name in initial}
+        start = flat.rest() | dict(initial) | given
         sizes = {p.name: p.size for p in flat.inputs} | {n: layer.size for n, layer in flat.modules.items()}
         deepest = dict.fromkeys(start, 0)
         for source, delay in self._feeds.values():
@@ -310,7 +324,7 @@ class Runner:
 
     def step(self, inputs: Mapping, trace: bool = False) -> dict:
         """inputs: port -> (..., size), physical. Returns port -> (..., size), physical (and every layer, if traced)."""
-        now = {p.name: (inputs[p.name] - p.offset) / p.scale for p in self._flat.inputs}
+        now = {p.name: p.normalised(inputs[p.name]) for p in self._flat.inputs}
 
         def feed(target):
             source, delay = self._feeds[target]
@@ -552,16 +566,14 @@ class _Flattener:
             [Connection(source, target, delay) for target, (source, delay) in traced.items()],
         )
         order = flat.order()
-        start = {p.name: np.full(p.size, (p.initial - p.offset) / p.scale) for p in flat.inputs}
-        feeds = flat.feeds()
+        start, feeds = flat.rest(), flat.feeds()
         for name in order:  # a junction before the first step is what its sources were
             layer = flat.modules[name]
             if name not in self.layers:
                 sources = {p: feeds[f"{name}.{p}"][0] for p in layer.weights}
-                before = {s: start[s] if s in start else flat.modules[s].initial for s in sources.values()}
-                initial = layer.bias + sum(product(w, before[sources[p]]) for p, w in layer.weights.items())
-                flat.modules[name] = layer = replace(layer, initial=initial)
-            start[name] = layer.initial
+                initial = layer.bias + sum(product(w, start[sources[p]]) for p, w in layer.weights.items())
+                flat.modules[name] = replace(layer, initial=initial)
+                start[name] = flat.modules[name].initial
         flat.modules = {n: flat.modules[n] for n in order}
         return flat
 

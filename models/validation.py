@@ -301,8 +301,8 @@ class _Model:
         for p in self.inputs:
             u = np.asarray(record.inputs[p.name], float).reshape(-1, p.size)
             u = u if amplitude == 1.0 else np.mean(u, axis=0) + amplitude * (u - np.mean(u, axis=0))
-            now[self.depth :, self.columns[p.name]] = (u - p.offset) / p.scale
-            now[: self.depth, self.columns[p.name]] = (record.initial.get(p.name, p.initial) - p.offset) / p.scale
+            now[self.depth :, self.columns[p.name]] = p.normalised(u)
+            now[: self.depth, self.columns[p.name]] = p.normalised(record.initial.get(p.name, p.initial))
         for name, layer in self.flat.modules.items():
             now[: self.depth, self.columns[name]] = record.initial.get(name, layer.initial)
         return now

@@ -30,6 +30,11 @@ def test_delays_initial_values_and_normalisation_are_those_worked_by_hand():
     np.testing.assert_allclose(delay_line().run({"u": u})["y"], 10 * np.array([s0, s1, s2]), rtol=1e-15)
 
 
+def test_before_step_0_every_input_and_layer_is_at_rest_normalised():
+    rest = delay_line().flatten().rest()
+    assert {name: value.tolist() for name, value in rest.items()} == {"u": [2.0], "sum": [0.2]}
+
+
 def test_initial_values_can_be_given_for_a_run():
     y = delay_line().run({"u": np.array([3.0])}, initial={"u": 1.0, "sum": 4.0})["y"]
     np.testing.assert_allclose(y, [10 * (1 + 0 + 1.0 + 0.1)], rtol=1e-15)

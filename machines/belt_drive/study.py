@@ -54,7 +54,7 @@ def legs(x: np.ndarray) -> list[tuple[int, int, str]]:
 
 def normalised(record: Record) -> tuple[np.ndarray, np.ndarray]:
     """x and e as the experts see them."""
-    return (record.inputs["x"] - X.offset) / X.scale, record.targets["e"] / E.scale
+    return X.normalised(record.inputs["x"]), E.normalised(record.targets["e"])
 
 
 def answer(network: Network, **inputs: np.ndarray) -> np.ndarray:

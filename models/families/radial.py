@@ -49,8 +49,7 @@ def radial(
     network.add("squares", Layer(squares, np.zeros(len(taps)), "square", frozen=frozenset({*taps, "bias"})))
     kernels = {"squares": precision, **cross}
     network.add("kernels", Layer(kernels, (precision * centres**2).sum(1), "negexp"))
-    rest = (output.initial - output.offset) / output.scale
-    network.add("sum", Layer({"kernels": np.zeros((1, len(centres)))}, [0.0], initial=rest))
+    network.add("sum", Layer({"kernels": np.zeros((1, len(centres)))}, [0.0], initial=output.rest))
     for port, (source, delay) in taps.items():
         network.connect(source, f"squares.{port}", delay)
         network.connect(source, f"kernels.{port}", delay)

@@ -78,7 +78,7 @@ def regression(
         weights[f"{output.name}_z{feedback[0]}"] = np.eye(output.size)
     if hidden:
         weights |= {port: 0.01 * rng.normal(size=(output.size, n)) for port, n in fed.items()}
-    network.add("sum", Layer(weights, np.zeros(output.size), initial=_rest(output)))
+    network.add("sum", Layer(weights, np.zeros(output.size), initial=output.rest))
     for port, (source, delay) in (direct | last).items():
         network.connect(source, f"sum.{port}", delay)
     network.connect("sum", output.name)
@@ -146,7 +146,7 @@ def box_jenkins(plant: Network, noise: Sequence[int], shaping: Sequence[int]) ->
     network.connections = [c for c in flat.connections if c.target != output.name]
     taps = {f"v_z{d}": ("v", d) for d in shaping} | {f"e_z{d}": ("e", d) for d in noise}
     weights = {"plant": [[1.0]]} | {port: [[0.0]] for port in taps}
-    network.add("predicted", Layer(weights, [0.0], initial=_rest(output), frozen={"plant", "bias"}))
+    network.add("predicted", Layer(weights, [0.0], initial=output.rest, frozen={"plant", "bias"}))
     for port, (name, d) in ({"plant": (source, delay)} | taps).items():
         network.connect(name, f"predicted.{port}", d)
     network.connect("predicted", output.name)
@@ -180,10 +180,6 @@ def with_measured(record: Record, network: Network) -> Record:
     asked = {p.name for p in network.inputs}
     given = {_measured(p).name: record.targets[p.name] for p in network.outputs if _measured(p).name in asked}
     return replace(record, inputs=record.inputs | given)
-
-
-def _rest(port: Port) -> float:
-    return (port.initial - port.offset) / port.scale
 
 
 def _measured(output: Port) -> Port:
@@ -267,7 +263,7 @@ def regressors(records: Sequence[Record], inputs: Taps, output: Port, feedback: 
 def _signal(signals: Mapping[str, np.ndarray], port: Port) -> np.ndarray:
     if port.name not in signals:
         raise InputError(f"signal {port.name} [{port.unit}] is missing; given: {', '.join(signals) or 'nothing'}")
-    value = (np.asarray(signals[port.name], float) - port.offset) / port.scale
+    value = port.normalised(np.asarray(signals[port.name], float))
     if value.ndim != 1:
         raise InputError(f"signal {port.name}: {value.shape}; give one number a sample")
     bad = np.flatnonzero(~np.isfinite(value))
