@@ -30,8 +30,8 @@ def centre_biases(program: Program, network: Network, records: Sequence[Record])
         steps = np.unique(np.linspace(0, len(trace) - 1, count).astype(int))
         codes.append(program.encode(record.inputs)[steps])
         for name, columns in problem.elements().items():
-            whole = np.concatenate([np.tile(rest[name], (problem.depth, 1)), trace[:, columns]])
-            delayed = [whole[steps + problem.depth - d] for d in range(problem.depth + 1)]
+            series = np.concatenate([np.tile(rest[name], (problem.depth, 1)), trace[:, columns]])
+            delayed = [series[steps + problem.depth - d] for d in range(problem.depth + 1)]
             before = past.get(name, [d[:0] for d in delayed])
             past[name] = [np.concatenate(pair) for pair in zip(before, delayed, strict=True)]
     codes = np.concatenate(codes)[:, None, :]

@@ -96,7 +96,7 @@ def use_meanings(
 ) -> tuple[Network, dict[str, Replaced], dict[str, str]]:
     """Replace every module that has an exact form. Returns the network, what was replaced, and remarks on the rest.
 
-    refused: path -> remark of modules that keep their network. Paths are those of modules, "" for the whole.
+    refused: path -> remark of modules that keep their network. Paths are those of modules, "" for the network itself.
     """
     remarks, replaced = dict(refused or {}), {}
     found: dict = {}

@@ -15,6 +15,9 @@ BINS = 100
 RIDGE = 1e-9  # of the regression, per sample
 
 
+Pruning = Callable[[Network], "tuple[Network, list[Round]]"]  # a pass: the smaller network, and every attempt
+
+
 @dataclass(frozen=True)
 class Round:
     """One attempt: what it removed, how many neurons are left, and whether it was kept.

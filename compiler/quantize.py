@@ -275,8 +275,8 @@ class _Quantizer:
         for port, w in layer.weights.items():
             source, delay = self.feeds[f"{name}.{port}"]
             signal = self._delayed(source, delay)
-            whole = source == name or lowered == Op.AFFINE or sign_test
-            reads.append((signal if whole else self._narrow(signal), w))
+            unrounded = source == name or lowered == Op.AFFINE or sign_test
+            reads.append((signal if unrounded else self._narrow(signal), w))
         if lowered == Op.AFFINE:
             gain = min(loop_gain(self._loops(name)), self.formats.horizon)
             finer = math.ceil(round(math.log2(gain), AGREED)) if gain > 1 else 0
@@ -427,7 +427,7 @@ def _origin(name: str) -> str:
 def _exact_bits(w: np.ndarray, fine: int) -> int:
     """Fraction bits that show every weight exactly, or `fine` if that takes more."""
     for bits in range(-8, fine):
-        scaled = w * 2.0**bits
-        if np.array_equal(scaled, np.floor(scaled)):
+        codes = w * 2.0**bits
+        if np.array_equal(codes, np.floor(codes)):
             return bits
     return fine

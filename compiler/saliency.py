@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg
 
-from greygate.compiler.prune import Round, retrained, spareable
+from greygate.compiler.prune import Pruning, Round, retrained, spareable
 from greygate.compiler.simplify import Graph, fold_constants, parameter_count
 from greygate.errors import InputError
 from greygate.models.accuracy import pooled_rms
@@ -121,7 +121,7 @@ class Removal:
     theta: np.ndarray
 
 
-Method = Callable[[Expansion, int], Removal]  # of so many parameters; a neuron that goes whole may make it more
+Method = Callable[[Expansion, int], Removal]  # of so many parameters; a method that removes neurons may remove more
 
 
 def magnitude(e: Expansion, count: int) -> Removal:
@@ -132,7 +132,8 @@ def magnitude(e: Expansion, count: int) -> Removal:
 def obd(e: Expansion, count: int) -> Removal:
     """Optimal brain damage (LeCun, Denker, Solla 1990): saliency w^2 (H_ww / 2 + D), no weight acts on another.
 
-    Decay counts whole: the error's own slope at the minimum of error and decay is -D w (Pedersen, Hansen, Larsen 1996).
+    Decay counts in full, not half: at the minimum of error and decay the error's own slope is -D w (Pedersen, Hansen,
+    Larsen 1996).
     """
     return _least(e, (np.diag(e.curvature) / 2 + e.decay) * e.values**2, count)
 
@@ -346,7 +347,7 @@ def prune_by_saliency(
 
 def saliency_pruning(
     records: Sequence[Record], method: Method, allowed: float, held: Sequence[Record] = (), **options
-) -> Callable[[Network], tuple[Network, list[Round]]]:
+) -> Pruning:
     """A pruning pass for `compile_network`. allowed: factor by which the RMS error of each output over the held-out
     records may rise, or over `records` if none are held out. options: of `prune_by_saliency`.
     """

@@ -129,8 +129,8 @@ class Flattener:
         ports = network.inputs if is_source else network.outputs
         if name in {p.name for p in ports}:
             return prefix + name
-        whole = name in network.modules and is_source
-        module_name, port = (name, "") if whole or "." not in name else name.rpartition(".")[::2]
+        is_module = name in network.modules and is_source
+        module_name, port = (name, "") if is_module or "." not in name else name.rpartition(".")[::2]
         module = network.modules.get(module_name)
         if module is None:
             self.fail(f"connection names {prefix}{name}, which is neither a module nor a port here")

@@ -92,7 +92,8 @@ class Validation:
     spread: standard deviation of the measured output. rms, worst, fit: of the free run's error; fit is
     100 (1 - |e| / |y - mean y|) per cent. ahead: k -> (RMS, fit) of the prediction k steps ahead, empty where no output
     is fed back. tests: residual ("free run", "one step ahead") -> residual tests. response: `frequency_response` of the
-    free run, the accuracy A = Y_hat/Y (thesis 3.3), None if it diverges. measured, predicted, one_step: (N,), whole.
+    free run, the accuracy A = Y_hat/Y (thesis 3.3), None if it diverges. measured, predicted, one_step: (N,), over the
+    full record.
     """
 
     record: str
@@ -402,7 +403,7 @@ def _ahead(
 
 def _long_runs(model: _Model, record: Record, measured: np.ndarray) -> list[LongRun]:
     """One an output."""
-    outputs, settled = measured.shape[1], slice(max(len(measured) // 2, record.skip), None)
+    outputs, judged = measured.shape[1], slice(max(len(measured) // 2, record.skip), None)
     middle, half = np.mean(measured, axis=0), np.ptp(measured, axis=0) / 2
     half = np.where(half > 0, half, np.maximum(np.abs(middle), 1e-300))
     spread = np.where(np.std(measured, axis=0) > 0, np.std(measured, axis=0), half)
@@ -415,9 +416,9 @@ def _long_runs(model: _Model, record: Record, measured: np.ndarray) -> list[Long
                 break
             periodic = np.all(np.abs(outcome - before) <= PERIODIC * half)
             same = slice(r, None if periodic else r + 1)  # repetitions that are as this one
-            reach[:, a, same] = (np.max(np.abs(outcome - middle)[settled], axis=0) / half)[:, None]
+            reach[:, a, same] = (np.max(np.abs(outcome - middle)[judged], axis=0) / half)[:, None]
             if amplitude == 1.0:
-                errors[:, same] = [[rms(e)] for e in (measured - outcome)[settled].T]
+                errors[:, same] = [[rms(e)] for e in (measured - outcome)[judged].T]
             if periodic:
                 break
             before = outcome

@@ -15,7 +15,7 @@ from scipy.cluster.vq import ClusterError, kmeans2
 from scipy.spatial.distance import cdist
 
 from greygate.errors import InputError
-from greygate.models.families.regression import Taps, regressors, settled
+from greygate.models.families.regression import Taps, regressors, with_full_taps
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import Fit, Outcome
 from greygate.models.training.problem import Problem, Record
@@ -94,7 +94,7 @@ def rbf(
     for row, target in zip(np.exp(-(distance**2)), phi.target, strict=True):
         estimator.update(np.append(row, 1.0), target)
     weights = {"sum.kernels": estimator.theta[None, :-1], "sum.bias": estimator.theta[-1:]}
-    problem = Problem(network.with_parameters(weights), settled(records, inputs, feedback), teacher=True)
+    problem = Problem(network.with_parameters(weights), with_full_taps(records, inputs, feedback), teacher=True)
     loss = problem.squares(problem.theta) / (2 * problem.samples)
     return Fit(problem.unpack(problem.theta), Outcome.CONVERGED, (loss,), monotonic() - began)
 

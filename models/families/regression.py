@@ -288,7 +288,7 @@ def arx(records: Sequence[Record], inputs: Taps, output: Port, feedback: Sequenc
     solution = np.linalg.lstsq(np.column_stack([phi.matrix, np.ones(len(phi.target))]), phi.target)[0]
     weights = {f"sum.{tap}": np.array([[w]]) for tap, w in zip(phi.taps, solution[:-1], strict=True)}
     network = noe(name, inputs, output, feedback).with_parameters(weights | {"sum.bias": solution[-1:]})
-    problem = Problem(network, settled(records, inputs, feedback), teacher=True)
+    problem = Problem(network, with_full_taps(records, inputs, feedback), teacher=True)
     loss = problem.squares(problem.theta) / (2 * problem.samples)
     return Fit(problem.unpack(problem.theta), Outcome.CONVERGED, (loss,), monotonic() - began)
 
@@ -309,7 +309,7 @@ def armax(
     """`arx` with e(k) + sum c_d e(k-d) for its noise, trained from the ARX solution. Raises as `arx`."""
     start = arx(records, inputs, output, feedback, name).network
     network = narmax(name, inputs, output, feedback, noise).with_parameters(start.parameters())
-    given = [with_measured(r, network) for r in settled(records, inputs, (*feedback, *noise))]
+    given = [with_measured(r, network) for r in with_full_taps(records, inputs, (*feedback, *noise))]
     return train(network, given, teacher=True, epochs=300)
 
 
@@ -321,7 +321,7 @@ def oe(records: Sequence[Record], inputs: Taps, output: Port, feedback: Sequence
     """
     weights = _stable(arx(records, inputs, output, feedback, name).network.parameters(), output, feedback)
     start = noe(name, inputs, output, feedback).with_parameters(weights)
-    return train(start, settled(records, inputs, feedback), epochs=300)
+    return train(start, with_full_taps(records, inputs, feedback), epochs=300)
 
 
 def bj(
@@ -335,12 +335,12 @@ def bj(
 ) -> Fit:
     """`oe` with a noise filter beside it (`box_jenkins`), trained from the OE solution. Raises as `arx`."""
     network = box_jenkins(oe(records, inputs, output, feedback, name).network, noise, shaping)
-    given = [with_measured(r, network) for r in settled(records, inputs, (*feedback, *noise, *shaping))]
+    given = [with_measured(r, network) for r in with_full_taps(records, inputs, (*feedback, *noise, *shaping))]
     return train(network, given, epochs=300)
 
 
-def settled(records: Sequence[Record], inputs: Taps, delays: Sequence[int]) -> list[Record]:
-    """The records, counted from the first row whose taps all lie inside."""
+def with_full_taps(records: Sequence[Record], inputs: Taps, delays: Sequence[int]) -> list[Record]:
+    """The records, each counted from its first sample whose taps all lie within it."""
     deepest = max([*(d for taps in inputs.values() for d in taps), *delays], default=0)
     return [replace(r, skip=max(r.skip, deepest)) for r in records]
 

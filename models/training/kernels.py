@@ -104,23 +104,7 @@ def tabulate(flat: Network, forced: frozenset[str] = frozenset()) -> tuple[Table
     row_of[[r for r, n in zip(rows, owner, strict=True) if n in carried]] = [
         i for i, n in enumerate(owner) if n in carried
     ]
-    within = {n: {n} for n in order}
-    ever = {n: {n} for n in order}
-    for name in order:
-        for port in flat.modules[name].weights:
-            source, delay = feeds[f"{name}.{port}"]
-            if delay == 0 and source in within:
-                within[name] |= within[source]
-    changed = True
-    while changed:
-        changed = False
-        for name in order:
-            size = len(ever[name])
-            for port in flat.modules[name].weights:
-                source, delay = feeds[f"{name}.{port}"]
-                if source in ever and not (delay > 0 and source in forced_layers):
-                    ever[name] |= ever[source]
-            changed |= len(ever[name]) != size
+    within, ever = _acting(flat, order, feeds, forced_layers)
     reach = {n: [i for i, o in enumerate(shown) if n in ever[o]] or [0] for n in order}
     names, where = [], {}
     at_theta = 0
@@ -155,6 +139,28 @@ def tabulate(flat: Network, forced: frozenset[str] = frozenset()) -> tuple[Table
         np.array([rows.index(first[n] + i) for n in shown for i in range(flat.modules[n].size)], np.int64),
     )
     return tables, names
+
+
+def _acting(flat: Network, order: list[str], feeds: dict, forced: set[str]) -> tuple[dict, dict]:
+    """The layers that act on each layer within a step; and within any number of steps, but not through `forced`."""
+    within = {n: {n} for n in order}
+    ever = {n: {n} for n in order}
+    for name in order:
+        for port in flat.modules[name].weights:
+            source, delay = feeds[f"{name}.{port}"]
+            if delay == 0 and source in within:
+                within[name] |= within[source]
+    changed = True
+    while changed:
+        changed = False
+        for name in order:
+            size = len(ever[name])
+            for port in flat.modules[name].weights:
+                source, delay = feeds[f"{name}.{port}"]
+                if source in ever and not (delay > 0 and source in forced):
+                    ever[name] |= ever[source]
+            changed |= len(ever[name]) != size
+    return within, ever
 
 
 @kernel(inline="always")
