@@ -1,8 +1,9 @@
-"""Bias correction: move each rounded sum so that, on average over a record, it is what it is in float.
+"""Bias correction: move each rounded sum so that its average over a record equals that of the float network.
 
-Rounded weights and tables shift the mean of a sum a little; inside a loop that drives an integrator the shift would add
-up to an offset of the output. (Nagel et al. 2019 do this for feed-forward networks; here every step starts from the
-float network's own states, so that the error of one step is seen and not where the loop has drifted to.)
+Rounded weights and tables shift the mean of a sum a little. Inside a loop that drives an integrator the shift would add
+up to an offset of the output. Nagel et al. 2019 correct the biases of feed-forward networks in this way. Here every
+step starts from the states of the float network, so that the error of one step is measured without the drift of the
+loop.
 """
 
 from collections.abc import Sequence
@@ -42,7 +43,7 @@ def centre_biases(program: Program, network: Network, records: Sequence[Record])
         initial.append(np.clip(value, state.signal.fix.lo, state.signal.fix.hi))
     start = np.concatenate(initial, axis=1).astype(np.int64) if initial else np.zeros((len(codes), 0), np.int64)
     feeds = problem.flat.feeds()
-    summed = {}  # signal -> layer and its rows; sign tests are left alone
+    summed = {}  # signal -> layer and its rows; sums of which only the sign counts are not corrected
     for name, layer in problem.flat.modules.items():
         if layer.is_linear:
             summed[name] = name, slice(None)

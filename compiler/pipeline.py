@@ -1,4 +1,4 @@
-"""From a trained network to an integer program: the whole list of passes, each checked before and after."""
+"""From a trained network to an integer program: all passes in order, each checked before and after."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ EXACT = 1e-9  # error of float, relative to the signal, below which it has none
 class Pass:
     """What one pass left: layers, parameters, multiplications; and the largest relative change of an output.
 
-    remarks: what it has to say of single modules.
+    remarks: sentences on single modules.
     """
 
     name: str
@@ -128,7 +128,7 @@ class _Passes:
         return network, rounds
 
     def remark(self, name: str, remarks: Mapping[str, str]) -> None:
-        """Let the pass of that name say of modules, by path, what became of them."""
+        """Add remarks on modules, by path, to the pass of that name."""
         told = tuple(f"{path or self.network.name} {why}" for path, why in sorted(remarks.items()))
         self.done = [replace(p, remarks=told) if p.name == name else p for p in self.done]
 

@@ -14,7 +14,6 @@ from greygate.models.training.problem import Problem, Record
 BINS = 100
 RIDGE = 1e-9  # of the regression, per sample
 
-
 Pruning = Callable[[Network], "tuple[Network, list[Round]]"]  # a pass: the smaller network, and every attempt
 
 
@@ -33,12 +32,12 @@ class Round:
 
 
 def spareable(layer: Layer) -> bool:
-    """Whether its neurons may be pruned: they have a working range, and more to say than yes or no."""
+    """Whether its neurons may be pruned: their outputs are bounded and take more than two values."""
     return layer.function.is_bounded and layer.function.lowered != "threshold"
 
 
 def entropies(network: Network, records: list[Record]) -> dict[str, np.ndarray]:
-    """H = -sum p ln p of each hidden neuron's histogram over its whole working range (3.14), in nats, by layer."""
+    """H = -sum p ln p of each hidden neuron's histogram over the image of its activation (3.14), in nats, by layer."""
     problem = Problem(network, records)
     run = np.concatenate(problem.simulate(problem.theta))
     found = {}
@@ -52,8 +51,8 @@ def entropies(network: Network, records: list[Record]) -> dict[str, np.ndarray]:
 
 
 def remove_neurons(network: Network, records: list[Record], chosen: dict[str, list[int]]) -> Network:
-    """Remove neurons. Those they fed receive the mean instead, in their biases, and what the layer's other neurons can
-    say of the rest, by linear regression, in their weights.
+    """Remove neurons. The layers that read them get the mean of each in their biases, and in their weights the part of
+    its variation that the layer's other neurons explain by linear regression.
     """
     problem = Problem(network, records)
     run = np.concatenate(problem.simulate(problem.theta))

@@ -34,15 +34,16 @@ from greygate.models.network import Layer, Network
 
 EXACT = 8  # fraction bits up to which a weight counts as exact
 GUARD = 3  # bits that a product may be finer than the sum it goes into
-AGREED = 9  # decimals of a logarithm that every LAPACK gives alike: what it finds only chooses whole bits
+AGREED = 9  # decimals of a logarithm in which every LAPACK agrees; it only chooses a number of bits
 
 
 @dataclass(frozen=True)
 class Formats:
     """How numbers are kept. `width`: word of signals and significant bits of weights, 4 to 32.
 
-    finer: bits that weights and the outputs of neurons have beyond the word. A network that only adds up where its
-    plant stands still needs them: what rounding does there is the same in every step. 16 + 2 is an FPGA's multiplier.
+    finer: bits that weights and the outputs of neurons have beyond the word. A network needs them if it integrates
+    while its plant stands still, because there every step rounds alike and the errors add up. 16 + 2 bits are the width
+    of an FPGA's multiplier.
     margin: room above the observed range (1.25 = a quarter). wide: extra fraction bits of pre-activations.
     signals: formats the user (or the search for a budget) fixes, by signal name.
     """
@@ -77,8 +78,7 @@ def memory(loops: list[np.ndarray]) -> float:
 def loop_gain(loops: list[np.ndarray]) -> float:
     """By how much feedback multiplies an error of a linear layer's sum at the worst frequency, at least 1.
 
-    loops: as for `memory`. Where a weight is short enough to be exact the loop is as declared, and rounding the other
-    weights is no matter of the loop: then 1.
+    loops: as for `memory`. Weights short enough to be exact leave the loop as it was declared; the gain is then 1.
     """
     if all(_exact_bits(w, EXACT) < EXACT for w in loops):
         return 1.0
@@ -168,7 +168,7 @@ class _Quantizer:
         reads, size = self._reads(name, rows), self.flat.modules[name].size
         own = {d: w for (s, d), w in reads.items() if s == name}
         if self._plain(name, rows) == (name, 1, 1.0, 0.0):
-            return []  # it holds what it has
+            return []  # it repeats its last value and rounds nothing
         return [own.get(d, np.zeros((size, size))) for d in range(1, max(own, default=0) + 1)]
 
     def _plain(self, name: str, rows: slice) -> tuple[str, int, float, float] | None:
@@ -239,7 +239,7 @@ class _Quantizer:
         return np.clip(codes, fix.lo, fix.hi).astype(np.int64)
 
     def _narrow(self, signal: Signal) -> Signal:
-        """A view of a wide state in the word width, for multipliers that need no more."""
+        """A wide state rounded to the word width, for multipliers that need no more."""
         word = self.formats.width
         if signal.fix.width <= word + 2:
             return signal
@@ -303,7 +303,7 @@ class _Quantizer:
             self.operations.append(Threshold(out, pre, 0, int(low), int(high)))
 
     def _comparator(self, name: str) -> bool:
-        """A hard limit of one signal compares its codes with a constant, exactly: nothing is multiplied."""
+        """Lower a hard limit of one signal to an exact comparison of its codes with a constant; no multiplier."""
         plain, out = self._plain(name, slice(None)), self.signals[name]
         if plain is None:
             return False
@@ -362,7 +362,7 @@ class _Quantizer:
         return frac(name), max(self.fix_bits(f"{n}.n") for n in alike)
 
     def _unbounded_fix(self, name: str) -> Fix:
-        """A format whose end is a power of four: there the square saturates, at a point of its table."""
+        """A format that ends at a power of four, so that a square reaches the end at a point of its table."""
         fix = self.fix(name, self.formats.width)
         return Fix(fix.width, fix.frac - (fix.width - 1 - fix.frac) % 2)
 
@@ -385,7 +385,7 @@ class _Quantizer:
         """
         finer += self.formats.finer
         rows, word = out.size, self.formats.width + finer
-        if not reads:  # a constant: an operation reads something, if only to ignore it
+        if not reads:  # a constant; an operation must read something, so it reads with weights of zero
             first = self.signals[self.flat.inputs[0].name]
             reads = [(first, np.zeros((rows, first.size)))]
         finest = np.zeros((rows, len(reads)), np.int64)
@@ -402,7 +402,7 @@ class _Quantizer:
             own = finest[:, j : j + 1]
             codes = np.floor(np.ldexp(w, own) + 0.5)
             rounded = w - np.ldexp(codes, -own)
-            bias += product(rounded, self.ranges[_origin(signal.name)].mean)  # what rounding w costs on average
+            bias += product(rounded, self.ranges[_origin(signal.name)].mean)  # the average error of the rounded weights
             columns.append(codes.astype(np.int64) << (frac[:, None] - signal.fix.frac - own))
         if (np.ldexp(np.abs(bias), frac) >= 2.0**ACCUMULATOR_BITS).any():
             raise InputError(

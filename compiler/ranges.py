@@ -91,7 +91,7 @@ def _extend(seen: dict[str, tuple[float, float]], name: str, values: np.ndarray)
 
 
 def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dict[str, tuple[float, float]]:
-    """Interval bounds of every signal, as a fixed point over the delays; what keeps growing becomes infinite."""
+    """Interval bounds of every signal, by a fixed point over the delays; a bound that keeps growing becomes infinite."""
     low = {n: v.copy() for n, v in start.items()}
     high = {n: v.copy() for n, v in start.items()}
     for name, (a, b) in inputs.items():
@@ -140,5 +140,5 @@ def _at(f: Activation, n: np.ndarray) -> np.ndarray:
 
 
 def _times(w: np.ndarray, bound: np.ndarray) -> np.ndarray:
-    """w * bound, where no weight takes no part even of an infinite bound."""
+    """w * bound, and 0 where w is 0 even if the bound is infinite."""
     return np.where(w == 0, 0.0, w * np.where(np.isfinite(bound) | (w != 0), bound, 0.0))

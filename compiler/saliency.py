@@ -1,8 +1,9 @@
-"""Pruning of single weights by saliency, after that of neurons by entropy (`prune.py`).
+"""Pruning of single weights by saliency; `prune.py` removes whole neurons by entropy, and goes first.
 
-A method says which weights cost least, and how the others make up for them, from the loss to second order about the
-trained weights: E(theta + d) = E + d'Hd / 2 with H = J'J + D + ridge, D the weight decay of the training (Hansen,
-Pedersen 1994; Norgaard 2000). A weight of zero is a pruned weight, everywhere: `nonzero` holds it in training.
+A method chooses the weights whose removal costs least, and corrects the others to make up for them. It expands the loss
+to second order about the trained weights: E(theta + d) = E + d'Hd / 2, where H = J'J + D + ridge and D is the weight
+decay of the training (Hansen, Pedersen 1994; Norgaard 2000). A weight of zero counts as pruned everywhere; `nonzero`
+keeps it at zero in training.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,7 +21,12 @@ from greygate.models.network import Network
 from greygate.models.training.levenberg import blas
 from greygate.models.training.problem import Problem, Record
 
-RIDGES = (1e-8, 1e-6, 1e-4, 1e-2)  # of the Hessian, times its mean diagonal: far from a quadratic a small one strays
+RIDGES = (
+    1e-8,
+    1e-6,
+    1e-4,
+    1e-2,
+)  # of the Hessian, times its mean diagonal; with a small one a step goes too far where the loss is no quadratic
 
 
 def nonzero(network: Network) -> dict[str, np.ndarray]:
@@ -46,7 +52,8 @@ class Expansion:
     """Half the sum of squared errors about the trained weights, to second order, over the weights that may go.
 
     theta: (P,) all parameters. weights: (M,) those neither frozen nor pruned, as indices of theta. curvature: (M, M)
-    J'J. ridge: times the mean of its diagonal, is added to it: weights that nothing depends on make it singular.
+    J'J. ridge: this times the mean of its diagonal is added to it, since weights that nothing depends on make it
+    singular.
     """
 
     problem: Problem
@@ -141,7 +148,7 @@ def obd(e: Expansion, count: int) -> Removal:
 def obs(e: Expansion, count: int) -> Removal:
     """Optimal brain surgeon (Hassibi, Stork 1993): one weight after the other, each time all others corrected.
 
-    H^-1 is not formed anew in between: it loses a rank with every weight.
+    H^-1 is not computed anew in between; each removed weight takes one rank from it.
     """
     surgery, removed, saliency = _Surgery(e), [], []
     for _ in range(min(count, len(e.weights))):
@@ -155,7 +162,7 @@ def obs(e: Expansion, count: int) -> Removal:
 def multi_obs(e: Expansion, count: int) -> Removal:
     """Optimal brain surgeon for a set: the weights of least saliency each, removed at once and corrected for jointly.
 
-    Faster than `obs`, and blind to weights that can stand in for each other.
+    It is faster than `obs` and does not see that one weight can stand in for another.
     """
     surgery = _Surgery(e)
     rises = surgery.saliencies()
@@ -179,8 +186,8 @@ def unit_obs(e: Expansion, count: int) -> Removal:
 
 
 def smallest_variance(e: Expansion, count: int) -> Removal:
-    """Whole neurons whose output varies least over the records; its mean goes into the biases that they fed (Sietsma,
-    Dow 1991). Neurons that feed a frozen bias stay.
+    """Neurons whose output varies least over the records; its mean goes into the biases of the layers that read it
+    (Sietsma, Dow 1991). A neuron that feeds a layer with a frozen bias stays.
     """
     flat, place, theta = e.problem.flat, e.problem.slices(), e.theta.copy()
     graph = Graph(flat)

@@ -33,7 +33,7 @@ def flat_from(function: str, out: Fix) -> float:
 
 
 def _most(out: Fix) -> float:
-    """The end of a format's range, itself one LSB out of reach: what is more saturates."""
+    """The end of a format's range, one LSB above the largest value that it holds."""
     return 2.0 ** (out.width - 1 - out.frac)
 
 
@@ -41,8 +41,8 @@ def _most(out: Fix) -> float:
 def make_table(function: str, arg: Fix, out: Fix, budget: float = 1.25, interpolated: bool = True) -> Table:
     """The smallest table whose worst error over every code of `arg` is at most `budget` LSB of `out`.
 
-    The error counted is that of the table, not of rounding the argument; plus one itself costs the LSB that `out`
-    lacks. When no table up to 4096 points meets the budget the largest is taken: its worst error says so.
+    The error is that of the table; rounding of the argument does not count. Where f is 1, `out` is one LSB short, and
+    that counts. If no table up to 4096 points meets the budget, the largest is taken, and its worst error says so.
     """
     reach = min(arg.width - 1, integer_bits(flat_from(function, out)) + arg.frac)  # codes that differ: below 2^reach
     for bits in range(min(3, reach), min(reach, LARGEST_BITS) + 1):

@@ -1,11 +1,11 @@
 """Float arithmetic that comes out the same, to the bit, on every processor.
 
-A build must be a function of its inputs. Where floats decide integers on the way to it (the free run that every pass
-sees, merged weights, ranges, means, tables) they come from here: IEEE 754 additions, multiplications and divisions in
-an order that stands in the program, and what is exact by definition (floor, powers of two). Numpy's element-wise
-operations and numba without `fastmath` keep to that: they neither reorder nor contract. What does not: BLAS and LAPACK
-(`@`, `linalg`), whose kernels and threads each add in their own order, and exp, tanh, sin and pow of numpy and of the C
-library, which differ in the last bit between AVX512, FMA and neither.
+A build must be a function of its inputs alone. On the way to it floats decide integers: the free run that every pass
+sees, merged weights, ranges, means, tables. These floats are computed here, by IEEE 754 additions, multiplications and
+divisions in an order that the program fixes, and by operations that are exact by definition (floor, powers of two).
+Numpy's element-wise operations and numba without `fastmath` neither reorder nor contract, so they may be used. BLAS and
+LAPACK (`@`, `linalg`) may not: their kernels and threads add in orders of their own. Nor may exp, tanh, sin and pow of
+numpy and the C library: their last bit depends on whether the processor has AVX512 or FMA.
 """
 
 from types import SimpleNamespace
@@ -21,7 +21,7 @@ _tanh = numba.vectorize(nopython=True, cache=True)(scalars.tanh.py_func)
 
 def exp(x: np.ndarray) -> np.ndarray:
     """`scalars.exp` of every element."""
-    with np.errstate(over="ignore", invalid="ignore"):  # what is infinite or NaN stays so, and is no news
+    with np.errstate(over="ignore", invalid="ignore"):  # infinities and NaN pass through without a warning
         return _exp(x)
 
 

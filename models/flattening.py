@@ -1,4 +1,4 @@
-"""A network of networks as layers alone (`Network.flatten`), every name, shape and number of it checked."""
+"""Flattening: a network of networks becomes one of layers only, and every name, shape and number is checked."""
 
 import math
 from collections.abc import Iterator
@@ -56,7 +56,7 @@ class Flattener:
         sizes[path] = int(size)
 
     def wide(self, target: str) -> int:
-        """Size of what a connection leads to. A layer's port may bear the name of the module that feeds it."""
+        """Size of a connection's target. A layer's port may have the name of the module that feeds it."""
         return self.columns.get(target) or self.size[target]
 
     def _collect(self, network: Nested, prefix: str) -> None:
@@ -188,7 +188,7 @@ class Flattener:
         return flat
 
     def _joined(self) -> tuple[dict[str, Layer], dict[str, Feed], dict[str, Feed]]:
-        """All layers, junctions among them; what plain ports pass on; and what feeds the junctions."""
+        """All layers, including junctions; the feed that each plain port passes on; and the feeds of the junctions."""
         norm = {path: (a, b) for path, a, b in self._normalisations(self.top, "")}
         top_inputs, top_outputs = {p.name for p in self.top.inputs}, {p.name for p in self.top.outputs}
         modules, plain, connections = dict(self.layers), {}, {}
@@ -226,7 +226,7 @@ class Flattener:
         return source, delay
 
     def _start_junctions(self, flat: Nested, order: list[str]) -> None:
-        """Give every junction the output before the first step that its sources had."""
+        """Give every junction the output before the first step that follows from its sources."""
         start, feeds = flat.rest(), flat.feeds()
         for name in order:
             if name not in self.layers:

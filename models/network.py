@@ -1,5 +1,5 @@
-"""The float network: named modules, ports, connections with delays. Declared here; training, emulation in float and
-the compiler all walk it.
+"""The float network: named modules and ports, joined by connections with delays. Training, float runs and the compiler
+all walk it.
 
 A `Layer` is `activation(sum over ports of W @ input + bias)`. A `Network` joins layers and other networks by
 connections, each with a delay z^-d and a gain. Every loop must hold a delay of at least one step. `flatten` gives the
@@ -88,7 +88,7 @@ class Network:
         return rebuilt(self, "").check()
 
     def order(self) -> list[str]:
-        """Layer names of a flat network so that each follows what it reads without delay.
+        """Layer names of a flat network, each after the layers that it reads without delay.
 
         Raises InputError naming the layers of a loop that has no delay.
         """
@@ -118,7 +118,7 @@ class Network:
     # ---- one form for all that follows
 
     def flatten(self) -> "Network":
-        """The same network with layers alone: each port fed by one connection without gain, names joined by dots.
+        """The same network with layers only: each port has one connection without gain, and names are joined by dots.
 
         Sums of several connections, gains and inner normalisations become frozen linear layers; plain ports vanish.
         """

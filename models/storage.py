@@ -106,7 +106,7 @@ _LAYER: dict[str, Kind] = {
 
 
 class _Reader:
-    """Makes a network of what its TOML says, and takes its numbers out of `tensors`."""
+    """Builds a network of class `kind` from its TOML, and takes its numbers out of `tensors`."""
 
     def __init__(self, tensors: dict[str, np.ndarray], kind: type):
         self.tensors, self.kind = tensors, kind

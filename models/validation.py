@@ -237,8 +237,8 @@ def correlation(name: str, a: np.ndarray, b: np.ndarray, lags: np.ndarray) -> Co
 def _by_chance(spread: np.ndarray) -> tuple[int, float]:
     """Of M standard Gaussian numbers with covariance `spread` by lag: most outside 95 % bands, largest, by chance.
 
-    The draws go through the symmetric root, of which there is one: eigenvectors alone have a sign, and where their
-    values are alike a direction, that every processor chooses otherwise.
+    The draws are multiplied by the symmetric root, which is unique. Eigenvectors are not: their signs, and where
+    eigenvalues are equal their directions, differ between processors.
     """
     values, vectors = eigh(toeplitz(spread))
     root = vectors * np.sqrt(np.maximum(values, 0)) @ vectors.T
