@@ -91,7 +91,7 @@ def _extend(seen: dict[str, tuple[float, float]], name: str, values: np.ndarray)
 
 
 def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dict[str, tuple[float, float]]:
-    """Interval bounds of every signal, by a fixed point over the delays; a bound that keeps growing becomes infinite."""
+    """Interval bounds of every signal, by a fixed point over the delays; a bound that keeps growing becomes inf."""
     low = {n: v.copy() for n, v in start.items()}
     high = {n: v.copy() for n, v in start.items()}
     for name, (a, b) in inputs.items():
