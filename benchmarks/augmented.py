@@ -9,11 +9,11 @@ import sys
 from pathlib import Path
 
 from greygate.augment import FACTS, augment
-from greygate.compiler.pipeline import float_error
 from greygate.compiler.quantize import Formats
 from greygate.diagnose import explain
 from greygate.files import replacing
 from greygate.mismatch.concealed.conceal import conceal
+from greygate.models.accuracy import float_error
 from greygate.models.network import Network
 from greygate.pictures import FOLDER, picture
 from greygate.pictures import _over_time as over_time

@@ -16,10 +16,7 @@ from greygate.emulator.interpreter import interpret
 from greygate.errors import InputError
 from greygate.machines.measured.identification import stored
 from greygate.machines.measured.studies import STUDIES
-
-
-def rms(x):
-    return float(np.sqrt(np.mean(np.square(x))))
+from greygate.models.accuracy import rms
 
 
 def main(widths):

@@ -58,9 +58,9 @@ NAMED = {  # what it is: (file, old, new); old stands there once
         "signed_width(int(m))",
     ),
     "a hard limit of slope 1": (
-        "models/training/kernels.py",
-        "if activation in (HARDLIM, HARDLIMS):\n        return 0.0, o",
-        "if activation in (HARDLIM, HARDLIMS):\n        return 1.0, o",
+        "models/activations.py",
+        "-xp.ones_like(n)),\n        slope=lambda xp, y: 0.0",
+        "-xp.ones_like(n)),\n        slope=lambda xp, y: 1.0",
     ),
     "a held-out tail counts what its record skips": (
         "models/training/record.py",

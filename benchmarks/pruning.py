@@ -7,11 +7,12 @@ from time import perf_counter
 
 import numpy as np
 
-from greygate.compiler.prune import output_errors, prune_by_entropy
+from greygate.compiler.prune import prune_by_entropy
 from greygate.compiler.saliency import METHODS, Method, Step, prune_by_saliency
 from greygate.compiler.simplify import parameter_count
 from greygate.errors import InputError
 from greygate.machines.benchmark_systems.plant import b2, b2_input, b2_test_input
+from greygate.models.accuracy import pooled_rms
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import train
@@ -38,7 +39,7 @@ def main() -> None:
     network = trained(0, training)
 
     def rms(n: Network, r: Record) -> float:
-        return float(output_errors(n, [r])[0])
+        return float(pooled_rms(n, [r])[0])
 
     errors = f"{rms(network, training):.2e} training, {rms(network, held):.2e} held out, {rms(network, test):.2e} test"
     print(f"{parameter_count(network)} parameters, trained in {perf_counter() - began:.1f} s, RMS error {errors}")
@@ -80,7 +81,7 @@ def main() -> None:
     def retrain(n: Network) -> Network:
         return train(n, [training], epochs=50, decay=DECAY).network
 
-    fewer, _ = prune_by_entropy(network, [training], retrain, 1.5 * output_errors(network, [training]))
+    fewer, _ = prune_by_entropy(network, [training], retrain, 1.5 * pooled_rms(network, [training]))
     print(f"by entropy {parameter_count(fewer)} parameters, {rms(fewer, held):.1e} held out; then by weights:")
     smallest("entropy, obs", fewer, began, METHODS["obs"])
 

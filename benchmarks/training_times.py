@@ -11,8 +11,8 @@ import numpy as np
 
 from greygate.machines.asymmetric_cylinder import study as second
 from greygate.machines.benchmark_systems.plant import b1, b1_input, b2, b2_input
-from greygate.machines.procedure import rms
 from greygate.machines.valve_cylinder import study as first
+from greygate.models.accuracy import free_run_rms
 from greygate.models.adaptation import adopt
 from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.regression import regression
@@ -67,7 +67,7 @@ def _narx_noe(name, network, record, epochs, thesis, shown=True) -> None:
 
 
 def bars(network: Network, records: dict[str, Record]) -> str:
-    found = {name: [v / 1e5 for v in rms(network, record).values()] for name, record in records.items()}
+    found = {name: [v / 1e5 for v in free_run_rms(network, record).values()] for name, record in records.items()}
     return ", ".join(f"{name} {a:.3g} / {b:.3g} bar" for name, (a, b) in found.items())
 
 

@@ -12,9 +12,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from greygate.machines import catalog
-from greygate.machines.procedure import rms
 from greygate.machines.valve_cylinder.plant import valve_cylinder
 from greygate.machines.valve_cylinder.scenarios import SAMPLE_TIME, SAMPLES, measure, scenario
+from greygate.models.accuracy import free_run_rms
 from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
@@ -39,13 +39,13 @@ def record(name: str, chamber: str) -> Record:
 def at_rest(network: Network, runs: dict[str, Record]) -> Network:
     """The network whose feedback starts at the pressure of rest."""
     port = network.outputs[0]
-    level = (float(runs["training"].targets[port.name][0]) - port.offset) / port.scale
+    level = port.normalised(float(runs["training"].targets[port.name][0]))
     modules = {n: replace(m, initial=level) if n == "sum" else m for n, m in network.modules.items()}
     return replace(network, modules=modules)
 
 
 def free_run(network: Network, run: Record) -> float:
-    return rms(network, run)[network.outputs[0].name] / BAR
+    return free_run_rms(network, run)[network.outputs[0].name] / BAR
 
 
 def one_step(network: Network, run: Record) -> float:
@@ -95,7 +95,7 @@ def error_map(network: Network) -> None:
         for frequency in FREQUENCIES:
             c = measure(valve_cylinder(), v_c, amplitude * np.sin(2 * np.pi * frequency * t)).channels
             run = Record({n: c[n] for n in ("v_c", "x")}, {n: c[n] for n in ("p_a", "p_b")})
-            cells.append(" / ".join(f"{v / BAR:.2f}" for v in rms(network, run).values()))
+            cells.append(" / ".join(f"{v / BAR:.2f}" for v in free_run_rms(network, run).values()))
         print(f"| {amplitude} | " + " | ".join(cells) + " |", flush=True)
 
 

@@ -5,10 +5,10 @@ zero lap, an overlapped and an underlapped valve, v1's voltage. RMS error in bar
 """
 
 from greygate.machines import catalog
-from greygate.machines.procedure import rms
 from greygate.machines.valve_cylinder.plant import valve_cylinder
 from greygate.machines.valve_cylinder.scenarios import measure, scenario
 from greygate.machines.valve_cylinder.study import FLOW_SEED, swap_flow
+from greygate.models.accuracy import free_run_rms
 from greygate.models.families.blocks import fit_flow
 from greygate.models.training.record import Record
 
@@ -33,5 +33,7 @@ if __name__ == "__main__":
     rigs = {name: rig(lap) for name, lap in VALVES.items()}
     print("| flow network | " + " | ".join(f"{name} rig" for name in rigs) + " |\n| --- |" + " --- |" * len(rigs))
     for label, network in networks.items():
-        cells = [" / ".join(f"{v / 1e5:.2f}" for v in rms(network, record).values()) for record in rigs.values()]
+        cells = [
+            " / ".join(f"{v / 1e5:.2f}" for v in free_run_rms(network, record).values()) for record in rigs.values()
+        ]
         print(f"| {label} | " + " | ".join(cells) + " |", flush=True)

@@ -1,8 +1,9 @@
-"""Bias correction: move each rounded sum so that, on average over a record, it is what it is in float.
+"""Bias correction: move each rounded sum so that its average over a record equals that of the float network.
 
-Rounded weights and tables shift the mean of a sum a little; inside a loop that drives an integrator the shift would add
-up to an offset of the output. (Nagel et al. 2019 do this for feed-forward networks; here every step starts from the
-float network's own states, so that the error of one step is seen and not where the loop has drifted to.)
+Rounded weights and tables shift the mean of a sum a little. Inside a loop that drives an integrator the shift would add
+up to an offset of the output. Nagel et al. 2019 correct the biases of feed-forward networks in this way. Here every
+step starts from the states of the float network, so that the error of one step is measured without the drift of the
+loop.
 """
 
 from collections.abc import Sequence
@@ -25,14 +26,14 @@ def centre_biases(program: Program, network: Network, records: Sequence[Record])
     """Correct the biases of every AFFINE operation that rounds weights, in program order, on records."""
     problem = Objective(network, list(records))
     past: dict[str, list[np.ndarray]] = {}  # signal -> by delay, its values at the chosen steps of all records
-    codes = []
+    codes, rest = [], problem.flat.rest()
     for record, trace in zip(records, problem.simulate(problem.theta), strict=True):
         count = max(1, min(SAMPLES // len(records), len(trace)))
         steps = np.unique(np.linspace(0, len(trace) - 1, count).astype(int))
         codes.append(program.encode(record.inputs)[steps])
         for name, columns in problem.elements().items():
-            whole = np.concatenate([np.tile(_before(problem, name), (problem.depth, 1)), trace[:, columns]])
-            delayed = [whole[steps + problem.depth - d] for d in range(problem.depth + 1)]
+            series = np.concatenate([np.tile(rest[name], (problem.depth, 1)), trace[:, columns]])
+            delayed = [series[steps + problem.depth - d] for d in range(problem.depth + 1)]
             before = past.get(name, [d[:0] for d in delayed])
             past[name] = [np.concatenate(pair) for pair in zip(before, delayed, strict=True)]
     codes = np.concatenate(codes)[:, None, :]
@@ -43,11 +44,11 @@ def centre_biases(program: Program, network: Network, records: Sequence[Record])
         initial.append(np.clip(value, state.signal.fix.lo, state.signal.fix.hi))
     start = np.concatenate(initial, axis=1).astype(np.int64) if initial else np.zeros((len(codes), 0), np.int64)
     feeds = problem.flat.feeds()
-    summed = {}  # signal -> layer and its rows; sign tests are left alone
+    summed = {}  # signal -> layer and its rows; sums of which only the sign counts are not corrected
     for name, layer in problem.flat.modules.items():
-        if layer.activation == "linear":
+        if layer.is_linear:
             summed[name] = name, slice(None)
-        elif layer.activation not in ("hardlim", "hardlims"):
+        elif layer.function.lowered != "threshold":
             summed |= {p: (name, r) for p, r in sums(name, layer).items() if not p.endswith(".condition")}
     for at, operation in enumerate(program.operations):
         name, rows = summed.get(operation.out.name, ("", None))
@@ -65,14 +66,6 @@ def centre_biases(program: Program, network: Network, records: Sequence[Record])
         changed = replace(operation, bias=bias)
         program = replace(program, operations=(*program.operations[:at], changed, *program.operations[at + 1 :]))
     return program.check()
-
-
-def _before(problem: Objective, name: str) -> np.ndarray:
-    """What a signal is before the first step, normalised."""
-    port = next((p for p in problem.flat.inputs if p.name == name), None)
-    if port is None:
-        return problem.flat.modules[name].initial
-    return np.full(port.size, (port.initial - port.offset) / port.scale)
 
 
 def _rounds_nothing(operation: Affine) -> bool:

@@ -3,9 +3,9 @@
 A module whose `meaning` names a library network (models/families/library.py), and whose weights are still those of the
 library, is replaced by the form below that computes its function exactly. That is proved twice: its inputs stay within
 the library's stated range on every record; and for every code that the tested signal can have in the finished program,
-the library network and the exact form differ by no more than the library's stated worst error. In a gap, where the
-library network is not what it stands for, it is the function that the exact form has to equal. A module that fails
-keeps its network, and a remark says why. What was trained (sine, flow, ...) has no exact form and stays as it is.
+the library network and the exact form differ by no more than the library's stated worst error. In a gap the library
+network itself is off its function; there the exact form has to equal the function. A module that fails keeps its
+network, and a remark says why. Networks that were trained (sine, flow, ...) have no exact form and stay as they are.
 """
 
 import math
@@ -22,7 +22,7 @@ from greygate.models.network import Layer, Network
 from greygate.models.training.record import Record
 
 FEW = 64  # codes up to which a signal's are listed one by one
-MANY = 1 << 17  # codes up to which all are tried; of more, those about zero, where alone tanh is not saturated
+MANY = 1 << 17  # codes up to which all are tried; of more, only those about zero, since tanh is saturated elsewhere
 OTHERS = 5  # values of every other port that each code is tried with
 
 
@@ -96,7 +96,7 @@ def use_meanings(
 ) -> tuple[Network, dict[str, Replaced], dict[str, str]]:
     """Replace every module that has an exact form. Returns the network, what was replaced, and remarks on the rest.
 
-    refused: path -> remark of modules that keep their network. Paths are those of modules, "" for the whole.
+    refused: path -> remark of modules that keep their network. Paths are those of modules, "" for the network itself.
     """
     remarks, replaced = dict(refused or {}), {}
     found: dict = {}
@@ -232,7 +232,7 @@ def sign_values(program: Program, network: Network, layer: str) -> np.ndarray:
         return np.unique(np.concatenate([_sum_values(program, summed, row) for row in range(summed.out.size)]))
     feeds, weight, bias = network.feeds(), 0.0, float(network.modules[layer].bias[rows][0])
     for port, w in network.modules[layer].weights.items():
-        if w[rows].any():  # one signal alone, or there were a sum
+        if w[rows].any():  # only one signal; more would have made a sum
             name, delay = feeds[f"{layer}.{port}"]
             weight += float(w[rows][0, 0])
     source = f"{name}.z{delay}" if delay else name

@@ -1,21 +1,20 @@
-"""From a trained network to an integer program: the whole list of passes, each checked before and after."""
+"""From a trained network to an integer program: all passes in order, each checked before and after."""
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from greygate.compiler.centre import centre_biases
-from greygate.compiler.meaning import prove, use_meanings
-from greygate.compiler.prune import Round, output_errors, prune_by_entropy
+from greygate.compiler.meaning import Replaced, prove, use_meanings
+from greygate.compiler.prune import Pruning, Round, prune_by_entropy
 from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.ranges import Range, ranges
 from greygate.compiler.simplify import SIMPLIFICATIONS, merge_linear, multiplications, parameter_count
 from greygate.emulator.engine import run
 from greygate.emulator.program import Fix, Program
 from greygate.errors import InputError
-from greygate.models.arithmetic import mean
+from greygate.models.accuracy import float_error, pooled_rms, portable_rms
 from greygate.models.network import Network
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
@@ -29,7 +28,7 @@ EXACT = 1e-9  # error of float, relative to the signal, below which it has none
 class Pass:
     """What one pass left: layers, parameters, multiplications; and the largest relative change of an output.
 
-    remarks: what it has to say of single modules.
+    remarks: sentences on single modules.
     """
 
     name: str
@@ -58,7 +57,7 @@ def compile_network(
     *,
     ranged_on: Sequence[str] = (),
     budget: float | None = None,
-    prune: Callable[[Network], tuple[Network, list[Round]]] | None = None,
+    prune: Pruning | None = None,
     generic: bool = False,
     meanings: bool = True,
     period: float = 1e-3,
@@ -73,60 +72,76 @@ def compile_network(
     """
     if not records:
         raise InputError(f"network {network.name}: no record to compile on; ranges come from one")
-    refused: dict[str, str] = {}
-    while True:  # what the finished program does not bear out is done again without
-        compiled, more = _compile(
-            network, records, formats, ranged_on, budget, prune, generic, meanings, period, refused
-        )
-        if not more:
-            return compiled
-        refused |= more
+    training, formats = [records[name] for name in ranged_on or list(records)[:1]], formats or Formats()
+    refused: dict[str, str] = {}  # path -> remark of modules whose exact form a finished program did not bear out
+    while True:
+        passes = _Passes(network, records)
+        small, replaced, remarks = passes.with_meanings(refused) if meanings else (network, {}, {})
+        small = passes.simplified(small, generic)
+        small, rounds = passes.pruned(small, prune) if prune else (small, [])
+        found = ranges(small, training)
+        if budget is None:
+            program = quantize_centred(small, found, training, formats, period)
+        else:
+            program = meet_budget(small, found, training, budget, formats, period)
+        proved, more = prove(program, small, replaced)
+        if more:
+            refused |= more
+            continue
+        if meanings:
+            passes.remark("use_meanings", remarks | proved)
+        return Compiled(small, found, program, tuple(passes.done), tuple(rounds))
 
 
-def _compile(
-    network, records, formats, ranged_on, budget, prune, generic, meanings, period, refused
-) -> tuple[Compiled, dict[str, str]]:
-    """One attempt, and the modules whose exact form it does not bear out, with a remark each."""
-    training = [records[name] for name in ranged_on or list(records)[:1]]
-    before = network.flatten()
-    passes = [_summary("as declared", before, 0.0)]
-    reference = _outputs(before, records)
-    replaced, remarks = {}, {}
-    if meanings:
-        network, replaced, remarks = use_meanings(network, list(records.values()), refused)
-        logic = _outputs(network, records)
-        passes.append(_summary("use_meanings", network, _change(reference, logic)))
-        reference = logic
-    for rewrite in SIMPLIFICATIONS:
-        network = merge_linear(network, always=generic) if rewrite is merge_linear else rewrite(network)
-        change = _change(reference, _outputs(network, records))
-        if change > SAME:
-            raise AssertionError(f"{rewrite.__name__} changed the outputs of {network.name} by {change:.3g}")
-        passes.append(_summary(rewrite.__name__, network, change))
-    rounds: list[Round] = []
-    if prune:
+class _Passes:
+    """The passes of one attempt on `network`, each noted with what it left and what it changed on the records."""
+
+    def __init__(self, network: Network, records: Mapping[str, Record]):
+        self.network, self.records = network, records
+        self.reference = _outputs(network.flatten(), records)
+        self.done = [_summary("as declared", network.flatten(), 0.0)]
+
+    def _note(self, name: str, network: Network) -> dict[str, np.ndarray]:
+        """Note what a pass left; returns the outputs now."""
+        now = _outputs(network, self.records)
+        change = max(float(np.abs(now[n] - v).max() / np.abs(v).max()) for n, v in self.reference.items())
+        self.done.append(_summary(name, network, change))
+        return now
+
+    def with_meanings(self, refused: Mapping[str, str]) -> tuple[Network, dict[str, Replaced], dict[str, str]]:
+        """As `use_meanings`; what follows is compared with the logic."""
+        network, replaced, remarks = use_meanings(self.network, list(self.records.values()), refused)
+        self.reference = self._note("use_meanings", network)
+        return network, replaced, remarks
+
+    def simplified(self, network: Network, generic: bool) -> Network:
+        """The generic network, checked after every simplification to compute the same."""
+        for rewrite in SIMPLIFICATIONS:
+            network = merge_linear(network, always=generic) if rewrite is merge_linear else rewrite(network)
+            self._note(rewrite.__name__, network)
+            if (change := self.done[-1].change) > SAME:
+                raise AssertionError(f"{rewrite.__name__} changed the outputs of {network.name} by {change:.3g}")
+        return network
+
+    def pruned(self, network: Network, prune: Pruning) -> tuple[Network, list[Round]]:
         network, rounds = prune(network)
-        passes.append(_summary("prune", network, _change(reference, _outputs(network, records))))
-    found = ranges(network, training)
-    if budget is None:
-        program = quantize_centred(network, found, training, formats or Formats(), period)
-    else:
-        program = meet_budget(network, found, training, budget, formats or Formats(), period)
-    proved, refused = prove(program, network, replaced)
-    if meanings:
-        told = [f"{path or network.name} {why}" for path, why in sorted((remarks | proved).items())]
-        passes[1] = replace(passes[1], remarks=tuple(told))
-    return Compiled(network, found, program, tuple(passes), tuple(rounds)), refused
+        self._note("prune", network)
+        return network, rounds
+
+    def remark(self, name: str, remarks: Mapping[str, str]) -> None:
+        """Add remarks on modules, by path, to the pass of that name."""
+        told = tuple(f"{path or self.network.name} {why}" for path, why in sorted(remarks.items()))
+        self.done = [replace(p, remarks=told) if p.name == name else p for p in self.done]
 
 
 def entropy_pruning(
     records: Sequence[Record], retrain: Callable[[Network], Network], allowed: float, held: Sequence[Record] = ()
-) -> Callable[[Network], tuple[Network, list[Round]]]:
+) -> Pruning:
     """A pruning pass for `compile_network`. allowed: factor by which the RMS error of each output over the held-out
     records may rise, or over `records` if none are held out."""
 
     def prune(network: Network) -> tuple[Network, list[Round]]:
-        error = output_errors(network, list(held or records))
+        error = pooled_rms(network, list(held or records))
         return prune_by_entropy(network, list(records), retrain, allowed * error, held=held)
 
     return prune
@@ -138,21 +153,10 @@ def fixed_error(program: Program, record: Record) -> dict[str, np.ndarray]:
     return {p.name: decoded[p.name] - np.asarray(record.targets[p.name]) for p in program.outputs}
 
 
-def float_error(network: Network, record: Record) -> dict[str, np.ndarray]:
-    """Float prediction less target, by output, in physical units, (N,) or (N, size)."""
-    problem = Objective(network, [record])
-    errors = problem.errors(problem.theta)
-    if errors is None:
-        raise InputError(f"network {network.name}: diverges on the record")
-    ends = np.cumsum([p.size for p in problem.flat.outputs])[:-1]
-    parts = zip(problem.flat.outputs, np.split(errors[0], ends, axis=1), strict=True)
-    return {p.name: (e if p.size > 1 else e[:, 0]) * p.scale for p, e in parts}
-
-
 def strain(program: Program, network: Network, records: Sequence[Record]) -> float:
     """RMS error of fixed point over that of float, the worst of all outputs and records."""
     return max(
-        _rms(fixed_error(program, r)[n], r) / max(_rms(e, r), 1e-300)
+        portable_rms(fixed_error(program, r)[n], r.skip) / max(portable_rms(e, r.skip), 1e-300)
         for r in records
         for n, e in float_error(network, r).items()
     )
@@ -192,7 +196,7 @@ def meet_budget(
 
     for r in records:
         for name, error in float_error(network, r).items():
-            if _rms(error, r) <= EXACT * float(np.std(r.targets[name])):
+            if portable_rms(error, r.skip) <= EXACT * float(np.std(r.targets[name])):
                 raise InputError(
                     f"output {name}: float repeats the record exactly, so a budget means nothing; use --width"
                 )
@@ -224,10 +228,6 @@ def _less(fix: Fix) -> Fix:
     return Fix(fix.width - 1, fix.frac - 1)
 
 
-def _rms(error: np.ndarray, record: Record) -> float:
-    return math.sqrt(float(mean(error[record.skip :].ravel() ** 2)))
-
-
 def _summary(name: str, network: Network, change: float) -> Pass:
     return Pass(name, len(network.flatten().modules), parameter_count(network), multiplications(network), change)
 
@@ -243,7 +243,3 @@ def _outputs(network: Network, records: Mapping[str, Record]) -> dict[str, np.nd
         columns = np.concatenate([problem.elements()[feeds[p.name][0]] for p in problem.flat.outputs])
         found[name] = runs[0][:, columns].copy()
     return found
-
-
-def _change(reference: dict[str, np.ndarray], now: dict[str, np.ndarray]) -> float:
-    return max(float(np.abs(now[n] - v).max() / np.abs(v).max()) for n, v in reference.items())

@@ -6,20 +6,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greygate.compiler.simplify import Graph
-from greygate.models.network import Network
+from greygate.models.accuracy import pooled_rms
+from greygate.models.network import Layer, Network
 from greygate.models.training.levenberg import Outcome, train
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 
-WORKING_RANGE = {
-    "tansig": (-1.0, 1.0),
-    "logsig": (0.0, 1.0),
-    "satlin": (0.0, 1.0),
-    "radbas": (0.0, 1.0),
-    "negexp": (0.0, 1.0),
-}
 BINS = 100
 RIDGE = 1e-9  # of the regression, per sample
+
+Pruning = Callable[[Network], "tuple[Network, list[Round]]"]  # a pass: the smaller network, and every attempt
 
 
 @dataclass(frozen=True)
@@ -36,35 +32,28 @@ class Round:
     kept: bool
 
 
+def spareable(layer: Layer) -> bool:
+    """Whether its neurons may be pruned: their outputs are bounded and take more than two values."""
+    return layer.function.is_bounded and layer.function.lowered != "threshold"
+
+
 def entropies(network: Network, records: list[Record]) -> dict[str, np.ndarray]:
-    """H = -sum p ln p of each hidden neuron's histogram over its whole working range (3.14), in nats, by layer."""
-    problem = Objective(network, records)
+    """H = -sum p ln p of each hidden neuron's histogram over the image of its activation (3.14), in nats, by layer."""
+    problem = Problem(network, records)
     run = np.concatenate(problem.simulate(problem.theta))
     found = {}
     for name, columns in problem.elements().items():
-        activation = problem.flat.modules[name].activation if name in problem.flat.modules else None
-        if activation not in WORKING_RANGE:
+        layer = problem.flat.modules.get(name)
+        if layer is None or not spareable(layer):
             continue
-        low, high = WORKING_RANGE[activation]
-        p = np.stack([np.histogram(v, BINS, (low, high))[0] for v in run[:, columns].T]) / len(run)
+        p = np.stack([np.histogram(v, BINS, layer.function.image)[0] for v in run[:, columns].T]) / len(run)
         found[name] = -np.sum(p * np.log(np.where(p > 0, p, 1.0)), axis=1)
     return found
 
 
-def output_errors(network: Network, records: list[Record]) -> np.ndarray:
-    """RMS error over all records, normalised, of each output column; inf where a run diverges."""
-    problem = Objective(network, records)
-    errors = problem.errors(problem.theta)
-    if errors is None:
-        return np.full(sum(p.size for p in problem.flat.outputs), np.inf)
-    used = np.concatenate([e[r.skip :] for e, r in zip(errors, records, strict=True)])
-    with np.errstate(over="ignore"):  # finite and still too large to square: inf
-        return np.sqrt(np.mean(used**2, axis=0))
-
-
 def remove_neurons(network: Network, records: list[Record], chosen: dict[str, list[int]]) -> Network:
-    """Remove neurons. Those they fed receive the mean instead, in their biases, and what the layer's other neurons can
-    say of the rest, by linear regression, in their weights.
+    """Remove neurons. The layers that read them get the mean of each in their biases, and in their weights the part of
+    its variation that the layer's other neurons explain by linear regression.
     """
     problem = Objective(network, records)
     run = np.concatenate(problem.simulate(problem.theta))
@@ -127,8 +116,8 @@ def prune_by_entropy(
             if len(chosen.get(name, [])) < len(found[name]) - 1:
                 chosen.setdefault(name, []).append(i)
         trial = retrain(remove_neurons(network, records, chosen))
-        error = output_errors(trial, records)
-        kept = bool(((output_errors(trial, list(held)) if held else error) <= allowed).all())
+        error = pooled_rms(trial, records)
+        kept = bool(((pooled_rms(trial, list(held)) if held else error) <= allowed).all())
         rounds.append(Round(chosen, len(ranked) - sum(map(len, chosen.values())), tuple(error.tolist()), kept))
         if kept:
             network = trial

@@ -9,13 +9,14 @@ from fractions import Fraction
 import numpy as np
 
 from greygate.compiler.ranges import Range, sums
-from greygate.compiler.tables import FUNCTIONS, flat_from, integer_bits, make_table, output_fix
+from greygate.compiler.tables import flat_from, integer_bits, make_table, output_fix
 from greygate.emulator.program import (
     ACCUMULATOR_BITS,
     Affine,
     Clamp,
     Fix,
     Lookup,
+    Op,
     Operation,
     Overflow,
     Port,
@@ -33,15 +34,16 @@ from greygate.models.network import Layer, Network
 
 EXACT = 8  # fraction bits up to which a weight counts as exact
 GUARD = 3  # bits that a product may be finer than the sum it goes into
-AGREED = 9  # decimals of a logarithm that every LAPACK gives alike: what it finds only chooses whole bits
+AGREED = 9  # decimals of a logarithm in which every LAPACK agrees; it only chooses a number of bits
 
 
 @dataclass(frozen=True)
 class Formats:
     """How numbers are kept. `width`: word of signals and significant bits of weights, 4 to 32.
 
-    finer: bits that weights and the outputs of neurons have beyond the word. A network that only adds up where its
-    plant stands still needs them: what rounding does there is the same in every step. 16 + 2 is an FPGA's multiplier.
+    finer: bits that weights and the outputs of neurons have beyond the word. A network needs them if it integrates
+    while its plant stands still, because there every step rounds alike and the errors add up. 16 + 2 bits are the width
+    of an FPGA's multiplier.
     margin: room above the observed range (1.25 = a quarter). wide: extra fraction bits of pre-activations.
     signals: formats the user (or the search for a budget) fixes, by signal name.
     """
@@ -76,8 +78,7 @@ def memory(loops: list[np.ndarray]) -> float:
 def loop_gain(loops: list[np.ndarray]) -> float:
     """By how much feedback multiplies an error of a linear layer's sum at the worst frequency, at least 1.
 
-    loops: as for `memory`. Where a weight is short enough to be exact the loop is as declared, and rounding the other
-    weights is no matter of the loop: then 1.
+    loops: as for `memory`. Weights short enough to be exact leave the loop as it was declared; the gain is then 1.
     """
     if all(_exact_bits(w, EXACT) < EXACT for w in loops):
         return 1.0
@@ -167,7 +168,7 @@ class _Quantizer:
         reads, size = self._reads(name, rows), self.flat.modules[name].size
         own = {d: w for (s, d), w in reads.items() if s == name}
         if self._plain(name, rows) == (name, 1, 1.0, 0.0):
-            return []  # it holds what it has
+            return []  # it repeats its last value and rounds nothing
         return [own.get(d, np.zeros((size, size))) for d in range(1, max(own, default=0) + 1)]
 
     def _plain(self, name: str, rows: slice) -> tuple[str, int, float, float] | None:
@@ -183,13 +184,14 @@ class _Quantizer:
     def _declare(self, name: str) -> None:
         """Fix the format of a layer's output before any layer reads it, delayed reads included."""
         layer, width = self.flat.modules[name], self.formats.width
-        if layer.activation in FUNCTIONS:
-            holds = self._square_fix(name) if layer.activation == "square" else output_fix(width + self.formats.finer)
+        f = layer.function
+        if f.lowered == Op.TABLE:
+            holds = output_fix(width + self.formats.finer) if f.is_bounded else self._unbounded_fix(name)
             fix = self.formats.signals.get(name, holds)
-        elif layer.activation in ("hardlim", "hardlims"):
+        elif f.lowered == Op.THRESHOLD:
             fix = Fix(2, 0)
-        elif layer.activation == "satlin":
-            fix = Fix(width, width - 2)
+        elif f.lowered == Op.CLAMP:
+            fix = Fix(width, width - 1 - integer_bits(max(map(abs, f.image))))
         else:
             fix = self.fix(name, width)
             spare = fix.frac - self._exact_frac(name)
@@ -229,13 +231,7 @@ class _Quantizer:
         return self.signals[name]
 
     def _initial(self, source: str, fix: Fix) -> np.ndarray:
-        port = next((p for p in self.flat.inputs if p.name == source), None)
-        value = (
-            self.flat.modules[source].initial
-            if port is None
-            else np.full(port.size, (port.initial - port.offset) / port.scale)
-        )
-        codes = np.floor(value * 2.0**fix.frac + 0.5)
+        codes = np.floor(self.flat.rest()[source] * 2.0**fix.frac + 0.5)
         if (codes < fix.lo - 1).any() or (codes > fix.hi + 1).any():
             raise InputError(
                 f"signal {source}: its initial value does not fit {fix}; check the record it was ranged on"
@@ -243,7 +239,7 @@ class _Quantizer:
         return np.clip(codes, fix.lo, fix.hi).astype(np.int64)
 
     def _narrow(self, signal: Signal) -> Signal:
-        """A view of a wide state in the word width, for multipliers that need no more."""
+        """A wide state rounded to the word width, for multipliers that need no more."""
         word = self.formats.width
         if signal.fix.width <= word + 2:
             return signal
@@ -268,20 +264,20 @@ class _Quantizer:
         return self.signals[name]
 
     def _layer(self, name: str) -> None:
-        layer, f = self.flat.modules[name], self.formats
-        out = self.signals[name]
-        if layer.activation == "select":
+        layer, f, out = self.flat.modules[name], self.formats, self.signals[name]
+        lowered, (low, high) = layer.function.lowered, layer.function.image
+        if lowered == Op.SELECT:
             return self._select(name)
-        sign_test = layer.activation in ("hardlim", "hardlims")
+        sign_test = lowered == Op.THRESHOLD
         if sign_test and self._comparator(name):
             return None
         reads = []
         for port, w in layer.weights.items():
             source, delay = self.feeds[f"{name}.{port}"]
             signal = self._delayed(source, delay)
-            whole = source == name or layer.activation == "linear" or sign_test
-            reads.append((signal if whole else self._narrow(signal), w))
-        if layer.activation == "linear":
+            unrounded = source == name or lowered == Op.AFFINE or sign_test
+            reads.append((signal if unrounded else self._narrow(signal), w))
+        if lowered == Op.AFFINE:
             gain = min(loop_gain(self._loops(name)), self.formats.horizon)
             finer = math.ceil(round(math.log2(gain), AGREED)) if gain > 1 else 0
             if finer:
@@ -289,7 +285,7 @@ class _Quantizer:
                 self.notes[name] = "; ".join(filter(None, [self.notes.get(name), why]))
             return self._affine(out, layer.bias, reads, finer)
         pre = f"{name}.n"
-        if layer.activation in FUNCTIONS:
+        if lowered == Op.TABLE:
             frac, reach = self._argument(layer.activation, name, out.fix)
             fix = self.formats.signals.get(pre, Fix(frac + reach + 1, frac))
             signal = Signal(pre, layer.size, fix)
@@ -298,22 +294,23 @@ class _Quantizer:
             key = (table.function, table.arg, table.out)
             self.tables.setdefault(key, table)
             self.operations.append(Lookup(out, pre, table.name))
-        elif layer.activation == "satlin":
+        elif lowered == Op.CLAMP:
             fix = Fix(f.width + f.wide, f.width + f.wide - 1 - max(1, self.fix_bits(pre)))
             self._affine(Signal(pre, layer.size, fix), layer.bias, reads)
-            self.operations.append(Clamp(out, pre, 0, 1 << fix.frac, f.rounding))
+            self.operations.append(Clamp(out, pre, *(int(v * 2**fix.frac) for v in (low, high)), f.rounding))
         else:
             self._signed(Signal(pre, layer.size, self._sign_fix(pre)), layer.bias, reads)
-            self.operations.append(Threshold(out, pre, 0, -1 if layer.activation == "hardlims" else 0, 1))
+            self.operations.append(Threshold(out, pre, 0, int(low), int(high)))
 
     def _comparator(self, name: str) -> bool:
-        """A hard limit of one signal compares its codes with a constant, exactly: nothing is multiplied."""
+        """Lower a hard limit of one signal to an exact comparison of its codes with a constant; no multiplier."""
         plain, out = self._plain(name, slice(None)), self.signals[name]
         if plain is None:
             return False
         source, delay, weight, bias = plain
         signal = self._delayed(source, delay)
-        answers = (-1 if self.flat.modules[name].activation == "hardlims" else 0, 1)
+        low, high = self.flat.modules[name].function.image
+        answers = int(low), int(high)
         at = -Fraction(bias) / Fraction(weight) * Fraction(2) ** signal.fix.frac  # where weight * code + bias is 0
         if weight > 0:
             at = math.ceil(at)
@@ -364,8 +361,8 @@ class _Quantizer:
         alike = [n for n, layer in self.flat.modules.items() if layer.activation == function and frac(n) == frac(name)]
         return frac(name), max(self.fix_bits(f"{n}.n") for n in alike)
 
-    def _square_fix(self, name: str) -> Fix:
-        """A format whose end is a power of four: there the square saturates, at a point of its table."""
+    def _unbounded_fix(self, name: str) -> Fix:
+        """A format that ends at a power of four, so that a square reaches the end at a point of its table."""
         fix = self.fix(name, self.formats.width)
         return Fix(fix.width, fix.frac - (fix.width - 1 - fix.frac) % 2)
 
@@ -388,7 +385,7 @@ class _Quantizer:
         """
         finer += self.formats.finer
         rows, word = out.size, self.formats.width + finer
-        if not reads:  # a constant: an operation reads something, if only to ignore it
+        if not reads:  # a constant; an operation must read something, so it reads with weights of zero
             first = self.signals[self.flat.inputs[0].name]
             reads = [(first, np.zeros((rows, first.size)))]
         finest = np.zeros((rows, len(reads)), np.int64)
@@ -405,7 +402,7 @@ class _Quantizer:
             own = finest[:, j : j + 1]
             codes = np.floor(np.ldexp(w, own) + 0.5)
             rounded = w - np.ldexp(codes, -own)
-            bias += product(rounded, self.ranges[_origin(signal.name)].mean)  # what rounding w costs on average
+            bias += product(rounded, self.ranges[_origin(signal.name)].mean)  # the average error of the rounded weights
             columns.append(codes.astype(np.int64) << (frac[:, None] - signal.fix.frac - own))
         if (np.ldexp(np.abs(bias), frac) >= 2.0**ACCUMULATOR_BITS).any():
             raise InputError(
@@ -430,7 +427,7 @@ def _origin(name: str) -> str:
 def _exact_bits(w: np.ndarray, fine: int) -> int:
     """Fraction bits that show every weight exactly, or `fine` if that takes more."""
     for bits in range(-8, fine):
-        scaled = w * 2.0**bits
-        if np.array_equal(scaled, np.floor(scaled)):
+        codes = w * 2.0**bits
+        if np.array_equal(codes, np.floor(codes)):
             return bits
     return fine

@@ -5,23 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from greygate.errors import InputError
+from greygate.models.activations import Activation
 from greygate.models.arithmetic import mean, product, xp
-from greygate.models.network import ACTIVATIONS, Layer, Network
-from greygate.models.training.objective import Objective
-from greygate.models.training.record import Record
+from greygate.models.network import Layer, Network
+from greygate.models.training.problem import Problem, Record
 
-IMAGE = {
-    "tansig": (-1.0, 1.0),
-    "logsig": (0.0, 1.0),
-    "linear": (-np.inf, np.inf),
-    "hardlim": (0.0, 1.0),
-    "hardlims": (-1.0, 1.0),
-    "satlin": (0.0, 1.0),
-    "radbas": (0.0, 1.0),
-    "negexp": (0.0, 1.0),
-    "square": (0.0, np.inf),
-    "select": (-np.inf, np.inf),
-}
 WIDEN_AFTER = 50  # sweeps of interval arithmetic before a signal that still grows is called unbounded
 
 
@@ -45,7 +33,7 @@ class Range:
 
 def sums(name: str, layer: Layer) -> dict[str, slice]:
     """What a layer adds up, by signal name, as slices of its rows: `layer.n`, or the three parts of a select."""
-    if layer.activation != "select":
+    if layer.function.rows == 1:
         return {f"{name}.n": slice(None)}
     size = layer.size
     return {f"{name}.{part}": slice(i * size, (i + 1) * size) for i, part in enumerate(("condition", "above", "below"))}
@@ -57,8 +45,7 @@ def ranges(network: Network, records: list[Record]) -> dict[str, Range]:
     flat, runs = problem.flat, problem.simulate(problem.theta)
     if runs is None:
         raise InputError(f"network {network.name}: diverges on the records; train it before compiling")
-    start = {p.name: np.full(p.size, (p.initial - p.offset) / p.scale) for p in flat.inputs}
-    start |= {n: layer.initial for n, layer in flat.modules.items()}
+    start = flat.rest()
     past = {}
     for source, delay in flat.feeds().values():
         past[source] = max(past.get(source, 0), delay)
@@ -74,7 +61,7 @@ def ranges(network: Network, records: list[Record]) -> dict[str, Range]:
             first = start[n]
             if n in record.initial:
                 port = next((p for p in flat.inputs if p.name == n), None)
-                value = record.initial[n] if port is None else (record.initial[n] - port.offset) / port.scale
+                value = record.initial[n] if port is None else port.normalised(record.initial[n])
                 first = np.full(len(first), value)
             history[n] = np.concatenate([np.broadcast_to(first, (d, len(first))), signal[n]])
         feeds = flat.feeds()
@@ -104,7 +91,7 @@ def _extend(seen: dict[str, tuple[float, float]], name: str, values: np.ndarray)
 
 
 def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dict[str, tuple[float, float]]:
-    """Interval bounds of every signal, as a fixed point over the delays; what keeps growing becomes infinite."""
+    """Interval bounds of every signal, by a fixed point over the delays; a bound that keeps growing becomes inf."""
     low = {n: v.copy() for n, v in start.items()}
     high = {n: v.copy() for n, v in start.items()}
     for name, (a, b) in inputs.items():
@@ -115,6 +102,7 @@ def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dic
         changed = False
         for name in flat.order():
             layer = flat.modules[name]
+            f = layer.function
             a, b = layer.bias.copy(), layer.bias.copy()
             for port, w in layer.weights.items():
                 source, _ = feeds[f"{name}.{port}"]
@@ -122,22 +110,22 @@ def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dic
                 a += sum((_times(up, low[source]) + _times(down, high[source])).T)
                 b += sum((_times(up, high[source]) + _times(down, low[source])).T)
             bounds |= {p: (float(a[rows].min()), float(b[rows].max())) for p, rows in sums(name, layer).items()}
-            if layer.activation in ("radbas", "negexp", "square"):  # even, and monotone on either side of zero
+            if f.symmetry == "even":  # and monotone on either side of zero
                 nearest = np.where((a <= 0) & (b >= 0), 0.0, np.minimum(np.abs(a), np.abs(b)))
-                ends = [ACTIVATIONS[layer.activation](xp, n) for n in (nearest, np.maximum(np.abs(a), np.abs(b)))]
+                ends = [f.value(xp, n) for n in (nearest, np.maximum(np.abs(a), np.abs(b)))]
                 a, b = np.minimum(*ends), np.maximum(*ends)
-            elif layer.activation == "select":
+            elif f.lowered == "select":
                 never, always = np.split(b, 3)[0] < -1e-12, np.split(a, 3)[0] > 1e-12
                 (_, *a), (_, *b) = np.split(a, 3), np.split(b, 3)
                 a = np.where(always, a[0], np.where(never, a[1], np.minimum(*a)))
                 b = np.where(always, b[0], np.where(never, b[1], np.maximum(*b)))
             else:
-                a, b = (ACTIVATIONS[layer.activation](xp, n) for n in (a, b))
+                a, b = _at(f, a), _at(f, b)
             grow_low, grow_high = a < low[name] - 1e-12, b > high[name] + 1e-12
             if grow_low.any() or grow_high.any():
                 changed = True
                 wide = sweep >= WIDEN_AFTER
-                least, most = IMAGE[layer.activation]
+                least, most = f.image
                 low[name] = np.where(grow_low, least if wide else a, low[name])
                 high[name] = np.where(grow_high, most if wide else b, high[name])
         if not changed:
@@ -145,6 +133,12 @@ def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dic
     return bounds | {n: (float(low[n].min()), float(high[n].max())) for n in low}
 
 
+def _at(f: Activation, n: np.ndarray) -> np.ndarray:
+    """A monotone activation of bounds, which may be infinite: there it is at an end of its image."""
+    finite = np.isfinite(n)
+    return np.where(finite, f.value(xp, np.where(finite, n, 0.0)), np.clip(n, *f.image))
+
+
 def _times(w: np.ndarray, bound: np.ndarray) -> np.ndarray:
-    """w * bound, where no weight takes no part even of an infinite bound."""
+    """w * bound, and 0 where w is 0 even if the bound is infinite."""
     return np.where(w == 0, 0.0, w * np.where(np.isfinite(bound) | (w != 0), bound, 0.0))

@@ -1,8 +1,9 @@
-"""Pruning of single weights by saliency, after that of neurons by entropy (`prune.py`).
+"""Pruning of single weights by saliency; `prune.py` removes whole neurons by entropy, and goes first.
 
-A method says which weights cost least, and how the others make up for them, from the loss to second order about the
-trained weights: E(theta + d) = E + d'Hd / 2 with H = J'J + D + ridge, D the weight decay of the training (Hansen,
-Pedersen 1994; Norgaard 2000). A weight of zero is a pruned weight, everywhere: `nonzero` holds it in training.
+A method chooses the weights whose removal costs least, and corrects the others to make up for them. It expands the loss
+to second order about the trained weights: E(theta + d) = E + d'Hd / 2, where H = J'J + D + ridge and D is the weight
+decay of the training (Hansen, Pedersen 1994; Norgaard 2000). A weight of zero counts as pruned everywhere; `nonzero`
+keeps it at zero in training.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,15 +13,21 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg
 
-from greygate.compiler.prune import WORKING_RANGE, Round, output_errors, retrained
+from greygate.compiler.prune import Pruning, Round, retrained, spareable
 from greygate.compiler.simplify import Graph, fold_constants, parameter_count
 from greygate.errors import InputError
+from greygate.models.accuracy import pooled_rms
 from greygate.models.network import Network
 from greygate.models.training.levenberg import blas
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 
-RIDGES = (1e-8, 1e-6, 1e-4, 1e-2)  # of the Hessian, times its mean diagonal: far from a quadratic a small one strays
+RIDGES = (
+    1e-8,
+    1e-6,
+    1e-4,
+    1e-2,
+)  # of the Hessian, times its mean diagonal; with a small one a step goes too far where the loss is no quadratic
 
 
 def nonzero(network: Network) -> dict[str, np.ndarray]:
@@ -46,7 +53,8 @@ class Expansion:
     """Half the sum of squared errors about the trained weights, to second order, over the weights that may go.
 
     theta: (P,) all parameters. weights: (M,) those neither frozen nor pruned, as indices of theta. curvature: (M, M)
-    J'J. ridge: times the mean of its diagonal, is added to it: weights that nothing depends on make it singular.
+    J'J. ridge: this times the mean of its diagonal is added to it, since weights that nothing depends on make it
+    singular.
     """
 
     problem: Objective
@@ -95,7 +103,7 @@ class Expansion:
         position[self.weights] = np.arange(len(self.weights))
         found = []
         for name, layer in flat.modules.items():
-            if name in graph.shown() or layer.activation not in WORKING_RANGE:
+            if name in graph.shown() or not spareable(layer):
                 continue
             read = [place[f"{r}.{p}"].reshape(-1, layer.size) for r, p, _ in graph.readers(name)]
             own = [place[f"{name}.{p}"].reshape(layer.size, -1) for p in (*layer.weights, "bias")]
@@ -121,7 +129,7 @@ class Removal:
     theta: np.ndarray
 
 
-Method = Callable[[Expansion, int], Removal]  # of so many parameters; a neuron that goes whole may make it more
+Method = Callable[[Expansion, int], Removal]  # of so many parameters; a method that removes neurons may remove more
 
 
 def magnitude(e: Expansion, count: int) -> Removal:
@@ -132,7 +140,8 @@ def magnitude(e: Expansion, count: int) -> Removal:
 def obd(e: Expansion, count: int) -> Removal:
     """Optimal brain damage (LeCun, Denker, Solla 1990): saliency w^2 (H_ww / 2 + D), no weight acts on another.
 
-    Decay counts whole: the error's own slope at the minimum of error and decay is -D w (Pedersen, Hansen, Larsen 1996).
+    Decay counts in full, not half: at the minimum of error and decay the error's own slope is -D w (Pedersen, Hansen,
+    Larsen 1996).
     """
     return _least(e, (np.diag(e.curvature) / 2 + e.decay) * e.values**2, count)
 
@@ -140,7 +149,7 @@ def obd(e: Expansion, count: int) -> Removal:
 def obs(e: Expansion, count: int) -> Removal:
     """Optimal brain surgeon (Hassibi, Stork 1993): one weight after the other, each time all others corrected.
 
-    H^-1 is not formed anew in between: it loses a rank with every weight.
+    H^-1 is not computed anew in between; each removed weight takes one rank from it.
     """
     surgery, removed, saliency = _Surgery(e), [], []
     for _ in range(min(count, len(e.weights))):
@@ -154,7 +163,7 @@ def obs(e: Expansion, count: int) -> Removal:
 def multi_obs(e: Expansion, count: int) -> Removal:
     """Optimal brain surgeon for a set: the weights of least saliency each, removed at once and corrected for jointly.
 
-    Faster than `obs`, and blind to weights that can stand in for each other.
+    It is faster than `obs` and does not see that one weight can stand in for another.
     """
     surgery = _Surgery(e)
     rises = surgery.saliencies()
@@ -178,8 +187,8 @@ def unit_obs(e: Expansion, count: int) -> Removal:
 
 
 def smallest_variance(e: Expansion, count: int) -> Removal:
-    """Whole neurons whose output varies least over the records; its mean goes into the biases that they fed (Sietsma,
-    Dow 1991). Neurons that feed a frozen bias stay.
+    """Neurons whose output varies least over the records; its mean goes into the biases of the layers that read it
+    (Sietsma, Dow 1991). A neuron that feeds a layer with a frozen bias stays.
     """
     flat, place, theta = e.problem.flat, e.problem.slices(), e.theta.copy()
     graph = Graph(flat)
@@ -346,13 +355,13 @@ def prune_by_saliency(
 
 def saliency_pruning(
     records: Sequence[Record], method: Method, allowed: float, held: Sequence[Record] = (), **options
-) -> Callable[[Network], tuple[Network, list[Round]]]:
+) -> Pruning:
     """A pruning pass for `compile_network`. allowed: factor by which the RMS error of each output over the held-out
     records may rise, or over `records` if none are held out. options: of `prune_by_saliency`.
     """
 
     def prune(network: Network) -> tuple[Network, list[Round]]:
-        error = output_errors(network, list(held or records))
+        error = pooled_rms(network, list(held or records))
         pruned = prune_by_saliency(network, records, method, allowed * error, held=held, **options)
         return pruned.network, list(pruned.rounds)
 
@@ -376,9 +385,9 @@ def _retrained(
 
 
 def _step(network: Network, records: Sequence[Record], held: Sequence[Record]) -> Step:
-    neurons = sum(layer.size for layer in network.modules.values() if layer.activation in WORKING_RANGE)
-    error = output_errors(network, list(records))
-    other = output_errors(network, list(held)) if held else np.array([])
+    neurons = sum(layer.size for layer in network.modules.values() if spareable(layer))
+    error = pooled_rms(network, list(records))
+    other = pooled_rms(network, list(held)) if held else np.array([])
     return Step(network, parameter_count(network), neurons, tuple(error.tolist()), tuple(other.tolist()))
 
 

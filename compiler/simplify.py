@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from greygate.models.arithmetic import product, xp
-from greygate.models.network import ACTIVATIONS, Connection, Layer, Network
+from greygate.models.network import Connection, Layer, Network
 
 
 class Graph:
@@ -87,15 +87,9 @@ def merge_linear(network: Network, always: bool = False) -> Network:
         changed = False
         for name in list(g.layers):
             layer, readers = g.layers[name], g.readers(name)
-            if (
-                layer.activation != "linear"
-                or name in g.shown()
-                or any(r == name for r, _, _ in readers)
-                or not readers
-            ):
+            if not layer.is_linear or name in g.shown() or any(r == name for r, _, _ in readers) or not readers:
                 continue
-            start = {p.name: np.full(p.size, (p.initial - p.offset) / p.scale) for p in g.flat.inputs}
-            start |= {n: part.initial for n, part in g.layers.items()}
+            start = g.flat.rest() | {n: part.initial for n, part in g.layers.items()}
             before = layer.bias + sum(product(w, start[s]) for s, _, w, _ in g.terms(name))
             if any(d for _, _, d in readers) and not np.allclose(before, layer.initial, rtol=0, atol=1e-15):
                 continue
@@ -126,7 +120,7 @@ def fold_constants(network: Network) -> Network:
         changed = False
         for name in order:
             layer, readers = g.layers[name], g.readers(name)
-            value = ACTIVATIONS[layer.activation](xp, layer.bias)
+            value = layer.function.value(xp, layer.bias)
             moved = np.any([np.zeros(layer.rows, bool), *(w.any(axis=1) for w in layer.weights.values())], axis=0)
             constant = ~moved[_rows(layer)].any(axis=0)
             if any(delay for _, _, delay in readers):

@@ -9,15 +9,9 @@ import numpy as np
 
 from greygate.emulator.interpreter import lookup
 from greygate.emulator.program import Fix, Symmetry, Table
-from greygate.models.arithmetic import exp, tanh
+from greygate.models.activations import ACTIVATIONS
+from greygate.models.arithmetic import xp
 
-FUNCTIONS = {
-    "tansig": (tanh, Symmetry.ODD),
-    "logsig": (lambda n: 0.5 + 0.5 * tanh(0.5 * n), Symmetry.COMPLEMENT),
-    "radbas": (lambda n: exp(-n * n), Symmetry.EVEN),
-    "negexp": (lambda n: exp(-np.abs(n)), Symmetry.EVEN),
-    "square": (np.square, Symmetry.EVEN),
-}
 LARGEST_BITS = 12  # 4096 intervals
 CHUNK = 1 << 20
 
@@ -33,19 +27,13 @@ def integer_bits(magnitude: float) -> int:
 
 
 def flat_from(function: str, out: Fix) -> float:
-    """Argument beyond which the function is flat to half an LSB of `out`, or a square more than `out` holds."""
+    """Argument beyond which the function is flat to half an LSB of `out`, or more than `out` holds."""
     decades = (out.frac + 1) * math.log(2)  # of f's distance to its limit
-    return {
-        "tansig": 0.5 * (decades + math.log(2)),
-        "logsig": decades,
-        "radbas": math.sqrt(decades),
-        "negexp": decades,
-        "square": math.sqrt(_most(out)),
-    }[function]
+    return ACTIVATIONS[function].flat_from(decades, _most(out))
 
 
 def _most(out: Fix) -> float:
-    """The end of a format's range, itself one LSB out of reach: what is more saturates."""
+    """The end of a format's range, one LSB above the largest value that it holds."""
     return 2.0 ** (out.width - 1 - out.frac)
 
 
@@ -53,8 +41,8 @@ def _most(out: Fix) -> float:
 def make_table(function: str, arg: Fix, out: Fix, budget: float = 1.25, interpolated: bool = True) -> Table:
     """The smallest table whose worst error over every code of `arg` is at most `budget` LSB of `out`.
 
-    The error counted is that of the table, not of rounding the argument; plus one itself costs the LSB that `out`
-    lacks. When no table up to 4096 points meets the budget the largest is taken: its worst error says so.
+    The error is that of the table; rounding of the argument does not count. Where f is 1, `out` is one LSB short, and
+    that counts. If no table up to 4096 points meets the budget, the largest is taken, and its worst error says so.
     """
     reach = min(arg.width - 1, integer_bits(flat_from(function, out)) + arg.frac)  # codes that differ: below 2^reach
     for bits in range(min(3, reach), min(reach, LARGEST_BITS) + 1):
@@ -65,15 +53,15 @@ def make_table(function: str, arg: Fix, out: Fix, budget: float = 1.25, interpol
 
 
 def _table(function: str, arg: Fix, out: Fix, shift: int, bits: int, interpolated: bool) -> Table:
-    f, symmetry = FUNCTIONS[function]
-    exact = f(np.arange((1 << bits) + 1) * 2.0**shift * arg.lsb)
+    f = ACTIVATIONS[function]
+    exact = f.value(xp, np.arange((1 << bits) + 1) * 2.0**shift * arg.lsb)
     points = np.clip(np.floor(exact * 2.0**out.frac + 0.5), 0, out.hi).astype(int)
     name = f"{function}_{arg.width}_{arg.frac}_{out.width}" + (f"_{out.frac}" if out != output_fix(out.width) else "")
-    return Table(name, function, symmetry, shift, tuple(points.tolist()), interpolated, arg, out, math.inf)
+    return Table(name, function, Symmetry(f.symmetry), shift, tuple(points.tolist()), interpolated, arg, out, math.inf)
 
 
 def _worst(table: Table, codes: np.ndarray) -> float:
-    exact = np.minimum(FUNCTIONS[table.function][0](codes * table.arg.lsb), _most(table.out))
+    exact = np.minimum(ACTIVATIONS[table.function].value(xp, codes * table.arg.lsb), _most(table.out))
     return float(np.abs(lookup(table, codes) * table.out.lsb - exact).max())
 
 

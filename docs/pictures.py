@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
-from greygate.compiler.pipeline import float_error
 from greygate.errors import InputError
 from greygate.files import replacing
 from greygate.machines.cable_drum import study as cable_drum
 from greygate.machines.catalog import entry
-from greygate.models.training.record import Record
+from greygate.models.accuracy import float_error
+from greygate.models.training.problem import Record
 from greygate.pages.figures import Line, chart
 from greygate.pages.report import envelope
 

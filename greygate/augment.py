@@ -18,7 +18,6 @@ from greygate.errors import InputError
 from greygate.files import replaceable, replacing_folder
 from greygate.machines.cable_drum.module import slip_sum
 from greygate.machines.cable_drum.network import held
-from greygate.machines.procedure import rms
 from greygate.machines.valve_cylinder.network import mean_spool, valve_srnn
 from greygate.machines.valve_cylinder.plant import spool_discrete
 from greygate.mismatch import effects as table
@@ -27,6 +26,7 @@ from greygate.mismatch.effects import Effect, join
 from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.simulation import _form as form
 from greygate.mismatch.simulation import check
+from greygate.models.accuracy import free_run_rms
 from greygate.models.families.blocks import feedforward
 from greygate.models.families.library import library
 from greygate.models.network import Layer, Network, Port
@@ -207,9 +207,9 @@ def augment(folder: Path | str, diagnosis: Mapping, out: Path | str, say: Callab
         )
         networks[name] = joined.with_parameters(fit.network.parameters())
         figures[name] = {
-            "joined": {n: rms(joined, r) for n, r in records.items()},
-            "trained": {n: rms(networks[name], r) for n, r in records.items()},
-            "neurons": sum(v.size for v in joined.layers().values() if v.activation != "linear"),
+            "joined": {n: free_run_rms(joined, r) for n, r in records.items()},
+            "trained": {n: free_run_rms(networks[name], r) for n, r in records.items()},
+            "neurons": joined.neurons(),
             "seconds": round(fit.seconds, 2),
             "outcome": fit.outcome.value,
         }

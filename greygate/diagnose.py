@@ -29,7 +29,7 @@ from greygate.mismatch.locate import display_unit
 from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.search import Search
 from greygate.mismatch.simulation import read, simulate
-from greygate.mismatch.verdict import Verdict
+from greygate.models import accuracy
 from greygate.plants.expressions import names
 from greygate.plants.recording import Recording
 from greygate.progress import Progress, silent
@@ -224,7 +224,7 @@ def predict(
     rms = {}
     for name, values in found.items():
         with np.errstate(over="ignore", invalid="ignore"):
-            error = float(np.sqrt(np.mean((values - measured[name]) ** 2)))
+            error = accuracy.rms(values - measured[name])
         finite = math.isfinite(error)
         rms[name] = {"rms": error if finite else None, "unit": rig.channels[name].unit, "finite": finite}
     return rms

@@ -25,14 +25,7 @@ import numpy as np
 
 from greygate.build import ARCHITECTURES, FACTS, read_facts, read_hardware, read_resources
 from greygate.compiler.emit import emit, emitted
-from greygate.compiler.pipeline import (
-    Compiled,
-    Pass,
-    compile_network,
-    entropy_pruning,
-    fixed_error,
-    float_error,
-)
+from greygate.compiler.pipeline import Compiled, Pass, compile_network, entropy_pruning, fixed_error
 from greygate.compiler.prune import Round, retrained
 from greygate.compiler.quantize import Formats
 from greygate.compiler.ranges import ranges
@@ -57,7 +50,7 @@ from greygate.hardware.synthesis import synthesize
 from greygate.hardware.verify import Case, Scenario, Verification, verify_many
 from greygate.machines.catalog import CATALOG, PLANTS, TRAINED, entry
 from greygate.machines.measured.identification import settled
-from greygate.machines.procedure import rms
+from greygate.models.accuracy import float_error, free_run_rms, rms
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Outcome, narx_noe, train
 from greygate.models.training.record import Record, held_out
@@ -209,7 +202,7 @@ def train_source(
         "epochs": len(fit.history) - 1,
         "loss": fit.history[-1],
         "seconds": round(fit.seconds, 2),
-        "rmse": {name: rms(trained, record) for name, record in judged.items()},
+        "rmse": {name: free_run_rms(trained, record) for name, record in judged.items()},
         "remarks": list(fit.remarks),
         "out": str(folder / f"{network.name}.toml"),
     }
@@ -301,8 +294,7 @@ def fixed_and_float(compiled: Compiled, record: Record, before: Network | None =
     errors = {"before": float_error(before, record)} if before else {}
     errors |= {"float": float_error(compiled.network, record), "fixed": fixed_error(compiled.program, record)}
     return {
-        port.name: {"unit": port.unit}
-        | {kind: float(np.sqrt(np.mean(e[port.name][record.skip :] ** 2))) for kind, e in errors.items()}
+        port.name: {"unit": port.unit} | {kind: rms(e[port.name], record.skip) for kind, e in errors.items()}
         for port in compiled.network.outputs
     }
 

@@ -16,13 +16,12 @@ from dataclasses import dataclass
 from functools import partial
 from time import monotonic
 
-import numpy as np
-
-from greygate.compiler.pipeline import entropy_pruning, float_error
+from greygate.compiler.pipeline import entropy_pruning
 from greygate.compiler.prune import Round, retrained
 from greygate.compiler.saliency import Method, saliency_pruning
 from greygate.compiler.simplify import parameter_count, simplify
 from greygate.errors import InputError
+from greygate.models.accuracy import free_run_rms
 from greygate.models.network import Network
 from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
@@ -121,8 +120,8 @@ class Procedure:
         return self._add(name, network, self.records, monotonic() - began, note)
 
     def _add(self, name: str, network: Network, records: Mapping[str, Record], seconds: float, note: str) -> Network:
-        neurons = sum(layer.size for layer in network.layers().values() if layer.activation != "linear")
-        errors = {scenario: rms(network, record) for scenario, record in records.items()}
+        neurons = network.neurons()
+        errors = {scenario: free_run_rms(network, record) for scenario, record in records.items()}
         self.steps.append(Step(name, network, neurons, parameter_count(network), errors, seconds, note))
         return network
 
@@ -146,15 +145,6 @@ class Procedure:
             middle = (f"{f:>{w}}" for f, w in zip(figures, widths[1:], strict=False))
             lines.append("  ".join([f"{name:{widths[0]}}", *middle, note]).rstrip())
         return "\n".join(lines)
-
-
-def rms(network: Network, record: Record) -> dict[str, float]:
-    """RMS error of a free run, by output, in its unit; inf where the run diverges."""
-    try:
-        errors = float_error(network, record)
-    except InputError:
-        return {port.name: float("inf") for port in network.outputs}
-    return {name: float(np.sqrt(np.mean(e[record.skip :] ** 2))) for name, e in errors.items()}
 
 
 def bar(errors: Mapping[str, Mapping[str, float]]) -> dict[str, tuple[float, ...]]:

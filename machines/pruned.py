@@ -17,10 +17,11 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from greygate.compiler.pipeline import compile_network, float_error
+from greygate.compiler.pipeline import compile_network
 from greygate.compiler.prune import Round
 from greygate.errors import InputError
 from greygate.machines.measured.identification import TRAINED
+from greygate.models.accuracy import float_error, rms
 from greygate.models.network import Network
 from greygate.models.training.record import Record
 from greygate.reading import read_json
@@ -88,7 +89,7 @@ class Kept:
             "allowed": allowed,
             "weights": method and method.__name__,
             "errors": {
-                f"{scenario} {output}": float(np.sqrt(np.mean(error**2)))
+                f"{scenario} {output}": rms(error)
                 for scenario, record in self.records().items()
                 for output, error in float_error(network, record).items()
             },

@@ -1,5 +1,5 @@
-"""From one machine to another like it: the weights that were learnt move over, the normalisations are the new one's
-(thesis 5.4.3), and what training then changed is counted."""
+"""From one machine to another like it (thesis 5.4.3): the new machine's network takes over the learnt weights and keeps
+its own normalisations; and the changes that training then makes are counted."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ from greygate.models.network import Network
 
 
 def adopt(network: Network, learnt: Network, modules: Sequence[str]) -> Network:
-    """`network` with the weights of the layers under `modules` (paths) as `learnt` has them, which may be flat.
+    """`network` with the weights that `learnt`, nested or flat, has in the layers under `modules` (paths).
 
     Raises InputError for a module that has no layers, or a weight that `learnt` lacks or has in another shape.
     """

@@ -12,6 +12,7 @@ from scipy.linalg import eigh, toeplitz
 from threadpoolctl import threadpool_limits
 
 from greygate.errors import InputError
+from greygate.models.accuracy import rms
 from greygate.models.network import Network, Port
 from greygate.models.spectra import frequency_response
 from greygate.models.training.kernels import forward, tabulate
@@ -92,7 +93,8 @@ class Validation:
     spread: standard deviation of the measured output. rms, worst, fit: of the free run's error; fit is
     100 (1 - |e| / |y - mean y|) per cent. ahead: k -> (RMS, fit) of the prediction k steps ahead, empty where no output
     is fed back. tests: residual ("free run", "one step ahead") -> residual tests. response: `frequency_response` of the
-    free run, the accuracy A = Y_hat/Y (thesis 3.3), None if it diverges. measured, predicted, one_step: (N,), whole.
+    free run, the accuracy A = Y_hat/Y (thesis 3.3), None if it diverges. measured, predicted, one_step: (N,), over the
+    full record.
     """
 
     record: str
@@ -236,8 +238,8 @@ def correlation(name: str, a: np.ndarray, b: np.ndarray, lags: np.ndarray) -> Co
 def _by_chance(spread: np.ndarray) -> tuple[int, float]:
     """Of M standard Gaussian numbers with covariance `spread` by lag: most outside 95 % bands, largest, by chance.
 
-    The draws go through the symmetric root, of which there is one: eigenvectors alone have a sign, and where their
-    values are alike a direction, that every processor chooses otherwise.
+    The draws are multiplied by the symmetric root, which is unique. Eigenvectors are not: their signs, and where
+    eigenvalues are equal their directions, differ between processors.
     """
     values, vectors = eigh(toeplitz(spread))
     root = vectors * np.sqrt(np.maximum(values, 0)) @ vectors.T
@@ -301,8 +303,8 @@ class _Model:
         for p in self.inputs:
             u = np.asarray(record.inputs[p.name], float).reshape(-1, p.size)
             u = u if amplitude == 1.0 else np.mean(u, axis=0) + amplitude * (u - np.mean(u, axis=0))
-            now[self.depth :, self.columns[p.name]] = (u - p.offset) / p.scale
-            now[: self.depth, self.columns[p.name]] = (record.initial.get(p.name, p.initial) - p.offset) / p.scale
+            now[self.depth :, self.columns[p.name]] = p.normalised(u)
+            now[: self.depth, self.columns[p.name]] = p.normalised(record.initial.get(p.name, p.initial))
         for name, layer in self.flat.modules.items():
             now[: self.depth, self.columns[name]] = record.initial.get(name, layer.initial)
         return now
@@ -368,10 +370,10 @@ def _validated(
             samples=len(y),
             skip=record.skip,
             spread=float(np.std(y)),
-            rms=_rms(y - y_hat),
+            rms=rms(y - y_hat),
             worst=float(np.abs(y - y_hat).max()) if finite else np.inf,
             fit=fit_per_cent(y, y_hat) if finite else -np.inf,
-            ahead={k: (_rms(e[:, j]), fit_per_cent(m[:, j], m[:, j] - e[:, j])) for k, (m, e) in ahead.items()},
+            ahead={k: (rms(e[:, j]), fit_per_cent(m[:, j], m[:, j] - e[:, j])) for k, (m, e) in ahead.items()},
             tests={n: residual_tests(e, inputs, lags) for n, e in residuals.items() if np.isfinite(e).all()},
             response=_response(y, y_hat, period) if finite else None,
             long_run=long_runs[j],
@@ -402,11 +404,11 @@ def _ahead(
 
 def _long_runs(model: _Model, record: Record, measured: np.ndarray) -> list[LongRun]:
     """One an output."""
-    outputs, settled = measured.shape[1], slice(max(len(measured) // 2, record.skip), None)
+    outputs, judged = measured.shape[1], slice(max(len(measured) // 2, record.skip), None)
     middle, half = np.mean(measured, axis=0), np.ptp(measured, axis=0) / 2
     half = np.where(half > 0, half, np.maximum(np.abs(middle), 1e-300))
     spread = np.where(np.std(measured, axis=0) > 0, np.std(measured, axis=0), half)
-    rms = np.full((outputs, REPETITIONS), np.inf)
+    errors = np.full((outputs, REPETITIONS), np.inf)
     reach = np.full((outputs, len(AMPLITUDES), REPETITIONS), np.inf)
     for a, amplitude in enumerate(AMPLITUDES):
         before = np.inf
@@ -415,25 +417,20 @@ def _long_runs(model: _Model, record: Record, measured: np.ndarray) -> list[Long
                 break
             periodic = np.all(np.abs(outcome - before) <= PERIODIC * half)
             same = slice(r, None if periodic else r + 1)  # repetitions that are as this one
-            reach[:, a, same] = (np.max(np.abs(outcome - middle)[settled], axis=0) / half)[:, None]
+            reach[:, a, same] = (np.max(np.abs(outcome - middle)[judged], axis=0) / half)[:, None]
             if amplitude == 1.0:
-                rms[:, same] = [[_rms(e)] for e in (measured - outcome)[settled].T]
+                errors[:, same] = [[rms(e)] for e in (measured - outcome)[judged].T]
             if periodic:
                 break
             before = outcome
     found = []
     for j in range(outputs):
-        finite = np.isfinite(rms[j]).all()
-        slope = np.polyfit(np.arange(1, REPETITIONS), rms[j, 1:], 1)[0] if finite else np.inf
-        found.append(LongRun(rms[j], reach[j], float(slope / spread[j])))
+        finite = np.isfinite(errors[j]).all()
+        slope = np.polyfit(np.arange(1, REPETITIONS), errors[j, 1:], 1)[0] if finite else np.inf
+        found.append(LongRun(errors[j], reach[j], float(slope / spread[j])))
     return found
 
 
 def _response(y: np.ndarray, y_hat: np.ndarray, period: float) -> dict:
     found = frequency_response(y, {"free run": y_hat}, period)
     return {"frequency": found["frequency"], **found["free run"]}
-
-
-def _rms(error: np.ndarray) -> float:
-    value = float(np.sqrt(np.mean(np.square(error))))
-    return value if np.isfinite(value) else np.inf

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from greygate.models.network import ACTIVATIONS, Layer, Network, Port
+from greygate.models.activations import ACTIVATIONS
+from greygate.models.network import Layer, Network, Port
 
 TAME = tuple(a for a in ACTIVATIONS if a != "square")  # which diverges in a loop
 
@@ -49,7 +50,7 @@ def random_network(seed: int, nested: bool = True, activations: tuple[str, ...] 
                 reads[f"p{i}"] = (source, width, delay)
             norm = 0.8 / np.sqrt(sum(w for _, w, _ in reads.values()) * len(reads))
             activation = str(rng.choice(activations))
-            rows = 3 * size if activation == "select" else size
+            rows = size * ACTIVATIONS[activation].rows
             weights = {p: norm * rng.uniform(-1, 1, (rows, w)) for p, (_, w, _) in reads.items()}
             if rng.random() < 0.2:
                 weights = {p: w * (rng.random(w.shape) < 0.5) for p, w in weights.items()}

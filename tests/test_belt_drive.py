@@ -5,11 +5,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from greygate.compiler.pipeline import compile_network, fixed_error, float_error
+from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.errors import InputError
 from greygate.machines.belt_drive import study
 from greygate.machines.belt_drive.network import EXPERTS, REACH, E, X, belt_machine
 from greygate.machines.catalog import entry
+from greygate.models.accuracy import float_error
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.record import Record
 

@@ -17,8 +17,10 @@ from test_network import delay_line
 from greygate.emulator.program import Program, _to_json
 from greygate.errors import InputError
 from greygate.hardware.synthesis import synthesize
-from greygate.models.network import LARGEST_SIZE, Network, Port, _to_toml
+from greygate.models.layer import LARGEST_SIZE
+from greygate.models.network import Network, Port
 from greygate.models.ports import ports
+from greygate.models.storage import to_toml
 from greygate.names import check_file_name, check_name, check_path, check_text, check_unit
 from greygate.plants.recording import UNITS
 
@@ -58,7 +60,7 @@ def saved_network(folder: Path, change) -> Path:
     network.connect("sum", "inner.i")
     network.meaning = "sign"
     network.save(folder / "line")
-    data = _to_toml(network)
+    data = to_toml(network)
     change(data)
     (folder / "line.toml").write_text(tomli_w.dumps(data), encoding="utf-8")
     return folder / "line.toml"
@@ -266,7 +268,7 @@ def ends_well(load, *arguments) -> bool:
 
 def test_any_entry_of_a_networks_file_may_be_wrong_or_missing(tmp_path):
     path = saved_network(tmp_path, lambda data: None)
-    data = _to_toml(Network.load(path))
+    data = to_toml(Network.load(path))
     refused = 0
     for place in places(data):
         for value in [places, *[v for v in WRONG if v is not None]]:

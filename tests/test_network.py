@@ -6,7 +6,8 @@ from hypothesis import strategies as st
 from networks import random_inputs, random_network
 
 from greygate.errors import InputError
-from greygate.models.network import ACTIVATIONS, Layer, Network, Port
+from greygate.models.activations import ACTIVATIONS
+from greygate.models.network import Layer, Network, Port
 
 SMOOTH = ("tansig", "logsig", "linear", "radbas", "select")
 
@@ -29,6 +30,11 @@ def test_delays_initial_values_and_normalisation_are_those_worked_by_hand():
     np.testing.assert_allclose(delay_line().run({"u": u})["y"], 10 * np.array([s0, s1, s2]), rtol=1e-15)
 
 
+def test_before_step_0_every_input_and_layer_is_at_rest_normalised():
+    rest = delay_line().flatten().rest()
+    assert {name: value.tolist() for name, value in rest.items()} == {"u": [2.0], "sum": [0.2]}
+
+
 def test_initial_values_can_be_given_for_a_run():
     y = delay_line().run({"u": np.array([3.0])}, initial={"u": 1.0, "sum": 4.0})["y"]
     np.testing.assert_allclose(y, [10 * (1 + 0 + 1.0 + 0.1)], rtol=1e-15)
@@ -47,9 +53,10 @@ def test_every_activation_is_its_definition(name):
         "radbas": np.exp(-(n**2)),
         "square": n**2,
         "negexp": np.exp(-np.abs(n)),
+        "softsign": n / (1 + np.abs(n)),
         "select": [2.0, -1.0],  # -3 and -0.5 choose between 0 or 2, and 0.25 or -1
     }
-    np.testing.assert_allclose(ACTIVATIONS[name](np, n), by_hand[name], atol=1e-15)
+    np.testing.assert_allclose(ACTIVATIONS[name].value(np, n), by_hand[name], atol=1e-15)
 
 
 @settings(max_examples=40, deadline=None)

@@ -2,10 +2,11 @@ import numpy as np
 import pytest
 import torch
 
-from greygate.compiler.pipeline import compile_network, fixed_error, float_error
+from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.machines.benchmark_systems.plant import b1, b1_input
+from greygate.models.accuracy import float_error
 from greygate.models.families.radial import RecursiveLeastSquares, radial, rbf
 from greygate.models.network import Port
 from greygate.models.training.descent import _Swept

@@ -7,7 +7,6 @@ import pytest
 from greygate.compiler.folded import folded
 from greygate.compiler.parallel import parallel
 from greygate.compiler.pipeline import compile_network
-from greygate.compiler.prune import output_errors
 from greygate.compiler.saliency import (
     METHODS,
     Expansion,
@@ -25,6 +24,7 @@ from greygate.compiler.simplify import fold_constants, parameter_count
 from greygate.emulator.engine import run
 from greygate.errors import InputError
 from greygate.machines.benchmark_systems.plant import b2, b2_input
+from greygate.models.accuracy import pooled_rms
 from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import train
@@ -155,7 +155,7 @@ def test_unit_obs_takes_a_neuron_that_another_can_stand_in_for_and_gives_its_wor
     np.testing.assert_allclose(removal.theta[e.problem.slices()["out.h"]][5 - index], 3.5, atol=1e-3)
     smaller = fold_constants(e.problem.unpack(removal.theta))
     assert smaller.modules["hidden"].size == 4
-    assert output_errors(smaller, [record]) < 1e-4
+    assert pooled_rms(smaller, [record]) < 1e-4
     assert len(unit_obs(e, 6).weights) == 2  # five parameters a neuron
 
 
@@ -169,7 +169,7 @@ def test_smallest_variance_takes_the_neuron_that_varies_least_and_leaves_its_mea
     removal = smallest_variance(e, 1)
     assert names(e, removal.weights) == [("out.h", 2)]
     np.testing.assert_allclose(removal.theta[e.problem.slices()["out.bias"]], 0.1 + 50 * np.tanh(0.8), atol=1e-3)
-    error = output_errors(e.problem.unpack(removal.theta), [record])
+    error = pooled_rms(e.problem.unpack(removal.theta), [record])
     np.testing.assert_allclose(error, np.sqrt(50**2 * removal.saliency[0]), rtol=1e-6)
 
 
@@ -218,7 +218,7 @@ def trained():
 @pytest.mark.parametrize("name", METHODS)
 def test_pruning_ends_within_the_allowed_error_and_every_earlier_network_can_be_had(name, trained):
     network, record, held = trained
-    allowed = 1.3 * output_errors(network, [held])
+    allowed = 1.3 * pooled_rms(network, [held])
     result = prune_by_saliency(network, [record], METHODS[name], allowed, held=[held], epochs=8, decay=1e-4)
     sizes = [s.parameters for s in result.steps]
     assert sizes == [parameter_count(s.network) for s in result.steps]
@@ -227,7 +227,7 @@ def test_pruning_ends_within_the_allowed_error_and_every_earlier_network_can_be_
     assert len(result.steps) == 1 + sum(r.kept for r in result.rounds)
     assert not result.rounds[-1].kept  # it went on until nothing could be spared
     for step in result.steps:
-        assert step.held == tuple(output_errors(step.network, [held]))
+        assert step.held == tuple(pooled_rms(step.network, [held]))
         assert step.held <= tuple(allowed)
         assert result.at(step.parameters) is step.network
     assert result.at(sizes[0] + 5) is result.steps[0].network
@@ -305,7 +305,7 @@ def test_saliency_pruning_is_a_pass_of_the_compiler(trained):
     prune = saliency_pruning([record], obs, 1.2, epochs=5, decay=1e-4)
     compiled = compile_network(network, {"record": record}, prune=prune)
     assert any(r.kept for r in compiled.pruning)
-    assert output_errors(compiled.network, [record]) <= 1.2 * output_errors(network, [record])
+    assert pooled_rms(compiled.network, [record]) <= 1.2 * pooled_rms(network, [record])
     products = terms(compiled.network, record)[0]
     assert products <= sum(np.count_nonzero(w) for m in compiled.network.modules.values() for w in m.weights.values())
     assert products < terms(network, record)[0]

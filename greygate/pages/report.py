@@ -21,6 +21,7 @@ from greygate.emulator.engine import run
 from greygate.emulator.program import Affine, Lookup, Port, Program
 from greygate.errors import InputError
 from greygate.files import replacing_all
+from greygate.models.accuracy import rms
 from greygate.models.network import Network
 from greygate.models.spectra import frequency_response, spectrum
 from greygate.models.training.objective import Objective
@@ -177,11 +178,6 @@ def _fixed(program: Program, record: Record) -> tuple[dict[str, np.ndarray], dic
         codes = np.floor((np.asarray(record.inputs[p.name]) - p.offset) / p.scale / p.signal.fix.lsb + 0.5)
         clipped[p.name] = int(np.count_nonzero((codes < p.signal.fix.lo) | (codes > p.signal.fix.hi)))
     return _elements(program, program.decode(done.outputs)), clipped | done.saturations
-
-
-def rms(error: np.ndarray) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(np.square(error))))
 
 
 def _output(reference: np.ndarray, floating: np.ndarray, fixed: np.ndarray, skip: int, period: float) -> dict:

@@ -7,10 +7,10 @@ from time import monotonic
 
 import numpy as np
 
-from greygate.compiler.pipeline import float_error
 from greygate.machines.belt_drive import plant as rig
 from greygate.machines.belt_drive.network import DIRECTIONS, REACH, E, X, belt_machine
-from greygate.machines.procedure import Procedure, rms
+from greygate.machines.procedure import Procedure
+from greygate.models.accuracy import float_error, free_run_rms, rms, rms_by_column
 from greygate.models.families.blocks import feedforward
 from greygate.models.families.radial import rbf as radial_fit
 from greygate.models.families.regression import noe
@@ -54,7 +54,7 @@ def legs(x: np.ndarray) -> list[tuple[int, int, str]]:
 
 def normalised(record: Record) -> tuple[np.ndarray, np.ndarray]:
     """x and e as the experts see them."""
-    return (record.inputs["x"] - X.offset) / X.scale, record.targets["e"] / E.scale
+    return X.normalised(record.inputs["x"]), E.normalised(record.targets["e"])
 
 
 def answer(network: Network, **inputs: np.ndarray) -> np.ndarray:
@@ -205,7 +205,7 @@ def experts(kind: Callable = fnn, progress: Callable[[str], None] | None = None,
             network = kind(part, INPUTS[part], data, seed)
             error = answer(network, **data.inputs) - data.targets["y"]
             if progress:
-                um = ", ".join(f"{v:.1f}" for v in np.atleast_1d(1e6 * E.scale * np.sqrt(np.mean(error**2, axis=0))))
+                um = ", ".join(f"{v:.1f}" for v in np.atleast_1d(1e6 * E.scale * rms_by_column(error)))
                 progress(f"{part}_{way}: {len(error)} samples, error {um} um")
             found[f"{part}_{way}"] = network
     return found
@@ -221,7 +221,7 @@ def scores(network: Network, names: tuple[str, ...] = SCENARIOS) -> dict[str, tu
         error = 1e6 * float_error(network, records()[name])["e"]
         major = np.abs(rig.record(name)["engaged"]) > 0.999
         for label, part in (("overall", error), ("major", error[major]), ("minor", error[~major])):
-            found[label].append(float(np.sqrt(np.mean(part**2))))
+            found[label].append(rms(part))
         found["max"].append(float(error.max()))
         found["min"].append(float(error.min()))
     return {label: tuple(values) for label, values in found.items()}
@@ -258,7 +258,7 @@ def baselines(sizes: tuple[int, ...] = (10, 25, 50), progress: Callable[[str], N
         for neurons in sizes:
             fit = baseline(kind, neurons)
             names = ("training", *SCENARIOS)
-            um = [1e6 * rms(fit.network, thinned(records()[name]))["e"] for name in names]
+            um = [1e6 * free_run_rms(fit.network, thinned(records()[name]))["e"] for name in names]
             done = {"epochs": len(fit.history) - 1, "seconds": fit.seconds}
             found[f"{kind} {neurons}"] = {"um": dict(zip(names, um, strict=True))} | done
             if progress:

@@ -121,7 +121,7 @@ def identify(system: System, seed: int, progress: Callable[[str], None] | None =
 def figures(system: System, network: Network, seed: int) -> dict:
     """Neurons, parameters, training MSE, RMS errors held out and on the test signal."""
     return {
-        "neurons": sum(m.size for m in network.modules.values() if m.activation == "tansig"),
+        "neurons": network.neurons(),
         "parameters": parameter_count(network),
         "mse": rms(network, [system.record(system.excite(seed))]) ** 2,
         "held": rms(network, [system.record(u) for u in system.held]),

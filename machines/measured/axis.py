@@ -74,7 +74,7 @@ def moving(record: Record, start: int, stop: int, window: int, period: float = 1
 
     Place and speed are those of a cubic through the first `window` positions.
     """
-    position = (record.targets[POSITION.name] - POSITION.offset) / POSITION.scale
+    position = POSITION.normalised(record.targets[POSITION.name])
     steps = 1 + np.arange(window)  # the state is that of the step before
     cubic = np.polyfit(steps, position[start : start + window], 3)
     before, place = np.polyval(cubic, (-1, 0))

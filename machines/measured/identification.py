@@ -17,6 +17,7 @@ import numpy as np
 
 from greygate import models, recordings
 from greygate.errors import InputError
+from greygate.models.accuracy import rms
 from greygate.models.network import Network
 from greygate.models.training.levenberg import Outcome, Trained
 from greygate.models.training.objective import Objective
@@ -126,7 +127,7 @@ def rmse(network: Network, record: Record) -> float:
     errors = problem.errors(problem.theta)
     if errors is None:
         return np.inf
-    return network.outputs[0].scale * float(np.sqrt(np.mean(errors[0][record.skip :] ** 2)))
+    return network.outputs[0].scale * rms(errors[0], record.skip)
 
 
 def settled(network: Network, record: Record, prior: float = PRIOR, steps: int = 30) -> Record:

@@ -8,9 +8,10 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from greygate.machines.procedure import Procedure, rms
+from greygate.machines.procedure import Procedure
 from greygate.machines.pump_cylinder.network import leakage_bounds, pump_srnn
 from greygate.machines.pump_cylinder.plant import PUMP_CYLINDER, RECORDS, SAMPLE_TIME, SENSORS, pump_cylinder, record
+from greygate.models.accuracy import free_run_rms, rms
 from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.library import library
 from greygate.models.families.regression import noe
@@ -100,10 +101,7 @@ def train_srnn(progress: Progress = silent) -> tuple[Network, dict]:
 def constant() -> dict[str, tuple[float, ...]]:
     """RMS in Pa of the least that a model can say: the mean pressures of the rig's training record."""
     mean = {p: v.mean() for p, v in recording("rig_training").targets.items()}
-    return {
-        name: tuple(float(np.sqrt(np.mean((v - mean[p]) ** 2))) for p, v in recording(name).targets.items())
-        for name in SCENARIOS
-    }
+    return {name: tuple(rms(v - mean[p]) for p, v in recording(name).targets.items()) for name in SCENARIOS}
 
 
 def sensor_backup(progress: Progress = silent) -> dict[str, tuple[float, ...]]:
@@ -113,7 +111,7 @@ def sensor_backup(progress: Progress = silent) -> dict[str, tuple[float, ...]]:
         network = fit(assemble(known), "training", known, progress).network
         network = fit(network, "rig_training", known, progress).network
         for name in SCENARIOS:
-            found[name] += tuple(rms(network, recording(name, known)).values())
+            found[name] += tuple(free_run_rms(network, recording(name, known)).values())
     return found
 
 
@@ -127,7 +125,7 @@ def noisy_position(nominal: Network) -> dict[str, tuple[float, ...]]:
 
     bounds = leakage_bounds(assemble())
     network = train(nominal, [noisier("rig_training")], epochs=EPOCHS, bounds=bounds).network
-    return {name: tuple(rms(network, noisier(name)).values()) for name in SCENARIOS}
+    return {name: tuple(free_run_rms(network, noisier(name)).values()) for name in SCENARIOS}
 
 
 def black_box(name: str) -> Record:
@@ -174,7 +172,7 @@ def black_boxes(progress: Progress = silent) -> dict:
 
 
 def _both(network: Network, record: Record) -> float:
-    return rms(network, record)["p"]
+    return free_run_rms(network, record)["p"]
 
 
 def random_starts(bounded: bool, seeds: range = range(3)) -> list[tuple[float, ...]]:
@@ -192,5 +190,5 @@ def random_starts(bounded: bool, seeds: range = range(3)) -> list[tuple[float, .
         }
         bounds = leakage_bounds(start) if bounded else None
         network = train(start.with_parameters(drawn), [recording("rig_training")], epochs=EPOCHS, bounds=bounds).network
-        found.append(tuple(rms(network, recording("rig_chirp")).values()))
+        found.append(tuple(free_run_rms(network, recording("rig_chirp")).values()))
     return found

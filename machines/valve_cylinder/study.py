@@ -6,13 +6,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from greygate.compiler.pipeline import float_error
-from greygate.compiler.prune import Round, output_errors, prune_by_entropy, retrained
+from greygate.compiler.prune import Round, prune_by_entropy, retrained
 from greygate.compiler.saliency import Method, prune_by_saliency
 from greygate.machines.procedure import OWN, Procedure, bar
 from greygate.machines.valve_cylinder.network import mean_spool, valve_srnn
 from greygate.machines.valve_cylinder.plant import spool_discrete, valve_cylinder
 from greygate.machines.valve_cylinder.scenarios import measure, scenario
+from greygate.models.accuracy import float_error, pooled_rms
 from greygate.models.adaptation import adopt
 from greygate.models.families.blocks import divider_record, feedforward, fit_divider, fit_flow, flow_record
 from greygate.models.network import Network
@@ -115,7 +115,7 @@ def prune(
         say(f"retraining with {sum(layer.size for layer in smaller.modules.values())} neurons")
         return retrained(smaller, kept, PRUNING_EPOCHS)
 
-    bound = allowed * output_errors(network, kept)
+    bound = allowed * pooled_rms(network, kept)
     network, rounds = prune_by_entropy(network, kept, retrain, bound)
     if weights:
         pruned = prune_by_saliency(

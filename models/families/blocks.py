@@ -45,7 +45,7 @@ def nguyen_widrow(network: Network, seed: int) -> Network:
     rng = np.random.default_rng(seed)
     flat = network.flatten()
     feeds, values = flat.feeds(), {}
-    sigmoid = {n for n, layer in flat.modules.items() if layer.activation in ("tansig", "logsig")}
+    sigmoid = {n for n, layer in flat.modules.items() if layer.function.is_sigmoid}
     for name, layer in flat.modules.items():
         free = {p: w.shape[1] for p, w in layer.weights.items() if p not in layer.frozen}
         if name in sigmoid and free:
@@ -53,7 +53,7 @@ def nguyen_widrow(network: Network, seed: int) -> Network:
             parts = np.split(w, np.cumsum(list(free.values()))[:-1], axis=1)
             values |= {f"{name}.{p}": part for p, part in zip(free, parts, strict=True)}
             values |= {} if "bias" in layer.frozen else {f"{name}.bias": bias}
-        elif layer.activation == "linear":
+        elif layer.is_linear:
             read = {p: n for p, n in free.items() if feeds[f"{name}.{p}"][0] in sigmoid}
             values |= {f"{name}.{p}": 0.3 * rng.normal(size=(layer.size, n)) for p, n in read.items()}
     return flat.with_parameters(values)

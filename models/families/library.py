@@ -55,7 +55,7 @@ class Entry:
     @property
     def neurons(self) -> int:
         """Neurons that are not linear."""
-        return sum(layer.size for layer in self.network.layers().values() if layer.activation != "linear")
+        return self.network.neurons()
 
     def grid(self, points: int | None = None) -> dict[str, np.ndarray]:
         """Every combination of `points` values of each port, the ends of its range and of its gaps among them."""
@@ -319,7 +319,7 @@ def flow(lap: float = 0.0) -> Entry:
     """
     if not -0.9 <= lap <= 0.9:
         raise InputError(f"library network flow: lap = {lap} is not within -0.9..0.9 of the spool's stroke")
-    whole, error = Network.load(TRAINED / "flow"), _stored_error("flow")
+    network, error = Network.load(TRAINED / "flow"), _stored_error("flow")
     reach, p = 1 - max(lap, 0.0), (0.01, 0.99)
 
     def function(u, p):
@@ -327,20 +327,20 @@ def flow(lap: float = 0.0) -> Entry:
 
     text = "f(u + lap) sqrt(1 - p) - f(lap - u) sqrt(p), f(x) = max(x, 0)"
     if lap:
-        trained, span = whole, 1 + min(lap, 0.0)
-        whole = Network("flow", [Port("u"), Port("p")], [Port("y")])
+        trained, span = network, 1 + min(lap, 0.0)
+        network = Network("flow", [Port("u"), Port("p")], [Port("y")])
         fixed = frozenset({"u", "bias"})
         edges = Layer({"u": [[1 / span], [-1 / span]]}, [lap / span, lap / span], "satlin", frozen=fixed)
-        whole.add("openings", edges)  # to the supply, to the tank
-        whole.connect("u", "openings.u")
+        network.add("openings", edges)  # to the supply, to the tank
+        network.connect("u", "openings.u")
         parts = {"supply": [span, 0], "tank": [0, -span]} if lap > 0 else {"either": [span, -span]}
         for name, gain in parts.items():
-            whole.add(name, trained)
-            whole.connect("openings", f"{name}.u", gain=np.array([gain], float))
-            whole.connect("p", f"{name}.p")
-            whole.connect(name, "y")
+            network.add(name, trained)
+            network.connect("openings", f"{name}.u", gain=np.array([gain], float))
+            network.connect("p", f"{name}.p")
+            network.connect(name, "y")
         error *= len(parts)
-    return Entry(whole, function, text, {"u": (-reach, reach), "p": p}, error, _tables(whole))
+    return Entry(network, function, text, {"u": (-reach, reach), "p": p}, error, _tables(network))
 
 
 # ---- the library

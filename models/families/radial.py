@@ -15,7 +15,7 @@ from scipy.cluster.vq import ClusterError, kmeans2
 from scipy.spatial.distance import cdist
 
 from greygate.errors import InputError
-from greygate.models.families.regression import Taps, regressors, settled
+from greygate.models.families.regression import Taps, regressors, with_full_taps
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import Outcome, Trained
 from greygate.models.training.objective import Objective
@@ -50,8 +50,7 @@ def radial(
     network.add("squares", Layer(squares, np.zeros(len(taps)), "square", frozen=frozenset({*taps, "bias"})))
     kernels = {"squares": precision, **cross}
     network.add("kernels", Layer(kernels, (precision * centres**2).sum(1), "negexp"))
-    rest = (output.initial - output.offset) / output.scale
-    network.add("sum", Layer({"kernels": np.zeros((1, len(centres)))}, [0.0], initial=rest))
+    network.add("sum", Layer({"kernels": np.zeros((1, len(centres)))}, [0.0], initial=output.rest))
     for port, (source, delay) in taps.items():
         network.connect(source, f"squares.{port}", delay)
         network.connect(source, f"kernels.{port}", delay)
@@ -96,7 +95,7 @@ def rbf(
     for row, target in zip(np.exp(-(distance**2)), phi.target, strict=True):
         estimator.update(np.append(row, 1.0), target)
     weights = {"sum.kernels": estimator.theta[None, :-1], "sum.bias": estimator.theta[-1:]}
-    problem = Objective(network.with_parameters(weights), settled(records, inputs, feedback), teacher=True)
+    problem = Problem(network.with_parameters(weights), with_full_taps(records, inputs, feedback), teacher=True)
     loss = problem.squares(problem.theta) / (2 * problem.samples)
     return Trained(problem.unpack(problem.theta), Outcome.CONVERGED, (loss,), monotonic() - began)
 

@@ -79,7 +79,7 @@ def regression(
         weights[f"{output.name}_z{feedback[0]}"] = np.eye(output.size)
     if hidden:
         weights |= {port: 0.01 * rng.normal(size=(output.size, n)) for port, n in fed.items()}
-    network.add("sum", Layer(weights, np.zeros(output.size), initial=_rest(output)))
+    network.add("sum", Layer(weights, np.zeros(output.size), initial=output.rest))
     for port, (source, delay) in (direct | last).items():
         network.connect(source, f"sum.{port}", delay)
     network.connect("sum", output.name)
@@ -147,7 +147,7 @@ def box_jenkins(plant: Network, noise: Sequence[int], shaping: Sequence[int]) ->
     network.connections = [c for c in flat.connections if c.target != output.name]
     taps = {f"v_z{d}": ("v", d) for d in shaping} | {f"e_z{d}": ("e", d) for d in noise}
     weights = {"plant": [[1.0]]} | {port: [[0.0]] for port in taps}
-    network.add("predicted", Layer(weights, [0.0], initial=_rest(output), frozen={"plant", "bias"}))
+    network.add("predicted", Layer(weights, [0.0], initial=output.rest, frozen={"plant", "bias"}))
     for port, (name, d) in ({"plant": (source, delay)} | taps).items():
         network.connect(name, f"predicted.{port}", d)
     network.connect("predicted", output.name)
@@ -181,10 +181,6 @@ def with_measured(record: Record, network: Network) -> Record:
     asked = {p.name for p in network.inputs}
     given = {_measured(p).name: record.targets[p.name] for p in network.outputs if _measured(p).name in asked}
     return replace(record, inputs=record.inputs | given)
-
-
-def _rest(port: Port) -> float:
-    return (port.initial - port.offset) / port.scale
 
 
 def _measured(output: Port) -> Port:
@@ -268,7 +264,7 @@ def regressors(records: Sequence[Record], inputs: Taps, output: Port, feedback: 
 def _signal(signals: Mapping[str, np.ndarray], port: Port) -> np.ndarray:
     if port.name not in signals:
         raise InputError(f"signal {port.name} [{port.unit}] is missing; given: {', '.join(signals) or 'nothing'}")
-    value = (np.asarray(signals[port.name], float) - port.offset) / port.scale
+    value = port.normalised(np.asarray(signals[port.name], float))
     if value.ndim != 1:
         raise InputError(f"signal {port.name}: {value.shape}; give one number a sample")
     bad = np.flatnonzero(~np.isfinite(value))
@@ -293,7 +289,7 @@ def arx(records: Sequence[Record], inputs: Taps, output: Port, feedback: Sequenc
     solution = np.linalg.lstsq(np.column_stack([phi.matrix, np.ones(len(phi.target))]), phi.target)[0]
     weights = {f"sum.{tap}": np.array([[w]]) for tap, w in zip(phi.taps, solution[:-1], strict=True)}
     network = noe(name, inputs, output, feedback).with_parameters(weights | {"sum.bias": solution[-1:]})
-    problem = Objective(network, settled(records, inputs, feedback), teacher=True)
+    problem = Problem(network, with_full_taps(records, inputs, feedback), teacher=True)
     loss = problem.squares(problem.theta) / (2 * problem.samples)
     return Trained(problem.unpack(problem.theta), Outcome.CONVERGED, (loss,), monotonic() - began)
 
@@ -314,7 +310,7 @@ def armax(
     """`arx` with e(k) + sum c_d e(k-d) for its noise, trained from the ARX solution. Raises as `arx`."""
     start = arx(records, inputs, output, feedback, name).network
     network = narmax(name, inputs, output, feedback, noise).with_parameters(start.parameters())
-    given = [with_measured(r, network) for r in settled(records, inputs, (*feedback, *noise))]
+    given = [with_measured(r, network) for r in with_full_taps(records, inputs, (*feedback, *noise))]
     return train(network, given, teacher=True, epochs=300)
 
 
@@ -326,7 +322,7 @@ def oe(records: Sequence[Record], inputs: Taps, output: Port, feedback: Sequence
     """
     weights = _stable(arx(records, inputs, output, feedback, name).network.parameters(), output, feedback)
     start = noe(name, inputs, output, feedback).with_parameters(weights)
-    return train(start, settled(records, inputs, feedback), epochs=300)
+    return train(start, with_full_taps(records, inputs, feedback), epochs=300)
 
 
 def bj(
@@ -340,12 +336,12 @@ def bj(
 ) -> Trained:
     """`oe` with a noise filter beside it (`box_jenkins`), trained from the OE solution. Raises as `arx`."""
     network = box_jenkins(oe(records, inputs, output, feedback, name).network, noise, shaping)
-    given = [with_measured(r, network) for r in settled(records, inputs, (*feedback, *noise, *shaping))]
+    given = [with_measured(r, network) for r in with_full_taps(records, inputs, (*feedback, *noise, *shaping))]
     return train(network, given, epochs=300)
 
 
-def settled(records: Sequence[Record], inputs: Taps, delays: Sequence[int]) -> list[Record]:
-    """The records, counted from the first row whose taps all lie inside."""
+def with_full_taps(records: Sequence[Record], inputs: Taps, delays: Sequence[int]) -> list[Record]:
+    """The records, each counted from its first sample whose taps all lie within it."""
     deepest = max([*(d for taps in inputs.values() for d in taps), *delays], default=0)
     return [replace(r, skip=max(r.skip, deepest)) for r in records]
 

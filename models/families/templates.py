@@ -75,7 +75,6 @@ def template(
     if any(d < 0 for _, d in taps["x"].values()) or any(d < 1 for _, d in taps["y"].values()) or not taps["x"]:
         raise InputError(f"network {name}: give taps of x from 0 on and of y from 1 on")
     network = Network(name, list(inputs), [output])
-    rest = (output.initial - output.offset) / output.scale
     last = "sum" if form.sum else "g" if form.g else "f"
     feeds = {"x": taps["x"], "y": {tap: (last, d) for tap, (_, d) in taps["y"].items()}}
     feeds |= {part: {part: (part, 0)} for part in "fg"}
@@ -87,14 +86,14 @@ def template(
         if ports := read(getattr(form, part)):
             module = feedforward(part, list(ports), hidden, 2 * seed + offset)
             if part == last:
-                module.modules["out"] = replace(module.modules["out"], initial=rest)
+                module.modules["out"] = replace(module.modules["out"], initial=output.rest)
             network.add(part, module)
             for port, (source, delay) in ports.items():
                 network.connect(source, f"{part}.{port}", delay)
     if ports := read(form.sum):
         own = frozenset(ports.keys() & {"f", "g"})
         weights = {port: [[1.0 if port in own else 0.0]] for port in ports}
-        network.add("sum", Layer(weights, [0.0], initial=rest, frozen=own | {"bias"}))
+        network.add("sum", Layer(weights, [0.0], initial=output.rest, frozen=own | {"bias"}))
         for port, (source, delay) in ports.items():
             network.connect(source, f"sum.{port}", delay)
     network.connect(last, output.name)
@@ -139,7 +138,7 @@ def _recurrent(name, inputs, outputs, hidden, seed, full) -> Network:
     past = {f"{n}_past": (n, 1, s) for n, s in layers.items()} if full else {}
     for port in outputs:
         layer = f"{port.name}_layer"
-        _layer(network, rng, layer, last, past, port.size, "linear", (port.initial - port.offset) / port.scale)
+        _layer(network, rng, layer, last, past, port.size, "linear", port.rest)
         network.connect(layer, port.name)
     return network.check()
 

@@ -14,18 +14,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 from time import monotonic
 
-import numba
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.models.network import ACTIVATIONS, Network
-from greygate.models.training.kernels import Tables, forward, sensitivities, slope
-from greygate.models.training.levenberg import STOP, Outcome, Trained, blas, stands
-from greygate.models.training.loss import Loss
-from greygate.models.training.objective import Objective
-from greygate.models.training.record import Record, held_out
-from greygate.models.training.remarks import remarks
-from greygate.progress import Progress, silent
+from greygate.models.activations import ACTIVATIONS
+from greygate.models.network import Network
+from greygate.models.training.kernels import Tables, forward, kernel, sensitivities, slope
+from greygate.models.training.levenberg import STOP, Fit, Outcome, _Whole, blas
+from greygate.models.training.problem import Problem, Record, held_out
 
 RUNAWAY = 10.0  # times the first loss, or that of predicting zero if larger: beyond it a training has diverged
 SCALE = 1e8  # first loss that L-BFGS sees: torch takes y's <= 1e-10 for no curvature
@@ -331,20 +327,20 @@ class _Static:
         return self.at.grad.numpy()
 
     def _outputs(self, rows):
-        torch, t, kinds = self.torch, self.tables, list(ACTIVATIONS)
+        torch, t, kinds = self.torch, self.tables, list(ACTIVATIONS.values())
         signals, layers, count = {}, t.layers.tolist(), len(self.target[rows])
         for (first, size, kind, bias, lo), (*_, hi) in pairwise(layers):
             links = t.links[lo:hi].tolist()
-            n = self.at[bias : bias + size * (3 if kinds[kind] == "select" else 1)].expand(count, -1)
+            n = self.at[bias : bias + size * kinds[kind].rows].expand(count, -1)
             if links:
                 x = [self.given[s, d][rows] if (s, d) in self.given else signals[s] for s, _, d, _ in links]
                 w = [self.at[o : o + n.shape[1] * width].view(-1, width) for _, width, _, o in links]
                 n = torch.addmm(n, torch.cat(x, 1), torch.cat(w, 1).T)
-            signals[first] = ACTIVATIONS[kinds[kind]](torch, n)
+            signals[first] = kinds[kind].value(torch, n)
         return torch.cat([signals[e] for e in t.rows[t.shown].tolist() if e in signals], 1)
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
+@kernel(fastmath={"contract", "reassoc"})
 def _back(t: Tables, theta, now, past, forced, error, gradient):  # pragma: no cover - compiled
     """gradient += d/d theta of sum(error * output), swept back through all steps; error: (N, outputs)."""
     ring = t.depth + 1
@@ -381,7 +377,7 @@ def _back(t: Tables, theta, now, past, forced, error, gradient):  # pragma: no c
         a[:] = 0.0
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def _learn(
     t: Tables, theta, now, past, forced, target, skip, rate, decay, variable, room
 ):  # pragma: no cover - compiled

@@ -5,22 +5,70 @@ taken back through one step (reverse mode: few signals are carried over) and for
 signals that are read with a delay or shown, `S_k[r] = dr/dtheta + sum_(d, q) c[d, r, q] S_(k-d)[q]`.
 """
 
+import hashlib
+import sys
+from collections.abc import Callable
+from inspect import signature
+from pathlib import Path
 from typing import NamedTuple
 
 import numba
 import numpy as np
 
-from greygate.models.arithmetic import scalar_exp, scalar_tanh
-from greygate.models.network import ACTIVATIONS, Network
+from greygate.models import activations, scalars
+from greygate.models.activations import ACTIVATIONS
+from greygate.models.network import Network
 
-_CODE = {name: code for code, name in enumerate(ACTIVATIONS)}
-TANSIG, LOGSIG, LINEAR, HARDLIM, HARDLIMS, SATLIN, RADBAS, SQUARE, NEGEXP, SELECT = range(len(_CODE))
+KINDS = tuple(ACTIVATIONS)  # a layer's activation stands in `Tables.layers` as its place here
+SELECT = KINDS.index("select")
+_SLOPE_READS_N = np.array([a.slope_reads_n for a in ACTIVATIONS.values()])  # by kind
+_SOURCES = (activations, scalars, sys.modules[__name__])
+_TEXT = hashlib.sha256(b"".join(Path(module.__file__).read_bytes() for module in _SOURCES)).hexdigest()[:12]
+
+
+def kernel(**options) -> Callable[[Callable], Callable]:
+    """`numba.njit(**options)`, kept on disk under a name that changes with all that kernels inline from other files.
+
+    Numba itself looks only at the file in which a function stands, and would go on with activations as they were.
+    """
+
+    def compiled(function: Callable) -> Callable:
+        function.__qualname__ += f"_{_TEXT}"
+        return numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+
+    return compiled
+
+
+@scalars.inlined
+def _unknown(kind, a, b):  # pragma: no cover - compiled
+    raise ValueError("no such kind of activation")
+
+
+def _branch(own: int, function: Callable, otherwise: Callable) -> Callable:
+    """A compiled function of (kind, a, b): `function` of (scalars, a) or (scalars, a, b) for kind `own`."""
+    function, takes = scalars.inlined(function), len(signature(function).parameters)
+
+    @scalars.inlined
+    def of_one(kind, a, b):  # pragma: no cover - compiled
+        return function(scalars, a) if kind == own else otherwise(kind, a, b)
+
+    @scalars.inlined
+    def of_two(kind, a, b):  # pragma: no cover - compiled
+        return function(scalars, a, b) if kind == own else otherwise(kind, a, b)
+
+    return of_one if takes == 2 else of_two
+
+
+_value = _slope = _unknown  # of (kind, n, anything); of (kind, y, n)
+for _kind, _entry in reversed(list(enumerate(ACTIVATIONS.values()))):  # the first is tried first
+    _value = _value if _kind == SELECT else _branch(_kind, _entry.value, _value)
+    _slope = _branch(_kind, _entry.slope, _slope)
 
 
 class Tables(NamedTuple):
     """A flat network as arrays. Elements: all inputs' components, then all layers' neurons in order of evaluation."""
 
-    layers: np.ndarray  # (L, 5): first element, size, activation, offset of the bias in theta, first connection
+    layers: np.ndarray  # (L, 5): first element, size, kind of activation, offset of the bias in theta, first connection
     links: np.ndarray  # (C, 4): first source element, source size, delay, offset of the matrix in theta
     n_inputs: int  # elements that are inputs
     depth: int  # longest delay
@@ -56,23 +104,7 @@ def tabulate(flat: Network, forced: frozenset[str] = frozenset()) -> tuple[Table
     row_of[[r for r, n in zip(rows, owner, strict=True) if n in carried]] = [
         i for i, n in enumerate(owner) if n in carried
     ]
-    within = {n: {n} for n in order}
-    ever = {n: {n} for n in order}
-    for name in order:
-        for port in flat.modules[name].weights:
-            source, delay = feeds[f"{name}.{port}"]
-            if delay == 0 and source in within:
-                within[name] |= within[source]
-    changed = True
-    while changed:
-        changed = False
-        for name in order:
-            size = len(ever[name])
-            for port in flat.modules[name].weights:
-                source, delay = feeds[f"{name}.{port}"]
-                if source in ever and not (delay > 0 and source in forced_layers):
-                    ever[name] |= ever[source]
-            changed |= len(ever[name]) != size
+    within, ever = _acting(flat, order, feeds, forced_layers)
     reach = {n: [i for i, o in enumerate(shown) if n in ever[o]] or [0] for n in order}
     names, where = [], {}
     at_theta = 0
@@ -85,7 +117,7 @@ def tabulate(flat: Network, forced: frozenset[str] = frozenset()) -> tuple[Table
     layers, links = [], []
     for name in order:
         layer = flat.modules[name]
-        layers.append((first[name], layer.size, _CODE[layer.activation], where[f"{name}.bias"].start, len(links)))
+        layers.append((first[name], layer.size, KINDS.index(layer.activation), where[f"{name}.bias"].start, len(links)))
         for port, w in layer.weights.items():
             source, delay = feeds[f"{name}.{port}"]
             links.append((first[source], w.shape[1], delay, where[f"{name}.{port}"].start))
@@ -109,7 +141,29 @@ def tabulate(flat: Network, forced: frozenset[str] = frozenset()) -> tuple[Table
     return tables, names
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _acting(flat: Network, order: list[str], feeds: dict, forced: set[str]) -> tuple[dict, dict]:
+    """The layers that act on each layer within a step; and within any number of steps, but not through `forced`."""
+    within = {n: {n} for n in order}
+    ever = {n: {n} for n in order}
+    for name in order:
+        for port in flat.modules[name].weights:
+            source, delay = feeds[f"{name}.{port}"]
+            if delay == 0 and source in within:
+                within[name] |= within[source]
+    changed = True
+    while changed:
+        changed = False
+        for name in order:
+            size = len(ever[name])
+            for port in flat.modules[name].weights:
+                source, delay = feeds[f"{name}.{port}"]
+                if source in ever and not (delay > 0 and source in forced):
+                    ever[name] |= ever[source]
+            changed |= len(ever[name]) != size
+    return within, ever
+
+
+@kernel(inline="always")
 def preactivation(links, lo, hi, theta, bias, row, k, now, past):  # pragma: no cover - compiled
     """Of one row, at row k of now and past."""
     n = theta[bias + row]
@@ -125,30 +179,19 @@ def preactivation(links, lo, hi, theta, bias, row, k, now, past):  # pragma: no 
     return n
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def slope(activation, size, links, lo, hi, theta, bias, o, k, now, past, y):  # pragma: no cover - compiled
+@kernel(inline="always")
+def slope(kind, size, links, lo, hi, theta, bias, o, k, now, past, y):  # pragma: no cover - compiled
     """(derivative of neuron o's output y by its pre-activation at row k, the row of weights that acts)."""
-    if activation == TANSIG:
-        return 1.0 - y * y, o
-    if activation == LOGSIG:
-        return y * (1.0 - y), o
-    if activation == LINEAR:
-        return 1.0, o
-    if activation == SATLIN:
-        return (1.0 if 0.0 < y < 1.0 else 0.0), o
-    if activation in (HARDLIM, HARDLIMS):
-        return 0.0, o
-    n = preactivation(links, lo, hi, theta, bias, o, k, now, past)
-    if activation == RADBAS:
-        return -2.0 * n * y, o
-    if activation == SQUARE:
-        return 2.0 * n, o
-    if activation == NEGEXP:
-        return -np.sign(n) * y, o
-    return 1.0, o + (size if n >= 0 else 2 * size)  # SELECT
+    n, row = 0.0, o
+    if _SLOPE_READS_N[kind]:
+        n = preactivation(links, lo, hi, theta, bias, o, k, now, past)
+    if kind == SELECT:
+        condition = preactivation(links, lo, hi, theta, bias, o, k, now, past)
+        row = o + (size if condition >= 0 else 2 * size)
+    return _slope(kind, y, n), row
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@kernel()
 def forward(layers, links, n_inputs, depth, theta, now, past, forced):  # pragma: no cover - compiled
     """Fill now[depth:, layer elements]; row depth + k is step k, rows before hold initial values.
 
@@ -158,7 +201,7 @@ def forward(layers, links, n_inputs, depth, theta, now, past, forced):  # pragma
     n_layers = len(layers) - 1
     for k in range(depth, len(now)):
         for layer in range(n_layers):
-            first, size, activation, bias, lo = layers[layer]
+            first, size, kind, bias, lo = layers[layer]
             hi = layers[layer + 1, 4]
             for o in range(size):
                 now[k, first + o] = theta[bias + o]
@@ -182,24 +225,10 @@ def forward(layers, links, n_inputs, depth, theta, now, past, forced):  # pragma
                         now[k, first + o] = n
             for o in range(size):
                 n = now[k, first + o]
-                if activation == TANSIG:
-                    n = scalar_tanh(n)
-                elif activation == LOGSIG:
-                    n = 0.5 + 0.5 * scalar_tanh(0.5 * n)
-                elif activation == HARDLIM:
-                    n = 1.0 if n >= 0 else 0.0
-                elif activation == HARDLIMS:
-                    n = 1.0 if n >= 0 else -1.0
-                elif activation == SATLIN:
-                    n = min(max(n, 0.0), 1.0)
-                elif activation == RADBAS:
-                    n = scalar_exp(-n * n)
-                elif activation == SQUARE:
-                    n = n * n
-                elif activation == NEGEXP:
-                    n = scalar_exp(-abs(n))
-                elif activation == SELECT:
+                if kind == SELECT:
                     n = preactivation(links, lo, hi, theta, bias, o + (size if n >= 0 else 2 * size), k, now, past)
+                else:
+                    n = _value(kind, n, 0.0)
                 if not np.isfinite(n):
                     return k - depth
                 now[k, first + o] = n
@@ -209,7 +238,7 @@ def forward(layers, links, n_inputs, depth, theta, now, past, forced):  # pragma
     return len(now) - depth
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc"})
+@kernel(fastmath={"contract", "reassoc"})
 def sensitivities(
     layers,
     links,
@@ -244,12 +273,12 @@ def sensitivities(
     n_layers = len(layers) - 1
     for k in range(start, stop):
         for layer in range(n_layers):
-            first, size, activation, bias, link0 = layers[layer]
+            first, size, kind, bias, link0 = layers[layer]
             hi = layers[layer + 1, 4]
             for o in range(size):
                 y = now[depth + k, first + o]
                 slopes[first + o], active[first + o] = slope(
-                    activation, size, links, link0, hi, theta, bias, o, depth + k, now, past, y
+                    kind, size, links, link0, hi, theta, bias, o, depth + k, now, past, y
                 )
         for r in range(len(rows)):
             lo, hi = spans[r]
@@ -262,7 +291,7 @@ def sensitivities(
             for layer in range(top, -1, -1):
                 if not reaches[r, layer]:
                     continue
-                first, size, activation, bias, link0 = layers[layer]
+                first, size, kind, bias, link0 = layers[layer]
                 acts = False
                 for o in range(size):
                     delta[o] = adjoint[first + o] * slopes[first + o]
@@ -274,7 +303,7 @@ def sensitivities(
                 for c in range(link0, layers[layer + 1, 4]):
                     source, width, delay, w = links[c]
                     total = 0.0
-                    if width == 1 and activation != SELECT:  # one tap to all neurons: contiguous in theta
+                    if width == 1 and kind != SELECT:  # one tap to all neurons: contiguous in theta
                         x = now[depth + k, source] if delay == 0 else past[depth + k - delay, source]
                         for o in range(size):
                             out[w + o] += delta[o] * x

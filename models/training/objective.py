@@ -137,7 +137,7 @@ class Objective:
                     f"network {flat.name}: {kind} {p.name} of record {index} holds NaN or inf at sample {bad[0]}"
                     f" ({len(bad)} in all); mend or cut it"
                 )
-            return (value - p.offset) / p.scale
+            return p.normalised(value)
 
         target = np.concatenate([signal("target", record.targets, p) for p in flat.outputs], axis=1)
         now = np.zeros((depth + len(target), len(self._outputs)))
@@ -147,7 +147,7 @@ class Objective:
             if len(value) != len(target):
                 raise InputError(f"input {p.name}: {len(value)} samples where the targets have {len(target)}")
             now[depth:, at : at + p.size] = value
-            now[:depth, at : at + p.size] = (record.initial.get(p.name, p.initial) - p.offset) / p.scale
+            now[:depth, at : at + p.size] = p.normalised(record.initial.get(p.name, p.initial))
             at += p.size
         for name, layer in flat.modules.items():
             now[:depth, first[name] : first[name] + layer.size] = record.initial.get(name, layer.initial)

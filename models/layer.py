@@ -1,0 +1,89 @@
+"""What networks are made of: ports, layers and connections."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from greygate.models.activations import ACTIVATIONS, Activation, known
+
+LONGEST_DELAY = 500  # steps
+LARGEST_SIZE = 4096  # signals of a port, neurons of a layer
+
+
+@dataclass(frozen=True)
+class Port:
+    """Where a signal enters or leaves a network: inside stands (value - offset) / scale.
+
+    value: `unit` (SI). `initial`: what the port carried before the first step, in `unit`. `resolution`: of the sensor,
+    in `unit`, 0 if it is not known; the hardware's input codes are then no coarser and no finer.
+    """
+
+    name: str
+    unit: str = "1"
+    scale: float = 1.0
+    offset: float = 0.0
+    size: int = 1
+    initial: float = 0.0
+    resolution: float = 0.0
+
+    def normalised(self, value):
+        """What stands inside for a value (number or array) in `unit`."""
+        return (value - self.offset) / self.scale
+
+    @property
+    def rest(self) -> float:
+        """What stands inside before step 0."""
+        return self.normalised(self.initial)
+
+
+@dataclass(frozen=True)
+class Layer:
+    """activation(sum_p weights[p] @ input_p + bias). Raises InputError for an activation that does not exist.
+
+    weights: port -> (rows, n). bias: (rows,). initial: (size,), its output before the first step. A neuron is a row;
+    only `select`, a multiplexer, has three rows a neuron (`models.activations`).
+    frozen: names of ports (or "bias") that training leaves as they are.
+    """
+
+    weights: dict[str, np.ndarray]
+    bias: np.ndarray
+    activation: str = "linear"
+    initial: np.ndarray | float = 0.0
+    frozen: frozenset[str] = frozenset()
+
+    def __post_init__(self):
+        known(self.activation, "layer:")
+        bias = np.atleast_1d(np.asarray(self.bias, float))
+        object.__setattr__(self, "bias", bias)
+        object.__setattr__(self, "weights", {p: np.atleast_2d(np.asarray(w, float)) for p, w in self.weights.items()})
+        object.__setattr__(self, "initial", np.broadcast_to(np.asarray(self.initial, float), self.size))
+        object.__setattr__(self, "frozen", frozenset(self.frozen))
+
+    @property
+    def rows(self) -> int:
+        """Sums that it forms."""
+        return len(self.bias)
+
+    @property
+    def size(self) -> int:
+        """Neurons, which are its outputs."""
+        return len(self.bias) // self.function.rows
+
+    @property
+    def function(self) -> Activation:
+        """All there is to know of its activation."""
+        return ACTIVATIONS[self.activation]
+
+    @property
+    def is_linear(self) -> bool:
+        return self.function.lowered == "affine"
+
+
+@dataclass(frozen=True)
+class Connection:
+    """target(k) receives gain @ source(k - delay). Names: `port`, `module` or `module.port`."""
+
+    source: str
+    target: str
+    delay: int = 0
+    gain: float | np.ndarray | None = None
