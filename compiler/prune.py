@@ -39,7 +39,7 @@ def spareable(layer: Layer) -> bool:
 
 def entropies(network: Network, records: list[Record]) -> dict[str, np.ndarray]:
     """H = -sum p ln p of each hidden neuron's histogram over the image of its activation (3.14), in nats, by layer."""
-    problem = Problem(network, records)
+    problem = Objective(network, records)
     run = np.concatenate(problem.simulate(problem.theta))
     found = {}
     for name, columns in problem.elements().items():

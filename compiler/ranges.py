@@ -8,7 +8,8 @@ from greygate.errors import InputError
 from greygate.models.activations import Activation
 from greygate.models.arithmetic import mean, product, xp
 from greygate.models.network import Layer, Network
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 
 WIDEN_AFTER = 50  # sweeps of interval arithmetic before a signal that still grows is called unbounded
 

@@ -15,7 +15,7 @@ from greygate.files import replacing
 from greygate.machines.cable_drum import study as cable_drum
 from greygate.machines.catalog import entry
 from greygate.models.accuracy import float_error
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 from greygate.pages.figures import Line, chart
 from greygate.pages.report import envelope
 

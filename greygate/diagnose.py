@@ -29,6 +29,7 @@ from greygate.mismatch.locate import display_unit
 from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.search import Search
 from greygate.mismatch.simulation import read, simulate
+from greygate.mismatch.verdict import Verdict
 from greygate.models import accuracy
 from greygate.plants.expressions import names
 from greygate.plants.recording import Recording

@@ -8,7 +8,8 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.models.arithmetic import mean
 from greygate.models.network import Network
-from greygate.models.training.problem import Problem, Record
+from greygate.models.training.objective import Objective
+from greygate.models.training.record import Record
 
 
 def rms(error: np.ndarray, skip: int = 0) -> float:
@@ -37,7 +38,7 @@ def float_error(network: Network, record: Record) -> dict[str, np.ndarray]:
 
     Raises InputError where the run diverges.
     """
-    problem = Problem(network, [record])
+    problem = Objective(network, [record])
     errors = problem.errors(problem.theta)
     if errors is None:
         raise InputError(f"network {network.name}: diverges on the record")
@@ -57,7 +58,7 @@ def free_run_rms(network: Network, record: Record) -> dict[str, float]:
 
 def pooled_rms(network: Network, records: Sequence[Record]) -> np.ndarray:
     """RMS error over all records, normalised, of each output column; inf where a run diverges."""
-    problem = Problem(network, records)
+    problem = Objective(network, records)
     errors = problem.errors(problem.theta)
     if errors is None:
         return np.full(sum(p.size for p in problem.flat.outputs), np.inf)

@@ -21,7 +21,7 @@ from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training import descent, kernels
 from greygate.models.training.levenberg import train
-from greygate.models.training.problem import Record
+from greygate.models.training.record import Record
 
 N = np.array([-40.0, -3.0, -1.0, -0.3, -1e-3, 0.0, 1e-3, 0.3, 1.0, 3.0, 40.0, 0.5])
 ONE_ROW = [name for name, a in ACTIVATIONS.items() if a.rows == 1]

@@ -95,7 +95,7 @@ def rbf(
     for row, target in zip(np.exp(-(distance**2)), phi.target, strict=True):
         estimator.update(np.append(row, 1.0), target)
     weights = {"sum.kernels": estimator.theta[None, :-1], "sum.bias": estimator.theta[-1:]}
-    problem = Problem(network.with_parameters(weights), with_full_taps(records, inputs, feedback), teacher=True)
+    problem = Objective(network.with_parameters(weights), with_full_taps(records, inputs, feedback), teacher=True)
     loss = problem.squares(problem.theta) / (2 * problem.samples)
     return Trained(problem.unpack(problem.theta), Outcome.CONVERGED, (loss,), monotonic() - began)
 
