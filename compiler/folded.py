@@ -167,7 +167,7 @@ def fold(program: Program, macs: int) -> Folding:
             unit_of[key] = COPY + 1 + len(units)
             units.append((key, o))
         for k in range(o.out.size):
-            arguments = [(address[a] + k, f"{a}[{k}]") for a in program.args(o)]
+            arguments = [(address[a] + k, f"{a}[{k}]") for a in o.args]
             through(unit_of[key], arguments, address[o.out.name] + k, f"{o.out.name}[{k}]")
     shown = [(p, k) for p in program.outputs for k in range(p.signal.size)]
     for n, (p, k) in enumerate(shown):
@@ -391,7 +391,7 @@ def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, s
     before = {"condition": "x_before_last", "above": "x_last", "below": "x", "x": "x"}  # port -> where its code stands
     selects = [o for _, o in folding.units if isinstance(o, Select)]
     if selects:  # no wider than they are read
-        condition, above = (max(program.signals[program.args(o)[i]].fix.width for o in selects) for i in (0, 1))
+        condition, above = (max(program.signals[o.args[i]].fix.width for o in selects) for i in (0, 1))
         last = max(condition, above)
         body += (
             "    // a select reads three codes on end\n"
@@ -405,7 +405,7 @@ def folded_top(program: Program, macs: int, folding: Folding, names: dict[str, s
         out = o.out.fix.width
         arguments = {
             port: f"{before[port]}[{program.signals[a].fix.width - 1}:0]"
-            for port, a in zip(argument_ports(o), program.args(o), strict=True)
+            for port, a in zip(argument_ports(o), o.args, strict=True)
         }
         body += f"\n    wire [{out - 1}:0] unit_{n};  {remark(key)}\n"
         body += instance(

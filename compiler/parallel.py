@@ -156,7 +156,7 @@ def parallel_top(program: Program, names: dict[str, str]) -> str:
         y = names[o.out.name]
         en = "start" if level[o.out.name] == 1 else f"stage[{level[o.out.name] - 2}]"
         ends = {"clk": "clk", "en": en}
-        args = program.args(o)
+        args = o.args
         if isinstance(o, Affine):
             ends |= {names[a]: names[a] for a in args} | {y: y}
             body += "\n" + instance(f"{program.name}_{y}", f"{y}_layer", {}, ends)
@@ -174,7 +174,7 @@ def parallel_top(program: Program, names: dict[str, str]) -> str:
             body += f"            {names[s.signal.name]} <= {names[s.source]};\n"
         body += "        end\n"
 
-    read = {a for o in program.operations for a in program.args(o)}
+    read = {a for o in program.operations for a in o.args}
     read |= {s.source for s in program.states} | {p.signal.name for p in program.outputs}
     unread = [names[s] for s in program.signals if s not in read] + unused_bits(program)
     if unread:

@@ -235,7 +235,7 @@ def levels(program: Program) -> dict[str, int]:
     """Signal -> the clock of a step, counted from 1, at whose end it stands; 0 for inputs and states."""
     level = dict.fromkeys(program.signals, 0)
     for o in program.operations:
-        level[o.out.name] = 1 + max(level[a] for a in program.args(o))
+        level[o.out.name] = 1 + max(level[a] for a in o.args)
     return level
 
 
@@ -243,7 +243,7 @@ def small_operation(program: Program, o, size: int | None = None) -> tuple[str, 
     """Module and parameters of a table, clamp, threshold or select of `size` elements."""
     size = size or o.out.size
     if isinstance(o, Select):
-        condition, above, below = (program.signals[a].fix for a in program.args(o))
+        condition, above, below = (program.signals[a].fix for a in o.args)
         frac = max(above.frac, below.frac)
         widths = {"CONDITION_W": condition.width, "ABOVE_W": above.width, "BELOW_W": below.width}
         left = {"ABOVE_LEFT": frac - above.frac, "BELOW_LEFT": frac - below.frac}

@@ -19,13 +19,13 @@ from greygate.emulator.program import (
     Fix,
     Lookup,
     Overflow,
-    Port,
     Program,
     Rounding,
     Select,
     Signal,
     State,
     Symmetry,
+    Terminal,
     Threshold,
 )
 from greygate.errors import InputError
@@ -41,10 +41,10 @@ def program(name, inputs, operations, states=(), outputs=None, tables=()):
     shown = outputs or [o.out for o in operations]
     return Program(
         name,
-        tuple(Port(s.name, s, "1", 1.0, 0.0) for s in inputs),
+        tuple(Terminal(s.name, s, "1", 1.0, 0.0) for s in inputs),
         tuple(states),
         tuple(operations),
-        tuple(Port(f"show_{s.name}", s, "1", 1.0, 0.0) for s in shown),
+        tuple(Terminal(f"show_{s.name}", s, "1", 1.0, 0.0) for s in shown),
         tuple(tables),
     ).check()
 
