@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.build import ARCHITECTURES, FACTS, read_facts, read_hardware, read_resources
+from greygate.build import FACTS, read_facts, read_hardware, read_resources
 from greygate.compiler.emit import emit, emitted
 from greygate.compiler.pipeline import (
     Compiled,
@@ -37,6 +37,7 @@ from greygate.compiler.prune import Round, retrained
 from greygate.compiler.quantize import Formats
 from greygate.compiler.ranges import ranges
 from greygate.compiler.saliency import METHODS, Step, saliency_pruning
+from greygate.compiler.targets import BOTH, NAMES, Architecture, target
 from greygate.emulator.engine import run
 from greygate.emulator.program import Program
 from greygate.errors import InputError
@@ -66,8 +67,8 @@ from greygate.plants.recording import read_csv
 from greygate.reading import read_json
 
 LATER = (  # what verify and synthesize add to a build, in which nobody else writes
-    r"verify\.json|resources\.json|results-(parallel|folded)\.xml|"
-    r"simulation/(parallel|folded)/(results\.xml|sim\.log|dump\.vcd|"
+    rf"verify\.json|resources\.json|results-({'|'.join(NAMES)})\.xml|"
+    rf"simulation/({'|'.join(NAMES)})/(results\.xml|sim\.log|dump\.vcd|"
     r"build/(bench(\.v)?|job\.(json|npz)|verdicts\.json|(verilator|make)\.log|(Vtop|verilat)\w*(\.\w+)+))"
 )
 RETRAIN_EPOCHS = 4
@@ -242,7 +243,7 @@ def _compile(
     weights: str | None = None,
     held: Sequence[str] = (),
     generic: bool = False,
-    architectures: Sequence[str] = ARCHITECTURES,
+    architectures: Sequence[str] = BOTH,
     macs: int = 4,
 ) -> Compiled:
     """Compile and fill the folder `new`.
@@ -377,6 +378,14 @@ class Project:
         where = self.folder / "rtl" / architecture
         return Case(self.program, self.scenarios(names), architecture, self.facts["macs"], emitted=where)
 
+    @property
+    def designs(self) -> list[str]:
+        """Architectures in Verilog. Raises InputError if there is none."""
+        found = [a for a in self.facts["architectures"] if isinstance(target(a), Architecture)]
+        if not found:
+            raise InputError(f"{self.folder}: holds no Verilog; run greygate compile --architecture both")
+        return found
+
     def edited(self) -> list[Path]:
         """Files in rtl/ that are other than the program's own Verilog: a person's code, or a stranger's."""
         found = []
@@ -431,7 +440,7 @@ def plants(folder: Path, progress: Callable[[str], None] | None = None) -> list[
 
 def _results(folder: Path) -> list[Path]:
     """What `verify` writes, together."""
-    return [folder / "verify.json", *(folder / f"results-{architecture}.xml" for architecture in ARCHITECTURES)]
+    return [folder / "verify.json", *(folder / f"results-{architecture}.xml" for architecture in NAMES)]
 
 
 def verify_project(
@@ -468,7 +477,7 @@ def _clear(folder: Path) -> None:
 
 
 def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[str, Verification]:
-    architectures = project.facts["architectures"]
+    architectures = project.designs
 
     def check(architecture: str) -> Verification:
         return verify_many([project.case(architecture, names)], project.folder / "simulation" / architecture, seed)
@@ -488,7 +497,7 @@ def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[
         }
     with replacing_all(_results(project.folder)) as (found, *junits):
         found.write_text(_json(hardware))
-        for architecture, path in zip(ARCHITECTURES, junits, strict=True):
+        for architecture, path in zip(NAMES, junits, strict=True):
             if architecture in results:
                 path.write_bytes(results[architecture].junit.read_bytes())
     return results
@@ -509,7 +518,7 @@ def synthesize_project(
     with writing(project.folder), locked(project.folder.resolve()):
         if edited := project.edited():
             raise InputError(f"{edited[0]}: is not the Verilog of program.json; compile again")
-        for architecture in reversed(project.facts["architectures"]):
+        for architecture in reversed(project.designs):
             folder = project.folder / "rtl" / architecture
             found[f"{architecture}, {target}"] = synthesize(folder, project.program.name, target, clock_rate, limit)
         _write_json(project.folder / "resources.json", found)

@@ -16,10 +16,10 @@ from test_names import INJECTED, one_line
 from test_validation import linear, record
 
 import greygate
-from greygate.compiler.folded import folded
-from greygate.compiler.parallel import parallel
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
+from greygate.compiler.targets.folded import folded
+from greygate.compiler.targets.parallel import parallel
 from greygate.compiler.verilog import remark
 from greygate.emulator.fields import to_json
 from greygate.emulator.interpreter import interpret

@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from greygate.compiler.emit import emit, sources
+from greygate.compiler.targets import Register, architecture
 from greygate.compiler.verilog import lane_width, remark, sign_extended, verilog_names
 from greygate.emulator.program import Program, Signal
 from greygate.errors import InputError
@@ -197,47 +198,50 @@ class Design:
     def outputs(self) -> list[Signal]:
         return [replace(p.signal, name=p.name) for p in self.case.program.outputs]
 
-    def state_lanes(self) -> list[tuple[str, int, Signal]]:
-        """(what holds it in the design, lowest bit there, signal) of every state code."""
-        program, name = self.case.program, verilog_names(self.case.program)
-        if self.case.architecture == "parallel":
-            return [
-                (f"design_{self.index}.{name[s.name]}", k * s.fix.width, s) for s in self.states for k in range(s.size)
-            ]
-        return [
-            (f"design_{self.index}.memory[{address}]", 0, s)
-            for address, s in enumerate(s.signal for s in program.states for _ in range(s.signal.size))
-        ]
+    def registers(self) -> list[tuple[Register, Signal]]:
+        """Where the design keeps each state code, and the signal that it belongs to."""
+        found = architecture(self.case.architecture).registers(self.case.program)
+        return list(zip(found, (s for s in self.states for _ in range(s.size)), strict=True))
 
     def verilog(self) -> str:
         """The signals that the bench drives and reads, the source's handshake, the states side by side, the design."""
         i, program = self.index, self.case.program
-        state = [sign_extended(at, low, s.fix.width, lane_width(s)) for at, low, s in self.state_lanes()]
+        state = [
+            sign_extended(f"design_{i}.{at.path}", at.low, s.fix.width, lane_width(s)) for at, s in self.registers()
+        ]
         width_in, width_out, width_state = width(self.inputs), width(self.outputs), width(self.states)
-        public = "/* verilator public_flat_rw */"
-        text = f"    {remark(f'{i}: {program.name}, {self.case.architecture}')}\n"
-        for name in ("clk", "rst", "m_tready", "load"):
-            text += f"    reg {name}_{i} {public};\n"
-        text += f"    reg [{width_in}:0] source_{i} {public};  // {{toggled with every sample, sample}}\n"
-        text += f"    reg [{max(width_state, 8) - 1}:0] initial_{i} {public};\n"
-        text += f"    wire s_tready_{i} {public}, m_tvalid_{i} {public};\n"
-        text += f"    wire [{width_out - 1}:0] m_tdata_{i};\n"
-        text += f"    wire [{width_out + width_state - 1}:0] seen_{i} {public};\n"
-        text += f"    assign seen_{i} = {{{', '.join([*reversed(state), f'm_tdata_{i}'])}}};\n"
-        text += f"    reg taken_{i};\n    wire s_tvalid_{i} = source_{i}[{width_in}] ^ taken_{i};\n"
-        text += f"    wire [{width_in - 1}:0] s_tdata_{i} = source_{i}[{width_in - 1}:0];\n"
-        text += f"    always @(posedge clk_{i}) if (rst_{i} || s_tready_{i}) taken_{i} <= source_{i}[{width_in}];\n"
-        if any(s.initial is not None for s in self.case.scenarios.values()):
-            text += f"    always @(posedge clk_{i}) if (load_{i}) begin\n"
-            start = 0
-            for at, low, s in self.state_lanes():
-                target = at if "memory" in at else f"{at}[{low + s.fix.width - 1}:{low}]"
-                text += f"        {target} <= $signed(initial_{i}[{start + s.fix.width - 1}:{start}]);\n"
-                start += lane_width(s)
-            text += "    end\n"
         ports = {"clk": f"clk_{i}", "rst": f"rst_{i}"}
         ports |= {f"{a}_axis_{b}": f"{a}_{b}_{i}" for a in "sm" for b in ("tdata", "tvalid", "tready")}
-        return text + f"    {program.name} design_{i} ({', '.join(f'.{k}({v})' for k, v in ports.items())});\n\n"
+        public = "/* verilator public_flat_rw */"
+        driven = "".join(f"    reg {name}_{i} {public};\n" for name in ("clk", "rst", "m_tready", "load"))
+        return f"""\
+    {remark(f"{i}: {program.name}, {self.case.architecture}")}
+{driven}    reg [{width_in}:0] source_{i} {public};  // {{toggled with every sample, sample}}
+    reg [{max(width_state, 8) - 1}:0] initial_{i} {public};
+    wire s_tready_{i} {public}, m_tvalid_{i} {public};
+    wire [{width_out - 1}:0] m_tdata_{i};
+    wire [{width_out + width_state - 1}:0] seen_{i} {public};
+    assign seen_{i} = {{{", ".join([*reversed(state), f"m_tdata_{i}"])}}};
+    reg taken_{i};
+    wire s_tvalid_{i} = source_{i}[{width_in}] ^ taken_{i};
+    wire [{width_in - 1}:0] s_tdata_{i} = source_{i}[{width_in - 1}:0];
+    always @(posedge clk_{i}) if (rst_{i} || s_tready_{i}) taken_{i} <= source_{i}[{width_in}];
+{self.loading()}    {program.name} design_{i} ({", ".join(f".{k}({v})" for k, v in ports.items())});
+
+"""
+
+    def loading(self) -> str:
+        """How the states are set, where a scenario begins from states of its own."""
+        if all(s.initial is None for s in self.case.scenarios.values()):
+            return ""
+        i, start = self.index, 0
+        text = f"    always @(posedge clk_{i}) if (load_{i}) begin\n"
+        for at, s in self.registers():
+            bits = "" if at.alone else f"[{at.low + s.fix.width - 1}:{at.low}]"
+            code = f"$signed(initial_{i}[{start + s.fix.width - 1}:{start}])"
+            text += f"        design_{i}.{at.path}{bits} <= {code};\n"
+            start += lane_width(s)
+        return text + "    end\n"
 
     def job(self) -> dict:
         program = self.case.program
