@@ -61,5 +61,14 @@ FAMILIES = {
         block_rams={"RAMB18E1": 0.5, "RAMB36E1": 1.0},  # of 36 kbit
         lut_rams={"RAM32M": 1, "RAM64M": 1, "RAM32X1D": 1, "RAM64X1D": 1, "RAM128X1D": 1},
     ),
+    "gowin": Family(
+        "Gowin LittleBee and Arora",
+        "synth_gowin -top {top} -json {json}",
+        luts={"LUT[1-4]": 1, "ALU": 1},  # a carry cell takes one
+        flip_flops={"DFF*": 1},
+        dsps={"MULT9X9": 0.5, "MULT18X18": 1, "MULT36X36": 4},  # of 18 x 18 bits
+        block_rams={"SP": 1.0, "SPX9": 1.0, "SDP*": 1.0, "DP*": 1.0, "pROM*": 1.0},  # of 18 kbit
+        lut_rams={"RAM16S*": 1},
+    ),
 }
 PLACED = tuple(name for name, family in FAMILIES.items() if family.place)
