@@ -16,7 +16,7 @@ import re
 import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -55,7 +55,7 @@ from greygate.files import (
     writing,
 )
 from greygate.hardware.synthesis import synthesize
-from greygate.hardware.verify import Case, Scenario, Verification, verify_many
+from greygate.hardware.verify import Case, Scenario, Verification, stop_tools, verify_many
 from greygate.machines.catalog import CATALOG, PLANTS, TRAINED, entry
 from greygate.machines.measured.identification import settled
 from greygate.machines.procedure import rms
@@ -68,7 +68,7 @@ from greygate.reading import read_json
 
 LATER = (  # what verify and synthesize add to a build, in which nobody else writes
     rf"verify\.json|resources\.json|results-({'|'.join(NAMES)})\.xml|"
-    rf"simulation/({'|'.join(NAMES)})/(results\.xml|sim\.log|dump\.vcd|"
+    rf"simulation/({'|'.join(NAMES)})/(results\.xml|(sim|verilator|make)\.log|dump\.vcd|"
     r"build/(bench(\.v)?|job\.(json|npz)|verdicts\.json|(verilator|make)\.log|(Vtop|verilat)\w*(\.\w+)+))"
 )
 RETRAIN_EPOCHS = 4
@@ -483,7 +483,13 @@ def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[
         return verify_many([project.case(architecture, names)], project.folder / "simulation" / architecture, seed)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        results = dict(zip(architectures, pool.map(check, architectures), strict=True))
+        futures = [pool.submit(check, architecture) for architecture in architectures]
+        try:
+            results = {a: future.result() for a, future in zip(architectures, futures, strict=True)}
+        except BaseException:  # of Ctrl-C and `kill`, Verilator hears nothing; the pool waits for it
+            while wait(futures, 0.1).not_done:
+                stop_tools()
+            raise
     hardware = {}
     for architecture, result in results.items():
         clocks = [v.clocks_per_step for v in result.verdicts if np.isfinite(v.clocks_per_step)]

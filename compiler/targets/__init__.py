@@ -16,8 +16,15 @@ if TYPE_CHECKING:  # the command line needs the names at once, and numpy only wh
     from greygate.emulator.program import Program
 
 BOTH = ("parallel", "folded")  # written unless the user chooses, in the order in which they are reported
-NAMES = (*BOTH, *sorted({module.name for module in pkgutil.iter_modules(__path__)} - {*BOTH}))
 MULTIPLIERS = range(1, 257)  # that a target which shares multipliers may be given
+
+
+def named() -> tuple[str, ...]:
+    """Every target of the folder: BOTH first, then the others by name."""
+    return (*BOTH, *sorted({module.name for module in pkgutil.iter_modules(__path__)} - {*BOTH}))
+
+
+NAMES = named()
 
 
 class Register(NamedTuple):

@@ -62,8 +62,12 @@ def synthesize(
 def counted(family: Family, found: Mapping[str, int]) -> dict[str, float]:
     """Cells by name, such as Yosys counts them, in the words of a person."""
     return {
-        what: sum(weight * n for cell, n in found.items() for pattern, weight in getattr(family, what).items()
-                  if fnmatchcase(cell, pattern))
+        what: sum(
+            weight * n
+            for cell, n in found.items()
+            for pattern, weight in getattr(family, what).items()
+            if fnmatchcase(cell, pattern)
+        )
         for what in COUNTED
     }
 
@@ -71,7 +75,7 @@ def counted(family: Family, found: Mapping[str, int]) -> dict[str, float]:
 def placed_and_routed(
     place: Place, folder: Path, netlist: str, report: str, limit: float | None = None
 ) -> dict[str, float | None]:
-    """`clock_mhz` on the device of `place`, without pins; None if the design does not fit. limit: as in `synthesize`."""
+    """`clock_mhz` on the device of `place`, without pins; None if it does not fit. limit: as in `synthesize`."""
     arguments = [*place.arguments, "--json", netlist, "--report", report]
     try:
         run_tool(place.module, place.module.replace("yowasp_", "run_"), arguments, folder, limit)

@@ -8,8 +8,10 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -99,7 +101,7 @@ def verify(
     seed: int | None = None,
     waves: bool = False,
 ) -> Verification:
-    """Emit one program into `folder`/rtl, build it in `folder`/build, run every scenario. See verify_many."""
+    """Emit one program into `folder`/rtl, simulate it, run every scenario. See verify_many."""
     return verify_many([Case(program, scenarios, architecture, macs)], folder, seed, waves)
 
 
@@ -109,8 +111,9 @@ def verify_many(
     """Check every design of `cases`, all in one Verilator build, in every one of its scenarios.
 
     Each scenario is played twice: cut short by a reset at a random clock, then from the initial state to its end, with
-    random pauses of source and sink. `folder` receives the emitted Verilog (rtl/, one folder a design), the build,
-    results.xml (JUnit) and sim.log; with `waves` also dump.vcd. The seed is drawn if not given, and printed.
+    random pauses of source and sink. `folder` receives the emitted Verilog (rtl/, one folder a design), results.xml
+    (JUnit) and the logs of the tools; with `waves` also dump.vcd. The simulation is built in a temporary folder, whose
+    name make can read, whatever `folder` is called. The seed is drawn if not given, and printed.
     Raises InputError when a tool is missing or the folder cannot be written.
     """
     environment = simulator_environment()
@@ -120,33 +123,30 @@ def verify_many(
     for case in cases:
         verilog_names(case.program)
     folder = Path(folder).resolve()
-    if re.search(r"\s", str(folder)):
-        raise InputError(f"{folder}: make builds nothing where a folder's name holds a space; rename it, or move away")
     with writing(folder, "make this folder"):
-        (folder / "build").mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     seed = int(np.random.SeedSequence().entropy % (1 << 31)) if seed is None else seed
-    designs, sources = [], []
-    for i, case in enumerate(cases):
-        sources += case.sources(folder)
-        designs.append(Design(i, case))
-    bench = folder / "build" / "bench.v"
-    bench.write_text("module bench;\n" + "".join(d.verilog() for d in designs) + "endmodule\n")
-    start = time.perf_counter()
-    executable = build(bench, list({s.name: s for s in sources}.values()), folder / "build", environment, waves)
-    built = time.perf_counter()
-
-    job = {"seed": seed, "designs": [d.job() for d in designs]}
-    (folder / "build" / "job.json").write_text(json.dumps(job))
-    np.savez(folder / "build" / "job.npz", **{k: v for d in designs for k, v in d.arrays().items()})
-    junit, verdicts = folder / "results.xml", folder / "build" / "verdicts.json"
-    for old in (junit, verdicts):
-        old.unlink(missing_ok=True)
-    simulate(executable, folder, junit, seed, environment, waves)
-    ended = time.perf_counter()
-    print(f"verify: seed {seed}", file=sys.stderr)
-    if not verdicts.exists() or not junit.exists():
-        raise InputError(f"{folder / 'sim.log'}: the simulation ended without results; its last lines say why")
-    found = {(v["design"], v["scenario"]): v for v in json.loads(verdicts.read_text())}
+    designs = [Design(i, case) for i, case in enumerate(cases)]
+    files = {file.name: file for case in cases for file in case.sources(folder)}
+    junit = folder / "results.xml"
+    junit.unlink(missing_ok=True)
+    with tempfile.TemporaryDirectory(prefix="greygate-") as temporary:
+        work = Path(temporary)
+        for name, file in files.items():
+            shutil.copy(file, work / name)
+        (work / "bench.v").write_text("module bench;\n" + "".join(d.verilog() for d in designs) + "endmodule\n")
+        start = time.perf_counter()
+        build(["bench.v", *files], work, folder, environment, waves)
+        built = time.perf_counter()
+        (work / "job.json").write_text(json.dumps({"seed": seed, "designs": [d.job() for d in designs]}))
+        np.savez(work / "job.npz", **{k: v for d in designs for k, v in d.arrays().items()})
+        simulate(work, folder, junit, seed, environment, waves)
+        ended = time.perf_counter()
+        print(f"verify: seed {seed}", file=sys.stderr)
+        verdicts = work / "verdicts.json"
+        if not verdicts.exists() or not junit.exists():
+            raise InputError(f"{folder / 'sim.log'}: the simulation ended without results; its last lines say why")
+        found = {(v["design"], v["scenario"]): v for v in json.loads(verdicts.read_text())}
     return Verification(
         tuple(d.verdict(name, found.get((d.index, name))) for d in designs for name in d.case.scenarios),
         seed,
@@ -301,13 +301,15 @@ RUNTIME = ("verilated.o", "verilated_vpi.o", "verilated_threads.o")  # the same 
 OPTIONS = ("OPT_FAST=-O1", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1")
 
 
-def build(bench: Path, sources: list[Path], folder: Path, environment: dict[str, str], waves: bool) -> Path:
-    """Bench and designs as an executable with cocotb inside. Verilator's own runtime is compiled once per machine.
+def build(files: Sequence[str], work: Path, folder: Path, environment: dict[str, str], waves: bool) -> None:
+    """Make work/bench of the Verilog there, with cocotb inside. Verilator's own runtime is compiled once per machine.
 
-    make hands paths to a shell: those within the build are relative, so no name of a folder gets there.
+    make hands paths to a shell: those of the design are names in `work`. The logs go to `folder`.
     """
     import cocotb_tools.config as config
 
+    if re.search(r"\s", str(work)):
+        raise InputError(f"{work}: make builds nothing where a folder's name holds a space; set TMPDIR to another")
     libs = config.libs_dir
     run_logged(
         [
@@ -317,28 +319,25 @@ def build(bench: Path, sources: list[Path], folder: Path, environment: dict[str,
             *(["--trace"] if waves else []),
             *("-LDFLAGS", f"-Wl,-rpath,{libs} -L{libs} -lcocotbvpi_verilator"),
             str(config.share_dir / "lib" / "verilator" / "verilator.cpp"),
-            *(os.path.relpath(source, folder) for source in (*sources, bench)),
+            *files,
         ],
         folder / "verilator.log",
         environment,
+        work,
     )
     cache = runtime_cache(environment, waves)
     for name in RUNTIME:
         if (cache / name).exists():
-            shutil.copy(cache / name, folder / name)
+            shutil.copy(cache / name, work / name)
     jobs = str(os.cpu_count() or 1)
-    run_logged(
-        ["make", "-j", jobs, "-f", "Vtop.mk", f"VM_TRACE={int(waves)}", *OPTIONS],
-        folder / "make.log",
-        environment,
-    )
+    make = ["make", "-j", jobs, "-f", "Vtop.mk", f"VM_TRACE={int(waves)}", *OPTIONS]
+    run_logged(make, folder / "make.log", environment, work)
     for name in RUNTIME:
-        if (folder / name).exists() and not (cache / name).exists():
+        if (work / name).exists() and not (cache / name).exists():
             with suppress(OSError, InputError):  # a cache that cannot be written only costs time
                 cache.mkdir(parents=True, exist_ok=True)
                 with replacing(cache / name) as temporary:
-                    shutil.copy(folder / name, temporary)
-    return folder / "bench"
+                    shutil.copy(work / name, temporary)
 
 
 def runtime_cache(environment: dict[str, str], waves: bool) -> Path:
@@ -349,8 +348,8 @@ def runtime_cache(environment: dict[str, str], waves: bool) -> Path:
     return base / "greygate" / f"verilator-{key.hexdigest()[:16]}"
 
 
-def simulate(executable: Path, folder: Path, junit: Path, seed: int, environment: dict[str, str], waves: bool) -> None:
-    """Run the bench; results.xml and verdicts.json tell what came of it."""
+def simulate(work: Path, folder: Path, junit: Path, seed: int, environment: dict[str, str], waves: bool) -> None:
+    """Run work/bench in `folder`; `junit` and work/verdicts.json tell what came of it."""
     import cocotb_tools.config as config
     import find_libpython
 
@@ -364,16 +363,36 @@ def simulate(executable: Path, folder: Path, junit: Path, seed: int, environment
         "COCOTB_RANDOM_SEED": str(seed),
         "COCOTB_TRUST_INERTIAL_WRITES": "1",
         "TOPLEVEL_LANG": "verilog",
-        "GREYGATE_BENCH": str(executable.parent),
+        "GREYGATE_BENCH": str(work),
     }
-    command = [str(executable), "+verilator+rand+reset+2", f"+verilator+seed+{seed % (1 << 30) + 1}"]
-    run_logged([*command, *(["--trace"] if waves else [])], folder / "sim.log", environment)
+    command = [str(work / "bench"), "+verilator+rand+reset+2", f"+verilator+seed+{seed % (1 << 30) + 1}"]
+    run_logged([*command, *(["--trace"] if waves else [])], folder / "sim.log", environment, folder)
 
 
-def run_logged(command: list[str], log: Path, environment: dict[str, str]) -> None:
-    """Run a tool with its output in a file; InputError with the last line of it if the tool fails."""
+_RUNNING: set[subprocess.Popen] = set()
+
+
+def run_logged(command: list[str], log: Path, environment: dict[str, str], where: Path) -> None:
+    """Run a tool in a folder with its output in a file; InputError with the last line of that if the tool fails."""
     with writing(log), log.open("w") as out:
-        done = subprocess.run(command, stdout=out, stderr=subprocess.STDOUT, env=environment, cwd=log.parent)
-    if done.returncode:
+        tool = subprocess.Popen(
+            command, stdout=out, stderr=subprocess.STDOUT, env=environment, cwd=where, start_new_session=True
+        )
+        _RUNNING.add(tool)
+        try:
+            code = tool.wait()
+        except BaseException:
+            stop_tools()
+            raise
+        finally:
+            _RUNNING.discard(tool)
+    if code:
         last = (log.read_text(errors="replace").strip().splitlines() or ["no word"])[-1]
-        raise InputError(f"{log}: {Path(command[0]).name} failed ({done.returncode}): {last}")
+        raise InputError(f"{log}: {Path(command[0]).name} failed ({code}): {last}")
+
+
+def stop_tools() -> None:
+    """End each tool that runs, and what it started. Whoever waits for it in another thread goes on with an error."""
+    for tool in list(_RUNNING):
+        with suppress(ProcessLookupError):
+            os.killpg(tool.pid, signal.SIGKILL)
