@@ -1,4 +1,4 @@
-"""When a shared datapath reads, sums, drains and writes: the schedule of the folded architecture (targets/folded.py).
+"""The schedule of the folded architecture (targets/folded.py): in which clock it reads, sums, drains and writes what.
 
 Rows of a layer are taken `macs` at a time; a group visits the columns in which one of its rows has a weight, and is
 drained while the next group is being summed.
@@ -75,7 +75,7 @@ def fold(program: Program, macs: int) -> Folding:
 
 
 class _Folder:
-    """Gives every signal its words, and places one operation after another as early as what it reads allows."""
+    """Gives every signal its words, and places each operation as early as its arguments and the datapath allow."""
 
     def __init__(self, program: Program, macs: int, operations: list[Operation], shadows: list[tuple[str, str]]):
         self.program, self.macs = program, macs
@@ -133,7 +133,7 @@ class _Folder:
         return self.ready.get(self.word[element], 1)
 
     def _through(self, source: int, arguments: list[str], to: int, note: str) -> None:
-        """Read arguments in clocks on end, and write what a unit makes of them."""
+        """Read the arguments in consecutive clocks, and write what a unit makes of them."""
         free, last = self.schedule.free, len(arguments) - 1
         t = max([self.last_read.get(to, 0) - UNIT, *(self._when(a) - i for i, a in enumerate(arguments))])
         while not (all(free(t + i, "read") for i in range(len(arguments))) and free(t + last + UNIT, "write")):
@@ -143,7 +143,7 @@ class _Folder:
         self._write(t + last + UNIT, to, source, note)
 
     def _sum(self, o: Affine, start: int, columns: list[str]) -> None:
-        """Visit the columns of a group of rows, those first that are ready first, and hold the sums."""
+        """Sum a group of rows over their columns, in the order in which the columns become ready, and hold the sums."""
         weights = o.weights[start : start + self.macs]
         used = np.flatnonzero(np.any(weights != 0, axis=0)).tolist() or [0]
         used.sort(key=lambda j: self._when(columns[j]))
@@ -164,7 +164,7 @@ class _Folder:
         self.groups.append((label, [int(b) for b in o.bias[start : start + self.macs]]))
 
     def _drain(self, o: Affine, start: int) -> None:
-        """Round, fit and write the held rows of the group that was summed last, one a clock."""
+        """Round, fit and write the rows of the group that was summed last, one row a clock."""
         fix, d = o.out.fix, self.summed + PICK
         fit = {"width": fix.width, "saturate": int(o.overflow is Overflow.SATURATE)}
         for r in range(start, min(start + self.macs, o.out.size)):

@@ -7,7 +7,7 @@ manifest.json          SHA-256 of each file above and below; what it does not li
 rtl/parallel, rtl/folded     the Verilog of each architecture, and <program>.f, its list of files
 verify.json            what the last verification found; results-*.xml beside it are JUnit
 resources.json         what synthesis found, by architecture and target
-simulation/            where the last verification built and ran
+simulation/            results and logs of the last verification, by architecture
 """
 
 import json
