@@ -10,6 +10,7 @@ from pathlib import Path
 
 from greygate.augment import FACTS, augment
 from greygate.compiler.quantize import Formats
+from greygate.compiler.targets import BOTH
 from greygate.diagnose import explain
 from greygate.files import replacing
 from greygate.mismatch.concealed.conceal import conceal
@@ -19,7 +20,6 @@ from greygate.pictures import FOLDER, picture
 from greygate.pictures import _over_time as over_time
 from greygate.pictures import _panel as panel
 from greygate.project import (
-    ARCHITECTURES,
     Project,
     Source,
     compile_project,
@@ -47,7 +47,7 @@ def hardware(folder: Path, name: str) -> dict:
     """One network compiled and verified on the held-out recording, ranges from the other one."""
     recordings = {r: str(folder / "networks" / f"{r}.csv") for r in ("identify", "holdout")}
     source = Source(str(folder / "networks" / f"{name}.toml"), recordings)
-    compiled = compile_project(source, folder / name, Formats(), architectures=ARCHITECTURES)
+    compiled = compile_project(source, folder / name, Formats(), architectures=BOTH)
     project = Project.open(folder / name)
     results = verify_project(project, ("holdout",))
     return {

@@ -9,14 +9,19 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 AREAS = {
-    "compiler": "compiler/*.py",
+    "compiler": "compiler/**/*.py",
     "emulator": "emulator/*.py",
     "kernels": "models/training/kernels.py",
     "fit": "mismatch/fit.py",
     "selection": "mismatch/selection.py",
     "simulate": "plants/simulate.py",
 }
-TEMPLATES = ("emulator/specialised.py", "plants/simulate.py", "compiler/folded.py", "compiler/parallel.py")
+TEMPLATES = (
+    "emulator/specialised.py",
+    "plants/simulate.py",
+    "compiler/targets/folded.py",
+    "compiler/targets/parallel.py",
+)
 TOLD = {"say", "print", "progress", "notes"}  # what is only told to the user
 
 

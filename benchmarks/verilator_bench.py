@@ -53,6 +53,7 @@ def measure(
         ],
         folder / "build.log",
         environment,
+        folder,
     )
     built = time.perf_counter() - start
 

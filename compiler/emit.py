@@ -1,11 +1,10 @@
-"""Write an integer program as a folder of Verilog, in either architecture."""
+"""Write an integer program as a folder of files, as one of the targets (targets/) has it."""
 
 import re
 from pathlib import Path
 
 from greygate import rtl
-from greygate.compiler.folded import folded
-from greygate.compiler.parallel import parallel
+from greygate.compiler.targets import Architecture, target
 from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.files import making, replacing_all
@@ -13,12 +12,12 @@ from greygate.names import check_file_name
 
 
 def emit(program: Program, folder: Path | str, architecture: str = "parallel", macs: int = 4) -> list[Path]:
-    """Write the program as Verilog into `folder` and return the files, the top `<program>.v` first.
+    """Write the program into `folder` and return the files, the top `<program>.v` of Verilog first.
 
-    The folder stands on its own: the building blocks used are copied into it, and `<program>.f` lists the sources.
-    architecture: "parallel", or "folded" with `macs` multipliers. Either all files are written or none.
-    Raises InputError for names that Verilog cannot hold, a program without input or output, an illegal option, or
-    a folder that cannot be written.
+    architecture: the name of a target, such as "parallel", or "folded" with `macs` multipliers. Verilog stands on its
+    own: the building blocks used are copied into the folder, and `<program>.f` lists the sources. Either all files are
+    written or none. Raises InputError for names that Verilog cannot hold, a program without input or output, an illegal
+    option, or a folder that cannot be written.
     """
     files = emitted(program, architecture, macs)
     folder = Path(folder)
@@ -31,18 +30,17 @@ def emit(program: Program, folder: Path | str, architecture: str = "parallel", m
 def emitted(program: Program, architecture: str = "parallel", macs: int = 4) -> dict[str, str]:
     """The files that `emit` writes, by name. Raises InputError as it does."""
     program.check()
-    if architecture not in ("parallel", "folded"):
-        raise InputError(f"architecture {architecture!r} does not exist; choose parallel or folded")
-    if architecture == "folded" and not 1 <= macs <= 256:
-        raise InputError(f"{macs} multipliers are not in 1..256")
-    texts = parallel(program) if architecture == "parallel" else folded(program, macs)
-    blocks = sorted(set(re.findall(r"^ *(greygate_\w+) #\(", "".join(texts.values()), re.M)))
-    if {"greygate_clamp", "greygate_select"} & set(blocks):
-        blocks = sorted({*blocks, "greygate_requantize"})
-    texts |= {f"{b}.v": rtl.block(b).read_text() for b in blocks}
+    chosen = target(architecture)
+    texts = chosen.files(program, macs)
+    if isinstance(chosen, Architecture):
+        blocks = set(re.findall(r"^ *(greygate_\w+) #\(", "".join(texts.values()), re.M))
+        if {"greygate_clamp", "greygate_select"} & blocks:
+            blocks.add("greygate_requantize")
+        texts |= {f"{b}.v": rtl.block(b).read_text() for b in sorted(blocks)}
+        texts |= {f"{program.name}.f": "\n".join(texts) + "\n"}
     for name in texts:
         check_file_name(name, f"program {program.name}: file")
-    return texts | {f"{program.name}.f": "\n".join(texts) + "\n"}
+    return texts
 
 
 def sources(folder: Path | str, top: str) -> list[Path]:

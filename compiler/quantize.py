@@ -19,13 +19,13 @@ from greygate.emulator.program import (
     Op,
     Operation,
     Overflow,
-    Port,
     Program,
     Rounding,
     Select,
     Signal,
     State,
     Table,
+    Terminal,
     Threshold,
 )
 from greygate.errors import InputError
@@ -135,7 +135,7 @@ class _Quantizer:
                 frac = math.ceil(round(math.log2(abs(p.scale) / p.resolution), AGREED))
                 fix = Fix(fix.width - fix.frac + frac, frac)
             self.signals[p.name] = Signal(p.name, p.size, fix)
-            inputs.append(Port(p.name, self.signals[p.name], p.unit, p.scale, p.offset))
+            inputs.append(Terminal(p.name, self.signals[p.name], p.unit, p.scale, p.offset))
         order = self.flat.order()
         for name in order:
             self._declare(name)
@@ -143,7 +143,7 @@ class _Quantizer:
             self._layer(name)
         outputs = []
         for p in self.flat.outputs:
-            outputs.append(Port(p.name, self.signals[self.feeds[p.name][0]], p.unit, p.scale, p.offset))
+            outputs.append(Terminal(p.name, self.signals[self.feeds[p.name][0]], p.unit, p.scale, p.offset))
         return Program(
             self.flat.name,
             tuple(inputs),

@@ -1,8 +1,21 @@
-"""What both architectures write alike: names, numbers, instances, tables, the stream at the edge (Verilog-2005)."""
+"""What all architectures write alike: names, numbers, instances, tables, the stream at the edge (Verilog-2005)."""
 
 import re
+from collections.abc import Sequence
 
-from greygate.emulator.program import Clamp, Lookup, Program, Rounding, Select, Signal, Symmetry, Table
+from greygate.emulator.program import (
+    Clamp,
+    Elementwise,
+    Lookup,
+    Op,
+    Program,
+    Rounding,
+    Select,
+    Signal,
+    Symmetry,
+    Table,
+    Threshold,
+)
 from greygate.errors import InputError, one_line
 
 ROUNDING = {Rounding.TRUNCATE: 0, Rounding.HALF_UP: 1, Rounding.HALF_EVEN: 2}
@@ -231,39 +244,71 @@ def table_text(program: Program, table: Table) -> str:
     )
 
 
+def table_texts(program: Program) -> dict[str, str]:
+    """File name -> text of the module of every table that is used."""
+    return {f"{table_module(program, t)}.v": table_text(program, t) for t in shared_tables(program).values()}
+
+
 def levels(program: Program) -> dict[str, int]:
     """Signal -> the clock of a step, counted from 1, at whose end it stands; 0 for inputs and states."""
     level = dict.fromkeys(program.signals, 0)
     for o in program.operations:
-        level[o.out.name] = 1 + max(level[a] for a in program.args(o))
+        level[o.out.name] = 1 + max(level[a] for a in o.args)
     return level
 
 
-def small_operation(program: Program, o, size: int | None = None) -> tuple[str, dict]:
-    """Module and parameters of a table, clamp, threshold or select of `size` elements."""
-    size = size or o.out.size
-    if isinstance(o, Select):
-        condition, above, below = (program.signals[a].fix for a in program.args(o))
-        frac = max(above.frac, below.frac)
-        widths = {"CONDITION_W": condition.width, "ABOVE_W": above.width, "BELOW_W": below.width}
-        left = {"ABOVE_LEFT": frac - above.frac, "BELOW_LEFT": frac - below.frac}
-        rounding = {"SHIFT": frac - o.out.fix.frac, "ROUNDING": ROUNDING[o.rounding]}
-        return "greygate_select", {"SIZE": size} | widths | {"OUT_W": o.out.fix.width} | left | rounding
-    arg = program.signals[o.arg]
-    if isinstance(o, Lookup):
-        return table_module(program, shared_tables(program)[o.table]), {"SIZE": size}
-    parameters = {"SIZE": size, "ARG_W": arg.fix.width, "OUT_W": o.out.fix.width}
-    if isinstance(o, Clamp):
-        limits = {"LO": number(o.lo, arg.fix.width), "HI": number(o.hi, arg.fix.width)}
-        shift = {"SHIFT": arg.fix.frac - o.out.fix.frac, "ROUNDING": ROUNDING[o.rounding]}
-        return "greygate_clamp", parameters | shift | limits
-    answers = {"BELOW": number(o.below, o.out.fix.width), "ABOVE": number(o.above, o.out.fix.width)}
-    return "greygate_threshold", parameters | {"AT": number(o.at, arg.fix.width)} | answers
+# Each small operation of `size` elements: module, parameters, and the ports that take its arguments, in their order.
+Block = tuple[str, dict, tuple[str, ...]]
 
 
-def argument_ports(o) -> tuple[str, ...]:
-    """Ports of a small operation's module that take its arguments, in the order of `Program.args`."""
-    return ("condition", "above", "below") if isinstance(o, Select) else ("x",)
+def _lookup(program: Program, o: Lookup, size: int) -> Block:
+    return table_module(program, shared_tables(program)[o.table]), {"SIZE": size}, ("x",)
+
+
+def _clamp(program: Program, o: Clamp, size: int) -> Block:
+    arg, out = program.signals[o.arg].fix, o.out.fix
+    parameters = {"SIZE": size, "ARG_W": arg.width, "OUT_W": out.width}
+    parameters |= {"SHIFT": arg.frac - out.frac, "ROUNDING": ROUNDING[o.rounding]}
+    return "greygate_clamp", parameters | {"LO": number(o.lo, arg.width), "HI": number(o.hi, arg.width)}, ("x",)
+
+
+def _threshold(program: Program, o: Threshold, size: int) -> Block:
+    arg, out = program.signals[o.arg].fix, o.out.fix
+    parameters = {"SIZE": size, "ARG_W": arg.width, "OUT_W": out.width, "AT": number(o.at, arg.width)}
+    answers = {"BELOW": number(o.below, out.width), "ABOVE": number(o.above, out.width)}
+    return "greygate_threshold", parameters | answers, ("x",)
+
+
+def _select(program: Program, o: Select, size: int) -> Block:
+    condition, above, below = (program.signals[a].fix for a in o.args)
+    frac = max(above.frac, below.frac)
+    widths = {"CONDITION_W": condition.width, "ABOVE_W": above.width, "BELOW_W": below.width}
+    left = {"ABOVE_LEFT": frac - above.frac, "BELOW_LEFT": frac - below.frac}
+    rounding = {"SHIFT": frac - o.out.fix.frac, "ROUNDING": ROUNDING[o.rounding]}
+    parameters = {"SIZE": size} | widths | {"OUT_W": o.out.fix.width} | left | rounding
+    return "greygate_select", parameters, ("condition", "above", "below")
+
+
+_BLOCKS = {Op.TABLE: _lookup, Op.CLAMP: _clamp, Op.THRESHOLD: _threshold, Op.SELECT: _select}
+
+
+def small_operation(program: Program, o: Elementwise, size: int) -> Block:
+    """The block that computes `size` elements of a table, clamp, threshold or select in one clock."""
+    return _BLOCKS[o.op](program, o, size)
+
+
+def unused_text(bits: Sequence[str], comment: str = "") -> str:
+    """A wire that reads bits which nothing else reads, so that no tool warns of them; nothing if there are none."""
+    if not bits:
+        return ""
+    listed = wrapped([f"{b}," for b in bits], "        ")
+    return f"    wire unused = &{{\n{listed} 1'b0\n    }};{comment}\n"
+
+
+def result_text(lanes: Sequence[str]) -> str:
+    """The word of the output stream, from its lanes, the lowest first."""
+    listed = ",\n".join(f"        {lane}" for lane in reversed(lanes))
+    return f"    assign result = {{\n{listed}\n    }};\n\n"
 
 
 def stream_instance(width_in: int, width_out: int, ready: str) -> str:

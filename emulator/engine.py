@@ -8,7 +8,7 @@ then an integer that float64 holds exactly, in any order, and the processor has 
 run in int64. Nothing else is ever a float.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -17,10 +17,22 @@ import numpy as np
 
 from greygate.emulator import specialised as kernels
 from greygate.emulator.interpreter import Run
-from greygate.emulator.program import ROUNDED, Affine, Clamp, Lookup, Overflow, Program, Rounding, Select, Symmetry
+from greygate.emulator.program import (
+    Affine,
+    Clamp,
+    Lookup,
+    Op,
+    Overflow,
+    Program,
+    Rounding,
+    Select,
+    Symmetry,
+    Threshold,
+)
 
 WORTH_COMPILING = 20_000_000  # steps of all sequences
 AFFINE, AFFINE_WIDE, TABLE, CLAMP, THRESHOLD, SELECT = range(6)
+COLUMNS = 11  # kind, first element of the result, its size, and what the kind needs
 # unsigned: numba then leaves out its check for negative indices, and the loops become vector code
 ZERO, ONE, TWO, THREE, FOUR = (np.uint64(n) for n in range(5))
 _ROUNDING = list(Rounding)
@@ -31,7 +43,7 @@ _KERNELS: WeakKeyDictionary[Program, Callable] = WeakKeyDictionary()
 class _Arrays(NamedTuple):
     """A program as arrays. Rows of an affine operation, if there are several, are padded to fours."""
 
-    operations: np.ndarray  # (n, 11) int64; columns depend on the kind, see `_tabulate`
+    operations: np.ndarray  # (n, COLUMNS) int64; columns depend on the kind, see `_Tabulator`
     reads: np.ndarray  # uint64: element behind each column of each affine operation
     weights: np.ndarray  # float64, column after column
     weights_int: np.ndarray  # the same as int64
@@ -45,68 +57,101 @@ class _Arrays(NamedTuple):
     widest: int
 
 
+class _Tabulator:
+    """Gives a row of whole numbers for each operation, and collects the weights that affine ones refer to.
+
+    first: the element of each signal with which it begins. tables: the point of each table with which it begins.
+    """
+
+    def __init__(self, program: Program):
+        self.program = program
+        self.first, self.elements = {}, 0
+        for name, signal in program.signals.items():
+            self.first[name] = self.elements
+            self.elements += signal.size
+        self.tables, self.points = {}, []
+        for table in program.tables:
+            self.tables[table.name] = len(self.points)
+            self.points += table.points
+        self.reads: list[int] = []
+        self.weights, self.bias, self.shifts = ([np.zeros(0, np.int64)] for _ in range(3))
+        self.weight_at, self.row_at = 0, 0
+        self.widest = sum(s.signal.size for s in program.states)
+
+    def places(self, names: Iterable[str]) -> list[int]:
+        """The elements of these signals, one after another."""
+        return [self.first[name] + i for name in names for i in range(self.program.signals[name].size)]
+
+    def drop(self, name: str, o: Clamp | Select) -> int:
+        return kernels.drop(self.program.signals[name].fix, o.out.fix)
+
+    def affine(self, o: Affine) -> tuple:
+        kind = AFFINE if self.program.accumulator_width(o) < kernels.EXACT_BITS else AFFINE_WIDE
+        columns = self.places(o.args)
+        padded = 1 if o.out.size == 1 else -(-o.out.size // 4) * 4
+        modes = (_ROUNDING.index(o.rounding), o.overflow is Overflow.WRAP)
+        row = (kind, len(self.reads), len(columns), self.weight_at, self.row_at, o.out.fix.width, *modes, padded)
+        part = np.zeros((len(columns), padded), np.int64)
+        part[:, : o.out.size] = o.weights.T
+        pad = np.zeros(padded - o.out.size, np.int64)
+        self.reads += columns
+        self.weights.append(part.ravel())
+        self.bias.append(np.r_[o.bias, pad])
+        self.shifts.append(np.r_[o.frac - o.out.fix.frac, pad])
+        self.weight_at, self.row_at = self.weight_at + part.size, self.row_at + padded
+        self.widest = max(self.widest, padded, len(columns))
+        return row
+
+    def lookup(self, o: Lookup) -> tuple:
+        t = self.program.table[o.table]
+        flip = 0 if t.symmetry is Symmetry.EVEN else -1
+        lift = 1 << t.out.frac if t.symmetry is Symmetry.COMPLEMENT else 0
+        last = len(t.points) - 1
+        end = min(last << t.shift, 1 << t.arg.width)  # the argument of the last point, or more than any
+        return (TABLE, self.first[o.arg], self.tables[o.table], last, t.shift, t.interpolated, flip, lift, end)
+
+    def clamp(self, o: Clamp) -> tuple:
+        rounding = _ROUNDING.index(o.rounding)
+        return (CLAMP, self.first[o.arg], o.lo, o.hi, o.out.fix.width, rounding, self.drop(o.arg, o))
+
+    def threshold(self, o: Threshold) -> tuple:
+        return (THRESHOLD, self.first[o.arg], o.at, o.below, o.above)
+
+    def select(self, o: Select) -> tuple:
+        places, modes = (self.first[a] for a in o.args), (o.out.fix.width, _ROUNDING.index(o.rounding))
+        return (SELECT, *places, *modes, self.drop(o.above, o), self.drop(o.below, o))
+
+
+_TABULATE = {
+    Op.AFFINE: _Tabulator.affine,
+    Op.TABLE: _Tabulator.lookup,
+    Op.CLAMP: _Tabulator.clamp,
+    Op.THRESHOLD: _Tabulator.threshold,
+    Op.SELECT: _Tabulator.select,
+}
+
+
 def _tabulate(program: Program) -> _Arrays:
-    first, at = {}, 0
-    for name, signal in program.signals.items():
-        first[name] = at
-        at += signal.size
-    tables, points = {}, []
-    for table in program.tables:
-        tables[table.name] = len(points)
-        points += table.points
-    operations, reads, weights, bias, shifts = [], [], [], [], []
-    weight_at, row_at, widest = 0, 0, sum(s.signal.size for s in program.states)
-    for o in program.operations:
-        head, fix = (first[o.out.name], o.out.size), o.out.fix
-        if isinstance(o, Affine):
-            kind = AFFINE if program.accumulator_width(o) < kernels.EXACT_BITS else AFFINE_WIDE
-            columns = [first[arg] + i for arg in o.args for i in range(program.signals[arg].size)]
-            padded = 1 if o.out.size == 1 else -(-o.out.size // 4) * 4
-            modes = (_ROUNDING.index(o.rounding), o.overflow is Overflow.WRAP)
-            row = (kind, *head, len(reads), len(columns), weight_at, row_at, fix.width, *modes, padded)
-            part = np.zeros((len(columns), padded), np.int64)
-            part[:, : o.out.size] = o.weights.T
-            pad = np.zeros(padded - o.out.size, np.int64)
-            reads += columns
-            weights.append(part.ravel())
-            bias.append(np.r_[o.bias, pad])
-            shifts.append(np.r_[o.frac - fix.frac, pad])
-            weight_at, row_at, widest = weight_at + part.size, row_at + padded, max(widest, padded, len(columns))
-        elif isinstance(o, Lookup):
-            t = program.table[o.table]
-            flip = 0 if t.symmetry is Symmetry.EVEN else -1
-            lift = 1 << t.out.frac if t.symmetry is Symmetry.COMPLEMENT else 0
-            modes = (t.interpolated, flip, lift)
-            last = len(t.points) - 1
-            end = min(last << t.shift, 1 << t.arg.width)  # the argument of the last point, or more than any
-            row = (TABLE, *head, first[o.arg], tables[o.table], last, t.shift, *modes, end)
-        elif isinstance(o, Clamp):
-            shift = kernels.drop(program.signals[o.arg].fix, fix)
-            row = (CLAMP, *head, first[o.arg], o.lo, o.hi, fix.width, _ROUNDING.index(o.rounding), shift)
-        elif isinstance(o, Select):
-            places = (first[a] for a in program.args(o))
-            shifts_of = (kernels.drop(program.signals[a].fix, fix) for a in (o.above, o.below))
-            row = (SELECT, *head, *places, fix.width, _ROUNDING.index(o.rounding), *shifts_of)
-        else:
-            row = (THRESHOLD, *head, first[o.arg], o.at, o.below, o.above)
-        operations.append(row + (0,) * (11 - len(row)))
-    whole = np.concatenate([np.zeros(0, np.int64), *weights])
+    t = _Tabulator(program)
+    operations = np.zeros((len(program.operations), COLUMNS), np.int64)
+    for row, o in zip(operations, program.operations, strict=True):
+        kind, *rest = _TABULATE[o.op](t, o)
+        row[: 3 + len(rest)] = kind, t.first[o.out.name], o.out.size, *rest
+    weights = np.concatenate(t.weights)
+    moves = t.places(s.source for s in program.states), t.places(s.signal.name for s in program.states)
     return _Arrays(
-        np.array(operations, np.int64).reshape(-1, 11),
-        np.array(reads, np.uint64),
-        whole.astype(np.float64),
-        whole,
-        np.concatenate([np.zeros(0, np.int64), *bias]),
-        np.concatenate([np.zeros(0, np.int64), *shifts]),
-        np.array(points, np.int64),
-        np.array(
-            [(first[s.source] + i, first[s.signal.name] + i) for s in program.states for i in range(s.signal.size)],
-            np.int64,
-        ).reshape(-1, 2),
-        np.array([first[p.signal.name] + i for p in program.inputs for i in range(p.signal.size)], np.int64),
-        np.array([first[p.signal.name] + i for p in program.outputs for i in range(p.signal.size)], np.int64),
-        at,
-        widest,
+        operations,
+        np.array(t.reads, np.uint64),
+        weights.astype(np.float64),
+        weights,
+        np.concatenate(t.bias),
+        np.concatenate(t.shifts),
+        np.array(t.points, np.int64),
+        np.ascontiguousarray(np.array(moves, np.int64).T),
+        np.array(t.places(p.signal.name for p in program.inputs), np.int64),
+        np.array(t.places(p.signal.name for p in program.outputs), np.int64),
+        t.elements,
+        t.widest,
     )
 
 
@@ -283,9 +328,7 @@ def run(
         _KERNELS[program](*arguments)
     else:
         _run(*arrays, *arguments)
-    saturations = {
-        o.out.name: int(n) for o, n in zip(program.operations, events, strict=True) if isinstance(o, ROUNDED)
-    }
+    saturations = {o.out.name: int(n) for o, n in zip(program.operations, events, strict=True) if o.requantizes}
     everything = None
     if trace:
         ends = np.cumsum([s.size for s in program.signals.values()])[:-1]

@@ -1,20 +1,22 @@
 """The interpreter: docs/integer-program.md in NumPy int64, step by step. Slow and obvious; it is the definition."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from greygate.emulator.program import (
     ACCUMULATOR_BITS,
-    ROUNDED,
     Affine,
     Clamp,
     Fix,
     Lookup,
+    Op,
     Overflow,
     Program,
     Rounding,
     Select,
+    Signal,
     Symmetry,
     Table,
     Threshold,
@@ -71,46 +73,56 @@ def lookup(table: Table, x: np.ndarray) -> np.ndarray:
     return np.where(x < 0, negative[table.symmetry], y)
 
 
+# Each operation on the codes x of its arguments: its codes, or where it requantizes, accumulator and fraction of that.
+
+
+def _affine(program: Program, o: Affine, *x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return o.bias + np.concatenate(x, axis=-1) @ o.weights.T, o.frac
+
+
+def _table(program: Program, o: Lookup, x: np.ndarray) -> np.ndarray:
+    return lookup(program.table[o.table], x)
+
+
+def _clamp(program: Program, o: Clamp, x: np.ndarray) -> tuple[np.ndarray, int]:
+    return np.clip(x, o.lo, o.hi), program.signals[o.arg].fix.frac
+
+
+def _threshold(program: Program, o: Threshold, x: np.ndarray) -> np.ndarray:
+    return np.where(x >= o.at, np.int64(o.above), np.int64(o.below))
+
+
+def _select(
+    program: Program, o: Select, condition: np.ndarray, above: np.ndarray, below: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    first = condition >= 0
+    frac = np.where(first, program.signals[o.above].fix.frac, program.signals[o.below].fix.frac)
+    return np.where(first, above, below), frac
+
+
+PERFORM = {Op.AFFINE: _affine, Op.TABLE: _table, Op.CLAMP: _clamp, Op.THRESHOLD: _threshold, Op.SELECT: _select}
+
+
 def interpret(program: Program, inputs: np.ndarray, initial: np.ndarray | None = None, trace: bool = False) -> Run:
     """Run a program over input codes (..., N, input columns); `initial` are state codes (..., state columns)."""
     inputs = np.asarray(inputs, np.int64)
     batch, steps = inputs.shape[:-2], inputs.shape[-2]
     declared = np.concatenate([np.array(s.initial, np.int64) for s in program.states] or [np.zeros(0, np.int64)])
     now = np.broadcast_to(declared if initial is None else initial, (*batch, declared.size)).astype(np.int64)
-    saturations = dict.fromkeys((o.out.name for o in program.operations if isinstance(o, ROUNDED)), 0)
+    saturations = dict.fromkeys((o.out.name for o in program.operations if o.requantizes), 0)
     outputs, states, traced = [], [], {name: [] for name in program.signals}
 
-    def requantize(o, a, frac, overflow):
+    def requantize(o, a, frac):
         a = round_shift(a, np.asarray(frac) - o.out.fix.frac, o.rounding)
         saturations[o.out.name] += int(np.count_nonzero((a < o.out.fix.lo) | (a > o.out.fix.hi)))
-        return fit(a, o.out.fix, overflow)
+        return fit(a, o.out.fix, o.overflow)
 
     for k in range(steps):
-        value = {}
-        start = 0
-        for port in program.inputs:
-            value[port.signal.name] = inputs[..., k, start : start + port.signal.size]
-            start += port.signal.size
-        start = 0
-        for state in program.states:
-            value[state.signal.name] = now[..., start : start + state.signal.size]
-            start += state.signal.size
+        value = _split(inputs[..., k, :], [p.signal for p in program.inputs])
+        value |= _split(now, [s.signal for s in program.states])
         for o in program.operations:
-            if isinstance(o, Affine):
-                x = np.concatenate([value[a] for a in o.args], axis=-1)
-                result = requantize(o, o.bias + x @ o.weights.T, o.frac, o.overflow)
-            elif isinstance(o, Lookup):
-                result = lookup(program.table[o.table], value[o.arg])
-            elif isinstance(o, Clamp):
-                frac = program.signals[o.arg].fix.frac
-                result = requantize(o, np.clip(value[o.arg], o.lo, o.hi), frac, Overflow.SATURATE)
-            elif isinstance(o, Threshold):
-                result = np.where(value[o.arg] >= o.at, np.int64(o.above), np.int64(o.below))
-            elif isinstance(o, Select):
-                first = value[o.condition] >= 0
-                frac = np.where(first, program.signals[o.above].fix.frac, program.signals[o.below].fix.frac)
-                result = requantize(o, np.where(first, value[o.above], value[o.below]), frac, Overflow.SATURATE)
-            value[o.out.name] = result
+            result = PERFORM[o.op](program, o, *(value[a] for a in o.args))
+            value[o.out.name] = requantize(o, *result) if o.requantizes else result
         outputs.append(np.concatenate([value[p.signal.name] for p in program.outputs], axis=-1))
         if program.states:
             now = np.concatenate([value[s.source] for s in program.states], axis=-1)
@@ -124,3 +136,9 @@ def interpret(program: Program, inputs: np.ndarray, initial: np.ndarray | None =
         saturations,
         {n: np.stack(v, axis=-2) for n, v in traced.items()} if trace else None,
     )
+
+
+def _split(codes: np.ndarray, signals: Sequence[Signal]) -> dict[str, np.ndarray]:
+    """Columns (..., columns) that stand side by side, by signal: (..., size)."""
+    ends = np.cumsum([s.size for s in signals], dtype=int).tolist()
+    return {s.name: codes[..., end - s.size : end] for s, end in zip(signals, ends, strict=True)}

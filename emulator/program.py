@@ -1,6 +1,8 @@
 """The integer program: what the hardware does in one step. Its normative text is docs/integer-program.md.
 
-Declared here and nowhere else; the interpreter, the engine, the Verilog emitter and the report walk it.
+It is declared here and nowhere else: what each part holds, of what kind each of its fields is in program.json, what it
+reads, and when it is legal. The interpreter, the engine, the targets and the report walk it. A new operation is one
+class here, and one function in the table of each that walks operations.
 """
 
 import json
@@ -13,14 +15,15 @@ from functools import cached_property
 from itertools import pairwise
 from numbers import Integral, Real
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import numpy as np
 
+from greygate.emulator.fields import record, to_json
 from greygate.errors import InputError
 from greygate.files import replacing
 from greygate.names import check_name, check_path, check_text, check_unit
-from greygate.reading import Kind, listed, named, number, one_of, read_json, table, truth, whole
+from greygate.reading import listed, one_of, read_json, whole
 
 ACCUMULATOR_BITS = 62  # room for one more addition in int64
 WIDTHS = range(2, 49)
@@ -28,12 +31,35 @@ FRACTIONS = range(-48, 61)
 SIZES = range(1, (1 << 16) + 1)  # elements of a signal
 LARGEST_SHIFT = 1 << 10  # of any width, fraction or shift in a file; what is legal is far below
 
+# -- kinds of fields in program.json ---------------------------------------------------------------------------------
+
+Name = Annotated[str, check_path]
+Text = Annotated[str, check_text]
+Unit = Annotated[str, check_unit]
+Code = Annotated[int, whole(-(1 << ACCUMULATOR_BITS), 1 << ACCUMULATOR_BITS)]
+Shift = Annotated[int, whole(-LARGEST_SHIFT, LARGEST_SHIFT)]
+_codes, _shifts = listed(Code.__metadata__[0]), listed(Shift.__metadata__[0])
+
+
+def _matrix(value: object, where: str) -> np.ndarray:
+    rows = listed(_codes)(value, where)
+    if len({len(row) for row in rows}) != 1:
+        raise InputError(f"{where}: its rows differ in length, or there are none; mend it")
+    return np.array(rows, np.int64)
+
+
+Codes = Annotated[np.ndarray, lambda value, where: np.array(_codes(value, where), np.int64)]
+Shifts = Annotated[np.ndarray, lambda value, where: np.array(_shifts(value, where), np.int64)]
+Matrix = Annotated[np.ndarray, _matrix]
+
+# -- numbers ---------------------------------------------------------------------------------------------------------
+
 
 class Fix(NamedTuple):
     """Two's complement of `width` bits, the sign counted; value = integer * 2^-frac."""
 
-    width: int
-    frac: int
+    width: Shift
+    frac: Shift
 
     @property
     def lo(self) -> int:
@@ -50,6 +76,13 @@ class Fix(NamedTuple):
     def holds(self, *values: int) -> bool:
         """Whether all of these are codes of the format."""
         return all(isinstance(v, Integral) and self.lo <= v <= self.hi for v in values)
+
+    def problems(self, of: str) -> Iterator[str]:
+        """What is not legal of this format of a signal or table."""
+        if self.width not in WIDTHS:
+            yield f"{of}: width {self.width} is not in {WIDTHS.start}..{WIDTHS.stop - 1}"
+        if self.frac not in FRACTIONS:
+            yield f"{of}: fraction {self.frac} is not in {FRACTIONS.start}..{FRACTIONS.stop - 1}; scale its port"
 
     def __str__(self) -> str:
         return f"Fix({self.width}, {self.frac})"
@@ -82,24 +115,45 @@ class Op(StrEnum):
     SELECT = "select"
 
 
+def signed_width(magnitude: int) -> int:
+    """The least two's complement width that holds every integer from -magnitude to +magnitude."""
+    return int(magnitude).bit_length() + 1
+
+
+def _is_finite(value: float) -> bool:
+    return isinstance(value, Real) and abs(value) <= sys.float_info.max  # which nan and inf are not
+
+
+# -- signals, terminals, states, tables ------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True)
 class Signal:
     """A vector of `size` codes that share one format."""
 
-    name: str
-    size: int
+    name: Name
+    size: Annotated[int, whole(SIZES.start, SIZES.stop - 1)]
     fix: Fix
+
+    def problems(self) -> Iterator[str]:
+        yield from self.fix.problems(f"signal {self.name}")
+        if self.size not in SIZES:
+            yield f"signal {self.name}: size {self.size} is not in {SIZES.start}..{SIZES.stop - 1}"
 
 
 @dataclass(frozen=True)
-class Port:
+class Terminal:
     """An input or output of the program, and what its codes mean outside: value = code * lsb * scale + offset."""
 
-    name: str
+    name: Name
     signal: Signal
-    unit: str
+    unit: Unit
     scale: float
     offset: float
+
+    def problems(self) -> Iterator[str]:
+        if not (_is_finite(self.scale) and self.scale and _is_finite(self.offset)):
+            yield f"port {self.name}: scale {self.scale} or offset {self.offset} is not finite, or scale is 0"
 
     def codes(self, values: np.ndarray) -> np.ndarray:
         """Physical values as codes, float64 of the same shape, before they are clipped to the format.
@@ -127,8 +181,17 @@ class State:
     """The value that `source` had one step before; `initial` holds one code per element."""
 
     signal: Signal
-    source: str
-    initial: tuple[int, ...]
+    source: Name
+    initial: tuple[Code, ...]
+
+    def problems(self, program: "Program") -> Iterator[str]:
+        source = program.signals.get(self.source)
+        if source is None:
+            yield f"state {self.signal.name}: its source {self.source} does not exist"
+        elif (source.size, source.fix) != (self.signal.size, self.signal.fix):
+            yield f"state {self.signal.name}: size or format differ from its source {self.source}"
+        elif len(self.initial) != self.signal.size or not self.signal.fix.holds(*self.initial):
+            yield f"state {self.signal.name}: initial codes do not fit"
 
 
 @dataclass(frozen=True)
@@ -138,15 +201,38 @@ class Table:
     `worst_error` is the largest deviation from the true function over every input code, in output units.
     """
 
-    name: str
-    function: str
+    name: Name
+    function: Text
     symmetry: Symmetry
-    shift: int
-    points: tuple[int, ...]
+    shift: Shift
+    points: tuple[Code, ...]
     interpolated: bool
     arg: Fix
     out: Fix
     worst_error: float
+
+    def problems(self) -> Iterator[str]:
+        name, out = f"table {self.name}", self.out
+        yield from self.arg.problems(name)
+        yield from out.problems(name)
+        if len(self.points) < 2 or out.frac < 0:
+            yield f"{name}: needs two points, and a result's fraction that is not negative"
+        if self.shift not in range(self.arg.width + 1):
+            yield f"{name}: shift {self.shift} is not in 0..{self.arg.width}, the width of its argument"
+        answers = {
+            Symmetry.ODD: [-p for p in self.points],
+            Symmetry.EVEN: [],
+            Symmetry.COMPLEMENT: [(1 << out.frac) - p for p in self.points],
+        }[self.symmetry]
+        if not out.holds(*self.points, *answers):
+            yield f"{name}: a point, or what its symmetry makes of it, does not fit {out}"
+        if self.interpolated:
+            width = self.shift + signed_width(max(abs(b - a) for a, b in pairwise(self.points)))
+            if width > ACCUMULATOR_BITS:
+                yield f"{name}: needs {width} bits between two points, more than {ACCUMULATOR_BITS}"
+
+
+# -- operations ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -154,79 +240,154 @@ class Affine:
     """out = requantize(bias + weights @ concatenate(args)), exact until the one rounding; `frac` is per row."""
 
     out: Signal
-    args: tuple[str, ...]
-    weights: np.ndarray  # int64 (size, columns)
-    bias: np.ndarray  # int64 (size,)
-    frac: np.ndarray  # int64 (size,), fraction bits of each row's accumulator
+    args: tuple[Name, ...]
+    weights: Matrix  # int64 (size, columns)
+    bias: Codes  # int64 (size,)
+    frac: Shifts  # int64 (size,), fraction bits of each row's accumulator
     rounding: Rounding = Rounding.HALF_UP
     overflow: Overflow = Overflow.SATURATE
     op = Op.AFFINE
+    requantizes = True
+
+    def problems(self, program: "Program") -> Iterator[str]:
+        if not self.args:
+            yield f"{self.out.name} reads nothing; an AFFINE has at least one argument"
+            return
+        size, columns = self.out.size, sum(program.signals[a].size for a in self.args)
+        if self.weights.shape != (size, columns) or self.bias.shape != (size,) or self.frac.shape != (size,):
+            yield f"{self.out.name}: weights {self.weights.shape}, bias or frac: not {size} rows of {columns}"
+            return
+        if any(part.dtype != np.int64 for part in (self.weights, self.bias, self.frac)):
+            yield f"{self.out.name}: weights, bias or frac are not integers of 64 bits"
+            return
+        left = [self.out.fix.frac - int(f) for f in self.frac]
+        if max(map(abs, left)) > ACCUMULATOR_BITS:
+            yield f"{self.out.name}: a row's fraction is more than {ACCUMULATOR_BITS} bits from that of {self.out.fix}"
+            return
+        width = program.accumulator_width(self) + max(0, *left)
+        if width > ACCUMULATOR_BITS:
+            yield f"{self.out.name}: accumulator needs {width} bits, more than {ACCUMULATOR_BITS}"
 
 
 @dataclass(frozen=True)
-class Lookup:
-    """out = table(arg), element by element."""
+class Elementwise:
+    """An operation whose every element depends on that element alone of each argument."""
 
     out: Signal
-    arg: str
-    table: str
+    reads: ClassVar[tuple[str, ...]] = ("arg",)  # the fields that name the arguments
+    requantizes: ClassVar[bool] = False  # whether a result is rounded and may saturate
+
+    @property
+    def args(self) -> tuple[str, ...]:
+        return tuple(getattr(self, name) for name in self.reads)
+
+    def problems(self, program: "Program") -> Iterator[str]:
+        for arg in (program.signals[a] for a in self.args):
+            if arg.size != self.out.size:
+                yield f"{self.out.name}: size {self.out.size} differs from the {arg.size} of its argument {arg.name}"
+
+
+@dataclass(frozen=True)
+class Lookup(Elementwise):
+    """out = table(arg)."""
+
+    arg: Name
+    table: Name
     op = Op.TABLE
 
+    def problems(self, program: "Program") -> Iterator[str]:
+        yield from super().problems(program)
+        table = program.table.get(self.table)
+        if table is None:
+            yield f"{self.out.name}: table {self.table} does not exist"
+        elif (table.arg, table.out) != (program.signals[self.arg].fix, self.out.fix):
+            yield f"{self.out.name}: formats differ from those of table {self.table}"
+
 
 @dataclass(frozen=True)
-class Clamp:
+class Clamp(Elementwise):
     """out = requantize(min(max(arg, lo), hi)); lo and hi are codes of the arg's format."""
 
-    out: Signal
-    arg: str
-    lo: int
-    hi: int
+    arg: Name
+    lo: Code
+    hi: Code
     rounding: Rounding = Rounding.HALF_UP
     op = Op.CLAMP
+    overflow = Overflow.SATURATE
+    requantizes = True
+
+    def problems(self, program: "Program") -> Iterator[str]:
+        yield from super().problems(program)
+        arg = program.signals[self.arg].fix
+        width = arg.width + max(0, self.out.fix.frac - arg.frac)
+        if width > ACCUMULATOR_BITS:
+            yield f"{self.out.name}: needs {width} bits on the way, more than {ACCUMULATOR_BITS}"
+        if not arg.holds(self.lo, self.hi) or self.lo > self.hi:
+            yield f"{self.out.name}: clamp [{self.lo}, {self.hi}] does not fit {arg}"
 
 
 @dataclass(frozen=True)
-class Threshold:
+class Threshold(Elementwise):
     """out = above if arg >= at else below; `at` is a code of the arg's format, the others of out's."""
 
-    out: Signal
-    arg: str
-    at: int
-    below: int
-    above: int
+    arg: Name
+    at: Code
+    below: Code
+    above: Code
     op = Op.THRESHOLD
+
+    def problems(self, program: "Program") -> Iterator[str]:
+        yield from super().problems(program)
+        if not (program.signals[self.arg].fix.holds(self.at) and self.out.fix.holds(self.below, self.above)):
+            yield f"{self.out.name}: threshold codes do not fit"
 
 
 @dataclass(frozen=True)
-class Select:
-    """out = requantize(above if condition >= 0 else below): a multiplexer, element by element, saturating."""
+class Select(Elementwise):
+    """out = requantize(above if condition >= 0 else below): a multiplexer that saturates."""
 
-    out: Signal
-    condition: str
-    above: str
-    below: str
+    condition: Name
+    above: Name
+    below: Name
     rounding: Rounding = Rounding.HALF_UP
     op = Op.SELECT
+    overflow = Overflow.SATURATE
+    reads = ("condition", "above", "below")
+    requantizes = True
+
+    def problems(self, program: "Program") -> Iterator[str]:
+        yield from super().problems(program)
+        values = [program.signals[a].fix for a in (self.above, self.below)]
+        frac = max(v.frac for v in values)  # the finer of the two holds both; the result's may be finer still
+        width = max(v.width + frac - v.frac for v in values) + max(0, self.out.fix.frac - frac)
+        if width > ACCUMULATOR_BITS:
+            yield f"{self.out.name}: needs {width} bits on the way, more than {ACCUMULATOR_BITS}"
 
 
-Operation = Affine | Lookup | Clamp | Threshold | Select
-ROUNDED = Affine | Clamp | Select  # those whose results may saturate
+Operation = Affine | Elementwise
+_KINDS = {kind.op: kind for kind in (Affine, Lookup, Clamp, Threshold, Select)}
 
 
-def signed_width(magnitude: int) -> int:
-    """The least two's complement width that holds every integer from -magnitude to +magnitude."""
-    return int(magnitude).bit_length() + 1
+def _operations(value: object, where: str) -> tuple[Operation, ...]:
+    def read(entry: object, where: str) -> Operation:
+        op = one_of(Op)(entry.get("op") if isinstance(entry, dict) else None, f"{where}.op")
+        return record(_KINDS[op])(entry, where)
+
+    return tuple(listed(read)(value, where))
+
+
+# -- the program -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
     """One step of a network on integers. Made by the compiler; `check` holds before and after every pass."""
 
-    name: str
-    inputs: tuple[Port, ...]
+    name: Annotated[str, check_name]
+    inputs: tuple[Terminal, ...]
     states: tuple[State, ...]
-    operations: tuple[Operation, ...]
-    outputs: tuple[Port, ...]
+    operations: Annotated[tuple[Operation, ...], _operations]
+    outputs: tuple[Terminal, ...]
     tables: tuple[Table, ...] = ()
     period: float = 1e-3  # s, for reports only
     notes: dict[str, str] = field(default_factory=dict)  # signal -> why it has its format
@@ -239,11 +400,6 @@ class Program:
     @cached_property
     def table(self) -> dict[str, Table]:
         return {t.name: t for t in self.tables}
-
-    def args(self, operation: Operation) -> tuple[str, ...]:
-        if isinstance(operation, Select):
-            return operation.condition, operation.above, operation.below
-        return operation.args if isinstance(operation, Affine) else (operation.arg,)
 
     def accumulator_width(self, operation: Affine) -> int:
         """Width that no partial sum of any row can exceed, the rounding constant included. Proved, not measured."""
@@ -294,90 +450,21 @@ class Program:
             yield "needs at least one input and one output"
         if not (_is_finite(self.period) and self.period > 0):
             yield f"period {self.period} is not a time in seconds above 0"
-        for s in declared:
-            yield from _format_problems(f"signal {s.name}", s.fix)
-            if s.size not in SIZES:
-                yield f"signal {s.name}: size {s.size} is not in {SIZES.start}..{SIZES.stop - 1}"
-        for port in (*self.inputs, *self.outputs):
-            if not (_is_finite(port.scale) and port.scale and _is_finite(port.offset)):
-                yield f"port {port.name}: scale {port.scale} or offset {port.offset} is not finite, or scale is 0"
-        for t in self.tables:
-            yield from _table_problems(t)
+        for part in (*declared, *self.inputs, *self.outputs, *self.tables):
+            yield from part.problems()
         known = {p.signal.name for p in self.inputs} | {s.signal.name for s in self.states}
         for o in self.operations:
-            for arg in self.args(o):
+            for arg in o.args:
                 if arg not in known:
                     yield f"{o.out.name} reads {arg} before it is defined"
                     return
-            yield from self._operation_problems(o)
+            yield from o.problems(self)
             known.add(o.out.name)
         for state in self.states:
-            source = self.signals.get(state.source)
-            if source is None:
-                yield f"state {state.signal.name}: its source {state.source} does not exist"
-            elif (source.size, source.fix) != (state.signal.size, state.signal.fix):
-                yield f"state {state.signal.name}: size or format differ from its source {state.source}"
-            elif len(state.initial) != state.signal.size or not state.signal.fix.holds(*state.initial):
-                yield f"state {state.signal.name}: initial codes do not fit"
+            yield from state.problems(self)
         for port in self.outputs:
             if self.signals.get(port.signal.name) != port.signal:
                 yield f"output {port.name} shows {port.signal.name}, which is not a signal of the program"
-
-    def _operation_problems(self, o: Operation) -> Iterator[str]:
-        if isinstance(o, Affine):
-            if not o.args:
-                yield f"{o.out.name} reads nothing; an AFFINE has at least one argument"
-                return
-            columns = sum(self.signals[a].size for a in o.args)
-            if (
-                o.weights.shape != (o.out.size, columns)
-                or o.bias.shape != (o.out.size,)
-                or o.frac.shape != (o.out.size,)
-            ):
-                yield f"{o.out.name}: weights {o.weights.shape}, bias or frac: not {o.out.size} rows of {columns}"
-                return
-            if any(part.dtype != np.int64 for part in (o.weights, o.bias, o.frac)):
-                yield f"{o.out.name}: weights, bias or frac are not integers of 64 bits"
-                return
-            left = [o.out.fix.frac - int(f) for f in o.frac]
-            if max(map(abs, left)) > ACCUMULATOR_BITS:
-                yield f"{o.out.name}: a row's fraction is more than {ACCUMULATOR_BITS} bits from that of {o.out.fix}"
-                return
-            width = self.accumulator_width(o) + max(0, *left)
-            if width > ACCUMULATOR_BITS:
-                yield f"{o.out.name}: accumulator needs {width} bits, more than {ACCUMULATOR_BITS}"
-            return
-        for arg in map(self.signals.get, self.args(o)):
-            if arg.size != o.out.size:
-                yield f"{o.out.name}: size {o.out.size} differs from the {arg.size} of its argument {arg.name}"
-        if isinstance(o, Select):
-            yield from self._select_problems(o)
-            return
-        arg = self.signals[o.arg]
-        if isinstance(o, Lookup):
-            table = self.table.get(o.table)
-            if table is None:
-                yield f"{o.out.name}: table {o.table} does not exist"
-            elif (table.arg, table.out) != (arg.fix, o.out.fix):
-                yield f"{o.out.name}: formats differ from those of table {o.table}"
-        elif isinstance(o, Clamp):
-            width = arg.fix.width + max(0, o.out.fix.frac - arg.fix.frac)
-            if width > ACCUMULATOR_BITS:
-                yield f"{o.out.name}: needs {width} bits on the way, more than {ACCUMULATOR_BITS}"
-            if not arg.fix.holds(o.lo, o.hi) or o.lo > o.hi:
-                yield f"{o.out.name}: clamp [{o.lo}, {o.hi}] does not fit {arg.fix}"
-        elif not (arg.fix.holds(o.at) and o.out.fix.holds(o.below, o.above)):
-            yield f"{o.out.name}: threshold codes do not fit"
-
-    def select_width(self, o: Select) -> int:
-        """Width that holds both values at the finer fraction of the two, and the result's if that is finer still."""
-        values = self.signals[o.above].fix, self.signals[o.below].fix
-        frac = max(v.frac for v in values)
-        return max(v.width + frac - v.frac for v in values) + max(0, o.out.fix.frac - frac)
-
-    def _select_problems(self, o: Select) -> Iterator[str]:
-        if self.select_width(o) > ACCUMULATOR_BITS:
-            yield f"{o.out.name}: needs {self.select_width(o)} bits on the way, more than {ACCUMULATOR_BITS}"
 
     def encode(self, values: dict[str, np.ndarray]) -> np.ndarray:
         """Physical inputs {port: (..., N) or (..., N, size)} to codes (..., N, columns), clipped to the formats.
@@ -415,152 +502,13 @@ class Program:
     def save(self, path: Path | str) -> None:
         """Write the program as JSON that a person can read."""
         with replacing(path) as temporary:
-            temporary.write_text(json.dumps(_to_json(self), indent=1))
+            temporary.write_text(json.dumps(to_json(self), indent=1))
 
     @staticmethod
     def load(path: Path | str) -> "Program":
         """Read and check a program. Raises InputError for a file that is missing, truncated or not legal."""
         try:
-            return _from_json(read_json(path, "compile the network again"), f"{path}:").check()
+            return record(Program)(read_json(path, "compile the network again"), f"{path}:").check()
         except InputError as error:
             said = str(error)
             raise InputError(said if said.startswith(str(path)) else f"{path}: {said}") from None
-
-
-def _is_finite(value: float) -> bool:
-    return isinstance(value, Real) and abs(value) <= sys.float_info.max  # which nan and inf are not
-
-
-def _format_problems(what: str, fix: Fix) -> Iterator[str]:
-    if fix.width not in WIDTHS:
-        yield f"{what}: width {fix.width} is not in {WIDTHS.start}..{WIDTHS.stop - 1}"
-    if fix.frac not in FRACTIONS:
-        yield f"{what}: fraction {fix.frac} is not in {FRACTIONS.start}..{FRACTIONS.stop - 1}; scale its port"
-
-
-def _table_problems(table: Table) -> Iterator[str]:
-    name, out = f"table {table.name}", table.out
-    yield from _format_problems(name, table.arg)
-    yield from _format_problems(name, out)
-    if len(table.points) < 2 or out.frac < 0:
-        yield f"{name}: needs two points, and a result's fraction that is not negative"
-    if table.shift not in range(table.arg.width + 1):
-        yield f"{name}: shift {table.shift} is not in 0..{table.arg.width}, the width of its argument"
-    answers = {
-        Symmetry.ODD: [-p for p in table.points],
-        Symmetry.EVEN: [],
-        Symmetry.COMPLEMENT: [(1 << out.frac) - p for p in table.points],
-    }[table.symmetry]
-    if not out.holds(*table.points, *answers):
-        yield f"{name}: a point, or what its symmetry makes of it, does not fit {out}"
-    if table.interpolated:
-        width = table.shift + signed_width(max(abs(b - a) for a, b in pairwise(table.points)))
-        if width > ACCUMULATOR_BITS:
-            yield f"{name}: needs {width} bits between two points, more than {ACCUMULATOR_BITS}"
-
-
-_KINDS = {kind.op: kind for kind in (Affine, Lookup, Clamp, Threshold, Select)}
-
-
-def _to_json(value):
-    if isinstance(value, Fix):
-        return list(value)
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, tuple | list):
-        return [_to_json(v) for v in value]
-    if isinstance(value, dict):
-        return {k: _to_json(v) for k, v in value.items()}
-    if hasattr(value, "__dataclass_fields__"):
-        head = {"op": value.op.value} if hasattr(value, "op") else {}
-        return head | {k: _to_json(getattr(value, k)) for k in value.__dataclass_fields__}
-    return value
-
-
-_INTEGER = whole(-(1 << ACCUMULATOR_BITS), 1 << ACCUMULATOR_BITS)
-_SMALL = whole(-LARGEST_SHIFT, LARGEST_SHIFT)
-
-
-def _fix(value: object, where: str) -> Fix:
-    parts = listed(_SMALL)(value, where)
-    if len(parts) != 2:
-        raise InputError(f"{where} has {len(parts)} numbers; give width and fraction")
-    return Fix(*parts)
-
-
-def _signal(value: object, where: str) -> Signal:
-    return Signal(**table(value, where, {"name": check_path, "size": whole(SIZES.start, SIZES.stop - 1), "fix": _fix}))
-
-
-def _port(value: object, where: str) -> Port:
-    kinds = {"name": check_path, "signal": _signal, "unit": check_unit, "scale": number, "offset": number}
-    port = Port(**table(value, where, kinds))
-    if port.scale == 0:
-        raise InputError(f"{where}.scale is 0; give how much a code stands for")
-    return port
-
-
-def _state(value: object, where: str) -> State:
-    found = table(value, where, {"signal": _signal, "source": check_path, "initial": listed(_INTEGER)})
-    return State(found["signal"], found["source"], tuple(found["initial"]))
-
-
-def _table(value: object, where: str) -> Table:
-    kinds = {
-        "name": check_path,
-        "function": check_text,
-        "symmetry": one_of(Symmetry),
-        "shift": _SMALL,
-        "points": listed(_INTEGER),
-        "interpolated": truth,
-        "arg": _fix,
-        "out": _fix,
-        "worst_error": number,
-    }
-    found = table(value, where, kinds)
-    return Table(**found | {"points": tuple(found["points"])})
-
-
-_ENTRIES: dict[Op, dict[str, Kind]] = {
-    Op.AFFINE: {
-        "args": listed(check_path),
-        "weights": listed(listed(_INTEGER)),
-        "bias": listed(_INTEGER),
-        "frac": listed(_SMALL),
-        "rounding": one_of(Rounding),
-        "overflow": one_of(Overflow),
-    },
-    Op.TABLE: {"arg": check_path, "table": check_path},
-    Op.CLAMP: {"arg": check_path, "lo": _INTEGER, "hi": _INTEGER, "rounding": one_of(Rounding)},
-    Op.THRESHOLD: {"arg": check_path, "at": _INTEGER, "below": _INTEGER, "above": _INTEGER},
-    Op.SELECT: {"condition": check_path, "above": check_path, "below": check_path, "rounding": one_of(Rounding)},
-}
-
-
-def _operation(value: object, where: str) -> Operation:
-    op = one_of(Op)(value.get("op") if isinstance(value, dict) else None, f"{where}.op")
-    found = table(value, where, {"op": one_of(Op), "out": _signal, **_ENTRIES[op]})
-    del found["op"]
-    if op is Op.AFFINE:
-        if len({len(row) for row in found["weights"]}) != 1:
-            raise InputError(f"{where}.weights: its rows differ in length, or there are none; mend it")
-        found |= {k: np.array(found[k], np.int64) for k in ("weights", "bias", "frac")}
-        found["args"] = tuple(found["args"])
-    return _KINDS[op](**found)
-
-
-def _from_json(data: object, where: str) -> Program:
-    kinds = {
-        "name": check_name,
-        "inputs": listed(_port),
-        "states": listed(_state),
-        "operations": listed(_operation),
-        "outputs": listed(_port),
-        "tables": listed(_table),
-        "period": number,
-        "notes": named(check_text),
-    }
-    found = table(data, where, kinds)
-    if found["period"] <= 0:
-        raise InputError(f"{where} period {found['period']} is not a time; give seconds above 0")
-    return Program(**{k: tuple(v) if isinstance(v, list) else v for k, v in found.items()})

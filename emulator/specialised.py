@@ -11,11 +11,11 @@ import numpy as np
 
 from greygate.emulator.program import (
     ACCUMULATOR_BITS,
-    ROUNDED,
     Affine,
     Clamp,
     Fix,
     Lookup,
+    Op,
     Overflow,
     Program,
     Rounding,
@@ -145,7 +145,7 @@ class _Writer:
         self.loop(self.padded(o.out.size), f"v[{self.first[o.out.name]} + r] = {result}")
 
     def select(self, n: int, o: Select) -> None:
-        condition, above, below = (f"v[{self.first[a]} + r]" for a in self.program.args(o))
+        condition, above, below = (f"v[{self.first[a]} + r]" for a in o.args)
 
         def chosen(value: str, name: str) -> str:
             shift = drop(self.program.signals[name].fix, o.out.fix)
@@ -161,11 +161,11 @@ def _shifted(a: str, shift: str, rounding: Rounding) -> str:
 
 
 _WRITE = {
-    Affine: _Writer.affine,
-    Lookup: _Writer.lookup,
-    Clamp: _Writer.clamp,
-    Threshold: _Writer.threshold,
-    Select: _Writer.select,
+    Op.AFFINE: _Writer.affine,
+    Op.TABLE: _Writer.lookup,
+    Op.CLAMP: _Writer.clamp,
+    Op.THRESHOLD: _Writer.threshold,
+    Op.SELECT: _Writer.select,
 }
 
 
@@ -174,8 +174,8 @@ def source(program: Program) -> str:
     w = _Writer(program)
     for n, o in enumerate(program.operations):
         w.lines.append(f"# {o.op}: {o.out.name!r}")
-        _WRITE[type(o)](w, n, o)
-    counted = [n for n, o in enumerate(program.operations) if isinstance(o, ROUNDED)]
+        _WRITE[o.op](w, n, o)
+    counted = [n for n, o in enumerate(program.operations) if o.requantizes]
     into, out_of = w.places(s.signal.name for s in program.states), w.places(s.source for s in program.states)
     moved = f"{', '.join(f'v[{i}]' for i in into)} = {', '.join(f'v[{i}]' for i in out_of)}" if into else "pass"
 

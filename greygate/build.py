@@ -7,13 +7,12 @@ recordings, which are read as CSV, and the architectures, which are of a list.
 import os
 from pathlib import Path
 
+from greygate.compiler.targets import MULTIPLIERS, NAMES
 from greygate.errors import InputError
 from greygate.names import check_text
 from greygate.reading import Kind, anything, line, listed, maybe, named, number, one_of, read_json, table, whole
 
-ARCHITECTURES = ("parallel", "folded")
 FACTS = "compile.json"
-MACS = 256  # multipliers of the folded architecture, at most
 FINER = 32  # bits that a format may have beyond those that it needs, at most
 PASS = {
     "name": line,
@@ -34,8 +33,8 @@ FILES: dict[str, Kind] = {
             "source": line,
             "recordings": named(line, check_text),
             "title": check_text,
-            "architectures": listed(one_of(ARCHITECTURES)),
-            "macs": whole(1, MACS),
+            "architectures": listed(one_of(NAMES)),
+            "macs": whole(MULTIPLIERS[0], MULTIPLIERS[-1]),
             "finer": whole(0, FINER),
             "passes": listed(lambda *entry: table(*entry, PASS)),
             "pruning": listed(anything),
@@ -52,7 +51,7 @@ def read_facts(folder: Path) -> dict:
     if facts is None:
         raise InputError(f"{folder}: no {FACTS} here; run greygate compile first")
     if not facts["architectures"] or len(set(facts["architectures"])) < len(facts["architectures"]):
-        raise InputError(f"{folder / FACTS}: architectures: name one or both, each once; run greygate compile again")
+        raise InputError(f"{folder / FACTS}: architectures: name at least one, each once; run greygate compile again")
     return facts
 
 

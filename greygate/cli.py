@@ -15,7 +15,9 @@ from typing import Annotated
 import typer
 
 from greygate import __version__, options
+from greygate.compiler.targets import BOTH, NAMES
 from greygate.errors import InputError, one_line
+from greygate.hardware.families import FAMILIES, PLACED
 from greygate.names import check_text
 
 app = typer.Typer(
@@ -26,16 +28,8 @@ app = typer.Typer(
 )
 
 
-class Architecture(StrEnum):
-    PARALLEL = "parallel"
-    FOLDED = "folded"
-    BOTH = "both"
-
-
-class Target(StrEnum):
-    ECP5 = "ecp5"
-    ICE40 = "ice40"
-    XILINX = "xilinx"
+Architecture = StrEnum("Architecture", {name.upper(): name for name in (*NAMES, "both")})
+Target = StrEnum("Target", {name.upper(): name for name in FAMILIES})
 
 
 class Backend(StrEnum):
@@ -239,12 +233,12 @@ def compile(
     as_json: Json = False,
 ) -> None:
     """Simplify, prune, quantize a network and write it as Verilog."""
-    from greygate.project import ARCHITECTURES, Source, compile_project, fixed_and_float
+    from greygate.project import Source, compile_project, fixed_and_float
 
     pruned = prune is not None or weights is not None
     if held and not pruned:
         raise InputError("--held: judges pruning; give --prune or --weights, or name it with --record")
-    chosen = ARCHITECTURES if architecture is Architecture.BOTH else (architecture.value,)
+    chosen = BOTH if architecture is Architecture.BOTH else (architecture.value,)
     judges = _recordings([_named(text) for text in held])
     source = Source(network, _recordings([_named(text) for text in (*record, *held)]))
     with _progress(f"compiling {network}") as follow:
@@ -355,8 +349,12 @@ def verify(
 @app.command()
 def synthesize(
     folder: Folder,
-    target: Annotated[Target, typer.Option()] = Target.ECP5,
-    clock: Annotated[bool, typer.Option(help="Place and route with nextpnr for the clock rate (ECP5).")] = False,
+    target: Annotated[
+        Target, typer.Option(help="; ".join(f"{name}: {family.title}" for name, family in FAMILIES.items()))
+    ] = Target.ECP5,
+    clock: Annotated[
+        bool, typer.Option(help=f"Place and route with nextpnr for the clock rate ({', '.join(PLACED)}).")
+    ] = False,
     limit: Annotated[
         float | None, typer.Option(callback=options.SECONDS, help="Stop each design's tools after so many CPU seconds.")
     ] = None,

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import typer
 
+from greygate.compiler.targets import MULTIPLIERS
 from greygate.errors import InputError
 
 MOST = 10**9  # of whatever is counted one by one: more takes longer than anybody waits
@@ -31,7 +32,7 @@ SEED = _within(0, SEEDS - 1, f"a whole number from 0 to {SEEDS - 1}")
 JOBS = _within(1, 1024, "a whole number from 1 to 1024")
 WIDTH = _within(4, 32, "4 to 32 bits")
 FINER = _within(0, 28, "0 to 28 bits, which with the width make 32 at most")
-MACS = _within(1, 256, "1 to 256 multipliers")
+MACS = _within(MULTIPLIERS[0], MULTIPLIERS[-1], f"{MULTIPLIERS[0]} to {MULTIPLIERS[-1]} multipliers")
 SHARE = _within(0, math.nextafter(1, 0), "a share from 0 up to 1, without 1")
 DECAY = _within(0, GREATEST, "a finite number from 0 on")
 SECONDS = _within(LEAST, math.inf, "seconds above 0")

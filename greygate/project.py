@@ -7,7 +7,7 @@ manifest.json          SHA-256 of each file above and below; what it does not li
 rtl/parallel, rtl/folded     the Verilog of each architecture, and <program>.f, its list of files
 verify.json            what the last verification found; results-*.xml beside it are JUnit
 resources.json         what synthesis found, by architecture and target
-simulation/            where the last verification built and ran
+simulation/            results and logs of the last verification, by architecture
 """
 
 import json
@@ -16,20 +16,21 @@ import re
 import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from greygate.build import ARCHITECTURES, FACTS, read_facts, read_hardware, read_resources
+from greygate.build import FACTS, read_facts, read_hardware, read_resources
 from greygate.compiler.emit import emit, emitted
 from greygate.compiler.pipeline import Compiled, Pass, compile_network, entropy_pruning, fixed_error
 from greygate.compiler.prune import Round, retrained
 from greygate.compiler.quantize import Formats
 from greygate.compiler.ranges import ranges
 from greygate.compiler.saliency import METHODS, Step, saliency_pruning
+from greygate.compiler.targets import BOTH, NAMES, Architecture, target
 from greygate.emulator.engine import run
 from greygate.emulator.program import Program
 from greygate.errors import InputError
@@ -47,7 +48,7 @@ from greygate.files import (
     writing,
 )
 from greygate.hardware.synthesis import synthesize
-from greygate.hardware.verify import Case, Scenario, Verification, verify_many
+from greygate.hardware.verify import Case, Scenario, Verification, stop_tools, verify_many
 from greygate.machines.catalog import CATALOG, PLANTS, TRAINED, entry
 from greygate.machines.measured.identification import settled
 from greygate.models.accuracy import float_error, free_run_rms, rms
@@ -60,8 +61,8 @@ from greygate.progress import Progress, silent
 from greygate.reading import read_json
 
 LATER = (  # what verify and synthesize add to a build, in which nobody else writes
-    r"verify\.json|resources\.json|results-(parallel|folded)\.xml|"
-    r"simulation/(parallel|folded)/(results\.xml|sim\.log|dump\.vcd|"
+    rf"verify\.json|resources\.json|results-({'|'.join(NAMES)})\.xml|"
+    rf"simulation/({'|'.join(NAMES)})/(results\.xml|(sim|verilator|make)\.log|dump\.vcd|"
     r"build/(bench(\.v)?|job\.(json|npz)|verdicts\.json|(verilator|make)\.log|(Vtop|verilat)\w*(\.\w+)+))"
 )
 RETRAIN_EPOCHS = 4
@@ -235,7 +236,7 @@ def _compile(
     weights: str | None = None,
     held: Sequence[str] = (),
     generic: bool = False,
-    architectures: Sequence[str] = ARCHITECTURES,
+    architectures: Sequence[str] = BOTH,
     macs: int = 4,
 ) -> Compiled:
     """Compile and fill the folder `new`.
@@ -369,6 +370,14 @@ class Project:
         where = self.folder / "rtl" / architecture
         return Case(self.program, self.scenarios(names), architecture, self.facts["macs"], emitted=where)
 
+    @property
+    def designs(self) -> list[str]:
+        """Architectures in Verilog. Raises InputError if there is none."""
+        found = [a for a in self.facts["architectures"] if isinstance(target(a), Architecture)]
+        if not found:
+            raise InputError(f"{self.folder}: holds no Verilog; run greygate compile --architecture both")
+        return found
+
     def edited(self) -> list[Path]:
         """Files in rtl/ that are other than the program's own Verilog: a person's code, or a stranger's."""
         found = []
@@ -423,7 +432,7 @@ def plants(folder: Path, progress: Callable[[str], None] | None = None) -> list[
 
 def _results(folder: Path) -> list[Path]:
     """What `verify` writes, together."""
-    return [folder / "verify.json", *(folder / f"results-{architecture}.xml" for architecture in ARCHITECTURES)]
+    return [folder / "verify.json", *(folder / f"results-{architecture}.xml" for architecture in NAMES)]
 
 
 def verify_project(
@@ -460,13 +469,19 @@ def _clear(folder: Path) -> None:
 
 
 def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[str, Verification]:
-    architectures = project.facts["architectures"]
+    architectures = project.designs
 
     def check(architecture: str) -> Verification:
         return verify_many([project.case(architecture, names)], project.folder / "simulation" / architecture, seed)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        results = dict(zip(architectures, pool.map(check, architectures), strict=True))
+        futures = [pool.submit(check, architecture) for architecture in architectures]
+        try:
+            results = {a: future.result() for a, future in zip(architectures, futures, strict=True)}
+        except BaseException:  # of Ctrl-C and `kill`, Verilator hears nothing; the pool waits for it
+            while wait(futures, 0.1).not_done:
+                stop_tools()
+            raise
     hardware = {}
     for architecture, result in results.items():
         clocks = [v.clocks_per_step for v in result.verdicts if np.isfinite(v.clocks_per_step)]
@@ -480,7 +495,7 @@ def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[
         }
     with replacing_all(_results(project.folder)) as (found, *junits):
         found.write_text(_json(hardware))
-        for architecture, path in zip(ARCHITECTURES, junits, strict=True):
+        for architecture, path in zip(NAMES, junits, strict=True):
             if architecture in results:
                 path.write_bytes(results[architecture].junit.read_bytes())
     return results
@@ -501,7 +516,7 @@ def synthesize_project(
     with writing(project.folder), locked(project.folder.resolve()):
         if edited := project.edited():
             raise InputError(f"{edited[0]}: is not the Verilog of program.json; compile again")
-        for architecture in reversed(project.facts["architectures"]):
+        for architecture in reversed(project.designs):
             folder = project.folder / "rtl" / architecture
             found[f"{architecture}, {target}"] = synthesize(folder, project.program.name, target, clock_rate, limit)
         _write_json(project.folder / "resources.json", found)

@@ -14,7 +14,6 @@ from greygate.emulator.program import (
     Lookup,
     Operation,
     Overflow,
-    Port,
     Program,
     Rounding,
     Select,
@@ -22,6 +21,7 @@ from greygate.emulator.program import (
     State,
     Symmetry,
     Table,
+    Terminal,
     Threshold,
 )
 
@@ -193,10 +193,10 @@ def legal_program(seed: int, name: str | None = None) -> Program:
     shown = {s.name: s for s in [*(d.arg() for _ in range(2)), d.operations[-1].out]}.values()
     return Program(
         name=name or f"legal{seed}",
-        inputs=tuple(Port(s.name, s, "1", 1.0, 0.0) for s in inputs),
+        inputs=tuple(Terminal(s.name, s, "1", 1.0, 0.0) for s in inputs),
         states=tuple(states[i] for i in d.rng.permutation(len(states))),
         operations=tuple(d.operations),
-        outputs=tuple(Port(f"y.{s.name}", s, "1", 1.0, 0.0) for s in shown),
+        outputs=tuple(Terminal(f"y.{s.name}", s, "1", 1.0, 0.0) for s in shown),
         tables=tuple(d.tables),
     ).check()
 

@@ -10,7 +10,6 @@ from greygate.emulator.program import (
     Fix,
     Lookup,
     Overflow,
-    Port,
     Program,
     Rounding,
     Select,
@@ -18,6 +17,7 @@ from greygate.emulator.program import (
     State,
     Symmetry,
     Table,
+    Terminal,
     Threshold,
 )
 
@@ -126,10 +126,10 @@ def random_program(seed: int, name: str | None = None) -> Program:
     unique = {s.name: s for s in shown}.values()
     return Program(
         name=name or f"random{seed}",
-        inputs=tuple(Port(s.name, s, "1", 1.0, 0.0) for s in inputs),
+        inputs=tuple(Terminal(s.name, s, "1", 1.0, 0.0) for s in inputs),
         states=tuple(states[i] for i in rng.permutation(len(states))),
         operations=tuple(operations),
-        outputs=tuple(Port(f"y.{s.name}", s, "1", 1.0, 0.0) for s in unique),
+        outputs=tuple(Terminal(f"y.{s.name}", s, "1", 1.0, 0.0) for s in unique),
         tables=tuple(tables),
     ).check()
 
@@ -182,6 +182,6 @@ def cylinder_program(name: str = "cylinder", seed: int = 0) -> Program:
         leak = operations[-1].weights
         leak[0, 0] = 2000  # p(k) = 0.98 p(k-1) + ...
         states.append(State(p, following.name, (1 << 27,)))
-        outputs.append(Port(f"P_{c.upper()}", following, "Pa", 2e7, 0.0))
-    ports = tuple(Port(s.name, s, "1", 1.0, 0.0) for s in inputs)
+        outputs.append(Terminal(f"P_{c.upper()}", following, "Pa", 2e7, 0.0))
+    ports = tuple(Terminal(s.name, s, "1", 1.0, 0.0) for s in inputs)
     return Program(name, ports, tuple(states), tuple(operations), tuple(outputs), (table,)).check()

@@ -139,7 +139,7 @@ def test_no_name_of_a_folder_reaches_the_makefile_of_a_verification(build, monke
     named = build.rename(build.with_name("a;id>ran;$(id>ran)"))
     commands = []
 
-    def run_logged(command, log, environment):
+    def run_logged(command, log, environment, where):
         commands.append(command)
         if len(commands) == 2:
             raise InputError("make was called")

@@ -18,8 +18,7 @@ from greygate.compiler.simplify import merge_linear, multiplications, simplify
 from greygate.compiler.tables import make_table
 from greygate.emulator.engine import run
 from greygate.emulator.interpreter import fit, interpret, lookup, round_shift
-from greygate.emulator.program import Affine, Fix, Overflow, Program, Rounding, Signal
-from greygate.emulator.program import Port as ProgramPort
+from greygate.emulator.program import Affine, Fix, Overflow, Program, Rounding, Signal, Terminal
 from greygate.errors import InputError
 from greygate.models.accuracy import float_error
 from greygate.models.activations import ACTIVATIONS
@@ -442,7 +441,7 @@ def test_an_accumulator_holds_its_largest_sum_with_the_constant_that_rounds_it()
     def rounded(weight: int, bias: int, shift: int, argument: Fix) -> Program:
         u, out = Signal("u", 1, argument), Signal("y", 1, Fix(16, 0))
         arrays = np.array([[weight]]), np.array([bias]), np.array([shift])
-        ports = (ProgramPort(s.name, s, "1", 1.0, 0.0) for s in (u, out))
+        ports = (Terminal(s.name, s, "1", 1.0, 0.0) for s in (u, out))
         return Program("rounded", (next(ports),), (), (Affine(out, ("u",), *arrays),), tuple(ports))
 
     p = rounded(1, 127, 7, Fix(8, 0))  # at most 128 + 127, which 9 bits hold, and 64 to round

@@ -11,7 +11,7 @@ from programs import cylinder_program, random_codes, random_program
 from greygate.emulator import engine
 from greygate.emulator.engine import run
 from greygate.emulator.interpreter import interpret
-from greygate.emulator.program import Affine, Fix, Lookup, Port, Program, Rounding, Signal, Symmetry, Table
+from greygate.emulator.program import Affine, Fix, Lookup, Program, Rounding, Signal, Symmetry, Table, Terminal
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -51,12 +51,12 @@ def wide() -> Program:
     table = Table("steep", "any", Symmetry.ODD, 15, points, True, out, Fix(46, 30), 0.0)
     operations += [Lookup(Signal(f"{o.out.name}.y", 5, table.out), o.out.name, "steep") for o in operations]
     assert all(program_width(o, x) >= 53 for o in operations[:3])
-    outputs = tuple(Port(o.out.name, o.out, "1", 1.0, 0.0) for o in operations)
-    return Program("wide", (Port("x", x, "1", 1.0, 0.0),), (), tuple(operations), outputs, (table,)).check()
+    outputs = tuple(Terminal(o.out.name, o.out, "1", 1.0, 0.0) for o in operations)
+    return Program("wide", (Terminal("x", x, "1", 1.0, 0.0),), (), tuple(operations), outputs, (table,)).check()
 
 
 def program_width(o: Affine, x: Signal) -> int:
-    return Program("", (Port("x", x, "1", 1.0, 0.0),), (), (o,), ()).accumulator_width(o)
+    return Program("", (Terminal("x", x, "1", 1.0, 0.0),), (), (o,), ()).accumulator_width(o)
 
 
 # between them: every operation, rounding, overflow and symmetry; interpolated and plain; sizes of one and of several

@@ -16,13 +16,14 @@ from test_names import INJECTED, one_line
 from test_validation import linear, record
 
 import greygate
-from greygate.compiler.folded import folded
-from greygate.compiler.parallel import parallel
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
+from greygate.compiler.targets.folded import folded
+from greygate.compiler.targets.parallel import parallel
 from greygate.compiler.verilog import remark
+from greygate.emulator.fields import to_json
 from greygate.emulator.interpreter import interpret
-from greygate.emulator.program import Program, _to_json
+from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.hardware.verify import Case, Scenario, simulator_environment, verify_many
 from greygate.models.training.record import Record
@@ -100,7 +101,7 @@ def test_verilator_finds_nothing_in_the_comments(tmp_path, architecture):
 
 def test_a_signal_may_be_called_as_a_tool_whose_directives_stand_in_comments(tmp_path):
     program = random_program(5)
-    data = json.dumps(_to_json(program)).replace(f'"{program.operations[-1].out.name}"', '"verilator_x"')
+    data = json.dumps(to_json(program)).replace(f'"{program.operations[-1].out.name}"', '"verilator_x"')
     (tmp_path / "p.json").write_text(data)
     texts = parallel(Program.load(tmp_path / "p.json"))
     assert "verilator_x" in texts[f"{program.name}.v"]

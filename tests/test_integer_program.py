@@ -19,7 +19,6 @@ from greygate.emulator.program import (
     Fix,
     Lookup,
     Operation,
-    Port,
     Program,
     Rounding,
     Select,
@@ -27,6 +26,7 @@ from greygate.emulator.program import (
     State,
     Symmetry,
     Table,
+    Terminal,
     Threshold,
 )
 from greygate.errors import InputError
@@ -41,8 +41,8 @@ WIDE = Fix(48, 0)
 def program_of(*operations: Operation, inputs=(WIDE,), tables=(), states=()) -> Program:
     """Inputs u0, u1, ... of the size of the first result; not checked."""
     signals = [Signal(f"u{i}", operations[0].out.size, fix) for i, fix in enumerate(inputs)]
-    ports = tuple(Port(s.name, s, "1", 1.0, 0.0) for s in signals)
-    shown = Port("y", operations[-1].out, "1", 1.0, 0.0)
+    ports = tuple(Terminal(s.name, s, "1", 1.0, 0.0) for s in signals)
+    shown = Terminal("y", operations[-1].out, "1", 1.0, 0.0)
     return Program("limit", ports, tuple(states), tuple(operations), (shown,), tuple(tables))
 
 
@@ -236,11 +236,13 @@ def test_a_table_that_no_operation_reads_is_checked_as_well():
 def volts() -> Program:
     """One input of two elements in V, -1.0 to 127/128 of 2 V about 1 V, and one of one element."""
     ports = (
-        Port("v", Signal("v", 2, Fix(8, 7)), "V", -2.0, 1.0),
-        Port("w", Signal("w", 1, Fix(8, 0)), "1", 1.0, 0.0),
+        Terminal("v", Signal("v", 2, Fix(8, 7)), "V", -2.0, 1.0),
+        Terminal("w", Signal("w", 1, Fix(8, 0)), "1", 1.0, 0.0),
     )
     shown = Signal("x", 1, Fix(2, 0))
-    return Program("volts", ports, (), (Threshold(shown, "w", 0, 0, 1),), (Port("y", shown, "1", 1.0, 0.0),)).check()
+    return Program(
+        "volts", ports, (), (Threshold(shown, "w", 0, 0, 1),), (Terminal("y", shown, "1", 1.0, 0.0),)
+    ).check()
 
 
 def test_clipped_inputs_are_counted_with_what_was_given_and_what_the_format_holds():

@@ -14,7 +14,8 @@ from safetensors.numpy import load_file, save_file
 from test_cli import greygate, recording
 from test_network import delay_line
 
-from greygate.emulator.program import Program, _to_json
+from greygate.emulator.fields import to_json
+from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.hardware.synthesis import synthesize
 from greygate.models.layer import LARGEST_SIZE
@@ -75,7 +76,7 @@ def in_network(change):
 
 def in_program(change):
     def enter(folder, value):
-        data = json.loads(json.dumps(_to_json(cylinder_program())))
+        data = json.loads(json.dumps(to_json(cylinder_program())))
         change(data, value)
         (folder / "program.json").write_text(json.dumps(data))
         Program.load(folder / "program.json")
@@ -278,7 +279,7 @@ def test_any_entry_of_a_networks_file_may_be_wrong_or_missing(tmp_path):
 
 
 def test_any_entry_of_a_programs_file_may_be_wrong_or_missing(tmp_path):
-    data = json.loads(json.dumps(_to_json(random_program(5))))
+    data = json.loads(json.dumps(to_json(random_program(5))))
     path, refused = tmp_path / "program.json", 0
     for place in places(data):
         for value in [places, *WRONG]:

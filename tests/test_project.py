@@ -47,7 +47,7 @@ PASS = {"name": "p", "layers": 1, "parameters": 1, "multiplications": 1, "change
     [
         ({"architectures": ["../../esc"]}, r"architectures\[0\] '../../esc' does not exist; choose parallel, folded"),
         ({"architectures": ["/tmp/esc"]}, r"architectures\[0\] '/tmp/esc'"),
-        ({"architectures": []}, "name one or both"),
+        ({"architectures": []}, "name at least one"),
         ({"architectures": ["folded", "folded"]}, "each once"),
         ({"architectures": "folded"}, "architectures 'folded' is not a list"),
         ({"macs": 10**9}, "macs 1000000000 is not a whole number >= 1 and <= 256"),

@@ -1,8 +1,12 @@
 """The emitted hardware: equal to the interpreter on every bit, legible to every tool, and honest when it is broken."""
 
+import os
 import re
 import subprocess
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -19,13 +23,13 @@ from greygate.emulator.program import (
     Fix,
     Lookup,
     Overflow,
-    Port,
     Program,
     Rounding,
     Select,
     Signal,
     State,
     Symmetry,
+    Terminal,
     Threshold,
 )
 from greygate.errors import InputError
@@ -41,10 +45,10 @@ def program(name, inputs, operations, states=(), outputs=None, tables=()):
     shown = outputs or [o.out for o in operations]
     return Program(
         name,
-        tuple(Port(s.name, s, "1", 1.0, 0.0) for s in inputs),
+        tuple(Terminal(s.name, s, "1", 1.0, 0.0) for s in inputs),
         tuple(states),
         tuple(operations),
-        tuple(Port(f"show_{s.name}", s, "1", 1.0, 0.0) for s in shown),
+        tuple(Terminal(f"show_{s.name}", s, "1", 1.0, 0.0) for s in shown),
         tuple(tables),
     ).check()
 
@@ -298,6 +302,32 @@ def test_a_missing_compiler_is_named(tmp_path, monkeypatch):
     with pytest.raises(InputError, match=r"g\+\+ was not found"):
         verify(p, tmp_path / "out", {"s": scenario(p)})
     assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_whose_name_make_cannot_read_holds_what_a_verification_found(tmp_path):
+    folder = tmp_path / "a folder; $(touch ran)"
+    p = ring("ring")
+    result = verify(p, folder, {"s": scenario(p, steps=5)}, seed=1)
+    assert result.passed
+    assert result.junit == folder / "results.xml"
+    left = {path.name for path in folder.iterdir()}
+    assert left == {"rtl", "results.xml", "sim.log", "verilator.log", "make.log"}
+    assert not list(tmp_path.rglob("ran"))
+
+
+def test_a_tool_that_is_stopped_takes_what_it_started_along(tmp_path):
+    """make runs compilers, and Verilator is a script that runs another program."""
+    command = ["sh", "-c", "sleep 100 & echo $!; wait"]
+    with ThreadPoolExecutor(1) as pool:
+        tool = pool.submit(verification.run_logged, command, tmp_path / "log", {"PATH": os.environ["PATH"]}, tmp_path)
+        while not (tmp_path / "log").exists() or not (tmp_path / "log").read_text().strip():
+            time.sleep(0.01)
+        while not tool.done():
+            verification.stop_tools()
+        with pytest.raises(InputError, match=r"sh failed \(-9\)"):
+            tool.result()
+    child = Path(f"/proc/{int((tmp_path / 'log').read_text())}/stat")
+    assert not child.exists() or child.read_text().split()[2] in "ZX"
 
 
 def test_a_signal_called_as_the_instance_of_another_is_refused(tmp_path):

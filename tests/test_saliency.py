@@ -4,8 +4,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greygate.compiler.folded import folded
-from greygate.compiler.parallel import parallel
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.saliency import (
     METHODS,
@@ -21,6 +19,8 @@ from greygate.compiler.saliency import (
     unit_obs,
 )
 from greygate.compiler.simplify import fold_constants, parameter_count
+from greygate.compiler.targets.folded import folded
+from greygate.compiler.targets.parallel import parallel
 from greygate.emulator.engine import run
 from greygate.errors import InputError
 from greygate.machines.benchmark_systems.plant import b2, b2_input

@@ -8,8 +8,10 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -20,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from greygate.compiler.emit import emit, sources
+from greygate.compiler.targets import Register, architecture
 from greygate.compiler.verilog import lane_width, remark, sign_extended, verilog_names
 from greygate.emulator.program import Program, Signal
 from greygate.errors import InputError
@@ -98,7 +101,7 @@ def verify(
     seed: int | None = None,
     waves: bool = False,
 ) -> Verification:
-    """Emit one program into `folder`/rtl, build it in `folder`/build, run every scenario. See verify_many."""
+    """Emit one program into `folder`/rtl, simulate it, run every scenario. See verify_many."""
     return verify_many([Case(program, scenarios, architecture, macs)], folder, seed, waves)
 
 
@@ -108,8 +111,9 @@ def verify_many(
     """Check every design of `cases`, all in one Verilator build, in every one of its scenarios.
 
     Each scenario is played twice: cut short by a reset at a random clock, then from the initial state to its end, with
-    random pauses of source and sink. `folder` receives the emitted Verilog (rtl/, one folder a design), the build,
-    results.xml (JUnit) and sim.log; with `waves` also dump.vcd. The seed is drawn if not given, and printed.
+    random pauses of source and sink. `folder` receives the emitted Verilog (rtl/, one folder a design), results.xml
+    (JUnit) and the logs of the tools; with `waves` also dump.vcd. The simulation is built in a temporary folder, whose
+    name make can read, whatever `folder` is called. The seed is drawn if not given, and printed.
     Raises InputError when a tool is missing or the folder cannot be written.
     """
     environment = simulator_environment()
@@ -119,33 +123,30 @@ def verify_many(
     for case in cases:
         verilog_names(case.program)
     folder = Path(folder).resolve()
-    if re.search(r"\s", str(folder)):
-        raise InputError(f"{folder}: make builds nothing where a folder's name holds a space; rename it, or move away")
     with writing(folder, "make this folder"):
-        (folder / "build").mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
     seed = int(np.random.SeedSequence().entropy % (1 << 31)) if seed is None else seed
-    designs, sources = [], []
-    for i, case in enumerate(cases):
-        sources += case.sources(folder)
-        designs.append(Design(i, case))
-    bench = folder / "build" / "bench.v"
-    bench.write_text("module bench;\n" + "".join(d.verilog() for d in designs) + "endmodule\n")
-    start = time.perf_counter()
-    executable = build(bench, list({s.name: s for s in sources}.values()), folder / "build", environment, waves)
-    built = time.perf_counter()
-
-    job = {"seed": seed, "designs": [d.job() for d in designs]}
-    (folder / "build" / "job.json").write_text(json.dumps(job))
-    np.savez(folder / "build" / "job.npz", **{k: v for d in designs for k, v in d.arrays().items()})
-    junit, verdicts = folder / "results.xml", folder / "build" / "verdicts.json"
-    for old in (junit, verdicts):
-        old.unlink(missing_ok=True)
-    simulate(executable, folder, junit, seed, environment, waves)
-    ended = time.perf_counter()
-    print(f"verify: seed {seed}", file=sys.stderr)
-    if not verdicts.exists() or not junit.exists():
-        raise InputError(f"{folder / 'sim.log'}: the simulation ended without results; its last lines say why")
-    found = {(v["design"], v["scenario"]): v for v in json.loads(verdicts.read_text())}
+    designs = [Design(i, case) for i, case in enumerate(cases)]
+    files = {file.name: file for case in cases for file in case.sources(folder)}
+    junit = folder / "results.xml"
+    junit.unlink(missing_ok=True)
+    with tempfile.TemporaryDirectory(prefix="greygate-") as temporary:
+        work = Path(temporary)
+        for name, file in files.items():
+            shutil.copy(file, work / name)
+        (work / "bench.v").write_text("module bench;\n" + "".join(d.verilog() for d in designs) + "endmodule\n")
+        start = time.perf_counter()
+        build(["bench.v", *files], work, folder, environment, waves)
+        built = time.perf_counter()
+        (work / "job.json").write_text(json.dumps({"seed": seed, "designs": [d.job() for d in designs]}))
+        np.savez(work / "job.npz", **{k: v for d in designs for k, v in d.arrays().items()})
+        simulate(work, folder, junit, seed, environment, waves)
+        ended = time.perf_counter()
+        print(f"verify: seed {seed}", file=sys.stderr)
+        verdicts = work / "verdicts.json"
+        if not verdicts.exists() or not junit.exists():
+            raise InputError(f"{folder / 'sim.log'}: the simulation ended without results; its last lines say why")
+        found = {(v["design"], v["scenario"]): v for v in json.loads(verdicts.read_text())}
     return Verification(
         tuple(d.verdict(name, found.get((d.index, name))) for d in designs for name in d.case.scenarios),
         seed,
@@ -197,47 +198,50 @@ class Design:
     def outputs(self) -> list[Signal]:
         return [replace(p.signal, name=p.name) for p in self.case.program.outputs]
 
-    def state_lanes(self) -> list[tuple[str, int, Signal]]:
-        """(what holds it in the design, lowest bit there, signal) of every state code."""
-        program, name = self.case.program, verilog_names(self.case.program)
-        if self.case.architecture == "parallel":
-            return [
-                (f"design_{self.index}.{name[s.name]}", k * s.fix.width, s) for s in self.states for k in range(s.size)
-            ]
-        return [
-            (f"design_{self.index}.memory[{address}]", 0, s)
-            for address, s in enumerate(s.signal for s in program.states for _ in range(s.signal.size))
-        ]
+    def registers(self) -> list[tuple[Register, Signal]]:
+        """Where the design keeps each state code, and the signal that it belongs to."""
+        found = architecture(self.case.architecture).registers(self.case.program)
+        return list(zip(found, (s for s in self.states for _ in range(s.size)), strict=True))
 
     def verilog(self) -> str:
         """The signals that the bench drives and reads, the source's handshake, the states side by side, the design."""
         i, program = self.index, self.case.program
-        state = [sign_extended(at, low, s.fix.width, lane_width(s)) for at, low, s in self.state_lanes()]
+        state = [
+            sign_extended(f"design_{i}.{at.path}", at.low, s.fix.width, lane_width(s)) for at, s in self.registers()
+        ]
         width_in, width_out, width_state = width(self.inputs), width(self.outputs), width(self.states)
-        public = "/* verilator public_flat_rw */"
-        text = f"    {remark(f'{i}: {program.name}, {self.case.architecture}')}\n"
-        for name in ("clk", "rst", "m_tready", "load"):
-            text += f"    reg {name}_{i} {public};\n"
-        text += f"    reg [{width_in}:0] source_{i} {public};  // {{toggled with every sample, sample}}\n"
-        text += f"    reg [{max(width_state, 8) - 1}:0] initial_{i} {public};\n"
-        text += f"    wire s_tready_{i} {public}, m_tvalid_{i} {public};\n"
-        text += f"    wire [{width_out - 1}:0] m_tdata_{i};\n"
-        text += f"    wire [{width_out + width_state - 1}:0] seen_{i} {public};\n"
-        text += f"    assign seen_{i} = {{{', '.join([*reversed(state), f'm_tdata_{i}'])}}};\n"
-        text += f"    reg taken_{i};\n    wire s_tvalid_{i} = source_{i}[{width_in}] ^ taken_{i};\n"
-        text += f"    wire [{width_in - 1}:0] s_tdata_{i} = source_{i}[{width_in - 1}:0];\n"
-        text += f"    always @(posedge clk_{i}) if (rst_{i} || s_tready_{i}) taken_{i} <= source_{i}[{width_in}];\n"
-        if any(s.initial is not None for s in self.case.scenarios.values()):
-            text += f"    always @(posedge clk_{i}) if (load_{i}) begin\n"
-            start = 0
-            for at, low, s in self.state_lanes():
-                target = at if "memory" in at else f"{at}[{low + s.fix.width - 1}:{low}]"
-                text += f"        {target} <= $signed(initial_{i}[{start + s.fix.width - 1}:{start}]);\n"
-                start += lane_width(s)
-            text += "    end\n"
         ports = {"clk": f"clk_{i}", "rst": f"rst_{i}"}
         ports |= {f"{a}_axis_{b}": f"{a}_{b}_{i}" for a in "sm" for b in ("tdata", "tvalid", "tready")}
-        return text + f"    {program.name} design_{i} ({', '.join(f'.{k}({v})' for k, v in ports.items())});\n\n"
+        public = "/* verilator public_flat_rw */"
+        driven = "".join(f"    reg {name}_{i} {public};\n" for name in ("clk", "rst", "m_tready", "load"))
+        return f"""\
+    {remark(f"{i}: {program.name}, {self.case.architecture}")}
+{driven}    reg [{width_in}:0] source_{i} {public};  // {{toggled with every sample, sample}}
+    reg [{max(width_state, 8) - 1}:0] initial_{i} {public};
+    wire s_tready_{i} {public}, m_tvalid_{i} {public};
+    wire [{width_out - 1}:0] m_tdata_{i};
+    wire [{width_out + width_state - 1}:0] seen_{i} {public};
+    assign seen_{i} = {{{", ".join([*reversed(state), f"m_tdata_{i}"])}}};
+    reg taken_{i};
+    wire s_tvalid_{i} = source_{i}[{width_in}] ^ taken_{i};
+    wire [{width_in - 1}:0] s_tdata_{i} = source_{i}[{width_in - 1}:0];
+    always @(posedge clk_{i}) if (rst_{i} || s_tready_{i}) taken_{i} <= source_{i}[{width_in}];
+{self.loading()}    {program.name} design_{i} ({", ".join(f".{k}({v})" for k, v in ports.items())});
+
+"""
+
+    def loading(self) -> str:
+        """How the states are set, where a scenario begins from states of its own."""
+        if all(s.initial is None for s in self.case.scenarios.values()):
+            return ""
+        i, start = self.index, 0
+        text = f"    always @(posedge clk_{i}) if (load_{i}) begin\n"
+        for at, s in self.registers():
+            bits = "" if at.alone else f"[{at.low + s.fix.width - 1}:{at.low}]"
+            code = f"$signed(initial_{i}[{start + s.fix.width - 1}:{start}])"
+            text += f"        design_{i}.{at.path}{bits} <= {code};\n"
+            start += lane_width(s)
+        return text + "    end\n"
 
     def job(self) -> dict:
         program = self.case.program
@@ -297,13 +301,15 @@ RUNTIME = ("verilated.o", "verilated_vpi.o", "verilated_threads.o")  # the same 
 OPTIONS = ("OPT_FAST=-O1", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1")
 
 
-def build(bench: Path, sources: list[Path], folder: Path, environment: dict[str, str], waves: bool) -> Path:
-    """Bench and designs as an executable with cocotb inside. Verilator's own runtime is compiled once per machine.
+def build(files: Sequence[str], work: Path, folder: Path, environment: dict[str, str], waves: bool) -> None:
+    """Make work/bench of the Verilog there, with cocotb inside. Verilator's own runtime is compiled once per machine.
 
-    make hands paths to a shell: those within the build are relative, so no name of a folder gets there.
+    make hands paths to a shell: those of the design are names in `work`. The logs go to `folder`.
     """
     import cocotb_tools.config as config
 
+    if re.search(r"\s", str(work)):
+        raise InputError(f"{work}: make builds nothing where a folder's name holds a space; set TMPDIR to another")
     libs = config.libs_dir
     run_logged(
         [
@@ -313,28 +319,25 @@ def build(bench: Path, sources: list[Path], folder: Path, environment: dict[str,
             *(["--trace"] if waves else []),
             *("-LDFLAGS", f"-Wl,-rpath,{libs} -L{libs} -lcocotbvpi_verilator"),
             str(config.share_dir / "lib" / "verilator" / "verilator.cpp"),
-            *(os.path.relpath(source, folder) for source in (*sources, bench)),
+            *files,
         ],
         folder / "verilator.log",
         environment,
+        work,
     )
     cache = runtime_cache(environment, waves)
     for name in RUNTIME:
         if (cache / name).exists():
-            shutil.copy(cache / name, folder / name)
+            shutil.copy(cache / name, work / name)
     jobs = str(os.cpu_count() or 1)
-    run_logged(
-        ["make", "-j", jobs, "-f", "Vtop.mk", f"VM_TRACE={int(waves)}", *OPTIONS],
-        folder / "make.log",
-        environment,
-    )
+    make = ["make", "-j", jobs, "-f", "Vtop.mk", f"VM_TRACE={int(waves)}", *OPTIONS]
+    run_logged(make, folder / "make.log", environment, work)
     for name in RUNTIME:
-        if (folder / name).exists() and not (cache / name).exists():
+        if (work / name).exists() and not (cache / name).exists():
             with suppress(OSError, InputError):  # a cache that cannot be written only costs time
                 cache.mkdir(parents=True, exist_ok=True)
                 with replacing(cache / name) as temporary:
-                    shutil.copy(folder / name, temporary)
-    return folder / "bench"
+                    shutil.copy(work / name, temporary)
 
 
 def runtime_cache(environment: dict[str, str], waves: bool) -> Path:
@@ -345,8 +348,8 @@ def runtime_cache(environment: dict[str, str], waves: bool) -> Path:
     return base / "greygate" / f"verilator-{key.hexdigest()[:16]}"
 
 
-def simulate(executable: Path, folder: Path, junit: Path, seed: int, environment: dict[str, str], waves: bool) -> None:
-    """Run the bench; results.xml and verdicts.json tell what came of it."""
+def simulate(work: Path, folder: Path, junit: Path, seed: int, environment: dict[str, str], waves: bool) -> None:
+    """Run work/bench in `folder`; `junit` and work/verdicts.json tell what came of it."""
     import cocotb_tools.config as config
     import find_libpython
 
@@ -360,16 +363,36 @@ def simulate(executable: Path, folder: Path, junit: Path, seed: int, environment
         "COCOTB_RANDOM_SEED": str(seed),
         "COCOTB_TRUST_INERTIAL_WRITES": "1",
         "TOPLEVEL_LANG": "verilog",
-        "GREYGATE_BENCH": str(executable.parent),
+        "GREYGATE_BENCH": str(work),
     }
-    command = [str(executable), "+verilator+rand+reset+2", f"+verilator+seed+{seed % (1 << 30) + 1}"]
-    run_logged([*command, *(["--trace"] if waves else [])], folder / "sim.log", environment)
+    command = [str(work / "bench"), "+verilator+rand+reset+2", f"+verilator+seed+{seed % (1 << 30) + 1}"]
+    run_logged([*command, *(["--trace"] if waves else [])], folder / "sim.log", environment, folder)
 
 
-def run_logged(command: list[str], log: Path, environment: dict[str, str]) -> None:
-    """Run a tool with its output in a file; InputError with the last line of it if the tool fails."""
+_RUNNING: set[subprocess.Popen] = set()
+
+
+def run_logged(command: list[str], log: Path, environment: dict[str, str], where: Path) -> None:
+    """Run a tool in a folder with its output in a file; InputError with the last line of that if the tool fails."""
     with writing(log), log.open("w") as out:
-        done = subprocess.run(command, stdout=out, stderr=subprocess.STDOUT, env=environment, cwd=log.parent)
-    if done.returncode:
+        tool = subprocess.Popen(
+            command, stdout=out, stderr=subprocess.STDOUT, env=environment, cwd=where, start_new_session=True
+        )
+        _RUNNING.add(tool)
+        try:
+            code = tool.wait()
+        except BaseException:
+            stop_tools()
+            raise
+        finally:
+            _RUNNING.discard(tool)
+    if code:
         last = (log.read_text(errors="replace").strip().splitlines() or ["no word"])[-1]
-        raise InputError(f"{log}: {Path(command[0]).name} failed ({done.returncode}): {last}")
+        raise InputError(f"{log}: {Path(command[0]).name} failed ({code}): {last}")
+
+
+def stop_tools() -> None:
+    """End each tool that runs, and what it started. Whoever waits for it in another thread goes on with an error."""
+    for tool in list(_RUNNING):
+        with suppress(ProcessLookupError):
+            os.killpg(tool.pid, signal.SIGKILL)

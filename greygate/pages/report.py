@@ -18,7 +18,7 @@ from jinja2 import Environment, PackageLoader
 from greygate.compiler.pipeline import Compiled, quantize_centred
 from greygate.compiler.quantize import Formats
 from greygate.emulator.engine import run
-from greygate.emulator.program import Affine, Lookup, Port, Program
+from greygate.emulator.program import Affine, Lookup, Program, Terminal
 from greygate.errors import InputError
 from greygate.files import replacing_all
 from greygate.models.accuracy import rms
@@ -145,7 +145,7 @@ def plain(value):
     return float(value) if math.isfinite(value) else None
 
 
-def _labels(port: Port) -> list[str]:
+def _labels(port: Terminal) -> list[str]:
     """Names of a port's elements: its own, or `name[0]`, `name[1]`, ... where there are several."""
     return [port.name] if port.signal.size == 1 else [f"{port.name}[{i}]" for i in range(port.signal.size)]
 
