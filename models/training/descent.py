@@ -1,12 +1,13 @@
 """First-order training: gradient descent by back-propagation through time, real-time recurrent learning, Adam, L-BFGS.
 
-For what Levenberg-Marquardt cannot hold, since its normal equations grow with the square of the weights, or cannot wait
-for, since RTRL learns while samples arrive. Elsewhere `training.train` is faster and goes deeper.
+These methods are for networks too large for Levenberg-Marquardt, whose normal equations grow with the square of the
+weights, and RTRL is for learning while samples arrive. Elsewhere `levenberg.train` is faster and reaches a lower loss.
 
-Every function takes, by name, what `train` takes: teacher, free, tied, decay, held, tail, patience, epochs, goal,
-seconds, progress; tolerance is the relative fall over a hundred epochs below which it has converged. The gradient comes
-from one sweep back through time, or where no sample depends on another from torch, all samples at once. Ctrl-C and
-divergence keep the best weights so far. Raises InputError as `Objective`, and for a rate that is not positive.
+Every function takes these options of `train` by name: teacher, free, tied, decay, held, tail, patience, epochs, goal,
+seconds, progress. tolerance: the training has converged when a hundred epochs lower the loss relatively by less.
+The gradient comes from one sweep back through time; where no sample depends on another, it comes from torch, for all
+samples at once. After Ctrl-C and after divergence the best weights so far are returned. Every function raises
+InputError as `Objective` does, and for a rate that is not positive.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -28,7 +29,7 @@ from greygate.models.training.remarks import remarks
 from greygate.progress import Progress, silent
 
 RUNAWAY = 10.0  # times the first loss, or that of predicting zero if larger: beyond it a training has diverged
-SCALE = 1e8  # first loss that L-BFGS sees: torch takes y's <= 1e-10 for no curvature
+SCALE = 1e8  # the first loss that L-BFGS sees: where y's <= 1e-10, torch sees no curvature
 RISE, GROWTH, SHRINK = 1.04, 1.05, 0.7  # of gradient descent: loss that a step may reach, rate after a fall, a rise
 SHORTER = 200  # steps it tries, each shorter, before it stays
 WINDOW = 100  # epochs over which the fall of the loss is judged
@@ -219,11 +220,11 @@ class _Descent:
         return (sums + self.diagonal * x) / self.objective.samples
 
     def score(self, x: np.ndarray, loss: float) -> float:
-        """What the best weights have the lowest of: mean squared error held out, or the loss if nothing is."""
+        """The best weights have the lowest: mean squared error on what is held out, or the loss if nothing is."""
         return self.judge.squares(self.theta(x)) / self.judge.samples if self.judge else loss
 
     def run(self, epoch: Callable[[np.ndarray], np.ndarray], rate: float = 1.0) -> Trained:
-        """`epoch` maps x to the next x, until one of the stops."""
+        """Descend until one of the stops. epoch: maps x to the next x."""
         if not rate > 0:
             raise InputError(f"rate {rate:g}: give a positive one")
         x = best = self.start
@@ -276,7 +277,7 @@ class _Swept(Objective):
 
     @property
     def is_static(self) -> bool:
-        """No sample depends on what the network said at another."""
+        """Whether no sample depends on what the network gave at another."""
         return not (self.tables.row_of >= 0).any()
 
     def gradient(self, theta: np.ndarray) -> np.ndarray:
@@ -297,7 +298,7 @@ class _Swept(Objective):
 
 
 class _Static:
-    """A static objective in torch, all samples at once; `squares` and `gradient` as those of a objective."""
+    """A static objective in torch, all samples at once; `squares` and `gradient` as those of `_Swept`."""
 
     def __init__(self, objective: _Swept):
         self.torch, self.tables = _torch(), objective.tables
