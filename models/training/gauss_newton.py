@@ -13,6 +13,11 @@ import numpy as np
 
 Trial = TypeVar("Trial")
 
+LARGEST, SMALLEST = 1e12, 1e-15  # of Nielsen's damping: beyond them a step, or the damping in it, is lost in rounding
+DECADE = 10.0
+FIRST, LAST = 1e-2, 1e-3  # damping by decades: the first that shortens a step visibly, the last that does
+IN_VAIN = 1e8  # damping by decades: a step so short gains no cost that is worth a simulation
+
 
 class Damping(Protocol):
     """How much shorter than Gauss-Newton's a step is, and turned downhill: 0 is Gauss-Newton's own."""
@@ -37,11 +42,11 @@ class Nielsen:
     def rise(self) -> bool:
         self.value *= self.growth
         self.growth *= 2
-        return self.value <= 1e12
+        return self.value <= LARGEST
 
     def fall(self, ratio: float) -> None:
         """After a step that lowers the cost, by `ratio` of what the linear model predicted."""
-        self.value = max(self.value * max(1 / 3, 1 - (2 * ratio - 1) ** 3), 1e-15)
+        self.value = max(self.value * max(1 / 3, 1 - (2 * ratio - 1) ** 3), SMALLEST)
         self.growth = 2.0
 
 
@@ -56,12 +61,12 @@ class Decades:
     value: float = 0.0
 
     def rise(self) -> bool:
-        self.value = max(self.value * 10, 1e-2)
-        return self.value < 1e8
+        self.value = max(self.value * DECADE, FIRST)
+        return self.value < IN_VAIN
 
     def fall(self) -> None:
-        """After a step that lowers the cost. Below 1e-3 the damping no longer matters and is dropped."""
-        self.value = self.value / 10 if self.value > 1e-3 else 0.0
+        """After a step that lowers the cost."""
+        self.value = self.value / DECADE if self.value > LAST else 0.0
 
 
 def search(attempt: Callable[[float], Trial | None], damping: Damping) -> Trial | None:

@@ -28,6 +28,7 @@ CONTINUITY = (1.0, 1e1, 1e2, 1e3)  # weights of the gaps, one multiple-shooting 
 SAVE_EVERY = 10.0  # s between checkpoints
 RUNAWAY = 10.0  # times the loss of predicting zero: a free run that ends above it has diverged
 EXACT = 1e-24  # of the loss of predicting zero: rounding is all that is left
+SHOTS = 20  # windows of the shortest record, where `narx_noe` must shoot
 WINDOW = 10  # epochs over which the fall of the loss is judged
 FLAT = 1e-6  # of the residuals' root mean square: a mean slope below it is a minimum, as far as rounding can tell
 TINY = 1e-300  # keeps the damping of an all-zero Jacobian positive
@@ -318,11 +319,11 @@ class LevenbergMarquardt:
 
 
 def narx_noe(network: Network, records: Sequence[Record], narx_epochs: int = 200, **options) -> Trained:
-    """Series-parallel training first, then free run from its weights (thesis 3.2; Norgaard 2000). options: of `train`.
+    """Train the one-step prediction, then from its weights the free-run simulation (thesis 3.2; Norgaard 2000).
 
-    Where the NARX weights diverge in free run, multiple shooting leads there, in windows of a twentieth of the shortest
-    record, unless shooting was asked for and has been tried by then. A network that feeds no output back has nothing to
-    learn first.
+    options: of `train`. Where the free-run simulation diverges from the NARX weights, it is trained by multiple
+    shooting, in windows of a twentieth of the shortest record, unless `options` ask for shooting: then that was tried.
+    A network that feeds no output back is trained by `train` alone.
     """
     feeds = network.flatten().feeds()
     shown = {feeds[p.name][0] for p in network.outputs}
@@ -340,7 +341,7 @@ def narx_noe(network: Network, records: Sequence[Record], narx_epochs: int = 200
         options["seconds"] -= narx.seconds
     noe = train(narx.network, records, **options)
     lengths = [len(r) for r in held_out(network, records, options.get("tail", 0.0), ())[0]]
-    window, spent = max(min(lengths) // 20, 2), narx.seconds + noe.seconds
+    window, spent = max(min(lengths) // SHOTS, 2), narx.seconds + noe.seconds
     if noe.outcome is Outcome.DIVERGED and not options.get("shooting") and 2 * window <= max(lengths):
         left = options.get("seconds", np.inf) - noe.seconds
         again = {"shooting": window, "seconds": left, "checkpoint": path and f"{path}.shooting"}
@@ -367,9 +368,10 @@ def multistart(
     jobs: int = 2,
     progress: Progress = silent,
 ) -> list[Start]:
-    """Fit from every seed, `jobs` at a time, and rank by `score`: an error on records that no fit has seen.
+    """Train from every seed, `jobs` at a time, and rank by `score`: an error on records that no training has seen.
 
-    Ctrl-C ends the starts under way and ranks what there is. Raises InputError if no start was finished.
+    fit: seed -> what came of it. progress: told when a start is done. Ctrl-C ends the starts under way; those that are
+    done are ranked. Raises InputError if no start was finished.
     """
     done: list[Start] = []
 

@@ -27,7 +27,7 @@ class Record:
         return len(next(iter(self.targets.values()), ()))
 
     def cut(self, start: int, stop: int, **changes) -> "Record":
-        """Samples start..stop alone; `changes` as for `dataclasses.replace`."""
+        """The samples start..stop. changes: as for `dataclasses.replace`."""
         parts = ({n: v[start:stop] for n, v in part.items()} for part in (self.inputs, self.targets))
         return replace(self, **(dict(zip(("inputs", "targets"), parts, strict=True)) | changes))
 
@@ -35,10 +35,11 @@ class Record:
 def held_out(
     network: Network, records: Sequence[Record], tail: float, held: Sequence[Record]
 ) -> tuple[list[Record], list[Record]]:
-    """(records to train on, records to judge on): the share `tail` at the end of each is judged, and so is `held`.
+    """(records to train on, held-out records): the last share `tail` of each is held out, and so is `held`.
 
-    A tail is run from the start of its record; of one that skips beyond it nothing is left to train on. Raises
-    InputError for a share outside [0, 1), no records, or a record that skips itself wholly.
+    A held-out tail is run from the start of its record and judged from its own. Where a record skips more than what
+    comes before its tail, nothing of it is left to train on. Raises InputError for a share outside [0, 1), no records,
+    or a record that skips all of its samples.
     """
     if not records:
         raise InputError(f"network {network.name}: no records to train on")
@@ -53,6 +54,7 @@ def held_out(
 
 
 def check_skips(network: Network, records: Sequence[Record]) -> None:
+    """Raises InputError for a record that skips all of its samples."""
     for i, record in enumerate(records):
         if len(record) and not 0 <= record.skip < len(record):
             raise InputError(
