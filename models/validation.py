@@ -3,7 +3,7 @@
 The residual is e = measured - predicted throughout, in the unit of the output.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 
@@ -17,6 +17,7 @@ from greygate.models.network import Network, Port
 from greygate.models.spectra import frequency_response
 from greygate.models.training.kernels import forward, tabulate
 from greygate.models.training.problem import CORES, Problem, Record
+from greygate.progress import Progress, silent
 
 HORIZONS = (1, 2, 5, 10, 20, 50, 100)  # steps ahead
 ORIGINS = 1000  # most points of a record from which it predicts k steps ahead
@@ -148,7 +149,7 @@ def validate(
     period: float,
     horizons: Sequence[int] = HORIZONS,
     lags: int = 25,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress = silent,
 ) -> list[Validation]:
     """Every output of the network on every record. period: s. lags: of the residual tests.
 
@@ -170,8 +171,7 @@ def validate(
     model = _Model(network)
 
     def work(name: str) -> list[Validation]:
-        if progress:
-            progress(name)
+        progress(name)
         return list(_validated(model, name, records[name], period, horizons, lags))
 
     with threadpool_limits(1, "blas"):
