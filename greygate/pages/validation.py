@@ -16,7 +16,8 @@ from greygate.errors import InputError
 from greygate.files import replacing
 from greygate.machines.catalog import CATALOG, entry
 from greygate.machines.measured.identification import settled
-from greygate.models.validation import LEASH, Correlation, Range, Validation, coverage, validate
+from greygate.models.residuals import Correlation
+from greygate.models.validation import LEASH, Range, Validation, coverage, validate
 from greygate.pages import figures
 from greygate.pages.figures import Line
 from greygate.pages.report import TRUSTED, display, plain, shown, templates
