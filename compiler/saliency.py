@@ -21,6 +21,7 @@ from greygate.models.network import Network
 from greygate.models.training.levenberg import blas
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
+from greygate.progress import Progress, silent
 
 RIDGES = (
     1e-8,
@@ -311,7 +312,7 @@ def prune_by_saliency(
     decay: float = 0.0,
     share: float = 0.1,
     goal: int = 0,
-    progress: Callable[[Step], None] | None = None,
+    progress: Progress = silent,
 ) -> Pruned:
     """Remove weights and train the rest again, round after round, until the error would exceed `allowed`.
 
@@ -344,8 +345,7 @@ def prune_by_saliency(
             if kept:
                 steps.append(trial)
                 undone = np.array([])
-                if progress:
-                    progress(trial)
+                progress(f"pruning weights: {trial.parameters} parameters")
             elif batch == 1:
                 break
             else:

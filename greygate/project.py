@@ -29,7 +29,7 @@ from greygate.compiler.pipeline import Compiled, Pass, compile_network, entropy_
 from greygate.compiler.prune import Round, retrained
 from greygate.compiler.quantize import Formats
 from greygate.compiler.ranges import ranges
-from greygate.compiler.saliency import METHODS, Step, saliency_pruning
+from greygate.compiler.saliency import METHODS, saliency_pruning
 from greygate.compiler.targets import BOTH, NAMES, Architecture, target
 from greygate.emulator.engine import run
 from greygate.emulator.program import Program
@@ -259,8 +259,7 @@ def _compile(
         if prune is not None:
             passes.append(entropy_pruning(training, partial(_retrain, training, say), prune, judges))
         if weights is not None:
-            told = partial(_tell, say)
-            passes.append(saliency_pruning(training, METHODS[weights], prune or 1.0, judges, progress=told))
+            passes.append(saliency_pruning(training, METHODS[weights], prune or 1.0, judges, progress=say))
     say("compiling")
     compiled = compile_network(
         network,
@@ -303,10 +302,6 @@ def fixed_and_float(compiled: Compiled, record: Record, before: Network | None =
 def _retrain(records: list[Record], say: Callable[[str], None], network: Network) -> Network:
     say(f"retraining with {sum(layer.size for layer in network.modules.values())} neurons")
     return retrained(network, records, RETRAIN_EPOCHS)
-
-
-def _tell(say: Callable[[str], None], step: Step) -> None:
-    say(f"pruning weights: {step.parameters} parameters")
 
 
 def _in_turn(passes: Sequence[Callable], network: Network) -> tuple[Network, list[Round]]:

@@ -11,9 +11,10 @@ from threadpoolctl import threadpool_limits
 from greygate.errors import InputError
 from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
+from greygate.models.residuals import correlation, residual_tests
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
-from greygate.models.validation import REPETITIONS, correlation, coverage, fit_per_cent, residual_tests, validate
+from greygate.models.validation import REPETITIONS, coverage, fit_per_cent, validate
 
 PERIOD = 1e-2
 
@@ -182,7 +183,7 @@ def test_what_chance_may_bring_about_does_not_hang_on_the_eigenvectors_that_a_pr
 
     u, e = held(2000, 3), lfilter([1], [1, -0.9], white(3, 2000))
     here = residual_tests(e, {"u": u})
-    monkeypatch.setattr("greygate.models.validation.eigh", other)
+    monkeypatch.setattr("greygate.models.residuals.eigh", other)
     for one, another in zip(here, residual_tests(e, {"u": u}), strict=True):
         assert one.allowed == another.allowed
         assert one.limit == pytest.approx(another.limit, rel=1e-9)

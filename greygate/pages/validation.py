@@ -2,7 +2,7 @@
 
 import base64
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from html import escape
 from itertools import groupby, pairwise
@@ -16,10 +16,12 @@ from greygate.errors import InputError
 from greygate.files import replacing
 from greygate.machines.catalog import CATALOG, entry
 from greygate.machines.measured.identification import settled
-from greygate.models.validation import LEASH, Correlation, Range, Validation, coverage, validate
+from greygate.models.residuals import Correlation
+from greygate.models.validation import LEASH, Range, Validation, coverage, validate
 from greygate.pages import figures
 from greygate.pages.figures import Line
 from greygate.pages.report import TRUSTED, display, plain, shown, templates
+from greygate.progress import Progress, silent
 from greygate.project import Source
 
 DRAWN = 20_000  # samples of a run that are drawn one by one; of a longer one, least and largest of so many bins
@@ -52,7 +54,7 @@ class Judged:
         return plain(found | {"ranges": [asdict(r) for r in self.ranges]})
 
 
-def judge(source: Source, lags: int = 25, progress: Callable[[str], None] | None = None) -> Judged:
+def judge(source: Source, lags: int = 25, progress: Progress = silent) -> Judged:
     """Validate a network of the catalogue, or a file, on its records. Raises InputError as `validate` and `Source`.
 
     A network of the catalogue is judged on what it learnt from too, if recordings are given; any other is taken to have

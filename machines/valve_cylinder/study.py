@@ -124,7 +124,7 @@ def prune(
             weights,
             bound,
             epochs=PRUNING_EPOCHS,
-            progress=lambda step: say(f"{step.parameters} parameters left"),
+            progress=say,
         )
         network, rounds = pruned.network, [*rounds, *pruned.rounds]
     return network, rounds

@@ -22,6 +22,7 @@ from greygate.models.families.blocks import feedforward, fit_divider, fit_flow, 
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
+from greygate.progress import Progress
 
 TRAINED = Path(__file__).parents[1] / "trained" / "library"
 ERRORS = TRAINED / "errors.json"  # name -> worst error of each trained network
@@ -51,11 +52,6 @@ class Entry:
     hardware: str
     gaps: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     cure: str = ""
-
-    @property
-    def neurons(self) -> int:
-        """Neurons that are not linear."""
-        return self.network.neurons()
 
     def grid(self, points: int | None = None) -> dict[str, np.ndarray]:
         """Every combination of `points` values of each port, the ends of its range and of its gaps among them."""
@@ -402,7 +398,7 @@ def listing() -> list[dict[str, str]]:
                 "y": e.text,
                 "range": "; ".join(spans),
                 "worst error": rounded_up(e.worst_error, 2),
-                "neurons": str(e.neurons),
+                "neurons": str(e.network.neurons()),
                 "in hardware": e.hardware,
             }
         )
@@ -434,7 +430,7 @@ def bound(found: Entry, zooms: int = 6) -> float:
     return worst
 
 
-def fit_library(progress: Callable[[str], None] = print) -> None:
+def fit_library(progress: Progress = print) -> None:
     """Train what is trained, of several seeds the one with the lowest worst error, and keep it in `TRAINED`."""
     errors = {}
     networks = {"flow": fit_flow(seed=1).network, "divider": fit_divider(seed=0).network}

@@ -68,16 +68,15 @@ def template(
     reads = form.g + form.f + form.sum
     if bool(feedback) != ("y" in reads):
         raise InputError(f"network {name}: type {number} {'needs' if 'y' in reads else 'has no'} feedback taps")
-    taps = {
-        "x": {f"{port.name}_z{d}": (port.name, d) for port, delays in inputs.items() for d in delays},
-        "y": {f"{output.name}_z{d}": (output.name, d) for d in feedback},
-    }
-    if any(d < 0 for _, d in taps["x"].values()) or any(d < 1 for _, d in taps["y"].values()) or not taps["x"]:
-        raise InputError(f"network {name}: give taps of x from 0 on and of y from 1 on")
-    network = Network(name, list(inputs), [output])
     last = "sum" if form.sum else "g" if form.g else "f"
-    feeds = {"x": taps["x"], "y": {tap: (last, d) for tap, (_, d) in taps["y"].items()}}
+    feeds = {
+        "x": {f"{port.name}_z{d}": (port.name, d) for port, delays in inputs.items() for d in delays},
+        "y": {f"{output.name}_z{d}": (last, d) for d in feedback},
+    }
+    if any(d < 0 for _, d in feeds["x"].values()) or any(d < 1 for d in feedback) or not feeds["x"]:
+        raise InputError(f"network {name}: give taps of x from 0 on and of y from 1 on")
     feeds |= {part: {part: (part, 0)} for part in "fg"}
+    network = Network(name, list(inputs), [output])
 
     def read(kinds: str) -> dict[str, tuple[str, int]]:
         return {port: feed for kind in kinds for port, feed in feeds[kind].items()}
