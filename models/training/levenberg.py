@@ -293,9 +293,9 @@ class LevenbergMarquardt:
         """The damped Gauss-Newton step within the bounds; None where there is none."""
 
         def solved(moving: np.ndarray) -> np.ndarray:
-            damped = hessian[np.ix_(moving, moving)] if len(moving) < len(hessian) else hessian.copy()
+            damped = (hessian[np.ix_(moving, moving)] if len(moving) < len(hessian) else hessian).copy()
             # Levenberg's identity, times the mean diagonal: Marquardt's diagonal stalls where neurons are redundant
-            damped.flat[:: len(moving) + 1] += damping * (np.trace(damped) / max(len(moving), 1) + TINY)
+            damped.ravel()[:: len(moving) + 1] += damping * (np.trace(damped) / max(len(moving), 1) + TINY)
             factor = scipy.linalg.cho_factor(damped, overwrite_a=True, check_finite=False)
             return -scipy.linalg.cho_solve(factor, gradient[moving], check_finite=False)
 
