@@ -21,12 +21,11 @@ from greygate.pictures import _panel as panel
 from greygate.project import (
     ARCHITECTURES,
     Project,
-    Source,
     compile_project,
     fixed_and_float,
-    read_record,
     verify_project,
 )
+from greygate.source import Source, read_record
 
 CASES = {"cable_drum": (3, "speed_slip"), "valve_hydraulic": (8, "internal_leakage")}
 RESULTS = Path(__file__).parent / "results" / "augmented"

@@ -169,7 +169,7 @@ def train(
 
 
 def _train_own(name, record, held, settle, narx, how, out, as_json) -> None:
-    from greygate.project import Source, train_source
+    from greygate.source import Source, train_source
 
     if not out:
         raise InputError("--out is missing: the folder that the trained network is written into")
@@ -239,7 +239,9 @@ def compile(
     as_json: Json = False,
 ) -> None:
     """Simplify, prune, quantize a network and write it as Verilog."""
-    from greygate.project import ARCHITECTURES, Source, compile_project, fixed_and_float
+    from greygate.build import ARCHITECTURES
+    from greygate.project import compile_project, fixed_and_float
+    from greygate.source import Source
 
     pruned = prune is not None or weights is not None
     if held and not pruned:
@@ -298,7 +300,8 @@ def emulate(
     """Run the compiled network, bit for bit as the hardware does, over a recording."""
     from greygate.emulator.engine import run
     from greygate.plants.recording import Recording, read_csv
-    from greygate.project import Project, read_record
+    from greygate.project import Project
+    from greygate.source import read_record
 
     project = Project.open(folder)
     record = read_record(project.network, recording, targets=False)
@@ -419,7 +422,7 @@ def report(
 
 def _errors(studies: list[dict]) -> list[str]:
     """RMSE of float and fixed, a line for each plant, scenario and output."""
-    from greygate.pages.report import display
+    from greygate.pages.words import display
 
     lines = []
     for study in studies:
@@ -448,12 +451,14 @@ def validate(
 
     Exit code 1 if a free run is unbounded.
     """
-    from greygate.pages.validation import judge, table, write
-    from greygate.project import Source
+    from greygate.pages import templates
+    from greygate.pages.validation import page
+    from greygate.pages.validation.judged import judge, table
+    from greygate.source import Source
 
     with _progress(f"validating {network}") as follow:
         judged = judge(Source(network, _recordings([_named(text) for text in record]), settle), lags, follow)
-        write(judged, out)
+        templates.write(page(judged), out)
     _give(judged.figures(), as_json, [*table(judged), f"written to {out}"])
     if not judged.bounded:
         raise typer.Exit(1)

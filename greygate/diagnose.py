@@ -29,6 +29,8 @@ from greygate.mismatch.locate import scaled
 from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.search import Search
 from greygate.mismatch.simulation import read, simulate
+from greygate.pages import diagnosis as diagnosis_page
+from greygate.pages.diagnosis import Words
 from greygate.plants.expressions import names
 from greygate.plants.recording import Recording
 
@@ -163,9 +165,8 @@ class Explained:
                 f"{folder}: the fit runs out of numbers ({error}); look at the values and units in rig.toml, "
                 "or restart the simulation in windows of window_s"
             ) from error
-        from greygate.pages import diagnosis as diagnosis_page  # which imports this module
-
-        return cls(result.as_dict(), lines(result), diagnosis_page.page(result) if page else None)
+        html = diagnosis_page.page(result, in_words(result)) if page else None
+        return cls(result.as_dict(), lines(result), html)
 
     def write(self, out: Path | None, html: Path | None) -> None:
         """Each file whole or not at all; both together where they lie in one folder."""
@@ -307,6 +308,27 @@ def amount(value: float, ci95: Sequence[float] | None, unit: str) -> Amount:
     digits = min(max(1 - math.floor(math.log10(half)) + power, 0), 7)
     texts = (f"{v / 10.0**power:.{digits}f}" + (f"e{power}" if power else "") for v in (value, low, high))
     return Amount(*texts, label)
+
+
+def in_words(result: Diagnosis) -> Words:
+    """The diagnosis as its page tells it."""
+    found = result.as_dict()
+    return Words(
+        sentence=VERDICTS[found["verdict"]],
+        effects=[(e, means(result, e), _amounts(e["parameters"])) for e in found["effects"]],
+        parameters={n: parameter(result, n, p) for n, p in found["parameters"].items()},
+        fit=fit_table(found["fit"]),
+        alike=alike(result, found),
+        where=where(found),
+    )
+
+
+def _amounts(parameters: Mapping) -> list[tuple[str, Amount, str]]:
+    """(name, amount, term where a fitted term stands for the effect)."""
+    return [
+        (n, amount(p["value"], p["ci95"], p["unit"]), f"{p['place']}: {p['term']}" if "term" in p else "")
+        for n, p in parameters.items()
+    ]
 
 
 def means(result: Diagnosis, entry: Mapping) -> str:

@@ -19,7 +19,8 @@ from greygate.machines.asymmetric_cylinder.study import (
 from greygate.machines.catalog import TRAINED, entry
 from greygate.machines.procedure import bar, rms
 from greygate.models.adaptation import adopt
-from greygate.project import Source, fixed_and_float
+from greygate.project import fixed_and_float
+from greygate.source import Source
 
 
 def adopted():

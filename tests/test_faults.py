@@ -22,7 +22,8 @@ from greygate.hardware.verify import Verdict, Verification
 from greygate.models.network import Network
 from greygate.models.training.levenberg import Fit, Outcome, _Progress
 from greygate.pages import report
-from greygate.project import Project, Source, compile_project
+from greygate.project import Project, compile_project
+from greygate.source import Source
 
 ALL = os.environ.get("GREYGATE_FAULTS") == "all"
 SAMPLE = 8  # points of each command and way that `make test` tries, and the last ones

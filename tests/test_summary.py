@@ -16,8 +16,8 @@ from greygate.errors import InputError
 from greygate.files import write_manifest
 from greygate.machines import catalog
 from greygate.models.network import Network
-from greygate.pages import report
-from greygate.pages.report import page, study
+from greygate.pages.report import page
+from greygate.pages.report.study import size, study
 from greygate.pages.summary import aligned, designs, results
 
 NAME = "tiny"
@@ -134,7 +134,7 @@ def test_what_is_missing_is_compiled_and_what_was_left_is_read(plants):
     program = plants / "hardware" / NAME / "program.json"
     left = program.stat().st_mtime_ns
     found = {
-        "size": report.size(project.Project.open(program.parent).program),
+        "size": size(project.Project.open(program.parent).program),
         "resources": {"folded, ecp5": {"luts": 77}},
     }
     kept = plants / "kept" / f"{NAME}.resources.json"
