@@ -13,13 +13,13 @@ from greygate.compiler.pipeline import float_error
 from greygate.compiler.quantize import Formats
 from greygate.diagnose import explain
 from greygate.files import replacing
+from greygate.limits import ARCHITECTURES
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.models.network import Network
 from greygate.pictures import FOLDER, picture
 from greygate.pictures import _over_time as over_time
 from greygate.pictures import _panel as panel
 from greygate.project import (
-    ARCHITECTURES,
     Project,
     compile_project,
     fixed_and_float,

@@ -8,13 +8,11 @@ import os
 from pathlib import Path
 
 from greygate.errors import InputError
+from greygate.limits import ARCHITECTURES, FINER, MACS
 from greygate.names import check_text
 from greygate.reading import Kind, anything, line, listed, maybe, named, number, one_of, read_json, table, whole
 
-ARCHITECTURES = ("parallel", "folded")
 FACTS = "compile.json"
-MACS = 256  # multipliers of the folded architecture, at most
-FINER = 32  # bits that a format may have beyond those that it needs, at most
 PASS = {
     "name": line,
     **dict.fromkeys(("layers", "parameters", "multiplications"), whole(0)),

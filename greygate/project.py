@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.build import ARCHITECTURES, FACTS, read_facts, read_hardware, read_resources
+from greygate.build import FACTS, read_facts, read_hardware, read_resources
 from greygate.compiler.emit import emit, emitted
 from greygate.compiler.pipeline import (
     Compiled,
@@ -53,6 +53,7 @@ from greygate.files import (
 )
 from greygate.hardware.synthesis import synthesize
 from greygate.hardware.verify import Case, Scenario, Verification, verify_many
+from greygate.limits import ARCHITECTURES
 from greygate.machines.catalog import CATALOG, PLANTS, TRAINED, entry
 from greygate.models.network import Network
 from greygate.models.training.problem import Record

@@ -1,6 +1,6 @@
 """Where a network and its records come from: the catalogue, or files of one's own."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from greygate.models.training.levenberg import Outcome, narx_noe, train
 from greygate.models.training.problem import Record, held_out
 from greygate.plain import json_text, plain
 from greygate.plants.recording import read_csv
+from greygate.progress import Progress, silent
 
 SAME_TIME = 1e-3  # by which sample times may differ, relatively: printed times are rounded
 
@@ -116,7 +117,7 @@ def train_source(
     held: Mapping[str, str],
     *,
     narx: bool = True,
-    progress: Callable[[int, str], None] | None = None,
+    progress: Progress = silent,
     **options,
 ) -> dict:
     """Train the network on its recordings and write it, with the figures returned, into the folder.
@@ -132,7 +133,6 @@ def train_source(
         raise InputError("one file is given twice, under two names; give another to judge on")
     network, found = source.network(), replace(source, recordings=source.recordings | held).records()
     records, others = ({name: found[name] for name in names} for names in (source.recordings, held))
-    follow = progress and (lambda epoch, loss: progress(epoch, f"loss {loss:.3g}"))
     learn = narx_noe if narx and not options.get("shooting") else train
     checkpoint = folder / f"{network.name}.checkpoint"
     with making(folder), writing(folder):
@@ -142,7 +142,7 @@ def train_source(
             held=list(others.values()),
             checkpoint=checkpoint,
             keep=True,
-            progress=follow,
+            progress=lambda epoch, loss: progress(f"epoch {epoch}, loss {loss:.3g}"),
             estimate_initial=source.settle > 0,
             **options,
         )
