@@ -6,12 +6,12 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
-from greygate.diagnose import amount, in_words
 from greygate.mismatch import rig
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.diagnosis import diagnose
 from greygate.pages.diagnosis import page as draw
 from greygate.pages.diagnosis.residual import binned, dependence, residuals
+from greygate.pages.words import amount
 
 PLANT = """step = 1e-3
 outputs = ["x"]
@@ -52,7 +52,7 @@ def drum(tmp_path_factory):
     """Diagnosis of a drum that conceals a slip that grows with speed, and its page."""
     folder = conceal("cable_drum", 3, tmp_path_factory.mktemp("drum") / "case", effect="speed_slip", kind="one")
     result = diagnose(rig.load(folder))
-    return result, draw(result, in_words(result))
+    return result, draw(result)
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +121,7 @@ def test_a_concealed_dependence_is_seen_before_and_gone_after(axis):
     size = [np.median(np.abs(r.errors["x drifts"])) for r in (before, after)]
     assert size[1] < 0.05 * size[0]
     assert np.corrcoef(x, before.errors["x drifts"])[0, 1] < -0.9  # it pulls back
-    assert "x drifts" in draw(axis, in_words(axis))
+    assert "x drifts" in draw(axis)
 
 
 def test_quartiles_are_those_of_what_lies_in_a_part():

@@ -16,7 +16,7 @@ from greygate.models.training.problem import Record
 from greygate.pages.figures import Scale, envelope
 from greygate.pages.report import page, write
 from greygate.pages.report.study import study
-from greygate.pages.words import display, number, shown
+from greygate.pages.units import display, number, shown
 
 PERIOD = 2e-3
 RATES = np.array([0.02, 0.05])

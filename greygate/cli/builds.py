@@ -145,7 +145,7 @@ def report(
 
 def _errors(studies: list[dict]) -> list[str]:
     """RMSE of float and fixed, a line for each plant, scenario and output."""
-    from greygate.pages.words import display
+    from greygate.pages.units import display
 
     lines = []
     for study in studies:

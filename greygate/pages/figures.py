@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 from markupsafe import Markup
 
-from greygate.pages.words import number
+from greygate.pages.units import number
 
 LEFT, RIGHT, TOP, BOTTOM = 58, 10, 8, 34  # margins of a chart, px
 BINS = 400  # of a whole run as it is drawn; each shows its least and its largest value

@@ -5,7 +5,7 @@ Both are lists of rows, {column: cell}, for the terminal (`aligned`) and for the
 
 from collections.abc import Collection, Iterator, Sequence
 
-from greygate.pages.words import NONE, display, figure, shown
+from greygate.pages.units import NONE, display, figure, shown
 
 WIDTHS = (12, 16, 18)
 COUNTED = ("luts", "flip_flops", "dsps", "block_rams", "lut_rams", "clock_mhz")

@@ -13,7 +13,7 @@ from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
 from greygate.files import replacing
-from greygate.pages import words
+from greygate.pages import units
 
 PACKAGE = __package__
 
@@ -22,8 +22,8 @@ PACKAGE = __package__
 def environment() -> Environment:
     """The templates of every page. What they show is escaped, whatever it is; only `Markup` is taken as it stands."""
     found = Environment(loader=PackageLoader(PACKAGE, "."), autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    found.filters |= {"number": words.number, "figure": words.figure}
-    found.globals |= {"differing": words.differing, "display": words.display, "shown": words.shown}
+    found.filters |= {"number": units.number, "figure": units.figure}
+    found.globals |= {"differing": units.differing, "display": units.display, "shown": units.shown}
     return found
 
 

@@ -1,47 +1,18 @@
-"""What the sections of the page share: the diagnosis, its words, and what each of its fits leaves."""
+"""What the sections of the page share: the diagnosis, and what each of its fits leaves."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.fit import Fit
 from greygate.pages.diagnosis.residual import Residual, residuals
 
 
-class Amount(Protocol):
-    """A value in the unit that a person reads, with the ends of its 95 % interval ("" where there is none)."""
-
-    value: str
-    low: str
-    high: str
-    unit: str
-
-
-@dataclass(frozen=True)
-class Words:
-    """A diagnosis as the terminal tells it; `greygate.diagnose` finds the words.
-
-    sentence: of the verdict. effects: (entry of the diagnosis, its meaning, [(parameter, amount, fitted term that
-    stands for the effect, or "")]). parameters: name -> its value beside the data sheet. fit: a table, line by line.
-    alike: explanations that are not told apart. where: (place, what acts there).
-    """
-
-    sentence: str
-    effects: Sequence[tuple[Mapping, str, Sequence[tuple[str, Amount, str]]]]
-    parameters: Mapping[str, str]
-    fit: Sequence[str]
-    alike: Sequence[str]
-    where: Sequence[tuple[str, str]]
-
-
 @dataclass(frozen=True)
 class Case:
-    """A diagnosis and its words."""
+    """A diagnosis as its page reads it."""
 
     result: Diagnosis
-    words: Words
 
     @cached_property
     def found(self) -> dict:

@@ -8,7 +8,7 @@ from markupsafe import Markup
 from greygate.mismatch.diagnosis import APART, Diagnosis
 from greygate.pages.diagnosis.case import Case
 from greygate.pages.figures import Scale
-from greygate.pages.words import number
+from greygate.pages.units import number
 
 LADDER = 12  # hypotheses drawn
 

@@ -2,7 +2,8 @@
 
 from greygate.mismatch.locate import scaled
 from greygate.pages.diagnosis.case import Case
-from greygate.pages.words import number
+from greygate.pages.units import number
+from greygate.pages.words import VERDICTS, amount, means, parameter
 
 BETTER = 0.98  # of an RMS error, below which a correction counts as one
 
@@ -12,7 +13,7 @@ def context(case: Case) -> dict:
     return {
         "title": case.title,
         "plant": case.found["plant"],
-        "sentence": case.words.sentence,
+        "sentence": VERDICTS[case.found["verdict"]],
         "facts": facts(case),
         "rivals": len(case.result.rivals) > 1,
     }
@@ -25,13 +26,16 @@ def facts(case: Case) -> list[tuple[str, str, bool | None]]:
     lines: list[tuple[str, str, bool | None]] = [
         (found["verdict"].replace("_", " "), f"in {place}" if place else "verdict", None)
     ]
-    for entry, meaning, amounts in case.words.effects:
-        named = entry["id"] != "unknown" and len(amounts) > 0
-        size = f", {amounts[0][0]} {amounts[0][1].value} {amounts[0][1].unit}" if named else ""
-        lines.append((entry["id"], f"{meaning}{size}", None))
+    for entry in found["effects"]:
+        size = ""
+        if entry["id"] != "unknown" and entry["parameters"]:
+            name, p = next(iter(entry["parameters"].items()))
+            known = amount(p["value"], p["ci95"], p["unit"])
+            size = f", {name} {known.value} {known.unit}"
+        lines.append((entry["id"], f"{means(case.result, entry)}{size}", None))
     for name, p in found["parameters"].items():
         if p.get("outside_tolerance"):
-            lines.append((name, case.words.parameters[name], None))
+            lines.append((name, parameter(case.result, name, p), None))
     return [*lines, _error(case)]
 
 

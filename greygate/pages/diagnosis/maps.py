@@ -10,7 +10,7 @@ from greygate.pages import figures
 from greygate.pages.diagnosis.case import Case
 from greygate.pages.diagnosis.residual import FEW, Residual, dependence, edges_of, part_of
 from greygate.pages.figures import Line
-from greygate.pages.words import labelled, number
+from greygate.pages.units import labelled, number
 
 CELLS = {False: (36, 20), True: (16, 12)}  # of a map, by whether its points are few
 

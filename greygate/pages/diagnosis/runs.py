@@ -13,7 +13,7 @@ from greygate.pages import figures
 from greygate.pages.diagnosis.case import Case
 from greygate.pages.diagnosis.residual import known
 from greygate.pages.figures import BINS, Line, envelope, shortened
-from greygate.pages.words import labelled
+from greygate.pages.units import labelled
 
 ZOOM = 2.0  # s drawn where the misfit is largest; two windows where a rig has them
 SHORTEST = 150  # samples of that

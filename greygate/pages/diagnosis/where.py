@@ -5,18 +5,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from greygate.mismatch.locate import scaled
-from greygate.pages import figures
+from greygate.pages import figures, words
 from greygate.pages.diagnosis.case import Case
 from greygate.pages.diagnosis.residual import Residual, binned, dependence
 from greygate.pages.figures import Line
-from greygate.pages.words import labelled
+from greygate.pages.units import labelled
 
 
 def context(case: Case) -> dict:
     """Places in words, and a row of pictures per channel."""
     before, after = case.residuals["calibrated"], case.residuals.get("corrected")
     return {
-        "where": case.words.where,
+        "where": words.where(case.found),
         "windowed": case.result.rig.window is not None,
         "changed": case.changed,
         "against": against(before, after, case.depends_on),

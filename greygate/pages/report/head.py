@@ -1,6 +1,6 @@
 """Which program it is, its headline, and a table of errors, a row per scenario and output."""
 
-from greygate.pages.words import differing, figure, number
+from greygate.pages.units import differing, figure, number
 
 
 def context(study: dict) -> dict:

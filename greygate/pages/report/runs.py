@@ -6,7 +6,7 @@ from markupsafe import Markup
 
 from greygate.pages import figures
 from greygate.pages.figures import Line
-from greygate.pages.words import display, labelled
+from greygate.pages.units import display, labelled
 
 KINDS = ("float", "fixed")
 

@@ -2,8 +2,8 @@
 
 import math
 
+from greygate.pages.units import per_cent
 from greygate.pages.validation.judged import Judged, long_run, rows, tally
-from greygate.pages.words import per_cent
 
 
 def context(judged: Judged) -> dict:

@@ -8,7 +8,7 @@ from greygate.errors import InputError
 from greygate.machines.catalog import CATALOG, entry
 from greygate.machines.measured.identification import settled
 from greygate.models.validation import Correlation, Range, Validation, coverage, validate
-from greygate.pages.words import NONE, display, per_cent, shown
+from greygate.pages.units import NONE, display, per_cent, shown
 from greygate.plain import plain
 from greygate.progress import Progress, silent
 from greygate.source import Source

@@ -2,8 +2,8 @@
 
 from itertools import groupby
 
+from greygate.pages.units import display, labelled, number
 from greygate.pages.validation.judged import Judged
-from greygate.pages.words import display, labelled, number
 
 
 def context(judged: Judged) -> dict:

@@ -11,8 +11,8 @@ from markupsafe import Markup
 from greygate.models.validation import LEASH, Correlation, Validation
 from greygate.pages import figures
 from greygate.pages.figures import Line
+from greygate.pages.units import display, labelled
 from greygate.pages.validation.judged import Judged, long_run
-from greygate.pages.words import display, labelled
 from greygate.plain import plain
 
 DRAWN = 20_000  # samples of a run that are drawn one by one; of a longer one, least and largest of so many bins
