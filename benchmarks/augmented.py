@@ -11,7 +11,7 @@ from pathlib import Path
 from greygate.augment import FACTS, augment
 from greygate.compiler.pipeline import float_error
 from greygate.compiler.quantize import Formats
-from greygate.diagnose import explain
+from greygate.explain import explain
 from greygate.files import replacing
 from greygate.limits import ARCHITECTURES
 from greygate.mismatch.concealed.conceal import conceal

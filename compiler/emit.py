@@ -19,6 +19,9 @@ def emit(program: Program, folder: Path | str, architecture: str = "parallel", m
     architecture: "parallel", or "folded" with `macs` multipliers. Either all files are written or none.
     Raises InputError for names that Verilog cannot hold, a program without input or output, an illegal option, or
     a folder that cannot be written.
+
+    >>> [path.name for path in emit(program, "rtl")][0]
+    'lag.v'
     """
     files = emitted(program, architecture, macs)
     folder = Path(folder)

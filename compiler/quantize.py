@@ -44,6 +44,9 @@ class Formats:
     plant stands still needs them: what rounding does there is the same in every step. 16 + 2 is an FPGA's multiplier.
     margin: room above the observed range (1.25 = a quarter). wide: extra fraction bits of pre-activations.
     signals: formats the user (or the search for a budget) fixes, by signal name.
+
+    >>> Formats(18).width
+    18
     """
 
     width: int = 16

@@ -220,7 +220,14 @@ def signed_width(magnitude: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """One step of a network on integers. Made by the compiler; `check` holds before and after every pass."""
+    """One step of a network on integers. Made by the compiler; `check` holds before and after every pass.
+
+    docs/integer-program.md defines what each operation computes, to the bit.
+
+    >>> program = compiled.program
+    >>> program
+    <Program lag: u Fix(18, 17) -> y Fix(19, 18); 1 operations, 1 states>
+    """
 
     name: str
     inputs: tuple[Port, ...]
@@ -230,6 +237,13 @@ class Program:
     tables: tuple[Table, ...] = ()
     period: float = 1e-3  # s, for reports only
     notes: dict[str, str] = field(default_factory=dict)  # signal -> why it has its format
+
+    def __repr__(self) -> str:
+        inputs, outputs = (
+            ", ".join(f"{p.name} {p.signal.fix}" for p in ports) for ports in (self.inputs, self.outputs)
+        )
+        counted = f"{len(self.operations)} operations, {len(self.states)} states"
+        return f"<Program {self.name}: {inputs} -> {outputs}; {counted}>"
 
     @cached_property
     def signals(self) -> dict[str, Signal]:

@@ -31,6 +31,12 @@ def emulate(program: Program, inputs: Mapping[str, np.ndarray]) -> Emulation:
     """Run an integer program, as docs/integer-program.md defines it, from its initial state.
 
     inputs: port -> (N,) or (N, size), in the port's unit. Raises InputError for a value that is not finite.
+
+    >>> answer = emulate(program, record.inputs)
+    >>> answer.steps, answer.saturations, answer.clipped
+    (500, {}, {})
+    >>> bool(np.abs(answer.outputs["y"] - record.targets["y"]).max() < 1e-6)  # m
+    True
     """
     values = dict(inputs)
     answer = run(program, program.encode(values), states=False)

@@ -22,7 +22,6 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.build import FACTS, read_facts, read_hardware, read_resources
 from greygate.compiler.emit import emit, emitted
 from greygate.compiler.pipeline import (
     Compiled,
@@ -39,6 +38,7 @@ from greygate.compiler.saliency import METHODS, Step, saliency_pruning
 from greygate.emulator.engine import run
 from greygate.emulator.program import Program
 from greygate.errors import InputError
+from greygate.facts import FACTS, read_facts, read_hardware, read_resources
 from greygate.files import (
     changed,
     linked,
@@ -57,7 +57,7 @@ from greygate.limits import ARCHITECTURES
 from greygate.machines.catalog import CATALOG, PLANTS, TRAINED, entry
 from greygate.models.network import Network
 from greygate.models.training.problem import Record
-from greygate.pages.report.study import size, study
+from greygate.pages.report.study import size
 from greygate.plain import json_text
 from greygate.progress import Progress, silent
 from greygate.reading import read_json
@@ -72,21 +72,9 @@ RETRAIN_EPOCHS = 4
 
 
 def compile_project(
-    source: Source, folder: Path | str, formats: Formats, *, progress: Progress = silent, **options
-) -> Compiled:
-    """Compile and write the folder, whole or not at all: see `replacing_folder` for what it may replace.
-
-    options: of `_compile`. Nobody else writes that folder meanwhile.
-    """
-    with replacing_folder(folder, "compile", LATER) as new:
-        return _compile(source, new, formats, progress, **options)
-
-
-def _compile(
     source: Source,
-    new: Path,
-    formats: Formats,
-    progress: Progress,
+    folder: Path | str,
+    formats: Formats | None = None,
     *,
     budget: float | None = None,
     prune: float | None = None,
@@ -95,20 +83,55 @@ def _compile(
     generic: bool = False,
     architectures: Sequence[str] = ARCHITECTURES,
     macs: int = 4,
+    progress: Progress = silent,
 ) -> Compiled:
-    """Compile and fill the folder `new`.
+    """Compile a network and write the folder that `Project.open` reads, whole or not at all.
 
+    An earlier build of that folder is replaced, and nothing else is. Nobody else writes the folder meanwhile.
+
+    formats: those of the source if not given. budget, generic: as for `compile`.
     prune: factor by which entropy pruning may raise the RMS error on the training records, e.g. 1.02.
     weights: method of `compiler.saliency` that then takes out single weights, within that factor once more.
     held: scenarios that bound the error of pruning instead, other than the training ones.
+    architectures: of the Verilog. macs: multipliers of the folded one.
+    Raises InputError as `Source`, `compile` and `emit`, and for a folder that holds other files.
+
+    >>> compiled = build(source, "lag", Formats(18))
+    >>> sorted(path.name for path in Path("lag/rtl").iterdir())
+    ['folded', 'parallel']
     """
     if weights is not None and weights not in METHODS:
         raise InputError(f"no pruning method {weights!r}; there are {', '.join(METHODS)}")
-    network, records = source.network(), source.records()
+    formats = formats or source.formats()
+    with replacing_folder(folder, "compile", LATER) as new:
+        network, records = source.network(), source.records()
+        compiled = compile_network(
+            network,
+            records,
+            formats,
+            ranged_on=source.training,
+            budget=budget,
+            prune=_pruning(source, records, prune, weights, held, progress),
+            generic=generic,
+            period=source.period,
+        )
+        _write(new, source, compiled, formats, architectures, macs)
+    return compiled
+
+
+def _pruning(
+    source: Source,
+    records: Mapping[str, Record],
+    prune: float | None,
+    weights: str | None,
+    held: Sequence[str],
+    progress: Progress,
+) -> Callable[[Network], tuple[Network, list[Round]]] | None:
+    """The passes that prune, in turn; None where nothing is to be pruned."""
     if learnt := set(held) & set(source.training):
         raise InputError(f"{min(learnt)} sets the ranges and cannot be held out; give another recording before it")
     training, judges = ([records[n] for n in names] for names in (source.training, held))
-    passes = []
+    passes: list[Callable] = []
     own = {"weights": METHODS[weights]} if weights else {}
     if prune is not None and not held and source.name in CATALOG and entry(source.name).prune:
         passes.append(partial(entry(source.name).prune, allowed=prune, progress=progress, **own))
@@ -119,16 +142,13 @@ def _compile(
             told = partial(_tell, progress)
             passes.append(saliency_pruning(training, METHODS[weights], prune or 1.0, judges, progress=told))
     progress("compiling")
-    compiled = compile_network(
-        network,
-        records,
-        formats,
-        ranged_on=source.training,
-        budget=budget,
-        prune=partial(_in_turn, passes) if passes else None,
-        generic=generic,
-        period=source.period,
-    )
+    return partial(_in_turn, passes) if passes else None
+
+
+def _write(
+    folder: Path, source: Source, compiled: Compiled, formats: Formats, architectures: Sequence[str], macs: int
+) -> None:
+    """Fill the folder of a build."""
     facts = {
         "source": source.name if source.name in CATALOG else str(Path(source.name).resolve()),
         "recordings": {n: str(Path(p).resolve()) for n, p in source.recordings.items()},
@@ -140,11 +160,10 @@ def _compile(
         "pruning": [asdict(r) for r in compiled.pruning],
     }
     for architecture in architectures:
-        emit(compiled.program, new / "rtl" / architecture, architecture, macs)
-    compiled.program.save(new / "program.json")
-    compiled.network.save(new / "network")
-    _write_json(new / FACTS, facts)
-    return compiled
+        emit(compiled.program, folder / "rtl" / architecture, architecture, macs)
+    compiled.program.save(folder / "program.json")
+    compiled.network.save(folder / "network")
+    _write_json(folder / FACTS, facts)
 
 
 def fixed_and_float(compiled: Compiled, record: Record, before: Network | None = None) -> dict[str, dict]:
@@ -177,7 +196,15 @@ def _in_turn(passes: Sequence[Callable], network: Network) -> tuple[Network, lis
 
 @dataclass(frozen=True)
 class Project:
-    """A compiled folder, read back."""
+    """A folder that `build` wrote, read back.
+
+    folder: where it stands. source: what it was compiled from. program, network: what the compiler made, in integers
+    and in float. facts: what compile.json says.
+
+    >>> project = Project.open("lag")
+    >>> project.program.name, project.facts["macs"]
+    ('lag', 4)
+    """
 
     folder: Path
     source: Source
@@ -291,6 +318,10 @@ def verify_project(
 
     Writes verify.json and one results-ARCHITECTURE.xml (JUnit) each into the folder. as_is: even Verilog that is not
     what `emit` makes of the program; it is code, and Verilator runs it. Raises InputError for such Verilog otherwise.
+
+    >>> found = verify(project, seed=1)
+    >>> {architecture: one.passed for architecture, one in found.items()}
+    {'parallel': True, 'folded': True}
     """
     with writing(project.folder), locked(project.folder.resolve()):
         if (edited := project.edited()) and not as_is:
@@ -351,6 +382,9 @@ def synthesize_project(
 
     limit: seconds of processor time for each tool; a design that takes longer is told as {"stopped_after_s": limit}.
     keep: add them to those in the package too. Raises InputError there for a program that is not the catalogue's.
+
+    >>> sorted(synthesize(project, "ice40"))
+    ['folded, ice40', 'parallel, ice40']
     """
     name = project.source.name
     if keep and (name not in CATALOG or project.source.recordings):
@@ -366,24 +400,6 @@ def synthesize_project(
     if keep:
         _write_json(_kept(name), {"size": size(project.program), "resources": found})
     return found
-
-
-def study_project(project: Project, progress: Progress = silent, **options) -> dict:
-    """What the report says of one project: see `pages.report.study`, which takes the options."""
-    records = project.source.records()
-    return study(
-        project.facts["title"],
-        project.compiled(records),
-        records,
-        ranged_on=project.source.training,
-        period=project.program.period,
-        called=Path(project.source.name).stem,
-        references=project.source.references,
-        hardware=project.hardware,
-        resources=project.resources,
-        progress=progress,
-        **{"formats": Formats(finer=project.facts.get("finer", 0))} | options,
-    )
 
 
 def _write_json(path: Path, value: object) -> None:

@@ -1,7 +1,7 @@
 """Where a network and its records come from: the catalogue, or files of one's own."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -57,11 +57,21 @@ def _read(network: Network, path: Path | str, targets: bool = True) -> tuple[Rec
 
 @dataclass(frozen=True)
 class Source:
-    """Where a network and its records come from: a name of the catalogue, or a file with recordings beside it."""
+    """Where a network and its records come from: a name of the catalogue, or a file with recordings beside it.
+
+    recordings: scenario -> CSV; empty for the catalogue's own. The first one sets the ranges of the formats.
+    settle: first samples of each recording that only tell the state it starts from.
+    Its methods raise InputError for a name, a file or a recording that cannot serve.
+
+    >>> lag.save("lag")
+    >>> source = Source("lag.toml", {"train": "lag.csv"})
+    >>> source.training, source.period
+    (('train',), 0.001)
+    """
 
     name: str
-    recordings: Mapping[str, str]  # scenario -> CSV; empty for the catalogue's own
-    settle: int = 0  # first samples of each recording that only tell the state it starts from
+    recordings: Mapping[str, str] = field(default_factory=dict)
+    settle: int = 0
 
     def network(self) -> Network:
         if self.name in CATALOG:

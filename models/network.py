@@ -51,6 +51,10 @@ class Port:
 
     value: `unit` (SI). `initial`: what the port carried before the first step, in `unit`. `resolution`: of the sensor,
     in `unit`, 0 if it is not known; the hardware's input codes are then no coarser and no finer.
+
+    >>> u, y = Port("u", "V", scale=2.0), Port("y", "m", scale=1e-3)
+    >>> u.scale  # what 2 V are inside: 1
+    2.0
     """
 
     name: str
@@ -69,6 +73,10 @@ class Layer:
     weights: port -> (rows, n). bias: (rows,). initial: (size,), its output before the first step. A neuron is a row;
     only `select`, a multiplexer, has three rows a neuron: condition, value where it is >= 0, value else.
     frozen: names of ports (or "bias") that training leaves as they are.
+
+    >>> memory = Layer({"u": [[0.08]], "y": [[0.9]]}, [0.0])
+    >>> memory.size, memory.activation
+    (1, 'linear')
     """
 
     weights: dict[str, np.ndarray]
@@ -97,7 +105,12 @@ class Layer:
 
 @dataclass(frozen=True)
 class Connection:
-    """target(k) receives gain @ source(k - delay). Names: `port`, `module` or `module.port`."""
+    """target(k) receives gain @ source(k - delay). Names: `port`, `module` or `module.port`.
+
+    >>> feedback = Connection("memory", "memory.y", delay=1)
+    >>> feedback.delay
+    1
+    """
 
     source: str
     target: str
@@ -110,6 +123,14 @@ class Network:
     """Modules joined by connections; itself a module of another network.
 
     meaning: name of the library function that it stands for (families/library.py), which the compiler may emit instead.
+
+    >>> lag = Network("lag", [u], [y], {"memory": memory}, [feedback])
+    >>> lag.connect("u", "memory.u")
+    >>> lag.connect("memory", "y")
+    >>> lag
+    <Network lag: u [V] -> y [m]; 1 layers, 3 parameters>
+    >>> lag.run({"u": np.array([2.0, 0.0])})["y"]  # m
+    array([8.0e-05, 7.2e-05])
     """
 
     name: str
@@ -118,6 +139,11 @@ class Network:
     modules: dict[str, "Layer | Network"] = field(default_factory=dict)
     connections: list[Connection] = field(default_factory=list)
     meaning: str = ""
+
+    def __repr__(self) -> str:
+        inputs, outputs = (", ".join(f"{p.name} [{p.unit}]" for p in ports) for ports in (self.inputs, self.outputs))
+        size = sum(v.size for v in self.parameters().values())
+        return f"<Network {self.name}: {inputs} -> {outputs}; {len(self.layers())} layers, {size} parameters>"
 
     # ---- building
 

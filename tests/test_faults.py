@@ -15,8 +15,7 @@ import pytest
 from faults import KILLED, LEAVING, libc_has_exchange, struck, unforked, without_exchange
 from test_network import delay_line
 
-from greygate import diagnose as explain
-from greygate import files, project
+from greygate import explain, files, project, reporting
 from greygate.compiler.quantize import Formats
 from greygate.hardware.verify import Verdict, Verification
 from greygate.models.network import Network
@@ -199,7 +198,7 @@ def test_synthesize_leaves_the_old_figures_or_the_new_ones(built, monkeypatch):
 
 def test_report_leaves_the_old_pages_or_the_new_ones(built, tmp_path, monkeypatch):
     study = {"title": "line", "scenarios": {}}
-    monkeypatch.setattr(project, "study_project", lambda *a, **o: study)
+    monkeypatch.setattr(reporting, "_study", lambda *a, **o: study)
     monkeypatch.setattr(report, "page", lambda *a: "<html>new</html>")
     root = tmp_path / "pages"
     root.mkdir()

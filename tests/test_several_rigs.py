@@ -10,8 +10,8 @@ import pytest
 from joblib._parallel_backends import ThreadingBackend
 
 from greygate import cli
-from greygate.diagnose import explain, explain_all
 from greygate.errors import InputError
+from greygate.explain import explain, explain_all
 from greygate.mismatch.concealed.conceal import conceal
 
 WITHOUT = "distributed is not installed: pip install 'greygate[cluster]'"

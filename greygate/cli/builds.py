@@ -114,9 +114,9 @@ def report(
 
     With --all one FOLDER, `hardware` if none is given. Exit code 1 if --verify finds a differing bit.
     """
-    from greygate.pages.report import write
-    from greygate.pages.summary import WIDTHS, aligned, designs, results
-    from greygate.project import Project, plants, study_project, verify_project
+    from greygate.pages.summary import aligned, designs, results
+    from greygate.project import Project, plants, verify_project
+    from greygate.reporting import report as measure
 
     if every and len(folders) > 1:
         raise InputError(f"--all takes one folder that holds a folder for each plant, not {len(folders)}")
@@ -131,9 +131,8 @@ def report(
             if project.hardware is None:
                 progress(f"simulating {project.program.name}")
                 passed &= all(result.passed for result in verify_project(project).values())
-        studies = [study_project(project, progress, **{"widths": WIDTHS} if every else {}) for project in projects]
+        studies = measure(projects, out, side_by_side=every, progress=progress)
     tables = [results(studies), designs(studies)] if every else []
-    write(studies, out, out.with_suffix(".json"), tables)
     if as_json:
         print_out(out.with_suffix(".json").read_text(encoding="utf-8"))
     else:

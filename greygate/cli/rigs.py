@@ -46,7 +46,7 @@ def diagnose(
     The files: docs/diagnosis.md. Exit code 0 whatever the verdict; of several rigs one that cannot be diagnosed is
     told, the others are written, and the exit code is 2.
     """
-    from greygate.diagnose import explain, explain_all
+    from greygate.explain import explain, explain_all
 
     if len(rigs) == 1 and backend is Backend.LOKY and scheduler is None:
         with following("diagnosing") as progress:
@@ -105,7 +105,7 @@ def isolability(
 
     Without identify.csv, what motions within the inputs' ranges could tell.
     """
-    from greygate.diagnose import isolable
+    from greygate.explain import isolable
 
     spans = [_range(text) for text in ranges]
     if len(dict(spans)) < len(spans):
@@ -136,7 +136,7 @@ def simulate(
 
     Exit code 1 if the simulation diverges; what it wrote ends in nan.
     """
-    from greygate.diagnose import predict
+    from greygate.explain import predict
 
     rms = predict(rig, recording, diagnosis, out, effects)
     lines = [
@@ -200,7 +200,7 @@ def reveal(
 
     Exit code 1 if the diagnosis is wrong: its verdict, its effects, or the parameter.
     """
-    from greygate.diagnose import score
+    from greygate.explain import score
 
     found, lines, right = score(folder, diagnosis, effects)
     give(found, as_json, lines)

@@ -187,6 +187,11 @@ def train(
     checkpoint: a file that is written now and then, and taken up if it is there; a finished training removes it, or
     with `keep` leaves it to whoever saves the result first.
     progress: called with (epoch, loss). Ctrl-C keeps the best weights so far. Raises InputError as `Problem`.
+
+    >>> start = lag.with_parameters({"memory.y": np.array([[0.5]])})
+    >>> fit = train(start, [record])
+    >>> fit.outcome.name, fit.network.parameters()["memory.y"].round(6)
+    ('CONVERGED', array([[0.9]]))
     """
     began = monotonic()
     if epochs < 0:
