@@ -6,7 +6,7 @@ Declared here and nowhere else; the interpreter, the engine, the Verilog emitter
 import json
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -393,7 +393,7 @@ class Program:
         if self.select_width(o) > ACCUMULATOR_BITS:
             yield f"{o.out.name}: needs {self.select_width(o)} bits on the way, more than {ACCUMULATOR_BITS}"
 
-    def encode(self, values: dict[str, np.ndarray]) -> np.ndarray:
+    def encode(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
         """Physical inputs {port: (..., N) or (..., N, size)} to codes (..., N, columns), clipped to the formats.
 
         `clipped` tells how many were. Raises InputError for a value that is not finite.
@@ -405,7 +405,7 @@ class Program:
             columns.append(np.clip(codes, port.signal.fix.lo, port.signal.fix.hi).astype(np.int64))
         return np.concatenate(columns, axis=-1)
 
-    def clipped(self, values: dict[str, np.ndarray]) -> dict[str, Clipped]:
+    def clipped(self, values: Mapping[str, np.ndarray]) -> dict[str, Clipped]:
         """What `encode` clips of these values, by the name of the input; an input that fits is not in it."""
         found = {}
         for port in self.inputs:

@@ -14,6 +14,7 @@ fast. Their docstrings hold examples that continue one another in the order of `
 
 import ast
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from greygate.version import __version__ as __version__
@@ -80,9 +81,10 @@ def __getattr__(name: str) -> object:
 
 def _imported() -> dict[str, tuple[str, str]]:
     """Public name -> module and name there: what the imports above say to a type checker, read from this file."""
-    tree = ast.parse(__spec__.loader.get_source(__name__))
-    (block,) = (node for node in tree.body if isinstance(node, ast.If))
-    return {alias.asname or alias.name: (node.module, alias.name) for node in block.body for alias in node.names}
+    tree = ast.parse(Path(__file__).read_text(encoding="utf-8"))
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
+    return {a.asname or a.name: (str(node.module), a.name) for node in imports for a in node.names}
 
 
 def __dir__() -> list[str]:

@@ -38,7 +38,6 @@ def emulate(program: Program, inputs: Mapping[str, np.ndarray]) -> Emulation:
     >>> bool(np.abs(answer.outputs["y"] - record.targets["y"]).max() < 1e-6)  # m
     True
     """
-    values = dict(inputs)
-    answer = run(program, program.encode(values), states=False)
+    answer = run(program, program.encode(inputs), states=False)
     saturations = {name: count for name, count in answer.saturations.items() if count}
-    return Emulation(program.decode(answer.outputs), saturations, program.clipped(values))
+    return Emulation(program.decode(answer.outputs), saturations, program.clipped(inputs))

@@ -23,11 +23,12 @@ SCENARIO = {"steps": whole(0), "differing_bits": maybe(whole(0, 0)), "mismatch":
 ARCHITECTURE = {
     "clocks_per_step": maybe(number),
     "seed": whole(0),
-    "scenarios": named(lambda *entry: table(*entry, SCENARIO), line),
+    "scenarios": named(lambda value, where: table(value, where, SCENARIO), line),
 }
 FILES: dict[str, Kind] = {
-    FACTS: lambda *file: table(
-        *file,
+    FACTS: lambda value, where: table(
+        value,
+        where,
         {
             "source": line,
             "recordings": named(line, check_text),
@@ -35,11 +36,11 @@ FILES: dict[str, Kind] = {
             "architectures": listed(one_of(ARCHITECTURES)),
             "macs": whole(1, MACS),
             "finer": whole(0, FINER),
-            "passes": listed(lambda *entry: table(*entry, PASS)),
+            "passes": listed(lambda value, where: table(value, where, PASS)),
             "pruning": listed(anything),
         },
     ),
-    "verify.json": named(lambda *entry: table(*entry, ARCHITECTURE), line),
+    "verify.json": named(lambda value, where: table(value, where, ARCHITECTURE), line),
     "resources.json": named(named(maybe(number), line), line),
 }
 

@@ -132,9 +132,10 @@ def _pruning(
         raise InputError(f"{min(learnt)} sets the ranges and cannot be held out; give another recording before it")
     training, judges = ([records[n] for n in names] for names in (source.training, held))
     passes: list[Callable] = []
-    own = {"weights": METHODS[weights]} if weights else {}
-    if prune is not None and not held and source.name in CATALOG and entry(source.name).prune:
-        passes.append(partial(entry(source.name).prune, allowed=prune, progress=progress, **own))
+    stored = entry(source.name).prune if source.name in CATALOG else None
+    if prune is not None and not held and stored is not None:
+        own: dict = {"weights": METHODS[weights]} if weights else {}
+        passes.append(partial(stored, allowed=prune, progress=progress, **own))
     else:
         if prune is not None:
             passes.append(entropy_pruning(training, partial(_retrain, training, progress), prune, judges))
@@ -178,7 +179,7 @@ def fixed_and_float(compiled: Compiled, record: Record, before: Network | None =
 
 
 def _retrain(records: list[Record], progress: Progress, network: Network) -> Network:
-    progress(f"retraining with {sum(layer.size for layer in network.modules.values())} neurons")
+    progress(f"retraining with {sum(layer.size for layer in network.layers().values())} neurons")
     return retrained(network, records, RETRAIN_EPOCHS)
 
 

@@ -74,12 +74,11 @@ class Source:
     settle: int = 0
 
     def network(self) -> Network:
-        if self.name in CATALOG:
-            return entry(self.name).network()
         path = Path(self.name)
-        if self.name.endswith((".toml", ".safetensors")) or (path.name and path.with_suffix(".toml").exists()):
+        written = self.name.endswith((".toml", ".safetensors")) or (path.name and path.with_suffix(".toml").exists())
+        if self.name not in CATALOG and written:
             return Network.load(self.name)
-        entry(self.name)  # names those there are
+        return entry(self.name).network()
 
     def records(self) -> dict[str, Record]:
         if not self.recordings:
@@ -138,10 +137,11 @@ def train_source(
     """
     if both := set(source.recordings) & set(held):
         raise InputError(f"{min(both)} is given to learn from and to judge on; name one otherwise")
-    paths = {name: Path(path).resolve() for name, path in (source.recordings | held).items()}
+    files = {**source.recordings, **held}
+    paths = {name: Path(path).resolve() for name, path in files.items()}
     if len(set(paths.values())) < len(paths):
         raise InputError("one file is given twice, under two names; give another to judge on")
-    network, found = source.network(), replace(source, recordings=source.recordings | held).records()
+    network, found = source.network(), replace(source, recordings=files).records()
     records, others = ({name: found[name] for name in names} for names in (source.recordings, held))
     learn = narx_noe if narx and not options.get("shooting") else train
     checkpoint = folder / f"{network.name}.checkpoint"

@@ -58,7 +58,8 @@ def train(
     else:
         if record or held:
             raise InputError(f"{name} is trained on records of its own; --record goes with a NAME.toml file")
-        if given := [f"--{n}" for n in OWN_TRAINING if context.get_parameter_source(n).name == "COMMANDLINE"]:
+        sources = {n: context.get_parameter_source(n) for n in OWN_TRAINING}
+        if given := [f"--{n}" for n, s in sources.items() if s is not None and s.name == "COMMANDLINE"]:
             raise InputError(f"{name} is trained in a way of its own; {', '.join(given)} goes with a NAME.toml file")
         _train_stored(name, out, as_json)
 

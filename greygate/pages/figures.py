@@ -25,8 +25,8 @@ CHANGE_DECADES, CHANGE_HEIGHT = 6, 66  # of a row of `weight_changes`: its scale
 class Line:
     """Points (x, y) of equal length, None where there is nothing to draw. `kind` is the CSS class."""
 
-    x: Sequence[float]
-    y: Sequence[float | None]
+    x: Sequence[float | None] | np.ndarray
+    y: Sequence[float | None] | np.ndarray
     kind: str
 
 
@@ -114,7 +114,7 @@ def chart(
     """
     bottom = BOTTOM if x else 8
     inner_w, inner_h = width - LEFT - RIGHT, height - TOP - bottom
-    every_x = [v for line in lines for v in line.x]
+    every_x = [v for line in lines for v in line.x if v is not None]
     every_y = [v for line in lines for v in line.y] + [v for v, _ in levels]
     sx = Scale(*(x_limits or (min(every_x), max(every_x))), inner_w, x_log)
     sy = Scale(*(y_limits or span(every_y, y_log)), inner_h, y_log)
@@ -180,7 +180,7 @@ def accuracy(
     )
 
 
-def _labels(ticks: list[float], log: bool) -> list[str]:
+def _labels(ticks: Sequence[float], log: bool) -> list[str]:
     """Figures of one axis, all with the same number of decimals."""
     if log or not ticks:
         return [f"{t:g}" if 5e-4 < t < 2e4 else number(t, 1).removeprefix("1·") for t in ticks]

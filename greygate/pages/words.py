@@ -55,8 +55,8 @@ def amount(value: float, ci95: Sequence[float] | None, unit: str) -> Amount:
     power = math.floor(math.log10(max(abs(value), half)))
     power = 0 if -3 <= power < 6 else power
     digits = min(max(1 - math.floor(math.log10(half)) + power, 0), 7)
-    texts = (f"{v / 10.0**power:.{digits}f}" + (f"e{power}" if power else "") for v in (value, low, high))
-    return Amount(*texts, label)
+    texts = [f"{v / 10.0**power:.{digits}f}" + (f"e{power}" if power else "") for v in (value, low, high)]
+    return Amount(texts[0], texts[1], texts[2], label)
 
 
 def means(result: Diagnosis, entry: Mapping) -> str:

@@ -41,12 +41,12 @@ def ladder(result: Diagnosis, width: int = 980) -> Markup:
         parts.append(f'<text class="tick" x="{at:.1f}" y="{height - 24}" text-anchor="middle">{label}</text>')
     at = left + scale(APART)
     parts.append(f'<path class="mark" d="M{at:.1f} 0V{height - below + 4}"/>')
-    for k, (gap, name, taken) in enumerate(rungs):
+    for k, (gap, name, bold) in enumerate(rungs):
         y = row * k + row / 2
         end = scale(max(gap, 1.0))
-        bold = ' font-weight="600"' if taken else ""
-        parts.append(f'<text x="{left - 10}" y="{y + 4:.1f}" text-anchor="end"{bold}>{escape(name)}</text>')
-        kind = "good-dot" if taken else "dot"
+        weight = ' font-weight="600"' if bold else ""
+        parts.append(f'<text x="{left - 10}" y="{y + 4:.1f}" text-anchor="end"{weight}>{escape(name)}</text>')
+        kind = "good-dot" if bold else "dot"
         parts.append(f'<path class="rung" d="M{left} {y:.1f}h{end:.1f}"/>')
         parts.append(f'<circle class="{kind}" cx="{left + end:.1f}" cy="{y:.1f}" r="5"/>')
         text = "best" if gap == 0.0 else number(gap)

@@ -11,7 +11,7 @@ def context(study: dict) -> dict:
 def facts(found: dict) -> list[tuple[str, str, bool | None]]:
     """The headline of one study: (value, what it is, good or bad or neither)."""
     ratios = [o["ratio"] for s in found["scenarios"].values() for o in s["outputs"].values() if o["ratio"]]
-    lines = []
+    lines: list[tuple[str, str, bool | None]] = []
     if ratios:
         lines.append((f"× {max(ratios):.3f}", "largest RMSE of fixed point over float", None))
     for name, h in found["hardware"].items():

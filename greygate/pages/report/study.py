@@ -100,7 +100,7 @@ def _labels(port: Port) -> list[str]:
 
 def _elements(program: Program, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Outputs {port: (N,) or (N, size)} by element, {label: (N,)}."""
-    found = {}
+    found: dict[str, np.ndarray] = {}
     for p in program.outputs:
         columns = np.asarray(values[p.name], float).reshape(-1, p.signal.size).T
         found |= dict(zip(_labels(p), columns, strict=True))
@@ -182,7 +182,7 @@ def _curve(
     width whose program errs exactly as `compiled` does, if there is one. None: a width that cannot hold the ranges.
     """
     widths, word = list(widths), None
-    ratio = {n: {o: [] for o in s["outputs"]} for n, s in scenarios.items()}
+    ratio: dict[str, dict[str, list[float | None]]] = {n: {o: [] for o in s["outputs"]} for n, s in scenarios.items()}
     for width in widths:
         progress(f"{compiled.program.name}: {width} bits")
         try:
@@ -215,7 +215,7 @@ def _signals(compiled: Compiled, record: Record, saturations: Mapping[str, Mappi
     quantiles: of |value| where it is not zero, on the record.
     """
     program = compiled.program
-    trace = run(program, program.encode(record.inputs), trace=True, states=False).trace
+    trace = run(program, program.encode(record.inputs), trace=True, states=False).trace or {}
     inputs, states = {p.signal.name for p in program.inputs}, {s.signal.name for s in program.states}
     found = []
     for name, signal in program.signals.items():

@@ -14,8 +14,8 @@ def context(judged: Judged) -> dict:
 def bars(judged: Judged) -> list[tuple[str, list[dict]]]:
     """(signal with unit, a bar per record) in per cent of the axis: what was learnt, and what the record covers."""
     found = []
-    for (signal, unit), group in groupby(judged.ranges, key=lambda r: (r.signal, r.unit)):
-        group = list(group)
+    for (signal, unit), ranges in groupby(judged.ranges, key=lambda r: (r.signal, r.unit)):
+        group = list(ranges)
         low, high = min(r.low for r in group), max(r.high for r in group)
         factor, name = display(unit, max(abs(low), abs(high)))
         width = high - low or 1.0

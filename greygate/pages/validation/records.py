@@ -115,7 +115,7 @@ def histogram(error: np.ndarray, unit: str) -> Markup:
 def stems(test: Correlation) -> Markup:
     """Coefficients over lag, those outside the band in red; bands dashed, the thesis's 1.96/sqrt(N) dotted."""
     beyond = np.abs(test.values) > test.band
-    ends = [float(test.lags[0]) - 1, float(test.lags[-1]) + 1]
+    ends = (float(test.lags[0]) - 1, float(test.lags[-1]) + 1)
     lines = []
     for kind, which in (("inside", ~beyond), ("beyond", beyond)):
         x = [v for lag in test.lags[which] for v in (lag, lag, None)]
@@ -128,7 +128,7 @@ def stems(test: Correlation) -> Markup:
     return figures.chart(
         lines,
         x="lag [steps]",
-        x_limits=tuple(ends),
+        x_limits=ends,
         y_limits=(-reach, reach),
         levels=[(0.0, "")],
         width=WIDTH,
