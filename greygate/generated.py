@@ -27,9 +27,9 @@ def load(kind: str, text: str) -> types.ModuleType:
     path = folder / f"{name}.py"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if not path.exists() or path.read_text() != text:
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
             with replacing(path) as temporary:
-                temporary.write_text(text)
+                temporary.write_text(text, encoding="utf-8")
         writable = os.access(folder, os.W_OK)
     except (OSError, InputError):
         writable = False

@@ -54,7 +54,7 @@ from greygate.files import (
 from greygate.hardware.synthesis import synthesize
 from greygate.hardware.verify import Case, Scenario, Verification, verify_many
 from greygate.limits import ARCHITECTURES
-from greygate.machines.catalog import CATALOG, PLANTS, TRAINED, entry
+from greygate.machines.catalog import CATALOG, TRAINED, entry
 from greygate.models.network import Network
 from greygate.models.training.problem import Record
 from greygate.pages.report.study import size
@@ -288,23 +288,6 @@ class Project:
 def _kept(name: str) -> Path:
     """Resources that are kept in the package beside the network."""
     return TRAINED / f"{name}.resources.json"
-
-
-def plants(folder: Path, progress: Progress = silent) -> list[Project]:
-    """The plants of the catalogue, each from folder/NAME, compiled there if it is not yet.
-
-    Raises InputError where that folder holds something else.
-    """
-    found = []
-    for name in PLANTS:
-        if not (folder / name / FACTS).exists():
-            progress(f"compiling {name}")
-            compile_project(Source(name, {}), folder / name, Source(name, {}).formats())
-        project = Project.open(folder / name)
-        if project.source != Source(name, {}):
-            raise InputError(f"{folder / name}: holds {project.source.name}; give a folder in which {name} is {name}")
-        found.append(project)
-    return found
 
 
 def _results(folder: Path) -> list[Path]:

@@ -4,11 +4,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from greygate.compiler.quantize import Formats
+from greygate.errors import InputError
+from greygate.facts import FACTS
+from greygate.machines.catalog import PLANTS
 from greygate.pages.report import write
 from greygate.pages.report.study import study
 from greygate.pages.summary import WIDTHS, designs, results
 from greygate.progress import Progress, silent
-from greygate.project import Project
+from greygate.project import Project, compile_project
+from greygate.source import Source
 
 
 def report(
@@ -27,6 +31,23 @@ def report(
     studies = [_study(project, WIDTHS if side_by_side else None, progress) for project in projects]
     write(studies, out, Path(out).with_suffix(".json"), [results(studies), designs(studies)] if side_by_side else [])
     return studies
+
+
+def plants(folder: Path, progress: Progress = silent) -> list[Project]:
+    """The plants of the catalogue, each from folder/NAME, compiled there if it is not yet.
+
+    Raises InputError where that folder holds something else.
+    """
+    found = []
+    for name in PLANTS:
+        if not (folder / name / FACTS).exists():
+            progress(f"compiling {name}")
+            compile_project(Source(name), folder / name)
+        project = Project.open(folder / name)
+        if project.source != Source(name):
+            raise InputError(f"{folder / name}: holds {project.source.name}; give a folder in which {name} is {name}")
+        found.append(project)
+    return found
 
 
 def _study(project: Project, widths: Sequence[int] | None, progress: Progress) -> dict:

@@ -8,7 +8,7 @@ import test_report
 from test_report import PERIOD, record
 from typer.testing import CliRunner
 
-from greygate import project
+from greygate import project, reporting
 from greygate.cli import app
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
@@ -114,7 +114,7 @@ def plants(monkeypatch, records, tmp_path):
     entry = catalog.Entry(NAME, "Small", None, lambda: records, ("training",), ("training",), PERIOD)
     monkeypatch.setattr(catalog.Entry, "network", lambda self: network())
     monkeypatch.setitem(catalog.CATALOG, NAME, entry)
-    monkeypatch.setattr(project, "PLANTS", (NAME,))
+    monkeypatch.setattr(reporting, "PLANTS", (NAME,))
     monkeypatch.setattr(project, "TRAINED", tmp_path / "kept")
     (tmp_path / "kept").mkdir()
     monkeypatch.chdir(tmp_path)

@@ -115,7 +115,8 @@ def report(
     With --all one FOLDER, `hardware` if none is given. Exit code 1 if --verify finds a differing bit.
     """
     from greygate.pages.summary import aligned, designs, results
-    from greygate.project import Project, plants, verify_project
+    from greygate.project import Project, verify_project
+    from greygate.reporting import plants
     from greygate.reporting import report as measure
 
     if every and len(folders) > 1:

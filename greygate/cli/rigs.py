@@ -184,7 +184,7 @@ def conceal(
 
     with following(f"recording {plant}"):
         write(plant, seed, out, kind=kind, effect=effect)
-    seal = (out / "sealed.json.sha256").read_text().split()[0]
+    seal = (out / "sealed.json.sha256").read_text(encoding="utf-8").split()[0]
     give({"out": str(out), "sha256": seal}, as_json, [f"written to {out}", f"answer sealed with SHA-256 {seal}"])
 
 

@@ -53,26 +53,13 @@ def study(
         if name not in records:
             raise InputError(f"report {title}: no scenario {name}; there are {', '.join(records)}")
     program, hardware, references = compiled.program, hardware or {}, references or {}
-    units = {label: p.unit for p in program.outputs for label in _labels(p)}
     scenarios, saturations = {}, {}
     for name, record in records.items():
         progress(f"{title}: {name}")
-        reference, floating = _elements(program, record.targets), _float(compiled.network, program, record)
-        fixed, saturations[name] = _fixed(program, record)
-        outputs = {
-            label: {"unit": units[label]}
-            | _output(reference[label], floating[label], fixed[label], record.skip, period)
-            | {
-                "hardware": {
-                    a: _hardware(h, name, rms((fixed[label] - reference[label])[record.skip :]))
-                    for a, h in hardware.items()
-                },
-                "references": {s: r[name][label] for s, r in references.items() if label in r.get(name, {})},
-            }
-            for label in reference
-        }
-        steps = len(next(iter(reference.values())))
-        scenarios[name] = {"steps": steps, "seconds": steps * period, "skip": record.skip, "outputs": outputs}
+        scenarios[name], saturations[name] = _scenario(compiled, record, period)
+        for label, output in scenarios[name]["outputs"].items():
+            output["hardware"] = {a: _hardware(h, name, output["rmse"]["fixed"]) for a, h in hardware.items()}
+            output["references"] = {s: r[name][label] for s, r in references.items() if label in r.get(name, {})}
     return plain(
         {
             "title": title,
@@ -91,6 +78,20 @@ def study(
             "resources": resources or {},
         }
     )
+
+
+def _scenario(compiled: Compiled, record: Record, period: float) -> tuple[dict, dict[str, int]]:
+    """Float and fixed point on one record, by output; and saturations by signal."""
+    program = compiled.program
+    reference, floating = _elements(program, record.targets), _float(compiled.network, program, record)
+    fixed, saturations = _fixed(program, record)
+    units = {label: p.unit for p in program.outputs for label in _labels(p)}
+    outputs = {
+        label: {"unit": units[label]} | _output(reference[label], floating[label], fixed[label], record.skip, period)
+        for label in reference
+    }
+    steps = len(next(iter(reference.values())))
+    return {"steps": steps, "seconds": steps * period, "skip": record.skip, "outputs": outputs}, saturations
 
 
 def _labels(port: Port) -> list[str]:
