@@ -4,8 +4,9 @@ BIN := $(VENV)/bin
 PYTHON ?= python3
 OUT := demo
 PEERS := build/peers
+FOLDERS := models plants emulator compiler rtl mismatch machines recordings
 
-.PHONY: demo test test-old lint bench bench-training bench-diagnosis bench-programs fuzz faults mutants train clean tools
+.PHONY: demo test test-old lint types bench bench-training bench-diagnosis bench-programs fuzz faults mutants train clean tools
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -26,6 +27,13 @@ test-old: $(VENV)/.ready-dev | tools
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(MAKE) --no-print-directory types
+
+# The folders of the package lie side by side here; a type checker is to find them where an import does.
+types: $(VENV)/.ready-dev
+	rm -rf build/typed && mkdir -p build/typed/greygate
+	ln -s $(CURDIR)/greygate/* $(addprefix $(CURDIR)/,$(FOLDERS)) build/typed/greygate
+	$(BIN)/mypy
 
 bench: $(VENV)/.ready-dev | tools
 	$(BIN)/python benchmarks/engine.py

@@ -11,7 +11,7 @@ from pathlib import Path
 from greygate.augment import FACTS, augment
 from greygate.compiler.quantize import Formats
 from greygate.compiler.targets import BOTH
-from greygate.diagnose import explain
+from greygate.explain import explain
 from greygate.files import replacing
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.models.accuracy import float_error
@@ -21,12 +21,11 @@ from greygate.pictures import _over_time as over_time
 from greygate.pictures import _panel as panel
 from greygate.project import (
     Project,
-    Source,
     compile_project,
     fixed_and_float,
-    read_record,
     verify_project,
 )
+from greygate.source import Source, read_record
 
 CASES = {"cable_drum": (3, "speed_slip"), "valve_hydraulic": (8, "internal_leakage")}
 RESULTS = Path(__file__).parent / "results" / "augmented"

@@ -42,7 +42,8 @@ PRUNED = " pruned"
 
 def digests(names: list[str]) -> dict[str, dict[str, str]]:
     """Network -> file of its build -> SHA-256."""
-    from greygate.project import Source, compile_project
+    from greygate.project import compile_project
+    from greygate.source import Source
 
     found = {}
     for name in names:

@@ -18,6 +18,9 @@ def emit(program: Program, folder: Path | str, architecture: str = "parallel", m
     own: the building blocks used are copied into the folder, and `<program>.f` lists the sources. Either all files are
     written or none. Raises InputError for names that Verilog cannot hold, a program without input or output, an illegal
     option, or a folder that cannot be written.
+
+    >>> [path.name for path in emit(program, "rtl")][0]
+    'lag.v'
     """
     files = emitted(program, architecture, macs)
     folder = Path(folder)

@@ -68,7 +68,12 @@ def compile_network(
     set the formats (the first, if none is given). budget: instead of a width, the largest factor by which fixed point
     may raise the RMS error on each of `ranged_on`, 1.05 for five per cent. prune: see `entropy_pruning`. generic:
     merge linear layers even where that costs multiplications. meanings: let library networks become the logic that they
-    stand for (`meaning.py`), else keep their tanh form.
+    stand for (`meaning.py`), else keep their tanh form. period: s, of a step. Raises InputError without a record, for
+    a network that diverges on one, and for formats that cannot hold the ranges.
+
+    >>> compiled = compile(lag, {"train": record}, Formats(18))
+    >>> [p.name for p in compiled.passes][:2]
+    ['as declared', 'use_meanings']
     """
     if not records:
         raise InputError(f"network {network.name}: no record to compile on; ranges come from one")

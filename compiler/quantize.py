@@ -46,6 +46,9 @@ class Formats:
     of an FPGA's multiplier.
     margin: room above the observed range (1.25 = a quarter). wide: extra fraction bits of pre-activations.
     signals: formats the user (or the search for a budget) fixes, by signal name.
+
+    >>> Formats(18).width
+    18
     """
 
     width: int = 16

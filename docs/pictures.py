@@ -16,8 +16,7 @@ from greygate.machines.cable_drum import study as cable_drum
 from greygate.machines.catalog import entry
 from greygate.models.accuracy import float_error
 from greygate.models.training.record import Record
-from greygate.pages.figures import Line, chart
-from greygate.pages.report import envelope
+from greygate.pages.figures import Line, chart, envelope
 
 FOLDER = Path(__file__).parent / "pictures"
 WIDTH, HEIGHT, HEAD = 440, 230, 26  # px of a panel, and of what stands above it

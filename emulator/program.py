@@ -8,7 +8,7 @@ class here, and one function in the table of each that walks operations.
 import json
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -381,7 +381,14 @@ def _operations(value: object, where: str) -> tuple[Operation, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """One step of a network on integers. Made by the compiler; `check` holds before and after every pass."""
+    """One step of a network on integers. Made by the compiler; `check` holds before and after every pass.
+
+    docs/integer-program.md defines what each operation computes, to the bit.
+
+    >>> program = compiled.program
+    >>> program
+    <Program lag: u Fix(18, 17) -> y Fix(19, 18); 1 operations, 1 states>
+    """
 
     name: Annotated[str, check_name]
     inputs: tuple[Terminal, ...]
@@ -391,6 +398,13 @@ class Program:
     tables: tuple[Table, ...] = ()
     period: float = 1e-3  # s, for reports only
     notes: dict[str, str] = field(default_factory=dict)  # signal -> why it has its format
+
+    def __repr__(self) -> str:
+        inputs, outputs = (
+            ", ".join(f"{p.name} {p.signal.fix}" for p in ports) for ports in (self.inputs, self.outputs)
+        )
+        counted = f"{len(self.operations)} operations, {len(self.states)} states"
+        return f"<Program {self.name}: {inputs} -> {outputs}; {counted}>"
 
     @cached_property
     def signals(self) -> dict[str, Signal]:
@@ -466,7 +480,7 @@ class Program:
             if self.signals.get(port.signal.name) != port.signal:
                 yield f"output {port.name} shows {port.signal.name}, which is not a signal of the program"
 
-    def encode(self, values: dict[str, np.ndarray]) -> np.ndarray:
+    def encode(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
         """Physical inputs {port: (..., N) or (..., N, size)} to codes (..., N, columns), clipped to the formats.
 
         `clipped` tells how many were. Raises InputError for a value that is not finite.
@@ -478,7 +492,7 @@ class Program:
             columns.append(np.clip(codes, port.signal.fix.lo, port.signal.fix.hi).astype(np.int64))
         return np.concatenate(columns, axis=-1)
 
-    def clipped(self, values: dict[str, np.ndarray]) -> dict[str, Clipped]:
+    def clipped(self, values: Mapping[str, np.ndarray]) -> dict[str, Clipped]:
         """What `encode` clips of these values, by the name of the input; an input that fits is not in it."""
         found = {}
         for port in self.inputs:

@@ -3,8 +3,8 @@
 import errno
 import os
 import stat
+from io import BufferedIOBase
 from pathlib import Path
-from typing import BinaryIO
 
 CHUNK = 1 << 20  # bytes read at a time
 LARGEST = 1 << 26  # bytes: a hundred times the largest file that greygate writes, but for recordings
@@ -25,7 +25,7 @@ def contents(path: Path | str, most: int = LARGEST) -> bytes:
         return data
 
 
-def bounded(file: BinaryIO, most: int) -> bytes | None:
+def bounded(file: BufferedIOBase, most: int) -> bytes | None:
     """The rest of an open file, or None where it is more than `most` bytes; memory grows with what is there."""
     parts, size = [], 0
     while part := file.read(CHUNK):

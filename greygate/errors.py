@@ -15,6 +15,10 @@ class InputError(ValueError):
     What the message quotes from a file may hold anything: characters that do not print are escaped, and a message
     that is too long loses its middle. The command line prints it to stderr and exits with 2; nothing has been written
     by then.
+
+    >>> emulate(program, {"u": np.array([np.nan])})
+    Traceback (most recent call last):
+    greygate.errors.InputError: input u: a value is not finite; mend the recording
     """
 
     def __init__(self, message: str):

@@ -26,10 +26,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
-from greygate import __version__
 from greygate.contents import contents
 from greygate.errors import InputError, shown
 from greygate.reading import line, named, read_json, table, whole
+from greygate.version import __version__
 
 MANIFEST = "manifest.json"
 SCHEMA = 1  # of the manifest
@@ -57,19 +57,19 @@ def replacing_all(paths: Sequence[Path | str], durable: bool = True) -> Iterator
     Raises InputError where the folder is missing or cannot be written, `paths` holds a link, no file or one twice, or
     another process keeps writing them.
     """
-    paths = [Path(p) for p in paths]
-    if len(set(paths)) < len(paths):
-        raise InputError(f"{paths[0]}: two files would have this name; give another to one of them")
-    if any(folder in _absolute(paths[0]).parents for folder in _staged):
-        yield paths
+    files = [Path(path) for path in paths]
+    if len(set(files)) < len(files):
+        raise InputError(f"{files[0]}: two files would have this name; give another to one of them")
+    if any(folder in _absolute(files[0]).parents for folder in _staged):
+        yield files
         return
-    with writing(paths[0]):
-        for path in paths:
+    with writing(files[0]):
+        for path in files:
             if path.is_symlink() or (path.exists() and not path.is_file()):
                 raise InputError(f"{path}: is no plain file; give the name of a file, or a new one")
-        with locked(paths[0], PATIENCE):
-            _finish(paths)
-            new, commit = [_beside(p, "new") for p in paths], _beside(paths[0], "commit")
+        with locked(files[0], PATIENCE):
+            _finish(files)
+            new, commit = [_beside(p, "new") for p in files], _beside(files[0], "commit")
             try:
                 for path in new:
                     path.unlink(missing_ok=True)
@@ -81,8 +81,8 @@ def replacing_all(paths: Sequence[Path | str], durable: bool = True) -> Iterator
                     commit.touch()
                     if durable:
                         _sync(commit.parent)
-                    _finish(paths)
-                for path, final in zip(new, paths, strict=True):
+                    _finish(files)
+                for path, final in zip(new, files, strict=True):
                     if path in written and len(written) == 1:
                         path.replace(final)
                 if durable:
@@ -95,10 +95,10 @@ def replacing_all(paths: Sequence[Path | str], durable: bool = True) -> Iterator
 
 def settle(paths: Sequence[Path | str]) -> None:
     """Finish what a killed writer of these files left, if all was written by then."""
-    paths = [Path(p) for p in paths]
-    if _beside(paths[0], "commit").exists():
-        with writing(paths[0]), locked(paths[0], PATIENCE):
-            _finish(paths)
+    files = [Path(path) for path in paths]
+    if _beside(files[0], "commit").exists():
+        with writing(files[0]), locked(files[0], PATIENCE):
+            _finish(files)
 
 
 def read_all(paths: Sequence[Path | str]) -> list[bytes | None]:
@@ -106,15 +106,15 @@ def read_all(paths: Sequence[Path | str]) -> list[bytes | None]:
 
     Raises OSError where one cannot be read, InputError as `settle` or while they are written over and over.
     """
-    paths = [Path(p) for p in paths]
+    files = [Path(path) for path in paths]
     until = time.monotonic() + PATIENCE
     while time.monotonic() < until:
-        settle(paths)
-        before = _state(paths)
-        found = [contents(path) if path.exists() else None for path in paths]
-        if before == _state(paths) and not _beside(paths[0], "commit").exists():
+        settle(files)
+        before = _state(files)
+        found = [contents(path) if path.exists() else None for path in files]
+        if before == _state(files) and not _beside(files[0], "commit").exists():
             return found
-    raise InputError(f"{paths[0]}: another greygate keeps writing it; wait for it")
+    raise InputError(f"{files[0]}: another greygate keeps writing it; wait for it")
 
 
 def _state(paths: Sequence[Path]) -> list[tuple | None]:

@@ -27,9 +27,9 @@ def load(kind: str, text: str) -> types.ModuleType:
     path = folder / f"{name}.py"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if not path.exists() or path.read_text() != text:
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
             with replacing(path) as temporary:
-                temporary.write_text(text)
+                temporary.write_text(text, encoding="utf-8")
         writable = os.access(folder, os.W_OK)
     except (OSError, InputError):
         writable = False
@@ -37,6 +37,8 @@ def load(kind: str, text: str) -> types.ModuleType:
         spec = importlib.util.spec_from_file_location(name, path)
     else:
         spec = importlib.util.spec_from_loader(name, _InMemory(text.replace("cache=True", "cache=False")))
+    assert spec is not None  # neither a Python file nor a loader is without one
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # numba finds a cached function's globals by this name
     spec.loader.exec_module(module)

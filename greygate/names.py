@@ -6,6 +6,7 @@ of a name afterwards (Verilog, a path, a page) escapes it once more where it lea
 
 import re
 import unicodedata
+from typing import TypeGuard
 
 from greygate.errors import InputError, shown
 
@@ -63,8 +64,11 @@ def check_text(value: object, where: str) -> str:
 
 def check_file_name(value: object, where: str) -> str:
     """A file's or folder's own name, without folders; every join of a name to a path asks this."""
-    plain = _short(value, LONGEST_FILE) and _FILE.fullmatch(value) and not value.endswith(".")
-    if not plain or _RESERVED.fullmatch(value):
+    if (
+        not (_short(value, LONGEST_FILE) and _FILE.fullmatch(value))
+        or value.endswith(".")
+        or _RESERVED.fullmatch(value)
+    ):
         raise InputError(
             f"{where} {shown(value)}: not the name of one file on every system (letters a to z, digits, _ - and dots, "
             "no folder); rename it"
@@ -72,7 +76,7 @@ def check_file_name(value: object, where: str) -> str:
     return value
 
 
-def _short(value: object, longest: int) -> bool:
+def _short(value: object, longest: int) -> TypeGuard[str]:
     return isinstance(value, str) and 0 < len(value) <= longest
 
 

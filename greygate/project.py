@@ -10,20 +10,18 @@ resources.json         what synthesis found, by architecture and target
 simulation/            results and logs of the last verification, by architecture
 """
 
-import json
 import os
 import re
 import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from greygate.build import FACTS, read_facts, read_hardware, read_resources
 from greygate.compiler.emit import emit, emitted
 from greygate.compiler.pipeline import Compiled, Pass, compile_network, entropy_pruning, fixed_error
 from greygate.compiler.prune import Round, retrained
@@ -34,11 +32,11 @@ from greygate.compiler.targets import BOTH, NAMES, Architecture, target
 from greygate.emulator.engine import run
 from greygate.emulator.program import Program
 from greygate.errors import InputError
+from greygate.facts import FACTS, read_facts, read_hardware, read_resources
 from greygate.files import (
     changed,
     linked,
     locked,
-    making,
     manifest,
     replacing,
     replacing_all,
@@ -49,16 +47,15 @@ from greygate.files import (
 )
 from greygate.hardware.synthesis import synthesize
 from greygate.hardware.verify import Case, Scenario, Verification, stop_tools, verify_many
-from greygate.machines.catalog import CATALOG, PLANTS, TRAINED, entry
-from greygate.machines.measured.identification import settled
-from greygate.models.accuracy import float_error, free_run_rms, rms
-from greygate.models.network import Network, Port
-from greygate.models.training.levenberg import Outcome, narx_noe, train
-from greygate.models.training.record import Record, held_out
-from greygate.pages.report import plain, size
-from greygate.plants.recording import read_csv
+from greygate.machines.catalog import CATALOG, TRAINED, entry
+from greygate.models.accuracy import float_error, rms
+from greygate.models.network import Network
+from greygate.models.training.record import Record
+from greygate.pages.report.study import size
+from greygate.plain import json_text
 from greygate.progress import Progress, silent
 from greygate.reading import read_json
+from greygate.source import Source
 
 LATER = (  # what verify and synthesize add to a build, in which nobody else writes
     rf"verify\.json|resources\.json|results-({'|'.join(NAMES)})\.xml|"
@@ -66,170 +63,12 @@ LATER = (  # what verify and synthesize add to a build, in which nobody else wri
     r"build/(bench(\.v)?|job\.(json|npz)|verdicts\.json|(verilator|make)\.log|(Vtop|verilat)\w*(\.\w+)+))"
 )
 RETRAIN_EPOCHS = 4
-SAME_TIME = 1e-3  # by which sample times may differ, relatively: printed times are rounded
-
-
-def read_record(network: Network, path: Path | str, targets: bool = True) -> Record:
-    """A recording as the network's ports name it: columns `port_unit`, time in `t_s`.
-
-    Raises InputError for a missing column or unit, NaN, non-uniform time, an empty file.
-    """
-    return _read(network, path, targets)[0]
-
-
-def read_records(network: Network, paths: Mapping[str, Path | str]) -> dict[str, Record]:
-    """Recordings by scenario, as `read_record`. Raises InputError if their sample times differ."""
-    found = {scenario: _read(network, path) for scenario, path in paths.items()}
-    times = {path: dt for path, (_, dt) in zip(paths.values(), found.values(), strict=True)}
-    for path, dt in times.items():
-        first, expected = next(iter(times.items()))
-        if abs(dt - expected) > SAME_TIME * expected:
-            raise InputError(f"{path}: sampled every {dt:g} s, {first} every {expected:g} s; resample one of them")
-    return {scenario: record for scenario, (record, _) in found.items()}
-
-
-def _read(network: Network, path: Path | str, targets: bool = True) -> tuple[Record, float]:
-    """The record and its sample time in s."""
-    for port in network.inputs + network.outputs:
-        if port.size > 1:
-            raise InputError(f"port {port.name} has {port.size} elements, a CSV column holds one; use scalar ports")
-    wanted = network.inputs + (network.outputs if targets else [])
-    recording = read_csv(path, {p.name: p.unit for p in wanted})
-
-    def channels(ports: list[Port]) -> dict[str, np.ndarray]:
-        return {p.name: recording[p.name] for p in ports}
-
-    return Record(channels(network.inputs), channels(network.outputs) if targets else {}), recording.dt
-
-
-@dataclass(frozen=True)
-class Source:
-    """Where a network and its records come from: a name of the catalogue, or a file with recordings beside it."""
-
-    name: str
-    recordings: Mapping[str, str]  # scenario -> CSV; empty for the catalogue's own
-    settle: int = 0  # first samples of each recording that only tell the state it starts from
-
-    def network(self) -> Network:
-        if self.name in CATALOG:
-            return entry(self.name).network()
-        path = Path(self.name)
-        if self.name.endswith((".toml", ".safetensors")) or (path.name and path.with_suffix(".toml").exists()):
-            return Network.load(self.name)
-        entry(self.name)  # names those there are
-
-    def records(self) -> dict[str, Record]:
-        if not self.recordings:
-            if self.name not in CATALOG:
-                raise InputError(f"{self.name}: give recordings of it, --record FILE.csv")
-            return dict(entry(self.name).records())
-        records = read_records(self.network(), self.recordings)
-        return {scenario: replace(record, skip=self.settle) for scenario, record in records.items()}
-
-    @property
-    def title(self) -> str:
-        return entry(self.name).title if self.name in CATALOG else Path(self.name).stem
-
-    @property
-    def period(self) -> float:
-        if self.name in CATALOG:
-            return entry(self.name).period
-        return read_csv(next(iter(self.recordings.values()))).dt if self.recordings else 1e-3
-
-    @property
-    def training(self) -> tuple[str, ...]:
-        """Scenarios that set ranges and formats: the catalogue's training runs, or the first recording given."""
-        return entry(self.name).training if not self.recordings else tuple(self.recordings)[:1]
-
-    @property
-    def scenarios(self) -> tuple[str, ...]:
-        """Scenarios that hardware is verified on."""
-        if self.name in CATALOG and not self.recordings:
-            return entry(self.name).scenarios
-        return tuple(self.recordings)
-
-    def formats(self, width: int = 16, finer: int | None = None) -> Formats:
-        """Formats of that word; finer: as in `Formats`, what the catalogue says of the network if not given."""
-        own = entry(self.name).finer if self.name in CATALOG else 0
-        return Formats(width, own if finer is None else finer)
-
-    @property
-    def references(self) -> Mapping[str, Mapping]:
-        return entry(self.name).references if self.name in CATALOG else {}
-
-
-def train_source(
-    source: Source,
-    folder: Path,
-    held: Mapping[str, str],
-    *,
-    narx: bool = True,
-    progress: Progress = silent,
-    **options,
-) -> dict:
-    """Train the network on its recordings and write it, with the figures returned, into the folder.
-
-    held: scenario -> CSV that only chooses the epoch. narx: learn one step ahead first. options: of `train`. If the
-    source settles, the state before each recording is estimated, in training and for the figures.
-    Raises InputError as `train`, before anything is written.
-    """
-    if both := set(source.recordings) & set(held):
-        raise InputError(f"{min(both)} is given to learn from and to judge on; name one otherwise")
-    paths = {name: Path(path).resolve() for name, path in (source.recordings | held).items()}
-    if len(set(paths.values())) < len(paths):
-        raise InputError("one file is given twice, under two names; give another to judge on")
-    network, found = source.network(), replace(source, recordings=source.recordings | held).records()
-    records, others = ({name: found[name] for name in names} for names in (source.recordings, held))
-    learn = narx_noe if narx and not options.get("shooting") else train
-    checkpoint = folder / f"{network.name}.checkpoint"
-    with making(folder), writing(folder):
-        fit = learn(
-            network,
-            list(records.values()),
-            held=list(others.values()),
-            checkpoint=checkpoint,
-            keep=True,
-            progress=progress,
-            estimate_initial=source.settle > 0,
-            **options,
-        )
-    trained = network.with_parameters(fit.network.parameters())  # as it was declared, meanings and modules kept
-    _, ends = held_out(network, list(records.values()), options.get("tail", 0.0), ())
-    judged = {name: settled(trained, record) for name, record in found.items()}
-    judged |= {f"{name} tail": replace(judged[name], skip=end.skip) for name, end in zip(records, ends, strict=False)}
-    figures = {
-        "outcome": fit.outcome.name.lower(),
-        "sentence": fit.outcome.value,
-        "epochs": len(fit.history) - 1,
-        "loss": fit.history[-1],
-        "seconds": round(fit.seconds, 2),
-        "rmse": {name: free_run_rms(trained, record) for name, record in judged.items()},
-        "remarks": list(fit.remarks),
-        "out": str(folder / f"{network.name}.toml"),
-    }
-    trained.save(folder / network.name, _json(plain(figures)))
-    if fit.outcome not in (Outcome.INTERRUPTED, Outcome.TIME):
-        for left in ("", ".shooting"):
-            Path(f"{checkpoint}{left}").unlink(missing_ok=True)
-    return plain(figures)
 
 
 def compile_project(
-    source: Source, folder: Path | str, formats: Formats, *, progress: Callable[[str], None] | None = None, **options
-) -> Compiled:
-    """Compile and write the folder, whole or not at all: see `replacing_folder` for what it may replace.
-
-    options: of `_compile`. Nobody else writes that folder meanwhile.
-    """
-    with replacing_folder(folder, "compile", LATER) as new:
-        return _compile(source, new, formats, progress or (lambda text: None), **options)
-
-
-def _compile(
     source: Source,
-    new: Path,
-    formats: Formats,
-    say: Callable[[str], None],
+    folder: Path | str,
+    formats: Formats | None = None,
     *,
     budget: float | None = None,
     prune: float | None = None,
@@ -238,39 +77,72 @@ def _compile(
     generic: bool = False,
     architectures: Sequence[str] = BOTH,
     macs: int = 4,
+    progress: Progress = silent,
 ) -> Compiled:
-    """Compile and fill the folder `new`.
+    """Compile a network and write the folder that `Project.open` reads, whole or not at all.
 
+    An earlier build of that folder is replaced, and nothing else is. Nobody else writes the folder meanwhile.
+
+    formats: those of the source if not given. budget, generic: as for `compile`.
     prune: factor by which entropy pruning may raise the RMS error on the training records, e.g. 1.02.
     weights: method of `compiler.saliency` that then takes out single weights, within that factor once more.
     held: scenarios that bound the error of pruning instead, other than the training ones.
+    architectures: of the Verilog. macs: multipliers of the folded one.
+    Raises InputError as `Source`, `compile` and `emit`, and for a folder that holds other files.
+
+    >>> compiled = build(source, "lag", Formats(18))
+    >>> sorted(path.name for path in Path("lag/rtl").iterdir())
+    ['folded', 'parallel']
     """
     if weights is not None and weights not in METHODS:
         raise InputError(f"no pruning method {weights!r}; there are {', '.join(METHODS)}")
-    network, records = source.network(), source.records()
+    formats = formats or source.formats()
+    with replacing_folder(folder, "compile", LATER) as new:
+        network, records = source.network(), source.records()
+        compiled = compile_network(
+            network,
+            records,
+            formats,
+            ranged_on=source.training,
+            budget=budget,
+            prune=_pruning(source, records, prune, weights, held, progress),
+            generic=generic,
+            period=source.period,
+        )
+        _write(new, source, compiled, formats, architectures, macs)
+    return compiled
+
+
+def _pruning(
+    source: Source,
+    records: Mapping[str, Record],
+    prune: float | None,
+    weights: str | None,
+    held: Sequence[str],
+    progress: Progress,
+) -> Callable[[Network], tuple[Network, list[Round]]] | None:
+    """The passes that prune, in turn; None where nothing is to be pruned."""
     if learnt := set(held) & set(source.training):
         raise InputError(f"{min(learnt)} sets the ranges and cannot be held out; give another recording before it")
     training, judges = ([records[n] for n in names] for names in (source.training, held))
-    passes = []
-    own = {"weights": METHODS[weights]} if weights else {}
-    if prune is not None and not held and source.name in CATALOG and entry(source.name).prune:
-        passes.append(partial(entry(source.name).prune, allowed=prune, progress=say, **own))
+    passes: list[Callable] = []
+    stored = entry(source.name).prune if source.name in CATALOG else None
+    if prune is not None and not held and stored is not None:
+        own: dict = {"weights": METHODS[weights]} if weights else {}
+        passes.append(partial(stored, allowed=prune, progress=progress, **own))
     else:
         if prune is not None:
-            passes.append(entropy_pruning(training, partial(_retrain, training, say), prune, judges))
+            passes.append(entropy_pruning(training, partial(_retrain, training, progress), prune, judges))
         if weights is not None:
-            passes.append(saliency_pruning(training, METHODS[weights], prune or 1.0, judges, progress=say))
-    say("compiling")
-    compiled = compile_network(
-        network,
-        records,
-        formats,
-        ranged_on=source.training,
-        budget=budget,
-        prune=partial(_in_turn, passes) if passes else None,
-        generic=generic,
-        period=source.period,
-    )
+            passes.append(saliency_pruning(training, METHODS[weights], prune or 1.0, judges, progress=progress))
+    progress("compiling")
+    return partial(_in_turn, passes) if passes else None
+
+
+def _write(
+    folder: Path, source: Source, compiled: Compiled, formats: Formats, architectures: Sequence[str], macs: int
+) -> None:
+    """Fill the folder of a build."""
     facts = {
         "source": source.name if source.name in CATALOG else str(Path(source.name).resolve()),
         "recordings": {n: str(Path(p).resolve()) for n, p in source.recordings.items()},
@@ -282,11 +154,10 @@ def _compile(
         "pruning": [asdict(r) for r in compiled.pruning],
     }
     for architecture in architectures:
-        emit(compiled.program, new / "rtl" / architecture, architecture, macs)
-    compiled.program.save(new / "program.json")
-    compiled.network.save(new / "network")
-    _write_json(new / FACTS, facts)
-    return compiled
+        emit(compiled.program, folder / "rtl" / architecture, architecture, macs)
+    compiled.program.save(folder / "program.json")
+    compiled.network.save(folder / "network")
+    _write_json(folder / FACTS, facts)
 
 
 def fixed_and_float(compiled: Compiled, record: Record, before: Network | None = None) -> dict[str, dict]:
@@ -299,8 +170,8 @@ def fixed_and_float(compiled: Compiled, record: Record, before: Network | None =
     }
 
 
-def _retrain(records: list[Record], say: Callable[[str], None], network: Network) -> Network:
-    say(f"retraining with {sum(layer.size for layer in network.modules.values())} neurons")
+def _retrain(records: list[Record], progress: Progress, network: Network) -> Network:
+    progress(f"retraining with {sum(layer.size for layer in network.layers().values())} neurons")
     return retrained(network, records, RETRAIN_EPOCHS)
 
 
@@ -314,7 +185,15 @@ def _in_turn(passes: Sequence[Callable], network: Network) -> tuple[Network, lis
 
 @dataclass(frozen=True)
 class Project:
-    """A compiled folder, read back."""
+    """A folder that `build` wrote, read back.
+
+    folder: where it stands. source: what it was compiled from. program, network: what the compiler made, in integers
+    and in float. facts: what compile.json says.
+
+    >>> project = Project.open("lag")
+    >>> project.program.name, project.facts["macs"]
+    ('lag', 4)
+    """
 
     folder: Path
     source: Source
@@ -407,24 +286,6 @@ def _kept(name: str) -> Path:
     return TRAINED / f"{name}.resources.json"
 
 
-def plants(folder: Path, progress: Callable[[str], None] | None = None) -> list[Project]:
-    """The plants of the catalogue, each from folder/NAME, compiled there if it is not yet.
-
-    Raises InputError where that folder holds something else.
-    """
-    found = []
-    for name in PLANTS:
-        if not (folder / name / FACTS).exists():
-            if progress:
-                progress(f"compiling {name}")
-            compile_project(Source(name, {}), folder / name, Source(name, {}).formats())
-        project = Project.open(folder / name)
-        if project.source != Source(name, {}):
-            raise InputError(f"{folder / name}: holds {project.source.name}; give a folder in which {name} is {name}")
-        found.append(project)
-    return found
-
-
 def _results(folder: Path) -> list[Path]:
     """What `verify` writes, together."""
     return [folder / "verify.json", *(folder / f"results-{architecture}.xml" for architecture in NAMES)]
@@ -437,6 +298,10 @@ def verify_project(
 
     Writes verify.json and one results-ARCHITECTURE.xml (JUnit) each into the folder. as_is: even Verilog that is not
     what `emit` makes of the program; it is code, and Verilator runs it. Raises InputError for such Verilog otherwise.
+
+    >>> found = verify(project, seed=1)
+    >>> {architecture: one.passed for architecture, one in found.items()}
+    {'parallel': True, 'folded': True}
     """
     with writing(project.folder), locked(project.folder.resolve()):
         if (edited := project.edited()) and not as_is:
@@ -489,7 +354,7 @@ def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[
             },
         }
     with replacing_all(_results(project.folder)) as (found, *junits):
-        found.write_text(_json(hardware))
+        found.write_text(json_text(hardware), encoding="utf-8")
         for architecture, path in zip(NAMES, junits, strict=True):
             if architecture in results:
                 path.write_bytes(results[architecture].junit.read_bytes())
@@ -503,6 +368,9 @@ def synthesize_project(
 
     limit: seconds of processor time for each tool; a design that takes longer is told as {"stopped_after_s": limit}.
     keep: add them to those in the package too. Raises InputError there for a program that is not the catalogue's.
+
+    >>> sorted(synthesize(project, "ice40"))
+    ['folded, ice40', 'parallel, ice40']
     """
     name = project.source.name
     if keep and (name not in CATALOG or project.source.recordings):
@@ -520,30 +388,6 @@ def synthesize_project(
     return found
 
 
-def study_project(project: Project, progress: Callable[[str], None] | None = None, **options) -> dict:
-    """What the report says of one project: see `greygate.pages.report.study`, which takes the options."""
-    from greygate.pages.report import study  # brings scipy.signal, which takes a second
-
-    records = project.source.records()
-    return study(
-        project.facts["title"],
-        project.compiled(records),
-        records,
-        ranged_on=project.source.training,
-        period=project.program.period,
-        called=Path(project.source.name).stem,
-        references=project.source.references,
-        hardware=project.hardware,
-        resources=project.resources,
-        progress=progress,
-        **{"formats": Formats(finer=project.facts.get("finer", 0))} | options,
-    )
-
-
-def _json(value: object) -> str:
-    return json.dumps(value, indent=1) + "\n"
-
-
 def _write_json(path: Path, value: object) -> None:
     with replacing(path) as temporary:
-        temporary.write_text(_json(value))
+        temporary.write_text(json_text(value), encoding="utf-8")

@@ -14,6 +14,7 @@ from difflib import get_close_matches
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from greygate.names import check_path
 DEEPEST = 64  # tables and lists inside one another: three times what the deepest network needs
 LIKE = 0.75  # as much alike (difflib) are an unknown entry and the one that may be meant
 
-Kind = Callable[[object, str], object]
+Kind = Callable[[Any, str], Any]
 NONE: Mapping[str, Kind] = MappingProxyType({})
 
 
@@ -39,12 +40,12 @@ def read_toml(path: Path | str, wish: str, data: bytes | None = None) -> dict:
     return _read(path, "TOML", tomllib.loads, wish, data)
 
 
-def read_json(path: Path | str, wish: str) -> object:
+def read_json(path: Path | str, wish: str) -> Any:
     """The value of a JSON file. wish: as in `read_toml`. Raises InputError naming the file, and where JSON ends."""
     return _read(path, "JSON", lambda text: json.loads(text, object_pairs_hook=_unrepeated), wish)
 
 
-def _read(path: Path | str, format: str, parse: Callable, wish: str, data: bytes | None = None):
+def _read(path: Path | str, format: str, parse: Callable, wish: str, data: bytes | None = None) -> Any:
     try:
         value = parse((contents(path) if data is None else data).decode("utf-8-sig"))
     except InputError:
@@ -78,7 +79,7 @@ def _unrepeated(pairs: list[tuple[str, object]]) -> dict:
     found = dict(pairs)
     if len(found) < len(pairs):
         counts = Counter(name for name, _ in pairs)
-        raise ValueError(f"the entry {shown(max(counts, key=counts.get))} stands twice")
+        raise ValueError(f"the entry {shown(counts.most_common(1)[0][0])} stands twice")
     return found
 
 
@@ -117,7 +118,7 @@ def named(kind: Kind, name: Kind = check_path) -> Kind:
     return read
 
 
-def listed(kind: Kind) -> Kind:
+def listed(kind: Kind) -> Callable[[object, str], list]:
     """A list of one kind."""
 
     def read(value: object, where: str) -> list:
@@ -159,9 +160,10 @@ def within(low: float, high: float, wish: str) -> Kind:
     """A finite number from low to high. wish: what to give else."""
 
     def read(value: object, where: str) -> float:
-        if not low <= number(value, where) <= high:
-            raise InputError(f"{where} {shown(value)} is too {'small' if value < low else 'large'}; {wish}")
-        return float(value)
+        found = number(value, where)
+        if not low <= found <= high:
+            raise InputError(f"{where} {shown(value)} is too {'small' if found < low else 'large'}; {wish}")
+        return found
 
     return read
 

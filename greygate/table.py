@@ -83,6 +83,7 @@ def read_table(path: Path | str, nan: bool = False) -> Table:
 
 
 def _text(path: Path) -> str:
+    data: bytes | None
     try:
         data = contents(path, MOST_BYTES)
         if data.startswith(_GZIP):
@@ -109,7 +110,8 @@ def _text(path: Path) -> str:
 
 def _rows(path: Path, text: str) -> tuple[list[int], list[list[str]], str]:
     """(line that each row ends on, cells of each row that is not blank, separator)."""
-    first = re.match(r"\s*([^\r\n]*)", text).group(1)
+    line = re.match(r"\s*([^\r\n]*)", text)
+    first = line[1] if line else ""
     outside = re.sub(r'"[^"]*"', "", first)
     found = [s for s in ",;" if s in outside] or ["\t"]
     if len(found) > 1:

@@ -232,6 +232,16 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
 
     effects: those to be tried, by key; by default all that are known for the rig. Raises InputError where a recording
     or the table of effects cannot serve.
+
+    >>> force = 60.0 * np.repeat(np.random.default_rng(2).standard_normal(30), 40)
+    >>> real = axis.with_parameters(viscous=500.0)  # the data sheet of `load_rig` says 400, up to 10 % off
+    >>> x = simulate(real, {"force": force}, sample_time=5e-3)["x"]
+    >>> x = x + 2e-6 * np.random.default_rng(3).standard_normal(1200)
+    >>> columns = np.column_stack([np.arange(1200) * 5e-3, force, x])
+    >>> np.savetxt("rig/identify.csv", columns, delimiter=",", header="t,force,x", comments="")
+    >>> found = diagnose(rig)
+    >>> str(found.verdict), list(found.as_dict()["parameters"])
+    ('parameter_error', ['viscous'])
     """
     began = time.perf_counter()
     recording = rig.recording(rig.folder / "identify.csv")

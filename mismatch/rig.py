@@ -126,6 +126,22 @@ def load(folder: Path | str) -> Rig:
     """The rig of `folder`/rig.toml; its plant is one of `machines/*/NAME.toml`, or a TOML file named beside it.
 
     Raises InputError naming file and entry.
+
+    >>> Path("rig").mkdir()
+    >>> _ = Path("rig/axis.toml").write_text(text)  # of `Plant`
+    >>> sheet = '''
+    ... plant = "axis.toml"
+    ... sample_time_s = 0.005
+    ... predict = ["x"]
+    ... parameters = { mass = 20.0, viscous = 400.0 }
+    ... tolerance = { viscous = 0.1 }
+    ... channels.force = { unit = "N", role = "input", resolution = 1e-3 }
+    ... channels.x = { unit = "m", role = "output", noise_rms = 2e-6 }
+    ... '''
+    >>> _ = Path("rig/rig.toml").write_text(sheet)
+    >>> rig = load_rig("rig")
+    >>> rig.plant.parameters["viscous"].tolerance
+    0.1
     """
     folder = Path(folder)
     path = folder / "rig.toml"

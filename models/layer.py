@@ -16,6 +16,10 @@ class Port:
 
     value: `unit` (SI). `initial`: what the port carried before the first step, in `unit`. `resolution`: of the sensor,
     in `unit`, 0 if it is not known; the hardware's input codes are then no coarser and no finer.
+
+    >>> u, y = Port("u", "V", scale=2.0), Port("y", "m", scale=1e-3)
+    >>> u.scale  # what 2 V are inside: 1
+    2.0
     """
 
     name: str
@@ -43,6 +47,10 @@ class Layer:
     weights: port -> (rows, n). bias: (rows,). initial: (size,), its output before the first step. A neuron is a row;
     only `select`, a multiplexer, has three rows a neuron (`models.activations`).
     frozen: names of ports (or "bias") that training leaves as they are.
+
+    >>> memory = Layer({"u": [[0.08]], "y": [[0.9]]}, [0.0])
+    >>> memory.size, memory.activation
+    (1, 'linear')
     """
 
     weights: dict[str, np.ndarray]
@@ -81,7 +89,12 @@ class Layer:
 
 @dataclass(frozen=True)
 class Connection:
-    """target(k) receives gain @ source(k - delay). Names: `port`, `module` or `module.port`."""
+    """target(k) receives gain @ source(k - delay). Names: `port`, `module` or `module.port`.
+
+    >>> feedback = Connection("memory", "memory.y", delay=1)
+    >>> feedback.delay
+    1
+    """
 
     source: str
     target: str

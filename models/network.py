@@ -22,6 +22,14 @@ class Network:
     """Modules joined by connections; itself a module of another network.
 
     meaning: name of the library function that it stands for (families/library.py), which the compiler may emit instead.
+
+    >>> lag = Network("lag", [u], [y], {"memory": memory}, [feedback])
+    >>> lag.connect("u", "memory.u")
+    >>> lag.connect("memory", "y")
+    >>> lag
+    <Network lag: u [V] -> y [m]; 1 layers, 3 parameters>
+    >>> lag.run({"u": np.array([2.0, 0.0])})["y"]  # m
+    array([8.0e-05, 7.2e-05])
     """
 
     name: str
@@ -30,6 +38,11 @@ class Network:
     modules: dict[str, "Layer | Network"] = field(default_factory=dict)
     connections: list[Connection] = field(default_factory=list)
     meaning: str = ""
+
+    def __repr__(self) -> str:
+        inputs, outputs = (", ".join(f"{p.name} [{p.unit}]" for p in ports) for ports in (self.inputs, self.outputs))
+        size = sum(v.size for v in self.parameters().values())
+        return f"<Network {self.name}: {inputs} -> {outputs}; {len(self.layers())} layers, {size} parameters>"
 
     # ---- building
 

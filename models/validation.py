@@ -125,6 +125,10 @@ def validate(
     free run from there, for up to 1000 points t of the record. Hidden states, which nobody measured, start from where
     the measured outputs before t have brought them.
     Raises InputError as `Objective`, and for a record with fewer than 4 (lags + 2) samples.
+
+    >>> (found,) = validate(lag, {"train": record}, period=1e-3)
+    >>> found.output, round(found.fit, 3), found.bounded
+    ('y', 100.0, True)
     """
     if not records:
         raise InputError(f"network {network.name}: no records to validate on")

@@ -83,6 +83,20 @@ class Plant:
     step:       of integration that suits it, s
 
     All names are checked here. Raises InputError naming plant, equation and term.
+
+    >>> text = '''
+    ... outputs = ["x"]
+    ... inputs = { force = "N" }
+    ... parameters = { mass = [20.0, "kg"], viscous = [400.0, "N s/m"] }
+    ... states = { x = { unit = "m", rate = "v" }, v = { unit = "m/s" } }
+    ... [equations]
+    ... position = { x = { velocity = "v" } }
+    ... motion = { v = { storage = "mass", drive = "force", friction = "-viscous * v" } }
+    ... '''
+    >>> _ = Path("axis.toml").write_text(text)
+    >>> axis = Plant.read("axis.toml")
+    >>> axis
+    <Plant axis: force [N] -> x; states x [m], v [m/s]>
     """
 
     name: str
@@ -96,6 +110,11 @@ class Plant:
     switches: Mapping[str, str] = field(default_factory=dict)
     step: float = 1e-4
     required: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        inputs = ", ".join(f"{symbol} [{unit}]" for symbol, unit in self.inputs.items())
+        states = ", ".join(f"{symbol} [{state.unit}]" for symbol, state in self.states.items())
+        return f"<Plant {self.name}: {inputs} -> {', '.join(self.outputs)}; states {states}>"
 
     def __post_init__(self):
         symbols: set[str] = set()

@@ -29,6 +29,11 @@ class Recording:
 
     history: what was done to it, a line a step (`plants/preparation.py`); a CSV does not keep it.
     Raises InputError when channels differ in length, are empty, hold NaN or inf, or lack a unit.
+
+    >>> recording = Recording(1e-3, record.inputs | record.targets, {"u": "V", "y": "m"})
+    >>> recording
+    <Recording recording: u [V], y [m]; 500 samples, one every 0.001 s>
+    >>> recording.write_csv("lag.csv")
     """
 
     dt: float
@@ -53,6 +58,10 @@ class Recording:
                 raise InputError(
                     f"{self.source}: channel {name}, sample {bad[0]} is {values[bad[0]]}; repair or cut the recording"
                 )
+
+    def __repr__(self) -> str:
+        channels = ", ".join(f"{name} [{self.units[name]}]" for name in self.channels)
+        return f"<Recording {self.source}: {channels}; {self.samples} samples, one every {self.dt:g} s>"
 
     def __getitem__(self, name: str) -> np.ndarray:
         """The channel `name`, float64 (samples,). Raises InputError naming the channels there are."""
@@ -99,6 +108,9 @@ def read_csv(
     dt: sample time in s of a file whose first column is an index `k` instead of a time.
 
     Raises InputError, naming the row as an editor numbers it (the header is 1) and the column.
+
+    >>> read_csv("lag.csv").samples
+    500
     """
     table, units = read_table(path), units or {}
     path, header = table.path, table.header

@@ -51,6 +51,9 @@ def simulate(
 
     Raises InputError for missing or unequal inputs, a step that does not divide, unknown states or channels, and,
     naming state and time, for a state that leaves the finite numbers.
+
+    >>> round(float(simulate(axis, {"force": np.full(100, 8.0)})["x"][-1]), 6)  # m, after 99 ms
+    0.001118
     """
     held = _inputs(plant, inputs)
     substeps = round(sample_time / step) if step > 0 else 0

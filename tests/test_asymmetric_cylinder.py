@@ -20,7 +20,8 @@ from greygate.machines.catalog import TRAINED, entry
 from greygate.machines.procedure import bar
 from greygate.models.accuracy import free_run_rms
 from greygate.models.adaptation import adopt
-from greygate.project import Source, fixed_and_float
+from greygate.project import fixed_and_float
+from greygate.source import Source
 
 
 def adopted():

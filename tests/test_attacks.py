@@ -24,7 +24,8 @@ from greygate.mismatch.concealed.conceal import sealed
 from greygate.models.network import Network
 from greygate.models.training.checkpoint import Checkpoint
 from greygate.plants.recording import read_csv
-from greygate.project import Project, Source, compile_project, verify_project
+from greygate.project import Project, compile_project, verify_project
+from greygate.source import Source
 from greygate.table import read_table
 
 

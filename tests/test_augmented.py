@@ -18,7 +18,8 @@ from greygate.mismatch.rig import load
 from greygate.models.accuracy import free_run_rms
 from greygate.models.families.blocks import feedforward
 from greygate.models.network import Network, Port
-from greygate.project import Project, Source, compile_project, read_record, verify_project
+from greygate.project import Project, compile_project, verify_project
+from greygate.source import Source, read_record
 
 KEPT = Path(__file__).parents[1] / "benchmarks" / "results" / "augmented"
 FIGURES = json.loads((KEPT / "figures.json").read_text())

@@ -9,7 +9,9 @@ import pytest
 from greygate.mismatch import rig
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.diagnosis import diagnose
-from greygate.pages import diagnosis as diagnosis_page
+from greygate.pages.diagnosis import page as draw
+from greygate.pages.diagnosis.residual import binned, dependence, residuals
+from greygate.pages.words import amount
 
 PLANT = """step = 1e-3
 outputs = ["x"]
@@ -50,8 +52,7 @@ def drum(tmp_path_factory):
     """Diagnosis of a drum that conceals a slip that grows with speed, and its page."""
     folder = conceal("cable_drum", 3, tmp_path_factory.mktemp("drum") / "case", effect="speed_slip", kind="one")
     result = diagnose(rig.load(folder))
-    diagnosis_page.write(result, folder / "page.html")
-    return result, (folder / "page.html").read_text()
+    return result, draw(result)
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +96,7 @@ def test_the_page_says_what_the_diagnosis_says(drum):
     assert found["verdict"] == "missing_physics"
     assert "<b>speed_slip</b>: slip per travel that grows with speed" in page
     value = found["effects"][0]["parameters"]["speed_slip"]
-    assert diagnosis_page.explain.amount(value["value"], value["ci95"], value["unit"]).value in page
+    assert amount(value["value"], value["ci95"], value["unit"]).value in page
     framed = re.findall(r'<figure class="told"><figcaption><b>(\w+)</b>', page)
     assert framed == found["where"][0]["depends_on"]
 
@@ -111,21 +112,21 @@ def test_every_hypothesis_that_was_fitted_stands_on_the_ladder_the_one_taken_fir
 
 def test_a_concealed_dependence_is_seen_before_and_gone_after(axis):
     """Of a rig that restarts, the drift of its position tells the force that is missing."""
-    before, after = diagnosis_page.residuals(axis, [axis.calibrated, axis.corrected])
+    before, after = residuals(axis, [axis.calibrated, axis.corrected])
     assert [e["id"] for e in axis.as_dict()["effects"]] == ["spring"]
     assert list(before.errors) == ["x drifts"]
     assert before.units["x drifts"] == "m/s"
     x = before.variables["x"]
-    assert diagnosis_page.dependence(x, before.errors["x drifts"]) > 0.9
+    assert dependence(x, before.errors["x drifts"]) > 0.9
     size = [np.median(np.abs(r.errors["x drifts"])) for r in (before, after)]
     assert size[1] < 0.05 * size[0]
     assert np.corrcoef(x, before.errors["x drifts"])[0, 1] < -0.9  # it pulls back
-    assert "x drifts" in diagnosis_page.page(axis)
+    assert "x drifts" in draw(axis)
 
 
 def test_quartiles_are_those_of_what_lies_in_a_part():
     x, y = np.repeat([1.0, 2.0, 3.0], 100), np.tile(np.arange(100.0), 3)
-    middle, quartiles = diagnosis_page.binned(x, y + 1000 * x)
+    middle, quartiles = binned(x, y + 1000 * x)
     assert len(middle) == 3
     np.testing.assert_allclose(quartiles[0], 1000 + np.percentile(np.arange(100.0), (25, 50, 75)))
 
@@ -133,6 +134,6 @@ def test_quartiles_are_those_of_what_lies_in_a_part():
 def test_a_variable_that_says_nothing_explains_nothing():
     rng = np.random.default_rng(0)
     x, y = rng.standard_normal((2, 5000))
-    assert diagnosis_page.dependence(x, y) < 0.02
-    assert diagnosis_page.dependence(x, x) > 0.9
-    assert diagnosis_page.dependence(x, np.ones(5000)) == 0.0
+    assert dependence(x, y) < 0.02
+    assert dependence(x, x) > 0.9
+    assert dependence(x, np.ones(5000)) == 0.0

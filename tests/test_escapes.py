@@ -28,13 +28,14 @@ from greygate.errors import InputError
 from greygate.hardware.verify import Case, Scenario, simulator_environment, verify_many
 from greygate.models.training.record import Record
 from greygate.models.validation import coverage, validate
-from greygate.pages import diagnosis as diagnosis_page
 from greygate.pages import figures
+from greygate.pages.diagnosis.evidence import ladder as draw_ladder
 from greygate.pages.figures import Line
-from greygate.pages.report import page, study
+from greygate.pages.report import page
+from greygate.pages.report.study import study
 from greygate.pages.summary import results
-from greygate.pages.validation import Judged
 from greygate.pages.validation import page as validation_page
+from greygate.pages.validation.judged import Judged
 from greygate.rtl import block
 
 HOSTILE = [
@@ -182,8 +183,8 @@ def test_no_text_of_a_study_becomes_a_tag_of_the_report():
     compiled = replace(
         compiled, program=replace(compiled.program, notes={compiled.program.inputs[0].signal.name: "why"})
     )
-    found = study("title", compiled, {"run": r}, ranged_on=["run"], period=1e-3, widths=[14])
-    names = {*compiled.program.signals, *found["scenarios"]["run"]["outputs"], "1", "why", "run", "title", "tansig"}
+    found = study("a title", compiled, {"run": r}, ranged_on=["run"], period=1e-3, widths=[14])
+    names = {*compiled.program.signals, *found["scenarios"]["run"]["outputs"], "1", "why", "run", "a title", "tansig"}
     names |= {found["program"], *(t["name"] for t in found["tables"])}
 
     def shown(text: str) -> str:
@@ -230,7 +231,7 @@ def test_no_text_of_a_drawing_becomes_a_tag():
         formats = figures.formats([signal | {"name": text}])
         changes = figures.weight_changes({f"{text}.layer.{text}": np.array([1.0, np.nan])})
         rivals = {text: 1.0, "nothing": 3.0}
-        ladder = diagnosis_page.ladder(SimpleNamespace(rivals=rivals, verdict="explained", best=text))
+        ladder = draw_ladder(SimpleNamespace(rivals=rivals, verdict="explained", best=text))
         return f"{chart}{formats}{changes}{ladder}"
 
     plain = Tags(drawn("plain")).found

@@ -15,15 +15,15 @@ import pytest
 from faults import KILLED, LEAVING, libc_has_exchange, struck, unforked, without_exchange
 from test_network import delay_line
 
-from greygate import diagnose as explain
-from greygate import files, project
+from greygate import explain, files, project, reporting, source
 from greygate.compiler.quantize import Formats
 from greygate.hardware.verify import Verdict, Verification
 from greygate.models.network import Network
 from greygate.models.training.checkpoint import Checkpoint
 from greygate.models.training.levenberg import Outcome, Trained
 from greygate.pages import report
-from greygate.project import Project, Source, compile_project
+from greygate.project import Project, compile_project
+from greygate.source import Source
 
 ALL = os.environ.get("GREYGATE_FAULTS") == "all"
 SAMPLE = 8  # points of each command and way that `make test` tries, and the last ones
@@ -143,7 +143,7 @@ def test_train_leaves_the_old_network_or_the_new_one_with_its_figures(line, tmp_
         trained = network.with_parameters({n: 0.9 * v for n, v in network.parameters().items()})
         return Trained(trained, Outcome.CONVERGED, (1.0, 0.5), 0.0)
 
-    monkeypatch.setattr(project, "narx_noe", learn)
+    monkeypatch.setattr(source, "narx_noe", learn)
     out = tmp_path / "here"
     out.mkdir()
     delay_line().save(out / "line", "{}\n")
@@ -199,7 +199,7 @@ def test_synthesize_leaves_the_old_figures_or_the_new_ones(built, monkeypatch):
 
 def test_report_leaves_the_old_pages_or_the_new_ones(built, tmp_path, monkeypatch):
     study = {"title": "line", "scenarios": {}}
-    monkeypatch.setattr(project, "study_project", lambda *a, **o: study)
+    monkeypatch.setattr(reporting, "_study", lambda *a, **o: study)
     monkeypatch.setattr(report, "page", lambda *a: "<html>new</html>")
     root = tmp_path / "pages"
     root.mkdir()

@@ -25,7 +25,8 @@ from greygate.models.families.regression import noe
 from greygate.models.network import Network
 from greygate.models.ports import ports
 from greygate.plants.recording import read_csv
-from greygate.project import Project, Source, compile_project
+from greygate.project import Project, compile_project
+from greygate.source import Source
 
 ROOT = Path(__file__).parent.parent
 RIGS = sorted(path.parent for path in (ROOT / "recordings" / "rigs").glob("*/rig.toml"))

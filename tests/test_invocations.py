@@ -16,7 +16,8 @@ from test_network import delay_line
 
 from greygate import cli
 from greygate.mismatch.concealed.conceal import conceal
-from greygate.project import Source, compile_project
+from greygate.project import compile_project
+from greygate.source import Source
 
 LEAST = 400  # invocations
 GOOD = {

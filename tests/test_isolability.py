@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from greygate.diagnose import explain
 from greygate.errors import InputError
+from greygate.explain import explain
 from greygate.mismatch import effects as table
 from greygate.mismatch import rig
 from greygate.mismatch.concealed import conceal

@@ -17,7 +17,8 @@ from greygate.machines.pruned import Kept, digest
 from greygate.models.arithmetic import exp, mean, product, tanh
 from greygate.models.network import Layer, Network, Port
 from greygate.plants.recording import Recording
-from greygate.project import Source, compile_project
+from greygate.project import compile_project
+from greygate.source import Source
 
 ROOT = Path(__file__).parents[1]
 EPS = np.finfo(float).eps

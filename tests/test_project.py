@@ -13,7 +13,8 @@ from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.files import write_manifest
 from greygate.models.network import Network
-from greygate.project import Project, Source, compile_project, synthesize_project, train_source, verify_project
+from greygate.project import Project, compile_project, synthesize_project, verify_project
+from greygate.source import Source, train_source
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,12 @@ from greygate.compiler.quantize import Formats
 from greygate.emulator.interpreter import interpret
 from greygate.errors import InputError
 from greygate.models.network import Layer, Network, Port
+from greygate.models.spectra import frequency_response
 from greygate.models.training.record import Record
-from greygate.pages.figures import Scale, number
-from greygate.pages.report import display, envelope, frequency_response, page, shown, study, write
+from greygate.pages.figures import Scale, envelope
+from greygate.pages.report import page, write
+from greygate.pages.report.study import study
+from greygate.pages.units import display, number, shown
 
 PERIOD = 2e-3
 RATES = np.array([0.02, 0.05])

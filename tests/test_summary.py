@@ -8,7 +8,7 @@ import test_report
 from test_report import PERIOD, record
 from typer.testing import CliRunner
 
-from greygate import project
+from greygate import project, reporting
 from greygate.cli import app
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
@@ -16,8 +16,8 @@ from greygate.errors import InputError
 from greygate.files import write_manifest
 from greygate.machines import catalog
 from greygate.models.network import Network
-from greygate.pages import report
-from greygate.pages.report import page, study
+from greygate.pages.report import page
+from greygate.pages.report.study import size, study
 from greygate.pages.summary import aligned, designs, results
 
 NAME = "tiny"
@@ -114,7 +114,7 @@ def plants(monkeypatch, records, tmp_path):
     entry = catalog.Entry(NAME, "Small", None, lambda: records, ("training",), ("training",), PERIOD)
     monkeypatch.setattr(catalog.Entry, "network", lambda self: network())
     monkeypatch.setitem(catalog.CATALOG, NAME, entry)
-    monkeypatch.setattr(project, "PLANTS", (NAME,))
+    monkeypatch.setattr(reporting, "PLANTS", (NAME,))
     monkeypatch.setattr(project, "TRAINED", tmp_path / "kept")
     (tmp_path / "kept").mkdir()
     monkeypatch.chdir(tmp_path)
@@ -134,7 +134,7 @@ def test_what_is_missing_is_compiled_and_what_was_left_is_read(plants):
     program = plants / "hardware" / NAME / "program.json"
     left = program.stat().st_mtime_ns
     found = {
-        "size": report.size(project.Project.open(program.parent).program),
+        "size": size(project.Project.open(program.parent).program),
         "resources": {"folded, ecp5": {"luts": 77}},
     }
     kept = plants / "kept" / f"{NAME}.resources.json"

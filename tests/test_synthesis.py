@@ -11,8 +11,9 @@ from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.hardware import synthesis
 from greygate.hardware.synthesis import run_tool
-from greygate.pages.report import size
-from greygate.project import Project, Source, compile_project, synthesize_project
+from greygate.pages.report.study import size
+from greygate.project import Project, compile_project, synthesize_project
+from greygate.source import Source
 
 
 @pytest.fixture

@@ -290,7 +290,7 @@ def test_every_output_of_every_record_is_judged_vectors_by_element():
 
 
 def test_figures_are_json_once_infinities_are_gone():
-    from greygate.pages.report import plain
+    from greygate.plain import plain
 
     (v,) = validate(linear(), {"run": record(500, equation_noise=0.1)}, period=PERIOD)
     figures = plain(v.figures())

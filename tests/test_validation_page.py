@@ -14,9 +14,11 @@ from greygate import cli
 from greygate.errors import InputError
 from greygate.models.network import Network
 from greygate.models.validation import validate
-from greygate.pages.validation import DRAWN, judge, page, rows, run_data, table
+from greygate.pages.validation import page
+from greygate.pages.validation.judged import judge, rows, table
+from greygate.pages.validation.records import DRAWN, run_data
 from greygate.plants.recording import Recording
-from greygate.project import Source
+from greygate.source import Source
 
 
 @pytest.fixture

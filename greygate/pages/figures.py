@@ -1,18 +1,23 @@
-"""Small SVG charts for the report: lines on linear or logarithmic axes, and formats on a scale of powers of two.
+"""Small SVG charts: lines on linear or logarithmic axes, and formats on a scale of powers of two.
 
-Colours are CSS classes of greygate/pages/report.html, so that pictures follow the page into dark mode and onto paper.
+Colours are CSS classes of style.html, so that pictures follow the page into dark mode and onto paper.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import pairwise
 
 import numpy as np
 from markupsafe import Markup
 
+from greygate.pages.units import number
+
 LEFT, RIGHT, TOP, BOTTOM = 58, 10, 8, 34  # margins of a chart, px
+BINS = 400  # of a whole run as it is drawn; each shows its least and its largest value
 ROW = 19  # height of one signal in `formats`, px
+TRUSTED = 0.8  # coherence below which a frequency response says nothing
 CHANGE_DECADES, CHANGE_HEIGHT = 6, 66  # of a row of `weight_changes`: its scale, and px
 
 
@@ -20,8 +25,8 @@ CHANGE_DECADES, CHANGE_HEIGHT = 6, 66  # of a row of `weight_changes`: its scale
 class Line:
     """Points (x, y) of equal length, None where there is nothing to draw. `kind` is the CSS class."""
 
-    x: Sequence[float]
-    y: Sequence[float | None]
+    x: Sequence[float | None] | np.ndarray
+    y: Sequence[float | None] | np.ndarray
     kind: str
 
 
@@ -73,19 +78,19 @@ def span(values: Sequence[float | None], log: bool = False, margin: float = 0.06
     return low - room, high + room
 
 
-def number(value: float | None, digits: int = 3) -> str:
-    """A figure as a person writes it: three significant digits, powers of ten where it is tiny or huge."""
-    if value is None:
-        return "–"
-    if value == 0:
-        return "0"
-    power = math.floor(math.log10(abs(value)))
-    if -4 < power < 6:
-        text = f"{value:.{max(digits - 1 - power, 0)}f}"
-    else:
-        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-        text = f"{mantissa}·10{str(int(exponent)).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
-    return text.replace("-", "−")
+def envelope(values: np.ndarray, bins: int = BINS) -> dict[str, list]:
+    """Least and largest value of each bin, in the order in which they come: {"step": [...], "value": [...]}."""
+    edges = np.unique(np.linspace(0, len(values), min(bins, len(values)) + 1).astype(int))
+    steps = []
+    for a, b in pairwise(edges):
+        part = values[a:b]
+        steps += sorted({a + int(np.argmin(part)), a + int(np.argmax(part))})
+    return {"step": steps, "value": shortened(values[steps])}
+
+
+def shortened(values: np.ndarray) -> list[float]:
+    """Six significant digits: enough to draw, and half the bytes."""
+    return [float(f"{v:.6g}") for v in values]
 
 
 def chart(
@@ -109,7 +114,7 @@ def chart(
     """
     bottom = BOTTOM if x else 8
     inner_w, inner_h = width - LEFT - RIGHT, height - TOP - bottom
-    every_x = [v for line in lines for v in line.x]
+    every_x = [v for line in lines for v in line.x if v is not None]
     every_y = [v for line in lines for v in line.y] + [v for v, _ in levels]
     sx = Scale(*(x_limits or (min(every_x), max(every_x))), inner_w, x_log)
     sy = Scale(*(y_limits or span(every_y, y_log)), inner_h, y_log)
@@ -141,7 +146,41 @@ def chart(
     return Markup("".join(parts) + "</svg>")
 
 
-def _labels(ticks: list[float], log: bool) -> list[str]:
+def accuracy(
+    frequency: Sequence[float], found: Mapping[str, Mapping], heights: tuple[int, int, int], width: int = 380
+) -> Markup:
+    """Magnitude, phase and coherence of Ŷ/Y over frequency [Hz], three panels one above another.
+
+    found: CSS class of a line -> {"magnitude", "phase" [degrees], "coherence"}, as `models.spectra.frequency_response`
+    has them. Magnitude and phase are drawn only where the coherence says that they mean something.
+    """
+    x_limits = span(frequency, log=True, margin=0)
+
+    def panel(part: str, y: str, low: float, high: float, height: int, x: str = "") -> Markup:
+        known = part == "coherence"
+        lines = [
+            Line(
+                frequency,
+                [v if known or (c is not None and c >= TRUSTED) else None for v, c in zip(*pair, strict=True)],
+                kind,
+            )
+            for kind, pair in ((kind, (one[part], one["coherence"])) for kind, one in found.items())
+        ]
+        seen = [v for line in lines for v in line.y if v is not None]
+        y_limits = span([*np.percentile(seen, (2, 98)), low, high]) if seen else (low, high)
+        levels = [] if known else [((low + high) / 2, "")]
+        return chart(
+            lines, x=x, y=y, x_log=True, x_limits=x_limits, y_limits=y_limits, levels=levels, width=width, height=height
+        )
+
+    return (
+        panel("magnitude", "|Ŷ/Y|", 0.9, 1.1, heights[0])
+        + panel("phase", "phase [°]", -10, 10, heights[1])
+        + panel("coherence", "coherence", 0, 1, heights[2], "frequency [Hz]")
+    )
+
+
+def _labels(ticks: Sequence[float], log: bool) -> list[str]:
     """Figures of one axis, all with the same number of decimals."""
     if log or not ticks:
         return [f"{t:g}" if 5e-4 < t < 2e4 else number(t, 1).removeprefix("1·") for t in ticks]
@@ -166,8 +205,8 @@ def _path(line: Line, sx: Scale, sy: Scale, height: float) -> str:
 def formats(signals: Sequence[dict], width: int = 1160) -> Markup:
     """What every format holds (from its LSB to full scale) against what its signal does, on a log2 scale.
 
-    signals: entries of `report.study(...)["signals"]`. Box: quartiles of |signal|, whiskers: 5 % to the largest seen.
-    A diamond is the sound bound, an arrow one that lies further right.
+    signals: entries of a study's `signals`. Box: quartiles of |signal|; whiskers: from 5 % to the largest seen. A
+    diamond is the proved bound, an arrow one that lies further right.
     """
     left, right = 180, 120
     inner = width - left - right

@@ -5,11 +5,11 @@ Both are lists of rows, {column: cell}, for the terminal (`aligned`) and for the
 
 from collections.abc import Collection, Iterator, Sequence
 
-from greygate.pages.report import LEFT, display, figure, shown
+from greygate.pages.units import NONE, display, figure, shown
 
 WIDTHS = (12, 16, 18)
 COUNTED = ("luts", "flip_flops", "dsps", "block_rams", "lut_rams", "clock_mhz")
-NONE = "–"
+LEFT = ("plant", "scenario", "output", "unit", "design", "target")  # columns of words
 
 
 def results(studies: Sequence[dict]) -> list[dict[str, str]]:

@@ -111,6 +111,11 @@ def train(
     training removes it; with `keep` it stays, for whoever must save the result first.
     progress: told every epoch. Ctrl-C ends the training; the best weights so far are returned.
     Raises InputError as `Objective`, and for options that make no sense.
+
+    >>> start = lag.with_parameters({"memory.y": np.array([[0.5]])})
+    >>> fit = train(start, [record])
+    >>> fit.outcome.name, fit.network.parameters()["memory.y"].round(6)
+    ('CONVERGED', array([[0.9]]))
     """
     began = monotonic()
     if epochs < 0:

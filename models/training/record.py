@@ -15,6 +15,12 @@ class Record:
 
     initial: as for `Network.run`, or what `Trained.initial` found. skip: first samples that do not count. weight: of
     this record in the loss.
+
+    >>> t = np.arange(500) * 1e-3
+    >>> inputs = {"u": 2.0 * np.sin(40.0 * t**1.5)}
+    >>> record = Record(inputs, lag.run(inputs))
+    >>> record
+    <Record: u -> y, 500 samples>
     """
 
     inputs: Mapping[str, np.ndarray]
@@ -22,6 +28,9 @@ class Record:
     initial: Mapping[str, float | np.ndarray] = field(default_factory=dict)
     skip: int = 0
     weight: float = 1.0
+
+    def __repr__(self) -> str:
+        return f"<Record: {', '.join(self.inputs)} -> {', '.join(self.targets)}, {len(self)} samples>"
 
     def __len__(self) -> int:
         return len(next(iter(self.targets.values()), ()))

@@ -9,8 +9,10 @@ from collections.abc import Callable
 
 import typer
 
+from greygate import limits
 from greygate.compiler.targets import MULTIPLIERS
 from greygate.errors import InputError
+from greygate.limits import NARROWEST, WIDEST
 
 MOST = 10**9  # of whatever is counted one by one: more takes longer than anybody waits
 LEAST, GREATEST = math.ulp(0.0), sys.float_info.max  # above 0, below infinity
@@ -30,8 +32,8 @@ COUNT = _within(1, MOST, f"a whole number from 1 to {MOST}")
 SAMPLES = _within(0, MOST, f"a whole number of samples from 0 to {MOST}")
 SEED = _within(0, SEEDS - 1, f"a whole number from 0 to {SEEDS - 1}")
 JOBS = _within(1, 1024, "a whole number from 1 to 1024")
-WIDTH = _within(4, 32, "4 to 32 bits")
-FINER = _within(0, 28, "0 to 28 bits, which with the width make 32 at most")
+WIDTH = _within(NARROWEST, WIDEST, f"{NARROWEST} to {WIDEST} bits")
+FINER = _within(0, limits.FINER, f"0 to {limits.FINER} bits, which with the width make {WIDEST} at most")
 MACS = _within(MULTIPLIERS[0], MULTIPLIERS[-1], f"{MULTIPLIERS[0]} to {MULTIPLIERS[-1]} multipliers")
 SHARE = _within(0, math.nextafter(1, 0), "a share from 0 up to 1, without 1")
 DECAY = _within(0, GREATEST, "a finite number from 0 on")

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from greygate.compiler.targets import MULTIPLIERS, NAMES
 from greygate.errors import InputError
+from greygate.limits import FINER
 from greygate.names import check_text
 from greygate.reading import Kind, anything, line, listed, maybe, named, number, one_of, read_json, table, whole
 
 FACTS = "compile.json"
-FINER = 32  # bits that a format may have beyond those that it needs, at most
 PASS = {
     "name": line,
     **dict.fromkeys(("layers", "parameters", "multiplications"), whole(0)),
@@ -24,11 +24,12 @@ SCENARIO = {"steps": whole(0), "differing_bits": maybe(whole(0, 0)), "mismatch":
 ARCHITECTURE = {
     "clocks_per_step": maybe(number),
     "seed": whole(0),
-    "scenarios": named(lambda *entry: table(*entry, SCENARIO), line),
+    "scenarios": named(lambda value, where: table(value, where, SCENARIO), line),
 }
 FILES: dict[str, Kind] = {
-    FACTS: lambda *file: table(
-        *file,
+    FACTS: lambda value, where: table(
+        value,
+        where,
         {
             "source": line,
             "recordings": named(line, check_text),
@@ -36,11 +37,11 @@ FILES: dict[str, Kind] = {
             "architectures": listed(one_of(NAMES)),
             "macs": whole(MULTIPLIERS[0], MULTIPLIERS[-1]),
             "finer": whole(0, FINER),
-            "passes": listed(lambda *entry: table(*entry, PASS)),
+            "passes": listed(lambda value, where: table(value, where, PASS)),
             "pruning": listed(anything),
         },
     ),
-    "verify.json": named(lambda *entry: table(*entry, ARCHITECTURE), line),
+    "verify.json": named(lambda value, where: table(value, where, ARCHITECTURE), line),
     "resources.json": named(named(maybe(number), line), line),
 }
 

@@ -1,0 +1,89 @@
+"""The command line. Results go to stdout, messages to stderr; exit 0 done, 1 the answer is no, 2 wrong use.
+
+A command is a function of `networks`, `builds` or `rigs`; it imports what it needs when it runs, so that `greygate
+--help` starts fast.
+"""
+
+import io
+import signal
+import sys
+from typing import Annotated
+
+import typer
+
+from greygate import __version__
+from greygate.cli import builds, networks, rigs
+from greygate.cli.terminal import say
+from greygate.errors import InputError
+
+INTERRUPTED, TERMINATED = 130, 143  # exit codes of what Ctrl-C, and what `kill` ends, as shells have them
+UsageError = typer.BadParameter.__base__  # of whatever a command line lacks or has too much
+COMMANDS = (
+    *(networks.train, networks.compile),
+    *(builds.emulate, builds.verify, builds.synthesize, builds.report),
+    networks.validate,
+    *(rigs.diagnose, rigs.isolability, rigs.simulate, rigs.augment, rigs.conceal, rigs.reveal),
+)
+
+app = typer.Typer(
+    help="Grey-box networks from a mechanical plant to an FPGA.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+for command in COMMANDS:
+    app.command()(command)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"greygate {__version__}")
+        raise typer.Exit()
+
+
+@app.callback()
+def main(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and stop.")
+    ] = False,
+) -> None:
+    pass
+
+
+def run() -> None:
+    """Entry point: a user's mistake is one line on stderr and exit code 2, Ctrl-C one line and 130, `kill` 143."""
+    signal.signal(signal.SIGTERM, _terminated)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a path may hold what no text can
+    try:
+        code = app(standalone_mode=False) or 0
+    except (KeyboardInterrupt, typer.Abort):
+        code = INTERRUPTED
+    except Exception as error:
+        if (line := _mistake(error)) is None:
+            raise
+        if line:  # `greygate` alone has printed its help
+            say(f"greygate: {line}")
+        code = 2
+    if code == INTERRUPTED:
+        say("greygate: interrupted")
+    sys.exit(code)
+
+
+def _terminated(number: int, frame: object) -> None:
+    """Leave by way of every `finally`, which puts temporary files away; a second such signal ends at once."""
+    signal.signal(number, signal.SIG_DFL)
+    sys.exit(TERMINATED)
+
+
+def _mistake(error: Exception) -> str | None:
+    """The line that tells the user what to do otherwise; None for what is no user's mistake."""
+    if isinstance(error, InputError):
+        return str(error)
+    if isinstance(error, UsageError):
+        return error.format_message()
+    if isinstance(error, MemoryError):
+        return "out of memory; give fewer or shorter recordings"
+    if isinstance(error, OSError):
+        return f"{error.filename or 'a file'}: {error.strerror or error}; check the path, its permissions and the disk"
+    return None

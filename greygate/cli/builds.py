@@ -1,0 +1,162 @@
+"""Commands on folders that `greygate compile` wrote: emulate, verify, synthesize, report."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from greygate.cli import options
+from greygate.cli.terminal import Json, following, give, print_out
+from greygate.errors import InputError
+from greygate.hardware.families import FAMILIES, PLACED
+
+if TYPE_CHECKING:
+    from greygate.emulator.program import Clipped, Terminal
+
+Family = StrEnum("Family", {name.upper(): name for name in FAMILIES})
+Folder = Annotated[Path, typer.Argument(help="A folder that `greygate compile` wrote.")]
+
+
+def emulate(
+    folder: Folder,
+    recording: Annotated[Path, typer.Argument(help="CSV with a column `name_unit` for every input.")],
+    out: Annotated[Path, typer.Option(help="CSV to write the predicted outputs to.")],
+    as_json: Json = False,
+) -> None:
+    """Run the compiled network, bit for bit as the hardware does, over a recording."""
+    from greygate.emulation import emulate as run
+    from greygate.plants.recording import Recording, read_csv
+    from greygate.project import Project
+    from greygate.source import read_record
+
+    project = Project.open(folder)
+    answer = run(project.program, read_record(project.network, recording, targets=False).inputs)
+    units = {p.name: p.unit for p in project.program.outputs}
+    Recording(read_csv(recording).dt, answer.outputs, units).write_csv(out)
+    counted = f"saturations {answer.saturations or 'none'}, clipped inputs {len(answer.clipped) or 'none'}"
+    lines = [f"{answer.steps} steps, {counted}"]
+    lines += [_clipping(p, answer.clipped[p.name]) for p in project.program.inputs if p.name in answer.clipped]
+    result = {"steps": answer.steps, "saturations": answer.saturations}
+    result |= {"clipped": {name: found._asdict() for name, found in answer.clipped.items()}, "out": str(out)}
+    give(result, as_json, [*lines, f"written to {out}"])
+
+
+def _clipping(port: "Terminal", found: "Clipped") -> str:
+    """How much of an input lies outside its format."""
+    holds, given = (f"{least:.6g} to {most:.6g} {port.unit}" for least, most in (found.holds, found.given))
+    share = f"{found.count} samples ({found.share:.2%})"
+    return f"input {port.name}: {share} clipped to {holds}, which {port.signal.fix} holds; given {given}"
+
+
+def verify(
+    folder: Folder,
+    scenario: Annotated[list[str], typer.Option(help="Only these scenarios.")] = [],
+    seed: Annotated[
+        int | None,
+        typer.Option(callback=options.SEED, help="Of back-pressure and reset; drawn and printed if not given."),
+    ] = None,
+    as_is: Annotated[bool, typer.Option("--as-is", help="Even Verilog that was changed; it is code, read it.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Simulate the emitted Verilog in Verilator and compare every output and every state with the emulator.
+
+    Exit code 1 if a bit differs; results-ARCHITECTURE.xml in the folder is JUnit.
+    """
+    from greygate.project import Project, verify_project
+
+    project = Project.open(folder)
+    with following(f"simulating {project.program.name}"):
+        results = verify_project(project, tuple(scenario), seed, as_is)
+    verdicts = [v for r in results.values() for v in r.verdicts]
+    lines = [
+        f"{v.program} {v.architecture:9} {v.scenario:12} {v.steps:6} steps, {v.clocks_per_step:6.1f} clocks a step: "
+        + (v.mismatch or "every bit of every output and state equal")
+        for v in verdicts
+    ]
+    passed = all(r.passed for r in results.values())
+    give({"passed": passed, "verdicts": [vars(v) for v in verdicts]}, as_json, lines)
+    if not passed:
+        raise typer.Exit(1)
+
+
+def synthesize(
+    folder: Folder,
+    target: Annotated[
+        Family, typer.Option(help="; ".join(f"{name}: {family.title}" for name, family in FAMILIES.items()))
+    ] = Family.ECP5,
+    clock: Annotated[
+        bool, typer.Option(help=f"Place and route with nextpnr for the clock rate ({', '.join(PLACED)}).")
+    ] = False,
+    limit: Annotated[
+        float | None, typer.Option(callback=options.SECONDS, help="Stop each design's tools after so many CPU seconds.")
+    ] = None,
+    keep: Annotated[bool, typer.Option(help="Keep the figures in the package, for `report --all`.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Count LUTs, flip-flops, DSPs and block RAM with Yosys. Slow: minutes."""
+    from greygate.project import Project, synthesize_project
+
+    project = Project.open(folder)
+    with following(f"synthesizing {project.program.name} for {target.value}"):
+        found = synthesize_project(project, target.value, clock, limit, keep)
+    lines = [f"{name}: " + ", ".join(f"{k} {v}" for k, v in figures.items()) for name, figures in found.items()]
+    give(found, as_json, lines)
+
+
+def report(
+    folders: Annotated[list[Path], typer.Argument(help="Folders that `greygate compile` wrote.")] = [],
+    every: Annotated[
+        bool,
+        typer.Option("--all", help="The thesis's plants side by side, from FOLDER/NAME; compiled if need be."),
+    ] = False,
+    check: Annotated[bool, typer.Option("--verify", help="Verify first what has not been verified.")] = False,
+    out: Annotated[Path, typer.Option(help="HTML page to write; the JSON goes beside it.")] = Path("report.html"),
+    as_json: Json = False,
+) -> None:
+    """What quantization cost, per plant and scenario, as one HTML page and one JSON.
+
+    With --all one FOLDER, `hardware` if none is given. Exit code 1 if --verify finds a differing bit.
+    """
+    from greygate.pages.summary import aligned, designs, results
+    from greygate.project import Project, verify_project
+    from greygate.reporting import plants
+    from greygate.reporting import report as measure
+
+    if every and len(folders) > 1:
+        raise InputError(f"--all takes one folder that holds a folder for each plant, not {len(folders)}")
+    if not every and not folders:
+        raise InputError("report: give folders that `greygate compile` wrote, or --all")
+    if not out.name or out.suffix == ".json":
+        raise InputError(f"--out {out}: name an HTML page, such as report.html; the JSON beside it ends in .json")
+    passed = True
+    with following("measuring") as progress:
+        projects = plants((folders or [Path("hardware")])[0], progress) if every else [Project.open(f) for f in folders]
+        for project in projects if check else ():
+            if project.hardware is None:
+                progress(f"simulating {project.program.name}")
+                passed &= all(result.passed for result in verify_project(project).values())
+        studies = measure(projects, out, side_by_side=every, progress=progress)
+    tables = [results(studies), designs(studies)] if every else []
+    if as_json:
+        print_out(out.with_suffix(".json").read_text(encoding="utf-8"))
+    else:
+        lines = [line for table in tables for line in (*aligned(table), "")] or _errors(studies)
+        print_out("\n".join([*lines, f"written to {out} and {out.with_suffix('.json')}"]))
+    if not passed:
+        raise typer.Exit(1)
+
+
+def _errors(studies: list[dict]) -> list[str]:
+    """RMSE of float and fixed, a line for each plant, scenario and output."""
+    from greygate.pages.units import display
+
+    lines = []
+    for study in studies:
+        lines.append(study["title"])
+        for name, scenario in study["scenarios"].items():
+            for label, figures in scenario["outputs"].items():
+                factor, unit = display(figures["unit"])
+                float_, fixed = (factor * figures["rmse"][kind] for kind in ("float", "fixed"))
+                lines.append(f"  {name:10} {label:8} RMSE float {float_:8.4g} {unit}, fixed {fixed:8.4g} {unit}")
+    return lines

@@ -1,0 +1,215 @@
+"""Commands on float networks: train, compile, validate."""
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from greygate.cli import options
+from greygate.cli.terminal import Json, finite, following, give, recordings, say
+from greygate.compiler.targets import BOTH, NAMES
+from greygate.errors import InputError
+
+if TYPE_CHECKING:
+    from greygate.compiler.pipeline import Compiled
+
+Architecture = StrEnum("Architecture", {name.upper(): name for name in (*NAMES, "both")})
+OWN_TRAINING = ("tail", "narx", "epochs", "decay", "settle", "shooting", "seconds")  # options of a user's network
+
+Network = Annotated[str, typer.Argument(help="A name of the catalogue, or NAME.toml with --record.")]
+Settle = Annotated[
+    int, typer.Option(callback=options.SAMPLES, help="First samples of each record that only tell its initial state.")
+]
+
+
+def train(
+    context: typer.Context,
+    name: Annotated[str, typer.Argument(help="A network of the catalogue, `list`, or NAME.toml with --record.")],
+    record: Annotated[list[str], typer.Option(help="FILE.csv to learn from; several may be given.")] = [],
+    held: Annotated[list[str], typer.Option(help="FILE.csv that only chooses the epoch.")] = [],
+    tail: Annotated[
+        float, typer.Option(callback=options.SHARE, help="Share at the end of each record that only chooses the epoch.")
+    ] = 0.0,
+    narx: Annotated[bool, typer.Option(help="Learn one step ahead first, then free run from there.")] = True,
+    epochs: Annotated[int, typer.Option(callback=options.COUNT, help="Of the free run, at most.")] = 200,
+    decay: Annotated[float, typer.Option(callback=options.DECAY, help="Weight decay D of the loss.")] = 0.0,
+    settle: Settle = 0,
+    shooting: Annotated[
+        int | None, typer.Option(callback=options.COUNT, help="Multiple shooting in windows of so many samples.")
+    ] = None,
+    seconds: Annotated[float, typer.Option(callback=options.SECONDS, help="Time limit.")] = float("inf"),
+    out: Annotated[Path | None, typer.Option(help="Folder for NAME.toml, .safetensors, .json.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Train a network by Levenberg-Marquardt: one of the catalogue from nothing, or your own on your recordings.
+
+    Your own is resumed from OUT/NAME.checkpoint if it was interrupted. Exit code 1 if its free run diverges.
+    """
+    from greygate.machines.catalog import CATALOG
+
+    if name == "list":
+        give({n: e.title for n, e in CATALOG.items()}, as_json, [f"{n:20} {e.title}" for n, e in CATALOG.items()])
+    elif name not in CATALOG and (record or name.endswith(".toml")):
+        how = {"narx": narx, "tail": tail, "epochs": epochs, "decay": decay, "shooting": shooting, "seconds": seconds}
+        _train_own(name, record, held, settle, how, out, as_json)
+    else:
+        if record or held:
+            raise InputError(f"{name} is trained on records of its own; --record goes with a NAME.toml file")
+        sources = {n: context.get_parameter_source(n) for n in OWN_TRAINING}
+        if given := [f"--{n}" for n, s in sources.items() if s is not None and s.name == "COMMANDLINE"]:
+            raise InputError(f"{name} is trained in a way of its own; {', '.join(given)} goes with a NAME.toml file")
+        _train_stored(name, out, as_json)
+
+
+def _train_stored(name: str, out: Path | None, as_json: bool) -> None:
+    """Train a network of the catalogue."""
+    from greygate.machines.catalog import TRAINED, entry
+
+    chosen, out = entry(name), out or TRAINED
+    if not out.is_dir():
+        raise InputError(f"{out}: no such folder; make it, or leave --out away to write into the package")
+    with following(f"training {name}") as progress:
+        network, figures = chosen.train(progress)
+    chosen.save(network, figures, out)
+    give(figures, as_json, [json.dumps(figures, indent=1), f"written to {out / name}.toml"])
+
+
+def _train_own(
+    name: str, record: list[str], held: list[str], settle: int, how: dict, out: Path | None, as_json: bool
+) -> None:
+    """Train a user's network."""
+    from greygate.source import Source, train_source
+
+    if not out:
+        raise InputError("--out is missing: the folder that the trained network is written into")
+    source, others = Source(name, recordings(record), settle), recordings(held)
+    with following(f"training {Path(name).stem}") as progress:
+        trained = train_source(source, out, others, progress=progress, **how)
+    for remark in trained["remarks"]:
+        say(remark)
+    lines = [
+        f"{r:12} {o:10} RMSE {finite(e, '.4g')}" for r, errors in trained["rmse"].items() for o, e in errors.items()
+    ]
+    head = f"{trained['epochs']} epochs. {trained['sentence']}"
+    give(trained, as_json, [head, *lines, f"written to {trained['out']}"])
+    if trained["outcome"] == "diverged":
+        raise typer.Exit(1)
+
+
+def compile(
+    network: Network,
+    out: Annotated[Path, typer.Option(help="Folder to write; replaced if it is an earlier compilation.")],
+    record: Annotated[list[str], typer.Option(help="FILE.csv or SCENARIO=FILE.csv; the first sets the ranges.")] = [],
+    held: Annotated[list[str], typer.Option(help="FILE.csv on which, not on the first, pruning is judged.")] = [],
+    width: Annotated[
+        int, typer.Option(callback=options.WIDTH, help="Word width of signals and weights, 4 to 32 bits.")
+    ] = 16,
+    finer: Annotated[
+        int | None,
+        typer.Option(
+            callback=options.FINER,
+            help="Bits more for weights and neurons; the catalogue's choice if not given, else 0.",
+        ),
+    ] = None,
+    budget: Annotated[
+        float | None,
+        typer.Option(callback=options.GROWTH, help="Instead of a width: RMSE may be so many times float's."),
+    ] = None,
+    prune: Annotated[
+        float | None, typer.Option(callback=options.ALLOWANCE, help="Entropy pruning; RMSE may grow by this factor.")
+    ] = None,
+    weights: Annotated[
+        str | None, typer.Option(help="Then prune single weights: obs, obd, magnitude, multi_obs, unit_obs, ...")
+    ] = None,
+    generic: Annotated[bool, typer.Option(help="Merge linear layers even where that costs multipliers.")] = False,
+    architecture: Annotated[Architecture, typer.Option()] = Architecture.BOTH,
+    macs: Annotated[int, typer.Option(callback=options.MACS, help="Multipliers of the folded architecture.")] = 4,
+    as_json: Json = False,
+) -> None:
+    """Simplify, prune, quantize a network and write it as Verilog."""
+    from greygate.project import compile_project, fixed_and_float
+    from greygate.source import Source
+
+    pruned = prune is not None or weights is not None
+    if held and not pruned:
+        raise InputError("--held: judges pruning; give --prune or --weights, or name it with --record")
+    chosen = BOTH if architecture is Architecture.BOTH else (architecture.value,)
+    judges = recordings(held)
+    source = Source(network, recordings([*record, *held]))
+    with following(f"compiling {network}") as progress:
+        compiled = compile_project(
+            source,
+            out,
+            source.formats(width, finer),
+            budget=budget,
+            prune=prune,
+            weights=weights,
+            held=tuple(judges),
+            generic=generic,
+            architectures=chosen,
+            macs=macs,
+            progress=progress,
+        )
+    before = source.network() if pruned else None
+    rmse = {scenario: fixed_and_float(compiled, judged, before) for scenario, judged in source.records().items()}
+    passes = [
+        {"pass": p.name, "layers": p.layers, "parameters": p.parameters, "multiplications": p.multiplications,
+         "remarks": p.remarks}
+        for p in compiled.passes
+    ]  # fmt: skip
+    signals = {s.name: str(s.fix) for s in compiled.program.signals.values()}
+    top = compiled.program.name
+    result = {"folder": str(out), "top": top, "passes": passes, "signals": signals, "rmse": rmse}
+    give(result, as_json, [*_steps(compiled), *_errors(rmse), f"written to {out}, top module {top}"])
+
+
+def _steps(compiled: "Compiled") -> list[str]:
+    """What each pass left, what was pruned, and what the compiler notes of single signals."""
+    lines = [
+        f"{p.name:18} {p.layers:4} layers {p.parameters:6} parameters {p.multiplications:6} products"
+        for p in compiled.passes
+    ]
+    lines += [remark for p in compiled.passes for remark in p.remarks]
+    for r in compiled.pruning:
+        gone = ", ".join(f"{layer} {len(which)}" for layer, which in r.removed.items())
+        lines.append(f"pruned {gone}: {r.neurons} neurons left, {'kept' if r.kept else 'undone'}")
+    return [*lines, *(f"{name}: {why}" for name, why in compiled.program.notes.items())]
+
+
+def _errors(rmse: dict) -> list[str]:
+    """RMSE of float and fixed point, a line a scenario and output."""
+    lines = []
+    for scenario, outputs in rmse.items():
+        for output, e in outputs.items():
+            once = f" ({e['before']:.4g} before pruning)" if "before" in e else ""
+            lines.append(
+                f"{scenario:12} {output:10} RMSE float {e['float']:.4g}{once}, fixed {e['fixed']:.4g} [{e['unit']}]"
+            )
+    return lines
+
+
+def validate(
+    network: Network,
+    record: Annotated[list[str], typer.Option(help="FILE.csv or SCENARIO=FILE.csv; the first was learnt from.")] = [],
+    out: Annotated[Path, typer.Option(help="HTML page to write.")] = Path("validation.html"),
+    lags: Annotated[int, typer.Option(callback=options.COUNT, help="Of the residual tests, in steps.")] = 25,
+    settle: Settle = 0,
+    as_json: Json = False,
+) -> None:
+    """Free run, steps ahead, residual tests and long run of a float network, as a table and one HTML page.
+
+    Exit code 1 if a free run is unbounded.
+    """
+    from greygate.pages import templates
+    from greygate.pages.validation import page
+    from greygate.pages.validation.judged import judge, table
+    from greygate.source import Source
+
+    with following(f"validating {network}") as progress:
+        judged = judge(Source(network, recordings(record), settle), lags, progress)
+        templates.write(page(judged), out)
+    give(judged.figures(), as_json, [*table(judged), f"written to {out}"])
+    if not judged.bounded:
+        raise typer.Exit(1)

@@ -1,0 +1,208 @@
+"""Commands on rigs: diagnose, isolability, simulate, augment, and the concealed cases that try them."""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from greygate.cli import options
+from greygate.cli.terminal import Json, finite, following, give, say
+from greygate.errors import InputError
+
+REACHED = 10.0  # s in which a cluster's scheduler answers
+
+
+class Backend(StrEnum):
+    LOKY = "loky"
+    DASK = "dask"
+
+
+Tables = Annotated[list[Path], typer.Option(help="TOML file that extends the effects; hydraulics comes along.")]
+RigFolder = Annotated[Path, typer.Argument(metavar="RIG_FOLDER", help="Folder of rig.toml.")]
+
+
+def diagnose(
+    rigs: Annotated[list[Path], typer.Argument(metavar="RIG_FOLDER...", help="Folders of rig.toml, identify.csv.")],
+    out: Annotated[
+        Path | None, typer.Option(help="diagnosis.json to write; of several rigs a folder of NAME.json.")
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option(help="Page that argues the case; of several rigs a folder of NAME.html.")
+    ] = None,
+    effects: Tables = [],
+    jobs: Annotated[
+        int, typer.Option(callback=options.JOBS, help="Rigs diagnosed at a time; dask takes all its workers.")
+    ] = 1,
+    backend: Annotated[Backend, typer.Option(help="Processes of this machine, or a cluster.")] = Backend.LOKY,
+    scheduler: Annotated[str | None, typer.Option(help="Of the dask cluster: tcp://HOST:PORT.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Say where a simulation and a recording differ, what physics is left out, and how much better it fits with it.
+
+    The files: docs/diagnosis.md. Exit code 0 whatever the verdict; of several rigs one that cannot be diagnosed is
+    told, the others are written, and the exit code is 2.
+    """
+    from greygate.explain import explain, explain_all
+
+    if len(rigs) == 1 and backend is Backend.LOKY and scheduler is None:
+        with following("diagnosing") as progress:
+            found, lines = explain(rigs[0], out, html, effects, lambda what, share: progress(f"{what}, {share:.0%}"))
+        failed = []
+    else:
+        with _joblib(backend, scheduler), following("diagnosing") as progress:
+            results = explain_all(
+                rigs, out, html, effects, jobs, lambda done, name: progress(f"{done} of {len(rigs)}, {name}")
+            )
+        found = {name: content for name, (content, _) in results.items()}
+        failed = [name for name, content in found.items() if "error" in content]
+        found = found if len(rigs) > 1 else next(iter(found.values()))
+        lines = [line for _, text in results.values() for line in (*text, "")][:-1]
+    lines += [f"written to {path}" for path in (out, html) if path is not None]
+    give(found, as_json, lines)
+    for name in failed:
+        say(f"greygate: {name}: {found[name]['error']}")
+    if failed:
+        raise typer.Exit(2)
+
+
+@contextmanager
+def _joblib(backend: Backend, scheduler: str | None) -> Iterator[None]:
+    """Have joblib run its tasks there. Raises InputError where the cluster cannot be had."""
+    import joblib
+
+    if backend is Backend.LOKY:
+        if scheduler is not None:
+            raise InputError("--scheduler: the processes of this machine have none; add --backend dask")
+        yield
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise InputError("--backend dask: distributed is not installed; pip install 'greygate[cluster]'") from None
+    if not re.fullmatch(r"(\w+://)?[^/]+:\d+", scheduler or ""):
+        raise InputError(f"--scheduler {scheduler}: give the address of the cluster's scheduler, tcp://HOST:PORT")
+    try:
+        client = Client(scheduler, timeout=REACHED, set_as_default=False)
+    except (OSError, TimeoutError) as error:
+        raise InputError(f"--scheduler {scheduler}: no answer ({error}); start `dask scheduler` there") from None
+    with client, joblib.parallel_config(backend="dask", client=client):
+        yield
+
+
+def isolability(
+    rig: RigFolder,
+    effects: Tables = [],
+    ranges: Annotated[
+        list[str], typer.Option("--range", help="NAME=LOW:HIGH of every input: motions by rule, before data.")
+    ] = [],
+    as_json: Json = False,
+) -> None:
+    """Say which effects a rig's sensors and its identify.csv cannot tell apart, and which experiment or sensor would.
+
+    Without identify.csv, what motions within the inputs' ranges could tell.
+    """
+    from greygate.explain import isolable
+
+    spans = [_range(text) for text in ranges]
+    if len(dict(spans)) < len(spans):
+        raise InputError(f"--range {' '.join(ranges)}: one input is given twice; give one range of each")
+    with following("simulating"):
+        found, lines = isolable(rig, effects, dict(spans))
+    give(found, as_json, lines)
+
+
+def _range(text: str) -> tuple[str, tuple[float, float]]:
+    name, _, span = text.partition("=")
+    low, _, high = span.partition(":")
+    try:
+        return name, (float(low), float(high))
+    except ValueError:
+        raise InputError(f"--range {text}: give NAME=LOW:HIGH, in the input's unit") from None
+
+
+def simulate(
+    rig: RigFolder,
+    recording: Annotated[Path, typer.Option(help="CSV of this rig: inputs, and the states that runs begin from.")],
+    out: Annotated[Path, typer.Option(help="CSV to write: t and the predicted channels.")],
+    diagnosis: Annotated[Path | None, typer.Option(help="Of this plant: the simulation as it corrects it.")] = None,
+    effects: Annotated[list[Path], typer.Option(help="Tables that the diagnosis had, too.")] = [],
+    as_json: Json = False,
+) -> None:
+    """Simulate a recording with the data sheet's values, or as a diagnosis corrects the plant.
+
+    Exit code 1 if the simulation diverges; what it wrote ends in nan.
+    """
+    from greygate.explain import predict
+
+    rms = predict(rig, recording, diagnosis, out, effects)
+    lines = [
+        f"{name:10} RMS of simulated minus recorded {finite(e['rms'], '.5g')} {e['unit']}" for name, e in rms.items()
+    ]
+    give({"out": str(out), "rms": rms}, as_json, [*lines, f"written to {out}"])
+    if not all(e["finite"] for e in rms.values()):
+        say("greygate: the simulation diverges")
+        raise typer.Exit(1)
+
+
+def augment(
+    rig: RigFolder,
+    diagnosis: Annotated[Path, typer.Option(help="Of this rig, as `greygate diagnose` wrote it.")],
+    out: Annotated[Path, typer.Option(help="Folder to write; replaced if it is an earlier one.")],
+    as_json: Json = False,
+) -> None:
+    """Train the network of a rig's plant without and with a module of the physics that a diagnosis named.
+
+    Writes both as NAME.toml for `greygate compile`, and the recordings as they read them.
+    """
+    from greygate.augment import augment as join
+    from greygate.mismatch.simulation import read
+
+    with following("augmenting") as follow:
+        facts = join(rig, read(diagnosis), out, follow)
+    lines = []
+    for name, figures in facts["networks"].items():
+        lines.append(f"{name}: {figures['neurons']} neurons, {figures['seconds']} s. {figures['outcome']}")
+        for recording, errors in figures["trained"].items():
+            lines += [f"  {recording:10} {output:8} RMSE {e:.4g}" for output, e in errors.items()]
+    give(facts, as_json, [*lines, f"written to {out}"])
+
+
+def conceal(
+    plant: Annotated[str, typer.Argument(help="A rig by name; another name lists those there are.")],
+    seed: Annotated[int, typer.Option(callback=options.SEED, help="Draws everything.")],
+    out: Annotated[Path, typer.Option(help="Folder to write; replaced if it is an earlier case.")],
+    kind: Annotated[str, typer.Option(help="clean, parameter, one, two, foreign, or any.")] = "any",
+    effect: Annotated[str | None, typer.Option(help="The (first) effect, by name; drawn if not given.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Write recordings of a rig with something concealed in it, and the sealed answer."""
+    from greygate.mismatch.concealed.conceal import conceal as write
+
+    with following(f"recording {plant}"):
+        write(plant, seed, out, kind=kind, effect=effect)
+    seal = (out / "sealed.json.sha256").read_text(encoding="utf-8").split()[0]
+    give({"out": str(out), "sha256": seal}, as_json, [f"written to {out}", f"answer sealed with SHA-256 {seal}"])
+
+
+def reveal(
+    folder: Annotated[Path, typer.Argument(help="A folder that `greygate conceal` wrote.")],
+    diagnosis: Annotated[
+        Path | None, typer.Option(help="diagnosis.json to be scored; FOLDER/diagnosis.json if it is there.")
+    ] = None,
+    effects: Annotated[list[Path], typer.Option(help="Tables that the diagnosis had, too.")] = [],
+    as_json: Json = False,
+) -> None:
+    """Open the sealed answer, and score a diagnosis against it.
+
+    Exit code 1 if the diagnosis is wrong: its verdict, its effects, or the parameter.
+    """
+    from greygate.explain import score
+
+    found, lines, right = score(folder, diagnosis, effects)
+    give(found, as_json, lines)
+    if not right:
+        raise typer.Exit(1)

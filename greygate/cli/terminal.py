@@ -1,0 +1,68 @@
+"""What every command shares: results on stdout, messages on stderr, and how arguments name recordings."""
+
+import json
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from greygate.errors import InputError, one_line
+from greygate.names import check_text
+from greygate.progress import Progress
+
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+
+
+def give(result: object, as_json: bool, lines: list[str]) -> None:
+    """Print the result of a command: as JSON, or the lines that a person reads."""
+    print_out(json.dumps(result, indent=1) if as_json else "\n".join(lines))
+
+
+def print_out(text: str) -> None:
+    """Print to stdout. A reader that has closed it, such as `| head`, is no error."""
+    try:
+        typer.echo(text)
+    except BrokenPipeError:  # what is left goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def say(text: str) -> None:
+    """Print one line on stderr, whatever the text holds."""
+    typer.echo(one_line(" ".join(text.split())), err=True)
+
+
+def finite(value: float | None, form: str) -> str:
+    """A number that JSON may have left out, since it knows no infinity."""
+    return "inf" if value is None else f"{value:{form}}"
+
+
+@contextmanager
+def following(title: str) -> Iterator[Progress]:
+    """Show a line on stderr while long work runs; gives the `progress` that changes it."""
+    from rich.console import Console
+
+    with Console(stderr=True).status(title) as status:
+        yield lambda line: status.update(f"{title}: {line}")
+
+
+def named(text: str) -> str:
+    """SCENARIO=FILE.csv; a file alone is called by its name."""
+    return text if "=" in text else f"{Path(text).stem}={text}"
+
+
+def recordings(given: list[str]) -> dict[str, str]:
+    """Scenario -> CSV file, from arguments such as "training=train.csv" or "train.csv"."""
+    found: dict[str, str] = {}
+    for text in map(named, given):
+        scenario, equals, path = text.partition("=")
+        if not equals or not scenario:
+            raise InputError(f"--record {text}: write SCENARIO=FILE.csv, e.g. training=train.csv")
+        check_text(scenario, "--record, scenario")
+        if scenario in found:
+            raise InputError(f"--record {text}: the scenario {scenario} is given twice; name one otherwise")
+        found[scenario] = path
+    return found

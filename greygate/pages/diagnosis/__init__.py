@@ -1,0 +1,15 @@
+"""The case of a diagnosis in pictures: one HTML page that needs nothing else (docs/diagnosis.md)."""
+
+from greygate.mismatch.diagnosis import Diagnosis
+from greygate.pages import templates
+from greygate.pages.diagnosis import evidence, head, maps, numbers, runs, where
+from greygate.pages.diagnosis.case import Case
+
+SECTIONS = (head, runs, where, maps, evidence, numbers)
+
+
+def page(result: Diagnosis) -> str:
+    """The page of a diagnosis."""
+    case = Case(result)
+    title, sections = f"greygate diagnosis: {case.title}", templates.render_sections(SECTIONS, case)
+    return templates.render("diagnosis/page.html", title=title, sections=sections)

@@ -1,0 +1,53 @@
+"""Which rig it is, the verdict, and the headline."""
+
+from greygate.mismatch.locate import display_unit
+from greygate.mismatch.verdict import Verdict
+from greygate.pages.diagnosis.case import Case
+from greygate.pages.units import number
+from greygate.pages.words import amount, means, parameter
+
+BETTER = 0.98  # of an RMS error, below which a correction counts as one
+
+
+def context(case: Case) -> dict:
+    """The verdict in a sentence, the headline, and whether there is a ladder of evidence to lead to."""
+    return {
+        "title": case.title,
+        "plant": case.found["plant"],
+        "sentence": Verdict(case.found["verdict"]).words,
+        "facts": facts(case),
+        "rivals": len(case.result.rivals) > 1,
+    }
+
+
+def facts(case: Case) -> list[tuple[str, str, bool | None]]:
+    """The headline: (value, what it is, good or bad or neither)."""
+    found = case.found
+    place = " and ".join(p["equation"] for p in found["where"])
+    lines: list[tuple[str, str, bool | None]] = [
+        (found["verdict"].replace("_", " "), f"in {place}" if place else "verdict", None)
+    ]
+    for entry in found["effects"]:
+        size = ""
+        if entry["id"] != "unknown" and entry["parameters"]:
+            name, p = next(iter(entry["parameters"].items()))
+            known = amount(p["value"], p["ci95"], p["unit"])
+            size = f", {name} {known.value} {known.unit}"
+        lines.append((entry["id"], f"{means(case.result, entry)}{size}", None))
+    for name, p in found["parameters"].items():
+        if p.get("outside_tolerance"):
+            lines.append((name, parameter(case.result, name, p), None))
+    return [*lines, _error(case)]
+
+
+def _error(case: Case) -> tuple[str, str, bool | None]:
+    """The RMS error that the correction lowers most, before and after."""
+    fit = case.found["fit"]
+    record = "holdout" if "holdout" in fit else "identify"
+    channel, rms = min(fit[record].items(), key=lambda item: item[1]["corrected"] / item[1]["calibrated"])
+    factor, unit = display_unit(rms["unit"], rms["calibrated"])
+    was, now = (number(factor * rms[kind]) for kind in ("calibrated", "corrected"))
+    if not case.changed:
+        return f"{now} {unit}", f"RMS error of {channel} on {record}", None
+    better = rms["corrected"] < BETTER * rms["calibrated"]
+    return f"{was} → {now} {unit}", f"RMS error of {channel} on {record}, calibrated → corrected", better or None

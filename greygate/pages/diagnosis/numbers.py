@@ -1,0 +1,29 @@
+"""Every figure of the diagnosis, and what it could not tell."""
+
+from collections.abc import Mapping
+
+from greygate.mismatch.experiments.excitation import unseen
+from greygate.pages import words
+from greygate.pages.diagnosis.case import Case
+
+
+def context(case: Case) -> dict:
+    """Effects with their parameters, the fit, and what remains open."""
+    result, found = case.result, case.found
+    return {
+        "effects": [(e, words.means(result, e), amounts(e["parameters"])) for e in found["effects"]],
+        "parameters": [words.parameter(result, n, p) for n, p in found["parameters"].items()],
+        "fit": words.fit_table(found["fit"]),
+        "alike": words.alike(result, found),
+        "unseen": unseen(result.calibrated),
+        "remaining": found["remaining"],
+        "seconds": found["seconds"],
+    }
+
+
+def amounts(parameters: Mapping) -> list[tuple[str, words.Amount, str]]:
+    """(name, amount, term where a fitted term stands for the effect)."""
+    return [
+        (n, words.amount(p["value"], p["ci95"], p["unit"]), f"{p['place']}: {p['term']}" if "term" in p else "")
+        for n, p in parameters.items()
+    ]

@@ -1,0 +1,110 @@
+"""What a fit leaves of a recording, beside what it may depend on, in parts of equal width."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greygate.mismatch.diagnosis import Diagnosis
+from greygate.mismatch.fit import Fit
+from greygate.mismatch.locate import signals
+from greygate.mismatch.model import Model
+
+PIECE = 0.1  # s of a window in pictures of the residual, where a rig restarts
+SETTLED = 0.3  # of such a window, from which on its pressures count
+SKIP = 0.5  # s at the beginning in which states settle that no sensor shows
+PARTS = (6, 240)  # of a variable's range, in pictures of the residual: fewest and most
+FEW = 2000  # points
+FEWEST = 5  # points in a part that is drawn
+
+
+@dataclass(frozen=True)
+class Residual:
+    """Recorded minus simulated by a fit, of every predicted channel, beside what it may depend on.
+
+    errors: name -> (points,), SI, the name telling channel and kind. units: of errors and variables. variables: name ->
+    (points,), SI. Points are samples; where the rig restarts, windows of `PIECE` s: a position by how fast its error
+    grows, any other channel by its mean error.
+    """
+
+    errors: Mapping[str, np.ndarray]
+    variables: Mapping[str, np.ndarray]
+    units: Mapping[str, str]
+
+
+def residuals(result: Diagnosis, fits: Sequence[Fit]) -> list[Residual]:
+    """What each fit leaves of identify.csv."""
+    rig, recording = result.rig, result.calibrated.problem.model.recording
+    piece = max(round(PIECE / rig.dt), 10) if rig.window else None
+    model = Model(rig, recording, result.corrected.problem.model.effects, piece)
+    variables, units = signals(model)
+    found = []
+    for fit in fits:
+        left = model.target - model.predict(known(model, fit))
+        errors, kinds = {}, {}
+        for i, channel in enumerate(rig.predict):
+            unit = rig.channels[channel].unit
+            if piece is None:
+                errors[f"{channel} left"], kinds[f"{channel} left"] = left[:, i], unit
+                continue
+            rows = left[: len(left) // piece * piece, i].reshape(-1, piece)[round(SKIP / PIECE) :]
+            if model.plant.states[channel].rate if channel in model.plant.states else False:
+                clock = (np.arange(piece) - (piece - 1) / 2) * rig.dt
+                name, values, unit = f"{channel} drifts", rows @ clock / (clock @ clock), f"{unit}/s"
+            else:
+                name, values = f"{channel} left", rows[:, round(SETTLED * piece) :].mean(axis=1)
+            errors[name], kinds[name] = values, unit
+        if piece is None:
+            points = variables
+        else:
+            samples = recording.samples // piece * piece
+            first = round(SKIP / PIECE)
+            points = {n: v[:samples].reshape(-1, piece).mean(axis=1)[first:] for n, v in variables.items()}
+        found.append(Residual(errors, points, {**units, **kinds}))
+    return found
+
+
+def known(model: Model, fit: Fit) -> dict[str, float]:
+    """A fit's values for the parameters of `model`."""
+    return {**model.values, **{s: v for s, v in fit.values.items() if s in model.values}}
+
+
+def edges_of(values: np.ndarray, parts: int) -> np.ndarray:
+    """Equal parts of where nearly all values lie."""
+    low, high = np.percentile(values, (0.5, 99.5))
+    return np.linspace(low, high if high > low else low + 1.0, parts + 1)
+
+
+def part_of(x: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Number of the part in which each value lies, the last edge within; below 0 or beyond where it lies in none."""
+    return np.digitize(x, edges) - 1 - (x == edges[-1])
+
+
+def parts_of(x: np.ndarray) -> int:
+    return int(np.clip(len(x) // (15 if len(x) < FEW else 80), *PARTS))
+
+
+def binned(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(middle of each part of x, quartiles of y there (parts, 3)); only parts that hold enough."""
+    edges = edges_of(x, parts_of(x))
+    which = part_of(x, edges)
+    middles, quartiles = [], []
+    for k in range(len(edges) - 1):
+        inside = y[which == k]
+        if len(inside) >= FEWEST:
+            middles.append((edges[k] + edges[k + 1]) / 2)
+            quartiles.append(np.percentile(inside, (25, 50, 75)))
+    return np.array(middles), np.array(quartiles).reshape(-1, 3)
+
+
+def dependence(x: np.ndarray, y: np.ndarray) -> float:
+    """Share of the variance of y that its mean over parts of x explains, less what chance explains."""
+    parts = parts_of(x)
+    which = np.clip(np.digitize(x, edges_of(x, parts)), 0, parts + 1)
+    count = np.bincount(which, minlength=parts + 2)
+    mean = np.bincount(which, y, minlength=parts + 2) / np.maximum(count, 1)
+    total, used = float(np.var(y)), int((count > 0).sum())
+    if total == 0.0 or len(y) <= used:
+        return 0.0
+    share = float(np.sum(count * (mean - np.mean(y)) ** 2) / (total * len(y)))
+    return max(1.0 - (1.0 - share) * (len(y) - 1) / (len(y) - used), 0.0)

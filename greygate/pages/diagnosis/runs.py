@@ -1,0 +1,99 @@
+"""Before and after: the errors of a whole recording, and the place of the largest misfit."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from markupsafe import Markup
+
+from greygate.mismatch.diagnosis import Diagnosis
+from greygate.mismatch.locate import display_unit
+from greygate.mismatch.model import Model, begun
+from greygate.pages import figures
+from greygate.pages.diagnosis.case import Case
+from greygate.pages.diagnosis.residual import known
+from greygate.pages.figures import BINS, Line, envelope, shortened
+from greygate.pages.units import labelled
+
+ZOOM = 2.0  # s drawn where the misfit is largest; two windows where a rig has them
+SHORTEST = 150  # samples of that
+LOOK = {"calibrated": "before", "corrected": "after"}  # class of a line
+
+
+def context(case: Case) -> dict:
+    """A row of pictures per channel."""
+    return {"changed": case.changed, "runs": runs(case)}
+
+
+def runs(case: Case) -> list[dict]:
+    """Per channel: errors over a whole recording by the rule of the rigs, and a zoom on the largest misfit.
+
+    The recording is holdout.csv where there is one.
+    """
+    result, rig = case.result, case.result.rig
+    path = rig.folder / "holdout.csv"
+    name = "holdout" if path.exists() else "identify"
+    recording = rig.recording(path if path.exists() else rig.folder / "identify.csv")
+    model = Model(rig, recording, result.corrected.problem.model.effects)
+    skip = rig.settle if path.exists() else 0
+    predicted = {kind: model.predict(begun(model, known(model, fit), skip)) for kind, fit in case.fits.items()}
+    rows = []
+    for i, channel in enumerate(rig.predict):
+        target = model.target[:, i]
+        errors = {kind: np.nan_to_num(p[:, i] - target) for kind, p in predicted.items()}
+        rows.append(
+            {
+                "channel": channel,
+                "record": name,
+                "run": run_picture(errors, result, channel),
+                "zoom": zoom_picture(result, target, {k: p[:, i] for k, p in predicted.items()}, channel),
+            }
+        )
+    return rows
+
+
+def run_picture(errors: Mapping[str, np.ndarray], result: Diagnosis, channel: str) -> Markup:
+    """Errors over the whole recording, scaled to what comes after the first window."""
+    dt = result.rig.dt
+    later = [e[result.rig.window or 0 :] for e in errors.values()]
+    low, high = min(float(e.min()) for e in later), max(float(e.max()) for e in later)
+    factor, label = display_unit(result.rig.channels[channel].unit, max(-low, high))
+    lines = []
+    for kind, error in errors.items():
+        points = envelope(error * factor, BINS)
+        lines.append(Line([k * dt for k in points["step"]], points["value"], LOOK[kind]))
+    return figures.chart(
+        lines,
+        x="time [s]",
+        y=labelled(f"error of {channel}", label),
+        x_limits=(0.0, len(later[0]) * dt + (result.rig.window or 0) * dt),
+        y_limits=figures.span([low * factor, high * factor]),
+        width=770,
+        height=230,
+    )
+
+
+def zoom_picture(result: Diagnosis, target: np.ndarray, predicted: Mapping[str, np.ndarray], channel: str) -> Markup:
+    """What the calibrated simulation misses where it errs most, and what the correction adds to it."""
+    dt, window = result.rig.dt, result.rig.window
+    length = min(2 * window if window else max(round(ZOOM / dt), SHORTEST), len(target))
+    missed = np.nan_to_num(target - predicted["calibrated"])
+    power = np.concatenate(([0.0], np.cumsum(missed**2)))
+    starts = np.arange(window or 0, len(target) - length + 1, window or max(length // 4, 1))
+    first = int(starts[np.argmax(power[starts + length] - power[starts])]) if len(starts) else 0
+    steps = np.arange(first, min(first + length, len(target)), max(length // 500, 1))
+    factor, label = display_unit(result.rig.channels[channel].unit, float(np.abs(missed[steps]).max()))
+    times = (steps * dt).tolist()
+    lines = [Line(times, shortened(missed[steps] * factor), "reference")]
+    if "corrected" in predicted:
+        added = np.nan_to_num(predicted["corrected"] - predicted["calibrated"])
+        lines.append(Line(times, shortened(added[steps] * factor), "after"))
+    marks = [k * dt for k in range(first, first + length, window)][1:] if window else []
+    return figures.chart(
+        lines,
+        x="time [s]",
+        y=labelled(f"{channel} − calibrated", label),
+        x_limits=(times[0], times[-1]),
+        marks=marks,
+        levels=[(0.0, "")],
+        height=230,
+    )

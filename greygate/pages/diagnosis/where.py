@@ -1,0 +1,53 @@
+"""Where the calibrated simulation errs: what it leaves, against each variable."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from greygate.mismatch.locate import display_unit
+from greygate.pages import figures, words
+from greygate.pages.diagnosis.case import Case
+from greygate.pages.diagnosis.residual import Residual, binned, dependence
+from greygate.pages.figures import Line
+from greygate.pages.units import labelled
+
+
+def context(case: Case) -> dict:
+    """Places in words, and a row of pictures per channel."""
+    before, after = case.residuals["calibrated"], case.residuals.get("corrected")
+    return {
+        "where": words.where(case.found),
+        "windowed": case.result.rig.window is not None,
+        "changed": case.changed,
+        "against": against(before, after, case.depends_on),
+    }
+
+
+def against(before: Residual, after: Residual | None, told: Sequence[str]) -> list[dict]:
+    """A row a channel, a picture a variable: median and quartiles of the residual."""
+    rows = []
+    for channel, error in before.errors.items():
+        drawn = {name: binned(x, error) for name, x in before.variables.items()}
+        values = np.concatenate([[0.0], *(q.ravel() for _, q in drawn.values())])
+        factor, unit = display_unit(before.units[channel], float(np.abs(values).max()) or 1.0)
+        pictures = []
+        for name, (middle, quartiles) in drawn.items():
+            scale, label = display_unit(before.units[name], float(np.abs(before.variables[name]).max()))
+            x, q = middle * scale, quartiles * factor
+            lines = [Line([*x, *x[::-1]], [*q[:, 0], *q[::-1, 2]], "quartiles"), Line(x, q[:, 1], "before")]
+            if after is not None:
+                at, now = binned(after.variables[name], after.errors[channel])
+                lines.append(Line(at * scale, now[:, 1] * factor, "after"))
+            picture = figures.chart(
+                lines,
+                x=labelled(name, label),
+                y=labelled(channel, unit),
+                y_limits=figures.span([factor * values.min(), factor * values.max()]),
+                levels=[(0.0, "")],
+                width=285,
+                height=170,
+            )
+            share = dependence(before.variables[name], error)
+            pictures.append({"name": name, "picture": picture, "share": 100 * share, "told": name in told})
+        rows.append({"channel": channel, "pictures": pictures})
+    return rows

@@ -1,0 +1,20 @@
+"""What each format holds, beside what its signal does."""
+
+from collections.abc import Sequence
+
+from greygate.pages import figures
+
+
+def context(study: dict) -> dict:
+    """The picture of every input and operation, and the notes of the compiler on some of them."""
+    signals = [s for s in study["signals"] if s["kind"] != "state"]
+    return {"ranged_on": study["ranged_on"], "picture": figures.formats(signals), "noted": noted(study["signals"])}
+
+
+def noted(signals: Sequence[dict]) -> list[tuple[str, str]]:
+    """(signals and format, note), equal notes together."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for s in signals:
+        if s["note"]:
+            found.setdefault((s["fix"], s["note"]), []).append(s["name"])
+    return [(f"{', '.join(names)}, {fix}", note) for (fix, note), names in found.items()]

@@ -1,0 +1,59 @@
+"""How the pages write figures and units: "1.23", "8.40·10⁻⁷", "bar", "µm"; a dash where there is no figure."""
+
+import math
+from collections.abc import Sequence
+
+NONE = "–"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A figure as a person writes it: three significant digits, powers of ten where it is tiny or huge."""
+    if value is None:
+        return NONE
+    if value == 0:
+        return "0"
+    power = math.floor(math.log10(abs(value)))
+    if -4 < power < 6:
+        text = f"{value:.{max(digits - 1 - power, 0)}f}"
+    else:
+        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+        text = f"{mantissa}·10{str(int(exponent)).translate(str.maketrans('-0123456789', '⁻⁰¹²³⁴⁵⁶⁷⁸⁹'))}"
+    return text.replace("-", "−")
+
+
+def figure(value: float | str | None) -> str:
+    """A cell of a table of figures whose kind is not known beforehand."""
+    if isinstance(value, str):
+        return value
+    return f"{value:,.0f}" if value is not None and value == int(value) else number(value, 4)
+
+
+def per_cent(value: float | None) -> str:
+    """One decimal, without the sign %."""
+    return NONE if value is None or not math.isfinite(value) else f"{value:.1f}".replace("-", "−")
+
+
+def display(unit: str, reach: float = 0.0) -> tuple[float, str]:
+    """(factor, label) from SI to what a person reads: bar for Pa; µm for m, mm where `reach` is 1 mm or more."""
+    if unit == "Pa":
+        return 1e-5, "bar"
+    if unit == "m":
+        return (1e3, "mm") if reach >= 1e-3 else (1e6, "µm")
+    return 1.0, "" if unit == "1" else unit
+
+
+def shown(value: float | Sequence[float] | None, unit: str, reach: float = 0.0) -> str:
+    """An SI figure, or a pair of them, in the unit of `display`, which is not written."""
+    if isinstance(value, Sequence):
+        return " to ".join(shown(v, unit, reach) for v in value)
+    return number(None if value is None else value * display(unit, reach)[0])
+
+
+def labelled(name: str, unit: str) -> str:
+    """The label of an axis: "p_a [bar]", or the name alone where there is no unit."""
+    return f"{name} [{unit}]" if unit else name
+
+
+def differing(bits: int | None) -> str:
+    """How many bits differ. None: some do, and nobody has counted them."""
+    return "bits differ" if bits is None else f"{bits:,} bits differ"

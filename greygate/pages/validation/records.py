@@ -1,0 +1,182 @@
+"""Each record: the run, its error, accuracy, steps ahead, the long run, and the residual tests."""
+
+import base64
+import math
+from html import escape
+from itertools import groupby, pairwise
+
+import numpy as np
+from markupsafe import Markup
+
+from greygate.models.validation import LEASH, Correlation, Validation
+from greygate.pages import figures
+from greygate.pages.figures import Line
+from greygate.pages.units import display, labelled
+from greygate.pages.validation.judged import Judged, long_run
+from greygate.plain import plain
+
+DRAWN = 20_000  # samples of a run that are drawn one by one; of a longer one, least and largest of so many bins
+BARS = 40  # of the error's histogram
+WIDTH = 285  # px of a small picture
+SYMBOLS = {"phi_ee": "φ(e, e)", "phi_ue": "φ({}, e)", "phi_u2e": "φ({}², e)", "phi_u2e2": "φ({}², e²)",
+           "phi_eeu": "φ(e·{}, e)"}  # fmt: skip
+LINEAR = ("phi_ee", "phi_ue")
+
+
+def context(judged: Judged) -> dict:
+    """By record, each output with its pictures."""
+    records = {
+        name: [(v, pictures(v, judged.period)) for v in group]
+        for name, group in groupby(judged.validations, key=lambda v: v.record)
+    }
+    return {"records": records, "long_run": long_run, "drawn": DRAWN}
+
+
+def label(test: Correlation) -> str:
+    kind, _, name = test.name.partition(" ")
+    return SYMBOLS[kind].format(name)
+
+
+def pictures(v: Validation, period: float) -> dict:
+    """Every drawing of one output on one record."""
+    used = slice(v.skip, None)
+    small, small_unit = display(v.unit, v.rms if math.isfinite(v.rms) else v.spread)
+    residual = v.measured[used] - v.predicted[used]
+    tests = {
+        residual: {
+            "linear": [(t, label(t), stems(t)) for t in found if t.name.split()[0] in LINEAR],
+            "higher": [(t, label(t), stems(t)) for t in found if t.name.split()[0] not in LINEAR],
+        }
+        for residual, found in v.tests.items()
+    }
+    return {
+        "run": run_data(v, period),
+        "histogram": histogram(residual * small, small_unit) if math.isfinite(v.rms) else "",
+        "response": _response(v) if v.response else "",
+        "ahead": ahead(v, small, small_unit) if v.ahead else "",
+        "long_run": repetitions(v, small, small_unit),
+        "tests": tests,
+    }
+
+
+def _response(v: Validation) -> Markup:
+    found = plain(v.response)
+    return figures.accuracy(found["frequency"], {"response": found}, (72, 68, 90), WIDTH)
+
+
+def run_data(v: Validation, period: float) -> dict:
+    """What Plotly draws: measured, predicted and error over time, JSON-able, with binary float32.
+
+    Plotly takes labels as HTML, so they are escaped; the template's `tojson` then keeps them inside <script>.
+    """
+    factor, unit = display(v.unit, float(np.abs(v.measured).max()))
+    small, small_unit = display(v.unit, v.rms if math.isfinite(v.rms) else v.spread)
+    reach = LEASH * (np.ptp(v.measured) or np.inf)  # a run that diverges is drawn so far
+    leash = np.mean(v.measured) + reach * np.array([-1, 1])
+    near = np.where((v.predicted > leash[0]) & (v.predicted < leash[1]), v.predicted, np.nan)
+    traces = {"measured": v.measured * factor, "predicted": near * factor, "error": (v.measured - near) * small}
+    drawn = {}
+    for name, y in traces.items():
+        steps = _thinned(y)
+        time = {"x0": 0.0, "dx": period} if len(steps) == len(y) else {"x": _binary(steps * period)}
+        drawn[name] = {"y": _binary(y[steps])} | time
+    labels = {"y": labelled(v.output, unit), "error": labelled("error", small_unit)}
+    return {"traces": drawn, "labels": {axis: escape(label, quote=False) for axis, label in labels.items()}}
+
+
+def _thinned(y: np.ndarray) -> np.ndarray:
+    """Samples to draw: all, or where each of DRAWN / 2 bins has its least and its largest value."""
+    if len(y) <= DRAWN:
+        return np.arange(len(y))
+    edges = np.linspace(0, len(y), DRAWN // 2 + 1).astype(int)
+    y = np.nan_to_num(y)
+    bins = ((a, y[a:b]) for a, b in pairwise(edges))
+    return np.unique([a + k for a, part in bins for k in (part.argmin(), part.argmax())])
+
+
+def _binary(values: np.ndarray) -> dict:
+    return {"dtype": "f4", "bdata": base64.b64encode(np.asarray(values, "<f4").tobytes()).decode()}
+
+
+def histogram(error: np.ndarray, unit: str) -> Markup:
+    """Share of samples by error, and the Gaussian of the same mean and deviation."""
+    counts, edges = np.histogram(error, BARS)
+    share = counts / counts.sum()
+    x, y = np.repeat(edges, 2), np.r_[0, np.repeat(share, 2), 0]
+    mean, deviation = np.mean(error), np.std(error)
+    at = np.linspace(edges[0], edges[-1], 120)
+    normal = (
+        np.exp(-0.5 * ((at - mean) / deviation) ** 2) / (deviation * math.sqrt(2 * math.pi)) if deviation else 0 * at
+    )
+    lines = [Line(x, 100 * y, "bars"), Line(at, 100 * normal * (edges[1] - edges[0]), "normal")]
+    return figures.chart(lines, x=labelled("error", unit), y="samples [%]", width=WIDTH, height=230)
+
+
+def stems(test: Correlation) -> Markup:
+    """Coefficients over lag, those outside the band in red; bands dashed, the thesis's 1.96/sqrt(N) dotted."""
+    beyond = np.abs(test.values) > test.band
+    ends = (float(test.lags[0]) - 1, float(test.lags[-1]) + 1)
+    lines = []
+    for kind, which in (("inside", ~beyond), ("beyond", beyond)):
+        x = [v for lag in test.lags[which] for v in (lag, lag, None)]
+        y = [v for value in test.values[which] for v in (0.0, value, None)]
+        lines.append(Line(x, y, f"stem {kind}"))
+    for level, kind in ((test.plain, "plain"), (test.band, "band")):
+        if kind == "band" or test.band > 1.02 * test.plain:
+            lines += [Line(ends, [sign * level] * 2, kind) for sign in (-1, 1)]
+    reach = 1.15 * max(np.abs(test.values).max(), test.band)
+    return figures.chart(
+        lines,
+        x="lag [steps]",
+        x_limits=ends,
+        y_limits=(-reach, reach),
+        levels=[(0.0, "")],
+        width=WIDTH,
+        height=160,
+    )
+
+
+def ahead(v: Validation, factor: float, unit: str) -> Markup:
+    """RMS over the horizon; the level is the free run's."""
+    steps = list(v.ahead)
+    values = plain([rms * factor if math.isfinite(rms) else None for rms, _ in v.ahead.values()])
+    levels = [(v.rms * factor, "")] if math.isfinite(v.rms) else []
+    return figures.chart(
+        [Line(steps, values, "series0 dots")],
+        x="steps ahead",
+        y=labelled("RMS", unit),
+        x_log=True,
+        x_limits=(0.9 * steps[0], 1.1 * max(steps[-1], 2)),
+        x_ticks=steps,
+        y_limits=figures.span([0.0, *values, *(level for level, _ in levels)]),
+        levels=levels,
+        width=WIDTH,
+        height=230,
+    )
+
+
+def repetitions(v: Validation, factor: float, unit: str) -> Markup:
+    """Error of each repetition, and how far the prediction goes as recorded and with larger inputs."""
+    number = list(range(1, len(v.long_run.rms) + 1))
+    ends = (0.6, number[-1] + 0.4)
+    rms = plain([value * factor for value in v.long_run.rms])
+    reach = [plain(list(values)) for values in v.long_run.reach]
+    known = [value for line in reach for value in line if value is not None]
+    return figures.chart(
+        [Line(number, rms, "series0 dots")],
+        y=labelled("RMS", unit),
+        x_limits=ends,
+        x_ticks=number,
+        y_limits=figures.span([0.0, *rms]),
+        width=WIDTH,
+        height=100,
+    ) + figures.chart(
+        [Line(number, values, f"series{i} dots") for i, values in enumerate(reach)],
+        x="repetition",
+        y="reach [½ range]",
+        x_limits=ends,
+        x_ticks=number,
+        y_limits=(0.0, min(1.1 * max(known, default=2.0), 2 * LEASH)),
+        width=WIDTH,
+        height=130,
+    )

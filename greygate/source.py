@@ -1,0 +1,177 @@
+"""Where a network and its records come from: the catalogue, or files of one's own."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from greygate.compiler.quantize import Formats
+from greygate.errors import InputError
+from greygate.files import making, writing
+from greygate.machines.catalog import CATALOG, entry
+from greygate.machines.measured.identification import settled
+from greygate.machines.procedure import rms
+from greygate.models.network import Network, Port
+from greygate.models.training.levenberg import Outcome, narx_noe, train
+from greygate.models.training.record import Record, held_out
+from greygate.plain import json_text, plain
+from greygate.plants.recording import read_csv
+from greygate.progress import Progress, silent
+
+SAME_TIME = 1e-3  # by which sample times may differ, relatively: printed times are rounded
+
+
+def read_record(network: Network, path: Path | str, targets: bool = True) -> Record:
+    """A recording as the network's ports name it: columns `port_unit`, time in `t_s`.
+
+    Raises InputError for a missing column or unit, NaN, non-uniform time, an empty file.
+    """
+    return _read(network, path, targets)[0]
+
+
+def read_records(network: Network, paths: Mapping[str, Path | str]) -> dict[str, Record]:
+    """Recordings by scenario, as `read_record`. Raises InputError if their sample times differ."""
+    found = {scenario: _read(network, path) for scenario, path in paths.items()}
+    times = {path: dt for path, (_, dt) in zip(paths.values(), found.values(), strict=True)}
+    for path, dt in times.items():
+        first, expected = next(iter(times.items()))
+        if abs(dt - expected) > SAME_TIME * expected:
+            raise InputError(f"{path}: sampled every {dt:g} s, {first} every {expected:g} s; resample one of them")
+    return {scenario: record for scenario, (record, _) in found.items()}
+
+
+def _read(network: Network, path: Path | str, targets: bool = True) -> tuple[Record, float]:
+    """The record and its sample time in s."""
+    for port in network.inputs + network.outputs:
+        if port.size > 1:
+            raise InputError(f"port {port.name} has {port.size} elements, a CSV column holds one; use scalar ports")
+    wanted = network.inputs + (network.outputs if targets else [])
+    recording = read_csv(path, {p.name: p.unit for p in wanted})
+
+    def channels(ports: list[Port]) -> dict[str, np.ndarray]:
+        return {p.name: recording[p.name] for p in ports}
+
+    return Record(channels(network.inputs), channels(network.outputs) if targets else {}), recording.dt
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a network and its records come from: a name of the catalogue, or a file with recordings beside it.
+
+    recordings: scenario -> CSV; empty for the catalogue's own. The first one sets the ranges of the formats.
+    settle: first samples of each recording that only tell the state it starts from.
+    Its methods raise InputError for a name, a file or a recording that cannot serve.
+
+    >>> lag.save("lag")
+    >>> source = Source("lag.toml", {"train": "lag.csv"})
+    >>> source.training, source.period
+    (('train',), 0.001)
+    """
+
+    name: str
+    recordings: Mapping[str, str] = field(default_factory=dict)
+    settle: int = 0
+
+    def network(self) -> Network:
+        path = Path(self.name)
+        written = self.name.endswith((".toml", ".safetensors")) or (path.name and path.with_suffix(".toml").exists())
+        if self.name not in CATALOG and written:
+            return Network.load(self.name)
+        return entry(self.name).network()
+
+    def records(self) -> dict[str, Record]:
+        if not self.recordings:
+            if self.name not in CATALOG:
+                raise InputError(f"{self.name}: give recordings of it, --record FILE.csv")
+            return dict(entry(self.name).records())
+        records = read_records(self.network(), self.recordings)
+        return {scenario: replace(record, skip=self.settle) for scenario, record in records.items()}
+
+    @property
+    def title(self) -> str:
+        return entry(self.name).title if self.name in CATALOG else Path(self.name).stem
+
+    @property
+    def period(self) -> float:
+        if self.name in CATALOG:
+            return entry(self.name).period
+        return read_csv(next(iter(self.recordings.values()))).dt if self.recordings else 1e-3
+
+    @property
+    def training(self) -> tuple[str, ...]:
+        """Scenarios that set ranges and formats: the catalogue's training runs, or the first recording given."""
+        return entry(self.name).training if not self.recordings else tuple(self.recordings)[:1]
+
+    @property
+    def scenarios(self) -> tuple[str, ...]:
+        """Scenarios that hardware is verified on."""
+        if self.name in CATALOG and not self.recordings:
+            return entry(self.name).scenarios
+        return tuple(self.recordings)
+
+    def formats(self, width: int = 16, finer: int | None = None) -> Formats:
+        """Formats of that word; finer: as in `Formats`, what the catalogue says of the network if not given."""
+        own = entry(self.name).finer if self.name in CATALOG else 0
+        return Formats(width, own if finer is None else finer)
+
+    @property
+    def references(self) -> Mapping[str, Mapping]:
+        return entry(self.name).references if self.name in CATALOG else {}
+
+
+def train_source(
+    source: Source,
+    folder: Path,
+    held: Mapping[str, str],
+    *,
+    narx: bool = True,
+    progress: Progress = silent,
+    **options,
+) -> dict:
+    """Train the network on its recordings and write it, with the figures returned, into the folder.
+
+    held: scenario -> CSV that only chooses the epoch. narx: learn one step ahead first. options: of `train`. If the
+    source settles, the state before each recording is estimated, in training and for the figures.
+    Raises InputError as `train`, before anything is written.
+    """
+    if both := set(source.recordings) & set(held):
+        raise InputError(f"{min(both)} is given to learn from and to judge on; name one otherwise")
+    files = {**source.recordings, **held}
+    paths = {name: Path(path).resolve() for name, path in files.items()}
+    if len(set(paths.values())) < len(paths):
+        raise InputError("one file is given twice, under two names; give another to judge on")
+    network, found = source.network(), replace(source, recordings=files).records()
+    records, others = ({name: found[name] for name in names} for names in (source.recordings, held))
+    learn = narx_noe if narx and not options.get("shooting") else train
+    checkpoint = folder / f"{network.name}.checkpoint"
+    with making(folder), writing(folder):
+        fit = learn(
+            network,
+            list(records.values()),
+            held=list(others.values()),
+            checkpoint=checkpoint,
+            keep=True,
+            progress=lambda epoch, loss: progress(f"epoch {epoch}, loss {loss:.3g}"),
+            estimate_initial=source.settle > 0,
+            **options,
+        )
+    trained = network.with_parameters(fit.network.parameters())  # as it was declared, meanings and modules kept
+    _, ends = held_out(network, list(records.values()), options.get("tail", 0.0), ())
+    judged = {name: settled(trained, record) for name, record in found.items()}
+    judged |= {f"{name} tail": replace(judged[name], skip=end.skip) for name, end in zip(records, ends, strict=False)}
+    figures = {
+        "outcome": fit.outcome.name.lower(),
+        "sentence": fit.outcome.value,
+        "epochs": len(fit.history) - 1,
+        "loss": fit.history[-1],
+        "seconds": round(fit.seconds, 2),
+        "rmse": {name: rms(trained, record) for name, record in judged.items()},
+        "remarks": list(fit.remarks),
+        "out": str(folder / f"{network.name}.toml"),
+    }
+    trained.save(folder / network.name, json_text(plain(figures)))
+    if fit.outcome not in (Outcome.INTERRUPTED, Outcome.TIME):
+        for left in ("", ".shooting"):
+            Path(f"{checkpoint}{left}").unlink(missing_ok=True)
+    return plain(figures)
