@@ -11,7 +11,7 @@ from greygate.errors import InputError
 from greygate.files import making, writing
 from greygate.machines.catalog import CATALOG, entry
 from greygate.machines.measured.identification import settled
-from greygate.machines.procedure import rms
+from greygate.models.accuracy import free_run_rms
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Outcome, narx_noe, train
 from greygate.models.training.record import Record, held_out
@@ -152,7 +152,7 @@ def train_source(
             held=list(others.values()),
             checkpoint=checkpoint,
             keep=True,
-            progress=lambda epoch, loss: progress(f"epoch {epoch}, loss {loss:.3g}"),
+            progress=progress,
             estimate_initial=source.settle > 0,
             **options,
         )
@@ -166,7 +166,7 @@ def train_source(
         "epochs": len(fit.history) - 1,
         "loss": fit.history[-1],
         "seconds": round(fit.seconds, 2),
-        "rmse": {name: rms(trained, record) for name, record in judged.items()},
+        "rmse": {name: free_run_rms(trained, record) for name, record in judged.items()},
         "remarks": list(fit.remarks),
         "out": str(folder / f"{network.name}.toml"),
     }

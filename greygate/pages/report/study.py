@@ -7,11 +7,12 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from greygate.compiler.pipeline import Compiled, float_error, quantize_centred
+from greygate.compiler.pipeline import Compiled, quantize_centred
 from greygate.compiler.quantize import Formats
 from greygate.emulator.engine import run
-from greygate.emulator.program import Affine, Lookup, Port, Program, Table
+from greygate.emulator.program import Affine, Lookup, Program, Table, Terminal
 from greygate.errors import InputError
+from greygate.models.accuracy import float_error, rms
 from greygate.models.network import Network
 from greygate.models.spectra import frequency_response, spectrum
 from greygate.models.training.record import Record
@@ -94,7 +95,7 @@ def _scenario(compiled: Compiled, record: Record, period: float) -> tuple[dict, 
     return {"steps": steps, "seconds": steps * period, "skip": record.skip, "outputs": outputs}, saturations
 
 
-def _labels(port: Port) -> list[str]:
+def _labels(port: Terminal) -> list[str]:
     """Names of a port's elements: its own, or `name[0]`, `name[1]`, ... where there are several."""
     return [port.name] if port.signal.size == 1 else [f"{port.name}[{i}]" for i in range(port.signal.size)]
 
@@ -119,11 +120,6 @@ def _fixed(program: Program, record: Record) -> tuple[dict[str, np.ndarray], dic
     done = run(program, program.encode(record.inputs), states=False)
     clipped = {name: found.count for name, found in program.clipped(record.inputs).items()}
     return _elements(program, program.decode(done.outputs)), clipped | done.saturations
-
-
-def rms(error: np.ndarray) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(np.square(error))))
 
 
 def _output(reference: np.ndarray, floating: np.ndarray, fixed: np.ndarray, skip: int, period: float) -> dict:
