@@ -1,3 +1,3 @@
 """Grey-box networks from a mechanical plant to an FPGA."""
 
-__version__ = "0.1.0"
+from greygate.version import __version__ as __version__

@@ -26,10 +26,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
-from greygate import __version__
 from greygate.contents import contents
 from greygate.errors import InputError, shown
 from greygate.reading import line, named, read_json, table, whole
+from greygate.version import __version__
 
 MANIFEST = "manifest.json"
 SCHEMA = 1  # of the manifest

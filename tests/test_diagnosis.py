@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from greygate import diagnose as explain
 from greygate.mismatch.concealed import conceal
 from greygate.mismatch.concealed.valve import VALVE
+from greygate.pages import words
 
 DRUM = 3  # seed
 
@@ -110,7 +110,7 @@ def test_a_simulation_is_written_at_the_times_of_the_recording(drum, tmp_path, g
     ],
 )
 def test_figures_are_written_to_two_digits_of_their_uncertainty(value, ci95, unit, text):
-    assert str(explain.amount(value, ci95, unit)) == text
+    assert str(words.amount(value, ci95, unit)) == text
 
 
 # -- what is wrong with a rig ----------------------------------------------------------------------------------------

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from greygate import diagnose as explain
 from greygate.mismatch import locate as locating
 from greygate.mismatch import rig
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.diagnosis import diagnose
 from greygate.mismatch.locate import added, band, left, locate, located
+from greygate.pages import words
 
 DT, SAMPLES = 1e-3, 20_000
 T = np.arange(SAMPLES) * DT
@@ -132,7 +132,7 @@ def test_a_diagnosis_says_where_it_acts(drum):
     assert place["regime"] == "extra slip per travel when moving backward; backward"
     assert place["depends_on"] == ["v"]
     assert place["band"].endswith("Hz")
-    printed = "\n".join(explain.lines(drum))
+    printed = "\n".join(words.lines(drum))
     assert f"transmission, depends on v\n{' ' * 18}backward, {place['time']}, {place['band']}\n" in printed
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
-from greygate import diagnose as explain
 from greygate.files import replacing
 from greygate.mismatch.coloured import settled
 from greygate.mismatch.diagnosis import APART, Diagnosis
@@ -18,6 +17,7 @@ from greygate.mismatch.fit import Fit
 from greygate.mismatch.locate import signals
 from greygate.mismatch.model import Model
 from greygate.pages import figures
+from greygate.pages import words as explain
 from greygate.pages.figures import Line, Scale
 from greygate.pages.report import BINS, envelope, shortened, templates
 from greygate.plants.recording import Recording

@@ -1,0 +1,168 @@
+"""A diagnosis in words: the lines that `greygate diagnose` prints, and the phrases that its page shares with them."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from greygate.mismatch.diagnosis import APART, Diagnosis
+from greygate.mismatch.experiments.excitation import unseen
+from greygate.mismatch.experiments.separation import separations
+from greygate.mismatch.locate import scaled
+from greygate.plants.expressions import names
+
+VERDICTS = {
+    "consistent": "consistent: the parameters, inside their tolerances, explain the recording",
+    "parameter_error": "parameter error: one parameter lies outside its tolerance, and that explains the recording",
+    "missing_physics": "missing physics: the simulation leaves out what is named here",
+    "unexplained": "unexplained: something is missing that no effect of the table has",
+}
+"""What a verdict says."""
+
+EXPERIMENTS = {
+    "x": "the same moves on another part of the travel, up to its ends",
+    "v": "the same path slower and faster",
+    "a": "the same path at the same speed with harder and softer starts",
+    "t": "the same moves again minutes later",
+    "p_a": "holding still under a load, so that the pressures stand apart without flow",
+    "p_b": "holding still under a load, so that the pressures stand apart without flow",
+}
+"""Variable -> the experiment in which it alone changes."""
+
+SIMULATED = 3  # alternatives whose experiment is found by simulation
+
+
+@dataclass(frozen=True)
+class Amount:
+    """A value in the unit that a person reads, written to two digits of its uncertainty."""
+
+    value: str
+    low: str
+    high: str
+    unit: str
+
+    def __str__(self) -> str:
+        between = f" [{self.low}, {self.high}]" if self.low else ""
+        return f"{self.value}{between}{' ' * bool(self.unit)}{self.unit}"
+
+
+def amount(value: float, ci95: Sequence[float] | None, unit: str) -> Amount:
+    """`value` with its interval as a person reads it."""
+    factor, label = scaled(unit, abs(value))
+    value, (low, high) = value * factor, (b * factor for b in ci95 or (value, value))
+    half = (high - low) / 2
+    if not half > 0:
+        return Amount(f"{value:.4g}", "", "", label)
+    power = math.floor(math.log10(max(abs(value), half)))
+    power = 0 if -3 <= power < 6 else power
+    digits = min(max(1 - math.floor(math.log10(half)) + power, 0), 7)
+    texts = (f"{v / 10.0**power:.{digits}f}" + (f"e{power}" if power else "") for v in (value, low, high))
+    return Amount(*texts, label)
+
+
+def means(result: Diagnosis, entry: Mapping) -> str:
+    """An effect of the diagnosis in words."""
+    effect = result.search.effects.get(entry.get("form", entry["id"]))
+    return effect.means if effect else "a fitted term that the table does not have"
+
+
+def lines(result: Diagnosis) -> list[str]:
+    """The diagnosis on one screen."""
+    found = result.as_dict()
+    seconds = result.calibrated.problem.model.recording.samples * result.rig.dt
+    out = [
+        f"{result.rig.folder.resolve().name} ({found['plant']}), {seconds:.4g} s of recording",
+        VERDICTS[found["verdict"]],
+    ]
+    for i, (place, acts) in enumerate(where(found)):
+        out.append(row("" if i else "where", place))
+        out += [row("", f"  {acts}")] if acts else []
+    for entry in found["effects"]:
+        sure = f" (confidence {entry['confidence']:.3g})" if entry["id"] != "unknown" else ""
+        out.append(row("effect", f"{entry['id']}: {means(result, entry)}{sure}"))
+        for name, p in entry["parameters"].items():
+            name = name.removeprefix(f"unknown_{p.get('place')}_")  # the term itself stands in the file
+            out.append(row("", f"{name:<14} {amount(p['value'], p['ci95'], p['unit'])}"))
+    for i, (name, p) in enumerate(found["parameters"].items()):
+        out.append(row("" if i else "parameters", parameter(result, name, p)))
+    out += fit_table(found["fit"])
+    for i, text in enumerate(alike(result, found)):
+        out.append(row("" if i else "alternatives", text))
+    if hidden := unseen(result.calibrated):
+        out.append(row("cannot show", ", ".join(hidden)))
+    out.append(row("remains", found["remaining"] or "nothing above what the sensors' noise makes"))
+    return [*out, f"{found['seconds']:.1f} s"]
+
+
+def row(head: str, text: str) -> str:
+    return f"  {head:<14}{text}"
+
+
+def where(found: Mapping) -> list[tuple[str, str]]:
+    """(equations and variables; in which regime, when, in which band), places that share all that together."""
+    places: dict[tuple, list[str]] = {}
+    for place in found["where"]:
+        regime = place["regime"].rpartition("; ")[2]  # where, after what acts there
+        acts = ", ".join((regime, place["time"], place["band"])) if "time" in place else ""
+        places.setdefault((tuple(place["depends_on"]), acts), []).append(place["equation"])
+    return [
+        (" and ".join(equations) + (f", depends on {', '.join(on)}" if on else ""), acts)
+        for (on, acts), equations in places.items()
+    ]
+
+
+def parameter(result: Diagnosis, name: str, found: Mapping) -> str:
+    """A fitted parameter beside its data sheet."""
+    given = result.rig.plant.parameters[name]
+    factor, _ = scaled(given.unit, abs(found["value"]))
+    off = " OUTSIDE ITS TOLERANCE" if found.get("outside_tolerance") else ""
+    sheet = f"data sheet {given.value * factor:.5g} ± {100 * given.tolerance:g} %"
+    return f"{name:<14} {amount(found['value'], found['ci95'], found['unit'])}  ({sheet}){off}"
+
+
+def fit_table(fit: Mapping) -> list[str]:
+    """RMS of simulated minus recorded, a line a recording and channel."""
+    out = [row("fit (RMS)", f"{'':22}{'data sheet':>11}{'calibrated':>12}{'corrected':>11}")]
+    for recording, channels in fit.items():
+        for channel, rms in channels.items():
+            values = [rms[kind] for kind in ("simulation", "calibrated", "corrected")]
+            factor, unit = scaled(rms["unit"], max((v for v in values if math.isfinite(v)), default=0.0))
+            texts = [f"{factor * v:.4g}" for v in values]
+            out.append(row("", f"{recording:<10}{channel:<8}{unit:<4}{texts[0]:>11}{texts[1]:>12}{texts[2]:>11}"))
+    return out
+
+
+def alike(result: Diagnosis, found: Mapping) -> list[str]:
+    """Every explanation that is about as good as the best, with the experiment that would tell them apart."""
+    out, told = [], separations(result, found["effects"], SIMULATED)
+    units = {name: channel.unit for name, channel in result.rig.channels.items()}
+    for entry in found["effects"]:
+        for other in entry["not_told_apart_from"]:
+            by = told.get((entry["id"], other))
+            how = f"apart by {by.words(units) if by else experiment(result, entry['id'], other)}"
+            if by and not by.tells:
+                how = "no experiment that was tried tells them apart"
+            out.append(f"{other} in place of {entry['id']}; {how}")
+    if not found["effects"]:
+        best = result.rivals.get(result.best, 0.0)
+        rivals = sorted((cost - best, str(h)) for h, cost in result.rivals.items() if h != result.best)
+        out += [f"with {name} a little better, too little for a claim" for gap, name in rivals if gap < -APART][:3]
+    return out
+
+
+def experiment(result: Diagnosis, one: str, other: str) -> str:
+    """The experiment in which a variable changes that only one of two effects depends on."""
+    first, second = (_depends(result, name) for name in (one, other))
+    differ = [v for v in (*first, *second) if (v in first) != (v in second)] or [*first, *second]
+    tests = [EXPERIMENTS.get(v, f"steps of {v}, small and large") for v in differ]
+    return ", or ".join(list(dict.fromkeys(tests))[:2]) or "a longer recording with larger moves"
+
+
+def _depends(result: Diagnosis, name: str) -> tuple[str, ...]:
+    """Variables that an effect, or the equation of a parameter, depends on."""
+    for effect in result.search.effects.values():
+        if effect.id == name:
+            return effect.depends_on
+    plant = result.rig.plant
+    texts = [t for e in plant.equations.values() for t in e.terms.values() if name in names([t])]
+    texts += [t for d in plant.definitions.values() for t in d.terms.values() if name in names([t])]
+    return tuple(v for v in ("x", "v", *result.rig.channels) if v in names(texts))
