@@ -11,6 +11,7 @@ from typing import NoReturn
 import numpy as np
 
 from greygate.errors import InputError, shown
+from greygate.mismatch.libraries import declared
 from greygate.names import check_file_name
 from greygate.plants.expressions import check_name
 from greygate.plants.plant import Parameter, Plant
@@ -200,4 +201,6 @@ def _plant(rig: Path, name: str) -> Plant:
     if not path.exists():
         given = ", ".join(known)
         raise InputError(f"{rig}: plant {shown(name)} is unknown; give {given}, or a plant file beside rig.toml")
-    return Plant.read(path)
+    plant = Plant.read(path)
+    declared(plant)
+    return plant
