@@ -14,8 +14,8 @@ from greygate.compiler.ranges import ranges
 from greygate.compiler.simplify import simplify
 from greygate.emulator.interpreter import interpret
 from greygate.errors import InputError
-from greygate.machines.measured.identification import stored
-from greygate.machines.measured.studies import STUDIES
+from greygate.machines.identification import stored
+from greygate.machines.measured.study import STUDIES
 
 
 def rms(x):

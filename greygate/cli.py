@@ -146,7 +146,8 @@ def train(
 
     Your own is resumed from OUT/NAME.checkpoint if it was interrupted. Exit code 1 if its free run diverges.
     """
-    from greygate.machines.catalog import CATALOG, TRAINED, entry
+    from greygate.machines.catalog import CATALOG, entry
+    from greygate.machines.identification import TRAINED
 
     if name == "list":
         _give({n: e.title for n, e in CATALOG.items()}, as_json, [f"{n:20} {e.title}" for n, e in CATALOG.items()])
@@ -612,7 +613,7 @@ def augment(
 
 @app.command()
 def conceal(
-    plant: Annotated[str, typer.Argument(help="valve_hydraulic, pump_hydraulic, belt_drive or cable_drum.")],
+    plant: Annotated[str, typer.Argument(help="Its plant; an unknown name is answered by those there are.")],
     seed: Annotated[int, typer.Option(callback=options.SEED, help="Draws everything.")],
     out: Annotated[Path, typer.Option(help="Folder to write; replaced if it is an earlier case.")],
     kind: Annotated[str, typer.Option(help="clean, parameter, one, two, foreign, or any.")] = "any",

@@ -55,8 +55,8 @@ from greygate.files import (
 )
 from greygate.hardware.synthesis import synthesize
 from greygate.hardware.verify import Case, Scenario, Verification, verify_many
-from greygate.machines.catalog import CATALOG, PLANTS, TRAINED, entry
-from greygate.machines.measured.identification import settled
+from greygate.machines.catalog import CATALOG, REPORTED, entry
+from greygate.machines.identification import TRAINED, initialised
 from greygate.machines.procedure import rms
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Outcome, narx_noe, train
@@ -201,7 +201,7 @@ def train_source(
         )
     trained = network.with_parameters(fit.network.parameters())  # as it was declared, meanings and modules kept
     _, ends = held_out(network, list(records.values()), options.get("tail", 0.0), ())
-    judged = {name: settled(trained, record) for name, record in found.items()}
+    judged = {name: initialised(trained, record) for name, record in found.items()}
     judged |= {f"{name} tail": replace(judged[name], skip=end.skip) for name, end in zip(records, ends, strict=False)}
     figures = {
         "outcome": fit.outcome.name.lower(),
@@ -417,7 +417,7 @@ def plants(folder: Path, progress: Callable[[str], None] | None = None) -> list[
     Raises InputError where that folder holds something else.
     """
     found = []
-    for name in PLANTS:
+    for name in REPORTED:
         if not (folder / name / FACTS).exists():
             if progress:
                 progress(f"compiling {name}")

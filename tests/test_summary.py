@@ -15,6 +15,7 @@ from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.files import write_manifest
 from greygate.machines import catalog
+from greygate.machines.entry import Entry
 from greygate.models.network import Network
 from greygate.pages import report
 from greygate.pages.report import page, study
@@ -111,10 +112,10 @@ def test_columns_are_as_wide_as_their_widest_cell():
 @pytest.fixture
 def plants(monkeypatch, records, tmp_path):
     """A catalogue of one plant, its network kept in tmp_path/kept; the command runs in tmp_path."""
-    entry = catalog.Entry(NAME, "Small", None, lambda: records, ("training",), ("training",), PERIOD)
-    monkeypatch.setattr(catalog.Entry, "network", lambda self: network())
+    entry = Entry(NAME, "Small", None, lambda: records, ("training",), ("training",), PERIOD)
+    monkeypatch.setattr(Entry, "network", lambda self: network())
     monkeypatch.setitem(catalog.CATALOG, NAME, entry)
-    monkeypatch.setattr(project, "PLANTS", (NAME,))
+    monkeypatch.setattr(project, "REPORTED", (NAME,))
     monkeypatch.setattr(project, "TRAINED", tmp_path / "kept")
     (tmp_path / "kept").mkdir()
     monkeypatch.chdir(tmp_path)

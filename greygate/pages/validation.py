@@ -15,7 +15,7 @@ from plotly.offline import get_plotlyjs
 from greygate.errors import InputError
 from greygate.files import replacing
 from greygate.machines.catalog import CATALOG, entry
-from greygate.machines.measured.identification import settled
+from greygate.machines.identification import initialised
 from greygate.models.validation import LEASH, Correlation, Range, Validation, coverage, validate
 from greygate.pages import figures
 from greygate.pages.figures import Line
@@ -64,7 +64,7 @@ def judge(source: Source, lags: int = 25, progress: Callable[[str], None] | None
         if taken := set(training) & set(records):
             raise InputError(f"record {min(taken)}: {source.name} learnt from one of that name; name yours otherwise")
         records = {n: own[n] for n in training} | records
-    records = {name: settled(network, record) for name, record in records.items()}
+    records = {name: initialised(network, record) for name, record in records.items()}
     validations = validate(network, records, period=source.period, lags=lags, progress=progress)
     size = sum(v.size for v in network.flatten().parameters().values())
     ranges = coverage(network, records, training)

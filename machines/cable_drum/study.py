@@ -10,7 +10,7 @@ import numpy as np
 from greygate.compiler.pipeline import float_error
 from greygate.machines.cable_drum.network import ERROR, FASTEST, cable_drum
 from greygate.machines.cable_drum.plant import SAMPLE_TIME, STEP, record
-from greygate.machines.measured.identification import rmse
+from greygate.machines.identification import rmse
 from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.regression import nfir, noe
 from greygate.models.network import Network, Port

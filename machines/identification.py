@@ -1,7 +1,7 @@
 """Identification on measured recordings, by rules that keep a test run a test.
 
 Structure and seed are chosen by free runs over blocks held out of the training runs; the chosen network is then fitted
-to the whole training runs, and the test runs are scored once. `studies.py` beside this holds the studies themselves.
+to the whole training runs, and the test runs are scored once. `measured/study.py` holds the studies themselves.
 """
 
 import json
@@ -128,7 +128,7 @@ def rmse(network: Network, record: Record) -> float:
     return network.outputs[0].scale * float(np.sqrt(np.mean(errors[0][record.skip :] ** 2)))
 
 
-def settled(network: Network, record: Record, prior: float = PRIOR, steps: int = 30) -> Record:
+def initialised(network: Network, record: Record, prior: float = PRIOR, steps: int = 30) -> Record:
     """The record with the initial state that fits its first `skip` samples best, and weights as they are.
 
     prior: weight of the square of (state - rest), against squared errors, all normalised. Gauss-Newton, halved steps.
