@@ -13,7 +13,7 @@ from greygate.errors import InputError, shown
 from greygate.plants.closure import SEEN, Library, check_library
 from greygate.plants.expressions import Call as FunctionCall
 from greygate.plants.expressions import Name, Number, check_name, parse, replaced
-from greygate.plants.plant import Plant
+from greygate.plants.plant import TERMS, Plant
 from greygate.reading import named, read_toml
 
 COMMON = Path(__file__).parent / "closure.toml"
@@ -44,6 +44,8 @@ def declared(plant: Plant) -> dict[str, Basis]:
             if name not in known:
                 _fail(plant, where, f"there is no library {shown(name)}; there are {', '.join(known)}")
             joined |= known[name]
+        if len(joined) >= TERMS:
+            _fail(plant, where, f"{len(joined)} functions; {TERMS - 1} are the most")
         found[where] = {name: _candidate(plant, where, text, place.term) for name, text in joined.items()}
     return found
 

@@ -47,7 +47,7 @@ def records() -> dict[str, Record]:
     for name, samples in SAMPLES.items():
         torque = multisine(samples, LARGEST, *BAND, SAMPLE_TIME, SEEDS[name])
         torque = TORQUE.resolution * np.round(torque / TORQUE.resolution)
-        swung = simulate(plant(), {"torque": torque, "t": np.zeros(samples)}, sample_time=SAMPLE_TIME, step=1e-3)
+        swung = simulate(plant(), {"torque": torque}, sample_time=SAMPLE_TIME, step=1e-3)
         found[name] = Record({"torque": torque}, {"theta": ENCODER * np.round(swung["theta"] / ENCODER)})
     return found
 
