@@ -10,6 +10,7 @@ from greygate.machines.identification import TRAINED
 from greygate.machines.kept import Kept
 from greygate.models.network import Network
 from greygate.models.training.problem import Record
+from greygate.progress import Progress
 
 LAST = 1000  # the place of a machine that asks for none
 BAR = 1e5  # Pa
@@ -30,7 +31,7 @@ class Entry:
 
     name: str
     title: str
-    train: Callable[[Callable[[str], None] | None], tuple[Network, dict]]
+    train: Callable[[Progress], tuple[Network, dict]]
     records: Callable[[], Mapping[str, Record]]
     training: tuple[str, ...]
     scenarios: tuple[str, ...]

@@ -20,6 +20,7 @@ from greygate.errors import InputError
 from greygate.models.network import Network
 from greygate.models.training.levenberg import Fit, Outcome
 from greygate.models.training.problem import Problem, Record
+from greygate.progress import Progress, silent
 from greygate.reading import read_json
 
 RECORDINGS = Path(recordings.__file__).resolve().parent
@@ -221,13 +222,12 @@ def _each(count: int, part: Callable, runs: Runs) -> list[Fold]:
 # ---- choice and result
 
 
-def choose(study: Study, training: Runs, progress: Callable[[str], None] | None = None) -> Choice:
+def choose(study: Study, training: Runs, progress: Progress = silent) -> Choice:
     """Fit every candidate from every seed on every fold and judge it by its RMSE over the held-out blocks.
 
     The candidate whose seeds are typically lowest wins (`Study.typical`, the median: many seeds are no advantage), then
     the lowest of its seeds.
     """
-    say = progress or (lambda line: None)
     folds = study.folds(training)
 
     def judge(networks: Sequence[Network]) -> float:
@@ -238,7 +238,7 @@ def choose(study: Study, training: Runs, progress: Callable[[str], None] | None 
     linear = [study.linear.fit(study.linear.build(0), fold.pieces).network for fold in folds]
     baseline = judge(linear)
     unit = linear[0].outputs[0].unit
-    say(f"{study.name}, linear: {baseline:.4g} {unit} RMSE on held-out blocks")
+    progress(f"{study.name}, linear: {baseline:.4g} {unit} RMSE on held-out blocks")
     scores: dict[str, dict[int, float]] = {}
     best: dict[str, tuple[int, Network]] = {}  # of each candidate
     for name, candidate in study.candidates.items():
@@ -252,7 +252,7 @@ def choose(study: Study, training: Runs, progress: Callable[[str], None] | None 
                 networks.append(candidate.fit(network, fold.pieces).network)
             value, lowest = judge(networks), min(scores[name].values(), default=np.inf)
             scores[name][seed] = value
-            say(f"{study.name}, {name}, seed {seed}: {value:.4g} {unit} RMSE on held-out blocks")
+            progress(f"{study.name}, {name}, seed {seed}: {value:.4g} {unit} RMSE on held-out blocks")
             if value < lowest:
                 best[name] = seed, networks[-1]
     if not best:
@@ -278,7 +278,7 @@ class Result:
         self.network.save(folder / self.study.name, json.dumps(self.figures, indent=2) + "\n")
 
 
-def identify(study: Study, folder: Path | None = None, progress: Callable[[str], None] | None = None) -> Result:
+def identify(study: Study, folder: Path | None = None, progress: Progress = silent) -> Result:
     """Choose, fit the chosen network of the last fold to the whole training runs, score the test runs.
 
     progress: called with a line per start. Raises InputError as `Study.runs`, `choose` and the fits.

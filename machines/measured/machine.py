@@ -6,6 +6,7 @@ from greygate.machines.entry import Entry, Machine
 from greygate.machines.identification import Study, identify
 from greygate.machines.measured.study import CED, CRANE, EMPS, MTS, TANKS
 from greygate.models.network import Network
+from greygate.progress import Progress
 
 
 def _entry(
@@ -13,7 +14,7 @@ def _entry(
 ) -> Entry:
     """A study on a measured recording."""
 
-    def train(progress) -> tuple[Network, dict]:
+    def train(progress: Progress) -> tuple[Network, dict]:
         result = identify(study, progress=progress)
         return result.network, result.figures
 

@@ -7,7 +7,6 @@ What is known is built in: the two integrators, gravity as a sine of the library
 says roughly, T/J and the weight, and what nobody wrote down: `friction`, a tanh network of the speed.
 """
 
-from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from greygate.models.training.problem import Record
 from greygate.plants.excitation import multisine
 from greygate.plants.plant import Plant
 from greygate.plants.simulate import simulate
+from greygate.progress import Progress, silent
 
 SAMPLE_TIME = 0.01  # s
 SAMPLES = {"training": 4000, "validation": 2000}  # 40 s, 20 s
@@ -78,16 +78,11 @@ def pendulum(seed: int = SEED) -> Network:
     return network.check()
 
 
-def train_pendulum(progress: Callable[[str], None] | None = None) -> tuple[Network, dict]:
+def train_pendulum(progress: Progress = silent) -> tuple[Network, dict]:
     """Free-run training on the training record. Returns the network and its figures: RMS errors in rad, seconds."""
     network = pendulum()
-    fit = train(
-        network,
-        [records()["training"]],
-        epochs=EPOCHS,
-        decay=DECAY,
-        progress=progress and (lambda epoch, loss: progress(f"epoch {epoch}, loss {loss:.3g}")),
-    )
+    progress(f"{EPOCHS} epochs in free run")
+    fit = train(network, [records()["training"]], epochs=EPOCHS, decay=DECAY)
     trained = network.with_parameters(fit.network.parameters())
     figures = {
         "untrained": {name: rms(network, record)["theta"] for name, record in records().items()},
