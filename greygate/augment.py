@@ -7,7 +7,7 @@ of the table of effects; where the recording does not reach, the module rehearse
 """
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.files import replaceable, replacing_folder
-from greygate.machines.augmentation import untaught
+from greygate.machines.augmentation import Augmentation, Law, untaught
 from greygate.machines.catalog import AUGMENTED
 from greygate.machines.procedure import rms
 from greygate.mismatch import effects as table
@@ -24,38 +24,72 @@ from greygate.mismatch.effects import Effect, join
 from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.simulation import _form as form
 from greygate.mismatch.simulation import check
+from greygate.models.network import Network
 from greygate.models.training.levenberg import train
 from greygate.models.training.problem import Record
 from greygate.plants.plant import Values
+from greygate.plants.recording import Recording
+from greygate.progress import Progress, silent
 
 FACTS = "augment.json"
 RECORDINGS = ("identify", "holdout")
 EPOCHS, DECAY = 60, 1e-6
 REHEARSAL = 0.1  # of a sample of the recording, that a sample of the law counts
+ROUNDING = 1e-9  # of the starting position, in its unit, which a CSV leaves
 
 
-def augment(folder: Path | str, diagnosis: Mapping, out: Path | str, say: Callable[[str], None] | None = None) -> dict:
+def augment(folder: Path | str, diagnosis: Mapping, out: Path | str, progress: Progress = silent) -> dict:
     """Train the network of a rig's plant without and with the module of the diagnosed effect; write both to `out`.
 
     diagnosis: content of a diagnosis.json of this rig. Writes PLANT.toml and PLANT_EFFECT.toml with their numbers, the
     recordings as these networks read them, and augment.json, which is returned: RMS errors in free run by network
     and recording, neurons, seconds. Raises InputError for an effect that no module stands for.
     """
-    say = say or (lambda text: None)
     replaceable(out, "augment")
     rig = load(folder)
     effect, found = _named(rig, diagnosis)
+    values = {s: p.value for s, p in rig.plant.parameters.items()}
+    values |= {s: float(p["value"]) for s, p in diagnosis["parameters"].items()} | found
+    recorded = _recorded(rig)
+    augmentation = AUGMENTED[rig.plant.name](rig, values)
+    progress(f"teaching {effect.id}")
+    law = _law(augmentation, rig, effect, values, recorded["identify"])
+    read = {name: augmentation.recording(r) for name, r in recorded.items()}
+    records = {}
+    for name, r in read.items():
+        inputs = {n: v for n, v in r.channels.items() if n in augmentation.inputs}
+        records[name] = Record(inputs, {n: v for n, v in r.channels.items() if n not in inputs})
+    networks, figures = {}, {}
+    for name, module in ((rig.plant.name, None), (f"{rig.plant.name}_{effect.id}", law)):
+        joined = replace(augmentation.network(recorded["identify"], module), name=name)
+        networks[name], figures[name] = _trained(joined, augmentation, law, records, progress)
+    facts = {"plant": rig.plant.name, "effect": effect.id, "period_s": augmentation.period, "networks": figures}
+    with replacing_folder(out, "augment") as new:
+        for name, network in networks.items():
+            network.save(new / name)
+        for name, r in read.items():
+            r.write_csv(new / f"{name}.csv")
+        (new / FACTS).write_text(json.dumps(facts, indent=1) + "\n")
+    return facts
+
+
+def _recorded(rig: Rig) -> dict[str, Recording]:
+    """Both recordings. Raises InputError where the network could not learn from them."""
     kind = AUGMENTED[rig.plant.name]
     if missing := [name for name in kind.needs if name not in rig.channels]:
         raise InputError(f"{rig.folder / 'rig.toml'}: no channel {', '.join(missing)}; the network learns from it")
     recorded = {name: rig.recording(rig.folder / f"{name}.csv") for name in RECORDINGS}
+    channel = rig.channels[kind.starts]
     for r in recorded.values():
-        if abs(first := r[kind.starts][0]) > 2 * rig.channels[kind.starts].sigma + 1e-9:
-            raise InputError(f"{r.source}: {kind.starts} starts at {first:g} m, the network at 0; shift it there")
-    values = {s: p.value for s, p in rig.plant.parameters.items()}
-    values |= {s: float(p["value"]) for s, p in diagnosis["parameters"].items()} | found
-    kind = kind(rig, values)
-    place, reads = kind.effects[effect.id]
+        if abs(first := r[kind.starts][0]) > 2 * channel.sigma + ROUNDING:
+            at = f"{first:g} {channel.unit}"
+            raise InputError(f"{r.source}: {kind.starts} starts at {at}, the network at 0; shift it there")
+    return recorded
+
+
+def _law(augmentation: Augmentation, rig: Rig, effect: Effect, values: Mapping[str, float], recorded: Recording) -> Law:
+    """What the effect's term answers, with the diagnosed values."""
+    place, reads = augmentation.effects[effect.id]
     plant, _ = join(rig.plant, [effect])
     (expression,) = (text for path, text in effect.terms.items() if path.startswith(f"{place}."))
 
@@ -64,41 +98,31 @@ def augment(folder: Path | str, diagnosis: Mapping, out: Path | str, say: Callab
         scope.update({s: v for s, v in values.items() if s in plant.parameters})
         return np.asarray(scope.evaluate(effect.lazily(expression)), float)
 
-    say(f"teaching {effect.id}")
-    law = kind.law(recorded["identify"], reads, term)
-    records = {}
-    for name, r in ((n, kind.recording(r)) for n, r in recorded.items()):
-        inputs = {n: v for n, v in r.channels.items() if n in rig.inputs or n == "x"}
-        records[name] = Record(inputs, {n: v for n, v in r.channels.items() if n not in inputs})
-    networks, figures = {}, {}
-    for name, module in ((rig.plant.name, None), (f"{rig.plant.name}_{effect.id}", law)):
-        joined = replace(kind.network(recorded["identify"], module), name=name)
-        own = [n for n in joined.modules if n.startswith(("missing", "leak"))]
-        fit = train(
-            joined,
-            [records["identify"]],
-            epochs=EPOCHS,
-            decay=DECAY,
-            rehearse={n: replace(law.record(), weight=REHEARSAL) for n in own},
-            tied=(*kind.tied, *_alike(own)),
-            progress=lambda epoch, loss, name=name: say(f"{name}, epoch {epoch}, loss {loss:.3g}"),
-        )
-        networks[name] = joined.with_parameters(fit.network.parameters())
-        figures[name] = {
-            "joined": {n: rms(joined, r) for n, r in records.items()},
-            "trained": {n: rms(networks[name], r) for n, r in records.items()},
-            "neurons": sum(v.size for v in joined.layers().values() if v.activation != "linear"),
-            "seconds": round(fit.seconds, 2),
-            "outcome": fit.outcome.value,
-        }
-    facts = {"plant": rig.plant.name, "effect": effect.id, "period_s": kind.period, "networks": figures}
-    with replacing_folder(out, "augment") as new:
-        for name, network in networks.items():
-            network.save(new / name)
-        for name, r in recorded.items():
-            kind.recording(r).write_csv(new / f"{name}.csv")
-        (new / FACTS).write_text(json.dumps(facts, indent=1) + "\n")
-    return facts
+    return augmentation.law(recorded, reads, term)
+
+
+def _trained(
+    joined: Network, augmentation: Augmentation, law: Law, records: Mapping[str, Record], progress: Progress
+) -> tuple[Network, dict]:
+    """The network trained in free run on identify.csv, and its figures."""
+    own = [n for n in joined.modules if n in augmentation.modules]
+    fit = train(
+        joined,
+        [records["identify"]],
+        epochs=EPOCHS,
+        decay=DECAY,
+        rehearse={n: replace(law.record(), weight=REHEARSAL) for n in own},
+        tied=(*augmentation.tied, *_alike(own)),
+        progress=lambda epoch, loss: progress(f"{joined.name}, epoch {epoch}, loss {loss:.3g}"),
+    )
+    trained = joined.with_parameters(fit.network.parameters())
+    return trained, {
+        "joined": {n: rms(joined, r) for n, r in records.items()},
+        "trained": {n: rms(trained, r) for n, r in records.items()},
+        "neurons": sum(v.size for v in joined.layers().values() if v.activation != "linear"),
+        "seconds": round(fit.seconds, 2),
+        "outcome": fit.outcome.value,
+    }
 
 
 def _named(rig: Rig, diagnosis: Mapping) -> tuple[Effect, dict[str, float]]:

@@ -53,13 +53,16 @@ class Law:
 class Augmentation(Protocol):
     """The structured network of a plant, without and with a module for an effect that a diagnosis named.
 
-    needs: channels. starts: position that begins at 0. effects: name -> (place of its term, what its module reads).
+    needs: channels. inputs: of the network. starts: the position that begins at 0.
+    effects: name -> (place of its term, what its module reads). modules: names that the module has in the network.
     tied: parameters that training keeps equal. period: s, of a sample of the network.
     """
 
     needs: ClassVar[tuple[str, ...]]
+    inputs: ClassVar[tuple[str, ...]]
     starts: ClassVar[str]
     effects: ClassVar[Mapping[str, tuple[str, str]]]
+    modules: ClassVar[tuple[str, ...]]
     tied: ClassVar[tuple[tuple[str, ...], ...]]
     period: float
 

@@ -27,13 +27,13 @@ class Slip(Augmentation):
     A module reads the speed "v" or the acceleration "a" and answers slip per travel.
     """
 
-    needs, starts = ("x_drum", "x_load"), "x_drum"
+    needs, inputs, starts = ("x_drum", "x_load"), ("x_drum",), "x_drum"
     effects: ClassVar = {
         "speed_slip": ("slip", "v"),
         "direction_slip": ("slip", "v"),
         "acceleration_slip": ("slip", "a"),
     }
-    tied = ()
+    modules, tied = ("missing",), ()
 
     def __init__(self, rig: Rig, values: Mapping[str, float]):
         self.every = max(round(SAMPLE_TIME / rig.dt), 1)

@@ -22,11 +22,12 @@ class Pressures(Augmentation):
     the leakage in m^3/s.
     """
 
-    needs, starts = ("v_c", "x", "p_a", "p_b"), "x"
+    needs, inputs, starts = ("v_c", "x", "p_a", "p_b"), ("v_c", "x"), "x"
     effects: ClassVar = {
         "internal_leakage": ("continuity_a", "between"),
         "external_leakage": ("continuity_a", "outward"),
     }
+    modules = ("leak", "leak_a", "leak_b")
     tied = (("qa.gain.q", "qb.gain.q"), *((f"speed_a.d{n}", f"speed_b.d{n}") for n in range(4)))
 
     def __init__(self, rig: Rig, values: Mapping[str, float]):
