@@ -1,8 +1,8 @@
-"""Where no effect of the table fits: in which equation something is missing, on what it depends, and a term for it.
+"""Where no effect of the table fits: the equation in which something is missing, what it depends on, and a term for it.
 
-Each equation, and each sensor, in turn is given a sum of a few basis functions of the signals, chosen and judged on
-stretches of the recording that its coefficients did not see. The one that removes most of the misfit is where it is;
-in an equation its sum is the term called `unknown`.
+Each equation, and each sensor, in turn gets a sum of a few functions of the signals. They are chosen and judged on
+stretches of the recording that their coefficients were not fitted to. What is missing is missing where that sum removes
+most of the misfit; in an equation the sum becomes the term called `unknown`.
 """
 
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from greygate.mismatch.effects import Effect, Free
-from greygate.mismatch.fit import Fit, Problem
+from greygate.mismatch.fit import Fit
 from greygate.mismatch.libraries import Basis, Candidate, declared
 from greygate.mismatch.model import lagged
 from greygate.mismatch.rig import Rig
@@ -27,7 +27,7 @@ TERMS = 4  # basis functions in a closure, at most
 SURE = 5.0  # standard deviations of a coefficient, below which its function goes again
 WORTH = 0.03  # of the misfit that a further function must remove
 ALIKE = WORTH / 3  # of the misfit, within which two sets of functions are equally good
-NOISE = 0.9  # of the cost that pure noise would have: so much is no misfit. A fit to noise leaves less than all of it
+NOISE = 0.9  # of the cost that pure noise would have: so much counts as noise, what is above it as misfit
 RIDGE = 1e-6  # of a column's own square, which keeps the normal matrix of columns that are nearly alike regular
 STEEP = 20.0  # of the tanh that stands for a sign: 5 % of the largest speed are 76 % of the sign
 TINY = 1e-300  # in place of 0, by which nothing can be divided
@@ -197,14 +197,10 @@ class _Unknowns:
         columns = problem.eliminate(np.concatenate(columns, axis=2), None, base.basis)[0]
         return cls(again, effects, seen, base, keys, columns)
 
-    @property
-    def problem(self) -> Problem:
-        return self.search.final
-
     def chosen(self) -> tuple[str, list[str], float]:
         """(place, its functions, share of the misfit that they take) where a term removes most."""
         halves = _Halves.of(self.base, self.columns)
-        noise = self.problem.count * NOISE / float(np.mean(self.base.temper**2))
+        noise = self.search.final.count * NOISE / float(np.mean(self.base.temper**2))
         total = float(np.sum(self.base.projected**2)) - noise - halves.saved([])
         best = {
             place: halves.subset([halves.k + j for j, key in enumerate(self.keys) if key[0] == place], total)
@@ -216,10 +212,10 @@ class _Unknowns:
 
     def fit(self, chosen: list[str]) -> tuple[list[str], Fit]:
         """The functions of which the fit with all that are chosen is sure, and the fit with them."""
-        fit = self.search.fit(self.problem, Hypothesis(tuple(chosen)), self.base.values, self.base.shifts)
+        fit = self.search.fit(self.search.final, Hypothesis(tuple(chosen)), self.base.values, self.base.shifts)
         sure = [key for key in chosen if abs(fit.values[key]) > SURE * fit.deviation(key)]
         if sure and sure != chosen:  # the others were there to bend the straight line that chose them
-            return sure, self.search.fit(self.problem, Hypothesis(tuple(sure)), fit.values, fit.shifts)
+            return sure, self.search.fit(self.search.final, Hypothesis(tuple(sure)), fit.values, fit.shifts)
         return chosen, fit
 
 

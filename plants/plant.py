@@ -115,15 +115,13 @@ class Plant:
         for symbol, state in self.states.items():
             self._check_state(symbol, state, symbols)
         self._check_derived(symbols)
-        for entry in ("switches", "required"):
+        for entry, owners in (("switches", self.parameters), ("required", self.parameters), ("experiments", symbols)):
             for symbol in getattr(self, entry):
-                self._among(entry, symbol, self.parameters)
+                self._among(entry, symbol, owners)
         for symbol in self.switches.values():
             self._among("switches", symbol, self.parameters)
         for where in self.closure.places:
             self._place(where)
-        for symbol in self.experiments:
-            self._among("experiments", symbol, symbols)
         for name in (*self.definitions, *self.equations):
             if not is_name(name):
                 self._fail(shown(name), "is no name for a place; use ASCII letters, digits and underscores")
@@ -166,9 +164,8 @@ class Plant:
             "experiments": named(line, check_name),
         }
         found = table(read_toml(path, "give a plant's TOML file"), f"{path}:", {}, entries)
-        for key in ("parameters", "inputs", "states", "equations"):
-            found.setdefault(key, {})
-        return cls(path.stem, **found | {key: tuple(found.get(key, ())) for key in ("outputs", "required")})
+        needed = {key: found.get(key, {}) for key in ("parameters", "inputs", "states", "equations")}
+        return cls(path.stem, **found | needed | {key: tuple(found.get(key, ())) for key in ("outputs", "required")})
 
     # -- switching terms ---------------------------------------------------------------------------------------------
 
