@@ -1,9 +1,10 @@
-"""A named effect as a module of the structured network: taught its law, joined, trained as one on the recording.
+"""A diagnosed effect becomes a module of the plant's structured network.
 
-    diagnosis -> module (the law, as diagnosed) -> the network without it and with it -> Verilog
+    diagnosis -> module (the effect's law, as diagnosed) -> the network without it and with it -> Verilog
 
-Both networks start from the diagnosed parameters and are trained alike, in free run on identify.csv. The law is that
-of the table of effects; where the recording does not reach, the module rehearses it. holdout.csv is for the report.
+The module learns the law of the effect from the table of effects and is joined into the network. Both networks, without
+the module and with it, start from the diagnosed parameters and are trained alike, in free run on identify.csv; where
+the recording does not reach, the module rehearses the law. holdout.csv serves only the report.
 """
 
 import json

@@ -1,7 +1,7 @@
-"""Identification on measured recordings, by rules that keep a test run a test.
+"""Identification on measured recordings, by rules under which the test runs influence no choice.
 
-Structure and seed are chosen by free runs over blocks held out of the training runs; the chosen network is then fitted
-to the whole training runs, and the test runs are scored once. `measured/study.py` holds the studies themselves.
+Structure and seed are chosen by their free-run errors on blocks held out of the training runs. The chosen network is
+then fitted to all of the training runs, and the test runs are scored once. `measured/study.py` holds the studies.
 """
 
 import json
@@ -130,7 +130,7 @@ def rmse(network: Network, record: Record) -> float:
 
 
 def initialised(network: Network, record: Record, prior: float = PRIOR, steps: int = 30) -> Record:
-    """The record with the initial state that fits its first `skip` samples best, and weights as they are.
+    """The record with the initial state that fits its first `skip` samples best; the weights stay as they are.
 
     prior: weight of the square of (state - rest), against squared errors, all normalised. Gauss-Newton, halved steps.
     """
@@ -279,7 +279,7 @@ class Result:
 
 
 def identify(study: Study, folder: Path | None = None, progress: Progress = silent) -> Result:
-    """Choose, fit the chosen network of the last fold to the whole training runs, score the test runs.
+    """Choose, fit the chosen network of the last fold to all of the training runs, score the test runs.
 
     progress: called with a line per start. Raises InputError as `Study.runs`, `choose` and the fits.
     """
