@@ -14,9 +14,12 @@ from greygate.compiler.ranges import ranges
 from greygate.compiler.simplify import simplify
 from greygate.emulator.interpreter import interpret
 from greygate.errors import InputError
-from greygate.machines.measured.identification import stored
-from greygate.machines.measured.studies import STUDIES
-from greygate.models.accuracy import rms
+from greygate.machines.identification import stored
+from greygate.machines.measured.study import STUDIES
+
+
+def rms(x):
+    return float(np.sqrt(np.mean(np.square(x))))
 
 
 def main(widths):

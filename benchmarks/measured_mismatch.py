@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from greygate.machines.measured.identification import ROOT, find
+from greygate.machines.identification import ROOT, find
 from greygate.mismatch.diagnosis import diagnose
 from greygate.mismatch.rig import load
 

@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 
-from greygate.machines.valve_cylinder import plant as valve_cylinder
+from greygate.machines.valve_cylinder.plant import valve_cylinder
 from greygate.plants import prms, simulate
 
 

@@ -47,7 +47,8 @@ from greygate.files import (
 )
 from greygate.hardware.synthesis import synthesize
 from greygate.hardware.verify import Case, Scenario, Verification, stop_tools, verify_many
-from greygate.machines.catalog import CATALOG, TRAINED, entry
+from greygate.machines.catalog import CATALOG, entry
+from greygate.machines.identification import TRAINED
 from greygate.models.accuracy import float_error, rms
 from greygate.models.network import Network
 from greygate.models.training.record import Record

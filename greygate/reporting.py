@@ -6,7 +6,7 @@ from pathlib import Path
 from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.facts import FACTS
-from greygate.machines.catalog import PLANTS
+from greygate.machines.catalog import REPORTED
 from greygate.pages.report import write
 from greygate.pages.report.study import study
 from greygate.pages.summary import WIDTHS, designs, results
@@ -39,7 +39,7 @@ def plants(folder: Path, progress: Progress = silent) -> list[Project]:
     Raises InputError where that folder holds something else.
     """
     found = []
-    for name in PLANTS:
+    for name in REPORTED:
         if not (folder / name / FACTS).exists():
             progress(f"compiling {name}")
             compile_project(Source(name), folder / name)

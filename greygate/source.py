@@ -10,7 +10,7 @@ from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.files import making, writing
 from greygate.machines.catalog import CATALOG, entry
-from greygate.machines.measured.identification import settled
+from greygate.machines.identification import initialised
 from greygate.models.accuracy import free_run_rms
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Outcome, narx_noe, train
@@ -158,7 +158,7 @@ def train_source(
         )
     trained = network.with_parameters(fit.network.parameters())  # as it was declared, meanings and modules kept
     _, ends = held_out(network, list(records.values()), options.get("tail", 0.0), ())
-    judged = {name: settled(trained, record) for name, record in found.items()}
+    judged = {name: initialised(trained, record) for name, record in found.items()}
     judged |= {f"{name} tail": replace(judged[name], skip=end.skip) for name, end in zip(records, ends, strict=False)}
     figures = {
         "outcome": fit.outcome.name.lower(),

@@ -31,8 +31,9 @@ OWN = "own record"  # heading of a part's error, on the record of its own ports
 
 @dataclass(frozen=True)
 class Step:
-    """What one step left. errors: {scenario: {output: RMS error of a free run in its unit; inf where it diverges}}.
+    """The network that one step made, and its figures.
 
+    errors: {scenario: {output: RMS error of a free run in its unit; inf where it diverges}}.
     neurons: of layers that are not linear. parameters: weights and biases that are not zero.
     """
 
@@ -46,11 +47,12 @@ class Step:
 
 
 class Procedure:
-    """Networks on their way from subsystems to one that is trained, simplified and pruned. `print` shows the ledger.
+    """The steps from networks of subsystems to one network that is trained, simplified and pruned.
 
-    records: scenarios by name; every step after `join` is judged on all of them. training: names of those that `train`
-    and `prune` may see, the first one if not given. subsystems: names of the parts that `join` waits for.
-    Each method adds a `Step` to `steps` and returns its network; every step keeps its network, so it can be undone.
+    records: scenarios by name; every step after `join` is judged on all of them. training: names of the records that
+    `train` and `prune` may see; the first record if none is named. subsystems: names of the parts that `join` needs.
+    Each method adds a `Step` to `steps` and returns its network. A step keeps its network, so it can be undone. `print`
+    shows the steps as a ledger.
     """
 
     def __init__(self, records: Mapping[str, Record], subsystems: Sequence[str] = (), training: Sequence[str] = ()):
@@ -67,13 +69,13 @@ class Procedure:
 
     @property
     def network(self) -> Network:
-        """The whole as the last step left it. Raises InputError before `join`."""
+        """The joined network, as the last step left it. Raises InputError before `join`."""
         if not self.steps or self.steps[-1].name in self.parts:
-            raise InputError("procedure: there is no whole network yet; join the parts first")
+            raise InputError("procedure: there is no joined network yet; join the parts first")
         return self.steps[-1].network
 
     def take(self, name: str, part: Network | Trained, record: Record | None = None) -> Network:
-        """A subsystem's network: from the library, or trained. record: of its own ports, to judge it on."""
+        """Add a subsystem's network, from the library or trained. record: of its own ports; it is judged on that."""
         if self.subsystems and name not in self.subsystems:
             raise InputError(f"procedure: no subsystem {name!r}; there are {', '.join(self.subsystems)}")
         network, note = _unpacked(part)
@@ -82,7 +84,7 @@ class Procedure:
         return self._add(name, network, {OWN: record} if record else {}, seconds, note)
 
     def join(self, build: Callable[..., Network] | Network) -> Network:
-        """The whole from its parts: `build(**parts)`; or a network as it is, to adapt it to another machine."""
+        """Join the parts, `build(**parts)`; or take a network as it is, to adapt it to another machine."""
         if missing := [name for name in self.subsystems if name not in self.parts]:
             raise InputError(
                 f"procedure: nothing was taken for {', '.join(missing)}; take a network for each subsystem"
@@ -90,21 +92,21 @@ class Procedure:
         return self.step("joined", lambda: build if isinstance(build, Network) else build(**self.parts))
 
     def train(self, **options) -> Network:
-        """Train the whole as one on the training records. options: of `models.training.train`."""
+        """Train the joined network on the training records. options: of `models.training.levenberg.train`."""
         records = [self.records[name] for name in self.training]
         return self.step("trained", partial(train, self.network, records, **options))
 
     def simplify(self) -> Network:
-        """The generic network: the same function with fewer layers."""
+        """Make the generic network: the same function with fewer layers."""
         return self.step("simplified", partial(simplify, self.network))
 
     def prune(
         self, method: Method | None = None, allowed: float = 1.02, epochs: int = 4, also: Sequence[Record] = ()
     ) -> Network:
-        """Neurons by entropy (3.6), or weights by a method of `compiler.saliency`.
+        """Remove neurons by entropy (3.6), or weights by a method of `compiler.saliency`.
 
-        allowed: factor by which each output's RMS error may rise over the training records and `also`, on which the
-        network is trained again for `epochs` after each removal.
+        allowed: factor by which the RMS error of each output over the training records and `also` may rise. After each
+        removal the network is trained again on these records for `epochs`.
         """
         records = [*(self.records[name] for name in self.training), *also]
         if method:
@@ -114,7 +116,7 @@ class Procedure:
         return self.step(f"pruned by {method.__name__ if method else 'entropy'}", partial(pruning, self.network))
 
     def step(self, name: str, work: Callable[[], Network | Trained | tuple[Network, list[Round]]]) -> Network:
-        """Any other step: `work()` is timed, and what it gives is judged on every record."""
+        """Do any other step: time `work()` and judge the network that it returns on every record."""
         began = monotonic()
         network, note = _unpacked(work())
         return self._add(name, network, self.records, monotonic() - began, note)

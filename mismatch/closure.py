@@ -1,8 +1,8 @@
-"""Where no effect of the table fits: in which equation something is missing, on what it depends, and a term for it.
+"""Where no effect of the table fits: the equation in which something is missing, what it depends on, and a term for it.
 
-Each equation, and each sensor, in turn is given a sum of a few basis functions of the signals, chosen and judged on
-stretches of the recording that its coefficients did not see. The one that removes most of the misfit is where it is;
-in an equation its sum is the term called `unknown`.
+Each equation, and each sensor, in turn gets a sum of a few functions of the signals. They are chosen and judged on
+stretches of the recording that their coefficients were not fitted to. What is missing is missing where that sum removes
+most of the misfit; in an equation the sum becomes the term called `unknown`.
 """
 
 from collections.abc import Mapping
@@ -13,93 +13,46 @@ import numpy as np
 
 from greygate.mismatch.effects import Effect, Free
 from greygate.mismatch.fit import Fit
+from greygate.mismatch.libraries import Basis, Candidate, declared
 from greygate.mismatch.model import lagged
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.search import Hypothesis, Search
-from greygate.plants.expressions import replaced
+from greygate.plants.closure import SEEN, Place
+from greygate.plants.expressions import names, replaced
 from greygate.plants.plant import Values
 
 STRETCH = 1.0  # s of recording that are learnt from, then judged on, by turns
 LAGS = (0.002, 0.005, 0.015)  # s of a sensor that answers late
 TERMS = 4  # basis functions in a closure, at most
-DURATION, SPEED, ACCELERATION = 20.0, 0.1, 1.0  # s, m/s, m/s^2: by which signals are scaled
 SURE = 5.0  # standard deviations of a coefficient, below which its function goes again
 WORTH = 0.03  # of the misfit that a further function must remove
-
-
-Basis = dict[str, tuple[str, tuple[str, ...]]]
-"""Name -> (expression of unit size, what it depends on)."""
+ALIKE = WORTH / 3  # of the misfit, within which two sets of functions are equally good
+NOISE = 0.9  # of the cost that pure noise would have: so much counts as noise, what is above it as misfit
+RIDGE = 1e-6  # of a column's own square, which keeps the normal matrix of columns that are nearly alike regular
+STEEP = 20.0  # of the tanh that stands for a sign: 5 % of the largest speed are 76 % of the sign
+TINY = 1e-300  # in place of 0, by which nothing can be divided
+LEAST = 1e-9  # cost, in place of a misfit of 0
+FLAT = 1e-12  # of a signal's size, below which its spread is rounding
 
 
 def bases(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]:
-    """Equation -> functions that may be missing there. signals: states and inputs along the recording (samples,)."""
-    plant = search.final.model.plant
-    places = {*plant.equations, *plant.definitions}
-    if search.rig.window and places >= {"motion", "continuity_a", "continuity_b"}:
-        return _cylinder(search.rig)
-    if not search.rig.window and "transmission" in places:
-        return _line(search)
-    return _any(search, signals)
+    """Place -> functions that may be missing there, as the plant's file declares them, or of every signal.
+
+    signals: inputs and states along the recording (samples,). A function of a signal that does not move is left out.
+    """
+    seen = {f"{limit}{symbol}" for limit in SEEN for symbol in signals}
+    found = declared(search.rig.plant)
+    return {
+        where: {
+            name: candidate
+            for name, candidate in basis.items()
+            if {n for n in names([candidate.expression]) if n.startswith(SEEN)} <= seen
+        }
+        for where, basis in found.items()
+    } or _powers(search, signals)
 
 
-def held(symbol: str) -> str:
-    """A signal that stays as it was beyond what was seen."""
-    return f"min(max({symbol}, seen_low_{symbol}), seen_high_{symbol})"
-
-
-def _line(search: Search) -> dict[str, Basis]:
-    out: dict[str, Basis] = {}
-    given = search.rig.inputs[0]
-    x, reach = f"({held(given)} - seen_low_{given})", f"(seen_high_{given} - seen_low_{given})"
-    basis = {"t": (f"t / {DURATION}", ("t",)), "t2": (f"(t / {DURATION})**2", ("t",)),
-             "x": (f"{x} / {reach}", ("x",)), "x2": (f"({x} / {reach})**2", ("x",)),
-             "x3": (f"({x} / {reach})**3", ("x",)),
-             "v": (f"v / {SPEED}", ("v",)), "abs_v": (f"abs(v) / {SPEED}", ("v",)),
-             "sign_v": (f"tanh(20 * v / {SPEED})", ("v",)),
-             "fast": (f"max(abs(v) / {SPEED} - 0.5, 0.0)", ("v",)),
-             "a": (f"a / {ACCELERATION}", ("a",)), "abs_a": (f"abs(a) / {ACCELERATION}", ("a",)),
-             "xt": (f"{x} * t / ({reach} * {DURATION})", ("x", "t")),
-             "xv": (f"{x} * v / ({reach} * {SPEED})", ("x", "v"))}  # fmt: skip
-    for k in range(1, 13):
-        basis[f"sin{k}"] = (f"sin({k} * 3.141592653589793 * {x} / {reach})", ("x",))
-        basis[f"cos{k}"] = (f"cos({k} * 3.141592653589793 * {x} / {reach})", ("x",))
-    for k in range(1, 13):
-        basis[f"cycle_sin{k}"] = (f"sin({k} * 3.141592653589793 * t / {DURATION})", ("t",))
-        basis[f"cycle_cos{k}"] = (f"cos({k} * 3.141592653589793 * t / {DURATION})", ("t",))
-    for k in range(24):
-        basis[f"bump{k}"] = (f"exp(-(24.0 * {x} / {reach} - {k + 0.5})**2)", ("x",))
-    out["transmission"] = basis
-    if "slip" in search.final.model.plant.states:
-        out["slip"] = {n: (f"({e}) * travel", d) for n, (e, d) in basis.items() if not n.startswith(("bump", "cycle"))}
-    return out
-
-
-def _cylinder(rig: Rig) -> dict[str, Basis]:
-    out: dict[str, Basis] = {}
-    x, v = f"{held('x')} / 0.03", f"{held('v')} / {SPEED}"
-    a, b = f"({held('p_a')} - 1e7) / 1e7", f"({held('p_b')} - 1e7) / 1e7"
-    t = f"t / {DURATION}"
-    basis = {
-        "one": ("1.0", ()), "x": (x, ("x",)), "x2": (f"({x})**2", ("x",)), "x3": (f"({x})**3", ("x",)),
-        "v": (v, ("v",)), "abs_v": (f"abs({v})", ("v",)), "vv": (f"({v}) * abs({v})", ("v",)),
-        "sign_v": (f"tanh(20 * {v})", ("v",)), "x_sign_v": (f"({x}) * tanh(20 * {v})", ("x", "v")),
-        "x2_sign_v": (f"({x})**2 * tanh(20 * {v})", ("x", "v")), "x2v": (f"({x})**2 * {v}", ("x", "v")),
-        "xv": (f"({x}) * {v}", ("x", "v")), "p_a": (a, ("p_a",)), "p_b": (b, ("p_b",)),
-        "dp": (f"({a}) - ({b})", ("p_a", "p_b")), "t": (t, ("t",)),
-        "tv": (f"({t}) * {v}", ("t", "v")), "t_dp": (f"({t}) * (({a}) - ({b}))", ("t", "p_a", "p_b")),
-        "t_sign_v": (f"({t}) * tanh(20 * {v})", ("t", "v")),
-    }  # fmt: skip
-    for name in reversed(rig.inputs):
-        u = f"{held(name)} / seen_high_{name}"
-        basis |= {name: (u, (name,)), f"{name}_sign": (f"tanh(20 * {u})", (name,)),
-                  f"{name}2": (f"{u} * abs({u})", (name,)), f"t_{name}": (f"({t}) * {u}", ("t", name))}  # fmt: skip
-    scales = {"motion": 300.0, "continuity_a": 1e-6, "continuity_b": 1e-6}
-    for equation in scales:
-        out[equation] = {name: (f"{scales[equation]} * ({e})", d) for name, (e, d) in basis.items()}
-    return out
-
-
-def _any(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]:
+def _powers(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]:
     """For every balance but that of a position, powers of each signal, as large as the largest term that is there."""
     model = search.final.model
     plant = model.plant
@@ -111,14 +64,16 @@ def _any(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]:
         if plant.states[equation.state].rate:
             continue
         size = max(float(np.sqrt(np.mean(np.square(scope.evaluate(term))))) for term in equation.terms.values())
-        scale = f"{10.0 ** round(np.log10(max(size, 1e-300)))!r}"
-        basis = {"one": ("1.0", ())}
+        scale = f"{10.0 ** round(np.log10(max(size, TINY)))!r}"
+        basis = {"one": Candidate(f"{scale} * (1.0)", ())}
         for s in signals:
-            z = f"((2.0 * {held(s)} - seen_low_{s} - seen_high_{s}) / (seen_high_{s} - seen_low_{s}))"
-            basis |= {s: (z, (s,)), f"{s}2": (f"{z}**2", (s,)), f"{s}3": (f"{z}**3", (s,))}
+            inside = f"min(max({s}, seen_low_{s}), seen_high_{s})"  # beyond what was seen it stays as it was
+            z = f"((2.0 * {inside} - seen_low_{s} - seen_high_{s}) / (seen_high_{s} - seen_low_{s}))"
+            shapes = {s: z, f"{s}2": f"{z}**2", f"{s}3": f"{z}**3"}
             if s in rates:
-                basis[f"sign_{s}"] = (f"tanh(20.0 * {s} / seen_high_{s})", (s,))
-        out[name] = {key: (f"{scale} * ({e})", on) for key, (e, on) in basis.items()}
+                shapes[f"sign_{s}"] = f"tanh({STEEP} * {s} / seen_high_{s})"
+            basis |= {key: Candidate(f"{scale} * ({shape})", (s,)) for key, shape in shapes.items()}
+        out[name] = basis
     return out
 
 
@@ -145,7 +100,7 @@ class _Halves:
             p[:k] -= base.weight * base.numbers / 2
             gram.append(g)
             pull.append(p)
-        scale = np.sqrt(np.maximum(np.diag(gram[0] + gram[1]), 1e-300))
+        scale = np.sqrt(np.maximum(np.diag(gram[0] + gram[1]), TINY))
         return cls(np.array(gram) / np.outer(scale, scale), np.array(pull) / scale, k)
 
     def saved(self, chosen: list[int]) -> float:
@@ -153,7 +108,7 @@ class _Halves:
         use = [*range(self.k), *chosen]
         total = 0.0
         for learn, judge in ((0, 1), (1, 0)):
-            g = self.gram[learn][np.ix_(use, use)] + 1e-6 * np.eye(len(use))
+            g = self.gram[learn][np.ix_(use, use)] + RIDGE * np.eye(len(use))
             step = np.linalg.solve(g, self.pull[learn][use])
             total += float(2 * self.pull[judge][use] @ step - step @ self.gram[judge][np.ix_(use, use)] @ step)
         return total
@@ -172,7 +127,7 @@ class _Halves:
             if most - gain < WORTH * total:
                 break
             # of those nearly as good the ones declared first: plain powers before waves and bumps
-            gain, chosen = min(((g, use) for g, use in saved if g > most - WORTH / 3 * total), key=lambda t: sum(t[1]))
+            gain, chosen = min(((g, use) for g, use in saved if g > most - ALIKE * total), key=lambda t: sum(t[1]))
         return gain, chosen
 
 
@@ -195,69 +150,106 @@ def _sensors(search: Search, base: Fit) -> dict[tuple[str, str], np.ndarray]:
         shapes |= {f"lag_{1e3 * lag:.0f}_ms": lagged(signal, lag, rig.dt) - signal for lag in LAGS}
         for name, shape in shapes.items():
             column = np.zeros_like(base.errors)
-            column[:, i] = (
-                -shape / max(float(np.std(shape)), 1e-12 * float(np.abs(shape).max()) + 1e-300) / problem.sigma[:, i]
-            )
+            size = max(float(np.std(shape)), FLAT * float(np.abs(shape).max()) + TINY)
+            column[:, i] = -shape / size / problem.sigma[:, i]
             out[f"sensor_{channel}", name] = column
     return out
 
 
-def closure(search: Search) -> tuple[dict, Fit]:
-    """(where and effect for the diagnosis, fit with the unknown term)."""
-    rig, model = search.rig, search.final.model
-    signals = _signals(search)
-    seen = {f"seen_low_{symbol}": float(signal.min()) for symbol, signal in signals.items()}
-    seen |= {f"seen_high_{symbol}": float(signal.max()) for symbol, signal in signals.items()}
-    effects: dict[str, Effect] = {}
-    for equation, basis in bases(search, signals).items():
-        small = {"slip": 1e-4, "transmission": 1e-6}.get(equation, 1.0)
-        for name, (expression, depends) in basis.items():
-            symbol = f"unknown_{equation}_{name}"
-            free = (Free(symbol, small, "", reported=symbol),)
-            term = {f"{equation}.{symbol}": f"{symbol} * ({expression})"}
-            effects[symbol] = Effect(
-                symbol, f"unknown term in {equation}", (rig.plant.name,), (equation,), depends, free, term, of="unknown"
-            )
-    limits = tuple(Free(symbol, value, shape=True) for symbol, value in seen.items())
-    joined = {**search.effects, **effects, "seen": Effect("seen", "", (rig.plant.name,), (), (), limits)}
-    again = Search(rig, model.recording, joined)
-    again.effects = joined
-    problem = again.final
-    base = again.base(problem)
-    keys = [(effect.equations[0], key) for key, effect in effects.items()]
-    columns = []
-    for _, key in keys:
-        unknowns = [again._unknown(f) for f in effects[key].free]
-        start = {**base.values, **{f.symbol: 0.0 for f in effects[key].free}}
-        columns.append(problem.slopes(unknowns, start, base.shifts, base.errors, base.temper))
-    if rig.window:
-        for (place, name), column in _sensors(search=again, base=base).items():
-            keys.append((place, name))
-            columns.append(problem.rows(column[:, :, None], base.temper))
-    columns = problem.eliminate(np.concatenate(columns, axis=2), None, base.basis)[0]
-    halves = _Halves.of(base, columns)
-    total = float(np.sum(base.projected**2)) - problem.count * 0.9 / float(np.mean(base.temper**2)) - halves.saved([])
-    best = {
-        place: halves.subset([halves.k + j for j, key in enumerate(keys) if key[0] == place], total)
-        for place in dict.fromkeys(place for place, _ in keys)
-    }
-    place, (gain, at) = max(best.items(), key=lambda item: item[1][0] - WORTH * total * len(item[1][1]))
-    chosen = [keys[j - halves.k][1] for j in sorted(at)]
-    share = float(np.clip(gain / max(total, 1e-9), 0.0, 1.0))
-    reported = "transmission" if place == "slip" else place
-    if place.startswith("sensor_"):
-        depends, effect, fit = [place.removeprefix("sensor_")], None, None
-    else:
-        fit = again.fit(problem, Hypothesis(tuple(chosen)), base.values, base.shifts)
+@dataclass(frozen=True)
+class _Unknowns:
+    """The candidates of all places as effects, joined to the rig's plant, and what each changes in the residuals.
+
+    keys: (place, key of the effect, or function of a sensor) of each column.
+    """
+
+    search: Search
+    effects: dict[str, Effect]
+    seen: dict[str, float]
+    base: Fit
+    keys: list[tuple[str, str]]
+    columns: np.ndarray
+
+    @classmethod
+    def of(cls, search: Search) -> "_Unknowns":
+        rig = search.rig
+        signals = _signals(search)
+        low, high = SEEN
+        seen = {f"{low}{symbol}": float(signal.min()) for symbol, signal in signals.items()}
+        seen |= {f"{high}{symbol}": float(signal.max()) for symbol, signal in signals.items()}
+        effects = _effects(rig, bases(search, signals))
+        limits = tuple(Free(symbol, value, shape=True) for symbol, value in seen.items())
+        joined = {**search.effects, **effects, "seen": Effect("seen", "", (rig.plant.name,), (), (), limits)}
+        again = Search(rig, search.final.model.recording, joined)
+        again.effects = joined
+        problem = again.final
+        base = again.base(problem)
+        keys = [(effect.equations[0], key) for key, effect in effects.items()]
+        columns = []
+        for _, key in keys:
+            unknowns = [again._unknown(f) for f in effects[key].free]
+            start = {**base.values, **{f.symbol: 0.0 for f in effects[key].free}}
+            columns.append(problem.slopes(unknowns, start, base.shifts, base.errors, base.temper))
+        if rig.window:
+            for place, column in _sensors(search=again, base=base).items():
+                keys.append(place)
+                columns.append(problem.rows(column[:, :, None], base.temper))
+        columns = problem.eliminate(np.concatenate(columns, axis=2), None, base.basis)[0]
+        return cls(again, effects, seen, base, keys, columns)
+
+    def chosen(self) -> tuple[str, list[str], float]:
+        """(place, its functions, share of the misfit that they take) where a term removes most."""
+        halves = _Halves.of(self.base, self.columns)
+        noise = self.search.final.count * NOISE / float(np.mean(self.base.temper**2))
+        total = float(np.sum(self.base.projected**2)) - noise - halves.saved([])
+        best = {
+            place: halves.subset([halves.k + j for j, key in enumerate(self.keys) if key[0] == place], total)
+            for place in dict.fromkeys(place for place, _ in self.keys)
+        }
+        place, (gain, at) = max(best.items(), key=lambda item: item[1][0] - WORTH * total * len(item[1][1]))
+        share = float(np.clip(gain / max(total, LEAST), 0.0, 1.0))
+        return place, [self.keys[j - halves.k][1] for j in sorted(at)], share
+
+    def fit(self, chosen: list[str]) -> tuple[list[str], Fit]:
+        """The functions of which the fit with all that are chosen is sure, and the fit with them."""
+        fit = self.search.fit(self.search.final, Hypothesis(tuple(chosen)), self.base.values, self.base.shifts)
         sure = [key for key in chosen if abs(fit.values[key]) > SURE * fit.deviation(key)]
         if sure and sure != chosen:  # the others were there to bend the straight line that chose them
-            chosen, fit = sure, again.fit(problem, Hypothesis(tuple(sure)), fit.values, fit.shifts)
-        depends = list(dict.fromkeys(v for key in chosen for v in effects[key].depends_on))
+            return sure, self.search.fit(self.search.final, Hypothesis(tuple(sure)), fit.values, fit.shifts)
+        return chosen, fit
+
+
+def _effects(rig: Rig, found: Mapping[str, Basis]) -> dict[str, Effect]:
+    """Each candidate as an effect of its own."""
+    effects = {}
+    for place, basis in found.items():
+        typical = rig.plant.closure.places.get(place, Place(())).typical
+        for name, candidate in basis.items():
+            symbol = f"unknown_{place}_{name}"
+            free = (Free(symbol, typical, "", reported=symbol),)
+            term = {f"{place}.{symbol}": f"{symbol} * ({candidate.expression})"}
+            means, plants = f"unknown term in {place}", (rig.plant.name,)
+            effects[symbol] = Effect(symbol, means, plants, (place,), candidate.depends_on, free, term, of="unknown")
+    return effects
+
+
+def closure(search: Search) -> tuple[dict, Fit | None]:
+    """(where and effect for the diagnosis, fit with the unknown term; None where a sensor is at fault)."""
+    unknowns = _Unknowns.of(search)
+    place, chosen, share = unknowns.chosen()
+    declared = search.rig.plant.closure.places.get(place)
+    reported = (declared and declared.reported) or place
+    effect, fit = None, None
+    if place.startswith("sensor_"):
+        depends = [place.removeprefix("sensor_")]
+    else:
+        chosen, fit = unknowns.fit(chosen)
+        depends = list(dict.fromkeys(v for key in chosen for v in unknowns.effects[key].depends_on))
         effect = {
             "id": "unknown",
             "equations": [reported],
             "confidence": round(share, 4),
-            "parameters": {s: _parameter(effects[s], fit, seen) for s in chosen},
+            "parameters": {s: _parameter(unknowns.effects[s], fit, unknowns.seen) for s in chosen},
             "not_told_apart_from": [],
         }
     regime = f"a term of {', '.join(depends) or 'constant size'}, which takes {share:.0%} of the misfit"

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from greygate.errors import InputError, shown
+from greygate.mismatch.libraries import declared
 from greygate.names import check_file_name
 from greygate.plants.expressions import check_name
 from greygate.plants.plant import Parameter, Plant
@@ -247,4 +248,6 @@ def _plant(rig: Path, name: str) -> Plant:
     if not path.exists():
         given = ", ".join(known)
         raise InputError(f"{rig}: plant {shown(name)} is unknown; give {given}, or a plant file beside rig.toml")
-    return Plant.read(path)
+    plant = Plant.read(path)
+    declared(plant)
+    return plant

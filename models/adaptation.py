@@ -2,6 +2,7 @@
 its own normalisations; and the changes that training then makes are counted."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -46,3 +47,9 @@ def weight_changes(before: Network, after: Network) -> dict[str, np.ndarray]:
             size = np.where(value == 0, np.nan, np.abs(value))
             changes[name] = np.where(found[name] == value, 0.0, 100 * (found[name] - value) / size)
     return changes
+
+
+def frozen(network: Network) -> Network:
+    """The network with every parameter frozen, as training shall leave it. network: of layers, not of networks."""
+    modules = {n: replace(layer, frozen=frozenset({*layer.weights, "bias"})) for n, layer in network.modules.items()}
+    return replace(network, modules=modules)

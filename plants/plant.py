@@ -14,6 +14,7 @@ from typing import NoReturn
 import numpy as np
 
 from greygate.errors import InputError, shown
+from greygate.plants.closure import Closure, check_closure
 from greygate.plants.expressions import check_expression, check_name, is_name, is_symbol, names, parse
 from greygate.reading import entry_of, line, listed, named, number, read_toml, table, within
 
@@ -81,6 +82,8 @@ class Plant:
     switches:   parameter -> the parameter whose value in a data sheet turns it from 0 to 1
     required:   parameters that a data sheet must give
     step:       of integration that suits it, s
+    closure:    where it may miss a term that nobody named, and what such a term is made of
+    experiments: variable -> the experiment, in words, in which it changes alone
 
     All names are checked here. Raises InputError naming plant, equation and term.
 
@@ -110,6 +113,8 @@ class Plant:
     switches: Mapping[str, str] = field(default_factory=dict)
     step: float = 1e-4
     required: tuple[str, ...] = ()
+    closure: Closure = field(default_factory=Closure)
+    experiments: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         inputs = ", ".join(f"{symbol} [{unit}]" for symbol, unit in self.inputs.items())
@@ -129,11 +134,13 @@ class Plant:
         for symbol, state in self.states.items():
             self._check_state(symbol, state, symbols)
         self._check_derived(symbols)
-        for entry in ("switches", "required"):
+        for entry, owners in (("switches", self.parameters), ("required", self.parameters), ("experiments", symbols)):
             for symbol in getattr(self, entry):
-                self._among(entry, symbol, self.parameters)
+                self._among(entry, symbol, owners)
         for symbol in self.switches.values():
             self._among("switches", symbol, self.parameters)
+        for where in self.closure.places:
+            self._place(where)
         for name in (*self.definitions, *self.equations):
             if not is_name(name):
                 self._fail(shown(name), "is no name for a place; use ASCII letters, digits and underscores")
@@ -172,11 +179,12 @@ class Plant:
             "switches": named(line, check_name),
             "step": within(SHORTEST, np.inf, f"give {SHORTEST:g} s or more"),
             "required": listed(line),
+            "closure": check_closure,
+            "experiments": named(line, check_name),
         }
         found = table(read_toml(path, "give a plant's TOML file"), f"{path}:", {}, entries)
-        for key in ("parameters", "inputs", "states", "equations"):
-            found.setdefault(key, {})
-        return cls(path.stem, **found | {key: tuple(found.get(key, ())) for key in ("outputs", "required")})
+        needed = {key: found.get(key, {}) for key in ("parameters", "inputs", "states", "equations")}
+        return cls(path.stem, **found | needed | {key: tuple(found.get(key, ())) for key in ("outputs", "required")})
 
     # -- switching terms ---------------------------------------------------------------------------------------------
 

@@ -16,7 +16,8 @@ from greygate.machines.asymmetric_cylinder.study import (
     fit,
     records,
 )
-from greygate.machines.catalog import TRAINED, entry
+from greygate.machines.catalog import entry
+from greygate.machines.identification import TRAINED
 from greygate.machines.procedure import bar
 from greygate.models.accuracy import free_run_rms
 from greygate.models.adaptation import adopt

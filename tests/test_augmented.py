@@ -9,10 +9,12 @@ import pytest
 
 from greygate import augment as augmented
 from greygate import cli
-from greygate.augment import PLANTS, Law, augment
+from greygate.augment import augment
 from greygate.emulator.engine import run
 from greygate.errors import InputError
-from greygate.machines.cable_drum.module import slip_sum
+from greygate.machines.augmentation import Law
+from greygate.machines.cable_drum.augmentation import slip_sum
+from greygate.machines.catalog import AUGMENTED
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.rig import load
 from greygate.models.accuracy import free_run_rms
@@ -55,7 +57,7 @@ def test_the_drum_errs_by_its_sensors_noise_with_the_module_and_by_much_more_wit
 @pytest.mark.parametrize("plant", FIGURES)
 def test_kept_networks_give_the_kept_figures_on_the_held_out_recording(plant, request, tmp_path):
     rig = load(request.getfixturevalue({"cable_drum": "drum", "valve_hydraulic": "valve"}[plant]))
-    kind = PLANTS[plant](rig, {})
+    kind = AUGMENTED[plant](rig, {})
     kind.recording(rig.recording(rig.folder / "holdout.csv")).write_csv(tmp_path / "holdout.csv")
     for name, figures in FIGURES[plant]["networks"].items():
         network = Network.load(KEPT / name)

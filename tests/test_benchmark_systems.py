@@ -5,11 +5,12 @@ import pytest
 from greygate.machines import catalog
 from greygate.machines.benchmark_systems import study as benchmark_systems
 from greygate.machines.benchmark_systems.study import SYSTEMS, THESIS, figures, identify, prune
+from greygate.machines.identification import TRAINED
 
 
 def test_the_stored_network_of_b2_has_its_figures_and_the_thesis_is_behind():
     network = catalog.entry("b2").network()
-    kept, found = json.loads((catalog.TRAINED / "b2.json").read_text()), figures(SYSTEMS["b2"], network, 0)
+    kept, found = json.loads((TRAINED / "b2.json").read_text()), figures(SYSTEMS["b2"], network, 0)
     assert found == pytest.approx({name: kept[name] for name in found}, rel=1e-6)
     assert found["parameters"] == 341
     assert found["mse"] <= THESIS["b2"]["mse"]

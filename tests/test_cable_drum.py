@@ -23,11 +23,11 @@ from greygate.machines.cable_drum.study import (
     residual,
     unswitched,
 )
-from greygate.machines.measured.identification import rmse
+from greygate.machines.identification import TRAINED, rmse
 from greygate.models.training.levenberg import train
 from greygate.models.training.objective import Objective
 
-KEPT = json.loads((catalog.TRAINED / "cable_drum.json").read_text())
+KEPT = json.loads((TRAINED / "cable_drum.json").read_text())
 
 
 @pytest.fixture(scope="module")

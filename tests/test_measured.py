@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from greygate.errors import InputError
-from greygate.machines.measured.drives import drives
-from greygate.machines.measured.identification import (
+from greygate.machines.identification import (
     ROOT,
     Candidate,
     Study,
@@ -14,13 +13,14 @@ from greygate.machines.measured.identification import (
     choose,
     find,
     identify,
+    initialised,
     masked,
     rmse,
-    settled,
     stored,
     tails,
 )
-from greygate.machines.measured.studies import CRANE, MTS, STUDIES
+from greygate.machines.measured.drives import drives
+from greygate.machines.measured.study import CRANE, MTS, STUDIES
 from greygate.machines.measured.tanks import MEAN, PUMP, pumped, square_root, tanks
 from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
@@ -254,7 +254,7 @@ def test_the_state_is_settled_by_the_skipped_samples_alone():
     told = network.run({"u": u}, initial={"sum": 0.9})["y"]
     spoilt = told.copy()
     spoilt[20:] = rng.normal(size=40)
-    first, second = (settled(network, Record({"u": u}, {"y": v}, skip=20), prior=1e-9) for v in (told, spoilt))
+    first, second = (initialised(network, Record({"u": u}, {"y": v}, skip=20), prior=1e-9) for v in (told, spoilt))
     assert all(np.array_equal(first.initial[n], second.initial[n]) for n in first.initial)
     assert rmse(network, first) < 1e-3 * rmse(network, Record({"u": u}, {"y": told}, skip=20))
 

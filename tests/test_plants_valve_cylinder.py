@@ -8,9 +8,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from greygate.errors import InputError
-from greygate.machines.valve_cylinder import plant as valve_cylinder
 from greygate.machines.valve_cylinder.line import Line
-from greygate.machines.valve_cylinder.plant import CYLINDER, SUPPLY, spool_discrete
+from greygate.machines.valve_cylinder.plant import CYLINDER, SUPPLY, spool_discrete, valve_cylinder
 from greygate.machines.valve_cylinder.scenarios import RESOLUTION, converted, scenario
 from greygate.plants import Plant, band_limited_noise, chirp, multisine, prms, read_csv, simulate
 from greygate.plants.simulate import _module, source

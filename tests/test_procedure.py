@@ -106,7 +106,7 @@ def test_joining_waits_for_every_subsystem():
     snn.take("curve", curve())
     with pytest.raises(InputError, match="nothing was taken for lag"):
         snn.join(lagged)
-    with pytest.raises(InputError, match="no whole network yet"):
+    with pytest.raises(InputError, match="no joined network yet"):
         snn.train()
     with pytest.raises(InputError, match="no subsystem 'valve'; there are curve, lag"):
         snn.take("valve", curve())

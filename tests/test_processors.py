@@ -11,11 +11,12 @@ from test_network import delay_line
 
 from greygate.compiler.pipeline import compile_network
 from greygate.errors import InputError
-from greygate.machines import pruned
+from greygate.machines import kept as keeping
 from greygate.machines.catalog import CATALOG, entry
-from greygate.machines.pruned import Kept, digest
+from greygate.machines.kept import PRUNED, Kept, digest
 from greygate.models.arithmetic import exp, mean, product, tanh
 from greygate.models.network import Layer, Network, Port
+from greygate.models.training.record import Record
 from greygate.plants.recording import Recording
 from greygate.project import compile_project
 from greygate.source import Source
@@ -83,10 +84,10 @@ def small() -> tuple[Network, Network]:
 
 @pytest.fixture
 def kept(tmp_path, monkeypatch) -> Kept:
-    monkeypatch.setattr(pruned, "PRUNED", tmp_path)
+    monkeypatch.setattr(keeping, "PRUNED", tmp_path)
     both, one = small()
     u = {"u": np.linspace(-1, 1, 50)}
-    recording = pruned.Record(u, {"y": both.run(u)["y"] + 0.1})
+    recording = Record(u, {"y": both.run(u)["y"] + 0.1})
 
     def prune(network, allowed, **options):
         return one, []
@@ -121,7 +122,7 @@ def test_records_are_compared_by_what_the_network_makes_of_them(kept):
     both, (record,) = small()[0], kept.records().values()
 
     def shifted(by):
-        return lambda: {"training": pruned.Record(record.inputs, {"y": record.targets["y"] * (1 + by)})}
+        return lambda: {"training": Record(record.inputs, {"y": record.targets["y"] * (1 + by)})}
 
     anew(kept, records=shifted(1e-12))(both, 1.0)  # as another processor simulates it
     with pytest.raises(RuntimeError, match="pruned anew"):
@@ -145,7 +146,7 @@ def test_the_catalogues_pruned_networks_are_those_of_its_networks(name):
         ranged_on=found.training,
         prune=lambda network: anew(found.prune)(network, 1.0),
     )
-    assert digest(compiled.network) == json.loads((pruned.PRUNED / f"{name}.json").read_text())["network"]
+    assert digest(compiled.network) == json.loads((PRUNED / f"{name}.json").read_text())["network"]
 
 
 def test_from_the_network_in_a_pruned_build_the_same_hardware_comes_out(tmp_path):

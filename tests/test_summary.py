@@ -114,7 +114,7 @@ def plants(monkeypatch, records, tmp_path):
     entry = catalog.Entry(NAME, "Small", None, lambda: records, ("training",), ("training",), PERIOD)
     monkeypatch.setattr(catalog.Entry, "network", lambda self: network())
     monkeypatch.setitem(catalog.CATALOG, NAME, entry)
-    monkeypatch.setattr(reporting, "PLANTS", (NAME,))
+    monkeypatch.setattr(reporting, "REPORTED", (NAME,))
     monkeypatch.setattr(project, "TRAINED", tmp_path / "kept")
     (tmp_path / "kept").mkdir()
     monkeypatch.chdir(tmp_path)

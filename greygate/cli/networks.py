@@ -65,7 +65,8 @@ def train(
 
 def _train_stored(name: str, out: Path | None, as_json: bool) -> None:
     """Train a network of the catalogue."""
-    from greygate.machines.catalog import TRAINED, entry
+    from greygate.machines.catalog import entry
+    from greygate.machines.identification import TRAINED
 
     chosen, out = entry(name), out or TRAINED
     if not out.is_dir():

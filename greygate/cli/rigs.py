@@ -50,13 +50,11 @@ def diagnose(
 
     if len(rigs) == 1 and backend is Backend.LOKY and scheduler is None:
         with following("diagnosing") as progress:
-            found, lines = explain(rigs[0], out, html, effects, lambda what, share: progress(f"{what}, {share:.0%}"))
+            found, lines = explain(rigs[0], out, html, effects, progress)
         failed = []
     else:
         with _joblib(backend, scheduler), following("diagnosing") as progress:
-            results = explain_all(
-                rigs, out, html, effects, jobs, lambda done, name: progress(f"{done} of {len(rigs)}, {name}")
-            )
+            results = explain_all(rigs, out, html, effects, jobs, progress)
         found = {name: content for name, (content, _) in results.items()}
         failed = [name for name, content in found.items() if "error" in content]
         found = found if len(rigs) > 1 else next(iter(found.values()))
@@ -161,8 +159,8 @@ def augment(
     from greygate.augment import augment as join
     from greygate.mismatch.simulation import read
 
-    with following("augmenting") as follow:
-        facts = join(rig, read(diagnosis), out, follow)
+    with following("augmenting") as progress:
+        facts = join(rig, read(diagnosis), out, progress)
     lines = []
     for name, figures in facts["networks"].items():
         lines.append(f"{name}: {figures['neurons']} neurons, {figures['seconds']} s. {figures['outcome']}")

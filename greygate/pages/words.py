@@ -16,10 +16,8 @@ EXPERIMENTS = {
     "v": "the same path slower and faster",
     "a": "the same path at the same speed with harder and softer starts",
     "t": "the same moves again minutes later",
-    "p_a": "holding still under a load, so that the pressures stand apart without flow",
-    "p_b": "holding still under a load, so that the pressures stand apart without flow",
 }
-"""Variable -> the experiment in which it alone changes."""
+"""Variable -> the experiment in which it alone changes, for the variables of any motion; plants add their own."""
 
 SIMULATED = 3  # alternatives whose experiment is found by simulation
 
@@ -146,7 +144,8 @@ def experiment(result: Diagnosis, one: str, other: str) -> str:
     """The experiment in which a variable changes that only one of two effects depends on."""
     first, second = (_depends(result, name) for name in (one, other))
     differ = [v for v in (*first, *second) if (v in first) != (v in second)] or [*first, *second]
-    tests = [EXPERIMENTS.get(v, f"steps of {v}, small and large") for v in differ]
+    known = {**EXPERIMENTS, **result.rig.plant.experiments}
+    tests = [known.get(v, f"steps of {v}, small and large") for v in differ]
     return ", or ".join(list(dict.fromkeys(tests))[:2]) or "a longer recording with larger moves"
 
 

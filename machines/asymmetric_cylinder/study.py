@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from greygate.machines.asymmetric_cylinder.plant import CONVERTER, SENSORS, asymmetric_cylinder, record
-from greygate.machines.measured.identification import TRAINED
+from greygate.machines.identification import TRAINED
 from greygate.machines.procedure import Procedure, bar
 from greygate.machines.valve_cylinder.network import measured_spool, valve_srnn
 from greygate.models.adaptation import adopt

@@ -10,7 +10,7 @@ import numpy as np
 from greygate.machines.belt_drive import plant as rig
 from greygate.machines.belt_drive.network import DIRECTIONS, REACH, E, X, belt_machine
 from greygate.machines.procedure import Procedure
-from greygate.models.accuracy import float_error, free_run_rms, rms, rms_by_column
+from greygate.models.accuracy import float_error, free_run_rms, rms
 from greygate.models.families.blocks import feedforward
 from greygate.models.families.radial import rbf as radial_fit
 from greygate.models.families.regression import noe
@@ -18,6 +18,7 @@ from greygate.models.families.templates import elman, frnn
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
+from greygate.progress import Progress, silent
 
 SCENARIOS = ("s1", "s2", "s3", "s4")
 THESIS = {  # um RMS, tables 4.3 and 4.4
@@ -190,7 +191,7 @@ KINDS = {"fnn": fnn, "rbf": rbf, "rnn": rnn}
 INPUTS = {"e": ("x",), "b": ("x",), "d": ("start", "away"), "sp": ("x", "e")}
 
 
-def experts(kind: Callable = fnn, progress: Callable[[str], None] | None = None, seed: int = 0) -> dict[str, Network]:
+def experts(kind: Callable = fnn, progress: Progress = silent, seed: int = 0) -> dict[str, Network]:
     """The eight experts, each trained on its part of the training recordings. kind: what builds and trains one."""
     found: dict[str, Network] = {}
     thinning = {"every": 1} if kind is rnn else {}  # a memory counts steps of the machine
@@ -204,9 +205,8 @@ def experts(kind: Callable = fnn, progress: Callable[[str], None] | None = None,
             }[part](way)
             network = kind(part, INPUTS[part], data, seed)
             error = answer(network, **data.inputs) - data.targets["y"]
-            if progress:
-                um = ", ".join(f"{v:.1f}" for v in np.atleast_1d(1e6 * E.scale * rms_by_column(error)))
-                progress(f"{part}_{way}: {len(error)} samples, error {um} um")
+            um = ", ".join(f"{v:.1f}" for v in np.atleast_1d(1e6 * E.scale * np.sqrt(np.mean(error**2, axis=0))))
+            progress(f"{part}_{way}: {len(error)} samples, error {um} um")
             found[f"{part}_{way}"] = network
     return found
 
@@ -251,7 +251,7 @@ def thinned(record: Record) -> Record:
     return Record(*parts)
 
 
-def baselines(sizes: tuple[int, ...] = (10, 25, 50), progress: Callable[[str], None] | None = None) -> dict[str, dict]:
+def baselines(sizes: tuple[int, ...] = (10, 25, 50), progress: Progress = silent) -> dict[str, dict]:
     """RMS in um of each black box: on the samples it was trained on, and on s1 to s4 at the same rate."""
     found = {}
     for kind in BASELINES:
@@ -261,13 +261,12 @@ def baselines(sizes: tuple[int, ...] = (10, 25, 50), progress: Callable[[str], N
             um = [1e6 * free_run_rms(fit.network, thinned(records()[name]))["e"] for name in names]
             done = {"epochs": len(fit.history) - 1, "seconds": fit.seconds}
             found[f"{kind} {neurons}"] = {"um": dict(zip(names, um, strict=True))} | done
-            if progress:
-                told = " ".join(f"{v:.1f}" for v in um)
-                progress(f"{kind} {neurons}: {told} um, {done['epochs']} epochs, {fit.seconds:.0f} s")
+            told = " ".join(f"{v:.1f}" for v in um)
+            progress(f"{kind} {neurons}: {told} um, {done['epochs']} epochs, {fit.seconds:.0f} s")
     return found
 
 
-def train_machine(progress: Callable[[str], None] | None = None) -> tuple[Network, dict]:
+def train_machine(progress: Progress = silent) -> tuple[Network, dict]:
     """Train the experts, join them. Returns the machine and its figures: `scores` by scenario, of machines with radial
     and with recurrent experts too, seconds, sizes."""
     began = monotonic()

@@ -21,6 +21,7 @@ from greygate.models.training.levenberg import train
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 from greygate.plants.excitation import chirp, prms
+from greygate.progress import Progress, silent
 
 U, Y = Port("u"), Port("y")
 SHARES = (0.1, 0.05, 0.03, 0.02)  # of the parameters, to be taken out in one round
@@ -97,7 +98,7 @@ def rms(network: Network, records: list[Record]) -> float:
     return float(np.sqrt(squares / problem.samples))
 
 
-def identify(system: System, seed: int, progress: Callable[[str], None] | None = None) -> tuple[Network, dict]:
+def identify(system: System, seed: int, progress: Progress = silent) -> tuple[Network, dict]:
     """The best of the seed's starts on the held-out records. Returns it and its figures.
 
     Figures: training MSE, RMS errors held out and on the test signal, starts tried, CPU seconds.
@@ -111,8 +112,7 @@ def identify(system: System, seed: int, progress: Callable[[str], None] | None =
         fit = train(narx.network, training, epochs=system.epochs[1], tolerance=1e-4, held=held, patience=200)
         tried += 1
         found = rms(fit.network, held)
-        if progress:
-            progress(f"{system.name}, seed {seed}, start {tried}: {found:.3g} held out, {fit.outcome.value}")
+        progress(f"{system.name}, seed {seed}, start {tried}: {found:.3g} held out, {fit.outcome.value}")
         if best is None or found < error:
             best, error = fit.network, found
     return best, figures(system, best, seed) | {"starts": tried, "cpu_seconds": round(process_time() - began, 1)}
@@ -135,7 +135,7 @@ def prune(
     network: Network,
     allowed: float,
     weights: Method = obs,
-    progress: Callable[[str], None] | None = None,
+    progress: Progress = silent,
 ) -> tuple[Network, list[Round]]:
     """Down to `goal` parameters: B1 loses neurons of least entropy, B2 single weights by a method of saliency.
 
@@ -150,7 +150,7 @@ def prune(
 
 
 def _by_saliency(
-    network: Network, training, held, bound: float, system: System, method: Method, progress
+    network: Network, training, held, bound: float, system: System, method: Method, progress: Progress
 ) -> tuple[Network, list[Round]]:
     """With smaller and smaller rounds, until one way down is good on the held-out records."""
     ways = []
@@ -160,8 +160,7 @@ def _by_saliency(
         fit = train(found.network, training, epochs=300, tolerance=1e-4, held=held, patience=60, free=free)
         missed = max(parameter_count(found.network) - system.goal, 0)
         ways.append((missed, rms(fit.network, held), fit.network, list(found.rounds)))
-        if progress:
-            progress(f"{system.name}, {share:.0%} a round: {missed} over the goal, {ways[-1][1]:.3g} held out")
+        progress(f"{system.name}, {share:.0%} a round: {missed} over the goal, {ways[-1][1]:.3g} held out")
         if not missed and ways[-1][1] <= system.good:
             break
     _, _, smaller, rounds = min(ways, key=lambda way: way[:2])

@@ -13,8 +13,8 @@ the integrator, so a free run cannot diverge.
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
+from greygate.models.adaptation import frozen
 from greygate.models.families.blocks import feedforward
 from greygate.models.families.library import library
 from greygate.models.network import Layer, Network, Port
@@ -46,7 +46,7 @@ def cable_drum(
     for delay in range(3):
         network.connect("speed", f"slip.v{delay}", delay=delay)
     for name, function in (("cos", "cosine"), ("sin", "sine")):
-        network.add(name, held(library(function)))
+        network.add(name, frozen(library(function)))
         network.connect("theta", f"{name}.x", gain=math.pi)
         network.connect(name, f"slip.{name}")
     step = "slip"
@@ -70,9 +70,3 @@ def cable_drum(
     network.connect("sum", "error.u2")
     network.connect("error", "e")
     return network.check()
-
-
-def held(network: Network) -> Network:
-    """The network with every parameter frozen; as training shall leave it."""
-    modules = {n: replace(layer, frozen=frozenset({*layer.weights, "bias"})) for n, layer in network.modules.items()}
-    return replace(network, modules=modules)

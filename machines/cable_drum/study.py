@@ -1,6 +1,5 @@
 """The cable-drum sensor (thesis chapter 7) on its simulated rig: the SNN, and the black boxes it is compared with."""
 
-from collections.abc import Callable
 from functools import lru_cache
 from statistics import median
 from time import monotonic
@@ -9,7 +8,7 @@ import numpy as np
 
 from greygate.machines.cable_drum.network import ERROR, FASTEST, cable_drum
 from greygate.machines.cable_drum.plant import SAMPLE_TIME, STEP, record
-from greygate.machines.measured.identification import rmse
+from greygate.machines.identification import rmse
 from greygate.models.accuracy import float_error
 from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.regression import nfir, noe
@@ -17,6 +16,7 @@ from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import train
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
+from greygate.progress import Progress, silent
 
 POSITION = Port("x_pe", "m", 2**16 * STEP, resolution=STEP)
 TRIPS = ("trips_50", "trips_100", "trips_140")
@@ -63,18 +63,18 @@ def fit(network: Network, training: Record) -> Network:
     return network.with_parameters(found.network.parameters())
 
 
-def train_snn(progress: Callable[[str], None] | None = None) -> tuple[Network, dict]:
+def train_snn(progress: Progress = silent) -> tuple[Network, dict]:
     """Size by the median of its seeds on the record `choice`, then the lowest of its seeds; judged once on the rest.
 
     Returns the network and its figures: RMS in um, drift at rest, every table of chapter 7, seconds.
     """
-    say, began, choice = progress or (lambda line: None), monotonic(), records()["choice"]
+    began, choice = monotonic(), records()["choice"]
     networks, scores = {}, {}
     for size in SIZES:
         for seed in SEEDS:
             networks[size, seed] = fit(drum(size, seed), records()["training"])
             scores[size, seed] = 1e6 * rmse(networks[size, seed], choice)
-            say(f"{size[0]} neurons, seed {seed}: {scores[size, seed]:.1f} um on the record choice")
+            progress(f"{size[0]} neurons, seed {seed}: {scores[size, seed]:.1f} um on the record choice")
     size = min(SIZES, key=lambda n: median(scores[n, seed] for seed in SEEDS))
     seed = min(SEEDS, key=lambda s: scores[size, s])
     network, seconds = networks[size, seed], monotonic() - began
@@ -87,7 +87,7 @@ def train_snn(progress: Callable[[str], None] | None = None) -> tuple[Network, d
         "neurons": size[0],
         "seed": seed,
         "seconds": seconds,
-        "tables": tables(say),
+        "tables": tables(progress),
         "thesis": THESIS,
     }
     return network, figures
@@ -158,7 +158,7 @@ def recurrent(taps: int, neurons: int, seed: int = 0, turning: bool = False) -> 
     return nguyen_widrow(noe("noe", inputs, ERROR, [1], [neurons], seed, bypass=False), seed)
 
 
-def tables(say: Callable[[str], None] = lambda line: None) -> dict:
+def tables(progress: Progress = silent) -> dict:
     """Tables 7.1 to 7.3 and NOE #10: training error in um and seconds by architecture 1 to 9, validation of some."""
     training = black_box(records()["training"])
     found: dict = {"fnn": [], "narx": [], "noe": [], "seconds": {"fnn": [], "narx": [], "noe": []}}
@@ -168,7 +168,7 @@ def tables(say: Callable[[str], None] = lambda line: None) -> dict:
         problem = Objective(result.network, [training], teacher=teacher)
         found[kind].append(1e6 * ERROR.scale * float(np.sqrt(problem.squares(problem.theta) / problem.samples)))
         found["seconds"][kind].append(result.seconds)
-        say(f"{kind} #{len(found[kind])}: {found[kind][-1]:.1f} um in {result.seconds:.1f} s")
+        progress(f"{kind} #{len(found[kind])}: {found[kind][-1]:.1f} um in {result.seconds:.1f} s")
         return result.network
 
     for taps, neurons in ARCHITECTURES:

@@ -3,7 +3,13 @@
 Symbols are those of the rigs (`k_valve`, `bulk_modulus`, `p_a`, ...). Signs: `q_a` and `q_b` flow into the chambers,
 `f_ext` acts against extension. The supply is either complete (`supply="full"`: motor, pump, relief valve, accumulator,
 line) or a constant pressure (`supply="constant"`).
+
+It shares parameters, states, valve drive and friction with the rig's plant, valve_hydraulic.toml, and differs in what
+the networks of chapter 5 are taught: one lap for all edges, leakage terms, an external force, 5 cm of stroke.
 """
+
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from scipy.linalg import expm
@@ -13,37 +19,15 @@ from greygate.errors import InputError
 from greygate.machines.valve_cylinder.line import Line
 from greygate.plants.plant import Definition, Equation, Parameter, Plant, State
 
-CYLINDER = {
-    "mass": Parameter(9.0, "kg", meaning="piston and load"),
-    "viscous": Parameter(2000.0, "N s/m", 0.1, "effective viscous damping"),
-    "stiffness": Parameter(10.0, "N/m", meaning="equivalent spring"),
-    "area": Parameter(645e-6, "m^2", meaning="piston annulus"),
+RIG = Plant.read(Path(__file__).with_name("valve_hydraulic.toml"))
+CYLINDER = {symbol: parameter for symbol, parameter in RIG.parameters.items() if symbol != "dry"} | {
     "x_max": Parameter(0.05, "m", meaning="stroke either side of the centre"),
-    "v_a0": Parameter(5e-5, "m^3", 0.04, "volume of chamber A at the centre"),
-    "v_b0": Parameter(5e-5, "m^3", 0.04, "volume of chamber B at the centre"),
-    "bulk_modulus": Parameter(1.4e9, "Pa", 0.08, "of the oil"),
     "c_internal": Parameter(0.0, "m^3/(Pa s)", meaning="leakage past the piston"),
     "c_external": Parameter(0.0, "m^3/(Pa s)", meaning="leakage of each chamber to tank"),
-    "sigma0": Parameter(12e5, "N/m", meaning="LuGre bristle stiffness"),
-    "sigma1": Parameter(300.0, "N s/m", meaning="LuGre bristle damping"),
-    "sigma2": Parameter(60.0, "N s/m", meaning="LuGre viscous friction"),
-    "f_coulomb": Parameter(100.0, "N", meaning="Coulomb friction"),
-    "f_static": Parameter(130.0, "N", meaning="static friction"),
-    "v_stribeck": Parameter(0.1, "m/s", meaning="Stribeck velocity"),
-    "k_valve": Parameter(3.2e-5, "m^(5/2)/kg^(1/2)", 0.04, "flow gain, C_d w sqrt(2/rho) (5.6)"),
     "overlap": Parameter(0.0, "m", meaning="lap of all four edges: > 0 closed centre, < 0 open centre"),
-    "u_max": Parameter(0.6e-3, "m", meaning="spool stroke"),
-    "l_coil": Parameter(0.59, "H", meaning="coil inductance"),
-    "r_coil": Parameter(100.0, "ohm", meaning="coil resistance"),
-    "i_max": Parameter(0.015, "A", meaning="coil current limit"),
-    "k_h": Parameter(0.0401, "m/A", meaning="spool gain"),
-    "omega_n": Parameter(1256.0, "rad/s", 0.1, "spool natural frequency"),
-    "zeta": Parameter(0.7, "1", meaning="spool damping ratio"),
-    "p_supply": Parameter(2e7, "Pa", 0.02, "nominal supply pressure"),
-    "p_tank": Parameter(0.0, "Pa", meaning="tank pressure"),
     "q_max": Parameter(6e-5, "m^3/s", meaning="rated flow, by which networks are normalised"),
 }
-"""Thesis table 5.1; tolerances of the rigs' datasheets."""
+"""Thesis table 5.1."""
 
 SUPPLY = {
     "voltage": Parameter(240.0, "V", meaning="motor supply"),
@@ -94,28 +78,9 @@ def valve_cylinder(supply: str = "full", **values: float) -> Plant:
         "valve_cylinder",
         CYLINDER,
         {"v_c": "V", "f_ext": "N"},
+        {symbol: replace(state, start=None) for symbol, state in RIG.states.items()},
         {
-            "i": State("A", 0.0, "-i_max", "i_max"),
-            "u": State("m", 0.0, "-u_max", "u_max", rate="u_dot"),
-            "u_dot": State("m/s"),
-            "x": State("m", 0.0, "-x_max", "x_max", rate="v"),
-            "v": State("m/s"),
-            "z": State("m"),
-            "p_a": State("Pa", "p_supply / 2", low=0.0),
-            "p_b": State("Pa", "p_supply / 2", low=0.0),
-        },
-        {
-            "coil": Equation("i", {"drive": "v_c", "resistance": "-r_coil * i"}, storage="l_coil"),
-            "spool_position": Equation("u", {"velocity": "u_dot"}),
-            "spool": Equation(
-                "u_dot",
-                {
-                    "coil": "omega_n**2 * k_h * i",
-                    "damping": "-2 * zeta * omega_n * u_dot",
-                    "centring": "-omega_n**2 * u",
-                },
-            ),
-            "position": Equation("x", {"velocity": "v"}),
+            **RIG.equations,
             "motion": Equation(
                 "v",
                 {
@@ -127,7 +92,6 @@ def valve_cylinder(supply: str = "full", **values: float) -> Plant:
                 },
                 storage="mass",
             ),
-            "bristle": Equation("z", {"slip": "z_dot"}),
             "continuity_a": Equation(
                 "p_a",
                 {
@@ -151,7 +115,7 @@ def valve_cylinder(supply: str = "full", **values: float) -> Plant:
         },
         ("x", "p_a", "p_b", "p_s", "u", "v"),
         {
-            "supply": Definition("p_s", "Pa", {"constant": "p_supply"}),
+            "supply": RIG.definitions["supply"],
             "edge_sa": Definition("q_sa", "m^3/s", {"orifice": "k_valve * orifice(u - overlap, p_s, p_a)"}),
             "edge_at": Definition("q_at", "m^3/s", {"orifice": "k_valve * orifice(-u - overlap, p_a, p_tank)"}),
             "edge_sb": Definition("q_sb", "m^3/s", {"orifice": "k_valve * orifice(-u - overlap, p_s, p_b)"}),
@@ -159,18 +123,7 @@ def valve_cylinder(supply: str = "full", **values: float) -> Plant:
             "flow_a": Definition("q_a", "m^3/s", {"from_supply": "q_sa", "to_tank": "-q_at"}),
             "flow_b": Definition("q_b", "m^3/s", {"from_supply": "q_sb", "to_tank": "-q_bt"}),
             "flow_s": Definition("q_s", "m^3/s", {"to_a": "q_sa", "to_b": "q_sb"}),
-            "stribeck": Definition(
-                "g",
-                "m",
-                {
-                    "coulomb": "f_coulomb / sigma0",
-                    "static": "(f_static - f_coulomb) / sigma0 * exp(-(v / v_stribeck)**2)",
-                },
-            ),
-            "slip": Definition("z_dot", "m/s", {"sliding": "v", "yielding": "-abs(v) * z / g"}),
-            "friction": Definition(
-                "f_friction", "N", {"stiffness": "sigma0 * z", "damping": "sigma1 * z_dot", "viscous": "sigma2 * v"}
-            ),
+            **{name: RIG.definitions[name] for name in ("stribeck", "slip", "friction")},
         },
     )
     if supply == "full":

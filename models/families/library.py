@@ -314,7 +314,7 @@ def flow(lap: float = 0.0) -> Entry:
     network is given the opening of each edge, which limits form exactly; its worst error is then a bound.
     """
     if not -0.9 <= lap <= 0.9:
-        raise InputError(f"library network flow: lap = {lap} is not within -0.9..0.9 of the spool's stroke")
+        raise InputError(f"library network flow: lap = {lap} is not within -0.9..0.9 of the stroke")
     network, error = Network.load(TRAINED / "flow"), _stored_error("flow")
     reach, p = 1 - max(lap, 0.0), (0.01, 0.99)
 

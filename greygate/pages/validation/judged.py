@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 
 from greygate.errors import InputError
 from greygate.machines.catalog import CATALOG, entry
-from greygate.machines.measured.identification import settled
+from greygate.machines.identification import initialised
 from greygate.models.validation import Correlation, Range, Validation, coverage, validate
 from greygate.pages.units import NONE, display, per_cent, shown
 from greygate.plain import plain
@@ -49,7 +49,7 @@ def judge(source: Source, lags: int = 25, progress: Progress = silent) -> Judged
         if taken := set(training) & set(records):
             raise InputError(f"record {min(taken)}: {source.name} learnt from one of that name; name yours otherwise")
         records = {n: own[n] for n in training} | records
-    records = {name: settled(network, record) for name, record in records.items()}
+    records = {name: initialised(network, record) for name, record in records.items()}
     validations = validate(network, records, period=source.period, lags=lags, progress=progress)
     size = sum(v.size for v in network.flatten().parameters().values())
     ranges = coverage(network, records, training)

@@ -1,7 +1,7 @@
-"""Identification on measured recordings, by rules that keep a test run a test.
+"""Identification on measured recordings, by rules under which the test runs influence no choice.
 
-Structure and seed are chosen by free runs over blocks held out of the training runs; the chosen network is then fitted
-to the whole training runs, and the test runs are scored once. `studies.py` beside this holds the studies themselves.
+Structure and seed are chosen by their free-run errors on blocks held out of the training runs. The chosen network is
+then fitted to all of the training runs, and the test runs are scored once. `measured/study.py` holds the studies.
 """
 
 import json
@@ -22,6 +22,7 @@ from greygate.models.network import Network
 from greygate.models.training.levenberg import Outcome, Trained
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
+from greygate.progress import Progress, silent
 from greygate.reading import read_json
 
 RECORDINGS = Path(recordings.__file__).resolve().parent
@@ -130,8 +131,8 @@ def rmse(network: Network, record: Record) -> float:
     return network.outputs[0].scale * rms(errors[0], record.skip)
 
 
-def settled(network: Network, record: Record, prior: float = PRIOR, steps: int = 30) -> Record:
-    """The record with the initial state that fits its first `skip` samples best, and weights as they are.
+def initialised(network: Network, record: Record, prior: float = PRIOR, steps: int = 30) -> Record:
+    """The record with the initial state that fits its first `skip` samples best; the weights stay as they are.
 
     prior: weight of the square of (state - rest), against squared errors, all normalised. Gauss-Newton, halved steps.
     """
@@ -223,13 +224,12 @@ def _each(count: int, part: Callable, runs: Runs) -> list[Fold]:
 # ---- choice and result
 
 
-def choose(study: Study, training: Runs, progress: Callable[[str], None] | None = None) -> Choice:
+def choose(study: Study, training: Runs, progress: Progress = silent) -> Choice:
     """Fit every candidate from every seed on every fold and judge it by its RMSE over the held-out blocks.
 
     The candidate whose seeds are typically lowest wins (`Study.typical`, the median: many seeds are no advantage), then
     the lowest of its seeds.
     """
-    say = progress or (lambda line: None)
     folds = study.folds(training)
 
     def judge(networks: Sequence[Network]) -> float:
@@ -240,7 +240,7 @@ def choose(study: Study, training: Runs, progress: Callable[[str], None] | None 
     linear = [study.linear.fit(study.linear.build(0), fold.pieces).network for fold in folds]
     baseline = judge(linear)
     unit = linear[0].outputs[0].unit
-    say(f"{study.name}, linear: {baseline:.4g} {unit} RMSE on held-out blocks")
+    progress(f"{study.name}, linear: {baseline:.4g} {unit} RMSE on held-out blocks")
     scores: dict[str, dict[int, float]] = {}
     best: dict[str, tuple[int, Network]] = {}  # of each candidate
     for name, candidate in study.candidates.items():
@@ -254,7 +254,7 @@ def choose(study: Study, training: Runs, progress: Callable[[str], None] | None 
                 networks.append(candidate.fit(network, fold.pieces).network)
             value, lowest = judge(networks), min(scores[name].values(), default=np.inf)
             scores[name][seed] = value
-            say(f"{study.name}, {name}, seed {seed}: {value:.4g} {unit} RMSE on held-out blocks")
+            progress(f"{study.name}, {name}, seed {seed}: {value:.4g} {unit} RMSE on held-out blocks")
             if value < lowest:
                 best[name] = seed, networks[-1]
     if not best:
@@ -280,8 +280,8 @@ class Result:
         self.network.save(folder / self.study.name, json.dumps(self.figures, indent=2) + "\n")
 
 
-def identify(study: Study, folder: Path | None = None, progress: Callable[[str], None] | None = None) -> Result:
-    """Choose, fit the chosen network of the last fold to the whole training runs, score the test runs.
+def identify(study: Study, folder: Path | None = None, progress: Progress = silent) -> Result:
+    """Choose, fit the chosen network of the last fold to all of the training runs, score the test runs.
 
     progress: called with a line per start. Raises InputError as `Study.runs`, `choose` and the fits.
     """

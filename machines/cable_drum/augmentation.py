@@ -1,4 +1,4 @@
-"""Slip of a line sensor, added up along its travel, with a module for the physics that its simulation leaves out.
+"""The cable drum's slip, added up along its travel, with a module for slip that the simulation leaves out.
 
     d(k) = x(k) - x(k-1)
     slip(k) = slip(k-1) + creep d(k)                    the simulation: creep is what training moves
@@ -9,9 +9,55 @@ where d is 0: nothing creeps at rest, in the hardware neither, and the only loop
 cannot diverge.
 """
 
+from collections.abc import Callable, Mapping
+from typing import ClassVar
+
 import numpy as np
 
+from greygate.machines.augmentation import ROOM, Augmentation, Law, grid, port
+from greygate.machines.cable_drum.plant import SAMPLE_TIME
+from greygate.mismatch.rig import Rig
 from greygate.models.network import Layer, Network, Port
+from greygate.plants.recording import Recording
+
+
+class Slip(Augmentation):
+    """Slip [m], load less drum, from `x_drum`, sampled as the thesis's sensor is.
+
+    A module reads the speed "v" or the acceleration "a" and answers slip per travel.
+    """
+
+    needs, inputs, starts = ("x_drum", "x_load"), ("x_drum",), "x_drum"
+    effects: ClassVar = {
+        "speed_slip": ("slip", "v"),
+        "direction_slip": ("slip", "v"),
+        "acceleration_slip": ("slip", "a"),
+    }
+    modules, tied = ("missing",), ()
+
+    def __init__(self, rig: Rig, values: Mapping[str, float]):
+        self.every = max(round(SAMPLE_TIME / rig.dt), 1)
+        self.rig, self.values, self.period = rig, values, self.every * rig.dt
+
+    def recording(self, recorded: Recording) -> Recording:
+        x, load = (recorded[name][:: self.every] for name in ("x_drum", "x_load"))
+        return Recording(self.period, {"x_drum": x, "slip": load - x}, {"x_drum": "m", "slip": "m"}, recorded.source)
+
+    def law(self, recorded: Recording, reads: str, term: Callable[..., np.ndarray]) -> Law:
+        x = self.recording(recorded)["x_drum"]
+        signal = np.diff(x) / self.period if reads == "v" else np.diff(x, 2) / self.period**2
+        at = ROOM * np.abs(signal).max() * grid()
+        travel = at if reads == "v" else np.ones_like(at)
+        return Law(reads, at, term(v=at, a=at, travel=travel) / travel)
+
+    def network(self, recorded: Recording, law: Law | None) -> Network:
+        r = self.recording(recorded)
+        x, slip = (port(name, r[name], "m", self.rig.channels.get(name)) for name in ("x_drum", "slip"))
+        step = ROOM * float(np.abs(np.diff(r["x_drum"])).max())
+        missing = None
+        if law:
+            missing = law.module(), law.reads, law.reach * self.period ** (2 if law.reads == "a" else 1), law.size
+        return slip_sum(x, slip, step, self.values["creep"], missing)
 
 
 def slip_sum(

@@ -9,20 +9,20 @@ from pathlib import Path
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.machines.measured.axis import axis, moving, starting
-from greygate.machines.measured.crane import crane
-from greygate.machines.measured.drives import PULSES, VOLTAGE, drives
-from greygate.machines.measured.identification import (
+from greygate.machines.identification import (
     Candidate,
     Fold,
     Runs,
     Study,
     blocked,
+    initialised,
     masked,
     resting,
-    settled,
     tails,
 )
+from greygate.machines.measured.axis import axis, moving, starting
+from greygate.machines.measured.crane import crane
+from greygate.machines.measured.drives import PULSES, VOLTAGE, drives
 from greygate.machines.measured.tanks import LEVEL, PUMP, pumped, tanks
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
@@ -235,7 +235,7 @@ TANKS = Study(
     seeds=range(4),
     folds=blocked(8, 20),
     period=4.0,
-    start=settled,
+    start=initialised,
 )
 """Level of the lower of two tanks from the voltage of the pump that fills the upper one."""
 

@@ -1,0 +1,1 @@
+"""A pendulum turned by a motor: the smallest machine here, and the pattern for one of your own."""

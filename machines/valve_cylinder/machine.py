@@ -1,0 +1,25 @@
+"""The valve-controlled cylinder in the catalogue."""
+
+from greygate.machines.entry import Entry, Machine, pressures
+from greygate.machines.kept import Kept
+from greygate.machines.valve_cylinder.augmentation import Pressures
+from greygate.machines.valve_cylinder.study import SCENARIOS, THESIS, prune, records, train_srnn
+
+MACHINE = Machine(
+    place=1,
+    augmented={"valve_hydraulic": Pressures},
+    networks=(
+        Entry(
+            "valve_cylinder",
+            "Valve-controlled cylinder: chamber pressures from valve voltage and position",
+            train_srnn,
+            records,
+            ("training",),
+            SCENARIOS,
+            finer=2,
+            prune=Kept("valve_cylinder", records, prune),
+            references={"thesis": pressures(THESIS, SCENARIOS)},
+            row=1,
+        ),
+    ),
+)

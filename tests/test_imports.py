@@ -1,0 +1,143 @@
+"""The order of the house: imports point down and never in a circle; a machine is named in its own folder alone.
+
+The imports are read from the source, those inside functions too.
+"""
+
+import ast
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+LAYERS = (  # from the top; what stands on one line imports nothing of another on it
+    ("greygate",),  # the command line, projects, pages: whatever is in the package and not below
+    ("machines",),
+    ("compiler", "mismatch"),
+    ("emulator", "plants"),
+    ("models",),
+    ("rtl", "recordings"),
+    ("base",),
+)
+BASE = ("contents", "errors", "files", "generated", "names", "progress", "reading", "table", "version")
+FOLDERS = ("greygate", *(name for layer in LAYERS[1:-1] for name in layer))
+
+CONCEALED = "mismatch/concealed"  # an independent second implementation of four machines, as a referee
+WORDS = {  # of machines and their parts
+    *("asymmetric", "belt", "belts", "cable", "carriage", "chamber", "chambers", "crane", "cylinder", "cylinders"),
+    *("drum", "drums", "leakage", "pendulum", "piston", "pistons", "pulley", "pump", "pumps", "slip", "spool"),
+    *("tanks", "transmission", "valve", "valves"),
+}
+PLAIN = {"measured", "benchmark_systems"}  # folders whose names are words of every day
+
+
+@cache
+def modules() -> dict[str, Path]:
+    """Import name -> file."""
+    found = {}
+    for folder in FOLDERS:
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            parts = parts if folder == "greygate" else ("greygate", *parts)
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+@cache
+def imports() -> dict[str, set[str]]:
+    """Module -> the modules of the house that it imports anywhere."""
+    return {name: set(_imported(name, path)) - {name} for name, path in modules().items()}
+
+
+def _imported(name: str, path: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name in modules())
+        elif isinstance(node, ast.ImportFrom):
+            source = node.module or ""
+            if node.level:
+                package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
+                source = ".".join([*package[: len(package) - node.level + 1], *filter(None, [source])])
+            for alias in node.names:
+                found = f"{source}.{alias.name}"
+                yield from (m for m in [found if found in modules() else source] if m in modules())
+
+
+def layer(module: str) -> tuple[int, str]:
+    """(how far down, which folder)."""
+    part = module.removeprefix("greygate").removeprefix(".").partition(".")[0]
+    folder = "base" if part in BASE else part if any(part in names for names in LAYERS) else "greygate"
+    return next((depth, folder) for depth, names in enumerate(LAYERS) if folder in names)
+
+
+def test_imports_point_down():
+    up = []
+    for name, targets in imports().items():
+        for target in targets:
+            (own, folder), (other, there) = layer(name), layer(target)
+            if folder != there and other <= own:
+                up.append(f"{name} imports {target}")
+    assert not up
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    reached: dict[str, set[str]] = {name: set(targets) for name, targets in imports().items()}
+    for between in reached:
+        for targets in reached.values():
+            if between in targets:
+                targets |= reached[between]
+    assert not [name for name, targets in reached.items() if name in targets]
+
+
+def general() -> list[Path]:
+    """Files of code that knows no machine."""
+    files = [path for path in modules().values() if path.relative_to(ROOT).parts[0] != "machines"]
+    return [path for path in files if not path.relative_to(ROOT).as_posix().startswith(CONCEALED)]
+
+
+def machine_names() -> set[str]:
+    """Of folders and of plants."""
+    folders = {path.parent.name for path in (ROOT / "machines").glob("*/__init__.py")}
+    return folders - PLAIN | {path.stem for path in (ROOT / "machines").glob("*/*.toml")}
+
+
+def written(tree: ast.AST) -> Iterator[tuple[int, str, bool]]:
+    """(line, text, whether it is a docstring) of every identifier and string."""
+    docs = {
+        id(node.body[0].value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+        and ast.get_docstring(node, clean=False) is not None
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.lineno, node.value, id(node) in docs
+        for field in ("id", "attr", "arg", "name", "module", "asname"):
+            if isinstance(text := getattr(node, field, None), str):
+                yield getattr(node, "lineno", 0), text, False
+
+
+def named(text: str, doc: bool) -> set[str]:
+    """Names of machines in the text; of an identifier or a string that is no docstring, words for their parts too."""
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).lower()
+    phrases = " ".join(re.findall(r"[a-z0-9]+", spaced))
+    found = {name for name in machine_names() if f" {name.replace('_', ' ')} " in f" {phrases} "}
+    return found if doc else found | (WORDS & set(phrases.split()))
+
+
+def test_general_code_names_no_machine():
+    found = []
+    for path in general():
+        for line, text, doc in written(ast.parse(path.read_text(encoding="utf-8"))):
+            found += [f"{path.relative_to(ROOT)}:{line}: {name}" for name in named(text, doc)]
+    assert not found
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [("class BeltDrive", {"belt", "belt_drive"}), ("slip_sum", {"slip"}), ("slipped, a driver, pumped", set())],
+)
+def test_a_name_is_found_as_a_whole_word_in_any_spelling(text, names):
+    assert named(text, doc=False) == names
