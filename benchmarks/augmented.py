@@ -15,9 +15,6 @@ from greygate.diagnose import explain
 from greygate.files import replacing
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.models.network import Network
-from greygate.pictures import FOLDER, picture
-from greygate.pictures import _over_time as over_time
-from greygate.pictures import _panel as panel
 from greygate.project import (
     ARCHITECTURES,
     Project,
@@ -27,6 +24,9 @@ from greygate.project import (
     read_record,
     verify_project,
 )
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
+from pictures import FOLDER, over_time, panel, picture  # noqa: E402
 
 CASES = {"cable_drum": (3, "speed_slip"), "valve_hydraulic": (8, "internal_leakage")}
 RESULTS = Path(__file__).parent / "results" / "augmented"

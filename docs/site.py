@@ -33,7 +33,7 @@ def public_names() -> str:
         value = getattr(greygate, name)
         module, qualified = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
         path = f"{module}.{qualified}" if module and qualified else f"greygate.{name}"
-        sections.append(f"::: {path}\n    options:\n      heading: greygate.{name}\n")
+        sections.append(f"::: {path}\n    options:\n      heading: greygate.{name}\n      heading_level: 2\n      toc_label: {name}\n")
     return "\n".join(sections)
 
 

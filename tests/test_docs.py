@@ -1,5 +1,6 @@
 """What the pages say is run."""
 
+import importlib
 import json
 import os
 import re
@@ -59,6 +60,11 @@ def anchors(page: Path) -> set[str]:
 def test_every_page_stands_in_the_sites_navigation_once():
     listed = re.findall(r"(\w[\w-]*\.md)$", (ROOT / "mkdocs.yml").read_text(), re.M)
     assert sorted(listed) == sorted(["index.md", *(page.name for page in PAGES[1:])])
+
+
+@pytest.mark.parametrize("name", re.findall(r"^::: (\S+)$", (ROOT / "docs" / "modules.md").read_text(), re.M))
+def test_a_module_of_the_reference_is_there(name):
+    assert importlib.import_module(name).__doc__
 
 
 def test_the_readme_shows_the_figures_of_the_stored_network():
