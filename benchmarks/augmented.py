@@ -26,7 +26,7 @@ from greygate.project import (
 )
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
-from pictures import FOLDER, over_time, panel, picture  # noqa: E402
+from pictures import FOLDER, over_time, panel, picture
 
 CASES = {"cable_drum": (3, "speed_slip"), "valve_hydraulic": (8, "internal_leakage")}
 RESULTS = Path(__file__).parent / "results" / "augmented"

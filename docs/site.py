@@ -3,6 +3,7 @@
 mkdocs calls the functions `on_...` while `make docs` runs (hooks of mkdocs.yml).
 """
 
+import json
 import os
 import re
 import shutil
@@ -33,7 +34,8 @@ def public_names() -> str:
         value = getattr(greygate, name)
         module, qualified = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
         path = f"{module}.{qualified}" if module and qualified else f"greygate.{name}"
-        sections.append(f"::: {path}\n    options:\n      heading: greygate.{name}\n      heading_level: 2\n      toc_label: {name}\n")
+        options = {"heading": f"greygate.{name}", "heading_level": 2, "toc_label": name}
+        sections.append(f"::: {path}\n    options: {json.dumps(options)}\n")
     return "\n".join(sections)
 
 
