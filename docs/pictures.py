@@ -15,7 +15,7 @@ from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.files import replacing
 from greygate.machines.cable_drum import study as cable_drum
-from greygate.machines.catalog import TRAINED, entry
+from greygate.machines.catalog import entry
 from greygate.mismatch.rig import load
 from greygate.mismatch.simulation import simulate
 from greygate.models.training.problem import Record
@@ -176,7 +176,8 @@ def greygate() -> str:
     truth, error = record.targets["p_a"], fixed_error(compiled.program, record)["p_a"]
     rms = np.sqrt(np.mean(error**2))
     pressure = {"reference": 1e-5 * truth, "cost": 1e-5 * (truth + error)}
-    used = read_json(TRAINED / "valve_cylinder.resources.json", "keep it")["resources"]["folded, ecp5"]
+    stored = read_json(ROOT / "models" / "trained" / "valve_cylinder.resources.json", "keep it")
+    used = stored["resources"]["folded, ecp5"]
     panels = [
         (
             "Explain a recording: two tanks, measured\n"

@@ -1,4 +1,6 @@
-"""The cocotb bench, which runs inside the simulator: one test for each design and scenario of a job (verify.py).
+"""The cocotb bench: it runs inside the simulator, one test for each design and scenario of a job.
+
+greygate/hardware/verify.py writes the job.
 
 The source offers a sample, the sink takes the result; both pause at random. A step costs one awakening of Python, or
 a few where somebody pauses. Everything is compared as whole words; a word that differs is taken apart for the message.
