@@ -195,7 +195,7 @@ def greygate() -> str:
     keys = [
         ("reference", "recorded level; true pressure"),
         ("fixed", "simulation, its parameters fitted"),
-        ("cost", "with the named physics; FPGA, 16 bits"),
+        ("cost", "with the named physics; 16-bit Verilog"),
     ]
     return picture(panels, keys, apart=270)
 
