@@ -6,7 +6,7 @@ OUT := demo
 PEERS := build/peers
 FOLDERS := models plants emulator compiler rtl mismatch machines recordings
 
-.PHONY: demo test test-old lint types bench bench-training bench-diagnosis bench-programs fuzz faults mutants train clean tools
+.PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-programs fuzz faults mutants train clean tools
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -23,6 +23,10 @@ test: $(VENV)/.ready-dev | tools
 test-old: $(VENV)/.ready-dev | tools
 	$(BIN)/python benchmarks/processors.py --setting "old BLAS and numpy" --run \
 	  $(BIN)/python -m pytest -n 2 $(patsubst %,--ignore=tests/test_%.py,rtl random_hardware synthesis engine)
+
+# The pages as a site, build/site/index.html. A link that leads nowhere stops it.
+docs: $(VENV)/.ready-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .
@@ -87,6 +91,10 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 
 $(VENV)/.ready-dev: $(VENV)/.ready
 	$(INSTALL) -e '.[dev,synthesis,cluster]'
+	@touch $@
+
+$(VENV)/.ready-docs: $(VENV)/.ready
+	$(INSTALL) -e '.[docs]'
 	@touch $@
 
 $(PEERS)/.ready: benchmarks/peers.txt

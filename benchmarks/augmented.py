@@ -16,9 +16,6 @@ from greygate.files import replacing
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.models.accuracy import float_error
 from greygate.models.network import Network
-from greygate.pictures import FOLDER, picture
-from greygate.pictures import _over_time as over_time
-from greygate.pictures import _panel as panel
 from greygate.project import (
     Project,
     compile_project,
@@ -26,6 +23,9 @@ from greygate.project import (
     verify_project,
 )
 from greygate.source import Source, read_record
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
+from pictures import FOLDER, over_time, panel, picture
 
 CASES = {"cable_drum": (3, "speed_slip"), "valve_hydraulic": (8, "internal_leakage")}
 RESULTS = Path(__file__).parent / "results" / "augmented"

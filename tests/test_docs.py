@@ -1,7 +1,11 @@
 """What the pages say is run."""
 
+import importlib
+import json
 import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,22 +15,56 @@ from greygate.machines.catalog import CATALOG, entry
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-BLOCKS = {page.name: re.findall(r"```python\n(.*?)```", page.read_text(), re.S) for page in PAGES}
+BLOCKS = {
+    page.name: re.findall(r'```(python|sh|toml title="([\w/.]+)")\n(.*?)```', page.read_text(), re.S) for page in PAGES
+}
+"""Of each page, in order: Python and shell that is run, and files that it tells the reader to write."""
+
+
+def run(command: str) -> None:
+    """A shell block, with the `greygate` of this environment."""
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    done = subprocess.run(["bash", "-euc", command], capture_output=True, text=True, env={**os.environ, "PATH": path})
+    assert done.returncode == 0, f"{command}{done.stdout}{done.stderr}"
 
 
 @pytest.mark.parametrize("page", [name for name, blocks in BLOCKS.items() if blocks])
-def test_the_python_in_a_page_runs(page, tmp_path, monkeypatch):
+def test_the_python_and_the_commands_in_a_page_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "recordings").symlink_to(ROOT / "recordings")
     namespace = {}
-    for block in BLOCKS[page]:
-        exec(compile(block, page, "exec"), namespace)
+    for kind, name, text in BLOCKS[page]:
+        if kind == "python":
+            exec(compile(text, page, "exec"), namespace)
+        elif kind == "sh":
+            run(text)
+        else:
+            (tmp_path / name).parent.mkdir(exist_ok=True)
+            (tmp_path / name).write_text(text)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_links_between_pages_lead_somewhere(page):
-    for target in re.findall(r"\]\((?!http)([^)#]+)\)", page.read_text()):
-        assert os.path.exists(page.parent / target), target
+    for target, anchor in re.findall(r"\]\((?!http)([^)#]*)(?:#([^)]+))?\)", page.read_text()):
+        to = ROOT / "README.md" if target == "index.md" else page.parent / target if target else page
+        assert os.path.exists(to), target
+        assert not anchor or anchor in anchors(to), f"{target}#{anchor}"
+
+
+def anchors(page: Path) -> set[str]:
+    """Those of its headings: small letters, no punctuation, `-` for spaces."""
+    titles = re.findall(r"^#+ (.*)$", page.read_text(), re.M)
+    return {re.sub(r"[^\w\- ]", "", title).strip().lower().replace(" ", "-") for title in titles}
+
+
+def test_every_page_stands_in_the_sites_navigation_once():
+    listed = re.findall(r"(\w[\w-]*\.md)$", (ROOT / "mkdocs.yml").read_text(), re.M)
+    assert sorted(listed) == sorted(["index.md", *(page.name for page in PAGES[1:])])
+
+
+@pytest.mark.parametrize("name", re.findall(r"^::: (\S+)$", (ROOT / "docs" / "modules.md").read_text(), re.M))
+def test_a_module_of_the_reference_is_there(name):
+    assert importlib.import_module(name).__doc__
 
 
 def test_the_readme_shows_the_figures_of_the_stored_network():
@@ -39,6 +77,39 @@ def test_the_readme_shows_the_figures_of_the_stored_network():
         row = next(line for line in text.splitlines() if line.startswith(f"| {label}"))
         a, b = (v / 1e5 for v in free_run_rms(network, records()[scenario]).values())
         assert f"| {a:.3f} / {b:.3f} |" in row
+
+
+def test_the_readme_shows_the_figures_that_training_left():
+    kept = json.loads((ROOT / "models" / "trained" / "valve_cylinder.json").read_text())
+    flow, joined = (
+        next(line for line in (ROOT / "README.md").read_text().splitlines() if line.startswith(f"| {label}"))
+        for label in ("flow network", "as assembled")
+    )
+    assert [cell.strip() for cell in flow.split("|")][2:4] == [
+        f"{1e4 * v:.2f}e-4" for v in (kept["thesis"]["flow_rms"], kept["flow_rms"])
+    ]
+    assert [cell.strip() for cell in joined.split("|")][2:4] == [
+        "{:.3f} / {:.3f}".format(*v) for v in (kept["thesis"]["assembled"], kept["assembled"]["training"])
+    ]
+
+
+def test_the_readme_shows_the_scores_of_fresh_concealed_cases():
+    scores = (ROOT / "benchmarks" / "results" / "concealed_fresh.txt").read_text()
+    right, single = re.search(r"right effect first, all single effects: (\d+) of (\d+)", scores).groups()
+    false, clean = re.search(r"false claims on clean or miscalibrated rigs: (\d+) of (\d+)", scores).groups()
+    text = (ROOT / "README.md").read_text()
+    assert f"right effect in {right} of {single} with one effect; false claims in {false} of {clean} with none" in text
+
+
+def test_the_picture_of_the_readme_has_the_errors_of_the_kept_diagnosis():
+    import numpy as np
+    import pictures
+
+    diagnosis, runs = pictures.tanks()
+    measured = runs.pop("reference")
+    found = [np.sqrt(np.mean((run - measured) ** 2)) for run in runs.values()]
+    fit = diagnosis["fit"]["identify"]["y"]
+    np.testing.assert_allclose(found, [fit["calibrated"], fit["corrected"]], rtol=1e-6)
 
 
 @pytest.mark.parametrize("name", CATALOG)
