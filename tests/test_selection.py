@@ -278,3 +278,26 @@ def test_over_longer_windows_an_unknown_more_costs_the_logarithm_of_the_readings
         short(chosen, {DRIFT: 100.0, SLIP: 120.0})
         each = {DRIFT: 300.0, SLIP: 300.0 - saves}
         assert over_longer_windows(chosen, monkeypatch, each, {DRIFT: 3, SLIP: 4})[1] == better
+
+
+def test_an_effect_without_which_the_fit_is_as_good_goes(chosen, monkeypatch):
+    monkeypatch.setattr(selection, "whole", lambda fit: True)
+    both = Hypothesis(("drift", "slip"))
+    chosen.add(DRIFT, fit(900.0))
+    chosen.add(both, two := fit(100.0))
+    for more, left in ((EVIDENCE - 1, SLIP), (EVIDENCE + 1, both)):
+        monkeypatch.setattr(chosen, "fit", lambda *_, more=more, **__: (fit(100.0 + more), True))
+        assert chosen.backward(both, two)[0] == left
+
+
+def test_the_plain_plant_is_fitted_from_the_shifts_of_its_own_windows_alone():
+    own, asked = SimpleNamespace(), []
+
+    def fitted(problem, hypothesis, values, shifts, **_):
+        asked.append(shifts)
+        return fit(10.0)
+
+    for problem in (own, SimpleNamespace()):
+        start = SimpleNamespace(problem=problem, shifts="shifts", values={})
+        assert Selection(SimpleNamespace(fit=fitted), own, start, lambda text: None).plain.cost == 10.0
+    assert asked == ["shifts", None]
