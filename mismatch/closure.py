@@ -12,9 +12,9 @@ from itertools import combinations
 import numpy as np
 
 from greygate.mismatch.effects import Effect, Free
-from greygate.mismatch.fit import Fit
+from greygate.mismatch.fit import NORMAL, Fit
 from greygate.mismatch.libraries import Basis, Candidate, declared
-from greygate.mismatch.model import lagged
+from greygate.mismatch.model import TINY, lagged
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.plants.closure import SEEN, Place
@@ -22,7 +22,7 @@ from greygate.plants.expressions import names, replaced
 from greygate.plants.plant import Values
 
 STRETCH = 1.0  # s of recording that are learnt from, then judged on, by turns
-LAGS = (0.002, 0.005, 0.015)  # s of a sensor that answers late
+LAGS = {"lag_2_ms": 0.002, "lag_5_ms": 0.005, "lag_15_ms": 0.015}  # s, of a sensor that answers late
 TERMS = 4  # basis functions in a closure, at most
 SURE = 5.0  # standard deviations of a coefficient, below which its function goes again
 WORTH = 0.03  # of the misfit that a further function must remove
@@ -30,7 +30,7 @@ ALIKE = WORTH / 3  # of the misfit, within which two sets of functions are equal
 NOISE = 0.9  # of the cost that pure noise would have: so much counts as noise, what is above it as misfit
 RIDGE = 1e-6  # of a column's own square, which keeps the normal matrix of columns that are nearly alike regular
 STEEP = 20.0  # of the tanh that stands for a sign: 5 % of the largest speed are 76 % of the sign
-TINY = 1e-300  # in place of 0, by which nothing can be divided
+CONFIDENCE_DIGITS = 4  # behind the point, of a share in diagnosis.json
 LEAST = 1e-9  # cost, in place of a misfit of 0
 FLAT = 1e-12  # of a signal's size, below which its spread is rounding
 
@@ -64,7 +64,8 @@ def _powers(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basi
         if plant.states[equation.state].rate:
             continue
         size = max(float(np.sqrt(np.mean(np.square(scope.evaluate(term))))) for term in equation.terms.values())
-        scale = f"{10.0 ** round(np.log10(max(size, TINY)))!r}"
+        decade = round(np.log10(max(size, TINY)))
+        scale = repr(float(f"1e{decade}"))
         basis = {"one": Candidate(f"{scale} * (1.0)", ())}
         for s in signals:
             inside = f"min(max({s}, seen_low_{s}), seen_high_{s})"  # beyond what was seen it stays as it was
@@ -147,7 +148,7 @@ def _sensors(search: Search, base: Fit) -> dict[tuple[str, str], np.ndarray]:
             "rate": rate,
             "t": problem.model.recording.time,
         }
-        shapes |= {f"lag_{1e3 * lag:.0f}_ms": lagged(signal, lag, rig.dt) - signal for lag in LAGS}
+        shapes |= {name: lagged(signal, lag, rig.dt) - signal for name, lag in LAGS.items()}
         for name, shape in shapes.items():
             column = np.zeros_like(base.errors)
             size = max(float(np.std(shape)), FLAT * float(np.abs(shape).max()) + TINY)
@@ -248,7 +249,7 @@ def closure(search: Search) -> tuple[dict, Fit | None]:
         effect = {
             "id": "unknown",
             "equations": [reported],
-            "confidence": round(share, 4),
+            "confidence": round(share, CONFIDENCE_DIGITS),
             "parameters": {s: _parameter(unknowns.effects[s], fit, unknowns.seen) for s in chosen},
             "not_told_apart_from": [],
         }
@@ -278,5 +279,5 @@ def _parameter(effect: Effect, fit: Fit, seen: dict[str, float]) -> dict:
     symbol = effect.key
     place, term = effect.equations[0], effect.terms[f"{effect.equations[0]}.{symbol}"]
     term = replaced(term, {name: repr(limit) for name, limit in seen.items()})
-    value, reach = fit.values[symbol], 1.96 * fit.deviation(symbol)
+    value, reach = fit.values[symbol], NORMAL * fit.deviation(symbol)
     return {"value": value, "ci95": [value - reach, value + reach], "unit": "", "place": place, "term": term}

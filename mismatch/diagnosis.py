@@ -20,7 +20,7 @@ from greygate.mismatch.closure import closure
 from greygate.mismatch.coloured import Coloured, remaining
 from greygate.mismatch.coloured_selection import ColouredSelection
 from greygate.mismatch.effects import Effect
-from greygate.mismatch.fit import Fit, Likelihood
+from greygate.mismatch.fit import NORMAL, Fit, Likelihood
 from greygate.mismatch.locate import located
 from greygate.mismatch.model import TINY, Model, begun
 from greygate.mismatch.rig import Rig
@@ -32,7 +32,6 @@ from greygate.progress import Progress, silent
 SCHEMA = "diagnosis/1"
 APART = 12.0  # of cost: two hypotheses that differ by less are not told apart
 SHARE = 0.99  # of what can be explained: an effect that explains so much is named, though structure is left
-NORMAL = 1.96  # standard deviations on either side that hold 95 % of a normal distribution
 WIDER = 1.25  # by which intervals are widened: then 95 % of the true values of concealed cases are inside
 FARTHEST = 1400.0  # of cost: a rival this far away has a likelihood of exp(-700), the least that a float can hold
 DIGITS = 4  # after the point, of a confidence

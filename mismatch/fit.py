@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from greygate.mismatch.model import Model
+from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.noise import deviation
 from greygate.models.training.gauss_newton import Decades, bounded, search
 
@@ -22,6 +22,9 @@ FREE = 1e-6  # weight of a measured state's shift in the cost: a thousand times 
 STEP = 1e-3  # of a parameter's scale, for differences
 SHIFTED = 0.1  # of a shift's scale, for differences
 BLOCK = 0.25  # s within which errors may depend on each other, for intervals where there are no windows
+SINGULAR, BREAD_SINGULAR = 1e-13, 1e-14  # of the largest singular value, below which numbers cannot be told apart
+ITERATIONS = 15  # of a fit, at most: near its end each gains more digits than the one before
+NORMAL = 1.96  # standard deviations on either side that hold 95 % of a normal distribution
 HALVINGS = 6  # of the way from the unknowns' origins to a start from which the run diverges
 ENOUGH = 0.05  # of cost, a twentieth of what noise alone makes of one parameter: a further step tells nothing more
 RIDGE = 1e-9  # added to the curvature of each number, far below a prior's: what does not act on the errors stays
@@ -115,7 +118,7 @@ class Fit:
     @cached_property
     def covariance(self) -> np.ndarray:
         """Of the numbers (k, k), robust to errors that depend on each other within a window (Huber's sandwich)."""
-        bread = np.linalg.pinv(self.information, hermitian=True, rcond=1e-14)
+        bread = np.linalg.pinv(self.information, hermitian=True, rcond=BREAD_SINGULAR)
         scores = np.einsum("wrk,wr->wk", self.slopes, self.projected)
         n, k = scores.shape
         scores = scores - scores.mean(axis=0)
@@ -138,7 +141,7 @@ class Fit:
         for learn in (even, ~even):
             flat, errors = self.slopes[learn].reshape(-1, len(self.numbers)), self.projected[learn].reshape(-1)
             normal = flat.T @ flat + np.diag(self.weight + RIDGE)
-            step = np.linalg.lstsq(normal, -(flat.T @ errors) - self.weight * self.numbers, rcond=1e-13)[0]
+            step = np.linalg.lstsq(normal, -(flat.T @ errors) - self.weight * self.numbers, rcond=SINGULAR)[0]
             step = np.clip(self.numbers + step, low, high) - self.numbers
             total += float(np.sum((self.projected[~learn] + self.slopes[~learn] @ step) ** 2))
         return total
@@ -151,7 +154,7 @@ class Fit:
 
 def _larger(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """`one` stretched so that no variance is below that of `other`."""
-    stretch = np.sqrt(np.maximum(np.diag(other) / np.maximum(np.diag(one), 1e-300), 1.0))
+    stretch = np.sqrt(np.maximum(np.diag(other) / np.maximum(np.diag(one), TINY), 1.0))
     return one * np.outer(stretch, stretch)
 
 
@@ -245,7 +248,7 @@ class Likelihood:
         unknowns: Sequence[Unknown],
         values: Mapping[str, float] | None = None,
         shifts: np.ndarray | None = None,
-        iterations: int = 15,
+        iterations: int = ITERATIONS,
         tempered: bool = False,
         rival: float = np.inf,
         enough: float = ENOUGH,

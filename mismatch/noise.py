@@ -9,6 +9,7 @@ LONGEST = 200  # samples of one recorded code that are counted as one reading
 SMOOTHED, CUBIC = 9, 3  # samples and order of the smoothing that shows how rough a signal is
 MOVING = 5  # samples of one recorded code, below which a signal is said to move
 SELDOM = 0.05  # share of moving samples below which they do not show how rough a signal is
+EVEN = 12  # the variance of errors spread evenly over one step is a twelfth of its square
 
 
 def deviation(model: Model) -> np.ndarray:
@@ -22,10 +23,10 @@ def deviation(model: Model) -> np.ndarray:
         channel, target = rig.channels[name], model.target[:, i]
         variance = np.full(len(target), channel.noise**2)
         if channel.resolution:
-            variance += channel.resolution**2 / 12 * runs(target)
+            variance += channel.resolution**2 / EVEN * runs(target)
         for given in rig.inputs if model.window is None else ():
             if rig.channels[given].unit == channel.unit:
-                variance += rig.channels[given].resolution ** 2 / 12 * runs(model.recording[given])
+                variance += rig.channels[given].resolution ** 2 / EVEN * runs(model.recording[given])
         found.append(np.sqrt(variance) * (1.0 if channel.noise else roughness(target, channel.sigma)))
     return np.stack(found, axis=1)
 

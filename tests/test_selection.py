@@ -281,7 +281,7 @@ def test_over_longer_windows_an_unknown_more_costs_the_logarithm_of_the_readings
 
 
 def test_an_effect_without_which_the_fit_is_as_good_goes(chosen, monkeypatch):
-    monkeypatch.setattr(selection, "whole", lambda fit: True)
+    monkeypatch.setattr(selection, "complete", lambda fit: True)
     both = Hypothesis(("drift", "slip"))
     chosen.add(DRIFT, fit(900.0))
     chosen.add(both, two := fit(100.0))

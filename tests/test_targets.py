@@ -8,7 +8,7 @@ from legal_programs import legal_program
 from programs import cylinder_program, random_program
 from test_network import delay_line
 
-from greygate import cli
+from greygate.cli import builds, networks
 from greygate.compiler import targets
 from greygate.compiler.emit import emit, emitted
 from greygate.compiler.targets import BOTH, NAMES, Architecture, Target, target
@@ -51,8 +51,8 @@ def test_an_architecture_has_a_register_for_each_code_of_the_states(name):
 
 
 def test_the_command_line_offers_what_the_registries_hold():
-    assert [*cli.Architecture] == [*NAMES, "both"]
-    assert [*cli.Target] == [*FAMILIES]
+    assert [*networks.Architecture] == [*NAMES, "both"]
+    assert [*builds.Family] == [*FAMILIES]
 
 
 def test_a_listing_has_a_line_for_every_row_and_names_every_signal():
