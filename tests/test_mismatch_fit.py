@@ -376,3 +376,12 @@ def test_a_fit_ends_well_where_a_step_saves_less_than_asked_for(folder):
     assert once.converged
     assert full.cost < once.cost < p.fit(unknowns(), start, iterations=0).cost  # it took that one step
     assert not p.fit(unknowns(), start, iterations=1).converged  # of which it does not know how good it is
+
+
+def test_the_cost_counts_the_square_of_each_shift_by_its_weight(folder):
+    p = likelihood(folder, 0.5)
+    shifts = np.full_like(p.nothing(), 3.0)
+    errors, temper = np.zeros_like(p.model.target), np.ones(p.sigma.shape[1])
+    assert shifts.size
+    assert np.all(np.asarray(p.heavy) > 0)
+    assert p.cost(errors, shifts, temper) == pytest.approx(9.0 * np.sum(p.heavy * np.ones_like(shifts)), rel=1e-12)
