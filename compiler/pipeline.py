@@ -109,7 +109,8 @@ class _Passes:
     def _note(self, name: str, network: Network) -> dict[str, np.ndarray]:
         """Note what a pass left; returns the outputs now."""
         now = _outputs(network, self.records)
-        change = max(float(np.abs(now[n] - v).max() / np.abs(v).max()) for n, v in self.reference.items())
+        sizes = {n: float(np.abs(v).max()) or 1.0 for n, v in self.reference.items()}  # 1.0 of what is always 0
+        change = max(float(np.abs(now[n] - v).max()) / sizes[n] for n, v in self.reference.items())
         self.done.append(_summary(name, network, change))
         return now
 

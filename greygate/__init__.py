@@ -12,80 +12,47 @@ fast. Their docstrings hold examples that continue one another in the order of `
     from greygate import *
 """
 
-import ast
 from importlib import import_module
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from greygate.version import __version__ as __version__
 
-if TYPE_CHECKING:
-    from greygate.compiler.emit import emit
-    from greygate.compiler.pipeline import compile_network as compile
-    from greygate.compiler.quantize import Formats
-    from greygate.emulation import emulate
-    from greygate.emulator.program import Program
-    from greygate.errors import InputError
-    from greygate.mismatch.diagnosis import diagnose
-    from greygate.mismatch.rig import load as load_rig
-    from greygate.models.network import Connection, Layer, Network, Port
-    from greygate.models.training.levenberg import train
-    from greygate.models.training.record import Record
-    from greygate.models.validation import validate
-    from greygate.plants.plant import Plant
-    from greygate.plants.recording import Recording, read_csv
-    from greygate.plants.simulate import simulate
-    from greygate.project import Project
-    from greygate.project import compile_project as build
-    from greygate.project import synthesize_project as synthesize
-    from greygate.project import verify_project as verify
-    from greygate.reporting import report
-    from greygate.source import Source
-
-__all__ = [  # noqa: RUF022 (in the order of the examples)
-    "Port",
-    "Layer",
-    "Connection",
-    "Network",
-    "Record",
-    "Recording",
-    "read_csv",
-    "train",
-    "validate",
-    "Formats",
-    "compile",
-    "Program",
-    "emulate",
-    "InputError",
-    "emit",
-    "Source",
-    "build",
-    "Project",
-    "verify",
-    "synthesize",
-    "report",
-    "Plant",
-    "simulate",
-    "load_rig",
-    "diagnose",
-]
+_PUBLIC = {  # name -> module: name there, in the order of the examples
+    "Port": "greygate.models.network:Port",
+    "Layer": "greygate.models.network:Layer",
+    "Connection": "greygate.models.network:Connection",
+    "Network": "greygate.models.network:Network",
+    "Record": "greygate.models.training.record:Record",
+    "Recording": "greygate.plants.recording:Recording",
+    "read_csv": "greygate.plants.recording:read_csv",
+    "train": "greygate.models.training.levenberg:train",
+    "validate": "greygate.models.validation:validate",
+    "Formats": "greygate.compiler.quantize:Formats",
+    "compile": "greygate.compiler.pipeline:compile_network",
+    "Program": "greygate.emulator.program:Program",
+    "emulate": "greygate.emulation:emulate",
+    "InputError": "greygate.errors:InputError",
+    "emit": "greygate.compiler.emit:emit",
+    "Source": "greygate.source:Source",
+    "build": "greygate.project:compile_project",
+    "Project": "greygate.project:Project",
+    "verify": "greygate.project:verify_project",
+    "synthesize": "greygate.project:synthesize_project",
+    "report": "greygate.reporting:report",
+    "Plant": "greygate.plants.plant:Plant",
+    "simulate": "greygate.plants.simulate:simulate",
+    "load_rig": "greygate.mismatch.rig:load",
+    "diagnose": "greygate.mismatch.diagnosis:diagnose",
+}
+__all__ = [*_PUBLIC]
 
 
 def __getattr__(name: str) -> object:
-    if name not in __all__:
+    if name not in _PUBLIC:
         raise AttributeError(f"module 'greygate' has no attribute {name!r}")
-    module, own = _imported()[name]
+    module, _, own = _PUBLIC[name].partition(":")
     globals()[name] = found = getattr(import_module(module), own)
     return found
 
 
-def _imported() -> dict[str, tuple[str, str]]:
-    """Public name -> module and name there: what the imports above say to a type checker, read from this file."""
-    tree = ast.parse(Path(__file__).read_text(encoding="utf-8"))
-    block = next(node for node in tree.body if isinstance(node, ast.If))
-    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
-    return {a.asname or a.name: (str(node.module), a.name) for node in imports for a in node.names}
-
-
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *_PUBLIC})

@@ -9,17 +9,20 @@ class Verdict(StrEnum):
     Each of them is an answer: `greygate diagnose` ends with exit code 0 whatever the verdict.
     """
 
-    words: str
+    CONSISTENT = "consistent"
+    PARAMETER_ERROR = "parameter_error"
+    MISSING_PHYSICS = "missing_physics"
+    UNEXPLAINED = "unexplained"
 
-    CONSISTENT = "consistent", "consistent: the parameters, inside their tolerances, explain the recording"
-    PARAMETER_ERROR = (
-        "parameter_error",
-        "parameter error: one parameter lies outside its tolerance, and that explains the recording",
-    )
-    MISSING_PHYSICS = "missing_physics", "missing physics: the simulation leaves out what is named here"
-    UNEXPLAINED = "unexplained", "unexplained: something is missing that no effect of the table has"
+    @property
+    def words(self) -> str:
+        """One sentence: the verdict's name and what it means."""
+        return f"{self.replace('_', ' ')}: {_MEANS[self]}"
 
-    def __new__(cls, value: str, words: str) -> "Verdict":
-        member = str.__new__(cls, value)
-        member._value_, member.words = value, words
-        return member
+
+_MEANS = {
+    Verdict.CONSISTENT: "the parameters, inside their tolerances, explain the recording",
+    Verdict.PARAMETER_ERROR: "one parameter lies outside its tolerance, and that explains the recording",
+    Verdict.MISSING_PHYSICS: "the simulation leaves out what is named here",
+    Verdict.UNEXPLAINED: "something is missing that no effect of the table has",
+}

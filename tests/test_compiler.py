@@ -462,3 +462,13 @@ def test_centring_leaves_an_exact_difference_alone():
     assert program.signals["u"].fix.lsb == lsb
     equal = {"u": np.repeat(np.linspace(-0.9, 0.9, 19)[:, None], 2, axis=1)}
     np.testing.assert_array_equal(interpret(program, program.encode(equal)).outputs, 0)
+
+
+def test_an_output_that_is_always_zero_compiles():
+    network = Network("still", [Port("u")], [Port("y")], {"none": Layer({"u": [[0.0]]}, [0.0])})
+    network.connect("u", "none.u")
+    network.connect("none", "y")
+    u = np.linspace(-1.0, 1.0, 50)
+    compiled = compile_network(network, {"run": Record({"u": u}, {"y": 0.0 * u})}, Formats(12), ranged_on=["run"])
+    assert [p.change for p in compiled.passes] == [0.0] * len(compiled.passes)
+    assert not run(compiled.program, compiled.program.encode({"u": u})).outputs.any()

@@ -1,5 +1,6 @@
 """What `import greygate` offers: each name has a docstring, types, and an example that runs."""
 
+import ast
 import doctest
 import inspect
 import subprocess
@@ -59,3 +60,10 @@ def test_a_function_stays_what_it_is_after_every_module_is_imported():
     """A module of the package that had the name of a function would take its place."""
     modules = {path.stem for path in Path(greygate.__file__).parent.glob("*") if path.suffix in ("", ".py")}
     assert not modules & set(greygate.__all__)
+
+
+def test_a_type_checker_sees_what_python_imports():
+    tree = ast.parse(Path(greygate.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+    imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
+    seen = {a.asname: f"{node.module}:{a.name}" for node in imports for a in node.names}
+    assert seen == greygate._PUBLIC | {"__version__": "greygate.version:__version__"}
