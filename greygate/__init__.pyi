@@ -1,23 +1,52 @@
 # What a type checker sees of __init__.py, which imports each of these when it is first used.
 
-from greygate.compiler.emit import emit as emit
-from greygate.compiler.quantize import Formats as Formats
-from greygate.emulation import emulate as emulate
-from greygate.emulator.program import Program as Program
-from greygate.errors import InputError as InputError
-from greygate.mismatch.diagnosis import diagnose as diagnose
-from greygate.models.network import Connection as Connection
-from greygate.models.network import Layer as Layer
-from greygate.models.network import Network as Network
-from greygate.models.network import Port as Port
-from greygate.models.training.levenberg import train as train
-from greygate.models.training.record import Record as Record
-from greygate.models.validation import validate as validate
-from greygate.plants.plant import Plant as Plant
-from greygate.plants.recording import Recording as Recording
-from greygate.plants.recording import read_csv as read_csv
-from greygate.plants.simulate import simulate as simulate
-from greygate.project import Project as Project
-from greygate.reporting import report as report
-from greygate.source import Source as Source
+from greygate.compiler.emit import emit
+from greygate.compiler.pipeline import compile_network as compile
+from greygate.compiler.quantize import Formats
+from greygate.emulation import emulate
+from greygate.emulator.program import Program
+from greygate.errors import InputError
+from greygate.mismatch.diagnosis import diagnose
+from greygate.mismatch.rig import load as load_rig
+from greygate.models.network import Connection, Layer, Network, Port
+from greygate.models.training.levenberg import train
+from greygate.models.training.record import Record
+from greygate.models.validation import validate
+from greygate.plants.plant import Plant
+from greygate.plants.recording import Recording, read_csv
+from greygate.plants.simulate import simulate
+from greygate.project import Project
+from greygate.project import compile_project as build
+from greygate.project import synthesize_project as synthesize
+from greygate.project import verify_project as verify
+from greygate.reporting import report
+from greygate.source import Source
 from greygate.version import __version__ as __version__
+
+__all__ = [
+    "Connection",
+    "Formats",
+    "InputError",
+    "Layer",
+    "Network",
+    "Plant",
+    "Port",
+    "Program",
+    "Project",
+    "Record",
+    "Recording",
+    "Source",
+    "build",
+    "compile",
+    "diagnose",
+    "emit",
+    "emulate",
+    "load_rig",
+    "read_csv",
+    "report",
+    "simulate",
+    "synthesize",
+    "train",
+    "validate",
+    "verify",
+]

@@ -65,5 +65,5 @@ def test_a_function_stays_what_it_is_after_every_module_is_imported():
 def test_a_type_checker_sees_what_python_imports():
     tree = ast.parse(Path(greygate.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
     imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
-    seen = {a.asname: f"{node.module}:{a.name}" for node in imports for a in node.names}
+    seen = {a.asname or a.name: f"{node.module}:{a.name}" for node in imports for a in node.names}
     assert seen == greygate._PUBLIC | {"__version__": "greygate.version:__version__"}
