@@ -49,8 +49,8 @@ def free_run(network: Network, run: Record) -> float:
 
 
 def one_step(network: Network, run: Record) -> float:
-    problem = Objective(network, [run], teacher=True)
-    return network.outputs[0].scale / BAR * float(np.sqrt(problem.squares(problem.theta) / problem.samples))
+    objective = Objective(network, [run], teacher=True)
+    return network.outputs[0].scale / BAR * float(np.sqrt(objective.squares(objective.theta) / objective.samples))
 
 
 def black_boxes(seeds: int) -> None:

@@ -24,16 +24,16 @@ SAMPLES = 2000  # steps of all records together, evenly spread
 
 def centre_biases(program: Program, network: Network, records: Sequence[Record]) -> Program:
     """Correct the biases of every AFFINE operation that rounds weights, in program order, on records."""
-    problem = Objective(network, list(records))
+    objective = Objective(network, list(records))
     past: dict[str, list[np.ndarray]] = {}  # signal -> by delay, its values at the chosen steps of all records
-    codes, rest = [], problem.flat.rest()
-    for record, trace in zip(records, problem.simulate(problem.theta), strict=True):
+    codes, rest = [], objective.flat.rest()
+    for record, trace in zip(records, objective.simulate(objective.theta), strict=True):
         count = max(1, min(SAMPLES // len(records), len(trace)))
         steps = np.unique(np.linspace(0, len(trace) - 1, count).astype(int))
         codes.append(program.encode(record.inputs)[steps])
-        for name, columns in problem.elements().items():
-            series = np.concatenate([np.tile(rest[name], (problem.depth, 1)), trace[:, columns]])
-            delayed = [series[steps + problem.depth - d] for d in range(problem.depth + 1)]
+        for name, columns in objective.elements().items():
+            series = np.concatenate([np.tile(rest[name], (objective.depth, 1)), trace[:, columns]])
+            delayed = [series[steps + objective.depth - d] for d in range(objective.depth + 1)]
             before = past.get(name, [d[:0] for d in delayed])
             past[name] = [np.concatenate(pair) for pair in zip(before, delayed, strict=True)]
     codes = np.concatenate(codes)[:, None, :]
@@ -43,9 +43,9 @@ def centre_biases(program: Program, network: Network, records: Sequence[Record])
         value = np.floor(past[source][int(delay)] * 2.0**state.signal.fix.frac + 0.5)
         initial.append(np.clip(value, state.signal.fix.lo, state.signal.fix.hi))
     start = np.concatenate(initial, axis=1).astype(np.int64) if initial else np.zeros((len(codes), 0), np.int64)
-    feeds = problem.flat.feeds()
+    feeds = objective.flat.feeds()
     summed = {}  # signal -> layer and its rows; sums of which only the sign counts are not corrected
-    for name, layer in problem.flat.modules.items():
+    for name, layer in objective.flat.modules.items():
         if layer.is_linear:
             summed[name] = name, slice(None)
         elif layer.function.lowered != "threshold":
@@ -54,7 +54,7 @@ def centre_biases(program: Program, network: Network, records: Sequence[Record])
         name, rows = summed.get(operation.out.name, ("", None))
         if not isinstance(operation, Affine) or not name or _rounds_nothing(operation):
             continue
-        layer = problem.flat.modules[name]
+        layer = objective.flat.modules[name]
         exact = layer.bias[rows] + sum(
             product(past[source][delay], w[rows].T)
             for p, w in layer.weights.items()

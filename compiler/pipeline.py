@@ -241,11 +241,11 @@ def _summary(name: str, network: Network, change: float) -> Pass:
 def _outputs(network: Network, records: Mapping[str, Record]) -> dict[str, np.ndarray]:
     found = {}
     for name, record in records.items():
-        problem = Objective(network, [record])
-        runs = problem.simulate(problem.theta)
+        objective = Objective(network, [record])
+        runs = objective.simulate(objective.theta)
         if runs is None:
             raise InputError(f"network {network.name}: diverges on scenario {name}; train it before compiling")
-        feeds = problem.flat.feeds()
-        columns = np.concatenate([problem.elements()[feeds[p.name][0]] for p in problem.flat.outputs])
+        feeds = objective.flat.feeds()
+        columns = np.concatenate([objective.elements()[feeds[p.name][0]] for p in objective.flat.outputs])
         found[name] = runs[0][:, columns].copy()
     return found

@@ -39,11 +39,11 @@ def spareable(layer: Layer) -> bool:
 
 def entropies(network: Network, records: list[Record]) -> dict[str, np.ndarray]:
     """H = -sum p ln p of each hidden neuron's histogram over the image of its activation (3.14), in nats, by layer."""
-    problem = Objective(network, records)
-    run = np.concatenate(problem.simulate(problem.theta))
+    objective = Objective(network, records)
+    run = np.concatenate(objective.simulate(objective.theta))
     found = {}
-    for name, columns in problem.elements().items():
-        layer = problem.flat.modules.get(name)
+    for name, columns in objective.elements().items():
+        layer = objective.flat.modules.get(name)
         if layer is None or not spareable(layer):
             continue
         p = np.stack([np.histogram(v, BINS, layer.function.image)[0] for v in run[:, columns].T]) / len(run)
@@ -55,12 +55,12 @@ def remove_neurons(network: Network, records: list[Record], chosen: dict[str, li
     """Remove neurons. The layers that read them get the mean of each in their biases, and in their weights the part of
     its variation that the layer's other neurons explain by linear regression.
     """
-    problem = Objective(network, records)
-    run = np.concatenate(problem.simulate(problem.theta))
-    g = Graph(problem.flat)
+    objective = Objective(network, records)
+    run = np.concatenate(objective.simulate(objective.theta))
+    g = Graph(objective.flat)
     for name, indices in chosen.items():
         keep = np.setdiff1d(np.arange(g.layers[name].size), indices)
-        signal = run[:, problem.elements()[name]]
+        signal = run[:, objective.elements()[name]]
         mean = signal.mean(axis=0)
         varying = signal - mean
         rest = varying[:, keep]

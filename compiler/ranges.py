@@ -42,8 +42,8 @@ def sums(name: str, layer: Layer) -> dict[str, slice]:
 
 def ranges(network: Network, records: list[Record]) -> dict[str, Range]:
     """Ranges of every input and layer of a flat network, and of every pre-activation by its name in `sums`."""
-    problem = Objective(network, records)
-    flat, runs = problem.flat, problem.simulate(problem.theta)
+    objective = Objective(network, records)
+    flat, runs = objective.flat, objective.simulate(objective.theta)
     if runs is None:
         raise InputError(f"network {network.name}: diverges on the records; train it before compiling")
     start = flat.rest()

@@ -58,7 +58,7 @@ class Expansion:
     singular.
     """
 
-    problem: Objective
+    objective: Objective
     theta: np.ndarray
     weights: np.ndarray
     curvature: np.ndarray
@@ -69,11 +69,11 @@ class Expansion:
     def of(network: Network, records: Sequence[Record], decay: float = 0.0, ridge: float = RIDGES[0]) -> "Expansion":
         """Of a network that is trained. Raises InputError if its free run diverges on a record."""
         network = fold_constants(network)
-        problem = Objective(network, list(records), free=nonzero(network))
-        if not np.isfinite(problem.squares(problem.theta)):
+        objective = Objective(network, list(records), free=nonzero(network))
+        if not np.isfinite(objective.squares(objective.theta)):
             raise InputError(f"network {network.name}: diverges on a record; train it before pruning")
-        curvature, _ = problem.normal_equations(problem.theta)
-        return Expansion(problem, problem.theta, problem.free, curvature, decay, ridge)
+        curvature, _ = objective.normal_equations(objective.theta)
+        return Expansion(objective, objective.theta, objective.free, curvature, decay, ridge)
 
     @property
     def values(self) -> np.ndarray:
@@ -98,7 +98,7 @@ class Expansion:
     @cached_property
     def units(self) -> list[Unit]:
         """Hidden neurons whose outgoing weights may all go."""
-        flat, place = self.problem.flat, self.problem.slices()
+        flat, place = self.objective.flat, self.objective.slices()
         graph = Graph(flat)
         position = np.full(len(self.theta), -1)
         position[self.weights] = np.arange(len(self.weights))
@@ -191,10 +191,10 @@ def smallest_variance(e: Expansion, count: int) -> Removal:
     """Neurons whose output varies least over the records; its mean goes into the biases of the layers that read it
     (Sietsma, Dow 1991). A neuron that feeds a layer with a frozen bias stays.
     """
-    flat, place, theta = e.problem.flat, e.problem.slices(), e.theta.copy()
+    flat, place, theta = e.objective.flat, e.objective.slices(), e.theta.copy()
     graph = Graph(flat)
-    run = np.concatenate(e.problem.simulate(e.theta))
-    columns = e.problem.elements()
+    run = np.concatenate(e.objective.simulate(e.theta))
+    columns = e.objective.elements()
     signal = {u: run[:, columns[u.layer][u.index]] for u in e.units}
     removed, saliency, gone = [], [], 0
     for unit in sorted(e.units, key=lambda u: signal[u].var()):
@@ -337,11 +337,11 @@ def prune_by_saliency(
                 break
             kept = False
             if not np.array_equal(removal.weights, undone):  # half as many parameters may be the same neuron
-                smaller = fold_constants(e.problem.unpack(removal.theta))
+                smaller = fold_constants(e.objective.unpack(removal.theta))
                 trial = _step(_retrained(smaller, records, held, epochs, decay), records, held)
                 judged = np.array(trial.held or trial.error)
                 kept = bool((np.isfinite(judged) & (judged <= allowed)).all())
-                rounds.append(Round(_named(e.problem, removal.weights), trial.neurons, trial.error, kept))
+                rounds.append(Round(_named(e.objective, removal.weights), trial.neurons, trial.error, kept))
             if kept:
                 steps.append(trial)
                 undone = np.array([])
@@ -371,7 +371,7 @@ def saliency_pruning(
 def _safest(e: Expansion, method: Method, count: int) -> Removal:
     """Under the ridge that leaves the least error."""
     removals = [method(replace(e, ridge=ridge), count) for ridge in RIDGES]
-    return min(removals, key=lambda r: e.problem.squares(r.theta))
+    return min(removals, key=lambda r: e.objective.squares(r.theta))
 
 
 def _retrained(
@@ -391,7 +391,7 @@ def _step(network: Network, records: Sequence[Record], held: Sequence[Record]) -
     return Step(network, parameter_count(network), neurons, tuple(error.tolist()), tuple(other.tolist()))
 
 
-def _named(problem: Objective, weights: np.ndarray) -> dict[str, list[int]]:
+def _named(objective: Objective, weights: np.ndarray) -> dict[str, list[int]]:
     """Indices of theta by parameter, each flat."""
-    found = {n: np.flatnonzero(np.isin(where, weights)).tolist() for n, where in problem.slices().items()}
+    found = {n: np.flatnonzero(np.isin(where, weights)).tolist() for n, where in objective.slices().items()}
     return {n: which for n, which in found.items() if which}

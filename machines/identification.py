@@ -124,8 +124,8 @@ def rmse(network: Network, record: Record) -> float:
 
     In the unit of the output, of which there is one; inf if it diverges. Raises InputError as `Objective`.
     """
-    problem = Objective(network, [record])
-    errors = problem.errors(problem.theta)
+    objective = Objective(network, [record])
+    errors = objective.errors(objective.theta)
     if errors is None:
         return np.inf
     return network.outputs[0].scale * rms(errors[0], record.skip)
@@ -141,26 +141,26 @@ def initialised(network: Network, record: Record, prior: float = PRIOR, steps: i
         return record
     window = record.cut(0, record.skip, skip=0)
     try:
-        problem = Objective(network, [window], free=held, estimate_initial=True)
+        objective = Objective(network, [window], free=held, estimate_initial=True)
     except InputError:  # shorter than the delays: nothing to settle in
         return record
-    rest = problem.theta[problem.free]
+    rest = objective.theta[objective.free]
 
     def cost(theta):
-        return problem.squares(theta) + prior * float(np.sum((theta[problem.free] - rest) ** 2))
+        return objective.squares(theta) + prior * float(np.sum((theta[objective.free] - rest) ** 2))
 
-    value = cost(problem.theta)
+    value = cost(objective.theta)
     for _ in range(steps):
-        problem.squares(problem.theta)
-        hessian, gradient = problem.normal_equations(problem.theta)
-        gradient += prior * (problem.theta[problem.free] - rest)
+        objective.squares(objective.theta)
+        hessian, gradient = objective.normal_equations(objective.theta)
+        gradient += prior * (objective.theta[objective.free] - rest)
         step = -np.linalg.solve(hessian + prior * np.eye(len(rest)), gradient)
-        while (trial := cost(problem.moved(problem.theta, step))) > value and np.abs(step).max() > 1e-9:
+        while (trial := cost(objective.moved(objective.theta, step))) > value and np.abs(step).max() > 1e-9:
             step /= 2
         if not trial < value:
             break
-        problem.theta, value = problem.moved(problem.theta, step), trial
-    return replace(record, initial=record.initial | problem.initial(problem.theta)[0])
+        objective.theta, value = objective.moved(objective.theta, step), trial
+    return replace(record, initial=record.initial | objective.initial(objective.theta)[0])
 
 
 def resting(network: Network, initial: Mapping[str, np.ndarray]) -> Network:

@@ -90,8 +90,8 @@ class _Halves:
     def of(cls, base: Fit, columns: np.ndarray) -> "_Halves":
         k, windows = len(base.unknowns), len(base.slopes)
         both = np.concatenate([base.slopes, columns], axis=2)
-        problem = base.problem
-        stretch = max(round(STRETCH / (problem.block * problem.model.rig.dt)), 1)
+        likelihood = base.likelihood
+        stretch = max(round(STRETCH / (likelihood.block * likelihood.model.rig.dt)), 1)
         even = (np.arange(windows) // stretch) % 2 == 0
         gram, pull = [], []
         for half in (even, ~even):
@@ -134,9 +134,9 @@ class _Halves:
 
 def _sensors(search: Search, base: Fit) -> dict[tuple[str, str], np.ndarray]:
     """(place, function) -> what a sensor at fault would add to the errors, (samples, channels)."""
-    problem, rig = base.problem, search.rig
-    predicted = problem.model.target - np.where(np.isfinite(problem.sigma), base.errors, 0.0) * np.where(
-        np.isfinite(problem.sigma), problem.sigma, 0.0
+    likelihood, rig = base.likelihood, search.rig
+    predicted = likelihood.model.target - np.where(np.isfinite(likelihood.sigma), base.errors, 0.0) * np.where(
+        np.isfinite(likelihood.sigma), likelihood.sigma, 0.0
     )
     out = {}
     for i, channel in enumerate(rig.predict):
@@ -146,13 +146,13 @@ def _sensors(search: Search, base: Fit) -> dict[tuple[str, str], np.ndarray]:
             "one": np.ones_like(signal),
             "value": signal - signal.mean(),
             "rate": rate,
-            "t": problem.model.recording.time,
+            "t": likelihood.model.recording.time,
         }
         shapes |= {name: lagged(signal, lag, rig.dt) - signal for name, lag in LAGS.items()}
         for name, shape in shapes.items():
             column = np.zeros_like(base.errors)
             size = max(float(np.std(shape)), FLAT * float(np.abs(shape).max()) + TINY)
-            column[:, i] = -shape / size / problem.sigma[:, i]
+            column[:, i] = -shape / size / likelihood.sigma[:, i]
             out[f"sensor_{channel}", name] = column
     return out
 
@@ -183,19 +183,19 @@ class _Unknowns:
         joined = {**search.effects, **effects, "seen": Effect("seen", "", (rig.plant.name,), (), (), limits)}
         again = Search(rig, search.final.model.recording, joined)
         again.effects = joined
-        problem = again.final
-        base = again.base(problem)
+        likelihood = again.final
+        base = again.base(likelihood)
         keys = [(effect.equations[0], key) for key, effect in effects.items()]
         columns = []
         for _, key in keys:
             unknowns = [again._unknown(f) for f in effects[key].free]
             start = {**base.values, **{f.symbol: 0.0 for f in effects[key].free}}
-            columns.append(problem.slopes(unknowns, start, base.shifts, base.errors, base.temper))
+            columns.append(likelihood.slopes(unknowns, start, base.shifts, base.errors, base.temper))
         if rig.window:
             for place, column in _sensors(search=again, base=base).items():
                 keys.append(place)
-                columns.append(problem.rows(column[:, :, None], base.temper))
-        columns = problem.eliminate(np.concatenate(columns, axis=2), None, base.basis)[0]
+                columns.append(likelihood.rows(column[:, :, None], base.temper))
+        columns = likelihood.eliminate(np.concatenate(columns, axis=2), None, base.basis)[0]
         return cls(again, effects, seen, base, keys, columns)
 
     def chosen(self) -> tuple[str, list[str], float]:

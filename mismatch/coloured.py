@@ -33,7 +33,7 @@ SIGNIFICANT = 1e-4  # chance of so large a correlation where there is none, afte
 
 
 class Coloured(Likelihood):
-    """A problem whose noise is an autoregression in each channel.
+    """A likelihood whose noise is an autoregression in each channel.
 
     ar: coefficients of each channel (order,). scale: RMS of the innovations (channels,). mask: samples that count.
     The autoregression forgets within MEMORY of the recording: slower errors are the plant's, not noise. Before the
@@ -71,7 +71,7 @@ class Coloured(Likelihood):
         return self.model.target - self.model.predict({**self.model.values, **values})
 
     def learnt(self, residual: np.ndarray, order: int | None = None) -> "Coloured":
-        """This problem with the noise, of the given order, that fits `residual` (samples, channels) best."""
+        """This likelihood with the noise, of the given order, that fits `residual` (samples, channels) best."""
         other = copy.copy(self)
         order = self.order if order is None else order
         shrink = self.decay ** np.arange(1, order + 1)
@@ -80,29 +80,29 @@ class Coloured(Likelihood):
         other.scale = np.sqrt(np.mean(other.white(residual)[self.mask] ** 2, axis=0)) + TINY
         return other
 
-    def likelihood(self) -> float:
+    def deviance(self) -> float:
         """-2 log likelihood of the innovations beyond their sum of squares, less a constant."""
         return float(np.sum(2.0 * np.log(self.scale)) * self.mask.sum())
 
     def ordered(self, residual: np.ndarray) -> "Coloured":
-        """This problem with noise of the order that BIC chooses."""
+        """This likelihood with noise of the order that BIC chooses."""
         orders = [order for order in ORDERS if order < len(residual) / SAMPLES_EACH]
         tried = [self.learnt(residual, order) for order in orders]
-        return min(tried, key=lambda p: p.likelihood() + len(p.ar) * p.order * np.log(p.count))
+        return min(tried, key=lambda p: p.deviance() + len(p.ar) * p.order * np.log(p.count))
 
     def fit(self, unknowns: Sequence[Unknown], values=None, shifts=None, **options) -> Fit:
         """Fit plant and noise in turn until neither gains. `cost` is -2 log of the joint likelihood and the priors."""
         options = {k: v for k, v in options.items() if k not in ("rival", "tempered")}
-        problem, values, best = self, dict(values or {}), None
+        likelihood, values, best = self, dict(values or {}), None
         for _ in range(ROUNDS if self.order else WHITE_ROUNDS):
-            fit = Likelihood.fit(problem, unknowns, values, shifts, **options)
-            residual = problem.residual(fit.values)
+            fit = Likelihood.fit(likelihood, unknowns, values, shifts, **options)
+            residual = likelihood.residual(fit.values)
             if not np.isfinite(residual).all():
                 return best or replace(fit, cost=np.inf)
-            problem = problem.learnt(residual)
-            joint = problem.likelihood() + float(np.sum(fit.weight * fit.numbers**2))
+            likelihood = likelihood.learnt(residual)
+            joint = likelihood.deviance() + float(np.sum(fit.weight * fit.numbers**2))
             values = fit.values
-            fit = replace(fit, problem=problem, errors=problem.white(residual), cost=joint)
+            fit = replace(fit, likelihood=likelihood, errors=likelihood.white(residual), cost=joint)
             gain = np.inf if best is None else best.cost - joint
             if gain > 0:
                 best = fit
@@ -123,15 +123,15 @@ def _late(signal: np.ndarray, by: int) -> np.ndarray:
     return np.concatenate((np.zeros(by), signal[: len(signal) - by]))
 
 
-def resized(problem: Coloured, effect: Effect, fit: Fit) -> Effect:
+def resized(likelihood: Coloured, effect: Effect, fit: Fit) -> Effect:
     """The effect with `typical` strengths that change the prediction by about as much as `fit` leaves unexplained."""
-    size = np.std(problem.residual(fit.values), axis=0) + TINY
-    values = {**problem.model.values, **fit.values, **effect.set}
-    base = problem.model.predict({**problem.model.values, **fit.values})
+    size = np.std(likelihood.residual(fit.values), axis=0) + TINY
+    values = {**likelihood.model.values, **fit.values, **effect.set}
+    base = likelihood.model.predict({**likelihood.model.values, **fit.values})
 
     def change(symbol: str, value: float) -> float:
         """The largest change of a channel, over what is unexplained there; infinite where the run diverges."""
-        moved = problem.model.predict({**values, symbol: value})
+        moved = likelihood.model.predict({**values, symbol: value})
         return float(np.max(np.nan_to_num(np.std(moved - base, axis=0), nan=np.inf) / size))
 
     free = []
@@ -160,10 +160,10 @@ def remaining(fit: Fit) -> str:
 
     They are correlated with lagged inputs, with the inputs' magnitudes, and with time.
     """
-    model = fit.problem.model
+    model = fit.likelihood.model
     signals = {name: model.recording[name] for name in model.rig.inputs}
     found = []
-    keep = fit.problem.mask
+    keep = fit.likelihood.mask
     for channel, error in zip(model.rig.predict, fit.errors.T, strict=True):
         e = error[keep] - error[keep].mean()
         for name, signal in {**signals, "t": model.recording.time}.items():

@@ -196,7 +196,7 @@ def reported(effect: Effect, fit: Fit) -> dict:
             continue
         value = fit.values[f.symbol]
         deviation = 0.0 if f.whole else fit.deviation(f.symbol)
-        unit = f.unit or fit.problem.model.plant.parameters[f.symbol].unit
+        unit = f.unit or fit.likelihood.model.plant.parameters[f.symbol].unit
         out[f.reported] = {"value": value, "ci95": _interval(value, deviation), "unit": unit}
     return out
 
@@ -312,7 +312,7 @@ def fits(result: Diagnosis, identify) -> dict:
         recordings["holdout"] = rig.recording(rig.folder / "holdout.csv")
     out = {}
     for name, recording in recordings.items():
-        model = Model(rig, recording, result.corrected.problem.model.effects)
+        model = Model(rig, recording, result.corrected.likelihood.model.effects)
         kinds = {"simulation": {}, "calibrated": result.calibrated.values, "corrected": result.corrected.values}
         rms = {}
         for kind, values in kinds.items():

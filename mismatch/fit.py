@@ -68,14 +68,14 @@ def _values(unknowns: Sequence[Unknown], numbers: np.ndarray, fixed: Mapping[str
 class Fit:
     """What a fit found.
 
-    problem: the likelihood that was fitted. fixed: values of other parameters. numbers: of the unknowns (k,).
+    likelihood: the likelihood that was fitted. fixed: values of other parameters. numbers: of the unknowns (k,).
     shifts: of the windows' first states, in units of their scales (restarts, locals).
     errors: (target - prediction) / sigma, (samples, channels). weight: of each number's square in the cost (k,).
     cost: sum of squares of the tempered errors, of the shifts and of the numbers, each by its prior.
     temper: what the errors of each channel were divided by (channels,).
     """
 
-    problem: "Likelihood"
+    likelihood: "Likelihood"
     unknowns: tuple[Unknown, ...]
     fixed: Mapping[str, float]
     numbers: np.ndarray
@@ -89,20 +89,20 @@ class Fit:
     @cached_property
     def basis(self):
         """Of each window's shifts: (q, r), or None where nothing is shifted."""
-        return self.problem.basis(self.values, self.shifts, self.errors, self.temper)
+        return self.likelihood.basis(self.values, self.shifts, self.errors, self.temper)
 
     @cached_property
     def slopes(self) -> np.ndarray:
         """Of the errors by the unknowns' numbers, less what the shifts explain (windows, rows, k)."""
-        slopes = self.problem.slopes(self.unknowns, self.values, self.shifts, self.errors, self.temper)
-        return self.problem.eliminate(slopes, None, self.basis)[0]
+        slopes = self.likelihood.slopes(self.unknowns, self.values, self.shifts, self.errors, self.temper)
+        return self.likelihood.eliminate(slopes, None, self.basis)[0]
 
     @cached_property
     def projected(self) -> np.ndarray:
         """The errors less what the shifts explain (windows, rows)."""
-        tail = None if self.basis is None else (np.sqrt(self.problem.heavy) * self.shifts)[:, :, None]
-        rows = self.problem.rows(self.errors, self.temper)[:, :, None]
-        return self.problem.eliminate(rows, tail, self.basis)[0][:, :, 0]
+        tail = None if self.basis is None else (np.sqrt(self.likelihood.heavy) * self.shifts)[:, :, None]
+        rows = self.likelihood.rows(self.errors, self.temper)[:, :, None]
+        return self.likelihood.eliminate(rows, tail, self.basis)[0][:, :, 0]
 
     @cached_property
     def values(self) -> dict[str, float]:
@@ -134,7 +134,7 @@ class Fit:
 
         The halves are every other `stretch` s. A half's parameters come from one linearised step from those of both.
         """
-        block = self.problem.block * self.problem.model.rig.dt
+        block = self.likelihood.block * self.likelihood.model.rig.dt
         even = (np.arange(len(self.slopes)) // max(round(stretch / block), 1)) % 2 == 0
         low, high = _bounds(self.unknowns)
         total = 0.0

@@ -58,10 +58,10 @@ def located(fit: Fit, place: Mapping, acting: Sequence[Iterable[str]]) -> dict:
     acting: the symbols of the parameters of each effect of the correction; an effect counts by how much it changes the
     prediction. Where there are none, what the fit leaves is located.
     """
-    equation, model = place["equation"], fit.problem.model
+    equation, model = place["equation"], fit.likelihood.model
     parts = [_unit(added(fit, equation, symbols)) * _weight(fit, symbols) for symbols in map(tuple, acting)]
     signal = np.hstack(parts) if parts else _unit(left(fit, equation))
-    kept = np.isfinite(fit.problem.sigma[: len(signal)]).all(axis=1)
+    kept = np.isfinite(fit.likelihood.sigma[: len(signal)]).all(axis=1)
     if not np.any(signal[kept]):
         return dict(place)
     variables, units = signals(model)
@@ -80,8 +80,8 @@ def _unit(columns: np.ndarray) -> np.ndarray:
 
 def _weight(fit: Fit, symbols: Iterable[str]) -> float:
     """By how much parameters change the prediction against their values on the data sheet, RMS in units of noise."""
-    at_rest = {symbol: fit.problem.model.values[symbol] for symbol in symbols}
-    change = fit.problem.errors({**fit.values, **at_rest}, fit.shifts) - fit.errors
+    at_rest = {symbol: fit.likelihood.model.values[symbol] for symbol in symbols}
+    change = fit.likelihood.errors({**fit.values, **at_rest}, fit.shifts) - fit.errors
     return float(np.sqrt(np.mean(np.where(np.isfinite(change), change, 0.0) ** 2)))
 
 
@@ -95,8 +95,8 @@ def added(fit: Fit, equation: str, symbols: Iterable[str]) -> np.ndarray:
     equation itself, there is one column for each balance, definition of a predicted channel and sensor that they do
     enter; where they enter none, one for each channel: by how much its prediction changes.
     """
-    problem = fit.problem
-    model, shifts = problem.model, fit.shifts * problem.local_scale
+    likelihood = fit.likelihood
+    model, shifts = likelihood.model, fit.shifts * likelihood.local_scale
     on = {**model.values, **fit.values}
     off = {**on, **{symbol: model.values[symbol] for symbol in symbols}}
     states, acting = model.states(on, shifts)
@@ -138,8 +138,8 @@ def _sum(scope: Values, terms: Mapping[str, str]):
 
 def left(fit: Fit, equation: str = "") -> np.ndarray:
     """Errors that neither parameters nor starts of windows explain (samples, channels); a sensor has one channel."""
-    channels = fit.problem.model.rig.predict
-    rows = fit.projected[:, : fit.problem.block * len(channels)].reshape(-1, len(channels))
+    channels = fit.likelihood.model.rig.predict
+    rows = fit.projected[:, : fit.likelihood.block * len(channels)].reshape(-1, len(channels))
     sensor = equation.removeprefix(SENSOR)
     return rows[:, [channels.index(sensor)]] if sensor in channels else rows
 

@@ -71,7 +71,7 @@ class Score:
 
 
 class Search:
-    """All hypotheses on one recording of one rig. free_run: the problem of a rig without windows."""
+    """All hypotheses on one recording of one rig. free_run: the likelihood of a rig without windows."""
 
     def __init__(
         self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], free_run: type[Likelihood] = Likelihood
@@ -169,19 +169,19 @@ class Search:
             and not filtered & set(effect.filters)
         )
 
-    def scores(self, problem: Likelihood, fit: Fit, given: Hypothesis) -> list[Score]:
+    def scores(self, likelihood: Likelihood, fit: Fit, given: Hypothesis) -> list[Score]:
         """What every candidate promises to save, by a fit linearised at `fit`; best first."""
         ranked = []
         for candidate in self.candidates(given):
-            best = max(self._promises(problem, fit, candidate), key=lambda s: s.gain, default=None)
+            best = max(self._promises(likelihood, fit, candidate), key=lambda s: s.gain, default=None)
             if best is not None and best.gain > 0:
                 ranked.append(best)
         return sorted(ranked, key=lambda s: -s.gain)
 
-    def pairs(self, problem: Likelihood, fit: Fit, count: int) -> list[Score]:
+    def pairs(self, likelihood: Likelihood, fit: Fit, count: int) -> list[Score]:
         """The `count` pairs of effects that together promise most at `fit`; each alone may promise little."""
         effects = [e for e in self.effects.values() if self.joined(Hypothesis(), e)]
-        blocks = [(effect, *found) for effect in effects for found in self.directions(problem, fit, effect)]
+        blocks = [(effect, *found) for effect in effects for found in self.directions(likelihood, fit, effect)]
         if not blocks:
             return []
         widths = [columns.shape[2] for *_, columns in blocks]
@@ -199,7 +199,7 @@ class Search:
             out.append(Score(Hypothesis(tuple(blocks[i][0].key for i in pair)), gain - plain, values))
         return sorted(out, key=lambda score: -score.gain)[:count]
 
-    def _promises(self, problem: Likelihood, fit: Fit, candidate: Hypothesis) -> Iterable[Score]:
+    def _promises(self, likelihood: Likelihood, fit: Fit, candidate: Hypothesis) -> Iterable[Score]:
         plain = _plain(fit)
         if candidate.released:
             j = [u.symbol for u in fit.unknowns].index(candidate.released[0])
@@ -211,7 +211,7 @@ class Search:
             yield Score(candidate, gain + prior - plain, {unknown.symbol: unknown.value(fit.numbers[j] + step[j])})
             return
         effect = self.effects[candidate.effects[0]]
-        for found in self.directions(problem, fit, effect):
+        for found in self.directions(likelihood, fit, effect):
             values, gain = self._within(fit, [(effect, *found)])
             yield Score(candidate, gain - plain, values)
 
@@ -235,28 +235,28 @@ class Search:
             values |= {**shape, **{s: float(np.clip(v, *reach[s])) for s, v in found.items()}}
         return values, gain
 
-    def directions(self, problem: Likelihood, fit: Fit, effect: Effect) -> Iterable[tuple[dict, dict, np.ndarray]]:
+    def directions(self, likelihood: Likelihood, fit: Fit, effect: Effect) -> Iterable[tuple[dict, dict, np.ndarray]]:
         """(shape, point, columns) for every shape on the effect's grid: how the effect moves the errors there.
 
         columns: (windows, rows, n), from which the windows' shifts are eliminated. They are slopes, one for each
         strength, where `point` is empty; else one secant from no effect to the sizes `point`.
         """
-        add = None if self._points(effect) != [{}] else problem.model.added(effect, fit.values)
+        add = None if self._points(effect) != [{}] else likelihood.model.added(effect, fit.values)
         for shape in self._shapes(effect):
             values = {**fit.values, **effect.set, **shape}
             for point in self._points(effect):
                 if point:
-                    moved = problem.errors({**values, **point}, fit.shifts)
-                    columns = problem.rows(np.nan_to_num(moved - fit.errors), fit.temper)[:, :, None]
+                    moved = likelihood.errors({**values, **point}, fit.shifts)
+                    columns = likelihood.rows(np.nan_to_num(moved - fit.errors), fit.temper)[:, :, None]
                 elif add is not None:
                     null = {f.symbol: 0.0 for f in effect.strengths}
                     made = [add({**shape, **null, f.symbol: f.typical}) for f in effect.strengths]
-                    columns = problem.rows(-problem.white(np.stack(made, axis=2)), fit.temper)
+                    columns = likelihood.rows(-likelihood.white(np.stack(made, axis=2)), fit.temper)
                 else:
                     start = {**values, **{f.symbol: 0.0 for f in effect.strengths}}
                     unknowns = [self._unknown(f) for f in effect.strengths]
-                    columns = problem.slopes(unknowns, start, fit.shifts, fit.errors, fit.temper)
-                yield shape, point, problem.eliminate(columns, None, fit.basis)[0]
+                    columns = likelihood.slopes(unknowns, start, fit.shifts, fit.errors, fit.temper)
+                yield shape, point, likelihood.eliminate(columns, None, fit.basis)[0]
 
     def _points(self, effect: Effect) -> list[dict[str, float]]:
         guesses = {f.symbol: f.guess for f in effect.strengths if f.guess}
@@ -284,20 +284,20 @@ class Search:
 
     # -- full fits ---------------------------------------------------------------------------------------------------
 
-    def base(self, problem: Likelihood) -> Fit:
+    def base(self, likelihood: Likelihood) -> Fit:
         """The fit of the plant without any effect, its parameters near the data sheet."""
-        return problem.fit(self.unknowns(Hypothesis(), NEAR_SHEET), tempered=True, iterations=FIRST_STEPS)
+        return likelihood.fit(self.unknowns(Hypothesis(), NEAR_SHEET), tempered=True, iterations=FIRST_STEPS)
 
     def fit(
-        self, problem: Likelihood, hypothesis: Hypothesis, values: Mapping[str, float], shifts=None, **options
+        self, likelihood: Likelihood, hypothesis: Hypothesis, values: Mapping[str, float], shifts=None, **options
     ) -> Fit:
         """The full fit of a hypothesis, from `values` on."""
         free = {f.symbol for key in hypothesis.effects for f in self.effects[key].free}
         start = {s: v for s, v in values.items() if s in free or s in self.toleranced or s in (TIMING, BLUR)}
         start.update(self.constants(hypothesis))
-        if problem is self.screen and problem is not self.final:
+        if likelihood is self.screen and likelihood is not self.final:
             options = {"enough": ROUGH, "slack": SLACK, **options}
-        return problem.fit(self.unknowns(hypothesis), start, shifts, **options)
+        return likelihood.fit(self.unknowns(hypothesis), start, shifts, **options)
 
 
 def _bounds(fit: Fit) -> np.ndarray:

@@ -42,7 +42,7 @@ ON_BOUND = 1e-6  # relative distance from a bound within which a value lies on i
 
 
 class Selection:
-    """The hypotheses that are fitted to one problem, and the choice among them.
+    """The hypotheses that are fitted to one likelihood, and the choice among them.
 
     start: the fit from which the plant without effects is fitted. costs: the least cost of each hypothesis. fits: the
     best fit of each that is physically possible. best: the best of those fits by the size of its hypothesis.
@@ -50,8 +50,8 @@ class Selection:
 
     most = EFFECTS  # effects in a hypothesis
 
-    def __init__(self, search: Search, problem: Likelihood, start: Fit, progress: Progress = silent):
-        self.search, self.problem, self.start, self.progress = search, problem, start, progress
+    def __init__(self, search: Search, likelihood: Likelihood, start: Fit, progress: Progress = silent):
+        self.search, self.likelihood, self.start, self.progress = search, likelihood, start, progress
         self.costs: dict[Hypothesis, float] = {}
         self.fits: dict[Hypothesis, Fit] = {}
         self.best: dict[int, tuple[Hypothesis, Fit]] = {}
@@ -59,8 +59,8 @@ class Selection:
     @cached_property
     def plain(self) -> Fit:
         """The calibrated plant, with nothing added."""
-        shifts = self.start.shifts if self.start.problem is self.problem else None
-        fit = self.search.fit(self.problem, Hypothesis(), self.start.values, shifts, enough=CALIBRATED)
+        shifts = self.start.shifts if self.start.likelihood is self.likelihood else None
+        fit = self.search.fit(self.likelihood, Hypothesis(), self.start.values, shifts, enough=CALIBRATED)
         self.add(Hypothesis(), fit)
         return fit
 
@@ -77,7 +77,7 @@ class Selection:
     ):
         """(fit of `hypothesis`, started at `values`; whether what is `new` in it is physically possible)."""
         self.progress(f"fitting {hypothesis}")
-        fit = self.search.fit(self.problem, hypothesis, values, shifts, **options)
+        fit = self.search.fit(self.likelihood, hypothesis, values, shifts, **options)
         allowed = possible(self.search, new or hypothesis, fit)
         self.add(hypothesis, fit, allowed)
         return fit, allowed
@@ -117,7 +117,7 @@ class Selection:
 
     def _added(self, best: Hypothesis, current: Fit, start: Fit) -> list[tuple[Hypothesis, Fit]]:
         """`best` with each of the most promising hypotheses added."""
-        ranked = alternatives(self.search, self.search.scores(self.problem, start, best))
+        ranked = alternatives(self.search, self.search.scores(self.likelihood, start, best))
         self.progress(f"scored {len(ranked)} hypotheses")
         ranked = [forms for forms in ranked if forms[0].gain > PROMISED][: LATER if best.size else FIRST]
         found: list[tuple[Hypothesis, Fit]] = []
@@ -157,7 +157,7 @@ class Selection:
 
     def paired(self, best: Hypothesis, current: Fit, start: Fit) -> tuple[Hypothesis, Fit]:
         """Try pairs of effects where the fit of `best` is not complete: each of the two alone may fit badly."""
-        for score in self.search.pairs(self.problem, start, LATER):
+        for score in self.search.pairs(self.likelihood, start, LATER):
             if score.hypothesis in self.costs:
                 continue
             values = {**start.values, **score.values}
@@ -204,7 +204,7 @@ class Selection:
 
     def explicable(self, fit: Fit) -> float:
         """The cost that could still be saved beyond `fit`."""
-        return fit.cost - floor(self.problem)
+        return fit.cost - floor(self.likelihood)
 
     def explained(self, fit: Fit) -> float:
         """The share of what can be explained that `fit` explains."""
@@ -224,12 +224,12 @@ class Selection:
             above = fit.cost - current.cost
             if not fit.converged and above < STALLED * saved:
                 return True
-            return above < min(NEAR * self.problem.count, saved / 2) and complete(fit)
+            return above < min(NEAR * self.likelihood.count, saved / 2) and complete(fit)
 
         rivals = {h: f for h, f in self.fits.items() if h.size == best.size and near(f)}
         rivals = {best: current, **{h: rivals[h] for h in sorted(rivals, key=lambda h: rivals[h].cost)[:RIVALS]}}
         longer = self
-        if final is not self.problem:
+        if final is not self.likelihood:
             longer = Selection(self.search, final, self.plain, self.progress)
         for hypothesis, fit in rivals.items():
             for form, values in [(hypothesis, fit.values), *forms(self.search, hypothesis, fit.values)]:
@@ -286,9 +286,9 @@ def carried(effect: Effect, form: Effect, values: Mapping[str, float]) -> dict[s
 
 def structure(fit: Fit) -> dict[str, float]:
     """Channel -> the variance of its slow errors over that of the slow part of white noise, less one."""
-    problem = fit.problem
-    model, channels = problem.model, problem.model.rig.predict
-    projected = fit.projected[:, : problem.block * len(channels)].reshape(-1, problem.block, len(channels))
+    likelihood = fit.likelihood
+    model, channels = likelihood.model, likelihood.model.rig.predict
+    projected = fit.projected[:, : likelihood.block * len(channels)].reshape(-1, likelihood.block, len(channels))
     size = max(round((BLURRED if blurred(fit) else SLOW) / model.rig.dt), 2)
     out = {}
     for i, name in enumerate(channels):
@@ -330,12 +330,12 @@ def possible(search: Search, hypothesis: Hypothesis, fit: Fit) -> bool:
 def complete(fit: Fit) -> bool:
     """Whether a fit leaves nothing to explain: no slow errors, or few and no more error than the sensors make."""
     slow = max(structure(fit).values())
-    return slow < STRUCTURE or (slow < 1.0 and fit.cost < fit.problem.count)
+    return slow < STRUCTURE or (slow < 1.0 and fit.cost < fit.likelihood.count)
 
 
-def floor(problem: Likelihood) -> float:
+def floor(likelihood: Likelihood) -> float:
     """The cost of a complete fit."""
-    return problem.count * FLOOR
+    return likelihood.count * FLOOR
 
 
 def _cost(found: tuple[Hypothesis, Fit]) -> float:

@@ -38,12 +38,12 @@ def float_error(network: Network, record: Record) -> dict[str, np.ndarray]:
 
     Raises InputError where the run diverges.
     """
-    problem = Objective(network, [record])
-    errors = problem.errors(problem.theta)
+    objective = Objective(network, [record])
+    errors = objective.errors(objective.theta)
     if errors is None:
         raise InputError(f"network {network.name}: diverges on the record")
-    ends = np.cumsum([p.size for p in problem.flat.outputs])[:-1]
-    parts = zip(problem.flat.outputs, np.split(errors[0], ends, axis=1), strict=True)
+    ends = np.cumsum([p.size for p in objective.flat.outputs])[:-1]
+    parts = zip(objective.flat.outputs, np.split(errors[0], ends, axis=1), strict=True)
     return {p.name: (e if p.size > 1 else e[:, 0]) * p.scale for p, e in parts}
 
 
@@ -58,8 +58,8 @@ def free_run_rms(network: Network, record: Record) -> dict[str, float]:
 
 def pooled_rms(network: Network, records: Sequence[Record]) -> np.ndarray:
     """RMS error over all records, normalised, of each output column; inf where a run diverges."""
-    problem = Objective(network, records)
-    errors = problem.errors(problem.theta)
+    objective = Objective(network, records)
+    errors = objective.errors(objective.theta)
     if errors is None:
-        return np.full(sum(p.size for p in problem.flat.outputs), np.inf)
+        return np.full(sum(p.size for p in objective.flat.outputs), np.inf)
     return rms_by_column(np.concatenate([e[r.skip :] for e, r in zip(errors, records, strict=True)]))

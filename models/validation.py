@@ -185,8 +185,8 @@ class _Model:
     """A flat network as arrays for `kernels.forward`, run from any state."""
 
     def __init__(self, network: Network):
-        problem = Objective(network, [])
-        self.flat, self.theta, self.columns = problem.flat, problem.theta, problem.elements()
+        objective = Objective(network, [])
+        self.flat, self.theta, self.columns = objective.flat, objective.theta, objective.elements()
         self.tables, _ = tabulate(self.flat)
         self.depth = self.tables.depth
         self.inputs, self.outputs = self.flat.inputs, self.flat.outputs

@@ -99,8 +99,8 @@ def test_black_boxes_have_the_regressors_of_the_tables():
 def test_a_narx_is_good_one_step_ahead_and_an_fnn_cannot_know_the_past():
     r = black_box(records()["training"])
     narx = train(recurrent(1, 10), [r], teacher=True, epochs=15).network
-    problem = Objective(narx, [r], teacher=True)
-    ahead = 1e3 * np.sqrt(problem.squares(problem.theta) / problem.samples)
+    objective = Objective(narx, [r], teacher=True)
+    ahead = 1e3 * np.sqrt(objective.squares(objective.theta) / objective.samples)
     assert ahead < 15
     assert 1e6 * rmse(train(fnn(1, 10), [r], epochs=15).network, r) > 10 * ahead
 

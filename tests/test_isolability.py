@@ -186,12 +186,12 @@ def test_the_proposed_experiment_recorded_tells_them_apart_as_a_distance_says(dr
     looked = search(drum)
     gaps = []
     for inputs in ({"x_drum": looked.screen.model.recording["x_drum"]}, group.experiment.experiment.inputs):
-        problem = like(looked.screen, looked.screen.model.over(recorded(looked, group.pair[0], inputs)))
-        one, other = (problem.fit(looked.unknowns(Hypothesis((name,)))) for name in group.pair)
+        likelihood = like(looked.screen, looked.screen.model.over(recorded(looked, group.pair[0], inputs)))
+        one, other = (likelihood.fit(looked.unknowns(Hypothesis((name,)))) for name in group.pair)
         gaps.append(np.sqrt(other.cost - one.cost))
         start = {u.symbol: u.origin for u in other.unknowns}
         rival = SimpleNamespace(values=start, unknowns=other.unknowns, information=np.diag(other.weight))
-        assert Trial(problem, one.values).distance(rival) == pytest.approx(gaps[-1], rel=0.1, abs=1.0)
+        assert Trial(likelihood, one.values).distance(rival) == pytest.approx(gaps[-1], rel=0.1, abs=1.0)
     assert gaps[1] > 10 * gaps[0]
 
 
@@ -202,7 +202,7 @@ def test_an_experiment_asks_no_more_than_the_recording_showed(blind, drum):
         trials = Trials(looked.screen, {}).over(1.0)
         assert len(trials) > 8
         for trial in trials:
-            shown = trial.problem.model.recording
+            shown = trial.likelihood.model.recording
             for name, channel in looked.rig.channels.items():
                 beyond = MARGIN * np.ptp(recorded[name]) if channel.role == "output" else 1e-6
                 assert shown[name].min() > recorded[name].min() - 1.01 * beyond

@@ -121,7 +121,7 @@ def drum(tmp_path_factory):
 
 def test_what_a_parameter_adds_is_its_term_along_the_recording(drum):
     fit = drum.corrected
-    travel = np.append(np.diff(fit.problem.model.recording["x_drum"]) / drum.rig.dt, 0.0)
+    travel = np.append(np.diff(fit.likelihood.model.recording["x_drum"]) / drum.rig.dt, 0.0)
     slip = added(fit, "transmission", ["asym"])  # it enters the balance of the slip, which the transmission shows
     np.testing.assert_allclose(slip[:, 0], fit.values["asym"] * np.minimum(travel, 0.0), atol=1e-12)
     np.testing.assert_array_equal(added(fit, "slip", ["asym"]), slip)
@@ -151,7 +151,7 @@ def test_an_effect_of_the_table_acts_where_it_is_at_home(drum, key):
     effect = drum.search.effects[key]
     calibrated = drum.calibrated
     fit = replace(calibrated, fixed={**calibrated.fixed, **{f.symbol: f.typical for f in effect.free}})
-    fit = replace(fit, errors=fit.problem.errors(fit.values, fit.shifts))
+    fit = replace(fit, errors=fit.likelihood.errors(fit.values, fit.shifts))
     place = {"equation": "transmission", "depends_on": list(effect.depends_on), "regime": ""}
     said = located(fit, place, [[f.symbol for f in effect.free]])
     assert re.match(EFFECTS[key], f"{said['regime']}, {said['time']}"), said
@@ -160,7 +160,7 @@ def test_an_effect_of_the_table_acts_where_it_is_at_home(drum, key):
 @pytest.mark.parametrize("drift", [1e-8, 1e-3])
 def test_of_two_effects_in_one_place_the_one_counts_that_changes_more(drum, drift):
     fit = replace(drum.corrected, fixed={**drum.corrected.fixed, "drift": drift})
-    fit = replace(fit, errors=fit.problem.errors(fit.values, fit.shifts))
+    fit = replace(fit, errors=fit.likelihood.errors(fit.values, fit.shifts))
     place = {"equation": "transmission", "depends_on": ["v", "t"], "regime": ""}
     said = located(fit, place, [("asym",), ("drift",)])
     assert ("backward" in said.values(), "grows with time" in said.values()) == (drift < 1e-6, drift > 1e-6)
@@ -171,5 +171,5 @@ def test_without_a_correction_what_is_left_is_located(drum):
     said = located(drum.calibrated, place, ())
     assert said["regime"].startswith("somewhere; ")
     assert {**said, "regime": ""} != {**place, "regime": ""}
-    samples = drum.calibrated.problem.windows * drum.calibrated.problem.block
+    samples = drum.calibrated.likelihood.windows * drum.calibrated.likelihood.block
     assert left(drum.calibrated, "sensor_x_load").shape == (samples, 1)

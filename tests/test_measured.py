@@ -92,8 +92,8 @@ def test_with_a_teacher_the_network_is_the_narx_written_by_hand(linear_loop):
     rng = np.random.default_rng(0)
     u, y = rng.normal(size=(2, 40))
     network = small(linear_loop=linear_loop)
-    problem = Objective(network, [Record({"u": u}, {"y": y})], teacher=True)
-    assert 4 * problem.errors(problem.theta)[0][:, 0] + y == pytest.approx(by_hand(network, u, y), abs=1e-12)
+    objective = Objective(network, [Record({"u": u}, {"y": y})], teacher=True)
+    assert 4 * objective.errors(objective.theta)[0][:, 0] + y == pytest.approx(by_hand(network, u, y), abs=1e-12)
 
 
 def test_in_free_run_its_own_output_stands_in_the_feedback():

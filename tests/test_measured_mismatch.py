@@ -61,17 +61,17 @@ def test_filters_of_an_input_by_hand():
 
 
 def test_noise_is_learnt_and_forgets_within_its_share_of_the_recording(tanks):
-    problem = Coloured(Model(tanks, tanks.recording(tanks.folder / "identify.csv"), {}))
+    likelihood = Coloured(Model(tanks, tanks.recording(tanks.folder / "identify.csv"), {}))
     rng = np.random.default_rng(3)
     noise = np.zeros((1024, 1))
     for k in range(1, 1024):
         noise[k] = 0.6 * noise[k - 1] + rng.normal(0, 0.1)
-    learnt = problem.ordered(noise)
+    learnt = likelihood.ordered(noise)
     assert learnt.order == 1
     assert learnt.ar[0][0] == pytest.approx(0.6 * np.exp(-1 / (0.02 * 1024)), abs=0.05)
     assert learnt.scale[0] == pytest.approx(0.1, rel=0.1)
     slow = np.cumsum(noise, axis=0)
-    assert np.abs(np.roots(np.r_[1.0, -problem.ordered(slow).ar[0]])).max() < np.exp(-1 / (0.02 * 1024)) * 1.001
+    assert np.abs(np.roots(np.r_[1.0, -likelihood.ordered(slow).ar[0]])).max() < np.exp(-1 / (0.02 * 1024)) * 1.001
 
 
 def test_overflow_of_the_tanks_is_named_where_a_sensor_offset_is_the_alternative(tanks):

@@ -115,7 +115,7 @@ def test_parameters_and_effect_are_found_within_their_intervals(folder, window):
     for symbol, true in TRUE.items():
         assert abs(fit.values[symbol] - true) < 3 * fit.deviation(symbol), symbol
         assert fit.deviation(symbol) < 0.05 * true
-    assert fit.cost == pytest.approx(fit.problem.count, rel=0.25)
+    assert fit.cost == pytest.approx(fit.likelihood.count, rel=0.25)
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say(folder):

@@ -49,29 +49,29 @@ def test_derivatives_of_a_radial_network_in_a_loop_are_those_of_torch():
     )
     u, y = rng.normal(size=(2, 20))
     records = [Record({"u": u}, {"y": y})]
-    problem = Objective(network, records)
-    problem.squares(problem.theta)
-    _, gradient = problem.normal_equations(problem.theta)
+    objective = Objective(network, records)
+    objective.squares(objective.theta)
+    _, gradient = objective.normal_equations(objective.theta)
     swept = _Swept(network, records)
     swept.squares(swept.theta)
-    tensors = {n: torch.tensor(v, requires_grad=True) for n, v in problem.flat.parameters().items()}
-    run = problem.flat.run({"u": u}, parameters=tensors)["y"]
+    tensors = {n: torch.tensor(v, requires_grad=True) for n, v in objective.flat.parameters().items()}
+    run = objective.flat.run({"u": u}, parameters=tensors)["y"]
     (0.5 * (((run - torch.tensor(y)) / 0.5) ** 2).sum()).backward()
-    want = np.concatenate([tensors[n].grad.numpy().ravel() for n in problem.slices()])[problem.free]
+    want = np.concatenate([tensors[n].grad.numpy().ravel() for n in objective.slices()])[objective.free]
     np.testing.assert_allclose(gradient, want, rtol=1e-8, atol=1e-10 * np.abs(want).max())
-    sweep = swept.gradient(swept.theta)[problem.free]
+    sweep = swept.gradient(swept.theta)[objective.free]
     np.testing.assert_allclose(sweep, want, rtol=1e-8, atol=1e-10 * np.abs(want).max())
 
 
 def test_output_weights_of_the_whole_record_are_the_least_squares_ones():
     fit = identified()
-    problem = Objective(fit.network, [Record(benchmark().inputs, benchmark().targets, skip=2)], teacher=True)
-    elements = problem.elements()
-    kernels = problem.simulate(problem.theta)[0][2:, elements["kernels"]]
+    objective = Objective(fit.network, [Record(benchmark().inputs, benchmark().targets, skip=2)], teacher=True)
+    elements = objective.elements()
+    kernels = objective.simulate(objective.theta)[0][2:, elements["kernels"]]
     y = benchmark().targets["y"][2:]
     best = np.linalg.lstsq(np.column_stack([kernels, np.ones(len(y))]), y, rcond=None)[1][0]
-    assert problem.squares(problem.theta) == pytest.approx(best, rel=1e-3)  # of weights that start with variance 1e8
-    assert fit.history[-1] == problem.squares(problem.theta) / (2 * problem.samples)
+    assert objective.squares(objective.theta) == pytest.approx(best, rel=1e-3)  # weights that start with variance 1e8
+    assert fit.history[-1] == objective.squares(objective.theta) / (2 * objective.samples)
 
 
 def test_more_neurons_fit_better_and_training_goes_on_from_there():

@@ -38,8 +38,8 @@ def plant(noise, samples=2000, seed=0):
 
 
 def errors(network, record, teacher):
-    problem = Objective(network, [with_measured(record, network)], teacher=teacher)
-    return problem.errors(problem.theta)[0][:, 0]
+    objective = Objective(network, [with_measured(record, network)], teacher=teacher)
+    return objective.errors(objective.theta)[0][:, 0]
 
 
 def by_hand(network, u, y, own):

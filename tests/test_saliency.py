@@ -74,7 +74,7 @@ def two_layers(hidden: np.ndarray, bias: np.ndarray, out: np.ndarray) -> tuple[N
 
 
 def names(e: Expansion, weights: np.ndarray) -> list[tuple[str, int]]:
-    place = e.problem.slices()
+    place = e.objective.slices()
     return [(n, int(np.flatnonzero(where == w)[0])) for w in weights for n, where in place.items() if w in where]
 
 
@@ -113,7 +113,7 @@ def test_the_saliency_of_obd_is_the_rise_of_the_error_without_correction(decay):
     for weight, saliency in zip(removal.weights, removal.saliency, strict=True):
         theta = e.theta.copy()
         theta[weight] = 0.0
-        np.testing.assert_allclose(saliency, e.problem.squares(theta) / 2 - loss, rtol=1e-9)
+        np.testing.assert_allclose(saliency, e.objective.squares(theta) / 2 - loss, rtol=1e-9)
 
 
 def test_magnitude_sees_the_size_obd_the_effect_and_surgery_what_others_can_stand_in_for():
@@ -152,8 +152,8 @@ def test_unit_obs_takes_a_neuron_that_another_can_stand_in_for_and_gives_its_wor
     [(name, index)] = names(e, removal.weights)
     assert name == "out.h"
     assert index in (1, 4)
-    np.testing.assert_allclose(removal.theta[e.problem.slices()["out.h"]][5 - index], 3.5, atol=1e-3)
-    smaller = fold_constants(e.problem.unpack(removal.theta))
+    np.testing.assert_allclose(removal.theta[e.objective.slices()["out.h"]][5 - index], 3.5, atol=1e-3)
+    smaller = fold_constants(e.objective.unpack(removal.theta))
     assert smaller.modules["hidden"].size == 4
     assert pooled_rms(smaller, [record]) < 1e-4
     assert len(unit_obs(e, 6).weights) == 2  # five parameters a neuron
@@ -168,8 +168,8 @@ def test_smallest_variance_takes_the_neuron_that_varies_least_and_leaves_its_mea
     e = Expansion.of(network, [record])
     removal = smallest_variance(e, 1)
     assert names(e, removal.weights) == [("out.h", 2)]
-    np.testing.assert_allclose(removal.theta[e.problem.slices()["out.bias"]], 0.1 + 50 * np.tanh(0.8), atol=1e-3)
-    error = pooled_rms(e.problem.unpack(removal.theta), [record])
+    np.testing.assert_allclose(removal.theta[e.objective.slices()["out.bias"]], 0.1 + 50 * np.tanh(0.8), atol=1e-3)
+    error = pooled_rms(e.objective.unpack(removal.theta), [record])
     np.testing.assert_allclose(error, np.sqrt(50**2 * removal.saliency[0]), rtol=1e-6)
 
 
@@ -184,7 +184,7 @@ def test_no_method_touches_frozen_or_pruned_weights(name):
     removal = METHODS[name](e, 100)
     assert len(removal.weights)
     assert {n for n, _ in names(e, removal.weights)} <= {"out.h", "hidden.bias", "out.bias"}
-    place = e.problem.slices()["hidden.u"]
+    place = e.objective.slices()["hidden.u"]
     np.testing.assert_array_equal(removal.theta[place], e.theta[place])
     assert e.theta[removal.weights].all()
 

@@ -22,7 +22,7 @@ EFFECTS = {e.key: e for e in (effect("drift"), effect("settling", "drift"), effe
 
 
 def fit(cost: float, held: float = 0.0, **values: float):
-    return SimpleNamespace(cost=cost, held_out=lambda: held, values=values, shifts=None, problem=None, unknowns=())
+    return SimpleNamespace(cost=cost, held_out=lambda: held, values=values, shifts=None, likelihood=None, unknowns=())
 
 
 @pytest.fixture
@@ -133,8 +133,8 @@ def test_the_plain_form_of_an_effect_is_tried_first_where_it_promises_nearly_the
 def left(errors: np.ndarray, cost: float):
     """A fit of one channel, in windows of 100 samples of 1 ms, that leaves `errors`."""
     model = SimpleNamespace(rig=SimpleNamespace(predict=("x",), dt=1e-3))
-    problem = SimpleNamespace(block=100, model=model, count=errors.size)
-    return SimpleNamespace(projected=errors, problem=problem, unknowns=(), cost=cost)
+    likelihood = SimpleNamespace(block=100, model=model, count=errors.size)
+    return SimpleNamespace(projected=errors, likelihood=likelihood, unknowns=(), cost=cost)
 
 
 def test_slow_errors_are_structure_unless_they_are_small_and_the_cost_is_that_of_noise():
@@ -153,7 +153,7 @@ def test_slow_errors_are_structure_unless_they_are_small_and_the_cost_is_that_of
 
 
 def test_what_a_fit_explains_is_a_share_of_what_noise_alone_would_leave(chosen):
-    chosen.problem.count = 500
+    chosen.likelihood.count = 500
     assert chosen.explained(fit(1000.0)) == 0.0
     assert chosen.explained(fit(FLOOR * 500)) == 1.0
     assert chosen.explained(fit((1000.0 + FLOOR * 500) / 2)) == pytest.approx(0.5)
@@ -224,7 +224,7 @@ def test_over_the_same_windows_a_rival_that_gave_up_near_the_best_is_fitted_to_i
     creep, mass = Hypothesis(("creep",)), Hypothesis(("mass",))
     for h, cost, converged in ((DRIFT, 100.0, True), (SLIP, 150.0, False), (creep, 250.0, False), (mass, 150.0, True)):
         chosen.add(h, made(cost, converged))
-    chosen.problem.count = 100
+    chosen.likelihood.count = 100
     asked = []
 
     def fitted(hypothesis, *_):
@@ -232,7 +232,7 @@ def test_over_the_same_windows_a_rival_that_gave_up_near_the_best_is_fitted_to_i
         chosen.add(hypothesis, made(60.0, True))
 
     monkeypatch.setattr(chosen, "fit", fitted)
-    longer, best, found = chosen.over(chosen.problem, DRIFT, chosen.fits[DRIFT])
+    longer, best, found = chosen.over(chosen.likelihood, DRIFT, chosen.fits[DRIFT])
     assert asked == [SLIP]  # a tenth of what the best saves is 90
     assert (longer, best, found.cost) == (chosen, SLIP, 60.0)
 
@@ -246,7 +246,7 @@ def over_longer_windows(chosen, monkeypatch, costs: dict, unknowns: dict):
         return SimpleNamespace(cost=cost, converged=True, values={}, shifts=None, unknowns=("k",) * unknowns[h])
 
     def fitted(self, hypothesis, *_):
-        assert self.problem is final
+        assert self.likelihood is final
         asked.append(hypothesis)
         self.add(hypothesis, made(hypothesis, costs[hypothesis]))
 
@@ -263,7 +263,7 @@ def short(chosen, costs: dict) -> None:
 
 def test_rivals_nearly_as_good_as_the_best_are_seen_over_longer_windows_and_no_others(chosen, monkeypatch):
     creep = Hypothesis(("creep",))
-    chosen.problem.count = 1000  # a twentieth of the readings are 50; half of what the best saves are 450
+    chosen.likelihood.count = 1000  # a twentieth of the readings are 50; half of what the best saves are 450
     short(chosen, {DRIFT: 100.0, SLIP: 149.0, creep: 151.0})
     each = {DRIFT: 300.0, SLIP: 200.0, creep: 100.0}
     asked, best = over_longer_windows(chosen, monkeypatch, each, dict.fromkeys(each, 1))
@@ -272,7 +272,7 @@ def test_rivals_nearly_as_good_as_the_best_are_seen_over_longer_windows_and_no_o
 
 
 def test_over_longer_windows_an_unknown_more_costs_the_logarithm_of_the_readings(chosen, monkeypatch):
-    chosen.problem.count = 1000
+    chosen.likelihood.count = 1000
     for saves, better in ((6.0, DRIFT), (8.0, SLIP)):  # the logarithm of 1000 is 6.9
         chosen.best.clear()
         short(chosen, {DRIFT: 100.0, SLIP: 120.0})
@@ -293,11 +293,11 @@ def test_an_effect_without_which_the_fit_is_as_good_goes(chosen, monkeypatch):
 def test_the_plain_plant_is_fitted_from_the_shifts_of_its_own_windows_alone():
     own, asked = SimpleNamespace(), []
 
-    def fitted(problem, hypothesis, values, shifts, **_):
+    def fitted(likelihood, hypothesis, values, shifts, **_):
         asked.append(shifts)
         return fit(10.0)
 
-    for problem in (own, SimpleNamespace()):
-        start = SimpleNamespace(problem=problem, shifts="shifts", values={})
+    for likelihood in (own, SimpleNamespace()):
+        start = SimpleNamespace(likelihood=likelihood, shifts="shifts", values={})
         assert Selection(SimpleNamespace(fit=fitted), own, start, lambda text: None).plain.cost == 10.0
     assert asked == ["shifts", None]

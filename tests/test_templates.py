@@ -76,10 +76,10 @@ def test_f_and_g_read_what_table_3_2_gives_them(number):
 def test_a_teacher_stands_in_every_feedback_of_a_template(number):
     x, y = np.random.default_rng(1).normal(size=(2, 20))
     network = build(number)
-    problem = Objective(network, [Record({"x": x}, {"y": y})], teacher=True)
+    objective = Objective(network, [Record({"x": x}, {"y": y})], teacher=True)
     inside_x, inside_y = np.r_[0, 0, x] / 2, (np.r_[2, 2, y] - 1) / 4
     want = [by_table(number, network, inside_x[[k - 1, k - 2]], inside_y[[k - 1, k - 2]]) for k in range(2, 22)]
-    np.testing.assert_allclose(problem.errors(problem.theta)[0][:, 0] + inside_y[2:], want, atol=1e-13)
+    np.testing.assert_allclose(objective.errors(objective.theta)[0][:, 0] + inside_y[2:], want, atol=1e-13)
 
 
 def test_f_stays_as_it_is_while_g_learns():
@@ -144,8 +144,8 @@ def test_recurrent_networks_learn_a_system_with_memory(build):
     x = np.random.default_rng(0).uniform(-1, 1, 300)
     y = lfilter([1.0], [1.0, -0.7], np.tanh(x))
     fit = train(build("n", {Port("x"): (0,)}, [Port("y", scale=2.0)], (4,), seed=4), [Record({"x": x}, {"y": y})])
-    problem = Objective(fit.network, [Record({"x": x}, {"y": y})])
-    assert np.std(2 * problem.errors(problem.theta)[0]) < 0.01 * np.std(y)
+    objective = Objective(fit.network, [Record({"x": x}, {"y": y})])
+    assert np.std(2 * objective.errors(objective.theta)[0]) < 0.01 * np.std(y)
 
 
 def test_a_recurrent_network_without_neurons_is_refused():

@@ -84,8 +84,8 @@ def test_one_step_ahead_is_series_parallel_and_far_ahead_comes_near_the_free_run
     r = record(equation_noise=0.3)
     network = linear(gain=0.9)
     (v,) = validate(network, {"run": r}, period=PERIOD)
-    problem = Objective(network, [r], teacher=True)
-    taught = 4.0 * problem.errors(problem.theta)[0][:, 0]
+    objective = Objective(network, [r], teacher=True)
+    taught = 4.0 * objective.errors(objective.theta)[0][:, 0]
     np.testing.assert_allclose(v.measured - v.one_step, -taught, atol=1e-12)
     assert v.ahead[1][0] == pytest.approx(np.sqrt(np.mean(taught**2)), rel=1e-12)
     rms = [rms for rms, _ in v.ahead.values()]

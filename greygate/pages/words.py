@@ -59,7 +59,7 @@ def means(result: Diagnosis, entry: Mapping) -> str:
 def lines(result: Diagnosis) -> list[str]:
     """The diagnosis on one screen."""
     found = result.as_dict()
-    seconds = result.calibrated.problem.model.recording.samples * result.rig.dt
+    seconds = result.calibrated.likelihood.model.recording.samples * result.rig.dt
     out = [
         f"{result.rig.folder.resolve().name} ({found['plant']}), {seconds:.4g} s of recording",
         Verdict(found["verdict"]).words,

@@ -93,9 +93,9 @@ SYSTEMS = {
 
 def rms(network: Network, records: list[Record]) -> float:
     """RMS error of the free run over all records; inf if one diverges."""
-    problem = Objective(network, records)
-    squares = problem.squares(problem.theta)
-    return float(np.sqrt(squares / problem.samples))
+    objective = Objective(network, records)
+    squares = objective.squares(objective.theta)
+    return float(np.sqrt(squares / objective.samples))
 
 
 def identify(system: System, seed: int, progress: Progress = silent) -> tuple[Network, dict]:

@@ -120,8 +120,8 @@ def at_rest(network: Network, record: Record) -> np.ndarray:
     longest = int(np.argmax(np.diff(moved)))
     start, stop = moved[longest] + 4, moved[longest + 1] + 1  # taps reach two steps back
     inputs = {n: np.append(v[:stop], np.full(HELD, v[stop - 1])) for n, v in record.inputs.items()}
-    problem = Objective(network, [Record(inputs, {"e": np.zeros(stop + HELD)})])
-    errors = problem.errors(problem.theta)
+    objective = Objective(network, [Record(inputs, {"e": np.zeros(stop + HELD)})])
+    errors = objective.errors(objective.theta)
     return np.full(1, np.inf) if errors is None else ERROR.scale * errors[0][start:, 0]
 
 
@@ -165,8 +165,8 @@ def tables(progress: Progress = silent) -> dict:
 
     def run(kind: str, network: Network, epochs: int, teacher: bool = False) -> Network:
         result = train(network, [training], epochs=epochs, teacher=teacher)
-        problem = Objective(result.network, [training], teacher=teacher)
-        found[kind].append(1e6 * ERROR.scale * float(np.sqrt(problem.squares(problem.theta) / problem.samples)))
+        objective = Objective(result.network, [training], teacher=teacher)
+        found[kind].append(1e6 * ERROR.scale * float(np.sqrt(objective.squares(objective.theta) / objective.samples)))
         found["seconds"][kind].append(result.seconds)
         progress(f"{kind} #{len(found[kind])}: {found[kind][-1]:.1f} um in {result.seconds:.1f} s")
         return result.network

@@ -33,8 +33,8 @@ def check(rig: Rig, recording: Recording, effects: Mapping[str, Effect]) -> None
 
 def unseen(fit: Fit) -> list[str]:
     """Effects of the table that, at their typical size, change nothing at `fit` that the sensors show."""
-    problem = fit.problem
-    model = problem.model
+    likelihood = fit.likelihood
+    model = likelihood.model
     values = {s: v for s, v in fit.values.items() if s in model.values}
     seen, tried = set(), []
     for effect in fitting(model.rig.plant, model.rig.datasheet, model.effects).values():
@@ -42,7 +42,7 @@ def unseen(fit: Fit) -> list[str]:
             continue
         tried.append(effect.id)
         typical = {**values, **effect.set, **{f.symbol: f.guess[0] if f.guess else f.typical for f in effect.free}}
-        change = problem.errors(typical, fit.shifts) - fit.errors
+        change = likelihood.errors(typical, fit.shifts) - fit.errors
         if not np.sum(np.square(change)) < SEEN:
             seen.add(effect.id)
     return sorted(set(tried) - seen)

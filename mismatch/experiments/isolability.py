@@ -131,9 +131,9 @@ def base(search: Search) -> Fit:
     if search.rig.stated:
         return search.screen.fit(unknowns, iterations=0)
     fit = search.fit(search.final, Hypothesis(), {})
-    problem = fit.problem.ordered(fit.problem.residual(fit.values))
-    search.effects = {key: resized(problem, effect, fit) for key, effect in search.effects.items()}
-    return Likelihood.fit(problem, unknowns, fit.values, iterations=0)
+    likelihood = fit.likelihood.ordered(fit.likelihood.residual(fit.values))
+    search.effects = {key: resized(likelihood, effect, fit) for key, effect in search.effects.items()}
+    return Likelihood.fit(likelihood, unknowns, fit.values, iterations=0)
 
 
 def typical(effect: Effect) -> dict[str, float]:
@@ -146,12 +146,12 @@ def moved(fit: Fit, effect: Effect) -> np.ndarray:
 
     There is one for each strength, or one for all of them where they start from a guess or from a parameter's value.
     """
-    full, problem = typical(effect), fit.problem
+    full, likelihood = typical(effect), fit.likelihood
     nothing = {f.symbol: 0.0 for f in effect.strengths}
     steps = [full] if _together(effect) else [{**full, **nothing, s: full[s]} for s in nothing]
-    changes = [np.nan_to_num(problem.errors({**fit.values, **step}, fit.shifts) - fit.errors) for step in steps]
-    columns = problem.rows(np.stack(changes, axis=2), fit.temper)
-    return problem.eliminate(columns, None, fit.basis)[0].reshape(-1, len(steps))
+    changes = [np.nan_to_num(likelihood.errors({**fit.values, **step}, fit.shifts) - fit.errors) for step in steps]
+    columns = likelihood.rows(np.stack(changes, axis=2), fit.temper)
+    return likelihood.eliminate(columns, None, fit.basis)[0].reshape(-1, len(steps))
 
 
 def _together(effect: Effect) -> bool:
@@ -198,10 +198,10 @@ def _group(search: Search, fit: Fit, names: tuple[str, ...], one: Effect, other:
     values = {**fit.values, **typical(one)}
     unknowns = search.unknowns(Hypothesis((other.key,) if other else ()))
     start = {**fit.values, **(typical(other) if other else {})}
-    rival = Likelihood.fit(imagined(fit.problem, values), unknowns, start, iterations=ITERATIONS, enough=ROUGH)
+    rival = Likelihood.fit(imagined(fit.likelihood, values), unknowns, start, iterations=ITERATIONS, enough=ROUGH)
     here = float(np.sqrt(rival.cost))
-    experiment = Trials(fit.problem, values).apart(rival, here)
-    sensed = sensor(fit.problem, values, rival)
+    experiment = Trials(fit.likelihood, values).apart(rival, here)
+    sensed = sensor(fit.likelihood, values, rival)
     return Group(
         names,
         (one.id, other.id) if other else (one.id,),

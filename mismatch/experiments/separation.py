@@ -91,42 +91,42 @@ def _span(name: str, signal: np.ndarray, unit: str) -> str:
 class Trial:
     """A recording as it would be if the explanation `values` were true.
 
-    problem: that of the recording. experiment: in which it is recorded; None for the recording so far.
+    likelihood: that of the recording. experiment: in which it is recorded; None for the recording so far.
     """
 
-    problem: Likelihood
+    likelihood: Likelihood
     values: Mapping[str, float]
     experiment: Experiment | None = None
 
     @cached_property
     def truth(self) -> np.ndarray:
         """Errors of the explanation (samples, channels): on an experiment those of rounding."""
-        return self.problem.errors(self.values, self.problem.nothing())
+        return self.likelihood.errors(self.values, self.likelihood.nothing())
 
     @cached_property
     def basis(self):
         even = np.ones(self.truth.shape[1])
-        return self.problem.basis(self.values, self.problem.nothing(), self.truth, even)
+        return self.likelihood.basis(self.values, self.likelihood.nothing(), self.truth, even)
 
     def left(self, rival: Fit) -> np.ndarray:
         """By how much `rival` predicts otherwise, in units of the noise, (windows, rows); 0 where it diverges.
 
         What other beginnings of the windows explain is taken off.
         """
-        errors = self.problem.errors(rival.values, self.problem.nothing()) - self.truth
+        errors = self.likelihood.errors(rival.values, self.likelihood.nothing()) - self.truth
         errors = errors if np.isfinite(errors).all() else np.zeros_like(errors)
-        rows = self.problem.rows(errors, np.ones(errors.shape[1]))
-        return self.problem.eliminate(rows[:, :, None], None, self.basis)[0][:, :, 0]
+        rows = self.likelihood.rows(errors, np.ones(errors.shape[1]))
+        return self.likelihood.eliminate(rows[:, :, None], None, self.basis)[0][:, :, 0]
 
     def distance(self, rival: Fit) -> float:
         """Standard deviations of the noise by which `rival` differs after its parameters have adapted.
 
         They adapt as far as the recording of its own fit leaves them free.
         """
-        shifts, even = self.problem.nothing(), np.ones(self.truth.shape[1])
-        errors = self.problem.errors(rival.values, shifts)
-        slopes = self.problem.slopes(rival.unknowns, rival.values, shifts, errors, even)
-        slopes = self.problem.eliminate(slopes, None, self.basis)[0].reshape(-1, len(rival.unknowns))
+        shifts, even = self.likelihood.nothing(), np.ones(self.truth.shape[1])
+        errors = self.likelihood.errors(rival.values, shifts)
+        slopes = self.likelihood.slopes(rival.unknowns, rival.values, shifts, errors, even)
+        slopes = self.likelihood.eliminate(slopes, None, self.basis)[0].reshape(-1, len(rival.unknowns))
         left = self.left(rival).reshape(-1)
         pull = slopes.T @ left
         step = np.linalg.lstsq(slopes.T @ slopes + rival.information, pull, rcond=INDEPENDENT)[0]
@@ -134,11 +134,11 @@ class Trial:
 
 
 class Trials:
-    """Experiments on the rig of `problem`, as they run if the explanation `values` (symbol -> value) is true."""
+    """Experiments on the rig of `likelihood`, as they run if the explanation `values` (symbol -> value) is true."""
 
-    def __init__(self, problem: Likelihood, values: Mapping[str, float]):
-        self.problem = problem
-        self.free = FreeRun(problem.model.rig, problem.model.effects, values)
+    def __init__(self, likelihood: Likelihood, values: Mapping[str, float]):
+        self.likelihood = likelihood
+        self.free = FreeRun(likelihood.model.rig, likelihood.model.effects, values)
         self._over: dict[float, list[Trial]] = {}
 
     def apart(self, rival: Fit, here: float) -> Separation | None:
@@ -157,7 +157,7 @@ class Trials:
     def over(self, reach: float) -> list[Trial]:
         """The strongest and the mildest experiment of every kind that stay within `reach` times what was recorded."""
         if reach not in self._over:
-            model = self.problem.model
+            model = self.likelihood.model
             recording = model.recording
             seconds = min(max(SECONDS, FEWEST * recording.dt), recording.samples * recording.dt)
             bounds = self.free.at_rest(Bounds.of(model.rig, recording, reach), recording, HOLD * seconds)
@@ -169,33 +169,33 @@ class Trials:
         return self._over[reach]
 
     def _trial(self, experiment: Experiment, record: Recording) -> Trial:
-        return Trial(like(self.problem, self.problem.model.over(record)), self.free.values, experiment)
+        return Trial(like(self.likelihood, self.likelihood.model.over(record)), self.free.values, experiment)
 
 
-def like(problem: Likelihood, model: Model) -> Likelihood:
-    """A problem with the noise of `problem` over the recording of another model, which may have further channels."""
-    made = type(problem)(model)
-    if isinstance(problem, Coloured):
-        further = [model.rig.channels[name].noise for name in model.rig.predict[len(problem.scale) :]]
-        made.ar = [*problem.ar, *(np.zeros(problem.order) for _ in further)]
-        made.scale = np.append(problem.scale, further)
+def like(likelihood: Likelihood, model: Model) -> Likelihood:
+    """A likelihood with the same noise over the recording of another model, which may have further channels."""
+    made = type(likelihood)(model)
+    if isinstance(likelihood, Coloured):
+        further = [model.rig.channels[name].noise for name in model.rig.predict[len(likelihood.scale) :]]
+        made.ar = [*likelihood.ar, *(np.zeros(likelihood.order) for _ in further)]
+        made.scale = np.append(likelihood.scale, further)
     return made
 
 
-def sensor(problem: Likelihood, values: Mapping[str, float], rival: Fit) -> tuple[str, float] | None:
+def sensor(likelihood: Likelihood, values: Mapping[str, float], rival: Fit) -> tuple[str, float] | None:
     """(state, distance): the state whose sensor, of FINE resolution, would tell `rival` from `values` best.
 
     On the recording as it is; None where every state is a channel already, or the rate of one.
     """
-    model = problem.model
+    model = likelihood.model
     values = {**model.values, **{s: v for s, v in values.items() if s in model.values}}
-    states, _ = model.states(values, problem.nothing())
+    states, _ = model.states(values, likelihood.nothing())
     found = []
     for symbol, signal in zip(model.plant.states, states.T, strict=True):
         known = symbol in model.rig.channels or symbol in model.rates or symbol not in model.rig.plant.states
         if known or not 0.0 < np.ptp(signal) < np.inf:
             continue
-        trial = Trial(like(problem, _with_sensor(model, symbol, signal)), values)
+        trial = Trial(like(likelihood, _with_sensor(model, symbol, signal)), values)
         found.append((trial.distance(rival), symbol))
     return max(found)[::-1] if found else None
 
@@ -209,11 +209,11 @@ def _with_sensor(model: Model, symbol: str, signal: np.ndarray) -> Model:
     return Model(richer, Recording(recording.dt, channels, units), model.effects, model.window)
 
 
-def imagined(problem: Likelihood, values: Mapping[str, float]) -> Likelihood:
-    """`problem` as if it had recorded what `values` (symbol -> value) predict, without noise."""
-    other = copy.copy(problem)
-    other.model = copy.copy(problem.model)
-    other.model.target = problem.model.predict({**problem.model.values, **values}, problem.nothing())
+def imagined(likelihood: Likelihood, values: Mapping[str, float]) -> Likelihood:
+    """`likelihood` as if it had recorded what `values` (symbol -> value) predict, without noise."""
+    other = copy.copy(likelihood)
+    other.model = copy.copy(likelihood.model)
+    other.model.target = likelihood.model.predict({**likelihood.model.values, **values}, likelihood.nothing())
     return other
 
 
@@ -226,16 +226,16 @@ def separations(result: Diagnosis, entries: Iterable[Mapping], count: int) -> di
     entries: some of its `effects`. Only the first `count` alternatives are tried. Those are left out for which the rig
     withstands no experiment.
     """
-    problem = result.search.screen if result.rig.stated else result.corrected.problem
+    likelihood = result.search.screen if result.rig.stated else result.corrected.likelihood
     pairs = [(entry, other) for entry in entries for other in entry["not_told_apart_from"]]
     trials, found = None, {}
     for entry, other in pairs[:count]:
         rival = _rival(result, entry, other)
         if rival is None:
             continue
-        trials = trials or Trials(problem, result.corrected.values)
+        trials = trials or Trials(likelihood, result.corrected.values)
         here = float(np.sqrt(max(result.rivals[rival] - result.rivals[result.best], 0.0)))
-        told = trials.apart(_fitted(result, problem, rival), here)
+        told = trials.apart(_fitted(result, likelihood, rival), here)
         if told is not None:
             found[entry["id"], other] = told
     return found
@@ -253,14 +253,14 @@ def _rival(result: Diagnosis, entry: Mapping, other: str) -> Hypothesis | None:
     return min(found, key=lambda pair: pair[0])[1] if found else None
 
 
-def _fitted(result: Diagnosis, problem: Likelihood, rival: Hypothesis) -> Fit:
+def _fitted(result: Diagnosis, likelihood: Likelihood, rival: Hypothesis) -> Fit:
     """The fit of a rival, which a search may have kept."""
     search = result.search
     if rival not in search.fits:
         own = Hypothesis(tuple(k for k in rival.effects if k not in result.best.effects), rival.released)
         narrow = copy.copy(search)
         narrow.effects = {key: search.effects[key] for key in own.effects}
-        scores = narrow.scores(result.calibrated.problem, result.calibrated, Hypothesis())
+        scores = narrow.scores(result.calibrated.likelihood, result.calibrated, Hypothesis())
         start = next((s.values for s in scores if s.hypothesis == own), {})
-        search.fits[rival] = search.fit(problem, rival, {**result.corrected.values, **start}, iterations=ITERATIONS)
+        search.fits[rival] = search.fit(likelihood, rival, {**result.corrected.values, **start}, iterations=ITERATIONS)
     return search.fits[rival]

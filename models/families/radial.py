@@ -95,9 +95,9 @@ def rbf(
     for row, target in zip(np.exp(-(distance**2)), phi.target, strict=True):
         estimator.update(np.append(row, 1.0), target)
     weights = {"sum.kernels": estimator.theta[None, :-1], "sum.bias": estimator.theta[-1:]}
-    problem = Objective(network.with_parameters(weights), with_full_taps(records, inputs, feedback), teacher=True)
-    loss = problem.squares(problem.theta) / (2 * problem.samples)
-    return Trained(problem.unpack(problem.theta), Outcome.CONVERGED, (loss,), monotonic() - began)
+    objective = Objective(network.with_parameters(weights), with_full_taps(records, inputs, feedback), teacher=True)
+    loss = objective.squares(objective.theta) / (2 * objective.samples)
+    return Trained(objective.unpack(objective.theta), Outcome.CONVERGED, (loss,), monotonic() - began)
 
 
 class RecursiveLeastSquares:

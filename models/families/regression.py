@@ -289,9 +289,9 @@ def arx(records: Sequence[Record], inputs: Taps, output: Port, feedback: Sequenc
     solution = np.linalg.lstsq(np.column_stack([phi.matrix, np.ones(len(phi.target))]), phi.target)[0]
     weights = {f"sum.{tap}": np.array([[w]]) for tap, w in zip(phi.taps, solution[:-1], strict=True)}
     network = noe(name, inputs, output, feedback).with_parameters(weights | {"sum.bias": solution[-1:]})
-    problem = Objective(network, with_full_taps(records, inputs, feedback), teacher=True)
-    loss = problem.squares(problem.theta) / (2 * problem.samples)
-    return Trained(problem.unpack(problem.theta), Outcome.CONVERGED, (loss,), monotonic() - began)
+    objective = Objective(network, with_full_taps(records, inputs, feedback), teacher=True)
+    loss = objective.squares(objective.theta) / (2 * objective.samples)
+    return Trained(objective.unpack(objective.theta), Outcome.CONVERGED, (loss,), monotonic() - began)
 
 
 def fir(records: Sequence[Record], inputs: Taps, output: Port, name: str = "fir") -> Trained:

@@ -34,9 +34,9 @@ class Residual:
 
 def residuals(result: Diagnosis, fits: Sequence[Fit]) -> list[Residual]:
     """What each fit leaves of identify.csv."""
-    rig, recording = result.rig, result.calibrated.problem.model.recording
+    rig, recording = result.rig, result.calibrated.likelihood.model.recording
     piece = max(round(PIECE / rig.dt), 10) if rig.window else None
-    model = Model(rig, recording, result.corrected.problem.model.effects, piece)
+    model = Model(rig, recording, result.corrected.likelihood.model.effects, piece)
     variables, units = signals(model)
     found = []
     for fit in fits:

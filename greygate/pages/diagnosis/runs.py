@@ -33,7 +33,7 @@ def runs(case: Case) -> list[dict]:
     path = rig.folder / "holdout.csv"
     name = "holdout" if path.exists() else "identify"
     recording = rig.recording(path if path.exists() else rig.folder / "identify.csv")
-    model = Model(rig, recording, result.corrected.problem.model.effects)
+    model = Model(rig, recording, result.corrected.likelihood.model.effects)
     skip = rig.settle if path.exists() else 0
     predicted = {kind: model.predict(begun(model, known(model, fit), skip)) for kind, fit in case.fits.items()}
     rows = []
