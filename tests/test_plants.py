@@ -315,3 +315,16 @@ def test_a_slide_driven_against_either_stop_rests_there_and_leaves_it_at_once(si
     np.testing.assert_array_equal(run["v"][first:401], 0.0)
     np.testing.assert_array_equal(run["q"][first:401], run["q"][first])
     assert not resting[402:].any()
+
+
+def test_at_a_restart_some_states_begin_anew_and_the_others_go_on():
+    plant = oscillator()
+    values = {symbol: p.value for symbol, p in plant.parameters.items()}
+    force, starts = np.zeros((60, 1)), np.array([[0.1, 0.4], [-0.2, 9.0], [0.3, 9.0]])
+    runner = Restarted(plant, 1e-2, 1e-3)
+    out = runner.run(force, np.array([0, 20, 40]), starts, np.array([True, False]), values)
+    assert out[0].tolist() == [0.1, 0.4]
+    assert out[[20, 40], 0].tolist() == [-0.2, 0.3]
+    free = runner.run(force[:21], np.array([0]), starts[:1], np.array([True, True]), values)
+    assert np.array_equal(out[:20], free[:20])
+    assert out[20, 1] == free[20, 1]  # the velocity goes on
