@@ -35,9 +35,9 @@ class ColouredSelection(Selection):
 
     def __init__(self, search: Search, progress: Progress = silent):
         calibrated = _calibrated(search)
-        search.final = search.screen = calibrated.objective
-        search.effects = {key: resized(calibrated.objective, e, calibrated) for key, e in search.effects.items()}
-        super().__init__(search, calibrated.objective, calibrated, progress)
+        search.final = search.screen = calibrated.likelihood
+        search.effects = {key: resized(calibrated.likelihood, e, calibrated) for key, e in search.effects.items()}
+        super().__init__(search, calibrated.likelihood, calibrated, progress)
         self.plain = calibrated
         self.fits = {Hypothesis(): calibrated}
         self.anew = set(beginnings(search.final.model))
@@ -73,7 +73,7 @@ class ColouredSelection(Selection):
         """The same with earlier effects replaced by others that do better now that the last one is there."""
         for drop in best.effects[:-1]:
             less = best.without(drop)
-            without = self.fits.get(less) or self.search.fit(current.objective, less, current.values)
+            without = self.fits.get(less) or self.search.fit(current.likelihood, less, current.values)
             self.fits[less] = without
             for score in self.promising(without, less, EXCHANGED):
                 hypothesis = less.plus(score.hypothesis)
@@ -92,7 +92,7 @@ class ColouredSelection(Selection):
             if best.size < 2:
                 break
             less = best.without(drop)
-            fit = self.fits[less] = self.search.fit(current.objective, less, current.values)
+            fit = self.fits[less] = self.search.fit(current.likelihood, less, current.values)
             if fit.cost - current.cost < SURE + _price(current, fit):
                 best, current = less, fit
         return best, current
@@ -104,9 +104,9 @@ class ColouredSelection(Selection):
 
         Noise that is learnt from a wrong plant takes its slow errors for noise, and would rank their cause last.
         """
-        objective = _white(fit)
-        white = replace(fit, objective=objective, errors=objective.errors(fit.values, fit.shifts))
-        return [score for f in (fit, white) for score in self.search.scores(f.objective, f, given)[:count]]
+        likelihood = _white(fit)
+        white = replace(fit, likelihood=likelihood, errors=likelihood.errors(fit.values, fit.shifts))
+        return [score for f in (fit, white) for score in self.search.scores(f.likelihood, f, given)[:count]]
 
     def fitted(self, fit: Fit, hypothesis: Hypothesis, values: Mapping[str, float]) -> Fit:
         """The best of several fits from `values` on: with the noise of `fit`, and with white noise first.
@@ -115,7 +115,7 @@ class ColouredSelection(Selection):
         something may be far off.
         """
         search, start = self.search, {**fit.values, **values}
-        found = [search.fit(fit.objective, hypothesis, start)]
+        found = [search.fit(fit.likelihood, hypothesis, start)]
         white = _white(fit)
         starts = [start]
         if hypothesis.size == 1:
@@ -123,7 +123,7 @@ class ColouredSelection(Selection):
         for start in starts:
             plain = search.fit(white, hypothesis, start)
             if np.isfinite(plain.cost):
-                coloured = plain.objective.learnt(plain.objective.residual(plain.values), fit.objective.order)
+                coloured = plain.likelihood.learnt(plain.likelihood.residual(plain.values), fit.likelihood.order)
                 found.append(search.fit(coloured, hypothesis, plain.values))
         return min(found, key=lambda f: f.cost)
 
@@ -132,7 +132,7 @@ class ColouredSelection(Selection):
 
         The blocks of a fold are spread over the recording, so that no regime is held out entirely.
         """
-        mask = fit.objective.mask
+        mask = fit.likelihood.mask
         fold = (np.arange(len(mask)) * FOLDS * BLOCKS // len(mask)) % FOLDS
         costs = [
             [self._unseen(mask & (fold == k), hypothesis, full) for hypothesis, full in ((less, fit), (more, richer))]
@@ -142,10 +142,10 @@ class ColouredSelection(Selection):
 
     def _unseen(self, block: np.ndarray, hypothesis: Hypothesis, full: Fit) -> float:
         """Cost in `block` (samples,) of a fit to all other samples, which starts at `full`."""
-        others = copy.copy(full.objective)
-        others.mask = full.objective.mask & ~block
+        others = copy.copy(full.likelihood)
+        others.mask = full.likelihood.mask & ~block
         fit = self.search.fit(others, hypothesis, full.values, iterations=REFIT)
-        judge = copy.copy(fit.objective)
+        judge = copy.copy(fit.likelihood)
         judge.mask = block
         return float(np.sum(judge.errors(fit.values, fit.shifts) ** 2)) + judge.deviance()
 
@@ -155,22 +155,24 @@ def _calibrated(search: Search) -> Fit:
     nothing = Hypothesis()
     fit = search.fit(search.final, nothing, drawn(search, search.final, nothing, {}))
     for _ in range(ORDERINGS):
-        objective = fit.objective.ordered(fit.objective.residual(fit.values))
-        fit = search.fit(objective, nothing, fit.values)
+        likelihood = fit.likelihood.ordered(fit.likelihood.residual(fit.values))
+        fit = search.fit(likelihood, nothing, fit.values)
     return fit
 
 
 def _white(fit: Fit) -> Coloured:
     """The likelihood of `fit` with white noise as large as its residual."""
-    return fit.objective.learnt(fit.objective.residual(fit.values), 0)
+    return fit.likelihood.learnt(fit.likelihood.residual(fit.values), 0)
 
 
 def _price(more: Fit, less: Fit) -> float:
     """What BIC asks for the parameters that one fit has and the other has not."""
-    return (len(more.unknowns) - len(less.unknowns)) * np.log(more.objective.count)
+    return (len(more.unknowns) - len(less.unknowns)) * np.log(more.likelihood.count)
 
 
-def drawn(search: Search, objective: Coloured, hypothesis: Hypothesis, values: Mapping[str, float]) -> dict[str, float]:
+def drawn(
+    search: Search, likelihood: Coloured, hypothesis: Hypothesis, values: Mapping[str, float]
+) -> dict[str, float]:
     """`values`, and the best of DRAWS sets of the other parameters, drawn within the data sheet's tolerance."""
     rng = np.random.default_rng(0)
     own = {u.symbol: u for u in search.unknowns(hypothesis) if u.symbol in search.toleranced}
@@ -179,8 +181,8 @@ def drawn(search: Search, objective: Coloured, hypothesis: Hypothesis, values: M
     for k in range(DRAWS):
         numbers = rng.uniform(-2.0, 2.0, len(own)) * (k > 0)  # the data sheet itself comes first
         tried = {s: float(np.clip(u.value(x), u.low, u.high)) for (s, u), x in zip(own.items(), numbers, strict=True)}
-        residual = objective.residual({**constants, **tried, **values})
-        cost = float(np.sum(np.mean(residual**2, axis=0) / np.var(objective.model.target, axis=0)))
+        residual = likelihood.residual({**constants, **tried, **values})
+        cost = float(np.sum(np.mean(residual**2, axis=0) / np.var(likelihood.model.target, axis=0)))
         if cost < least:
             best, least = {**tried, **values}, cost
     return best
