@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from greygate.compiler.ranges import sums
+from greygate.compiler.ranges import sums, traces
 from greygate.emulator.engine import run
 from greygate.emulator.program import Affine, Program
 from greygate.models.arithmetic import mean, product
@@ -26,17 +26,17 @@ def centre_biases(program: Program, network: Network, records: Sequence[Record])
     """Correct the biases of every AFFINE operation that rounds weights, in program order, on records."""
     objective = Objective(network, list(records))
     past: dict[str, list[np.ndarray]] = {}  # signal -> by delay, its values at the chosen steps of all records
-    codes, rest = [], objective.flat.rest()
-    for record, trace in zip(records, objective.simulate(objective.theta), strict=True):
+    chosen, rest, layers = [], objective.flat.rest(), objective.flat.layers()
+    for record, trace in zip(records, traces(objective), strict=True):
         count = max(1, min(SAMPLES // len(records), len(trace)))
         steps = np.unique(np.linspace(0, len(trace) - 1, count).astype(int))
-        codes.append(program.encode(record.inputs)[steps])
+        chosen.append(program.encode(record.inputs)[steps])
         for name, columns in objective.elements().items():
             series = np.concatenate([np.tile(rest[name], (objective.depth, 1)), trace[:, columns]])
             delayed = [series[steps + objective.depth - d] for d in range(objective.depth + 1)]
             before = past.get(name, [d[:0] for d in delayed])
             past[name] = [np.concatenate(pair) for pair in zip(before, delayed, strict=True)]
-    codes = np.concatenate(codes)[:, None, :]
+    codes = np.concatenate(chosen)[:, None, :]
     initial = []
     for state in program.states:
         source, _, delay = state.signal.name.rpartition(".z")
@@ -45,7 +45,7 @@ def centre_biases(program: Program, network: Network, records: Sequence[Record])
     start = np.concatenate(initial, axis=1).astype(np.int64) if initial else np.zeros((len(codes), 0), np.int64)
     feeds = objective.flat.feeds()
     summed = {}  # signal -> layer and its rows; sums of which only the sign counts are not corrected
-    for name, layer in objective.flat.modules.items():
+    for name, layer in layers.items():
         if layer.is_linear:
             summed[name] = name, slice(None)
         elif layer.function.lowered != "threshold":
@@ -54,13 +54,15 @@ def centre_biases(program: Program, network: Network, records: Sequence[Record])
         name, rows = summed.get(operation.out.name, ("", None))
         if not isinstance(operation, Affine) or not name or _rounds_nothing(operation):
             continue
-        layer = objective.flat.modules[name]
+        layer = layers[name]
         exact = layer.bias[rows] + sum(
             product(past[source][delay], w[rows].T)
             for p, w in layer.weights.items()
             for source, delay in [feeds[f"{name}.{p}"]]
         )
-        fixed = run(program, codes, start, trace=True).trace[operation.out.name][:, 0] * operation.out.fix.lsb
+        traced = run(program, codes, start, trace=True).trace
+        assert traced is not None, "it was asked for"
+        fixed = traced[operation.out.name][:, 0] * operation.out.fix.lsb
         error = mean(exact - fixed)
         bias = operation.bias + np.floor(np.ldexp(error, operation.frac) + 0.5).astype(np.int64)
         changed = replace(operation, bias=bias)

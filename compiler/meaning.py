@@ -61,7 +61,8 @@ def _sign(network: Network) -> Network:
 
 
 def _zero_region(network: Network) -> Network:
-    limits = {n: (network.modules[n], {"x": "x"}) for n in ("above", "below")}
+    layers = network.layers()
+    limits = {n: (layers[n], {"x": "x"}) for n in ("above", "below")}
     both = Layer({"above": [[2.0]], "below": [[2.0]]}, [-3.0], "hardlims")
     return _form(network, limits | {"out": (both, {"above": "above", "below": "below"})})
 
@@ -125,8 +126,7 @@ def use_meanings(
                     return module
                 form = FORMS[name][0](module)
                 last = form.connections[-1].source
-                initial = module.modules[last].initial
-                form.modules[last] = replace(form.modules[last], initial=initial)
+                form.modules[last] = replace(form.layers()[last], initial=module.layers()[last].initial)
                 replaced[path] = Replaced(module.meaning, name, entry, form)
                 return form
         inner = {n: visit(m, _join(path, n)) if isinstance(m, Network) else m for n, m in module.modules.items()}
@@ -226,12 +226,13 @@ def _differences(r: Replaced, port: str, values: np.ndarray) -> tuple[np.ndarray
 
 def sign_values(program: Program, network: Network, layer: str) -> np.ndarray:
     """What the sum of which a hard limit or a select takes the sign can be in the program, exactly."""
-    part, rows = next(iter(sums(layer, network.modules[layer]).items()))
+    own = network.layers()[layer]
+    part, rows = next(iter(sums(layer, own).items()))
     summed = next((o for o in program.operations if isinstance(o, Affine) and o.out.name == part), None)
     if summed is not None:
         return np.unique(np.concatenate([_sum_values(program, summed, row) for row in range(summed.out.size)]))
-    feeds, weight, bias = network.feeds(), 0.0, float(network.modules[layer].bias[rows][0])
-    for port, w in network.modules[layer].weights.items():
+    feeds, weight, bias = network.feeds(), 0.0, float(own.bias[rows][0])
+    for port, w in own.weights.items():
         if w[rows].any():  # only one signal; more would have made a sum
             name, delay = feeds[f"{layer}.{port}"]
             weight += float(w[rows][0, 0])

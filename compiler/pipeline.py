@@ -220,7 +220,7 @@ def meet_budget(
         narrower = build(width, chosen | {name: _less(program.signals[name].fix)})
         if narrower:
             margin[name] = strain(narrower, network, records)
-    for name in sorted(margin, key=margin.get):
+    for name in sorted(margin, key=margin.__getitem__):
         while program.signals[name].fix.width > 4:
             trial = build(width, chosen | {name: _less(program.signals[name].fix)})
             if trial is None or not meets(trial):

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from greygate.compiler.ranges import traces
 from greygate.compiler.simplify import Graph
 from greygate.models.accuracy import pooled_rms
 from greygate.models.network import Layer, Network
@@ -40,10 +41,10 @@ def spareable(layer: Layer) -> bool:
 def entropies(network: Network, records: list[Record]) -> dict[str, np.ndarray]:
     """H = -sum p ln p of each hidden neuron's histogram over the image of its activation (3.14), in nats, by layer."""
     objective = Objective(network, records)
-    run = np.concatenate(objective.simulate(objective.theta))
+    run, layers = np.concatenate(traces(objective)), objective.flat.layers()
     found = {}
     for name, columns in objective.elements().items():
-        layer = objective.flat.modules.get(name)
+        layer = layers.get(name)
         if layer is None or not spareable(layer):
             continue
         p = np.stack([np.histogram(v, BINS, layer.function.image)[0] for v in run[:, columns].T]) / len(run)
@@ -56,7 +57,7 @@ def remove_neurons(network: Network, records: list[Record], chosen: dict[str, li
     its variation that the layer's other neurons explain by linear regression.
     """
     objective = Objective(network, records)
-    run = np.concatenate(objective.simulate(objective.theta))
+    run = np.concatenate(traces(objective))
     g = Graph(objective.flat)
     for name, indices in chosen.items():
         keep = np.setdiff1d(np.arange(g.layers[name].size), indices)
@@ -100,7 +101,8 @@ def prune_by_entropy(
 
     A round takes every neuron under `low` of the greatest possible entropy, or the lowest one if none is. allowed: RMS
     error of each output, normalised, over the held-out records, or over `records` if none are held out. A round that
-    misses it is undone; the next one takes half as many, and when a single neuron cannot be spared the pruning ends.
+    misses it, or whose network diverges on `records`, is undone; the next one takes half as many, and when a single
+    neuron cannot be spared the pruning ends.
     """
     rounds: list[Round] = []
     largest = sum(map(len, entropies(network, records).values()))
@@ -117,7 +119,8 @@ def prune_by_entropy(
                 chosen.setdefault(name, []).append(i)
         trial = retrain(remove_neurons(network, records, chosen))
         error = pooled_rms(trial, records)
-        kept = bool(((pooled_rms(trial, list(held)) if held else error) <= allowed).all())
+        within = (pooled_rms(trial, list(held)) if held else error) <= allowed
+        kept = bool(within.all() and np.isfinite(error).all())  # it may diverge on the records and not on the held-out
         rounds.append(Round(chosen, len(ranked) - sum(map(len, chosen.values())), tuple(error.tolist()), kept))
         if kept:
             network = trial

@@ -110,7 +110,7 @@ def quantize(
 class _Quantizer:
     def __init__(self, flat: Network, ranges: Mapping[str, Range], formats: Formats, period: float):
         self.flat, self.ranges, self.formats, self.period = flat, ranges, formats, period
-        self.feeds = flat.feeds()
+        self.layers, self.feeds = flat.layers(), flat.feeds()
         self.signals: dict[str, Signal] = {}
         self.states: dict[str, State] = {}
         self.operations: list[Operation] = []
@@ -161,14 +161,14 @@ class _Quantizer:
     def _reads(self, name: str, rows: slice = slice(None)) -> dict[tuple[str, int], np.ndarray]:
         """(source, delay) -> weights of some rows of a layer, where they are not all zero."""
         reads: dict[tuple[str, int], np.ndarray] = {}
-        for port, w in self.flat.modules[name].weights.items():
+        for port, w in self.layers[name].weights.items():
             feed = self.feeds[f"{name}.{port}"]
             reads[feed] = reads.get(feed, 0.0) + w[rows]
         return {feed: w for feed, w in reads.items() if w.any()}
 
     def _loops(self, name: str, rows: slice = slice(None)) -> list[np.ndarray]:
         """Weights of rows of a layer on its own past, one step first; of those that round anew in every step."""
-        reads, size = self._reads(name, rows), self.flat.modules[name].size
+        reads, size = self._reads(name, rows), self.layers[name].size
         own = {d: w for (s, d), w in reads.items() if s == name}
         if self._plain(name, rows) == (name, 1, 1.0, 0.0):
             return []  # it repeats its last value and rounds nothing
@@ -176,7 +176,7 @@ class _Quantizer:
 
     def _plain(self, name: str, rows: slice) -> tuple[str, int, float, float] | None:
         """(source, delay, weight, bias) of rows that are weight * source + bias, element by element, weight not 0."""
-        reads, bias = self._reads(name, rows), self.flat.modules[name].bias[rows]
+        reads, bias = self._reads(name, rows), self.layers[name].bias[rows]
         if len(reads) != 1 or (bias != bias[0]).any():
             return None
         (((source, delay), w),) = reads.items()
@@ -186,7 +186,7 @@ class _Quantizer:
 
     def _declare(self, name: str) -> None:
         """Fix the format of a layer's output before any layer reads it, delayed reads included."""
-        layer, width = self.flat.modules[name], self.formats.width
+        layer, width = self.layers[name], self.formats.width
         f = layer.function
         if f.lowered == Op.TABLE:
             holds = output_fix(width + self.formats.finer) if f.is_bounded else self._unbounded_fix(name)
@@ -197,9 +197,9 @@ class _Quantizer:
             fix = Fix(width, width - 1 - integer_bits(max(map(abs, f.image))))
         else:
             fix = self.fix(name, width)
-            spare = fix.frac - self._exact_frac(name)
-            if spare > 0 and name not in self.formats.signals:
-                fix = Fix(max(fix.width - spare, 2), fix.frac - spare)
+            exact = self._exact_frac(name)
+            if exact is not None and fix.frac > exact and name not in self.formats.signals:
+                fix = Fix(max(fix.width - (fix.frac - exact), 2), exact)
             steps = min(max(memory(self._loops(name, rows)) for rows in _values(layer)), self.formats.horizon)
             if steps > 4 and name not in self.formats.signals:
                 extra = math.ceil(round(math.log2(steps / 3) / 2, AGREED))
@@ -210,15 +210,17 @@ class _Quantizer:
                 )
         self.signals[name] = Signal(name, layer.size, fix)
 
-    def _exact_frac(self, name: str) -> float:
-        """Fraction bits that hold a sum of earlier signals with short weights exactly (a difference, say); else inf."""
-        layer, needed = self.flat.modules[name], [0]
+    def _exact_frac(self, name: str) -> int | None:
+        """Fraction bits that hold a sum of earlier signals with short weights exactly (a difference, say), or None."""
+        layer, needed = self.layers[name], [0]
         for rows in _values(layer):
             for (source, _), w in self._reads(name, rows).items():
                 if source not in self.signals or layer.bias[rows].any():
-                    return math.inf
+                    return None
                 bits = _exact_bits(w, self.formats.width)
-                needed.append(self.signals[source].fix.frac + bits if bits < self.formats.width else math.inf)
+                if bits >= self.formats.width:
+                    return None
+                needed.append(self.signals[source].fix.frac + bits)
         return max(needed)
 
     def _delayed(self, source: str, delay: int) -> Signal:
@@ -267,7 +269,7 @@ class _Quantizer:
         return self.signals[name]
 
     def _layer(self, name: str) -> None:
-        layer, f, out = self.flat.modules[name], self.formats, self.signals[name]
+        layer, f, out = self.layers[name], self.formats, self.signals[name]
         lowered, (low, high) = layer.function.lowered, layer.function.image
         if lowered == Op.SELECT:
             return self._select(name)
@@ -300,7 +302,7 @@ class _Quantizer:
         elif lowered == Op.CLAMP:
             fix = Fix(f.width + f.wide, f.width + f.wide - 1 - max(1, self.fix_bits(pre)))
             self._affine(Signal(pre, layer.size, fix), layer.bias, reads)
-            self.operations.append(Clamp(out, pre, *(int(v * 2**fix.frac) for v in (low, high)), f.rounding))
+            self.operations.append(Clamp(out, pre, int(low * 2**fix.frac), int(high * 2**fix.frac), f.rounding))
         else:
             self._signed(Signal(pre, layer.size, self._sign_fix(pre)), layer.bias, reads)
             self.operations.append(Threshold(out, pre, 0, int(low), int(high)))
@@ -312,13 +314,13 @@ class _Quantizer:
             return False
         source, delay, weight, bias = plain
         signal = self._delayed(source, delay)
-        low, high = self.flat.modules[name].function.image
+        low, high = self.layers[name].function.image
         answers = int(low), int(high)
-        at = -Fraction(bias) / Fraction(weight) * Fraction(2) ** signal.fix.frac  # where weight * code + bias is 0
+        zero = -Fraction(bias) / Fraction(weight) * Fraction(2) ** signal.fix.frac  # where weight * code + bias is 0
         if weight > 0:
-            at = math.ceil(at)
-        else:  # code <= at
-            at, answers = math.floor(at) + 1, answers[::-1]
+            at = math.ceil(zero)
+        else:  # code <= zero
+            at, answers = math.floor(zero) + 1, answers[::-1]
         if at > signal.fix.hi:
             answers = (answers[0], answers[0])
         at = min(max(at, signal.fix.lo), signal.fix.hi)
@@ -327,7 +329,7 @@ class _Quantizer:
 
     def _select(self, name: str) -> None:
         """A multiplexer of earlier signals as they are, where the rows are plain; sums before it where they are not."""
-        layer, out, args = self.flat.modules[name], self.signals[name], []
+        layer, out, args = self.layers[name], self.signals[name], []
         for part, rows in sums(name, layer).items():
             is_condition, plain = part.endswith(".condition"), self._plain(name, rows)
             if plain and plain[3] == 0 and (plain[2] > 0 if is_condition else plain[2] == 1):
@@ -344,7 +346,8 @@ class _Quantizer:
             else:
                 self._affine(signal, layer.bias[rows], reads)
             args.append(part)
-        self.operations.append(Select(out, *args, self.formats.rounding))
+        condition, above, below = args
+        self.operations.append(Select(out, condition, above, below, self.formats.rounding))
 
     def _sign_fix(self, pre: str) -> Fix:
         width = self.formats.width + self.formats.wide
@@ -361,7 +364,7 @@ class _Quantizer:
         def frac(layer: str) -> int:
             return word - 1 - min(self.fix_bits(f"{layer}.n"), flat) + self.formats.wide
 
-        alike = [n for n, layer in self.flat.modules.items() if layer.activation == function and frac(n) == frac(name)]
+        alike = [n for n, layer in self.layers.items() if layer.activation == function and frac(n) == frac(name)]
         return frac(name), max(self.fix_bits(f"{n}.n") for n in alike)
 
     def _unbounded_fix(self, name: str) -> Fix:

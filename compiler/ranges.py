@@ -40,14 +40,20 @@ def sums(name: str, layer: Layer) -> dict[str, slice]:
     return {f"{name}.{part}": slice(i * size, (i + 1) * size) for i, part in enumerate(("condition", "above", "below"))}
 
 
+def traces(objective: Objective) -> list[np.ndarray]:
+    """`Objective.simulate` with the weights as they are. Raises InputError if a run diverges."""
+    runs = objective.simulate(objective.theta)
+    if runs is None:
+        raise InputError(f"network {objective.flat.name}: diverges on the records; train it before compiling")
+    return runs
+
+
 def ranges(network: Network, records: list[Record]) -> dict[str, Range]:
     """Ranges of every input and layer of a flat network, and of every pre-activation by its name in `sums`."""
     objective = Objective(network, records)
-    flat, runs = objective.flat, objective.simulate(objective.theta)
-    if runs is None:
-        raise InputError(f"network {network.name}: diverges on the records; train it before compiling")
-    start = flat.rest()
-    past = {}
+    flat, runs = objective.flat, traces(objective)
+    start, layers = flat.rest(), flat.layers()
+    past: dict[str, int] = {}
     for source, delay in flat.feeds().values():
         past[source] = max(past.get(source, 0), delay)
     seen: dict[str, tuple[float, float]] = {}
@@ -67,20 +73,20 @@ def ranges(network: Network, records: list[Record]) -> dict[str, Range]:
             history[n] = np.concatenate([np.broadcast_to(first, (d, len(first))), signal[n]])
         feeds = flat.feeds()
         for name in flat.order():
-            layer = flat.modules[name]
-            n = np.broadcast_to(layer.bias, (len(run), layer.rows)).copy()
-            for port, w in layer.weights.items():
-                source, delay = feeds[f"{name}.{port}"]
+            layer = layers[name]
+            summed = np.broadcast_to(layer.bias, (len(run), layer.rows)).copy()
+            for target, w in layer.weights.items():
+                source, delay = feeds[f"{name}.{target}"]
                 past_rows = history[source] if source in history else signal[source]
                 offset = past.get(source, 0) - delay if source in history else 0
-                n += product(past_rows[offset : offset + len(run)], w.T)
+                summed += product(past_rows[offset : offset + len(run)], w.T)
             for part, rows in sums(name, layer).items():
-                _extend(seen, part, n[:, rows])
-                values.setdefault(part, []).append(n[:, rows])
-        for name, value in signal.items():
-            values.setdefault(name, []).append(value)
-            _extend(seen, name, value)
-            _extend(seen, name, history[name][: past[name]] if past.get(name) else value)
+                _extend(seen, part, summed[:, rows])
+                values.setdefault(part, []).append(summed[:, rows])
+        for name, run_of in signal.items():
+            values.setdefault(name, []).append(run_of)
+            _extend(seen, name, run_of)
+            _extend(seen, name, history[name][: past[name]] if past.get(name) else run_of)
     bounds = _intervals(flat, {p.name: seen[p.name] for p in flat.inputs}, start)
     return {n: Range(low, high, mean(np.concatenate(values[n])), bounds[n]) for n, (low, high) in seen.items()}
 
@@ -98,11 +104,12 @@ def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dic
     for name, (a, b) in inputs.items():
         low[name] = np.minimum(low[name], a)
         high[name] = np.maximum(high[name], b)
-    feeds, bounds = flat.feeds(), {}
+    feeds, layers = flat.feeds(), flat.layers()
+    bounds: dict[str, tuple[float, float]] = {}
     for sweep in range(2 * WIDEN_AFTER):
         changed = False
         for name in flat.order():
-            layer = flat.modules[name]
+            layer = layers[name]
             f = layer.function
             a, b = layer.bias.copy(), layer.bias.copy()
             for port, w in layer.weights.items():

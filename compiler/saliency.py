@@ -14,6 +14,7 @@ import numpy as np
 import scipy.linalg
 
 from greygate.compiler.prune import Pruning, Round, retrained, spareable
+from greygate.compiler.ranges import traces
 from greygate.compiler.simplify import Graph, fold_constants, parameter_count
 from greygate.errors import InputError
 from greygate.models.accuracy import pooled_rms
@@ -103,7 +104,7 @@ class Expansion:
         position = np.full(len(self.theta), -1)
         position[self.weights] = np.arange(len(self.weights))
         found = []
-        for name, layer in flat.modules.items():
+        for name, layer in flat.layers().items():
             if name in graph.shown() or not spareable(layer):
                 continue
             read = [place[f"{r}.{p}"].reshape(-1, layer.size) for r, p, _ in graph.readers(name)]
@@ -193,13 +194,13 @@ def smallest_variance(e: Expansion, count: int) -> Removal:
     """
     flat, place, theta = e.objective.flat, e.objective.slices(), e.theta.copy()
     graph = Graph(flat)
-    run = np.concatenate(e.objective.simulate(e.theta))
+    run = np.concatenate(traces(e.objective))
     columns = e.objective.elements()
     signal = {u: run[:, columns[u.layer][u.index]] for u in e.units}
     removed, saliency, gone = [], [], 0
     for unit in sorted(e.units, key=lambda u: signal[u].var()):
         readers = graph.readers(unit.layer)
-        if any("bias" in flat.modules[reader].frozen for reader, _, _ in readers):
+        if any("bias" in graph.layers[reader].frozen for reader, _, _ in readers):
             continue
         if gone >= count:
             break
@@ -207,7 +208,7 @@ def smallest_variance(e: Expansion, count: int) -> Removal:
         removed += unit.outgoing.tolist()
         saliency += [signal[unit].var()] * len(unit.outgoing)
         for reader, port, _ in readers:
-            w = e.theta[place[f"{reader}.{port}"]].reshape(-1, flat.modules[unit.layer].size)[:, unit.index]
+            w = e.theta[place[f"{reader}.{port}"]].reshape(-1, graph.layers[unit.layer].size)[:, unit.index]
             theta[place[f"{reader}.bias"]] += w * signal[unit].mean()
     theta[e.weights[removed]] = 0.0
     return Removal(e.weights[removed], np.array(saliency), theta)
@@ -252,7 +253,7 @@ class _Surgery:
         step = columns @ pull
         return float(pull @ self.values[chosen] / 2 + self.decay * (step @ self.values - step @ step / 2))
 
-    def remove(self, chosen: Sequence[int]) -> None:
+    def remove(self, chosen: Sequence[int] | np.ndarray) -> None:
         """Zero a set; the others move to the minimum that is left."""
         columns = self.inverse[:, chosen]
         share = np.linalg.solve(columns[chosen], columns.T)
@@ -263,7 +264,7 @@ class _Surgery:
         self.inverse[~self.left] = 0.0
         self.inverse[:, ~self.left] = 0.0
 
-    def removal(self, removed: Sequence[int], saliency: Sequence[float]) -> Removal:
+    def removal(self, removed: Sequence[int] | np.ndarray, saliency: Sequence[float] | np.ndarray) -> Removal:
         e = self.expansion
         theta = e.theta.copy()
         theta[e.weights] = self.values
@@ -385,7 +386,7 @@ def _retrained(
 
 
 def _step(network: Network, records: Sequence[Record], held: Sequence[Record]) -> Step:
-    neurons = sum(layer.size for layer in network.modules.values() if spareable(layer))
+    neurons = sum(layer.size for layer in network.layers().values() if spareable(layer))
     error = pooled_rms(network, list(records))
     other = pooled_rms(network, list(held)) if held else np.array([])
     return Step(network, parameter_count(network), neurons, tuple(error.tolist()), tuple(other.tolist()))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from greygate.compiler.verilog import ROUNDING, levels, shared_tables
-from greygate.emulator.program import Affine, Lookup, Operation, Overflow, Program
+from greygate.emulator.program import Affine, Elementwise, Lookup, Operation, Overflow, Program
 
 WEIGHT, SUM, HOLD, PICK = 2, 3, 4, 5  # clocks after the read of a column in which its weight, sum, ... act
 FIT = 1  # clocks from pick to write
@@ -27,7 +27,7 @@ class Schedule:
     def free(self, t: int, *names: str) -> bool:
         return t >= len(self.lines) or not any(n in self.lines[t] for n in names)
 
-    def place(self, t: int, note: str = "", **values: int) -> None:
+    def place(self, t: int, note: str = "", /, **values: int) -> None:
         assert self.free(t, *values), "two values for one field in one clock"
         while t >= len(self.lines):
             self.lines.append({})
@@ -49,7 +49,7 @@ class Folding:
     address: dict[str, int]
     words: int
     groups: list[tuple[str, list[int]]]
-    units: dict[str, Operation]
+    units: dict[str, Elementwise]
 
 
 def fold(program: Program, macs: int) -> Folding:
@@ -81,7 +81,7 @@ class _Folder:
         self.program, self.macs = program, macs
         self.schedule = Schedule()
         self.groups: list[tuple[str, list[int]]] = []
-        self.units: dict[str, Operation] = {}
+        self.units: dict[str, Elementwise] = {}
         self.address: dict[str, int] = {}
         self.word: dict[str, int] = {}  # by element
         for s in [*(s.signal for s in program.states), *(o.out for o in operations)]:
@@ -102,7 +102,7 @@ class _Folder:
             self._sum(o, start, columns)
             self._drain(o, start)
 
-    def elements(self, o: Operation) -> None:
+    def elements(self, o: Elementwise) -> None:
         """Every element of any other operation, through one unit. Lookups in equal tables share a unit."""
         key = o.out.name
         if isinstance(o, Lookup):

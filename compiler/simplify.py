@@ -14,7 +14,7 @@ class Graph:
 
     def __init__(self, flat: Network):
         self.flat = flat
-        self.layers = dict(flat.modules)
+        self.layers = flat.layers()
         self.feeds = flat.feeds()
 
     def sources(self, name: str) -> dict[str, tuple[str, int]]:
@@ -56,14 +56,14 @@ class Graph:
 
     def network(self) -> Network:
         connections = [Connection(s, target, d) for target, (s, d) in self.feeds.items()]
-        flat = Network(self.flat.name, self.flat.inputs, self.flat.outputs, self.layers, connections)
+        flat = Network(self.flat.name, self.flat.inputs, self.flat.outputs, {**self.layers}, connections)
         flat.modules = {n: self.layers[n] for n in flat.order()}
         return flat.check()
 
 
 def multiplications(network: Network) -> int:
     """Weights that cost a multiplier: neither zero nor plus or minus one."""
-    return sum(_cost(w) for layer in network.flatten().modules.values() for w in layer.weights.values())
+    return sum(_cost(w) for layer in network.flatten().layers().values() for w in layer.weights.values())
 
 
 def parameter_count(network: Network) -> int:

@@ -29,7 +29,9 @@ def integer_bits(magnitude: float) -> int:
 def flat_from(function: str, out: Fix) -> float:
     """Argument beyond which the function is flat to half an LSB of `out`, or more than `out` holds."""
     decades = (out.frac + 1) * math.log(2)  # of f's distance to its limit
-    return ACTIVATIONS[function].flat_from(decades, _most(out))
+    found = ACTIVATIONS[function].flat_from
+    assert found, f"{function} is kept in a table, which has an end"
+    return found(decades, _most(out))
 
 
 def _most(out: Fix) -> float:
@@ -54,6 +56,7 @@ def make_table(function: str, arg: Fix, out: Fix, budget: float = 1.25, interpol
 
 def _table(function: str, arg: Fix, out: Fix, shift: int, bits: int, interpolated: bool) -> Table:
     f = ACTIVATIONS[function]
+    assert f.symmetry, f"{function} is kept in a table, which is half of it"
     exact = f.value(xp, np.arange((1 << bits) + 1) * 2.0**shift * arg.lsb)
     points = np.clip(np.floor(exact * 2.0**out.frac + 0.5), 0, out.hi).astype(int)
     name = f"{function}_{arg.width}_{arg.frac}_{out.width}" + (f"_{out.frac}" if out != output_fix(out.width) else "")

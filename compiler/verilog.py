@@ -1,7 +1,7 @@
 """What all architectures write alike: names, numbers, instances, tables, the stream at the edge (Verilog-2005)."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from greygate.emulator.program import (
     Clamp,
@@ -189,7 +189,7 @@ def sign_extended(name: str, low: int, width: int, lane: int) -> str:
     return code if lane == width else f"{{{{{lane - width}{{{name}[{low + width - 1}]}}}}, {code}}}"
 
 
-def table_parameters(table: Table, size: int) -> dict:
+def table_parameters(table: Table, size: int | str) -> dict:
     """Parameters of a lookup for `size` neurons, but for the points."""
     return {
         "SIZE": size,
@@ -206,7 +206,8 @@ def table_parameters(table: Table, size: int) -> dict:
 def shared_tables(program: Program) -> dict[str, Table]:
     """Name of each table that is used -> the first table equal to it, whose module they share."""
     used = {o.table for o in program.operations if isinstance(o, Lookup)}
-    alike, first = {}, {}
+    alike = {}
+    first: dict[tuple, Table] = {}
     for t in program.tables:
         if t.name in used:
             key = (t.symmetry, t.shift, t.points, t.interpolated, t.arg, t.out)
@@ -289,7 +290,7 @@ def _select(program: Program, o: Select, size: int) -> Block:
     return "greygate_select", parameters, ("condition", "above", "below")
 
 
-_BLOCKS = {Op.TABLE: _lookup, Op.CLAMP: _clamp, Op.THRESHOLD: _threshold, Op.SELECT: _select}
+_BLOCKS: dict[Op, Callable] = {Op.TABLE: _lookup, Op.CLAMP: _clamp, Op.THRESHOLD: _threshold, Op.SELECT: _select}
 
 
 def small_operation(program: Program, o: Elementwise, size: int) -> Block:

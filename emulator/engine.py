@@ -69,7 +69,8 @@ class _Tabulator:
         for name, signal in program.signals.items():
             self.first[name] = self.elements
             self.elements += signal.size
-        self.tables, self.points = {}, []
+        self.tables = {}
+        self.points: list[int] = []
         for table in program.tables:
             self.tables[table.name] = len(self.points)
             self.points += table.points
@@ -122,7 +123,7 @@ class _Tabulator:
         return (SELECT, *places, *modes, self.drop(o.above, o), self.drop(o.below, o))
 
 
-_TABULATE = {
+_TABULATE: dict[Op, Callable] = {
     Op.AFFINE: _Tabulator.affine,
     Op.TABLE: _Tabulator.lookup,
     Op.CLAMP: _Tabulator.clamp,

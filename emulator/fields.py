@@ -53,7 +53,7 @@ def _kind(annotation: Any) -> Kind:
         return lambda value, where: tuple(elements(value, where))
     if get_origin(annotation) is dict:
         return named(check_text)
-    if is_dataclass(annotation):
+    if isinstance(annotation, type) and is_dataclass(annotation):
         return record(annotation)
     if issubclass(annotation, tuple):
         return _numbers(annotation)
@@ -64,11 +64,12 @@ def _kind(annotation: Any) -> Kind:
 
 def _numbers(cls: type) -> Kind:
     """The kind of a list that has an element for each field of a named tuple."""
-    kinds = [_kind(hint) for hint in get_type_hints(cls, include_extras=True).values()]
+    hints = get_type_hints(cls, include_extras=True)
+    kinds = [_kind(hint) for hint in hints.values()]
 
     def read(value: object, where: str) -> Any:
         if not isinstance(value, list) or len(value) != len(kinds):
-            raise InputError(f"{where}: give a list of {' and '.join(cls._fields)}")
+            raise InputError(f"{where}: give a list of {' and '.join(hints)}")
         return cls(*(kind(v, f"{where}[{i}]") for i, (kind, v) in enumerate(zip(kinds, value, strict=True))))
 
     return read

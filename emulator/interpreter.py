@@ -1,6 +1,6 @@
 """The interpreter: docs/integer-program.md in NumPy int64, step by step. Slow and obvious; it is the definition."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,7 +100,13 @@ def _select(
     return np.where(first, above, below), frac
 
 
-PERFORM = {Op.AFFINE: _affine, Op.TABLE: _table, Op.CLAMP: _clamp, Op.THRESHOLD: _threshold, Op.SELECT: _select}
+PERFORM: dict[Op, Callable] = {
+    Op.AFFINE: _affine,
+    Op.TABLE: _table,
+    Op.CLAMP: _clamp,
+    Op.THRESHOLD: _threshold,
+    Op.SELECT: _select,
+}
 
 
 def interpret(program: Program, inputs: np.ndarray, initial: np.ndarray | None = None, trace: bool = False) -> Run:
@@ -110,7 +116,8 @@ def interpret(program: Program, inputs: np.ndarray, initial: np.ndarray | None =
     declared = np.concatenate([np.array(s.initial, np.int64) for s in program.states] or [np.zeros(0, np.int64)])
     now = np.broadcast_to(declared if initial is None else initial, (*batch, declared.size)).astype(np.int64)
     saturations = dict.fromkeys((o.out.name for o in program.operations if o.requantizes), 0)
-    outputs, states, traced = [], [], {name: [] for name in program.signals}
+    outputs, states = [], []
+    traced: dict[str, list[np.ndarray]] = {name: [] for name in program.signals}
 
     def requantize(o, a, frac):
         a = round_shift(a, np.asarray(frac) - o.out.fix.frac, o.rounding)

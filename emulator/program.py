@@ -36,9 +36,10 @@ LARGEST_SHIFT = 1 << 10  # of any width, fraction or shift in a file; what is le
 Name = Annotated[str, check_path]
 Text = Annotated[str, check_text]
 Unit = Annotated[str, check_unit]
-Code = Annotated[int, whole(-(1 << ACCUMULATOR_BITS), 1 << ACCUMULATOR_BITS)]
-Shift = Annotated[int, whole(-LARGEST_SHIFT, LARGEST_SHIFT)]
-_codes, _shifts = listed(Code.__metadata__[0]), listed(Shift.__metadata__[0])
+_code, _shift = whole(-(1 << ACCUMULATOR_BITS), 1 << ACCUMULATOR_BITS), whole(-LARGEST_SHIFT, LARGEST_SHIFT)
+_codes, _shifts = listed(_code), listed(_shift)
+Code = Annotated[int, _code]
+Shift = Annotated[int, _shift]
 
 
 def _matrix(value: object, where: str) -> np.ndarray:
@@ -167,7 +168,8 @@ class Terminal:
             return np.floor((values - self.offset) / self.scale * 2.0**self.signal.fix.frac + 0.5)
 
 
-class Clipped(NamedTuple):
+@dataclass(frozen=True)
+class Clipped:
     """Values of an input outside its format: how many, their share; the range that it holds and that was given."""
 
     count: int
@@ -275,6 +277,7 @@ class Elementwise:
 
     out: Signal
     reads: ClassVar[tuple[str, ...]] = ("arg",)  # the fields that name the arguments
+    op: ClassVar[Op]
     requantizes: ClassVar[bool] = False  # whether a result is rounded and may saturate
 
     @property
@@ -464,7 +467,8 @@ class Program:
             yield "needs at least one input and one output"
         if not (_is_finite(self.period) and self.period > 0):
             yield f"period {self.period} is not a time in seconds above 0"
-        for part in (*declared, *self.inputs, *self.outputs, *self.tables):
+        parts: tuple[Signal | Terminal | Table, ...] = (*declared, *self.inputs, *self.outputs, *self.tables)
+        for part in parts:
             yield from part.problems()
         known = {p.signal.name for p in self.inputs} | {s.signal.name for s in self.states}
         for o in self.operations:

@@ -44,7 +44,9 @@ class _Writer:
     """Collects the constants and the lines of one program's kernel; `first` is each signal's place among the values."""
 
     def __init__(self, program: Program):
-        self.program, self.constants, self.lines, self.first = program, [], [], {}
+        self.program, self.first = program, {}
+        self.constants: list[str] = []
+        self.lines: list[str] = []
         self.elements = 0
         for name, signal in program.signals.items():
             self.first[name] = self.elements
@@ -160,7 +162,7 @@ def _shifted(a: str, shift: str, rounding: Rounding) -> str:
     return f"shifted_{rounding.value}({a}, {shift})"
 
 
-_WRITE = {
+_WRITE: dict[Op, Callable] = {
     Op.AFFINE: _Writer.affine,
     Op.TABLE: _Writer.lookup,
     Op.CLAMP: _Writer.clamp,

@@ -54,7 +54,7 @@ class Diagnosis:
     structure: dict[str, float]
     explained: float
     search: Search
-    unknown: dict | None = None
+    unknown: dict = field(default_factory=dict)
     fits: dict = field(default_factory=dict)
     seconds: float = 0.0
     left: str = ""
@@ -274,7 +274,8 @@ def _of_stated_noise(search: Search, progress: Progress) -> Diagnosis:
         corrected = search.fit(search.final, best, current.values)
     left, explained = structure(corrected), selection.explained(current)
     open_ = max(left.values()) > STRUCTURE and not complete(current)
-    verdict, unknown = _verdict(best, open_ and explained < SHARE), None
+    verdict = _verdict(best, open_ and explained < SHARE)
+    unknown: dict = {}
     if verdict == Verdict.UNEXPLAINED:
         progress("looking for the equation")
         unknown, closed = closure(search)
@@ -292,7 +293,7 @@ def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
     unexplained = {"where": [{"equation": "", "depends_on": [], "regime": left}]}
     return Diagnosis(
         search.rig, verdict, best, selection.plain, fit, {h: f.cost for h, f in selection.fits.items()}, {},
-        1.0, search, unexplained if verdict == Verdict.UNEXPLAINED else None, left=left,
+        1.0, search, unexplained if verdict == Verdict.UNEXPLAINED else {}, left=left,
     )  # fmt: skip
 
 

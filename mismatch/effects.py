@@ -243,7 +243,9 @@ _ENTRIES: dict[str, Kind] = {
     "filters": named(line, check_name),
     "set": named(number, check_name),
     "wave": named(_texts, check_name),
-    **dict.fromkeys(("parameters", "frees"), named(lambda *entry: table(*entry, {"typical": number}, _FREE))),
+    **dict.fromkeys(
+        ("parameters", "frees"), named(lambda value, where: table(value, where, {"typical": number}, _FREE))
+    ),
 }
 
 

@@ -113,7 +113,7 @@ NEEDED = {
     "sample_time_s": within(1e-9, LONGEST, "give seconds"),
     "predict": listed(line),
     "parameters": named(number, check_name),
-    "channels": named(lambda *entry: table(*entry, CHANNEL, ERRORS, others=True), check_name),
+    "channels": named(lambda value, where: table(value, where, CHANNEL, ERRORS, others=True), check_name),
 }
 OPTIONAL = {
     "window_s": within(0.0, LONGEST, "give seconds"),

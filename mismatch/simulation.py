@@ -56,9 +56,9 @@ def read(path: Path | str) -> dict:
 
 
 WRITTEN = "give a file that diagnose wrote"
-PARAMETERS = named(lambda *entry: table(*entry, {"value": number}, others=True), check_name)
+PARAMETERS = named(lambda value, where: table(value, where, {"value": number}, others=True), check_name)
 TERM = {"value": number, "place": check_name, "term": check_expression}
-UNKNOWN = named(lambda *entry: table(*entry, TERM, others=True), check_symbol)
+UNKNOWN = named(lambda value, where: table(value, where, TERM, others=True), check_symbol)
 
 
 def _effect(value: object, where: str) -> dict:

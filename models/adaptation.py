@@ -36,14 +36,16 @@ def weight_changes(before: Network, after: Network) -> dict[str, np.ndarray]:
     Raises InputError if the two are not one network with two sets of weights.
     """
     flat, found = before.flatten(), after.flatten().parameters()
-    own = flat.parameters()
+    own, layers = flat.parameters(), flat.layers()
     if own.keys() != found.keys() or any(v.shape != found[n].shape for n, v in own.items()):
-        odd = sorted(n for n in own.keys() | found.keys() if n not in own or np.shape(found.get(n)) != own[n].shape)
+        odd = sorted(
+            n for n in own.keys() | found.keys() if n not in own or n not in found or found[n].shape != own[n].shape
+        )
         raise InputError(f"networks {before.name} and {after.name} differ in {', '.join(odd[:5])}; compare one network")
     changes = {}
     for name, value in own.items():
         layer, _, port = name.rpartition(".")
-        if port not in flat.modules[layer].frozen:
+        if port not in layers[layer].frozen:
             size = np.where(value == 0, np.nan, np.abs(value))
             changes[name] = np.where(found[name] == value, 0.0, 100 * (found[name] - value) / size)
     return changes
@@ -51,5 +53,6 @@ def weight_changes(before: Network, after: Network) -> dict[str, np.ndarray]:
 
 def frozen(network: Network) -> Network:
     """The network with every parameter frozen, as training shall leave it. network: of layers, not of networks."""
-    modules = {n: replace(layer, frozen=frozenset({*layer.weights, "bias"})) for n, layer in network.modules.items()}
-    return replace(network, modules=modules)
+    return replace(
+        network, modules={n: replace(m, frozen=frozenset({*m.weights, "bias"})) for n, m in network.layers().items()}
+    )

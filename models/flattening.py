@@ -1,10 +1,10 @@
 """Flattening: a network of networks becomes one of layers only, and every name, shape and number is checked."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from numbers import Integral, Real
-from typing import Protocol
+from typing import NoReturn, Protocol
 
 import numpy as np
 
@@ -22,12 +22,10 @@ class Nested(Protocol):
     name: str
     inputs: list[Port]
     outputs: list[Port]
-    modules: "dict[str, Layer | Nested]"
     connections: list[Connection]
 
-    def order(self) -> list[str]: ...
-    def rest(self) -> dict[str, np.ndarray]: ...
-    def feeds(self) -> dict[str, Feed]: ...
+    @property
+    def modules(self) -> "Mapping[str, Layer | Nested]": ...
 
 
 class Flattener:
@@ -43,7 +41,7 @@ class Flattener:
         self._collect(network, "")
         self._check_fed()
 
-    def fail(self, message: str):
+    def fail(self, message: str) -> NoReturn:
         raise InputError(f"{self.where} {message}")
 
     def _declare(self, sizes: dict[str, int], path: str, size: int, what: str) -> None:
@@ -165,8 +163,8 @@ class Flattener:
                     yield path + p.name, p.scale, p.offset
                 yield from self._normalisations(module, path)
 
-    def network(self) -> Nested:
-        """The flat network, its layers in order of evaluation."""
+    def flat(self) -> tuple[dict[str, Layer], list[Connection]]:
+        """Modules and connections of the flat network."""
         modules, plain, connections = self._joined()
         connections |= {f"{n}.{p}": plain[f"{n}.{p}"] for n, layer in self.layers.items() for p in layer.weights}
         connections |= {port.name: plain[port.name] for port in self.top.outputs}
@@ -174,24 +172,15 @@ class Flattener:
         for target, (source, delay) in traced.items():
             if delay > LONGEST_DELAY:
                 self.fail(f"{target} reads {source} {delay} steps late in all; make it at most {LONGEST_DELAY}")
-        flat = replace(
-            self.top,
-            inputs=list(self.top.inputs),
-            outputs=list(self.top.outputs),
-            modules=modules,
-            connections=[Connection(source, target, delay) for target, (source, delay) in traced.items()],
-            meaning="",
-        )
-        order = flat.order()
-        self._start_junctions(flat, order)
-        flat.modules = {n: flat.modules[n] for n in order}
-        return flat
+        return modules, [Connection(source, target, delay) for target, (source, delay) in traced.items()]
 
     def _joined(self) -> tuple[dict[str, Layer], dict[str, Feed], dict[str, Feed]]:
         """All layers, including junctions; the feed that each plain port passes on; and the feeds of the junctions."""
         norm = {path: (a, b) for path, a, b in self._normalisations(self.top, "")}
         top_inputs, top_outputs = {p.name for p in self.top.inputs}, {p.name for p in self.top.outputs}
-        modules, plain, connections = dict(self.layers), {}, {}
+        modules = dict(self.layers)
+        plain: dict[str, Feed] = {}
+        connections: dict[str, Feed] = {}
         for target, feeds in self.feeds.items():
             a, b = norm.get(target, (1.0, 0.0))
             source, delay, gain = feeds[0]
@@ -225,13 +214,14 @@ class Flattener:
             delay += extra
         return source, delay
 
-    def _start_junctions(self, flat: Nested, order: list[str]) -> None:
-        """Give every junction the output before the first step that follows from its sources."""
-        start, feeds = flat.rest(), flat.feeds()
-        for name in order:
+    def started(
+        self, layers: Mapping[str, Layer], rest: Mapping[str, np.ndarray], feeds: Mapping[str, Feed]
+    ) -> dict[str, Layer]:
+        """The layers, in order of evaluation, each junction with the output before step 0 that its sources give it."""
+        found, start = dict(layers), dict(rest)
+        for name, layer in layers.items():
             if name not in self.layers:
-                layer = flat.modules[name]
-                sources = {p: feeds[f"{name}.{p}"][0] for p in layer.weights}
-                initial = layer.bias + sum(product(w, start[sources[p]]) for p, w in layer.weights.items())
-                flat.modules[name] = replace(layer, initial=initial)
-                start[name] = flat.modules[name].initial
+                parts = (product(w, start[feeds[f"{name}.{p}"][0]]) for p, w in layer.weights.items())
+                found[name] = replace(layer, initial=layer.bias + sum(parts))
+                start[name] = found[name].initial
+        return found

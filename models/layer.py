@@ -1,8 +1,10 @@
 """What networks are made of: ports, layers and connections."""
 
+from collections.abc import Mapping, Set
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from greygate.models.activations import ACTIVATIONS, Activation, known
 
@@ -40,7 +42,7 @@ class Port:
         return self.normalised(self.initial)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, init=False)
 class Layer:
     """activation(sum_p weights[p] @ input_p + bias). Raises InputError for an activation that does not exist.
 
@@ -55,17 +57,24 @@ class Layer:
 
     weights: dict[str, np.ndarray]
     bias: np.ndarray
-    activation: str = "linear"
-    initial: np.ndarray | float = 0.0
-    frozen: frozenset[str] = frozenset()
+    activation: str
+    initial: np.ndarray
+    frozen: frozenset[str]
 
-    def __post_init__(self):
-        known(self.activation, "layer:")
-        bias = np.atleast_1d(np.asarray(self.bias, float))
-        object.__setattr__(self, "bias", bias)
-        object.__setattr__(self, "weights", {p: np.atleast_2d(np.asarray(w, float)) for p, w in self.weights.items()})
-        object.__setattr__(self, "initial", np.broadcast_to(np.asarray(self.initial, float), self.size))
-        object.__setattr__(self, "frozen", frozenset(self.frozen))
+    def __init__(
+        self,
+        weights: Mapping[str, ArrayLike],
+        bias: ArrayLike,
+        activation: str = "linear",
+        initial: ArrayLike = 0.0,
+        frozen: Set[str] = frozenset(),
+    ):
+        given = self.__dict__  # a frozen instance takes its values there
+        given["activation"] = known(activation, "layer:")
+        given["bias"] = np.atleast_1d(np.asarray(bias, float))
+        given["weights"] = {p: np.atleast_2d(np.asarray(w, float)) for p, w in weights.items()}
+        given["initial"] = np.broadcast_to(np.asarray(initial, float), self.size)
+        given["frozen"] = frozenset(frozen)
 
     @property
     def rows(self) -> int:

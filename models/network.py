@@ -8,6 +8,8 @@ same network as layers alone, each port fed by exactly one signal: the form on w
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -64,7 +66,7 @@ class Network:
 
     def layers(self) -> dict[str, Layer]:
         """Every layer by its path, `module.module.layer`."""
-        found = {}
+        found: dict[str, Layer] = {}
         for name, module in self.modules.items():
             if isinstance(module, Layer):
                 found[name] = module
@@ -87,8 +89,8 @@ class Network:
     def with_parameters(self, values: Mapping[str, np.ndarray]) -> "Network":
         """The same network with other values for the parameters named."""
 
-        def rebuilt(network, prefix):
-            modules = {}
+        def rebuilt(network: Network, prefix: str) -> Network:
+            modules: dict[str, Layer | Network] = {}
             for name, module in network.modules.items():
                 path = f"{prefix}{name}"
                 if isinstance(module, Network):
@@ -105,7 +107,7 @@ class Network:
 
         Raises InputError naming the layers of a loop that has no delay.
         """
-        needs = {name: set() for name in self.modules}
+        needs: dict[str, set[str]] = {name: set() for name in self.modules}
         for c in self.connections:
             if c.delay == 0 and c.source in needs and "." in c.target:
                 needs[c.target.rpartition(".")[0]].add(c.source)
@@ -135,12 +137,17 @@ class Network:
 
         Sums of several connections, gains and inner normalisations become frozen linear layers; plain ports vanish.
         """
-        return Flattener(self).network()
+        flattener = Flattener(self)
+        layers, connections = flattener.flat()
+        ports = replace(self, inputs=list(self.inputs), outputs=list(self.outputs), meaning="")
+        flat = replace(ports, modules={**layers}, connections=connections)
+        in_order = {name: layers[name] for name in flat.order()}
+        return replace(flat, modules={**flattener.started(in_order, flat.rest(), flat.feeds())})
 
     def rest(self) -> dict[str, np.ndarray]:
         """Of a flat network: every input and layer before step 0, (size,), normalised."""
         inputs = {p.name: np.full(p.size, p.rest) for p in self.inputs}
-        return inputs | {name: layer.initial for name, layer in self.modules.items()}
+        return inputs | {name: layer.initial for name, layer in self.layers().items()}
 
     def feeds(self) -> dict[str, tuple[str, int]]:
         """Of a flat network: `layer.port` or output -> (source, delay)."""
@@ -178,7 +185,11 @@ class Network:
     # ---- on disk
 
     save = storage.save
-    load = classmethod(storage.load)
+
+    @classmethod
+    def load(cls, path: Path | str) -> Self:
+        """Read a saved network; every name and shape is checked. Raises InputError saying what is wrong and where."""
+        return storage.load(cls, path)
 
 
 class Runner:
@@ -196,14 +207,14 @@ class Runner:
             if name not in values or tuple(value.shape) != values[name].shape:
                 raise InputError(f"network {network.name}: no parameter {name} of shape {tuple(value.shape)}")
         self.xp = _namespace(parameters or {})
-        self._flat = flat
+        self._flat, self._layers = flat, flat.layers()
         self._order = flat.order()
         self._feeds = flat.feeds()
         as_array = (lambda v: v) if self.xp is np else (lambda v: self.xp.as_tensor(v, dtype=self.xp.float64))
         self._values = {n: as_array((parameters or {}).get(n, np.asarray(v))) for n, v in values.items()}
         given = {p.name: np.full(p.size, p.normalised(initial[p.name])) for p in flat.inputs if p.name in initial}
         start = flat.rest() | dict(initial) | given
-        sizes = {p.name: p.size for p in flat.inputs} | {n: layer.size for n, layer in flat.modules.items()}
+        sizes = {p.name: p.size for p in flat.inputs} | {n: layer.size for n, layer in self._layers.items()}
         deepest = dict.fromkeys(start, 0)
         for source, delay in self._feeds.values():
             deepest[source] = max(deepest[source], delay)
@@ -222,7 +233,7 @@ class Runner:
             return now[source] if delay == 0 else self._past[source][delay - 1]
 
         for name in self._order:
-            layer = self._flat.modules[name]
+            layer = self._layers[name]
             n = self._values[f"{name}.bias"]
             for port in layer.weights:
                 n = n + feed(f"{name}.{port}") @ self._values[f"{name}.{port}"].T
@@ -231,7 +242,7 @@ class Runner:
         for name, past in self._past.items():
             if past:
                 self._past[name] = [now[name], *past[:-1]]
-        return {n: v for n, v in now.items() if n in self._flat.modules} | outputs if trace else outputs
+        return {n: v for n, v in now.items() if n in self._layers} | outputs if trace else outputs
 
 
 def _namespace(parameters: Mapping):

@@ -25,7 +25,7 @@ def frequency_response(reference: np.ndarray, predictions: Mapping[str, np.ndarr
     frequency, power = welch(reference, rate, nperseg=n)
     bins = _log_bins(frequency)
     power = _averaged(power, bins)
-    found = {"frequency": _averaged(frequency, bins)}
+    found: dict = {"frequency": _averaged(frequency, bins)}
     for name, prediction in predictions.items():
         cross = _averaged(csd(reference, prediction, rate, nperseg=n)[1], bins)
         own = _averaged(welch(prediction, rate, nperseg=n)[1], bins)

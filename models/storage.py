@@ -4,6 +4,7 @@ The functions are methods of `models.network.Network`, whose file stands above t
 """
 
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import safetensors.numpy
@@ -15,6 +16,8 @@ from greygate.models.activations import ACTIVATIONS, known
 from greygate.models.layer import LARGEST_SIZE, LONGEST_DELAY, Layer, Port
 from greygate.names import check_name, check_path, check_text, check_unit
 from greygate.reading import Kind, anything, array, entry_of, listed, named, number, read_toml, table, whole
+
+Kept = TypeVar("Kept")  # the class of network that is loaded
 
 
 def _files(path: Path | str) -> list[Path]:
@@ -35,16 +38,17 @@ def save(network, path: Path | str, figures: str = "") -> None:
             more.write_text(figures, encoding="utf-8")
 
 
-def load(kind: type, path: Path | str):
+def load(kind: type[Kept], path: Path | str) -> Kept:
     """Read a saved network of class `kind`; every name and shape is checked.
 
     Raises InputError saying what is wrong and where.
     """
     toml, numbers, _ = files = _files(path)
     try:
-        found = dict(zip(files, read_all(files), strict=True))
+        read = zip(files, read_all(files), strict=True)
+        found = {file: data for file, data in read if data is not None}
         for file in (toml, numbers):
-            if found[file] is None:
+            if file not in found:
                 raise InputError(f"{file}: no such file; a network is NAME.toml beside NAME.safetensors")
         data = read_toml(toml, "save the network again", found[toml])
         tensors = safetensors.numpy.load(found[numbers])

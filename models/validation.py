@@ -154,7 +154,7 @@ def coverage(network: Network, records: Mapping[str, Record], training: Sequence
     """Ranges of every input and output on every record. training: names of the records that the network learnt from."""
     found = []
     for port in network.inputs + network.outputs:
-        values = {n: (r.inputs | r.targets)[port.name] for n, r in records.items()}
+        values = {n: {**r.inputs, **r.targets}[port.name] for n, r in records.items()}
         for i, label in enumerate(labels(port)):
             columns = {n: np.asarray(v, float).reshape(-1, port.size)[:, i] for n, v in values.items()}
             low = min(columns[n].min() for n in training)
@@ -207,7 +207,7 @@ class _Model:
             u = u if amplitude == 1.0 else np.mean(u, axis=0) + amplitude * (u - np.mean(u, axis=0))
             now[self.depth :, self.columns[p.name]] = p.normalised(u)
             now[: self.depth, self.columns[p.name]] = p.normalised(record.initial.get(p.name, p.initial))
-        for name, layer in self.flat.modules.items():
+        for name, layer in self.flat.layers().items():
             now[: self.depth, self.columns[name]] = record.initial.get(name, layer.initial)
         return now
 
@@ -313,7 +313,7 @@ def _long_runs(model: _Model, record: Record, measured: np.ndarray) -> list[Long
     errors = np.full((outputs, REPETITIONS), np.inf)
     reach = np.full((outputs, len(AMPLITUDES), REPETITIONS), np.inf)
     for a, amplitude in enumerate(AMPLITUDES):
-        before = np.inf
+        before = np.full(outputs, np.inf)
         for r, outcome in zip(range(REPETITIONS), model.repeated(record, amplitude), strict=False):
             if not np.isfinite(outcome).all():
                 break

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from operator import itemgetter
+from typing import NoReturn
 
 import numpy as np
 
@@ -170,25 +171,34 @@ def replaced(text: str, by: Mapping[str, str]) -> str:
 # -- from text to tree -----------------------------------------------------------------------------------------------
 
 
+def _after_space(text: str, at: int) -> int:
+    found = _SPACE.match(text, at)
+    assert found, "it matches no space too"
+    return found.end()
+
+
 class _Parser:
     """Reads one text; `names` holds its symbols, in their order."""
 
     def __init__(self, text: str):
-        self.text, self.names, self.nodes = text, {}, 0
+        self.text, self.nodes = text, 0
+        self.names: dict[str, None] = {}
         self.tokens, self.at = self._tokens(), 0
 
-    def fail(self, problem: str):
+    def fail(self, problem: str) -> NoReturn:
         raise InputError(f"{shown(self.text.strip())} {problem}")
 
     def _tokens(self) -> list[tuple[str, str]]:
         """(kind, text) of each token, and an empty one at the end."""
-        found, at = [], _SPACE.match(self.text).end()
+        found: list[tuple[str, str]] = []
+        at = _after_space(self.text, 0)
         while at < len(self.text):
             token = _TOKEN.match(self.text, at)
             if token is None:
                 self.fail("is not arithmetic; use numbers, names, + - * / ** and the known functions")
+            assert token.lastgroup, "each alternative is a group with a name"
             found.append((token.lastgroup, token[0]))
-            at = _SPACE.match(self.text, token.end()).end()
+            at = _after_space(self.text, token.end())
         return [*found, ("end", "")]
 
     def whole(self) -> Node:
@@ -243,7 +253,8 @@ class _Parser:
     def call(self, function: str, room: int) -> tuple[Node, int]:
         if function not in FUNCTIONS:
             raise InputError(f"unknown function {shown(function)}; known are {', '.join(FUNCTIONS)}")
-        given, depths = [], [0]
+        given: list[Node] = []
+        depths = [0]
         while not given or self.taken(","):
             node, depth = self.parsed(_SUM, room - 1)
             given.append(node)
@@ -307,8 +318,8 @@ def _value(node: Node) -> float | None:
         case Number(value):
             return float(value)
         case Signed(sign, of):
-            value = _value(of)
-            return -value if sign == "-" and value is not None else value
+            inner = _value(of)
+            return -inner if sign == "-" and inner is not None else inner
         case Operation() | Call():
             return node.constant
     return None
@@ -379,8 +390,8 @@ def _written(node: Node, around: int, source: bool) -> str:
 
 def _floats(*nodes: Node) -> tuple[Node, ...]:
     """The nodes; where all are whole numbers, the same as floats, with which numba's arithmetic does not overflow."""
-    made = tuple(map(_float, nodes))
-    return nodes if None in made else made
+    made = tuple(found for node in nodes if (found := _float(node)) is not None)
+    return made if len(made) == len(nodes) else nodes
 
 
 def _float(node: Node) -> Node | None:

@@ -121,7 +121,7 @@ class Plant:
         states = ", ".join(f"{symbol} [{state.unit}]" for symbol, state in self.states.items())
         return f"<Plant {self.name}: {inputs} -> {', '.join(self.outputs)}; states {states}>"
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         symbols: set[str] = set()
         for symbol in (*self.parameters, *self.inputs, *self.states):
             self._declare(symbol, symbols)
@@ -150,11 +150,11 @@ class Plant:
             self._check(f"equation {name}, storage", equation.storage, symbols)
             self._check_terms(f"equation {name}", equation.terms, symbols)
         balanced = [equation.state for equation in self.equations.values()]
-        for state in (*self.states, *balanced):
-            if state not in self.states:
-                self._fail("equations", f"{shown(state)} is no state; declare it")
-            if balanced.count(state) != 1:
-                self._fail("equations", f"state {state} has {balanced.count(state)} equations; give it one")
+        for name in (*self.states, *balanced):
+            if name not in self.states:
+                self._fail("equations", f"{shown(name)} is no state; declare it")
+            if balanced.count(name) != 1:
+                self._fail("equations", f"state {name} has {balanced.count(name)} equations; give it one")
         for output in self.outputs:
             if output not in symbols - set(self.parameters):
                 self._fail("outputs", f"{shown(output)} is no state, definition or input")
@@ -224,9 +224,10 @@ class Plant:
         return place
 
     def _with_terms(self, where: str, terms: Mapping[str, str], parameters: Mapping[str, Parameter]) -> "Plant":
-        table = "equations" if where in self.equations else "definitions"
-        changed = {**getattr(self, table), where: replace(self._place(where), terms=terms)}
-        return replace(self, parameters={**self.parameters, **parameters}, **{table: changed})
+        place, known = self._place(where), {**self.parameters, **parameters}
+        if isinstance(place, Equation):
+            return replace(self, parameters=known, equations={**self.equations, where: replace(place, terms=terms)})
+        return replace(self, parameters=known, definitions={**self.definitions, where: replace(place, terms=terms)})
 
     # -- asking it ---------------------------------------------------------------------------------------------------
 
@@ -272,7 +273,7 @@ class Plant:
     def needed(self, symbols: Iterable[str], known: Container[str] = ()) -> list[Definition]:
         """The definitions on which `symbols` depend, in their order, but those whose symbol is `known`."""
         wanted, found = set(symbols), []
-        for definition in reversed(self.definitions.values()):
+        for definition in reversed([*self.definitions.values()]):
             if definition.symbol in wanted and definition.symbol not in known:
                 found.append(definition)
                 wanted |= names(definition.terms.values())

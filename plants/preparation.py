@@ -84,7 +84,8 @@ def without_drift(
     if (degree is None) == (cutoff is None) or (degree is not None and not 1 <= degree <= 10):
         raise InputError(f"drift: degree {degree}, cutoff {cutoff}; give a degree of 1 to 10, or a cutoff in Hz")
     names = _names(recording, channels)
-    if cutoff is not None:
+    if degree is None:
+        assert cutoff is not None
         slow = filtered(recording, "low", cutoff, phase="zero", channels=names).channels
         how = f"what is slower than {cutoff:g} Hz"
     else:

@@ -11,7 +11,7 @@ from test_network import delay_line
 
 from greygate.compiler.centre import centre_biases
 from greygate.compiler.pipeline import compile_network, entropy_pruning, fixed_error
-from greygate.compiler.prune import entropies, remove_neurons
+from greygate.compiler.prune import entropies, prune_by_entropy, remove_neurons
 from greygate.compiler.quantize import Formats, loop_gain, memory, quantize
 from greygate.compiler.ranges import ranges
 from greygate.compiler.simplify import merge_linear, multiplications, simplify
@@ -24,6 +24,7 @@ from greygate.models.accuracy import float_error
 from greygate.models.activations import ACTIVATIONS
 from greygate.models.arithmetic import xp
 from greygate.models.families.blocks import feedforward, flow_record
+from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
@@ -277,6 +278,22 @@ def test_entropy_pruning_removes_neurons_that_do_nothing_and_keeps_the_error():
     assert compiled.network.modules["hidden1"].size == compiled.pruning[-2].neurons
     before, after = (np.std(float_error(n, record)["y"]) for n in (network, compiled.network))
     assert after <= 1.05 * before
+
+
+def test_a_round_whose_network_diverges_on_the_records_is_undone_even_if_the_held_out_ones_are_too_short_to_show_it():
+    network = noe("lag", {Port("u"): (0,)}, Port("y"), (1,), hidden=(3,), linear_loop=True)
+    (loop,) = [name for name, w in network.parameters().items() if name.endswith(".y_z1") and w.shape == (1, 1)]
+    network, wild = (network.with_parameters({loop: np.array([[pole]])}) for pole in (0.5, 2e3))
+    inputs = {"u": np.sin(np.arange(400.0))}
+    record = Record(inputs, network.run(inputs))
+
+    def retrain(trial):
+        return trial.with_parameters({loop: wild.parameters()[loop]})
+
+    held = record.cut(0, 2)
+    found, rounds = prune_by_entropy(network, [record], retrain, np.array([np.inf]), held=[held])
+    assert found is network
+    assert not any(r.kept for r in rounds)
 
 
 def test_the_mean_of_a_removed_neuron_goes_into_the_biases_it_fed():

@@ -112,6 +112,7 @@ def test_constructed_weights_are_frozen_and_trained_ones_may_move():
         (lambda: library("flow", lap=1.5), "lap = 1.5 is not within"),
         (lambda: library("xor", gain=10.0), "gain = 10.0 is below 100"),
         (lambda: recalled("switch_2(gain"), "names no library network"),
+        (lambda: recalled("switch 2"), "write NAME or NAME(option=number)"),
         (lambda: recalled("adder"), "no library network is called 'adder'"),
     ],
 )

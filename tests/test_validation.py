@@ -1,6 +1,7 @@
 """Validation says what is right of a right model, and finds what is wrong with a wrong one."""
 
 import json
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from greygate.errors import InputError
 from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
 from greygate.models.residuals import correlation, residual_tests
+from greygate.models.training.levenberg import train
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 from greygate.models.validation import REPETITIONS, coverage, fit_per_cent, validate
@@ -298,6 +300,33 @@ def test_figures_are_json_once_infinities_are_gone():
     assert figures["tests"]["free run"][0]["outside"] == v.tests["free run"][0].outside
     assert figures["ahead"]["1"][0] == v.ahead[1][0]
     assert "measured" not in figures
+
+
+class Columns(Mapping):
+    """A mapping that is no dict, and so knows no `|`."""
+
+    def __init__(self, columns):
+        self.columns = columns
+
+    def __getitem__(self, name):
+        return self.columns[name]
+
+    def __iter__(self):
+        return iter(self.columns)
+
+    def __len__(self):
+        return len(self.columns)
+
+
+def test_a_record_may_hold_its_signals_in_any_mapping():
+    network = noe("lag", {Port("u"): (0,)}, Port("y"), (1,))
+    u = np.sin(np.arange(60.0))
+    record = Record({"u": u}, network.run({"u": u}))
+    other = Record(Columns(record.inputs), Columns(record.targets), Columns({}))
+    one, two = (coverage(network, {"a": r}, ["a"]) for r in (record, other))
+    assert one == two
+    shot = [train(network, [r], epochs=4, shooting=20).history for r in (record, other)]
+    assert shot[0] == shot[1]
 
 
 def test_coverage_is_the_share_of_samples_beyond_the_training_records():

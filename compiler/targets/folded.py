@@ -334,7 +334,8 @@ module {self.program.name} (
 
     def outputs(self) -> str:
         """Registers of the outputs, and the result that they make."""
-        codes, shown = "", []
+        codes = ""
+        shown: list[str] = []
         for p in self.program.outputs:
             width = p.signal.fix.width
             for k in range(p.signal.size):

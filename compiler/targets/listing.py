@@ -3,7 +3,7 @@
 Numbers are codes, and a shift is rounded as the word behind it says: docs/integer-program.md.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from greygate.compiler.targets import Target
 from greygate.emulator.program import Affine, Clamp, Lookup, Op, Program, Select, Signal, Table, Terminal, Threshold
@@ -78,5 +78,11 @@ def _select(program: Program, o: Select) -> Iterator[str]:
     yield f"= {above} if {o.condition} >= 0 else {below}, {o.rounding}, {o.overflow}"
 
 
-_BODY = {Op.AFFINE: _affine, Op.TABLE: _lookup, Op.CLAMP: _clamp, Op.THRESHOLD: _threshold, Op.SELECT: _select}
+_BODY: dict[Op, Callable] = {
+    Op.AFFINE: _affine,
+    Op.TABLE: _lookup,
+    Op.CLAMP: _clamp,
+    Op.THRESHOLD: _threshold,
+    Op.SELECT: _select,
+}
 TARGET = Target(lambda program, macs: listing(program))

@@ -7,7 +7,7 @@ A command is a function of `networks`, `builds` or `rigs`; it imports what it ne
 import io
 import signal
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -17,7 +17,7 @@ from greygate.cli.terminal import say
 from greygate.errors import InputError
 
 INTERRUPTED, TERMINATED = 130, 143  # exit codes of what Ctrl-C, and what `kill` ends, as shells have them
-UsageError = typer.BadParameter.__base__  # of whatever a command line lacks or has too much
+UsageError: Any = typer.BadParameter.__base__  # of whatever a command line lacks or has too much
 COMMANDS = (
     *(networks.train, networks.compile),
     *(builds.emulate, builds.verify, builds.synthesize, builds.report),

@@ -1,5 +1,6 @@
 """Commands on folders that `greygate compile` wrote: emulate, verify, synthesize, report."""
 
+from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,7 +15,9 @@ from greygate.hardware.families import FAMILIES, PLACED
 if TYPE_CHECKING:
     from greygate.emulator.program import Clipped, Terminal
 
-Family = StrEnum("Family", {name.upper(): name for name in FAMILIES})
+_families = {name.upper(): name for name in FAMILIES}
+Family = StrEnum("Family", _families)  # type: ignore[misc]  # members that FAMILIES lists
+ECP5 = Family("ecp5")
 Folder = Annotated[Path, typer.Argument(help="A folder that `greygate compile` wrote.")]
 
 
@@ -38,7 +41,7 @@ def emulate(
     lines = [f"{answer.steps} steps, {counted}"]
     lines += [_clipping(p, answer.clipped[p.name]) for p in project.program.inputs if p.name in answer.clipped]
     result = {"steps": answer.steps, "saturations": answer.saturations}
-    result |= {"clipped": {name: found._asdict() for name, found in answer.clipped.items()}, "out": str(out)}
+    result |= {"clipped": {name: asdict(found) for name, found in answer.clipped.items()}, "out": str(out)}
     give(result, as_json, [*lines, f"written to {out}"])
 
 
@@ -84,7 +87,7 @@ def synthesize(
     folder: Folder,
     target: Annotated[
         Family, typer.Option(help="; ".join(f"{name}: {family.title}" for name, family in FAMILIES.items()))
-    ] = Family.ECP5,
+    ] = ECP5,
     clock: Annotated[
         bool, typer.Option(help=f"Place and route with nextpnr for the clock rate ({', '.join(PLACED)}).")
     ] = False,

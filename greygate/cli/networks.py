@@ -15,7 +15,9 @@ from greygate.errors import InputError
 if TYPE_CHECKING:
     from greygate.compiler.pipeline import Compiled
 
-Architecture = StrEnum("Architecture", {name.upper(): name for name in (*NAMES, "both")})
+_architectures = {name.upper(): name for name in (*NAMES, "both")}
+Architecture = StrEnum("Architecture", _architectures)  # type: ignore[misc]  # members that NAMES lists
+EVERY = Architecture("both")
 OWN_TRAINING = ("tail", "narx", "epochs", "decay", "settle", "shooting", "seconds")  # options of a user's network
 
 Network = Annotated[str, typer.Argument(help="A name of the catalogue, or NAME.toml with --record.")]
@@ -125,7 +127,7 @@ def compile(
         str | None, typer.Option(help="Then prune single weights: obs, obd, magnitude, multi_obs, unit_obs, ...")
     ] = None,
     generic: Annotated[bool, typer.Option(help="Merge linear layers even where that costs multipliers.")] = False,
-    architecture: Annotated[Architecture, typer.Option()] = Architecture.BOTH,
+    architecture: Annotated[Architecture, typer.Option()] = EVERY,
     macs: Annotated[int, typer.Option(callback=options.MACS, help="Multipliers of the folded architecture.")] = 4,
     as_json: Json = False,
 ) -> None:
@@ -136,7 +138,7 @@ def compile(
     pruned = prune is not None or weights is not None
     if held and not pruned:
         raise InputError("--held: judges pruning; give --prune or --weights, or name it with --record")
-    chosen = BOTH if architecture is Architecture.BOTH else (architecture.value,)
+    chosen = BOTH if architecture is EVERY else (architecture.value,)
     judges = recordings(held)
     source = Source(network, recordings([*record, *held]))
     with following(f"compiling {network}") as progress:

@@ -44,9 +44,10 @@ def nguyen_widrow(network: Network, seed: int) -> Network:
     """
     rng = np.random.default_rng(seed)
     flat = network.flatten()
-    feeds, values = flat.feeds(), {}
-    sigmoid = {n for n, layer in flat.modules.items() if layer.function.is_sigmoid}
-    for name, layer in flat.modules.items():
+    feeds, layers = flat.feeds(), flat.layers()
+    values: dict[str, np.ndarray] = {}
+    sigmoid = {n for n, layer in layers.items() if layer.function.is_sigmoid}
+    for name, layer in layers.items():
         free = {p: w.shape[1] for p, w in layer.weights.items() if p not in layer.frozen}
         if name in sigmoid and free:
             w, bias = _shared_out(rng, layer.size, sum(free.values()))

@@ -102,7 +102,7 @@ def switch_1(reach: float = 1.0) -> Entry:
     """Switching network type 1 (3.4), kappa = 100: y = u1 for s = 1, u2 for s = -1. reach: of u1 and u2."""
     _positive("switch_1", reach=reach)
     k, r = PASSED, PASSED * reach
-    gates = Layer({"u1": [[1 / r], [0]], "u2": [[0], [1 / r]], "s": [[k], [k]]}, [-k, k], "tansig")
+    gates = Layer({"u1": [[1 / r], [0.0]], "u2": [[0.0], [1 / r]], "s": [[k], [k]]}, [-k, k], "tansig")
     out = Layer({"gates": [[r, r]], "s": [[-r]]}, [0.0])
     layers = {"gates": (gates, {"u1": "u1", "u2": "u2", "s": "s"}), "out": (out, {"gates": "gates", "s": "s"})}
     return Entry(
@@ -117,6 +117,10 @@ def switch_1(reach: float = 1.0) -> Entry:
     )
 
 
+def _chosen(u1: np.ndarray, u2: np.ndarray, s: np.ndarray) -> np.ndarray:
+    return np.where(s >= 0, u1, u2)
+
+
 def switch_2(gain: float = 1e6, reach: float = 1.0) -> Entry:
     """Switching network type 2 (3.5 to 3.7): y = u1 for s >= 0, u2 for s < 0.
 
@@ -128,7 +132,7 @@ def switch_2(gain: float = 1e6, reach: float = 1.0) -> Entry:
     _positive("switch_2", gain=gain, reach=reach)
     r = PASSED * reach
     gate = Layer({"s": [[gain]]}, [SATURATED], "tansig")
-    values = Layer({"u1": [[1 / r], [0]], "u2": [[0], [1 / r]], "gate": [[10.0], [10.0]]}, [-10.0, 10.0], "tansig")
+    values = Layer({"u1": [[1 / r], [0.0]], "u2": [[0.0], [1 / r]], "gate": [[10.0], [10.0]]}, [-10.0, 10.0], "tansig")
     layers = {
         "gate": (gate, {"s": "s"}),
         "values": (values, {"u1": "u1", "u2": "u2", "gate": "gate"}),
@@ -136,7 +140,7 @@ def switch_2(gain: float = 1e6, reach: float = 1.0) -> Entry:
     }
     return Entry(
         _network("switch_2", "u1 u2 s", layers),
-        lambda u1, u2, s: np.where(s >= 0, u1, u2),
+        _chosen,
         "u1 for s >= 0, else u2",
         {"u1": (-reach, reach), "u2": (-reach, reach), "s": ANY},
         _passing_error(reach),
@@ -152,7 +156,7 @@ def xor(gain: float = 1e5) -> Entry:
     """
     if not 100 <= gain < math.inf:
         raise InputError(f"library network xor: gain = {gain} is below 100 or not finite")
-    signs = Layer({"u1": [[gain], [0]], "u2": [[0], [gain]]}, [0.0, 0.0], "tansig")
+    signs = Layer({"u1": [[gain], [0.0]], "u2": [[0.0], [gain]]}, [0.0, 0.0], "tansig")
     compared = Layer({"signs": [[gain, -gain], [gain, -gain]]}, [-gain / 2, gain / 2], "tansig")
     layers = {
         "signs": (signs, {"u1": "u1", "u2": "u2"}),
@@ -370,6 +374,8 @@ def recalled(meaning: str) -> tuple[str, Entry]:
     """The name and the entry that `Network.meaning` was written from. Raises InputError if it names none."""
     match = re.fullmatch(r"(\w+)(?:\((.*)\))?", meaning)
     try:
+        if match is None:
+            raise ValueError("write NAME or NAME(option=number)")
         pairs = [part.split("=") for part in match[2].split(", ")] if match[2] else []
         return match[1], entry(match[1], **{k: float(v) for k, v in pairs})
     except (TypeError, ValueError) as error:

@@ -76,7 +76,7 @@ def lipschitz(
             quotients = differ / np.maximum(distance, 1e-12)
             largest = np.partition(quotients, -count)[-count:]
             index[orders] = np.sqrt(sum(orders)) * np.exp(np.mean(np.log(np.maximum(largest, 1e-300))))
-    taps = sum(np.indices(index.shape))
+    taps = np.indices(index.shape).sum(axis=0)
     curve = np.array([index[taps == t].min() for t in range(1, taps.max() + 1)])
     knee = 1 + max(np.flatnonzero(curve[:-1] >= fall * curve[1:]) + 1, default=0)
     chosen = np.unravel_index(np.argmin(np.where(taps == knee, index, np.inf)), index.shape)

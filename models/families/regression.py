@@ -167,8 +167,8 @@ def free_run(network: Network) -> Network:
     gone = {c.target.rpartition(".")[0] for c in flat.connections if c.source in measured}
     kept = [c for c in flat.connections if not {c.source, c.target.rpartition(".")[0]} & (gone | measured)]
     targets = {c.target for c in kept}
-    modules = {}
-    for name, layer in flat.modules.items():
+    modules: dict[str, Layer | Network] = {}
+    for name, layer in flat.layers().items():
         if name not in gone:
             weights = {p: w for p, w in layer.weights.items() if f"{name}.{p}" in targets}
             modules[name] = replace(layer, weights=weights, frozen=layer.frozen & {*weights, "bias"})
@@ -180,7 +180,7 @@ def with_measured(record: Record, network: Network) -> Record:
     """The record with its targets as inputs where the network asks for them, `NAME_measured`."""
     asked = {p.name for p in network.inputs}
     given = {_measured(p).name: record.targets[p.name] for p in network.outputs if _measured(p).name in asked}
-    return replace(record, inputs=record.inputs | given)
+    return replace(record, inputs={**record.inputs, **given})
 
 
 def _measured(output: Port) -> Port:
@@ -225,15 +225,16 @@ class Regressors:
             if constant[of].all():
                 found.append(f"{name} is constant, which is no excitation: vary it or leave it out")
         known: list[int] = []
-        triangle = np.linalg.qr(centred / np.where(constant, 1.0, np.linalg.norm(centred, axis=0)), mode="r")
-        for i in np.flatnonzero(~constant):
+        scaled = centred / np.where(constant, 1.0, np.linalg.norm(centred, axis=0))
+        triangle = np.asarray(np.linalg.qr(scaled, mode="r"))
+        for i in np.flatnonzero(~constant).tolist():
             column, basis = triangle[:, i], triangle[:, known]
             share = np.linalg.lstsq(basis, column, rcond=None)[0] if known else np.zeros(0)
             if np.linalg.norm(column - basis @ share) > SAME:
                 known.append(i)
                 continue
-            of = [self.taps[j] for j, s in zip(known, share, strict=True) if abs(s) > 1e-6]
-            found.append(f"{self.taps[i]} is collinear with {', '.join(of)}: leave one out or excite more richly")
+            others = [self.taps[j] for j, s in zip(known, share, strict=True) if abs(s) > 1e-6]
+            found.append(f"{self.taps[i]} is collinear with {', '.join(others)}: leave one out or excite more richly")
         return found
 
 

@@ -85,7 +85,7 @@ def template(
         if ports := read(getattr(form, part)):
             module = feedforward(part, list(ports), hidden, 2 * seed + offset)
             if part == last:
-                module.modules["out"] = replace(module.modules["out"], initial=output.rest)
+                module.modules["out"] = replace(module.layers()["out"], initial=np.array(output.rest))
             network.add(part, module)
             for port, (source, delay) in ports.items():
                 network.connect(source, f"{part}.{port}", delay)
@@ -144,7 +144,7 @@ def _recurrent(name, inputs, outputs, hidden, seed, full) -> Network:
 
 def _layer(network, rng, name, reads, past, size, activation, initial=0.0) -> None:
     """Weights that keep the layer's sum of what is now near one, and of the past near `MEMORY`."""
-    weights = {}
+    weights: dict[str, np.ndarray] = {}
     for ports, gain in ((reads, 1.0), (past, MEMORY)):
         norm = gain / np.sqrt(max(sum(width for _, _, width in ports.values()), 1))
         weights |= {port: norm * rng.normal(size=(size, width)) for port, (_, _, width) in ports.items()}

@@ -209,6 +209,7 @@ class _Descent:
 
     def estimate(self, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
         """dJ/dx from these samples alone."""
+        assert isinstance(self.engine, _Static), "samples that depend on one another cannot be taken alone"
         theta = self.theta(x)
         self._at[:] = np.nan
         self.engine.squares(theta, rows)
@@ -304,7 +305,7 @@ class _Static:
         self.torch, self.tables = _torch(), objective.tables
         t, windows = objective.tables, objective.windows
 
-        def joined(parts) -> "torch.Tensor":  # noqa: F821
+        def joined(parts):
             return self.torch.as_tensor(np.concatenate(list(parts)))
 
         self.given = {
@@ -320,10 +321,10 @@ class _Static:
 
     def squares(self, theta: np.ndarray, rows: np.ndarray | None = None) -> float:
         """Weighted sum of squared errors, of these samples or all."""
-        rows = slice(None) if rows is None else self.torch.as_tensor(rows)
+        used = slice(None) if rows is None else self.torch.as_tensor(rows)
         self.at = self.torch.tensor(theta, requires_grad=True)
-        error = self._outputs(rows) - self.target[rows]
-        self.total = (self.weight[rows] * error * error).sum()
+        error = self._outputs(used) - self.target[used]
+        self.total = (self.weight[used] * error * error).sum()
         return self.total.item()
 
     def gradient(self, theta: np.ndarray) -> np.ndarray:
@@ -333,7 +334,8 @@ class _Static:
 
     def _outputs(self, rows):
         torch, t, kinds = self.torch, self.tables, list(ACTIVATIONS.values())
-        signals, layers, count = {}, t.layers.tolist(), len(self.target[rows])
+        signals: dict = {}
+        layers, count = t.layers.tolist(), len(self.target[rows])
         for (first, size, kind, bias, lo), (*_, hi) in pairwise(layers):
             links = t.links[lo:hi].tolist()
             n = self.at[bias : bias + size * kinds[kind].rows].expand(count, -1)

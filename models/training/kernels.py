@@ -7,8 +7,8 @@ signals that are read with a delay or shown, `S_k[r] = dr/dtheta + sum_(d, q) c[
 
 import hashlib
 import sys
-from collections.abc import Callable
-from inspect import signature
+from collections.abc import Callable, Mapping
+from inspect import getfile, signature
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,13 +17,13 @@ import numpy as np
 
 from greygate.models import activations, scalars
 from greygate.models.activations import ACTIVATIONS
-from greygate.models.network import Network
+from greygate.models.network import Layer, Network
 
 KINDS = tuple(ACTIVATIONS)  # a layer's activation stands in `Tables.layers` as its place here
 SELECT = KINDS.index("select")
 _SLOPE_READS_N = np.array([a.slope_reads_n for a in ACTIVATIONS.values()])  # by kind
 _SOURCES = (activations, scalars, sys.modules[__name__])
-_TEXT = hashlib.sha256(b"".join(Path(module.__file__).read_bytes() for module in _SOURCES)).hexdigest()[:12]
+_TEXT = hashlib.sha256(b"".join(Path(getfile(module)).read_bytes() for module in _SOURCES)).hexdigest()[:12]
 
 
 def kernel(**options) -> Callable[[Callable], Callable]:
@@ -59,7 +59,8 @@ def _branch(own: int, function: Callable, otherwise: Callable) -> Callable:
     return of_one if takes == 2 else of_two
 
 
-_value = _slope = _unknown  # of (kind, n, anything); of (kind, y, n)
+_value: Callable = _unknown  # of (kind, n, anything)
+_slope: Callable = _unknown  # of (kind, y, n)
 for _kind, _entry in reversed(list(enumerate(ACTIVATIONS.values()))):  # the first is tried first
     _value = _value if _kind == SELECT else _branch(_kind, _entry.value, _value)
     _slope = _branch(_kind, _entry.slope, _slope)
@@ -85,7 +86,7 @@ def tabulate(flat: Network, forced: frozenset[str] = frozenset()) -> tuple[Table
 
     forced: outputs whose past is given (series-parallel training): their sensitivity is not carried.
     """
-    order, feeds = flat.order(), flat.feeds()
+    order, feeds, layers = flat.order(), flat.feeds(), flat.layers()
     first, at = {}, 0
     for port in flat.inputs:
         first[port.name] = at
@@ -93,41 +94,42 @@ def tabulate(flat: Network, forced: frozenset[str] = frozenset()) -> tuple[Table
     n_inputs = at
     for name in order:
         first[name] = at
-        at += flat.modules[name].size
+        at += layers[name].size
     forced_layers = {feeds[f][0] for f in forced}
-    carried = {s for s, d in feeds.values() if d > 0 and s in flat.modules and s not in forced_layers}
+    carried = {s for s, d in feeds.values() if d > 0 and s in layers and s not in forced_layers}
     shown = [feeds[p.name][0] for p in flat.outputs]
-    rows = [first[n] + i for n in order if n in carried or n in shown for i in range(flat.modules[n].size)]
+    rows = [first[n] + i for n in order if n in carried or n in shown for i in range(layers[n].size)]
     row_of = np.full(at, -1)
     position = {n: i for i, n in enumerate(order)}
-    owner = [n for n in order if n in carried or n in shown for _ in range(flat.modules[n].size)]
+    owner = [n for n in order if n in carried or n in shown for _ in range(layers[n].size)]
     row_of[[r for r, n in zip(rows, owner, strict=True) if n in carried]] = [
         i for i, n in enumerate(owner) if n in carried
     ]
-    within, ever = _acting(flat, order, feeds, forced_layers)
+    within, ever = _acting(layers, order, feeds, forced_layers)
     reach = {n: [i for i, o in enumerate(shown) if n in ever[o]] or [0] for n in order}
     names, where = [], {}
     at_theta = 0
     for name in sorted(order, key=lambda n: sum(reach[n]) / len(reach[n])):  # what acts on one output stands together
-        layer = flat.modules[name]
-        for port, size in [*((port, w.size) for port, w in layer.weights.items()), ("bias", layer.rows)]:
-            names.append(f"{name}.{port}")
+        layer = layers[name]
+        for part, size in [*((p, w.size) for p, w in layer.weights.items()), ("bias", layer.rows)]:
+            names.append(f"{name}.{part}")
             where[names[-1]] = slice(at_theta, at_theta + size)
             at_theta += size
-    layers, links = [], []
+    heads: list[tuple[int, ...]] = []
+    links: list[tuple[int, ...]] = []
     for name in order:
-        layer = flat.modules[name]
-        layers.append((first[name], layer.size, KINDS.index(layer.activation), where[f"{name}.bias"].start, len(links)))
-        for port, w in layer.weights.items():
-            source, delay = feeds[f"{name}.{port}"]
-            links.append((first[source], w.shape[1], delay, where[f"{name}.{port}"].start))
-    layers.append((at, 0, 0, at_theta, len(links)))  # sentinel
+        layer = layers[name]
+        heads.append((first[name], layer.size, KINDS.index(layer.activation), where[f"{name}.bias"].start, len(links)))
+        for part, w in layer.weights.items():
+            source, delay = feeds[f"{name}.{part}"]
+            links.append((first[source], w.shape[1], delay, where[f"{name}.{part}"].start))
+    heads.append((at, 0, 0, at_theta, len(links)))  # sentinel
     spans = []
     for n in owner:
-        acting = [where[f"{m}.{port}"] for m in ever[n] for port in (*flat.modules[m].weights, "bias")]
+        acting = [where[f"{m}.{port}"] for m in ever[n] for port in (*layers[m].weights, "bias")]
         spans.append((min(s.start for s in acting), max(s.stop for s in acting)))
     tables = Tables(
-        np.array(layers, np.int64),
+        np.array(heads, np.int64),
         np.array(links, np.int64).reshape(-1, 4),
         n_inputs,
         max((d for _, d in feeds.values()), default=0),
@@ -136,17 +138,17 @@ def tabulate(flat: Network, forced: frozenset[str] = frozenset()) -> tuple[Table
         np.array([position[n] for n in owner], np.int64),
         np.array([[m in within[n] for m in order] for n in owner]),
         np.array(spans, np.int64),
-        np.array([rows.index(first[n] + i) for n in shown for i in range(flat.modules[n].size)], np.int64),
+        np.array([rows.index(first[n] + i) for n in shown for i in range(layers[n].size)], np.int64),
     )
     return tables, names
 
 
-def _acting(flat: Network, order: list[str], feeds: dict, forced: set[str]) -> tuple[dict, dict]:
+def _acting(layers: Mapping[str, Layer], order: list[str], feeds: dict, forced: set[str]) -> tuple[dict, dict]:
     """The layers that act on each layer within a step; and within any number of steps, but not through `forced`."""
     within = {n: {n} for n in order}
     ever = {n: {n} for n in order}
     for name in order:
-        for port in flat.modules[name].weights:
+        for port in layers[name].weights:
             source, delay = feeds[f"{name}.{port}"]
             if delay == 0 and source in within:
                 within[name] |= within[source]
@@ -155,7 +157,7 @@ def _acting(flat: Network, order: list[str], feeds: dict, forced: set[str]) -> t
         changed = False
         for name in order:
             size = len(ever[name])
-            for port in flat.modules[name].weights:
+            for port in layers[name].weights:
                 source, delay = feeds[f"{name}.{port}"]
                 if source in ever and not (delay > 0 and source in forced):
                     ever[name] |= ever[source]

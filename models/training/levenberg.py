@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from threading import Event
 from time import monotonic
@@ -123,7 +123,7 @@ def train(
     if np.isnan(seconds):
         raise InputError(f"seconds {seconds}: give a number")
     used, judged = held_out(network, records, tail, held)
-    options = {"teacher": teacher, "free": free, "tied": tied, "estimate_initial": estimate_initial}
+    posed = partial(Objective, teacher=teacher, free=free, tied=tied, estimate_initial=estimate_initial)
     count = len(records) if tail else 0
     judges = [Objective(network, judged[:count], teacher, estimate_initial=estimate_initial)] if count else []
     judges += [Objective(network, judged[count:], teacher)] if held else []
@@ -137,15 +137,15 @@ def train(
     with blas().limit(limits=1, user_api="blas"):  # two BLAS threads are slower than one on matrices this small
         found = None
         if shooting is not None:
-            objective = Objective(network, used, **options, shooting=shooting)
+            objective = posed(network, used, shooting=shooting)
             for objective.continuity in CONTINUITY:
                 found = descend(objective, max(epochs // len(CONTINUITY), 1))
                 if found.outcome in CUT_SHORT:
                     break
             initial = objective.initial(objective.theta)
-            used = [replace(r, initial=r.initial | i) for r, i in zip(used, initial, strict=True)]
+            used = [replace(r, initial={**r.initial, **i}) for r, i in zip(used, initial, strict=True)]
         if found is None or found.outcome not in CUT_SHORT:
-            objective = Objective(found.network if found else network, used, **options)
+            objective = posed(found.network if found else network, used)
             found = descend(objective, epochs, goal, checkpoint)
     return replace(found, seconds=monotonic() - began, remarks=(*found.remarks, *remarks(objective)))
 
@@ -210,8 +210,8 @@ class LevenbergMarquardt:
         """Descend until one of the stops of `train`."""
         began = saved = monotonic()
         key = self._key() if checkpoint else ""
-        resumed = bool(checkpoint and checkpoint.exists())
-        at = Checkpoint.load(checkpoint, key) if resumed else self._start()
+        resumed = checkpoint if checkpoint and checkpoint.exists() else None
+        at = Checkpoint.load(resumed, key) if resumed else self._start()
         remarks = (f"resumed at epoch {len(at.history) - 1}",) if resumed else ()
         goal, reached = max(goal, EXACT * self.objective.power), Outcome.REACHED if goal else Outcome.CONVERGED
         outcome = Outcome.EPOCHS if np.isfinite(self.loss(at.theta)) else Outcome.DIVERGED

@@ -64,7 +64,8 @@ class Loss:
 
 def _module(network: Network, path: str) -> Network:
     for name in path.split("."):
-        network = getattr(network, "modules", {}).get(name)
-        if not isinstance(network, Network):
+        module = network.modules.get(name)
+        if not isinstance(module, Network):
             raise InputError(f"cannot rehearse {path}: {name} is not a network with ports of its own")
+        network = module
     return network

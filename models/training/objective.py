@@ -149,7 +149,7 @@ class Objective:
             now[depth:, at : at + p.size] = value
             now[:depth, at : at + p.size] = p.normalised(record.initial.get(p.name, p.initial))
             at += p.size
-        for name, layer in flat.modules.items():
+        for name, layer in flat.layers().items():
             now[:depth, first[name] : first[name] + layer.size] = record.initial.get(name, layer.initial)
         if 0 < len(target) <= depth:
             raise InputError(
@@ -231,7 +231,8 @@ class Objective:
 
     def elements(self) -> dict[str, np.ndarray]:
         """Columns of each input and layer in `simulate`'s traces."""
-        sizes = {p.name: p.size for p in self.flat.inputs} | {n: self.flat.modules[n].size for n in self.flat.order()}
+        layers = self.flat.layers()
+        sizes = {p.name: p.size for p in self.flat.inputs} | {n: layers[n].size for n in self.flat.order()}
         ends = np.cumsum(list(sizes.values()))
         return dict(zip(sizes, np.split(np.arange(ends[-1]), ends[:-1]), strict=True))
 

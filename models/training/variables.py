@@ -18,10 +18,10 @@ def movable(flat: Network, place: Mapping[str, np.ndarray], free: Mapping) -> np
             raise InputError(f"network {flat.name}: no parameter {name} to leave free")
         if np.size(which) not in (1, len(place[name])):
             raise InputError(f"free: {name} has shape {flat.parameters()[name].shape}, not {np.shape(which)}")
-    found = []
+    found, layers = [], flat.layers()
     for name, columns in place.items():
         layer, _, port = name.rpartition(".")
-        frozen = port in flat.modules[layer].frozen
+        frozen = port in layers[layer].frozen
         found.append(np.full(len(columns), not frozen) & np.asarray(free.get(name, True), bool).ravel())
     return np.concatenate(found)
 
