@@ -271,7 +271,10 @@ def test_a_bad_recording_is_named_in_one_line_and_nothing_is_written(tmp_path, n
         (["report", "other"], "run greygate compile first"),
         (["train", "nobody"], "no network is called 'nobody'"),
         (["train", "crane", "--out", "nowhere"], "no such folder"),
-        (["train", "crane", "--epochs", "5", "--no-narx"], "crane is trained in a way of its own; --narx, --epochs"),
+        (
+            ["train", "crane", "--epochs", "5", "--no-narx"],
+            "crane is trained with its own options; give --narx, --epochs with",
+        ),
         (["train", "line.toml", "--record", "a.csv", "--settle", "60", "--out", "b"], "skips 60 of its 60 samples"),
         (
             ["train", "line.toml", "--record", "a.csv", "--shooting", "31", "--out", "b"],

@@ -97,7 +97,7 @@ def test_broken_results_are_one_line(build, name, content):
     with pytest.raises(InputError, match=f"{name}: .* again"):
         _ = opened.hardware, opened.resources
     (build / name).write_text(json.dumps(content)[:-1] + "[" * 90_000)
-    with pytest.raises(InputError, match=f"{name}: is no JSON|{name}: .*nested"):
+    with pytest.raises(InputError, match=f"{name}: is not JSON|{name}: .*nested"):
         _ = opened.hardware, opened.resources
 
 
