@@ -252,7 +252,7 @@ def test_a_bad_recording_is_named_in_one_line_and_nothing_is_written(tmp_path, n
     [
         (["compile", "nobody", "--out", "b"], "no network is called 'nobody'"),
         (["compile", "missing.toml", "--record", "t=a.csv", "--out", "b"], "missing.toml: no such file"),
-        (["compile", "line.toml", "--out", "b"], "give recordings"),
+        (["compile", "line.toml", "--out", "b"], "no recordings"),
         (["compile", "line.toml", "--record", "=a.csv", "--out", "b"], "write SCENARIO=FILE.csv"),
         (["validate", "line.toml"], "line.toml: no recordings; give --record FILE.csv\n"),
         (["compile", "line.toml", "--record", "a.csv", "--record", "slow.csv", "--out", "b"], TWO_TIMES),

@@ -249,7 +249,7 @@ TABLES = {
     "no equations": (put('equations = ["transmission"]', ""), "effect own.equations is missing"),
     "a size in words": (put("1e-3", '"small"'), "own.parameters.k.typical 'small' is not a finite number"),
     "no size": (put("1e-3", "0"), "typical: 0.0; give a size above 0"),
-    "no expression": (put('"k * v"', "3"), "3 is no expression in quotes"),
+    "no expression": (put('"k * v"', "3"), "3 is not an expression in quotes"),
 }
 
 
