@@ -143,7 +143,7 @@ class Plant:
             self._place(where)
         for name in (*self.definitions, *self.equations):
             if not is_name(name):
-                self._fail(shown(name), "is no name for a place; use ASCII letters, digits and underscores")
+                self._fail(shown(name), "is not a name for a place; use ASCII letters, digits and underscores")
         for name, equation in self.equations.items():
             if name in self.definitions:
                 self._fail(f"equation {name}", "a definition has this name too; rename one")
@@ -331,7 +331,7 @@ class Plant:
             self._fail(where, f"has {len(terms)} terms; {TERMS} are the most, split it into definitions")
         for term, expression in terms.items():
             if not all(map(is_name, term.split("."))):
-                self._fail(where, f"{shown(term)} is no name for a term; use ASCII letters, digits and underscores")
+                self._fail(where, f"{shown(term)} is not a name for a term; use ASCII letters, digits and underscores")
             self._check(f"{where}, term {term}", expression, symbols)
 
     def _check(self, where: str, expression: str, symbols: Container[str]) -> None:
@@ -345,7 +345,7 @@ class Plant:
 
     def _hint(self, name: str) -> str:
         defined = {definition.symbol for definition in self.definitions.values()}
-        return "; it is defined further down, move it up" if name in defined else "; declare it or mend the spelling"
+        return "; it is defined further down, move it up" if name in defined else "; declare it or correct the spelling"
 
 
 # -- kinds (`greygate.reading`) of the entries that declare a plant, or an effect for one -----------------------------

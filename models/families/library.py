@@ -41,7 +41,7 @@ class Entry:
     function: the exact answer to arrays given by port name, NaN where it is not defined. text: the function in a line.
     ranges: port -> (low, high), in the port's unit. gaps: port -> open intervals of its range in which the network
     changes from one value to the other. worst_error: the largest deviation from the function over the ranges, without
-    the gaps. cure: the argument that makes the gaps smaller. hardware: its operations.
+    the gaps. cure: advice against values in the gaps. hardware: its operations.
     """
 
     network: Network
