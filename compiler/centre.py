@@ -1,7 +1,7 @@
 """Bias correction: move each rounded sum so that its average over a record equals that of the float network.
 
-Rounded weights and tables shift the mean of a sum a little. Inside a loop that drives an integrator the shift would add
-up to an offset of the output. Nagel et al. 2019 correct the biases of feed-forward networks in this way. Here every
+Rounded weights and tables shift the mean of a sum slightly. Inside a loop that drives an integrator, the shift would
+add up to an offset of the output. Nagel et al. 2019 correct the biases of feed-forward networks in this way. Here every
 step starts from the states of the float network, so that the error of one step is measured without the drift of the
 loop.
 """
@@ -71,6 +71,6 @@ def centre_biases(program: Program, network: Network, records: Sequence[Record])
 
 
 def _rounds_nothing(operation: Affine) -> bool:
-    """A sum or difference of earlier signals as they are: exact, so there is nothing to correct."""
+    """Whether it is a sum or difference of unscaled earlier signals, which is exact and needs no correction."""
     powers = np.abs(operation.weights[operation.weights != 0])
     return bool((powers & (powers - 1) == 0).all()) and not operation.bias.any()

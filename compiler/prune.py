@@ -1,4 +1,4 @@
-"""Entropy pruning (thesis 3.6): neurons that hardly change are replaced by their mean, and the rest trained again."""
+"""Entropy pruning (thesis 3.6): it replaces neurons that hardly change by their mean, and trains the rest again."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -23,8 +23,8 @@ Pruning = Callable[[Network], "tuple[Network, list[Round]]"]  # a pass: the smal
 class Round:
     """One attempt: what it removed, how many neurons are left, and whether it was kept.
 
-    removed: neurons by layer; or single weights by parameter, each counted through its matrix (`saliency.py`).
-    error: of each output after training again, RMS over the records, normalised.
+    removed: neurons by layer; or single weights by parameter, as flat indices of its matrix (`saliency.py`).
+    error: RMS of each output over the records after training again, normalised.
     """
 
     removed: dict[str, list[int]]
@@ -34,7 +34,7 @@ class Round:
 
 
 def spareable(layer: Layer) -> bool:
-    """Whether its neurons may be pruned: their outputs are bounded and take more than two values."""
+    """Whether neurons of a layer may be pruned: their outputs are bounded and take more than two values."""
     return layer.function.is_bounded and layer.function.lowered != "threshold"
 
 
@@ -53,8 +53,10 @@ def entropies(network: Network, records: list[Record]) -> dict[str, np.ndarray]:
 
 
 def remove_neurons(network: Network, records: list[Record], chosen: dict[str, list[int]]) -> Network:
-    """Remove neurons. The layers that read them get the mean of each in their biases, and in their weights the part of
-    its variation that the layer's other neurons explain by linear regression.
+    """Remove neurons, and correct the layers that read them.
+
+    The mean of each neuron is added to their biases. The part of its variation that the other neurons of its layer
+    explain by linear regression is added to their weights.
     """
     objective = Objective(network, records)
     run = np.concatenate(traces(objective))
@@ -82,7 +84,7 @@ def remove_neurons(network: Network, records: list[Record], chosen: dict[str, li
 
 
 def retrained(network: Network, records: list[Record], epochs: int, **options) -> Network:
-    """Trained again; Ctrl-C, which ends a training early, ends the pruning too. options: of `train`."""
+    """Train a network again; Ctrl-C, which ends a training early, ends the pruning too. options: of `train`."""
     fit = train(network, records, epochs=epochs, **options)
     if fit.outcome is Outcome.INTERRUPTED:
         raise KeyboardInterrupt
@@ -99,10 +101,10 @@ def prune_by_entropy(
 ) -> tuple[Network, list[Round]]:
     """Remove neurons of low entropy and train again, round after round, until the error would exceed `allowed`.
 
-    A round takes every neuron under `low` of the greatest possible entropy, or the lowest one if none is. allowed: RMS
-    error of each output, normalised, over the held-out records, or over `records` if none are held out. A round that
-    misses it, or whose network diverges on `records`, is undone; the next one takes half as many, and when a single
-    neuron cannot be spared the pruning ends.
+    A round removes every neuron below `low` times the greatest possible entropy, or else the one of lowest entropy.
+    allowed: RMS error of each output, normalised, over the held-out records, or over `records` if none are held out. A
+    round that exceeds it, or whose network diverges on `records`, is undone, and the next one removes half as many;
+    pruning ends when not even a single neuron can be removed.
     """
     rounds: list[Round] = []
     largest = sum(map(len, entropies(network, records).values()))

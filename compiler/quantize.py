@@ -33,8 +33,8 @@ from greygate.models.arithmetic import product
 from greygate.models.network import Layer, Network
 
 EXACT = 8  # fraction bits up to which a weight counts as exact
-GUARD = 3  # bits that a product may be finer than the sum it goes into
-AGREED = 9  # decimals of a logarithm in which every LAPACK agrees; it only chooses a number of bits
+GUARD = 3  # bits by which a product may be finer than its sum
+AGREED = 9  # decimals of a logarithm on which every LAPACK agrees; it only chooses a number of bits
 
 
 @dataclass(frozen=True)
@@ -42,10 +42,10 @@ class Formats:
     """How numbers are kept. `width`: word of signals and significant bits of weights, 4 to 32.
 
     finer: bits that weights and the outputs of neurons have beyond the word. A network needs them if it integrates
-    while its plant stands still, because there every step rounds alike and the errors add up. 16 + 2 bits are the width
-    of an FPGA's multiplier.
+    while its plant stands still, because then every step has the same rounding error and the errors add up. 16 + 2 bits
+    are the width of an FPGA's multiplier.
     margin: room above the observed range (1.25 = a quarter). wide: extra fraction bits of pre-activations.
-    signals: formats the user (or the search for a budget) fixes, by signal name.
+    signals: formats that the user (or the search for a budget) fixes, by signal name.
 
     >>> Formats(18).width
     18
@@ -64,7 +64,7 @@ class Formats:
 
 
 def memory(loops: list[np.ndarray]) -> float:
-    """How many steps a linear layer remembers its own rounding: 1/(1 - a^2) for the slowest pole a; inf at 1.
+    """Number of steps for which a linear layer remembers its rounding: 1/(1 - a^2) for the slowest pole a, inf at 1.
 
     loops: its weights on its own output 1, 2, ... steps before.
     """
@@ -79,9 +79,10 @@ def memory(loops: list[np.ndarray]) -> float:
 
 
 def loop_gain(loops: list[np.ndarray]) -> float:
-    """By how much feedback multiplies an error of a linear layer's sum at the worst frequency, at least 1.
+    """Factor by which feedback amplifies an error of a linear layer's sum at the worst frequency, at least 1.
 
-    loops: as for `memory`. Weights short enough to be exact leave the loop as it was declared; the gain is then 1.
+    loops: as for `memory`. If the weights are short enough to be exact, the loop is as it was declared, and the gain
+    is 1.
     """
     if all(_exact_bits(w, EXACT) < EXACT for w in loops):
         return 1.0
@@ -94,11 +95,11 @@ def loop_gain(loops: list[np.ndarray]) -> float:
 def quantize(
     network: Network, ranges: Mapping[str, Range], formats: Formats = Formats(), period: float = 1e-3
 ) -> Program:
-    """Integer program of a flat network.
+    """Make the integer program of a flat network.
 
-    Integer bits come from the ranges (with margin), fraction bits from the width. A state that remembers its own
-    rounding for many steps gets fraction bits so that the accumulated rounding stays under half an LSB of the word.
-    Raises InputError when a width cannot hold a range.
+    The ranges (with margin) determine the integer bits, the width the fraction bits. A state that remembers its own
+    rounding for many steps gets so many fraction bits that the accumulated rounding stays under half an LSB of the
+    word. Raises InputError if a width cannot hold a range.
     """
     if not 4 <= formats.width <= 32:
         raise InputError(f"width {formats.width}: choose 4 to 32 bits")
@@ -159,7 +160,7 @@ class _Quantizer:
         ).check()
 
     def _reads(self, name: str, rows: slice = slice(None)) -> dict[tuple[str, int], np.ndarray]:
-        """(source, delay) -> weights of some rows of a layer, where they are not all zero."""
+        """(source, delay) -> weights of some rows of a layer, unless they are all zero."""
         reads: dict[tuple[str, int], np.ndarray] = {}
         for port, w in self.layers[name].weights.items():
             feed = self.feeds[f"{name}.{port}"]
@@ -167,7 +168,7 @@ class _Quantizer:
         return {feed: w for feed, w in reads.items() if w.any()}
 
     def _loops(self, name: str, rows: slice = slice(None)) -> list[np.ndarray]:
-        """Weights of rows of a layer on its own past, one step first; of those that round anew in every step."""
+        """Weights of rows of a layer on its own past, from one step on, if they round anew in every step."""
         reads, size = self._reads(name, rows), self.layers[name].size
         own = {d: w for (s, d), w in reads.items() if s == name}
         if self._plain(name, rows) == (name, 1, 1.0, 0.0):
@@ -211,7 +212,7 @@ class _Quantizer:
         self.signals[name] = Signal(name, layer.size, fix)
 
     def _exact_frac(self, name: str) -> int | None:
-        """Fraction bits that hold a sum of earlier signals with short weights exactly (a difference, say), or None."""
+        """Fraction bits that hold a sum of earlier signals with short weights (a difference) exactly; else inf."""
         layer, needed = self.layers[name], [0]
         for rows in _values(layer):
             for (source, _), w in self._reads(name, rows).items():
@@ -244,7 +245,7 @@ class _Quantizer:
         return np.clip(codes, fix.lo, fix.hi).astype(np.int64)
 
     def _narrow(self, signal: Signal) -> Signal:
-        """A wide state rounded to the word width, for multipliers that need no more."""
+        """A wide state rounded to the word width, for multipliers that do not need all its bits."""
         word = self.formats.width
         if signal.fix.width <= word + 2:
             return signal
@@ -308,7 +309,7 @@ class _Quantizer:
             self.operations.append(Threshold(out, pre, 0, int(low), int(high)))
 
     def _comparator(self, name: str) -> bool:
-        """Lower a hard limit of one signal to an exact comparison of its codes with a constant; no multiplier."""
+        """Lower a hard limit of one signal to an exact comparison of its codes with a constant (no multiplier)."""
         plain, out = self._plain(name, slice(None)), self.signals[name]
         if plain is None:
             return False
@@ -328,7 +329,7 @@ class _Quantizer:
         return True
 
     def _select(self, name: str) -> None:
-        """A multiplexer of earlier signals as they are, where the rows are plain; sums before it where they are not."""
+        """A multiplexer that reads earlier signals directly if its rows are plain, and else sums of them."""
         layer, out, args = self.layers[name], self.signals[name], []
         for part, rows in sums(name, layer).items():
             is_condition, plain = part.endswith(".condition"), self._plain(name, rows)
@@ -354,11 +355,11 @@ class _Quantizer:
         return self.formats.signals.get(pre, Fix(width, width - 1 - self.fix_bits(pre)))
 
     def _signed(self, out: Signal, bias: np.ndarray, reads: list[tuple[Signal, np.ndarray]]) -> None:
-        """A sum of which only the sign matters: truncated and saturated, its sign is that of the exact sum."""
+        """A sum of which only the sign matters; truncated and saturated, it has the sign of the exact sum."""
         self._affine(out, bias, reads, rounding=Rounding.TRUNCATE, overflow=Overflow.SATURATE)
 
     def _argument(self, function: str, name: str, out: Fix) -> tuple[int, int]:
-        """Fraction and integer bits of a sigmoid's argument; layers with one fraction share one table, so one width."""
+        """Fraction and integer bits of a sigmoid's argument; layers of equal fraction share a table, and so a width."""
         word, flat = self.formats.width, integer_bits(flat_from(function, out))
 
         def frac(layer: str) -> int:
@@ -385,13 +386,13 @@ class _Quantizer:
         rounding: Rounding | None = None,
         overflow: Overflow | None = None,
     ) -> None:
-        """Weights with `width + finer` significant bits per row and source, but no finer than the result can show.
+        """Weights with `width + finer` significant bits per row and source, but not finer than the result can show.
 
-        finer: bits more than that.
+        finer: further bits.
         """
         finer += self.formats.finer
         rows, word = out.size, self.formats.width + finer
-        if not reads:  # a constant; an operation must read something, so it reads with weights of zero
+        if not reads:  # a constant: an operation must read a signal, so it reads one with weights of zero
             first = self.signals[self.flat.inputs[0].name]
             reads = [(first, np.zeros((rows, first.size)))]
         finest = np.zeros((rows, len(reads)), np.int64)
@@ -426,12 +427,12 @@ def _values(layer: Layer) -> list[slice]:
 
 
 def _origin(name: str) -> str:
-    """The layer or input that a state or a view shows."""
+    """The layer or input of which a state or a view is a copy."""
     return re.sub(r"(\.z\d+)?(\.view)?$", "", name)
 
 
 def _exact_bits(w: np.ndarray, fine: int) -> int:
-    """Fraction bits that show every weight exactly, or `fine` if that takes more."""
+    """Fraction bits that represent every weight exactly, but at most `fine`."""
     for bits in range(-8, fine):
         codes = w * 2.0**bits
         if np.array_equal(codes, np.floor(codes)):

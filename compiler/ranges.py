@@ -1,4 +1,4 @@
-"""How far every signal goes: observed on records, and bounded by interval arithmetic."""
+"""The range of every signal: observed on records, and bounded by interval arithmetic."""
 
 from dataclasses import dataclass
 
@@ -16,10 +16,10 @@ WIDEN_AFTER = 50  # sweeps of interval arithmetic before a signal that still gro
 
 @dataclass(frozen=True)
 class Range:
-    """Of one signal or pre-activation, over all its elements (normalised units).
+    """The range of one signal or pre-activation, over all its elements (normalised units).
 
-    low, high: seen on the records. mean: of each element (size,). sound: (low, high) that no input within its own
-    observed range can leave; may be inf.
+    low, high: seen on the records. mean: of each element (size,). sound: (low, high), proved bounds as long as every
+    input stays within its observed range; they may be inf.
     """
 
     low: float
@@ -33,7 +33,7 @@ class Range:
 
 
 def sums(name: str, layer: Layer) -> dict[str, slice]:
-    """What a layer adds up, by signal name, as slices of its rows: `layer.n`, or the three parts of a select."""
+    """The sums of a layer by signal name, as slices of its rows: `layer.n`, or the three parts of a select."""
     if layer.function.rows == 1:
         return {f"{name}.n": slice(None)}
     size = layer.size
@@ -98,7 +98,7 @@ def _extend(seen: dict[str, tuple[float, float]], name: str, values: np.ndarray)
 
 
 def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dict[str, tuple[float, float]]:
-    """Interval bounds of every signal, by a fixed point over the delays; a bound that keeps growing becomes inf."""
+    """Interval bounds of every signal, by a fixed point over the delays; a bound that does not settle becomes inf."""
     low = {n: v.copy() for n, v in start.items()}
     high = {n: v.copy() for n, v in start.items()}
     for name, (a, b) in inputs.items():
@@ -142,7 +142,7 @@ def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dic
 
 
 def _at(f: Activation, n: np.ndarray) -> np.ndarray:
-    """A monotone activation of bounds, which may be infinite: there it is at an end of its image."""
+    """A monotone activation of bounds; at an infinite bound it is at an end of its image."""
     finite = np.isfinite(n)
     return np.where(finite, f.value(xp, np.where(finite, n, 0.0)), np.clip(n, *f.image))
 

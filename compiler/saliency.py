@@ -1,9 +1,9 @@
-"""Pruning of single weights by saliency; `prune.py` removes whole neurons by entropy, and goes first.
+"""Prunes single weights by saliency, after `prune.py` has removed neurons by entropy.
 
-A method chooses the weights whose removal costs least, and corrects the others to make up for them. It expands the loss
-to second order about the trained weights: E(theta + d) = E + d'Hd / 2, where H = J'J + D + ridge and D is the weight
-decay of the training (Hansen, Pedersen 1994; Norgaard 2000). A weight of zero counts as pruned everywhere; `nonzero`
-keeps it at zero in training.
+A method chooses the weights whose removal costs least, and corrects the others to compensate. It expands the loss to
+second order about the trained weights: E(theta + d) = E + d'Hd / 2, where H = J'J + D + ridge and D is the weight decay
+of the training (Hansen, Pedersen 1994; Norgaard 2000). A weight of zero counts as pruned everywhere; `nonzero` keeps it
+at zero in training.
 """
 
 from collections.abc import Callable, Sequence
@@ -41,7 +41,7 @@ def nonzero(network: Network) -> dict[str, np.ndarray]:
 class Unit:
     """A hidden neuron. outgoing: (n,) its weights in the layers that read it, as positions in `Expansion.weights`.
 
-    cost: parameters that vanish with it.
+    cost: number of parameters that are removed with it.
     """
 
     layer: str
@@ -52,11 +52,11 @@ class Unit:
 
 @dataclass(frozen=True)
 class Expansion:
-    """Half the sum of squared errors about the trained weights, to second order, over the weights that may go.
+    """Half the sum of squared errors to second order about the trained weights, over those that may be removed.
 
     theta: (P,) all parameters. weights: (M,) those neither frozen nor pruned, as indices of theta. curvature: (M, M)
-    J'J. ridge: this times the mean of its diagonal is added to it, since weights that nothing depends on make it
-    singular.
+    J'J. ridge: this multiple of the curvature's mean diagonal is added to the diagonal, because weights on which
+    nothing depends make the curvature singular.
     """
 
     objective: Objective
@@ -68,7 +68,7 @@ class Expansion:
 
     @staticmethod
     def of(network: Network, records: Sequence[Record], decay: float = 0.0, ridge: float = RIDGES[0]) -> "Expansion":
-        """Of a network that is trained. Raises InputError if its free run diverges on a record."""
+        """Expand the loss of a trained network. Raises InputError if its free run diverges on a record."""
         network = fold_constants(network)
         objective = Objective(network, list(records), free=nonzero(network))
         if not np.isfinite(objective.squares(objective.theta)):
@@ -78,7 +78,7 @@ class Expansion:
 
     @property
     def values(self) -> np.ndarray:
-        """(M,)"""
+        """The weights that may be removed, (M,)."""
         return self.theta[self.weights]
 
     @cached_property
@@ -93,12 +93,14 @@ class Expansion:
         try:
             factor = scipy.linalg.cho_factor(self.hessian)
         except scipy.linalg.LinAlgError:
-            raise InputError("the Hessian is singular: weights act alike or not at all; give a ridge > 0") from None
+            raise InputError(
+                "the Hessian is singular: some weights act alike or have no effect; give a ridge > 0"
+            ) from None
         return scipy.linalg.cho_solve(factor, np.eye(len(self.hessian)))
 
     @cached_property
     def units(self) -> list[Unit]:
-        """Hidden neurons whose outgoing weights may all go."""
+        """The hidden neurons whose outgoing weights may all be removed."""
         flat, place = self.objective.flat, self.objective.slices()
         graph = Graph(flat)
         position = np.full(len(self.theta), -1)
@@ -120,10 +122,10 @@ class Expansion:
 
 @dataclass(frozen=True)
 class Removal:
-    """What a method takes out.
+    """The weights that a method removes.
 
     weights: (q,) indices of theta, cheapest first. saliency: (q,) of each, or of its neuron, in the method's measure.
-    theta: (P,) the parameters after.
+    theta: (P,) the parameters after the removal.
     """
 
     weights: np.ndarray
@@ -131,27 +133,27 @@ class Removal:
     theta: np.ndarray
 
 
-Method = Callable[[Expansion, int], Removal]  # of so many parameters; a method that removes neurons may remove more
+Method = Callable[[Expansion, int], Removal]  # int: parameters to remove; a method that removes neurons may exceed it
 
 
 def magnitude(e: Expansion, count: int) -> Removal:
-    """The smallest weights."""
+    """Remove the smallest weights."""
     return _least(e, np.abs(e.values), count)
 
 
 def obd(e: Expansion, count: int) -> Removal:
-    """Optimal brain damage (LeCun, Denker, Solla 1990): saliency w^2 (H_ww / 2 + D), no weight acts on another.
+    """Optimal brain damage (LeCun, Denker, Solla 1990): saliency w^2 (H_ww / 2 + D), without interactions.
 
-    Decay counts in full, not half: at the minimum of error and decay the error's own slope is -D w (Pedersen, Hansen,
-    Larsen 1996).
+    The decay D counts in full, not half, because at the minimum of error and decay the slope of the error alone is -D w
+    (Pedersen, Hansen, Larsen 1996).
     """
     return _least(e, (np.diag(e.curvature) / 2 + e.decay) * e.values**2, count)
 
 
 def obs(e: Expansion, count: int) -> Removal:
-    """Optimal brain surgeon (Hassibi, Stork 1993): one weight after the other, each time all others corrected.
+    """Optimal brain surgeon (Hassibi, Stork 1993): remove one weight after the other and correct all others each time.
 
-    H^-1 is not computed anew in between; each removed weight takes one rank from it.
+    H^-1 is not computed anew in between; each removed weight is a rank-one change of it.
     """
     surgery, removed, saliency = _Surgery(e), [], []
     for _ in range(min(count, len(e.weights))):
@@ -163,9 +165,9 @@ def obs(e: Expansion, count: int) -> Removal:
 
 
 def multi_obs(e: Expansion, count: int) -> Removal:
-    """Optimal brain surgeon for a set: the weights of least saliency each, removed at once and corrected for jointly.
+    """Optimal brain surgeon for a set: remove the weights of least saliency at once, and correct the others jointly.
 
-    It is faster than `obs` and does not see that one weight can stand in for another.
+    It is faster than `obs`, but does not notice that one weight can replace another.
     """
     surgery = _Surgery(e)
     rises = surgery.saliencies()
@@ -175,7 +177,7 @@ def multi_obs(e: Expansion, count: int) -> Removal:
 
 
 def unit_obs(e: Expansion, count: int) -> Removal:
-    """Unit-OBS (Stahlberger, Riedmiller 1997): whole neurons, all outgoing weights of each removed at once."""
+    """Unit-OBS (Stahlberger, Riedmiller 1997): remove neurons, each with all its outgoing weights at once."""
     surgery, removed, saliency = _Surgery(e), [], []
     left, gone = list(e.units), 0
     while gone < count and left:
@@ -189,8 +191,10 @@ def unit_obs(e: Expansion, count: int) -> Removal:
 
 
 def smallest_variance(e: Expansion, count: int) -> Removal:
-    """Neurons whose output varies least over the records; its mean goes into the biases of the layers that read it
-    (Sietsma, Dow 1991). A neuron that feeds a layer with a frozen bias stays.
+    """Remove the neurons that vary least over the records (Sietsma, Dow 1991).
+
+    The mean of each is added to the biases of the layers that read it. A neuron that feeds a layer with a frozen bias
+    stays.
     """
     flat, place, theta = e.objective.flat, e.objective.slices(), e.theta.copy()
     graph = Graph(flat)
@@ -225,18 +229,17 @@ def _least(e: Expansion, saliency: np.ndarray, count: int) -> Removal:
 
 
 class _Surgery:
-    """Weights and H^-1 of those that are left, while weights are taken out one set after the other."""
+    """The weights, and H^-1 of the remaining ones, while sets of weights are removed one after the other."""
 
     def __init__(self, e: Expansion):
         self.expansion, self.values, self.inverse, self.decay = e, e.values, e.inverse.copy(), e.decay
-        self.least = 1 / np.diag(e.hessian)  # what the diagonal of the inverse cannot fall below
+        self.least = 1 / np.diag(e.hessian)  # a lower bound of the diagonal of the inverse
         self.left = np.ones(len(self.values), bool)
 
     def saliencies(self) -> np.ndarray:
-        """(M,) rise of half the sum of squared errors by removing each weight alone; inf for those that are gone.
+        """(M,) rise of half the sum of squared errors by removing each weight alone; inf for removed weights.
 
-        With decay the error is not at its minimum, so its slope -D theta counts beside its curvature (Hansen, Pedersen
-        1994).
+        With decay the error is not at its minimum, so that its slope -D theta counts too (Hansen, Pedersen 1994).
         """
         diagonal = np.maximum(np.diag(self.inverse), self.least)
         pull = self.values / diagonal
@@ -247,14 +250,14 @@ class _Surgery:
         return np.where(self.left, rise, np.inf)
 
     def saliency(self, chosen: np.ndarray) -> float:
-        """The same for a set, removed jointly."""
+        """Rise of half the sum of squared errors by removing a set jointly."""
         columns = self.inverse[:, chosen]
         pull = np.linalg.solve(columns[chosen], self.values[chosen])
         step = columns @ pull
         return float(pull @ self.values[chosen] / 2 + self.decay * (step @ self.values - step @ step / 2))
 
     def remove(self, chosen: Sequence[int] | np.ndarray) -> None:
-        """Zero a set; the others move to the minimum that is left."""
+        """Set a set of weights to zero, and move the others to the remaining minimum."""
         columns = self.inverse[:, chosen]
         share = np.linalg.solve(columns[chosen], columns.T)
         self.values = self.values - self.values[chosen] @ share
@@ -273,7 +276,7 @@ class _Surgery:
 
 @dataclass(frozen=True)
 class Step:
-    """A network on the way down. error: of each output, RMS over the records, normalised; held: over held-out ones."""
+    """One network of a pruning. error: RMS of each output over the records, normalised; held: over held-out ones."""
 
     network: Network
     parameters: int
@@ -284,18 +287,21 @@ class Step:
 
 @dataclass(frozen=True)
 class Pruned:
-    """steps: the network as given, then every one that was kept. rounds: every attempt, with the weights it removed."""
+    """The result of pruning.
+
+    steps: the given network, then every network that was kept. rounds: every attempt, with the weights that it removed.
+    """
 
     steps: tuple[Step, ...]
     rounds: tuple[Round, ...]
 
     @property
     def network(self) -> Network:
-        """The smallest within the allowed error; the one given if no smaller is."""
+        """The smallest network within the allowed error; the given one if there is no smaller one."""
         return self.steps[-1].network
 
     def at(self, parameters: int) -> Network:
-        """The largest with at most so many parameters. Raises InputError if there is none."""
+        """The largest network with at most this many parameters. Raises InputError if there is none."""
         for step in self.steps:
             if step.parameters <= parameters:
                 return step.network
@@ -318,11 +324,11 @@ def prune_by_saliency(
     """Remove weights and train the rest again, round after round, until the error would exceed `allowed`.
 
     allowed: RMS error of each output, normalised, over the held-out records, or over `records` if none are held out.
-    A round removes `share` of the parameters; one that misses `allowed` is undone and the next takes half as many; when
-    a single weight (or neuron) cannot be spared the pruning ends. epochs, decay: of each training; the network should
-    come from a training with the same decay. Held-out records also choose the epoch. Of several ridges each round takes
-    that whose removal leaves the least error before training. goal: end at so many parameters. Frozen weights stay.
-    Ctrl-C ends it.
+    A round removes `share` of the parameters. A round that exceeds `allowed` is undone, and the next one removes half
+    as many; pruning ends when not even a single weight (or neuron) can be removed. epochs, decay: of each training; the
+    network should come from a training with the same decay. Held-out records also choose the epoch. Each round takes
+    the ridge with the least error after removal and before training. goal: end at this number of parameters. Frozen
+    weights stay. Ctrl-C ends the pruning.
     Raises InputError if the network diverges on a record.
     """
     with blas().limit(limits=1, user_api="blas"):
@@ -357,8 +363,10 @@ def prune_by_saliency(
 def saliency_pruning(
     records: Sequence[Record], method: Method, allowed: float, held: Sequence[Record] = (), **options
 ) -> Pruning:
-    """A pruning pass for `compile_network`. allowed: factor by which the RMS error of each output over the held-out
-    records may rise, or over `records` if none are held out. options: of `prune_by_saliency`.
+    """Make a pruning pass for `compile_network`.
+
+    allowed: factor by which the RMS error of each output may rise, over the held-out records, or over `records` if none
+    are held out. options: of `prune_by_saliency`.
     """
 
     def prune(network: Network) -> tuple[Network, list[Round]]:
@@ -370,7 +378,7 @@ def saliency_pruning(
 
 
 def _safest(e: Expansion, method: Method, count: int) -> Removal:
-    """Under the ridge that leaves the least error."""
+    """The removal with the ridge that leaves the least error."""
     removals = [method(replace(e, ridge=ridge), count) for ridge in RIDGES]
     return min(removals, key=lambda r: e.objective.squares(r.theta))
 
@@ -378,7 +386,7 @@ def _safest(e: Expansion, method: Method, count: int) -> Removal:
 def _retrained(
     network: Network, records: Sequence[Record], held: Sequence[Record], epochs: int, decay: float
 ) -> Network:
-    """On the records, with the weights of the lowest error over the held-out ones, if any."""
+    """Train again on the records; take the weights of the lowest error over the held-out records, if there are any."""
     free = nonzero(network)
     if not len(Objective(network, list(records), free=free).free):
         return network

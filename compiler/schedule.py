@@ -1,7 +1,7 @@
-"""The schedule of the folded architecture (targets/folded.py): in which clock it reads, sums, drains and writes what.
+"""The schedule of the folded architecture (targets/folded.py): what it reads, sums, drains and writes in each clock.
 
-Rows of a layer are taken `macs` at a time; a group visits the columns in which one of its rows has a weight, and is
-drained while the next group is being summed.
+Rows of a layer are summed in groups of `macs`. A group visits only the columns in which one of its rows has a weight,
+and is drained while the next group is being summed.
 """
 
 from dataclasses import dataclass, field
@@ -11,10 +11,10 @@ import numpy as np
 from greygate.compiler.verilog import ROUNDING, levels, shared_tables
 from greygate.emulator.program import Affine, Elementwise, Lookup, Operation, Overflow, Program
 
-WEIGHT, SUM, HOLD, PICK = 2, 3, 4, 5  # clocks after the read of a column in which its weight, sum, ... act
+WEIGHT, SUM, HOLD, PICK = 2, 3, 4, 5  # clocks from the read of a column to its weight, sum, hold and pick
 FIT = 1  # clocks from pick to write
 UNIT = 3  # clocks from the read of an argument to the write of a result
-DRAIN, COPY = 0, 1  # what is written; units follow
+DRAIN, COPY = 0, 1  # numbers of the sources of a write; units follow
 
 
 @dataclass
@@ -41,8 +41,9 @@ class Schedule:
 class Folding:
     """A program laid out for the folded datapath.
 
-    address: word of element 0 of each signal. words: size of the memory; beyond it inputs are read, outputs written.
-    groups: the biases of each group of rows. units: what answers an argument in one clock, by source number.
+    address: word of element 0 of each signal. words: size of the memory; at addresses beyond it, inputs are read and
+    outputs written. groups: the biases of each group of rows. units: the units that answer an argument in one clock, by
+    source number.
     """
 
     schedule: Schedule
@@ -75,7 +76,7 @@ def fold(program: Program, macs: int) -> Folding:
 
 
 class _Folder:
-    """Gives every signal its words, and places each operation as early as its arguments and the datapath allow."""
+    """Assigns words to every signal, and places each operation as early as its arguments and the datapath allow."""
 
     def __init__(self, program: Program, macs: int, operations: list[Operation], shadows: list[tuple[str, str]]):
         self.program, self.macs = program, macs
@@ -96,14 +97,14 @@ class _Folder:
         self.summed, self.picked = 0, 0  # the last line that read a column, or picked a row
 
     def layer(self, o: Affine) -> None:
-        """The rows of an affine operation, a group after another."""
+        """Place the rows of an affine operation, group by group."""
         columns = [f"{a}[{k}]" for a in o.args for k in range(self.program.signals[a].size)]
         for start in range(0, o.out.size, self.macs):
             self._sum(o, start, columns)
             self._drain(o, start)
 
     def elements(self, o: Elementwise) -> None:
-        """Every element of any other operation, through one unit. Lookups in equal tables share a unit."""
+        """Place every element of any other operation on one unit; lookups in equal tables share a unit."""
         key = o.out.name
         if isinstance(o, Lookup):
             key = f"table {shared_tables(self.program)[o.table].name}"
@@ -129,11 +130,11 @@ class _Folder:
         self.ready[word] = t + 1
 
     def _when(self, element: str) -> int:
-        """The first line that can read it."""
+        """The first line that can read an element."""
         return self.ready.get(self.word[element], 1)
 
     def _through(self, source: int, arguments: list[str], to: int, note: str) -> None:
-        """Read the arguments in consecutive clocks, and write what a unit makes of them."""
+        """Read the arguments in consecutive clocks, and write the result of the unit."""
         free, last = self.schedule.free, len(arguments) - 1
         t = max([self.last_read.get(to, 0) - UNIT, *(self._when(a) - i for i, a in enumerate(arguments))])
         while not (all(free(t + i, "read") for i in range(len(arguments))) and free(t + last + UNIT, "write")):
@@ -177,9 +178,9 @@ class _Folder:
 
 
 def ordered(moves: list[tuple[str, str]]) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
-    """Moves (source, state) in an order in which none overwrites a state that a later one reads.
+    """Order the moves (source, state) so that none overwrites a state that a later one reads.
 
-    A ring of states is opened by a copy: those come first, and are returned before the moves.
+    A copy opens a ring of states. Copies are made first, and are returned before the moves.
     """
     shadows, done, left = [], [], list(moves)
     while left:

@@ -10,7 +10,7 @@ from greygate.models.network import Connection, Layer, Network
 
 
 class Graph:
-    """A flat network taken apart for rewriting: layers by name, and what feeds each port."""
+    """A flat network in a form for rewriting: layers by name, and the source of each port."""
 
     def __init__(self, flat: Network):
         self.flat = flat
@@ -62,12 +62,12 @@ class Graph:
 
 
 def multiplications(network: Network) -> int:
-    """Weights that cost a multiplier: neither zero nor plus or minus one."""
+    """Number of weights that need a multiplier: all except 0, 1 and -1."""
     return sum(_cost(w) for layer in network.flatten().layers().values() for w in layer.weights.values())
 
 
 def parameter_count(network: Network) -> int:
-    """Numbers that a network holds: weights that are not zero, and biases that are not zero."""
+    """Number of parameters of a network: weights and biases that are not zero."""
     return sum(int(np.count_nonzero(v)) for v in network.parameters().values())
 
 
@@ -78,8 +78,8 @@ def _cost(w: np.ndarray) -> int:
 def merge_linear(network: Network, always: bool = False) -> Network:
     """Multiply linear layers into the weights of those that read them, gains and normalisations included.
 
-    A layer is merged where that costs no multiplication more (a bottleneck such as 10 -> 1 -> 20 neurons stays), or
-    wherever it is possible if `always`.
+    A layer is merged if that costs no further multiplication (a bottleneck such as 10 -> 1 -> 20 neurons stays). With
+    `always`, it is merged wherever that is possible.
     """
     g = Graph(network.flatten())
     changed = True
@@ -113,7 +113,7 @@ def merge_linear(network: Network, always: bool = False) -> Network:
 
 
 def fold_constants(network: Network) -> Network:
-    """Take neurons whose output never changes into the biases of those that read them; drop terms that are zero."""
+    """Add neurons with a constant output to the biases of the layers that read them, and drop terms that are zero."""
     g = Graph(network.flatten())
     order, changed = g.flat.order(), True
     while changed:
@@ -171,12 +171,12 @@ def remove_dead(network: Network) -> Network:
 
 
 def _rows(layer: Layer) -> np.ndarray:
-    """(rows a neuron, neurons): the sums that each neuron is made of; one, or three of a multiplexer."""
+    """(rows per neuron, neurons): the rows of each neuron's sums; a multiplexer has three, any other neuron one."""
     return np.arange(layer.rows).reshape(-1, layer.size)
 
 
 def share_equal(network: Network) -> Network:
-    """Let layers that compute the same from the same be one layer."""
+    """Replace layers that compute the same from the same sources by one layer."""
     g = Graph(network.flatten())
     seen: dict[tuple, str] = {}
     for name in g.flat.order():
@@ -199,7 +199,7 @@ SIMPLIFICATIONS: tuple[Callable[[Network], Network], ...] = (remove_dead, fold_c
 
 
 def simplify(network: Network) -> Network:
-    """The generic network: every simplification in order."""
+    """Make the generic network: apply every simplification in order."""
     for rewrite in SIMPLIFICATIONS:
         network = rewrite(network)
     return network

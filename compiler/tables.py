@@ -17,17 +17,17 @@ CHUNK = 1 << 20
 
 
 def output_fix(width: int) -> Fix:
-    """Format of a sigmoid's output: all of [-1, 1), so plus one is one LSB short."""
+    """Format of a sigmoid's output: it holds [-1, 1), so that it represents 1 one LSB too small."""
     return Fix(width, width - 1)
 
 
 def integer_bits(magnitude: float) -> int:
-    """Bits left of the point, the sign not counted: |value| <= magnitude < 2^bits. Negative for small values."""
+    """Bits left of the point, without the sign: |value| <= magnitude < 2^bits. Negative for small values."""
     return math.frexp(magnitude)[1]
 
 
 def flat_from(function: str, out: Fix) -> float:
-    """Argument beyond which the function is flat to half an LSB of `out`, or more than `out` holds."""
+    """Argument beyond which the function is flat to half an LSB of `out`, or exceeds the range of `out`."""
     decades = (out.frac + 1) * math.log(2)  # of f's distance to its limit
     found = ACTIVATIONS[function].flat_from
     assert found, f"{function} is kept in a table, which has an end"
@@ -43,8 +43,8 @@ def _most(out: Fix) -> float:
 def make_table(function: str, arg: Fix, out: Fix, budget: float = 1.25, interpolated: bool = True) -> Table:
     """The smallest table whose worst error over every code of `arg` is at most `budget` LSB of `out`.
 
-    The error is that of the table; rounding of the argument does not count. Where f is 1, `out` is one LSB short, and
-    that counts. If no table up to 4096 points meets the budget, the largest is taken, and its worst error says so.
+    The error is that of the table, without rounding of the argument. Where f is 1, `out` is one LSB too small, and this
+    counts. If no table of up to 4096 points meets the budget, it takes the largest, whose worst error shows this.
     """
     reach = min(arg.width - 1, integer_bits(flat_from(function, out)) + arg.frac)  # codes that differ: below 2^reach
     for bits in range(min(3, reach), min(reach, LARGEST_BITS) + 1):
@@ -69,12 +69,12 @@ def _worst(table: Table, codes: np.ndarray) -> float:
 
 
 def _spread(reach: int) -> np.ndarray:
-    """About 2^16 codes over the part that bends, to choose a size by."""
+    """About 2^16 codes over the curved part, by which a size is chosen."""
     return np.arange(0, (1 << reach) + 1, 1 << max(reach - 16, 0), dtype=np.int64)
 
 
 def _every(reach: int, arg: Fix) -> Iterator[np.ndarray]:
-    """Every code that can have an error of its own: the bend, and the ends of the flat part, where f is monotone.
+    """Every code that can have an error of its own: the curved part and the ends of the flat part, where f is monotone.
 
     Negative codes repeat the error of their absolute value, by the symmetry of the lookup.
     """

@@ -1,11 +1,11 @@
-"""The fast engine: the interpreter's answer, bit for bit, from one numba kernel that walks the program as arrays.
+"""The fast engine: it gives the interpreter's answer, bit for bit, by one numba kernel for programs as arrays.
 
-A long run is worth a kernel of the program's own (`specialised.py`): about three times as fast, after seconds of
-compiling.
+For a long run it compiles a kernel of the program's own (`specialised.py`), which takes seconds and is then about three
+times as fast.
 
-Sums of products run in float64 where the program proves that an accumulator stays below 2^53: every partial sum is
-then an integer that float64 holds exactly, in any order, and the processor has vector units for it. Wider accumulators
-run in int64. Nothing else is ever a float.
+Sums of products run in float64 if the program proves that an accumulator stays below 2^53. Every partial sum is then an
+integer that float64 holds exactly, in any order, and the processor has vector units for float64. Wider accumulators
+run in int64. No other value is a float.
 """
 
 from collections.abc import Callable, Iterable
@@ -32,8 +32,8 @@ from greygate.emulator.program import (
 
 WORTH_COMPILING = 20_000_000  # steps of all sequences
 AFFINE, AFFINE_WIDE, TABLE, CLAMP, THRESHOLD, SELECT = range(6)
-COLUMNS = 11  # kind, first element of the result, its size, and what the kind needs
-# unsigned: numba then leaves out its check for negative indices, and the loops become vector code
+COLUMNS = 11  # kind, first element of the result, its size, and the numbers that the kind needs
+# unsigned, so that numba omits its check for negative indices and the loops become vector code
 ZERO, ONE, TWO, THREE, FOUR = (np.uint64(n) for n in range(5))
 _ROUNDING = list(Rounding)
 _ARRAYS: "WeakKeyDictionary[Program, _Arrays]" = WeakKeyDictionary()
@@ -41,10 +41,10 @@ _KERNELS: WeakKeyDictionary[Program, Callable] = WeakKeyDictionary()
 
 
 class _Arrays(NamedTuple):
-    """A program as arrays. Rows of an affine operation, if there are several, are padded to fours."""
+    """A program as arrays. Several rows of an affine operation are padded to a multiple of four."""
 
     operations: np.ndarray  # (n, COLUMNS) int64; columns depend on the kind, see `_Tabulator`
-    reads: np.ndarray  # uint64: element behind each column of each affine operation
+    reads: np.ndarray  # uint64: element that each column of each affine operation reads
     weights: np.ndarray  # float64, column after column
     weights_int: np.ndarray  # the same as int64
     bias: np.ndarray  # int64, per padded row
@@ -58,9 +58,9 @@ class _Arrays(NamedTuple):
 
 
 class _Tabulator:
-    """Gives a row of whole numbers for each operation, and collects the weights that affine ones refer to.
+    """Makes a row of whole numbers for each operation, and collects the weights to which affine operations refer.
 
-    first: the element of each signal with which it begins. tables: the point of each table with which it begins.
+    first: the first element of each signal. tables: the first point of each table.
     """
 
     def __init__(self, program: Program):
@@ -108,7 +108,7 @@ class _Tabulator:
         flip = 0 if t.symmetry is Symmetry.EVEN else -1
         lift = 1 << t.out.frac if t.symmetry is Symmetry.COMPLEMENT else 0
         last = len(t.points) - 1
-        end = min(last << t.shift, 1 << t.arg.width)  # the argument of the last point, or more than any
+        end = min(last << t.shift, 1 << t.arg.width)  # the argument of the last point, or beyond all arguments
         return (TABLE, self.first[o.arg], self.tables[o.table], last, t.shift, t.interpolated, flip, lift, end)
 
     def clamp(self, o: Clamp) -> tuple:
@@ -172,7 +172,7 @@ def _round(a, shift, rounding):  # pragma: no cover - compiled
 def _look_up(points, base, last, end, shift, half, interpolated, flip, lift, x):  # pragma: no cover - compiled
     sign = x >> 63
     a = min((x ^ sign) - sign, end)
-    if interpolated:  # beyond the end this is the last interval at its right edge: the last point
+    if interpolated:  # beyond the end, this is the right edge of the last interval: the last point
         i = min(a >> shift, last - 1)
         left, right = points[np.uint64(base + i)], points[np.uint64(base + i + 1)]
         y = left + (((right - left) * (a - (i << shift)) + half) >> shift)
@@ -186,7 +186,7 @@ def _run(
     operations, reads, weights, weights_int, bias, shifts, points, moves, ins, outs, elements, widest,
     inputs, initial, outputs, states, saturations, trace
 ):  # fmt: skip  # pragma: no cover - compiled
-    value = np.zeros(elements, np.float64)  # integers all, of at most 48 bits
+    value = np.zeros(elements, np.float64)  # all of them integers of at most 48 bits
     gathered = np.zeros(widest, np.float64)
     acc = np.zeros(widest, np.int64)
     for sequence in range(len(inputs)):
@@ -301,11 +301,11 @@ def run(
     states: bool = True,
     specialised: bool | None = None,
 ) -> Run:
-    """As `interpreter.interpret`, fast. inputs: codes (..., N, columns); initial: (..., state columns).
+    """Fast `interpreter.interpret`. inputs: codes (..., N, columns); initial: (..., state columns).
 
-    states=False leaves the states out of the answer (an empty array), for speed.
-    specialised: with a kernel made for this program, which is compiled once and kept on disk (greygate/generated.py).
-    None takes it where it is loaded already, or where so many steps are to be run that compiling pays.
+    states=False omits the states from the answer (an empty array), for speed.
+    specialised: use a kernel made for this program, which is compiled once and kept on disk (greygate/generated.py).
+    None uses it if it is loaded already, or if the run has so many steps that compiling pays.
     """
     arrays = _ARRAYS.get(program)
     if arrays is None:

@@ -1,7 +1,7 @@
-"""Dataclasses as plain JSON and back: an entry a field, of the kind that the field's annotation names.
+"""Writes dataclasses as plain JSON and reads them: each field is an entry, of the kind that its annotation names.
 
 `Annotated[type, kind]` gives the kind itself (greygate/reading.py). A number, an enumeration, a tuple, a named tuple, a
-table of texts and a dataclass each have one kind. So a class that is declared can be written and read.
+table of texts and a dataclass each have one kind. So declaring a class is enough to write and read it.
 """
 
 from dataclasses import fields, is_dataclass
@@ -17,7 +17,7 @@ from greygate.reading import Kind, listed, named, number, one_of, table, truth
 
 
 def to_json(value: Any) -> Any:
-    """A dataclass, and whatever it holds, as the tables, lists and numbers of JSON. An operation begins with its op."""
+    """A dataclass and its content as tables, lists and numbers of JSON; the first entry of an operation is its op."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, tuple | list):
@@ -32,7 +32,7 @@ def to_json(value: Any) -> Any:
 
 @cache
 def record(cls: type) -> Kind:
-    """The kind of a table that has all fields of a dataclass, and no other entry but its `op`."""
+    """The kind of a table that has all fields of a dataclass, and no other entry except `op`."""
     hints = get_type_hints(cls, include_extras=True)
     kinds = {f.name: _kind(hints[f.name]) for f in fields(cls)}
     head = {"op": one_of([cls.op])} if hasattr(cls, "op") else {}

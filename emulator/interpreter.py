@@ -1,4 +1,7 @@
-"""The interpreter: docs/integer-program.md in NumPy int64, step by step. Slow and obvious; it is the definition."""
+"""The interpreter: docs/integer-program.md in NumPy int64, step by step.
+
+It is slow and simple, and it is the definition.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,10 +28,10 @@ from greygate.emulator.program import (
 
 @dataclass(frozen=True)
 class Run:
-    """What a program did over a sequence (or a batch of sequences, in the leading axes).
+    """The result of a program over a sequence (or a batch of sequences, in the leading axes).
 
-    outputs: int64 (..., N, output columns). states: int64 (..., N, state columns), as they stand *after* each step.
-    saturations: events per signal. trace: every signal as int64 (..., N, size), if it was asked for.
+    outputs: int64 (..., N, output columns). states: int64 (..., N, state columns), *after* each step.
+    saturations: events per signal. trace: every signal as int64 (..., N, size), if it was requested.
     """
 
     outputs: np.ndarray
@@ -38,8 +41,8 @@ class Run:
 
 
 def round_shift(a: np.ndarray, shift: np.ndarray, rounding: Rounding) -> np.ndarray:
-    """a * 2^-shift as an integer; shift may be negative (then it is exact), or beyond the bits of an int64."""
-    right = np.clip(shift, 0, ACCUMULATOR_BITS)  # no a has more bits: shifted further, it gives the same
+    """a * 2^-shift, rounded to an integer; shift may be negative (then it is exact), or exceed the bits of an int64."""
+    right = np.clip(shift, 0, ACCUMULATOR_BITS)  # no a has more bits, so a further shift gives the same result
     half = np.where(right > 0, np.int64(1) << np.maximum(right - 1, 0), 0)
     if rounding is Rounding.TRUNCATE:
         constant = np.zeros_like(a)
@@ -73,7 +76,7 @@ def lookup(table: Table, x: np.ndarray) -> np.ndarray:
     return np.where(x < 0, negative[table.symmetry], y)
 
 
-# Each operation on the codes x of its arguments: its codes, or where it requantizes, accumulator and fraction of that.
+# Each operation on the codes x of its arguments. It returns codes, or, to be requantized, an accumulator and its frac.
 
 
 def _affine(program: Program, o: Affine, *x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -146,6 +149,6 @@ def interpret(program: Program, inputs: np.ndarray, initial: np.ndarray | None =
 
 
 def _split(codes: np.ndarray, signals: Sequence[Signal]) -> dict[str, np.ndarray]:
-    """Columns (..., columns) that stand side by side, by signal: (..., size)."""
+    """Split columns (..., columns) into the signals side by side: each (..., size)."""
     ends = np.cumsum([s.size for s in signals], dtype=int).tolist()
     return {s.name: codes[..., end - s.size : end] for s, end in zip(signals, ends, strict=True)}

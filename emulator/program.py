@@ -1,8 +1,8 @@
 """The integer program: what the hardware does in one step. Its normative text is docs/integer-program.md.
 
-It is declared here and nowhere else: what each part holds, of what kind each of its fields is in program.json, what it
-reads, and when it is legal. The interpreter, the engine, the targets and the report walk it. A new operation is one
-class here, and one function in the table of each that walks operations.
+Only this module declares it: the content of each part, the kind of each field in program.json, the signals that it
+reads, and when it is legal. The interpreter, the engine, the targets and the report use this declaration. A new
+operation is one class here, and one function in each of their tables of operations.
 """
 
 import json
@@ -29,7 +29,7 @@ ACCUMULATOR_BITS = 62  # room for one more addition in int64
 WIDTHS = range(2, 49)
 FRACTIONS = range(-48, 61)
 SIZES = range(1, (1 << 16) + 1)  # elements of a signal
-LARGEST_SHIFT = 1 << 10  # of any width, fraction or shift in a file; what is legal is far below
+LARGEST_SHIFT = 1 << 10  # of any width, fraction or shift in a file; legal values are far below
 
 # -- kinds of fields in program.json ---------------------------------------------------------------------------------
 
@@ -45,7 +45,7 @@ Shift = Annotated[int, _shift]
 def _matrix(value: object, where: str) -> np.ndarray:
     rows = listed(_codes)(value, where)
     if len({len(row) for row in rows}) != 1:
-        raise InputError(f"{where}: its rows differ in length, or there are none; mend it")
+        raise InputError(f"{where}: its rows differ in length, or there are none; correct it")
     return np.array(rows, np.int64)
 
 
@@ -79,7 +79,7 @@ class Fix(NamedTuple):
         return all(isinstance(v, Integral) and self.lo <= v <= self.hi for v in values)
 
     def problems(self, of: str) -> Iterator[str]:
-        """What is not legal of this format of a signal or table."""
+        """What is not legal in this format of a signal or table."""
         if self.width not in WIDTHS:
             yield f"{of}: width {self.width} is not in {WIDTHS.start}..{WIDTHS.stop - 1}"
         if self.frac not in FRACTIONS:
@@ -101,7 +101,7 @@ class Overflow(StrEnum):
 
 
 class Symmetry(StrEnum):
-    """How a table answers a negative code from the answer to its absolute value."""
+    """How the answer to a negative code follows from the answer to its absolute value."""
 
     ODD = "odd"  # f(-x) = -f(x): tansig
     EVEN = "even"  # f(-x) = f(x): radbas
@@ -117,12 +117,12 @@ class Op(StrEnum):
 
 
 def signed_width(magnitude: int) -> int:
-    """The least two's complement width that holds every integer from -magnitude to +magnitude."""
+    """The least width in two's complement that holds every integer from -magnitude to +magnitude."""
     return int(magnitude).bit_length() + 1
 
 
 def _is_finite(value: float) -> bool:
-    return isinstance(value, Real) and abs(value) <= sys.float_info.max  # which nan and inf are not
+    return isinstance(value, Real) and abs(value) <= sys.float_info.max  # False for nan and inf
 
 
 # -- signals, terminals, states, tables ------------------------------------------------------------------------------
@@ -144,7 +144,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class Terminal:
-    """An input or output of the program, and what its codes mean outside: value = code * lsb * scale + offset."""
+    """An input or output of the program, and the physical value of its codes: code * lsb * scale + offset."""
 
     name: Name
     signal: Signal
@@ -163,14 +163,14 @@ class Terminal:
         """
         values = np.asarray(values, float)
         if not np.isfinite(values).all():
-            raise InputError(f"input {self.name}: a value is not finite; mend the recording")
-        with np.errstate(over="ignore"):  # what is beyond float64 is beyond the format
+            raise InputError(f"input {self.name}: a value is not finite; repair the recording")
+        with np.errstate(over="ignore"):  # a code beyond float64 is beyond the format too
             return np.floor((values - self.offset) / self.scale * 2.0**self.signal.fix.frac + 0.5)
 
 
 @dataclass(frozen=True)
 class Clipped:
-    """Values of an input outside its format: how many, their share; the range that it holds and that was given."""
+    """Values of an input outside its format: count and share, the range of the format and that of the values."""
 
     count: int
     share: float
@@ -239,7 +239,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Affine:
-    """out = requantize(bias + weights @ concatenate(args)), exact until the one rounding; `frac` is per row."""
+    """out = requantize(bias + weights @ concatenate(args)), exact up to its single rounding; `frac` is per row."""
 
     out: Signal
     args: tuple[Name, ...]
@@ -273,7 +273,7 @@ class Affine:
 
 @dataclass(frozen=True)
 class Elementwise:
-    """An operation whose every element depends on that element alone of each argument."""
+    """An operation in which each element of the result depends only on the same element of each argument."""
 
     out: Signal
     reads: ClassVar[tuple[str, ...]] = ("arg",)  # the fields that name the arguments
@@ -361,7 +361,7 @@ class Select(Elementwise):
     def problems(self, program: "Program") -> Iterator[str]:
         yield from super().problems(program)
         values = [program.signals[a].fix for a in (self.above, self.below)]
-        frac = max(v.frac for v in values)  # the finer of the two holds both; the result's may be finer still
+        frac = max(v.frac for v in values)  # the finer of the two holds both; that of the result may be finer still
         width = max(v.width + frac - v.frac for v in values) + max(0, self.out.fix.frac - frac)
         if width > ACCUMULATOR_BITS:
             yield f"{self.out.name}: needs {width} bits on the way, more than {ACCUMULATOR_BITS}"
@@ -384,7 +384,7 @@ def _operations(value: object, where: str) -> tuple[Operation, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """One step of a network on integers. Made by the compiler; `check` holds before and after every pass.
+    """One step of a network on integers, made by the compiler; `check` holds before and after every pass.
 
     docs/integer-program.md defines what each operation computes, to the bit.
 
@@ -419,7 +419,7 @@ class Program:
         return {t.name: t for t in self.tables}
 
     def accumulator_width(self, operation: Affine) -> int:
-        """Width that no partial sum of any row can exceed, the rounding constant included. Proved, not measured."""
+        """Width that no partial sum of any row, with its rounding constant, can exceed; it is proved, not measured."""
         largest = np.array(
             [-self.signals[a].fix.lo for a in operation.args for _ in range(self.signals[a].size)], object
         )
@@ -430,7 +430,7 @@ class Program:
         return max(2, *(signed_width(int(m) + h) for m, h in zip(magnitude, rounding, strict=True)))
 
     def check(self) -> "Program":
-        """Raise InputError unless the program is legal by docs/integer-program.md; return it."""
+        """Return the program; raise InputError if it is not legal by docs/integer-program.md."""
         self._check_names()
         for problem in self._problems():
             raise InputError(f"program {self.name}: {problem}")
@@ -497,7 +497,7 @@ class Program:
         return np.concatenate(columns, axis=-1)
 
     def clipped(self, values: Mapping[str, np.ndarray]) -> dict[str, Clipped]:
-        """What `encode` clips of these values, by the name of the input; an input that fits is not in it."""
+        """The values that `encode` clips, by the name of the input; only inputs with such values are listed."""
         found = {}
         for port in self.inputs:
             codes, fix, given = port.codes(values[port.name]), port.signal.fix, np.asarray(values[port.name], float)

@@ -1,8 +1,8 @@
 """The engine's kernel with one program written into it: Python source that numba compiles.
 
-Offsets, sizes, bounds and rounding stand in it as literals, weights and tables as constant arrays. A requantization is
-`floor` of a sum whose terms were scaled by 2^-shift beforehand. That is exact: wherever the program proves that the
-unscaled sum stays below 2^53, every partial sum is an integer times 2^-shift that float64 holds. The rest is int64.
+Offsets, sizes, bounds and rounding are literals in it, weights and tables are constant arrays. A requantization is
+`floor` of a sum whose terms were scaled by 2^-shift beforehand. That is exact: if the program proves that the unscaled
+sum stays below 2^53, every partial sum is an integer times 2^-shift that float64 holds. Other sums are int64.
 """
 
 from collections.abc import Callable
@@ -27,21 +27,21 @@ from greygate.generated import load
 
 EXACT_BITS = 53  # integers up to 2^53 are exact in float64
 _LANES = 4  # float64 in a vector of the processor: signals of several elements are padded to fours
-_CHAINS = 4  # sums run as this many at once: an addition takes that many times as long as it takes to begin one
+_CHAINS = 4  # a sum runs as this many partial sums: an addition lasts that many times longer than starting one
 
 
 def compiled(program: Program) -> Callable:
-    """run(inputs, initial, outputs, states, saturations, trace), as the last arguments of the engine's kernel."""
+    """Compile run(inputs, initial, outputs, states, saturations, trace): the last arguments of the engine's kernel."""
     return load("program", source(program)).run
 
 
 def drop(value: Fix, out: Fix) -> int:
-    """Fraction bits that a value loses on its way to `out`; as many as int64 can shift, which give what more give."""
+    """Fraction bits that a value loses on its way to `out`, at most ACCUMULATOR_BITS: more give the same result."""
     return min(value.frac - out.frac, ACCUMULATOR_BITS)
 
 
 class _Writer:
-    """Collects the constants and the lines of one program's kernel; `first` is each signal's place among the values."""
+    """Collects the constants and lines of one program's kernel; `first` is the place of each signal in the values."""
 
     def __init__(self, program: Program):
         self.program, self.first = program, {}
@@ -68,7 +68,7 @@ class _Writer:
         self.lines += [f"for r in range({size}):", *(f"    {line}" for line in body)]
 
     def fitted(self, n: int, out: str, overflow: Overflow) -> list[str]:
-        """Bring y into the format of `out`, count it if it did not fit, store it."""
+        """Bring y into the format of `out`, count it if it does not fit, and store it."""
         fix = self.program.signals[out].fix
         if overflow is Overflow.WRAP:
             result = f"z = ((np.int64(y) + {-fix.lo}) & {fix.hi - fix.lo}) + {fix.lo}"
@@ -128,7 +128,7 @@ class _Writer:
         self.loop(self.padded(o.out.size), *body, f"v[{self.first[o.out.name]} + r] = y")
 
     def table(self, t, kind: str, values: np.ndarray) -> str:
-        """The name of a constant array of the table, which is declared once."""
+        """The name of the table's constant array, which is declared once."""
         name = f"{kind}_{self.program.tables.index(t)}"
         if not any(line.startswith(f"{name} =") for line in self.constants):
             self.constant(name, values)

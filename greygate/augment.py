@@ -1,10 +1,11 @@
-"""A diagnosed effect becomes a module of the plant's structured network.
+"""Makes a diagnosed effect a module of the plant's structured network.
 
     diagnosis -> module (the effect's law, as diagnosed) -> the network without it and with it -> Verilog
 
 The module learns the law of the effect from the table of effects and is joined into the network. Both networks, without
-the module and with it, start from the diagnosed parameters and are trained alike, in free run on identify.csv; where
-the recording does not reach, the module rehearses the law. holdout.csv serves only the report.
+the module and with it, start from the diagnosed parameters and are trained alike, in free run on identify.csv. Training
+also rehearses the law, so that the module follows it beyond the range of the recording. Only the report uses
+holdout.csv.
 """
 
 import json
@@ -35,16 +36,16 @@ from greygate.progress import Progress, silent, titled
 FACTS = "augment.json"
 RECORDINGS = ("identify", "holdout")
 EPOCHS, DECAY = 60, 1e-6
-REHEARSAL = 0.1  # of a sample of the recording, that a sample of the law counts
-ROUNDING = 1e-9  # of the starting position, in its unit, which a CSV leaves
+REHEARSAL = 0.1  # weight of a sample of the law, against 1 of a sample of the recording
+ROUNDING = 1e-9  # error of the starting position, in its unit, by the rounding of a CSV
 
 
 def augment(folder: Path | str, diagnosis: Mapping, out: Path | str, progress: Progress = silent) -> dict:
-    """Train the network of a rig's plant without and with the module of the diagnosed effect; write both to `out`.
+    """Train the network of a rig's plant without and with the module of the diagnosed effect, and write both to `out`.
 
     diagnosis: content of a diagnosis.json of this rig. Writes PLANT.toml and PLANT_EFFECT.toml with their numbers, the
-    recordings as these networks read them, and augment.json, which is returned: RMS errors in free run by network
-    and recording, neurons, seconds. Raises InputError for an effect that no module stands for.
+    recordings as these networks read them, and augment.json. Returns the content of augment.json: RMS errors in free
+    run by network and recording, neurons, seconds. Raises InputError for an effect that has no module.
     """
     replaceable(out, "augment")
     rig = load(folder)
@@ -75,7 +76,7 @@ def augment(folder: Path | str, diagnosis: Mapping, out: Path | str, progress: P
 
 
 def _recorded(rig: Rig) -> dict[str, Recording]:
-    """Both recordings. Raises InputError where the network could not learn from them."""
+    """Read both recordings. Raises InputError if the network cannot learn from them."""
     kind = AUGMENTED[rig.plant.name]
     if missing := [name for name in kind.needs if name not in rig.channels]:
         raise InputError(f"{rig.folder / 'rig.toml'}: no channel {', '.join(missing)}; the network learns from it")
@@ -84,12 +85,12 @@ def _recorded(rig: Rig) -> dict[str, Recording]:
     for r in recorded.values():
         if abs(first := r[kind.starts][0]) > 2 * channel.sigma + ROUNDING:
             at = f"{first:g} {channel.unit}"
-            raise InputError(f"{r.source}: {kind.starts} starts at {at}, the network at 0; shift it there")
+            raise InputError(f"{r.source}: {kind.starts} starts at {at}, but the network starts at 0; shift it to 0")
     return recorded
 
 
 def _law(augmentation: Augmentation, rig: Rig, effect: Effect, values: Mapping[str, float], recorded: Recording) -> Law:
-    """What the effect's term answers, with the diagnosed values."""
+    """The law of the effect: its term with the diagnosed values."""
     place, reads = augmentation.effects[effect.id]
     plant, _ = join(rig.plant, [effect])
     (expression,) = (text for path, text in effect.terms.items() if path.startswith(f"{place}."))
@@ -127,13 +128,13 @@ def _trained(
 
 
 def _named(rig: Rig, diagnosis: Mapping) -> tuple[Effect, dict[str, float]]:
-    """The effect of which a module is made, and its parameters' values."""
+    """The effect that becomes a module, and the values of its parameters."""
     check(diagnosis)
     plant = rig.plant.name
     if diagnosis["plant"] != plant:
         raise InputError(f"diagnosis: is of {diagnosis['plant']}, the rig is {plant}; give the rig's own")
     if plant not in AUGMENTED:
-        raise InputError(f"augment: no structured network of {plant}; there are {', '.join(AUGMENTED)}")
+        raise InputError(f"augment: {plant} has no structured network; these have one: {', '.join(AUGMENTED)}")
     names = [entry["id"] for entry in diagnosis["effects"]]
     known = AUGMENTED[plant].effects
     if len(names) != 1 or names[0] not in known:
@@ -143,11 +144,11 @@ def _named(rig: Rig, diagnosis: Mapping) -> tuple[Effect, dict[str, float]]:
         )
     entry = diagnosis["effects"][0]
     effect = form(table.read(), entry)
-    if effect.states:  # a module has no memory of its own: the plain form of the same size
+    if effect.states:  # a module has no memory of its own, so take the plain form of the same size
         effect = table.read()[effect.id]
     return effect, recovered(effect, entry["parameters"])
 
 
 def _alike(modules: Sequence[str]) -> list[list[str]]:
-    """Parameters of modules that stand for one law, to be tied."""
+    """The parameters to tie, because these modules stand for one law."""
     return [[f"{module}.{name}" for module in modules] for name in untaught().parameters()] if len(modules) > 1 else []

@@ -1,4 +1,4 @@
-"""From the folder of a rig to a diagnosis that a person reads: printed lines, `diagnosis.json`, a page."""
+"""Turns the folder of a rig into a diagnosis that a person reads: printed lines, `diagnosis.json`, an HTML page."""
 
 import csv
 import json
@@ -33,11 +33,11 @@ from greygate.pages import words
 from greygate.plants.recording import Recording
 from greygate.progress import Progress, silent
 
-SAFE_PATH = "PYTHONSAFEPATH"  # set, Python imports nothing from the folder in which it is started
+SAFE_PATH = "PYTHONSAFEPATH"  # if it is set, Python imports nothing from the folder in which it is started
 
 
 def table_of(paths: Iterable[Path], rig: Rig, recording: Recording | None) -> dict[str, Effect]:
-    """The effects to be tried on a rig: the table's, extended by files of one's own."""
+    """The effects to try on a rig: those of greygate's table, extended by the user's own files."""
     effects = table.known(rig, recording)
     for path in paths:
         effects = {**effects, **table.read(path)}
@@ -51,9 +51,9 @@ def explain(
     own: Sequence[Path] = (),
     progress: Progress = silent,
 ) -> tuple[dict, list[str]]:
-    """Diagnose the rig in `folder` and write what is asked for; (content of diagnosis.json, lines to print).
+    """Diagnose the rig in `folder`, write the files asked for, and return (content of diagnosis.json, lines to print).
 
-    Raises InputError, before anything is written, for a rig, recording or table that cannot serve.
+    Raises InputError, before anything is written, for a rig, recording or table that cannot be used.
     """
     for path in (out, html):
         if path is not None and not path.absolute().parent.is_dir():
@@ -73,13 +73,13 @@ def explain_all(
 ) -> dict[str, tuple[dict, list[str]]]:
     """`explain` for several rigs: name of the folder -> (content of diagnosis.json, lines to print).
 
-    out, html: of one rig a file, of several a folder of NAME.json, NAME.html; each is written as soon as it is found.
-    jobs: rigs at a time. They run where joblib is told to, so that `with joblib.parallel_config(backend="dask")` sends
-    them to a cluster, whose workers read the rigs at the same paths. progress: told how many rigs are done, and the
+    out, html: a file for one rig; for several a folder, which gets NAME.json or NAME.html as soon as it is found.
+    jobs: rigs at a time. They run on joblib's backend: `with joblib.parallel_config(backend="dask")` sends them to a
+    cluster, whose workers read the rigs at the same paths. progress: gets the number of rigs that are done, and the
     name of the last one.
 
-    What is wrong with one of several rigs ends no other: it stands as its content, {"error": line}, and in its lines.
-    Raises InputError for two rigs of one name, no folder to write to, and for one rig whatever `explain` does.
+    If one of several rigs cannot be diagnosed, the others go on: its content is {"error": line}, and its lines say so.
+    Raises InputError for two rigs of one name, for a missing folder to write to, and for a single rig as `explain`.
     """
     folders, own = ([Path(path).resolve() for path in paths] for paths in (folders, own))
     names, several = [folder.name for folder in folders], len(folders) > 1
@@ -105,7 +105,7 @@ def explain_all(
 
 
 def _attempt(folder: Path, page: bool, own: Sequence[Path]) -> "Explained | InputError":
-    """What is wrong with one rig is sent like a result, so that the others go on."""
+    """Return the InputError of a rig like a result, so that the other rigs go on."""
     try:
         return Explained.of(folder, page, own)
     except InputError as error:
@@ -113,7 +113,7 @@ def _attempt(folder: Path, page: bool, own: Sequence[Path]) -> "Explained | Inpu
 
 
 def _by_workers(jobs: int | None, tasks: Iterable) -> Iterator:
-    """Results in order. The workers import nothing from the current folder, which may be a stranger's."""
+    """Yield the results in order; the workers import nothing from the current folder, which may be a stranger's."""
     before = os.environ.get(SAFE_PATH)
     os.environ[SAFE_PATH] = "1"
     try:
@@ -125,7 +125,7 @@ def _by_workers(jobs: int | None, tasks: Iterable) -> Iterator:
 
 @dataclass(frozen=True)
 class Explained:
-    """A rig's diagnosis, to be sent and written: content of diagnosis.json, lines to print, page if it was wanted."""
+    """The diagnosis of a rig, ready to write: content of diagnosis.json, lines to print, and the page if wanted."""
 
     found: dict
     lines: list[str]
@@ -141,13 +141,13 @@ class Explained:
             result = diagnose(rig, effects, progress)
         except np.linalg.LinAlgError as error:
             raise InputError(
-                f"{folder}: the fit runs out of numbers ({error}); look at the values and units in rig.toml, "
+                f"{folder}: the fit fails numerically ({error}); check the values and units in rig.toml, "
                 "or restart the simulation in windows of window_s"
             ) from error
         return cls(result.as_dict(), words.lines(result), diagnosis_page.page(result) if page else None)
 
     def write(self, out: Path | None, html: Path | None) -> None:
-        """Each file whole or not at all; both together where they lie in one folder."""
+        """Write each file completely or not at all, and both together if they are in one folder."""
         wanted = [
             (p, t) for p, t in ((out, json.dumps(self.found, indent=1) + "\n"), (html, self.page)) if p is not None
         ]
@@ -159,26 +159,27 @@ class Explained:
 
 
 def _uncertain(folder: Path) -> Rig:
-    """The rig in `folder`. Raises InputError where no parameter of it is uncertain: a fit would have nothing to fit."""
+    """Load the rig in `folder`. Raises InputError if no parameter is uncertain, since nothing could be fitted."""
     rig = load(folder)
     if not any(parameter.tolerance for parameter in rig.plant.parameters.values()):
-        raise InputError(f"{rig.folder}/rig.toml: tolerance: no parameter is uncertain; give one at least, e.g. 0.01")
+        raise InputError(f"{rig.folder}/rig.toml: tolerance: no parameter is uncertain; give at least one, e.g. 0.01")
     return rig
 
 
 def isolable(
     folder: Path, own: Sequence[Path] = (), ranges: Mapping[str, tuple[float, float]] | None = None
 ) -> tuple[dict, list[str]]:
-    """What the rig in `folder` can show of the effects; (groups, unseen, singular values, ..., lines to print).
+    """Which effects the rig in `folder` can tell apart; (groups, unseen, singular values, ..., lines to print).
 
-    By its identify.csv or, before data, by motions within `ranges` of the inputs (in their units) on the data sheet's
-    plant. Raises InputError for a rig, recording, table or ranges that cannot serve.
+    The motion is that of its identify.csv. With `ranges` of the inputs (in their units) it is simulated on the data
+    sheet's plant, so that no recording is needed. Raises InputError for a rig, recording, table or ranges that cannot
+    be used.
     """
     rig = _uncertain(folder)
     path = rig.folder / "identify.csv"
     if not ranges and not path.exists():
         wish = " ".join(f"--range {name}=LOW:HIGH" for name in rig.inputs)
-        raise InputError(f"{path}: there is none; record it, or, before data, give {wish}")
+        raise InputError(f"{path}: there is no such file; record it, or give {wish}")
     if ranges:
         recording = nominal(rig, table_of(own, rig, None), ranges)
     else:
@@ -197,7 +198,7 @@ def predict(
 ) -> dict[str, dict]:
     """Write `t`, as it stands in `recording`, and the predicted channels to the CSV file `out`.
 
-    Returns channel -> rms of simulated minus recorded (None where it diverges), unit, finite.
+    Returns channel -> rms of simulated minus recorded (None if the simulation diverges), unit, finite.
     """
     rig = load(folder)
     measured, clock = rig.timed(recording)
@@ -217,12 +218,12 @@ def predict(
 
 
 def score(folder: Path, diagnosis: Path | None, own: Sequence[Path] = ()) -> tuple[dict, list[str], bool]:
-    """(answer and score, lines to print, whether the diagnosis is right) of a concealed case.
+    """Score a concealed case: (answer and score, lines to print, whether the diagnosis is right).
 
-    Without a diagnosis, and none in the folder, the answer alone.
+    If no diagnosis is given and the folder holds none, only the answer is returned.
     """
     for path in own:
-        table.read(path)  # what is wrong with a table is said before the answer is opened
+        table.read(path)  # a faulty table is reported before the answer is opened
     answer = sealed(folder)
     what = ", ".join(answer["concealed"]) or answer["parameter"] or "nothing"
     out = [words.row("concealed", f"{what} ({answer['kind']}, {answer['form']} form, {answer['plant']})")]
@@ -233,7 +234,7 @@ def score(folder: Path, diagnosis: Path | None, own: Sequence[Path] = ()) -> tup
         diagnosis = Path(folder) / "diagnosis.json"
         if not diagnosis.exists():
             return {"answer": answer}, out, True
-    reveal(folder, diagnosis)  # what is wrong with the file is said before anything is simulated
+    reveal(folder, diagnosis)  # a faulty file is reported before anything is simulated
     with tempfile.TemporaryDirectory() as scratch:
         corrected = Path(scratch) / "corrected.csv"
         predict(folder, Path(folder) / "third.csv", diagnosis, corrected, own)
@@ -253,6 +254,6 @@ def score(folder: Path, diagnosis: Path | None, own: Sequence[Path] = ()) -> tup
     inside = found["inside"]
     out.append(words.row("intervals", f"{sum(inside.values())} of {len(inside)} hold the true value"))
     if found["removed"] is not None:
-        removed = f"{100 * found['removed']:.1f} % of the removable error on the recording kept back"
+        removed = f"{100 * found['removed']:.1f} % of the removable error on the held-out recording"
         out.append(words.row("removed", removed))
     return {"answer": answer, **found, "right": right}, out, right

@@ -1,7 +1,7 @@
-"""What the JSON files of a build say: every entry is of the kind that it must be, or the file is refused.
+"""Reads the JSON files of a build, and refuses a file in which an entry is not of its kind.
 
-A build may come from anywhere. Here its entries are checked, and nowhere else: none of them becomes a path but the
-recordings, which are read as CSV, and the architectures, which are of a list.
+A build may come from anywhere, and its entries are checked only here. Only two become paths: the recordings, which are
+read as CSV, and the architectures, which must be names of targets.
 """
 
 import os
@@ -47,7 +47,7 @@ FILES: dict[str, Kind] = {
 
 
 def read_facts(folder: Path) -> dict:
-    """compile.json of a build. Raises InputError where there is none, or it is not as `compile` writes it."""
+    """Read compile.json of a build. Raises InputError if it is missing, or not as `compile` writes it."""
     facts = _read(folder / FACTS, "compile")
     if facts is None:
         raise InputError(f"{folder}: no {FACTS} here; run greygate compile first")
@@ -57,12 +57,12 @@ def read_facts(folder: Path) -> dict:
 
 
 def read_hardware(folder: Path) -> dict | None:
-    """verify.json of a build, or None. Raises InputError where it is not as `verify` writes it."""
+    """Read verify.json of a build, or return None. Raises InputError if it is not as `verify` writes it."""
     return _read(folder / "verify.json", "verify")
 
 
 def read_resources(folder: Path) -> dict | None:
-    """resources.json of a build, or None. Raises InputError where it is not as `synthesize` writes it."""
+    """Read resources.json of a build, or return None. Raises InputError if it is not as `synthesize` writes it."""
     return _read(folder / "resources.json", "synthesize")
 
 

@@ -1,15 +1,15 @@
-"""The one way files and folders are written: whole or not at all, and over nothing but what greygate wrote.
+"""Writes files and folders completely or not at all, and replaces only what greygate wrote.
 
-What is to be NAME is written as `.NAME.greygate-new` beside it, reaches the disk, and takes the name in one rename.
-`.NAME.greygate-lock` is held meanwhile; a kill releases it, whatever is left of it. So whoever holds the lock knows
-that other names of this form are of a writer that was killed, and removes them.
+A new NAME is written beside it as `.NAME.greygate-new`, synced to the disk, and renamed to NAME in one step. Meanwhile
+the writer holds a lock on `.NAME.greygate-lock`; a kill releases the lock, even if the file stays. So a process that
+holds the lock knows that other files of this form come from a writer that was killed, and removes them.
 
-Where one rename is not enough (files that belong together; a folder on a file system that cannot exchange two names)
-`.NAME.greygate-commit` is the journal: it appears when every new file is whole, and while it stands the new files
-count. The next reader or writer finishes the renames and removes it.
+Where one rename is not enough (files that belong together; a folder on a file system that cannot exchange two names),
+`.NAME.greygate-commit` is the journal: it is made when every new file is complete, and while it exists the new files
+count. The next reader or writer finishes the renames and removes the journal.
 
-A folder is greygate's only if its manifest.json says so; a file that it does not list, or that was changed since, is
-never removed. Every OSError leaves here as an InputError.
+A folder is greygate's only if its manifest.json says so. A file that the manifest does not list, or that was changed
+since, is never removed. Every OSError is raised from here as an InputError.
 """
 
 import ctypes
@@ -33,40 +33,40 @@ from greygate.version import __version__
 
 MANIFEST = "manifest.json"
 SCHEMA = 1  # of the manifest
-PATIENCE = 5.0  # s that a writer or reader of files waits for another, who needs milliseconds
+PATIENCE = 5.0  # s that a writer or reader of files waits for another one, which needs milliseconds
 NAMED = 3  # files that a refusal names
 OURS = re.compile(r"(.*/)?\.[^/]+\.greygate-(new|old|lock|commit)")
-LACKING = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK)  # the file system does not have that
+LACKING = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK)  # the file system does not offer the operation
 AT_FDCWD, RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
 
-_staged: set[Path] = set()  # folders under way: what is written in them needs no care of its own
+_staged: set[Path] = set()  # folders being filled: files in them need no replacing of their own
 
 
 @contextmanager
 def replacing(path: Path | str) -> Iterator[Path]:
-    """Yield a path to write; it takes the place of `path` only if the block succeeds. As `replacing_all`."""
+    """Yield a path to write; it replaces `path` only if the block succeeds. Raises as `replacing_all`."""
     with replacing_all([path]) as (new,):
         yield new
 
 
 @contextmanager
 def replacing_all(paths: Sequence[Path | str], durable: bool = True) -> Iterator[list[Path]]:
-    """Yield paths to write; those written take the places of `paths`, files of one folder, all of them or none.
+    """Yield paths to write; the written ones replace `paths`, files of one folder, all of them or none.
 
-    durable: they are on the disk when the block ends, whatever happens to the machine.
-    Raises InputError where the folder is missing or cannot be written, `paths` holds a link, no file or one twice, or
-    another process keeps writing them.
+    durable: sync them to the disk before the block ends, so that they survive a power failure.
+    Raises InputError if the folder is missing or cannot be written, if `paths` holds a link, something that is not a
+    file, or one path twice, or if another process keeps writing them.
     """
     files = [Path(path) for path in paths]
     if len(set(files)) < len(files):
-        raise InputError(f"{files[0]}: two files would have this name; give another to one of them")
+        raise InputError(f"{files[0]}: two files would have this name; rename one of them")
     if any(folder in _absolute(files[0]).parents for folder in _staged):
         yield files
         return
     with writing(files[0]):
         for path in files:
             if path.is_symlink() or (path.exists() and not path.is_file()):
-                raise InputError(f"{path}: is no plain file; give the name of a file, or a new one")
+                raise InputError(f"{path}: is not a plain file; give the name of a file, or a new name")
         with locked(files[0], PATIENCE):
             _finish(files)
             new, commit = [_beside(p, "new") for p in files], _beside(files[0], "commit")
@@ -94,7 +94,7 @@ def replacing_all(paths: Sequence[Path | str], durable: bool = True) -> Iterator
 
 
 def settle(paths: Sequence[Path | str]) -> None:
-    """Finish what a killed writer of these files left, if all was written by then."""
+    """Finish the renames that a killed writer of these files left, if it had written all of them."""
     files = [Path(path) for path in paths]
     if _beside(files[0], "commit").exists():
         with writing(files[0]), locked(files[0], PATIENCE):
@@ -102,9 +102,10 @@ def settle(paths: Sequence[Path | str]) -> None:
 
 
 def read_all(paths: Sequence[Path | str]) -> list[bytes | None]:
-    """Contents of files that belong together, from before or after any `replacing_all`; None where there is none.
+    """Contents of files that belong together, all from before or all from after a `replacing_all`.
 
-    Raises OSError where one cannot be read, InputError as `settle` or while they are written over and over.
+    A file that does not exist gives None. Raises OSError if one cannot be read, InputError as `settle` or if another
+    process keeps writing them.
     """
     files = [Path(path) for path in paths]
     until = time.monotonic() + PATIENCE
@@ -114,7 +115,7 @@ def read_all(paths: Sequence[Path | str]) -> list[bytes | None]:
         found = [contents(path) if path.exists() else None for path in files]
         if before == _state(files) and not _beside(files[0], "commit").exists():
             return found
-    raise InputError(f"{files[0]}: another greygate keeps writing it; wait for it")
+    raise InputError(f"{files[0]}: another greygate keeps writing it; wait until it has finished")
 
 
 def _state(paths: Sequence[Path]) -> list[tuple | None]:
@@ -124,11 +125,11 @@ def _state(paths: Sequence[Path]) -> list[tuple | None]:
 
 @contextmanager
 def replacing_folder(path: Path | str, kind: str, later: str = "(?!)") -> Iterator[Path]:
-    """Yield a folder to fill; with its manifest it takes the place of `path` only if the block succeeds.
+    """Yield a folder to fill; with its manifest it replaces `path` only if the block succeeds.
 
-    kind: command that writes such folders. later: pattern of the files that other commands add, which go with it.
-    Parents are made. Raises InputError, before the block runs, where something stands there that the command did not
-    write (`replaceable`), or while another process writes it.
+    kind: command that writes such folders. later: pattern of the files that other commands add to the folder; they are
+    replaced with it. Parent folders are made. Raises InputError, before the block runs, if `path` holds something that
+    the command did not write (`replaceable`), or if another process is writing it.
     """
     path = Path(path)
     replaceable(path, kind, later)
@@ -146,7 +147,7 @@ def replacing_folder(path: Path | str, kind: str, later: str = "(?!)") -> Iterat
             for folder, _, names in os.walk(new):
                 for name in (*names, "."):
                     _sync(Path(folder, name))
-            replaceable(path, kind, later)  # hours may lie between
+            replaceable(path, kind, later)  # once more: the block may have taken hours
             _put(new, path, kind, later)
         finally:
             _staged.discard(_absolute(new))
@@ -156,10 +157,10 @@ def replacing_folder(path: Path | str, kind: str, later: str = "(?!)") -> Iterat
 
 
 def settle_folder(path: Path | str, kind: str, later: str = "(?!)", held: bool = False) -> None:
-    """Finish the replacing of a folder that a kill broke off between its two renames. held: the lock is the caller's.
+    """Finish the replacement of a folder that a kill interrupted between its two renames.
 
-    kind, later: as in `replacing_folder`. Raises InputError for a folder that may not be replaced: anyone may have put
-    a journal beside it.
+    kind, later: as in `replacing_folder`. held: the caller holds the lock. Raises InputError for a folder that may not
+    be replaced, because anyone may have put a journal beside it.
     """
     path = Path(path)
     commit, new, old = (_beside(path, what) for what in ("commit", "new", "old"))
@@ -181,7 +182,7 @@ def settle_folder(path: Path | str, kind: str, later: str = "(?!)", held: bool =
 
 @contextmanager
 def making(folder: Path | str) -> Iterator[None]:
-    """Make a folder and its parents; if the block fails, those go again that were made and are empty."""
+    """Make a folder and its parents; if the block fails, remove those that were made here and are empty."""
     folder = Path(folder)
     missing = []
     try:
@@ -198,7 +199,7 @@ def making(folder: Path | str) -> Iterator[None]:
 
 @contextmanager
 def writing(path: Path | str, do: str = "write here") -> Iterator[None]:
-    """Turn an OSError of the block into an InputError on `path`, or on the other file that it names."""
+    """Turn an OSError of the block into an InputError about `path`, or about the other file that the error names."""
     try:
         yield
     except OSError as error:
@@ -209,15 +210,15 @@ def writing(path: Path | str, do: str = "write here") -> Iterator[None]:
 
 @contextmanager
 def locked(path: Path | str, patience: float = 0.0) -> Iterator[None]:
-    """Hold the right to write `path`. Raises InputError if another has it, and keeps it for `patience` seconds.
+    """Hold the lock for writing `path`; wait up to `patience` seconds for it.
 
-    Raises OSError where the lock cannot be made.
+    Raises InputError if another process still holds it then, OSError if the lock cannot be made.
     """
     path = Path(path)
     lock, until = _beside(path, "lock"), time.monotonic() + patience
     while (handle := _taken(lock)) is None:
         if time.monotonic() >= until:
-            raise InputError(f"{path}: another greygate is writing it; wait for it")
+            raise InputError(f"{path}: another greygate is writing it; wait until it has finished")
         time.sleep(0.01)
     try:
         yield
@@ -228,15 +229,15 @@ def locked(path: Path | str, patience: float = 0.0) -> Iterator[None]:
 
 
 def _taken(lock: Path) -> int | None:
-    """Handle of the lock file, which then has its name still; None if another process holds it."""
+    """Handle of the locked file, which still has its name then; None if another process holds the lock."""
     while True:
-        # writable, as NFS locks nothing else; a pipe of that name is not waited for
+        # opened for writing, since NFS locks only such files; O_NONBLOCK, so that a pipe of that name cannot block
         handle = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if os.path.samestat(os.fstat(handle), os.stat(lock)):
                 return handle
-        except FileNotFoundError:  # its holder removed it, ending
+        except FileNotFoundError:  # its holder has ended and removed it
             pass
         except BlockingIOError:
             os.close(handle)
@@ -250,34 +251,35 @@ def _taken(lock: Path) -> int | None:
 
 
 def manifest(folder: Path | str, kind: str) -> dict[str, str]:
-    """SHA-256 by path of each file that `greygate <kind>` wrote into the folder, plain paths within it.
+    """Path -> SHA-256 of each file that `greygate <kind>` wrote into the folder; the paths stay within the folder.
 
-    Raises InputError where there is no such manifest, or it cannot be one.
+    Raises InputError if there is no manifest, or the file is not a valid manifest of that command.
     """
     path = Path(folder) / MANIFEST
     again = f"run greygate {kind} again, into a new folder"
     if not path.exists():
-        raise InputError(f"{folder}: no {MANIFEST}, so not what this greygate {kind} writes; {again}")
+        raise InputError(f"{folder}: no {MANIFEST}, so greygate {kind} did not write this folder; {again}")
     found = read_json(path, again)
     try:
         kinds = {"schema": whole(SCHEMA, SCHEMA), "kind": line, "files": named(_sha256, _plain)}
         found = table(found, f"{path}:", kinds, others=True)
     except InputError as error:
-        raise InputError(f"{error}: no manifest of this greygate; {again}") from None
+        raise InputError(f"{error}: not a manifest of this greygate; {again}") from None
     if found["kind"] != kind:
         raise InputError(f"{folder}: written by greygate {found['kind']!r}, not by {kind}; choose another folder")
     return found["files"]
 
 
 def changed(folder: Path | str, files: dict[str, str]) -> list[str]:
-    """Those of `files` (as `manifest` gives them) that are other than they were written, or gone."""
+    """Names of those `files` (as `manifest` gives them) that were changed or removed since they were written."""
     return [name for name, digest in files.items() if _digest(Path(folder) / name) != digest]
 
 
 def replaceable(path: Path | str, kind: str, later: str = "(?!)") -> None:
-    """Raise InputError unless nothing stands at `path`, or a folder of which greygate <kind> wrote every file.
+    """Raise InputError unless `path` does not exist, or is a folder in which greygate <kind> wrote every file.
 
-    Neither may it be a link, hold the current folder, home or greygate. later: as in `replacing_folder`.
+    It also raises if `path` is a link, or holds the current folder, the home folder or greygate itself.
+    later: as in `replacing_folder`.
     """
     path, there, strange = Path(path), [], []
     with writing(path, "make this folder"):
@@ -315,14 +317,14 @@ def _fail(error: OSError) -> None:
 
 
 def write_manifest(folder: Path, kind: str) -> None:
-    """Note all files in the folder as written by greygate <kind>."""
+    """List all files in the folder as written by greygate <kind>."""
     files = {name: _digest(folder / name) for name in _walk(folder) if name != MANIFEST}
     content = {"schema": SCHEMA, "kind": kind, "tool": f"greygate {__version__}", "files": files}
     (folder / MANIFEST).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def _digest(path: Path) -> str | None:
-    """SHA-256 of a plain file, else None."""
+    """SHA-256 of a plain file; None if there is no plain file."""
     try:
         if not stat.S_ISREG(path.lstat().st_mode):
             return None
@@ -333,22 +335,22 @@ def _digest(path: Path) -> str | None:
 
 
 def _sha256(value: object, where: str) -> str:
-    """The digest of a file."""
+    """A kind (`greygate.reading`): the digest of a file."""
     if not (isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value)):
-        raise InputError(f"{where} {shown(value)} is no SHA-256")
+        raise InputError(f"{where} {shown(value)} is not a SHA-256")
     return value
 
 
 def _plain(name: str, where: str) -> str:
-    """A path of a manifest that leads to a place within its folder and nowhere else."""
+    """A kind (`greygate.reading`): a path in a manifest, which stays within the manifest's folder."""
     path = PurePosixPath(name)
     if not path.parts or path.is_absolute() or ".." in path.parts or str(path) != name:
-        raise InputError(f"{where} {shown(name)} is no plain path within the folder")
+        raise InputError(f"{where} {shown(name)} is not a plain path within the folder")
     return name
 
 
 def _check_place(path: Path) -> None:
-    """Raise InputError where no folder may be put."""
+    """Raise InputError if no folder may be written at `path`."""
     if path.is_symlink():
         raise InputError(f"{path}: is a link; name the folder itself")
     where = path.resolve()
@@ -359,7 +361,7 @@ def _check_place(path: Path) -> None:
 
 
 def _put(new: Path, path: Path, kind: str, later: str) -> None:
-    """Give the filled folder its name; what had it is then called `new`, or gone."""
+    """Give the filled folder its name; the folder that had the name is then called `new`, or is removed."""
     if not path.exists() or not any(path.iterdir()):
         new.rename(path)
     elif not _exchange(new, path):
@@ -370,7 +372,7 @@ def _put(new: Path, path: Path, kind: str, later: str) -> None:
 
 
 def _exchange(one: Path, other: Path) -> bool:
-    """Swap two names in one step; False where the system or the file system cannot."""
+    """Swap two names in one step; False if the system or the file system cannot do that."""
     swap = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
     if swap is None:
         return False
@@ -383,7 +385,7 @@ def _exchange(one: Path, other: Path) -> bool:
 
 
 def _finish(paths: Sequence[Path]) -> None:
-    """Where the journal says that all new files are whole, give them their names."""
+    """Give the new files their names, if the journal says that all of them are complete."""
     commit = _beside(paths[0], "commit")
     if not commit.exists():
         return
@@ -395,7 +397,7 @@ def _finish(paths: Sequence[Path]) -> None:
 
 
 def _sync(path: Path) -> None:
-    """Have a file or folder reach the disk."""
+    """Sync a file or folder to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)

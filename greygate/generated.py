@@ -1,7 +1,7 @@
-"""Modules of generated source that numba compiles, kept on disk so that each is compiled once on a machine.
+"""Modules of generated source that numba compiles; they are kept on disk, so that each is compiled once on a computer.
 
-The source is this package's own: of a plant, written from names and trees that `plants.expressions` has checked; of an
-integer program, from its numbers. No text of a file stands in it.
+This package writes the source: for a plant from names and trees that `plants.expressions` has checked, for an integer
+program from its numbers. No text from a file stands in the source.
 """
 
 import hashlib
@@ -17,10 +17,10 @@ from greygate.files import replacing
 
 
 def load(kind: str, text: str) -> types.ModuleType:
-    """The module of source `text`, named by its hash, in `$XDG_CACHE_HOME/greygate/<kind>s` (`~/.cache` by default).
+    """Load the module of source `text` from `$XDG_CACHE_HOME/greygate/<kind>s` (`~/.cache` by default).
 
-    Functions that `text` decorates with `njit(cache=True)` find what numba compiled in an earlier process beside it.
-    Where that folder cannot be written, the module lives in memory.
+    Its name is its hash. For functions decorated with `njit(cache=True)`, numba keeps its compiled code beside the
+    module and finds it there in later processes. If the folder cannot be written, the module stays in memory.
     """
     name = f"greygate_{kind}_{hashlib.sha256(text.encode()).hexdigest()[:24]}"
     folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "greygate" / f"{kind}s"

@@ -1,7 +1,7 @@
-"""What may be a name, a unit, a line of text, the name of a file: decided here, for whatever a user or a file gives.
+"""Checks names, units, lines of text and file names that a user or a file gives.
 
-Each `check_` takes what was given and where it stands, and returns it, or raises InputError in one line. What is made
-of a name afterwards (Verilog, a path, a page) escapes it once more where it leaves.
+Each `check_` takes the value and the place where it stands, and returns the value, or raises InputError in one line.
+Code that writes a name (into Verilog, a path, a page) escapes it once more.
 """
 
 import re
@@ -10,20 +10,22 @@ from typing import TypeGuard
 
 from greygate.errors import InputError, shown
 
-LONGEST_NAME = 100  # characters: a program's and a signal's name together still fit into a file's
+LONGEST_NAME = 100  # characters: a program's name and a signal's name together still fit into a file name
 LONGEST_UNIT = 40  # characters
 LONGEST_TEXT = 500  # characters of a note, a title or a scenario
 LONGEST_FILE = 238  # characters: file systems take 255, of which `..greygate-commit` (files.py) takes 17
 
 _PART = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _FILE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
-_RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)  # by Windows, whatever follows the dot
+_RESERVED = re.compile(
+    r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE
+)  # Windows reserves these, with any suffix
 _SIGNS = frozenset(" ^*/()+-−⁺⁻.,·⋅×%‰°'′″_")  # in a unit, beside letters and digits
-_RIGHT_TO_LEFT = ("R", "AL", "AN")  # letters and digits that change the order in which what follows is shown
+_RIGHT_TO_LEFT = ("R", "AL", "AN")  # letters and digits that change the order in which the following text is shown
 
 
 def check_name(value: object, where: str) -> str:
-    """A network's or a program's name: letters a to z, digits and _; its files bear it."""
+    """The name of a network or a program, which its files have too: letters a to z, digits and _."""
     if not (_short(value, LONGEST_NAME) and _PART.fullmatch(value)):
         raise InputError(
             f"{where} {shown(value)}: a name has letters a to z, digits and _, no digit first, at most {LONGEST_NAME} "
@@ -53,25 +55,24 @@ def check_unit(value: object, where: str) -> str:
 
 
 def check_text(value: object, where: str) -> str:
-    """One line that people read, such as the name of a scenario: characters that can be seen, and spaces."""
+    """One line that people read, such as the name of a scenario: visible characters and spaces."""
     if not (_short(value, LONGEST_TEXT) and value.isprintable()):
         raise InputError(
-            f"{where} {shown(value)}: a text is one line of characters that can be seen, at most {LONGEST_TEXT}; "
-            "write it otherwise"
+            f"{where} {shown(value)}: a text is one line of visible characters, at most {LONGEST_TEXT}; correct it"
         )
     return value
 
 
 def check_file_name(value: object, where: str) -> str:
-    """A file's or folder's own name, without folders; every join of a name to a path asks this."""
+    """The name of a file or folder, without a path; it is checked wherever a name is joined to a path."""
     if (
         not (_short(value, LONGEST_FILE) and _FILE.fullmatch(value))
         or value.endswith(".")
         or _RESERVED.fullmatch(value)
     ):
         raise InputError(
-            f"{where} {shown(value)}: not the name of one file on every system (letters a to z, digits, _ - and dots, "
-            "no folder); rename it"
+            f"{where} {shown(value)}: not a file name on every system (letters a to z, digits, _ - and dots, no "
+            "folder); rename it"
         )
     return value
 

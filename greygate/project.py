@@ -1,12 +1,12 @@
-"""A compiled network as a folder: what `greygate compile` writes and `verify`, `emulate` and `report` read.
+"""A compiled network as a folder, which `greygate compile` writes and `verify`, `emulate` and `report` read.
 
 program.json           the integer program (docs/integer-program.md)
 network.toml, .safetensors   the generic float network it was quantized from
-compile.json           where it came from, the passes, the architecture
-manifest.json          SHA-256 of each file above and below; what it does not list is not replaced
+compile.json           the source, the passes, the architectures
+manifest.json          SHA-256 of each file above and below; a file that it does not list is never replaced
 rtl/parallel, rtl/folded     the Verilog of each architecture, and <program>.f, its list of files
-verify.json            what the last verification found; results-*.xml beside it are JUnit
-resources.json         what synthesis found, by architecture and target
+verify.json            results of the last verification; results-*.xml beside it are JUnit
+resources.json         resources that synthesis found, by architecture and target
 simulation/            results and logs of the last verification, by architecture
 """
 
@@ -58,7 +58,7 @@ from greygate.progress import Progress, silent
 from greygate.reading import read_json
 from greygate.source import Source
 
-LATER = (  # what verify and synthesize add to a build, in which nobody else writes
+LATER = (  # the files that verify and synthesize add to a build; nothing else writes there
     rf"verify\.json|resources\.json|results-({'|'.join(NAMES)})\.xml|"
     rf"simulation/({'|'.join(NAMES)})/(results\.xml|(sim|verilator|make)\.log|dump\.vcd|"
     r"build/(bench(\.v)?|job\.(json|npz)|verdicts\.json|(verilator|make)\.log|(Vtop|verilat)\w*(\.\w+)+))"
@@ -80,14 +80,14 @@ def compile_project(
     macs: int = 4,
     progress: Progress = silent,
 ) -> Compiled:
-    """Compile a network and write the folder that `Project.open` reads, whole or not at all.
+    """Compile a network and write the folder that `Project.open` reads, completely or not at all.
 
-    An earlier build of that folder is replaced, and nothing else is. Nobody else writes the folder meanwhile.
+    The folder replaces an earlier build and nothing else. A lock keeps other processes from writing it meanwhile.
 
     formats: those of the source if not given. budget, generic: as for `compile`.
     prune: factor by which entropy pruning may raise the RMS error on the training records, e.g. 1.02.
-    weights: method of `compiler.saliency` that then takes out single weights, within that factor once more.
-    held: scenarios that bound the error of pruning instead, other than the training ones.
+    weights: method of `compiler.saliency` that then removes single weights and may raise the error by that factor
+    again. held: scenarios, other than the training ones, that bound the error of pruning instead.
     architectures: of the Verilog. macs: multipliers of the folded one.
     Raises InputError as `Source`, `compile` and `emit`, and for a folder that holds other files.
 
@@ -122,7 +122,7 @@ def _pruning(
     held: Sequence[str],
     progress: Progress,
 ) -> Callable[[Network], tuple[Network, list[Round]]] | None:
-    """The passes that prune, in turn; None where nothing is to be pruned."""
+    """The pruning passes, one after the other; None if nothing is to be pruned."""
     if learnt := set(held) & set(source.training):
         raise InputError(f"{min(learnt)} sets the ranges and cannot be held out; give another recording before it")
     training, judges = ([records[n] for n in names] for names in (source.training, held))
@@ -162,7 +162,7 @@ def _write(
 
 
 def fixed_and_float(compiled: Compiled, record: Record, before: Network | None = None) -> dict[str, dict]:
-    """RMSE of the program, of the network it was quantized from, and of that before pruning, by output, in its unit."""
+    """RMSE of the program, of the float network it was made from, and of `before` pruning, by output, in its unit."""
     errors = {"before": float_error(before, record)} if before else {}
     errors |= {"float": float_error(compiled.network, record), "fixed": fixed_error(compiled.program, record)}
     return {
@@ -188,8 +188,8 @@ def _in_turn(passes: Sequence[Callable], network: Network) -> tuple[Network, lis
 class Project:
     """A folder that `build` wrote, read back.
 
-    folder: where it stands. source: what it was compiled from. program, network: what the compiler made, in integers
-    and in float. facts: what compile.json says.
+    folder: its path. source: what it was compiled from. program, network: the compiler's results, in integers and in
+    float. facts: the content of compile.json.
 
     >>> project = Project.open("lag")
     >>> project.program.name, project.facts["macs"]
@@ -204,7 +204,7 @@ class Project:
 
     @staticmethod
     def open(folder: Path | str) -> "Project":
-        """Raises InputError if the folder is not one that `compile` wrote, or other than it wrote it, but for rtl/."""
+        """Read a build. Raises InputError if `compile` did not write the folder, or a file outside rtl/ was changed."""
         folder = Path(folder)
         with writing(folder, "read this folder"):
             return Project._open(folder)
@@ -223,13 +223,16 @@ class Project:
         return Project(folder, source, Program.load(folder / "program.json"), Network.load(folder / "network"), facts)
 
     def compiled(self, records: Mapping[str, Record]) -> Compiled:
-        """As the compiler left it; ranges are taken again from the training records."""
+        """The result of the compiler, with ranges computed again from the training records."""
         found = ranges(self.network, [records[n] for n in self.source.training])
         passes = tuple(Pass(**p) for p in self.facts["passes"])
         return Compiled(self.network, found, self.program, passes)
 
     def scenarios(self, names: tuple[str, ...] = ()) -> dict[str, Scenario]:
-        """What hardware must answer, from the emulator. Raises InputError for a name that does not exist."""
+        """Inputs and the outputs and states that hardware must give, by the emulator.
+
+        Raises InputError for a scenario that does not exist.
+        """
         records = self.source.records()
         found = {}
         for name in names or self.source.scenarios:
@@ -241,20 +244,20 @@ class Project:
         return found
 
     def case(self, architecture: str, names: tuple[str, ...] = ()) -> Case:
-        """One emitted design with what it must answer."""
+        """One emitted design with the answers that it must give."""
         where = self.folder / "rtl" / architecture
         return Case(self.program, self.scenarios(names), architecture, self.facts["macs"], emitted=where)
 
     @property
     def designs(self) -> list[str]:
-        """Architectures in Verilog. Raises InputError if there is none."""
+        """The architectures in Verilog. Raises InputError if there is none."""
         found = [a for a in self.facts["architectures"] if isinstance(target(a), Architecture)]
         if not found:
             raise InputError(f"{self.folder}: holds no Verilog; run greygate compile --architecture both")
         return found
 
     def edited(self) -> list[Path]:
-        """Files in rtl/ that are other than the program's own Verilog: a person's code, or a stranger's."""
+        """Files in rtl/ that differ from the Verilog of the program: code of the user, or of a stranger."""
         found = []
         for architecture in self.facts["architectures"]:
             where = self.folder / "rtl" / architecture
@@ -266,13 +269,16 @@ class Project:
 
     @property
     def hardware(self) -> dict | None:
-        """What `verify` found, by architecture, or None."""
+        """The results of `verify` by architecture, or None."""
         settle(_results(self.folder))
         return read_hardware(self.folder)
 
     @property
     def resources(self) -> dict | None:
-        """What `synthesize` found, by "architecture, target", here or else of a program of this size, or None."""
+        """The results of `synthesize` by "architecture, target", or None.
+
+        If the build has none, those that the package keeps for this network, if its program has the same size.
+        """
         if (found := read_resources(self.folder)) is not None:
             return found
         kept = _kept(self.source.name)
@@ -283,22 +289,23 @@ class Project:
 
 
 def _kept(name: str) -> Path:
-    """Resources that are kept in the package beside the network."""
+    """The file in the package that keeps a network's resources."""
     return TRAINED / f"{name}.resources.json"
 
 
 def _results(folder: Path) -> list[Path]:
-    """What `verify` writes, together."""
+    """The files that `verify` writes together."""
     return [folder / "verify.json", *(folder / f"results-{architecture}.xml" for architecture in NAMES)]
 
 
 def verify_project(
     project: Project, names: tuple[str, ...] = (), seed: int | None = None, as_is: bool = False
 ) -> dict[str, Verification]:
-    """Each emitted design in Verilator against the emulator, by architecture, side by side on the cores there are.
+    """Compare each emitted design in Verilator with the emulator; the architectures run in parallel.
 
-    Writes verify.json and one results-ARCHITECTURE.xml (JUnit) each into the folder. as_is: even Verilog that is not
-    what `emit` makes of the program; it is code, and Verilator runs it. Raises InputError for such Verilog otherwise.
+    Writes verify.json and a results-ARCHITECTURE.xml (JUnit) for each architecture into the folder. as_is: also verify
+    Verilog that differs from what `emit` makes of the program. It is code, and Verilator runs it; without `as_is` it
+    raises InputError.
 
     >>> found = verify(project, seed=1)
     >>> {architecture: one.passed for architecture, one in found.items()}
@@ -307,8 +314,8 @@ def verify_project(
     with writing(project.folder), locked(project.folder.resolve()):
         if (edited := project.edited()) and not as_is:
             raise InputError(
-                f"{edited[0]}: not the Verilog of program.json, and Verilog is code; compile again, or read it and give"
-                " --as-is"
+                f"{edited[0]}: is not the Verilog of program.json, and Verilog is code; compile again, or read it and "
+                "give --as-is"
             )
         for path in edited:
             print(f"verify: {path} is not the Verilog of program.json; verified as it is", file=sys.stderr)
@@ -317,14 +324,14 @@ def verify_project(
 
 
 def _clear(folder: Path) -> None:
-    """Remove what an earlier verification built: make would run it, and a stranger may have put it there.
+    """Remove the build of an earlier verification, because make would run it and a stranger may have put it there.
 
-    Raises InputError for a file that no verification writes.
+    Raises InputError for a file that `verify` does not write.
     """
     found = sorted(path for path in (folder / "simulation").rglob("*") if not path.is_dir() or path.is_symlink())
     for path in found:
         if not re.fullmatch(LATER, path.relative_to(folder).as_posix()):
-            raise InputError(f"{path}: no file of greygate verify, and make may run it; move it elsewhere")
+            raise InputError(f"{path}: greygate verify did not write this file, and make may run it; move it elsewhere")
     if found:
         shutil.rmtree(folder / "simulation")
 
@@ -339,7 +346,7 @@ def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[
         futures = [pool.submit(check, architecture) for architecture in architectures]
         try:
             results = {a: future.result() for a, future in zip(architectures, futures, strict=True)}
-        except BaseException:  # of Ctrl-C and `kill`, Verilator hears nothing; the pool waits for it
+        except BaseException:  # Ctrl-C and `kill` do not reach Verilator, for which the pool waits
             while wait(futures, 0.1).not_done:
                 stop_tools()
             raise
@@ -365,10 +372,11 @@ def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[
 def synthesize_project(
     project: Project, target: str, clock_rate: bool = False, limit: float | None = None, keep: bool = False
 ) -> dict[str, dict]:
-    """Resources of each architecture by Yosys (and nextpnr); adds to resources.json.
+    """Find the resources of each architecture by Yosys (and nextpnr), and add them to resources.json.
 
-    limit: seconds of processor time for each tool; a design that takes longer is told as {"stopped_after_s": limit}.
-    keep: add them to those in the package too. Raises InputError there for a program that is not the catalogue's.
+    limit: seconds of processor time for each tool; a design that takes longer has the result
+    {"stopped_after_s": limit}. keep: store them in the package too; this raises InputError for a program that is not
+    of the catalogue.
 
     >>> sorted(synthesize(project, "ice40"))
     ['folded, ice40', 'parallel, ice40']

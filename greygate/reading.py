@@ -1,8 +1,8 @@
-"""TOML and JSON files, which anyone may have written: plain data of known kinds comes out of them, or one InputError.
+"""Reads TOML and JSON files, which anyone may have written: the result is plain data of known kinds, or an InputError.
 
-`read_toml` and `read_json` give what a file holds. A kind then says what an entry must be: a function
-(value, where) -> value. It raises InputError in one line that begins with `where`, the file and the entry, such as
-"mine.toml: inputs[0].scale". The checks of `greygate.names` are kinds too.
+`read_toml` and `read_json` return the content of a file. A kind then checks an entry: it is a function
+(value, where) -> value, which raises InputError in one line. The line begins with `where`, the file and the entry, such
+as "mine.toml: inputs[0].scale". The checks of `greygate.names` are kinds too.
 """
 
 import json
@@ -23,7 +23,7 @@ from greygate.errors import InputError, shown
 from greygate.names import check_path
 
 DEEPEST = 64  # tables and lists inside one another: three times what the deepest network needs
-LIKE = 0.75  # as much alike (difflib) are an unknown entry and the one that may be meant
+LIKE = 0.75  # similarity (difflib) from which a known entry is suggested for an unknown one
 
 Kind = Callable[[Any, str], Any]
 NONE: Mapping[str, Kind] = MappingProxyType({})
@@ -33,15 +33,19 @@ NONE: Mapping[str, Kind] = MappingProxyType({})
 
 
 def read_toml(path: Path | str, wish: str, data: bytes | None = None) -> dict:
-    """The tables of a TOML file. wish: what the user is to give instead of a file that cannot be read.
+    """Return the tables of a TOML file. wish: what the user should do if the file cannot be read.
 
-    data: what the file holds, where it was read before. Raises InputError naming the file, and where TOML ends.
+    data: the bytes of the file, if it was read before. Raises InputError naming the file, and the place that is not
+    TOML.
     """
     return _read(path, "TOML", tomllib.loads, wish, data)
 
 
 def read_json(path: Path | str, wish: str) -> Any:
-    """The value of a JSON file. wish: as in `read_toml`. Raises InputError naming the file, and where JSON ends."""
+    """Return the value of a JSON file. wish: as in `read_toml`.
+
+    Raises InputError naming the file, and the place that is not JSON.
+    """
     return _read(path, "JSON", lambda text: json.loads(text, object_pairs_hook=_unrepeated), wish)
 
 
@@ -55,7 +59,7 @@ def _read(path: Path | str, format: str, parse: Callable, wish: str, data: bytes
     except RecursionError:
         raise InputError(f"{path}: entries are nested more than {DEEPEST} deep; {wish}") from None
     except ValueError as error:  # TOMLDecodeError, JSONDecodeError, UnicodeDecodeError, a number of 5,000 digits
-        raise InputError(f"{path}: is no {format} ({shown(str(error))[1:-1]}); {wish}") from None
+        raise InputError(f"{path}: is not {format} ({shown(str(error))[1:-1]}); {wish}") from None
     if _deeper(value, DEEPEST):
         raise InputError(f"{path}: entries are nested more than {DEEPEST} deep; {wish}")
     return value
@@ -79,7 +83,7 @@ def _unrepeated(pairs: list[tuple[str, object]]) -> dict:
     found = dict(pairs)
     if len(found) < len(pairs):
         counts = Counter(name for name, _ in pairs)
-        raise ValueError(f"the entry {shown(counts.most_common(1)[0][0])} stands twice")
+        raise ValueError(f"the entry {shown(counts.most_common(1)[0][0])} appears twice")
     return found
 
 
@@ -89,9 +93,9 @@ def _unrepeated(pairs: list[tuple[str, object]]) -> dict:
 def table(
     value: object, where: str, needed: Mapping[str, Kind], optional: Mapping[str, Kind] = NONE, others: bool = False
 ) -> dict:
-    """Entries by name, each as its kind gives it. where: ends with ":" at the head of a file.
+    """Check a table: return its entries by name, each as its kind returns it. where: ends with ":" for a whole file.
 
-    others: the table may have more, which is left out; but no entry that seems to be one of these misspelt.
+    others: allow and ignore other entries, except those that look like a misspelt known one.
     """
     kinds = {**needed, **optional}
     if not isinstance(value, dict):
@@ -108,7 +112,7 @@ def table(
 
 
 def named(kind: Kind, name: Kind = check_path) -> Kind:
-    """A table whose entries the user names, all of one kind. name: the kind of the names."""
+    """A table with entries that the user names, all of one kind. name: the kind of the names."""
 
     def read(value: object, where: str) -> dict:
         if not isinstance(value, dict):
@@ -130,12 +134,12 @@ def listed(kind: Kind) -> Callable[[object, str], list]:
 
 
 def maybe(kind: Kind) -> Kind:
-    """null, or of that kind."""
+    """null, or an entry of that kind."""
     return lambda value, where: None if value is None else kind(value, where)
 
 
 def anything(value: object, where: str) -> object:
-    """Whatever it is: who uses it checks it."""
+    """Any value; the code that uses it checks it."""
     return value
 
 
@@ -153,11 +157,11 @@ def number(value: object, where: str) -> float:
             return float(value)
     except OverflowError:  # an integer beyond every float
         pass
-    raise InputError(f"{where} {shown(value)} is not a finite number; mend it")
+    raise InputError(f"{where} {shown(value)} is not a finite number; correct it")
 
 
 def within(low: float, high: float, wish: str) -> Kind:
-    """A finite number from low to high. wish: what to give else."""
+    """A finite number from low to high. wish: what to give instead of another number."""
 
     def read(value: object, where: str) -> float:
         found = number(value, where)
@@ -173,7 +177,7 @@ def whole(low: int, high: float = math.inf) -> Kind:
 
     def read(value: object, where: str) -> int:
         if type(value) is not int or not low <= value <= high:
-            raise InputError(f"{where} {shown(value)} is not a whole number >= {low} and <= {high}; mend it")
+            raise InputError(f"{where} {shown(value)} is not a whole number >= {low} and <= {high}; correct it")
         return value
 
     return read
@@ -182,12 +186,12 @@ def whole(low: int, high: float = math.inf) -> Kind:
 def truth(value: object, where: str) -> bool:
     """true or false."""
     if not isinstance(value, bool):
-        raise InputError(f"{where} {shown(value)} is neither true nor false; mend it")
+        raise InputError(f"{where} {shown(value)} is neither true nor false; correct it")
     return value
 
 
 def one_of(choices: type[StrEnum] | Collection[str]) -> Kind:
-    """A text among these, or a member of an enumeration by its value."""
+    """One of these texts, or a member of an enumeration by its value."""
 
     def read(value: object, where: str) -> str:
         for choice in choices:
@@ -199,15 +203,15 @@ def one_of(choices: type[StrEnum] | Collection[str]) -> Kind:
 
 
 def array(value: object, where: str) -> np.ndarray:
-    """Finite numbers, one, a list of them (n,), or a list of such lists of one length (m, n): float64."""
+    """Finite numbers as float64: one number (), a list (n,), or a list of lists of equal length (m, n)."""
     if not isinstance(value, list):
         return np.array(number(value, where))
     rows = listed(listed(number) if value and isinstance(value[0], list) else number)(value, where)
     if len({len(row) for row in rows if isinstance(row, list)}) > 1:
-        raise InputError(f"{where}: its rows differ in length; mend it")
+        raise InputError(f"{where}: its rows differ in length; correct it")
     return np.array(rows, float)
 
 
 def entry_of(where: str, name: str) -> str:
-    """Where the entry `name` of the table at `where` stands."""
+    """The place of the entry `name` in the table at `where`."""
     return f"{where} {name}" if where.endswith(":") else f"{where}.{name}"

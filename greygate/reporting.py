@@ -1,4 +1,4 @@
-"""The report of folders that `greygate compile` wrote."""
+"""Makes the report of builds: the folders that `greygate compile` wrote."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,11 +18,11 @@ from greygate.source import Source
 def report(
     projects: Sequence[Project], out: Path | str, *, side_by_side: bool = False, progress: Progress = silent
 ) -> list[dict]:
-    """Write what quantization cost as one HTML page, and as JSON beside it; return what the JSON holds.
+    """Write what quantization cost as one HTML page, and as JSON beside it; return the content of the JSON.
 
-    side_by_side: put two tables of all projects on top, and try only the widths that they show. A study a project, its
-    keys as in `pages.report.study.study`: SI units, None for what is not finite.
-    Raises InputError where a folder cannot be written, or a float network diverges.
+    side_by_side: put two tables of all projects on top, and try only the widths that they show. The result has one
+    study for each project, with the keys of `pages.report.study.study`: SI units, None for a figure that is not finite.
+    Raises InputError if a folder cannot be written, or a float network diverges.
 
     >>> (found,) = report([project], "report.html")
     >>> found["scenarios"]["train"]["outputs"]["y"]["hardware"]["parallel"]["equals_fixed"]
@@ -34,9 +34,9 @@ def report(
 
 
 def plants(folder: Path, progress: Progress = silent) -> list[Project]:
-    """The plants of the catalogue, each from folder/NAME, compiled there if it is not yet.
+    """The plants of the catalogue, each from folder/NAME; those that are missing are compiled there.
 
-    Raises InputError where that folder holds something else.
+    Raises InputError if such a folder holds another build.
     """
     found = []
     for name in REPORTED:
@@ -45,13 +45,15 @@ def plants(folder: Path, progress: Progress = silent) -> list[Project]:
             compile_project(Source(name), folder / name)
         project = Project.open(folder / name)
         if project.source != Source(name):
-            raise InputError(f"{folder / name}: holds {project.source.name}; give a folder in which {name} is {name}")
+            raise InputError(
+                f"{folder / name}: is a build of {project.source.name}, not of {name}; give another folder"
+            )
         found.append(project)
     return found
 
 
 def _study(project: Project, widths: Sequence[int] | None, progress: Progress) -> dict:
-    """What the report says of one project."""
+    """The study of one project."""
     records = project.source.records()
     return study(
         project.facts["title"],

@@ -1,4 +1,4 @@
-"""Where a network and its records come from: the catalogue, or files of one's own."""
+"""Where a network and its records come from: the catalogue, or the user's files."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -19,19 +19,20 @@ from greygate.plain import json_text, plain
 from greygate.plants.recording import read_csv
 from greygate.progress import Progress, silent
 
-SAME_TIME = 1e-3  # by which sample times may differ, relatively: printed times are rounded
+SAME_TIME = 1e-3  # relative difference that sample times may have, because printed times are rounded
 
 
 def read_record(network: Network, path: Path | str, targets: bool = True) -> Record:
-    """A recording as the network's ports name it: columns `port_unit`, time in `t_s`.
+    """Read a recording for a network: columns named `port_unit`, time in `t_s`.
 
-    Raises InputError for a missing column or unit, NaN, non-uniform time, an empty file.
+    targets: read the network's outputs too. Raises InputError for a missing column or unit, NaN, non-uniform time, and
+    an empty file.
     """
     return _read(network, path, targets)[0]
 
 
 def read_records(network: Network, paths: Mapping[str, Path | str]) -> dict[str, Record]:
-    """Recordings by scenario, as `read_record`. Raises InputError if their sample times differ."""
+    """Read recordings by scenario, as `read_record`. Raises InputError if their sample times differ."""
     found = {scenario: _read(network, path) for scenario, path in paths.items()}
     times = {path: dt for path, (_, dt) in zip(paths.values(), found.values(), strict=True)}
     for path, dt in times.items():
@@ -45,7 +46,7 @@ def _read(network: Network, path: Path | str, targets: bool = True) -> tuple[Rec
     """The record and its sample time in s."""
     for port in network.inputs + network.outputs:
         if port.size > 1:
-            raise InputError(f"port {port.name} has {port.size} elements, a CSV column holds one; use scalar ports")
+            raise InputError(f"port {port.name} has {port.size} elements, but a CSV column holds one; use scalar ports")
     wanted = network.inputs + (network.outputs if targets else [])
     recording = read_csv(path, {p.name: p.unit for p in wanted})
 
@@ -57,11 +58,11 @@ def _read(network: Network, path: Path | str, targets: bool = True) -> tuple[Rec
 
 @dataclass(frozen=True)
 class Source:
-    """Where a network and its records come from: a name of the catalogue, or a file with recordings beside it.
+    """Where a network and its records come from: a name of the catalogue, or a network file with recordings.
 
-    recordings: scenario -> CSV; empty for the catalogue's own. The first one sets the ranges of the formats.
-    settle: first samples of each recording that only tell the state it starts from.
-    Its methods raise InputError for a name, a file or a recording that cannot serve.
+    recordings: scenario -> CSV; empty for the records of the catalogue. The first one sets the ranges of the formats.
+    settle: the number of first samples of each recording that only give its initial state.
+    Its methods raise InputError for a name, a file or a recording that cannot be used.
 
     >>> lag.save("lag")
     >>> source = Source("lag.toml", {"train": "lag.csv"})
@@ -83,7 +84,7 @@ class Source:
     def records(self) -> dict[str, Record]:
         if not self.recordings:
             if self.name not in CATALOG:
-                raise InputError(f"{self.name}: give recordings of it, --record FILE.csv")
+                raise InputError(f"{self.name}: no recordings; give --record FILE.csv")
             return dict(entry(self.name).records())
         records = read_records(self.network(), self.recordings)
         return {scenario: replace(record, skip=self.settle) for scenario, record in records.items()}
@@ -105,13 +106,13 @@ class Source:
 
     @property
     def scenarios(self) -> tuple[str, ...]:
-        """Scenarios that hardware is verified on."""
+        """The scenarios on which hardware is verified."""
         if self.name in CATALOG and not self.recordings:
             return entry(self.name).scenarios
         return tuple(self.recordings)
 
     def formats(self, width: int = 16, finer: int | None = None) -> Formats:
-        """Formats of that word; finer: as in `Formats`, what the catalogue says of the network if not given."""
+        """Formats of that word width; finer: as in `Formats`, the catalogue's choice for the network if not given."""
         own = entry(self.name).finer if self.name in CATALOG else 0
         return Formats(width, own if finer is None else finer)
 
@@ -129,18 +130,18 @@ def train_source(
     progress: Progress = silent,
     **options,
 ) -> dict:
-    """Train the network on its recordings and write it, with the figures returned, into the folder.
+    """Train the network on its recordings, and write it with the returned figures into the folder.
 
-    held: scenario -> CSV that only chooses the epoch. narx: learn one step ahead first. options: of `train`. If the
-    source settles, the state before each recording is estimated, in training and for the figures.
-    Raises InputError as `train`, before anything is written.
+    held: scenario -> CSV of a held-out record, which chooses the epoch. narx: train the one-step prediction first.
+    options: of `train`. If the source has `settle`, the state before each recording is estimated, in training and for
+    the figures. Raises InputError as `train`, before anything is written.
     """
     if both := set(source.recordings) & set(held):
-        raise InputError(f"{min(both)} is given to learn from and to judge on; name one otherwise")
+        raise InputError(f"{min(both)} is both a record to train on and a held-out record; rename one of them")
     files = {**source.recordings, **held}
     paths = {name: Path(path).resolve() for name, path in files.items()}
     if len(set(paths.values())) < len(paths):
-        raise InputError("one file is given twice, under two names; give another to judge on")
+        raise InputError("one file is given twice, under two names; hold out another file")
     network, found = source.network(), replace(source, recordings=files).records()
     records, others = ({name: found[name] for name in names} for names in (source.recordings, held))
     learn = narx_noe if narx and not options.get("shooting") else train
@@ -156,7 +157,7 @@ def train_source(
             estimate_initial=source.settle > 0,
             **options,
         )
-    trained = network.with_parameters(fit.network.parameters())  # as it was declared, meanings and modules kept
+    trained = network.with_parameters(fit.network.parameters())  # not flat: modules and meanings stay as declared
     _, ends = held_out(network, list(records.values()), options.get("tail", 0.0), ())
     judged = {name: initialised(trained, record) for name, record in found.items()}
     judged |= {f"{name} tail": replace(judged[name], skip=end.skip) for name, end in zip(records, ends, strict=False)}

@@ -1,4 +1,4 @@
-"""A table of numbers in a CSV file, plain or gzipped: the one reader that every recording goes through."""
+"""Reads a table of numbers from a CSV file, plain or gzipped; every recording is read here."""
 
 import csv
 import gzip
@@ -14,16 +14,16 @@ import numpy as np
 from greygate.contents import bounded, contents
 from greygate.errors import InputError
 
-LARGEST = 1e30  # of a cell: above any quantity; its eighth power, in correlations of squares, stays within float64
-MOST_BYTES = 2**31  # of a table: a recording is far smaller, a device is not
-MOST_UNPACKED = 2**28  # of a gzipped one: two seconds of unpacking, after which it is no recording but a bomb
+LARGEST = 1e30  # in a cell: above any quantity; its eighth power, in correlations of squares, stays within float64
+MOST_BYTES = 2**31  # of a file: a recording is far smaller, a device may never end
+MOST_UNPACKED = 2**28  # bytes of a gzipped file: two seconds of unpacking; a larger one is taken for an attack
 SHOWN = 40  # characters of a cell that a message quotes
 
-_PLAIN = b"0123456789+-.eE \r\n"  # what stands in a file of decimal numbers, beside its separator
+_PLAIN = b"0123456789+-.eE \r\n"  # the characters of a file of decimal numbers, beside its separator
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?")
 _THOUSANDS = re.compile(r"[+-]?[1-9][0-9]{0,2},[0-9]{3}")
-_MARKS = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16"}  # byte order marks of what is no UTF-8
+_MARKS = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16"}  # byte order marks of other encodings than UTF-8
 _GZIP = b"\x1f\x8b"
 
 
@@ -31,8 +31,8 @@ _GZIP = b"\x1f\x8b"
 class Table:
     """A header and its rows of numbers.
 
-    header: names of the columns, each once. cells: the text of each row, decimals behind a point. values: float64
-    (rows, columns). lines: on which of the file each row ends, the header being on the first.
+    header: names of the columns, each once. cells: the text of each row, with decimal points. values: float64
+    (rows, columns). lines: the line of the file on which each row ends; the first line has number 1.
     """
 
     path: Path
@@ -42,9 +42,9 @@ class Table:
     lines: Sequence[int]
 
     def require_steps(self, steps: np.ndarray, off: np.ndarray, right: float, why: str = "is usual") -> None:
-        """Raise InputError at the worst of the steps of the first column that are `off`, (rows - 1,) each.
+        """Raise InputError for the worst of the `steps` of the first column that are `off`; both (rows - 1,).
 
-        Steps that do not go forward are told before all others. right: the step that is wanted, s; why it is, in words.
+        A step that does not go forward is reported before all others. right: the wanted step, s; why: its reason.
         """
         still = np.flatnonzero(~(steps > 0))
         if not (still.size or off.any()):
@@ -65,8 +65,9 @@ class Table:
 def read_table(path: Path | str, nan: bool = False) -> Table:
     """The table in a CSV file: UTF-8, columns separated by commas, semicolons or tabs, one header, decimal numbers.
 
-    Decimal commas are read where a cell shows that they are none of thousands. nan: cells may be `nan`, as what a
-    diverging simulation writes ends. Raises InputError for whatever else, naming the row as an editor numbers it.
+    Decimal commas are read if a cell shows that they do not separate thousands. nan: cells may be `nan`, as at the end
+    of the CSV that a diverging simulation writes. Raises InputError for anything else, naming the row as an editor
+    numbers it.
     """
     path = Path(path)
     text = _text(path)
@@ -76,7 +77,7 @@ def read_table(path: Path | str, nan: bool = False) -> Table:
     for line, row in zip(lines, rows, strict=True):
         if len(row) != len(header):
             raise InputError(
-                f"{path}: row {line} has {len(row)} cells, the header {len(header)}; mend the row"
+                f"{path}: row {line} has {len(row)} cells, the header {len(header)}; correct the row"
                 + (", or separate columns by semicolons if commas are decimal" if separator == "," else "")
             )
     return Table(path, header, *_numbers(path, header, rows, lines, _is_plain(text, separator), nan), lines)
@@ -90,8 +91,8 @@ def _text(path: Path) -> str:
             with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
                 data = bounded(file, MOST_UNPACKED)
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
-        raise InputError(f"{path}: is no whole gzip file ({error}); pack it again") from None
-    except (OSError, ValueError) as error:  # a path may hold what no path can
+        raise InputError(f"{path}: is not a complete gzip file ({error}); pack it again") from None
+    except (OSError, ValueError) as error:  # ValueError: the path holds characters that no path may have
         why = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read ({why}); check the path") from None
     if data is None:
@@ -120,7 +121,7 @@ def _rows(path: Path, text: str) -> tuple[list[int], list[list[str]], str]:
     try:
         rows = [(reader.line_num, row) for row in reader if len(row) > 1 or (row and row[0].strip())]
     except csv.Error as error:
-        raise InputError(f"{path}: is not a CSV text file (row {reader.line_num}: {error}); mend that row") from None
+        raise InputError(f"{path}: is not a CSV text file (row {reader.line_num}: {error}); correct that row") from None
     if not rows:
         raise InputError(f"{path}: the file is empty; give a header row and samples")
     if len(rows[0][1]) < 2:
@@ -135,7 +136,7 @@ def _header(path: Path, names: list[str]) -> list[str]:
     known = set()
     for i, name in enumerate(names):
         if not name:
-            raise InputError(f"{path}: column {i + 1} has no name; name it, or delete the separator that is too much")
+            raise InputError(f"{path}: column {i + 1} has no name; name it, or delete the surplus separator")
         if not name.isprintable():
             raise InputError(f"{path}: the name of column {i + 1}, {_quoted(name)}, does not print; rename it")
         if name in known:
@@ -145,7 +146,7 @@ def _header(path: Path, names: list[str]) -> list[str]:
 
 
 def _is_plain(text: str, separator: str) -> bool:
-    """No row holds anything but decimal numbers, signs and separators: no quotes, no second separator, no letters."""
+    """Whether the rows hold only decimal numbers, signs and separators: no quotes, no second separator, no letters."""
     _, *body = re.split(r"[\r\n]", text.lstrip(), maxsplit=1)
     return not "".join(body).encode().translate(None, _PLAIN + separator.encode())
 
@@ -154,7 +155,7 @@ def _numbers(
     path: Path, header: list[str], rows: list[list[str]], lines: list[int], plain: bool, nan: bool
 ) -> tuple[list[list[str]], np.ndarray]:
     """(cells, values)."""
-    if plain:  # Python's own conversion of text to numbers is then the rule of `_NUMBER`, and much faster
+    if plain:  # then Python's own conversion of text to numbers accepts the same as `_NUMBER`, and is much faster
         try:
             values = np.array(rows, dtype=np.float64).reshape(len(rows), len(header))
         except ValueError:
@@ -176,7 +177,7 @@ def _numbers(
 
 
 def _proves_decimal_commas(rows: list[list[str]]) -> bool:
-    """Commas stand where points could, there are no points, and one of them cannot separate thousands."""
+    """Whether commas stand for decimal points: no cell has a point, and one comma cannot separate thousands."""
     marked = [cell for row in rows for cell in row if "," in cell or "." in cell]
     return all(map(_DECIMAL_COMMA.fullmatch, marked)) and not all(map(_THOUSANDS.fullmatch, marked))
 
@@ -186,7 +187,7 @@ def _pointed(cell: str) -> str:
 
 
 def _number(cell: str, nan: bool) -> float:
-    """The cell's number; inf where it is none, which no cell may hold."""
+    """The number in the cell; inf, which no cell may hold, if there is none."""
     return float(cell) if _NUMBER.fullmatch(cell) or (nan and cell == "nan") else np.inf
 
 

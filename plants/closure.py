@@ -1,6 +1,6 @@
-"""Where a plant may miss a term that nobody named, and the functions of which such a term is made.
+"""The places in which a plant may lack an unnamed term, and the functions from which such a term is made.
 
-`[closure]` of a plant's file; docs/plants.md says what it may hold. What it is for: mismatch/closure.py.
+They are declared in `[closure]` of a plant's file (docs/plants.md). mismatch/closure.py uses them.
 """
 
 from collections.abc import Mapping
@@ -12,8 +12,8 @@ from greygate.errors import InputError, shown
 from greygate.plants.expressions import check_expression, check_name, check_symbol, replaced
 from greygate.reading import entry_of, listed, named, table, within
 
-SEEN = ("seen_low_", "seen_high_")  # before a signal: its smallest and largest value along the recording
-MOST = 100  # the last `k` of a library
+SEEN = ("seen_low_", "seen_high_")  # prefixes of a signal: its smallest and largest value along the recording
+MOST = 100  # largest `k` of a library
 
 Library = dict[str, str]
 """Name -> expression of unit size. Two libraries are joined as dictionaries are, by `|`; the order of declaration is
@@ -24,7 +24,7 @@ the order in which functions of equal worth are preferred."""
 class Place:
     """An equation or a definition in which a term may be missing.
 
-    libraries: names of those that are joined. term: the expression with which a function `f` enters there.
+    libraries: names of the libraries to try there. term: the expression with which a function `f` enters there.
     typical: size of a coefficient. reported: the place that a diagnosis names instead of this one.
     """
 
@@ -36,7 +36,10 @@ class Place:
 
 @dataclass(frozen=True)
 class Closure:
-    """signals: name -> expression for which it stands in a library. places: by the name of the plant's place."""
+    """The closure of a plant.
+
+    signals: name in a library -> expression for which it stands. places: by the name of the equation or definition.
+    """
 
     signals: Mapping[str, str] = field(default_factory=dict)
     libraries: Mapping[str, Library] = field(default_factory=dict)
@@ -54,7 +57,7 @@ def check_closure(value: object, where: str) -> Closure:
 
 
 def check_library(value: object, where: str) -> Library:
-    """A kind: `name = "expression"`, ...; with `k = [first, last]` all of it once for each k, named by its whole part.
+    """A kind: `name = "expression"`, ...; with `k = [first, last]` one set for each k, whose names end in k.
 
     k goes from first to last in steps of 1: `k = [1, 3]`, `sin = "sin(k * x)"` makes sin1, sin2, sin3.
     """
@@ -72,7 +75,7 @@ def check_library(value: object, where: str) -> Library:
 def _steps(value: object, where: str) -> list[int | float]:
     ends = listed(within(0.0, MOST, f"give 0 to {MOST}"))(value, where)
     if len(ends) != 2 or ends[0] > ends[1]:
-        raise InputError(f"{where} {shown(value)} is no range; write [first, last]")
+        raise InputError(f"{where} {shown(value)} is not a range; write [first, last]")
     first = int(ends[0]) if ends[0].is_integer() else ends[0]
     return [first + i for i in range(int(ends[1] - first) + 1)]
 

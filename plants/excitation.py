@@ -1,7 +1,7 @@
 """Excitation signals. Each returns float64 (samples,), and the same arguments give the same bits.
 
-Beside each stands its spectrum: the one-sided power density [unit^2/Hz] that its periodogram has in the mean, at any
-frequencies [Hz]; its integral over frequency is the power of the signal about its mean.
+Each signal has a function for its spectrum: the mean of its periodogram, a one-sided power density [unit^2/Hz], at any
+frequencies [Hz]. The integral of the spectrum over frequency is the power of the signal about its mean.
 """
 
 import numpy as np
@@ -55,7 +55,7 @@ def prms_spectrum(
 def chirp(samples: int, amplitude: float, start: float, stop: float, sample_time: float) -> np.ndarray:
     """Sine of constant `amplitude`, starting at 0, its frequency rising linearly from `start` to `stop` Hz.
 
-    Spectrum: nearly flat between `start` and `stop`. It has no seed: nothing in it is random.
+    Spectrum: nearly flat between `start` and `stop`. There is no seed, because nothing is random.
     """
     _check_band("chirp", samples, start, stop, sample_time)
     t = np.arange(samples) * sample_time
@@ -67,7 +67,7 @@ def chirp_spectrum(
 ) -> np.ndarray:
     """Spectrum of `chirp` at `frequency` [Hz]: amplitude^2 / (2 (stop - start)) in the band, with Fresnel's ripple.
 
-    Leaves out the image of the negative frequencies, which matters within some 1 / length of 0 Hz.
+    It omits the image of the negative frequencies, which matters only up to about 1 / length from 0 Hz.
     """
     f, length = np.asarray(frequency, float), samples * sample_time
     if stop == start:
@@ -95,12 +95,12 @@ def band_limited_noise(
 def band_limited_noise_spectrum(
     frequency: np.ndarray, samples: int, rms: float, start: float, stop: float, sample_time: float
 ) -> np.ndarray:
-    """Spectrum of `band_limited_noise` at `frequency` [Hz]: flat over its lines, each as wide as their distance."""
+    """Spectrum of `band_limited_noise` at `frequency` [Hz]: flat over its lines, whose width is their spacing."""
     return rms**2 * _flat("band_limited_noise", frequency, samples, start, stop, sample_time)
 
 
 def multisine(samples: int, amplitude: float, start: float, stop: float, sample_time: float, seed: int) -> np.ndarray:
-    """Random-phase multisine: every line of the record's grid from `start` to `stop` Hz with equal power.
+    """Random-phase multisine: every line of the record's frequency grid from `start` to `stop` Hz has equal power.
 
     Amplitude: the largest absolute value is exactly `amplitude`. It is periodic over its length.
     """
@@ -115,16 +115,16 @@ def multisine(samples: int, amplitude: float, start: float, stop: float, sample_
 def multisine_spectrum(
     frequency: np.ndarray, samples: int, amplitude: float, start: float, stop: float, sample_time: float, seed: int
 ) -> np.ndarray:
-    """Spectrum of `multisine` at `frequency` [Hz]: flat over its lines, each as wide as their distance.
+    """Spectrum of `multisine` at `frequency` [Hz]: flat over its lines, whose width is their spacing.
 
-    The phases that `seed` draws decide the crest factor, and so the power that `amplitude` leaves.
+    The phases, which `seed` draws, determine the crest factor, and so the power at this `amplitude`.
     """
     power = np.mean(multisine(samples, amplitude, start, stop, sample_time, seed) ** 2)
     return power * _flat("multisine", frequency, samples, start, stop, sample_time)
 
 
 def _flat(name: str, frequency: np.ndarray, samples: int, start: float, stop: float, sample_time: float) -> np.ndarray:
-    """Density of unit power shared equally by the lines of the band."""
+    """Power density of unit power, which the lines of the band share equally."""
     lines, spacing = _lines(name, samples, start, stop, sample_time), 1 / (samples * sample_time)
     nearest = np.round(np.asarray(frequency, float) / spacing)
     return ((nearest >= lines[0]) & (nearest <= lines[-1])) / (len(lines) * spacing)
@@ -139,7 +139,7 @@ def _check_band(name: str, samples: int, start: float, stop: float, sample_time:
 
 
 def _lines(name: str, samples: int, start: float, stop: float, sample_time: float) -> np.ndarray:
-    """Indices of the record's frequency lines within the band, the mean left out."""
+    """Indices of the record's frequency lines within the band, without the mean."""
     _check_band(name, samples, start, stop, sample_time)
     frequencies = np.fft.rfftfreq(samples, sample_time)
     lines = np.flatnonzero((frequencies > 0) & (frequencies >= start) & (frequencies <= stop))

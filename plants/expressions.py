@@ -1,8 +1,8 @@
-"""Expressions: the one way from a text that a file holds to something that is computed.
+"""Expressions: every text in a file that is to be computed becomes a checked tree here.
 
-`parse` makes of a text a checked tree of numbers, names, `+ - * / **` and the functions of `functions.py`, or refuses
-it in one line. A tree is evaluated on arrays (`Expression.over`) and written out as source (`Expression.source`). The
-text itself is never evaluated, nor pasted into what is: it is data. Where a text comes from does not matter: a plant
+`parse` turns a text into a tree of numbers, names, `+ - * / **` and the functions of `functions.py`, or refuses it in
+one line. A tree is evaluated on arrays (`Expression.over`) and written out as source (`Expression.source`). The text
+itself is data: it is never evaluated, and never pasted into source. This holds for every origin of a text: a plant
 file, a table of effects, a diagnosis, or this package.
 """
 
@@ -21,13 +21,13 @@ import numpy as np
 from greygate.errors import InputError, shown
 from greygate.plants.functions import FUNCTIONS, arguments
 
-# The longest expression of any plant, effect or closure here has 260 characters, 100 nodes and a depth of 15. What is
-# much larger is a table in disguise, or an attack: Python and numba recurse over the tree.
+# The longest expression of any plant, effect or closure here has 260 characters, 100 nodes and a depth of 15. A much
+# larger one is a table in disguise, or an attack: Python and numba recurse over the tree.
 TEXT = 4000  # characters
 NODES = 1000  # numbers, names, operations and calls
 DEPTH = 100  # of nested operations, calls and brackets
 NAME = 200  # characters of a name
-WHOLE = 1 << 16  # up to it whole numbers stay whole in the source: numba multiplies for x**2, and takes logs for x**2.0
+WHOLE = 1 << 16  # up to this, whole numbers stay whole in the source: numba multiplies for x**2, takes logs for x**2.0
 
 _SPACE = re.compile(r"(?:[ \t\r\n]++|#[^\r\n]*+)*+")  # and comments
 _TOKEN = re.compile(
@@ -42,26 +42,28 @@ _BINDS = {"+": _SUM, "-": _SUM, "*": _PRODUCT, "/": _PRODUCT, "**": _POWER}
 
 
 def is_name(text) -> bool:
-    """A name for a term, an equation, an effect: ASCII letters, digits and underscores, a letter first."""
+    """Whether it is a name for a term, an equation or an effect: ASCII letters, digits and _, with a letter first."""
     return isinstance(text, str) and len(text) <= NAME and _NAME.fullmatch(text) is not None
 
 
 def check_name(value, where: str) -> str:
     """A kind (`greygate.reading`): a name as `is_name` has it."""
     if not is_name(value):
-        raise InputError(f"{where} {shown(value)} is no name; use ASCII letters, digits and underscores")
+        raise InputError(f"{where} {shown(value)} is not a name; use ASCII letters, digits and underscores")
     return value
 
 
 def is_symbol(text) -> bool:
-    """A name for a quantity, which may stand in expressions and in generated source: no keyword, no function's name."""
+    """Whether it is a name for a quantity in expressions and generated source: no keyword, no name of a function."""
     return is_name(text) and not keyword.iskeyword(text) and text not in _RESERVED
 
 
 def check_symbol(value, where: str) -> str:
     """A kind (`greygate.reading`): a symbol as `is_symbol` has it."""
     if not is_symbol(value):
-        raise InputError(f"{where} {shown(value)} is no name for a quantity; use ASCII letters, digits and underscores")
+        raise InputError(
+            f"{where} {shown(value)} is not a name for a quantity; use ASCII letters, digits and underscores"
+        )
     return value
 
 
@@ -79,7 +81,7 @@ def check_expression(value, where: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A number, finite, 0 or more."""
+    """A finite number, 0 or more."""
 
     value: int | float
 
@@ -101,7 +103,7 @@ class Signed:
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """`left` and `right` joined by one of + - * / **. constant: its value where no name stands in it."""
+    """`left` and `right` joined by one of + - * / **. constant: its value if it contains no name."""
 
     sign: str
     left: "Node"
@@ -111,7 +113,7 @@ class Operation:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A function of `arguments`, as many as it takes. constant: its value where no name stands in it."""
+    """A function of `arguments`, in the number that it takes. constant: its value if it contains no name."""
 
     function: str
     arguments: tuple["Node", ...]
@@ -123,9 +125,9 @@ Node = Number | Name | Signed | Operation | Call
 
 @dataclass(frozen=True)
 class Expression:
-    """A checked expression. names: the symbols in it, in their order. over: scope (symbol -> value) -> its value.
+    """A checked expression. names: its symbols, in their order. over: scope (symbol -> value) -> its value.
 
-    What is computed is IEEE arithmetic, as in the compiled simulation: 1 / 0 is inf, (-8)**0.5 is nan.
+    The arithmetic is that of IEEE, as in the compiled simulation: 1 / 0 is inf, (-8)**0.5 is nan.
     """
 
     tree: Node
@@ -133,20 +135,20 @@ class Expression:
     over: Callable[[Mapping], np.ndarray | float] = field(compare=False, repr=False)
 
     def __str__(self) -> str:
-        """The expression on one line, with no more brackets than it needs."""
+        """The expression on one line, with only the brackets that it needs."""
         return _written(self.tree, _TEST, False)
 
     def source(self) -> str:
-        """The expression in Python for numba; what stands in `when(c, x)` is computed only where c is not 0."""
+        """The expression in Python for numba; the x of `when(c, x)` is computed only where c is not 0."""
         return _written(self.tree, _TEST, True)
 
 
 def parse(text: str) -> Expression:
-    """The expression that `text` is. Raises InputError, in one line that does not say where the text stands."""
+    """Parse a text. Raises InputError in one line, without the place of the text, which the caller adds."""
     if not isinstance(text, str):
-        raise InputError(f"{shown(text)} is no expression in quotes; write one")
+        raise InputError(f"{shown(text)} is not an expression in quotes; write one")
     if len(text) > TEXT:
-        raise InputError(f"{shown(text)} has {len(text)} characters; {TEXT} is the most, split it into terms")
+        raise InputError(f"{shown(text)} has {len(text)} characters, at most {TEXT} are allowed; split it into terms")
     return _parsed(text)
 
 
@@ -158,12 +160,12 @@ def _parsed(text: str) -> Expression:
 
 
 def names(expressions: Iterable[str]) -> set[str]:
-    """Every name in the expressions."""
+    """All names in the expressions."""
     return {name for text in expressions for name in parse(text).names}
 
 
 def replaced(text: str, by: Mapping[str, str]) -> str:
-    """An expression's text with other names, or numbers, in place of whole names."""
+    """The text of an expression in which some names are replaced by other names or by numbers."""
     parse(text)
     return _TOKEN.sub(lambda token: by.get(token[0], token[0]) if token["name"] else token[0], text)
 
@@ -178,7 +180,7 @@ def _after_space(text: str, at: int) -> int:
 
 
 class _Parser:
-    """Reads one text; `names` holds its symbols, in their order."""
+    """Parses one text; `names` holds its symbols, in their order."""
 
     def __init__(self, text: str):
         self.text, self.nodes = text, 0
@@ -212,13 +214,13 @@ class _Parser:
         self.fail(f"is no expression ({f'{shown(token)} stands where it cannot' if token else 'it ends too early'})")
 
     def taken(self, sign: str) -> bool:
-        """Whether the next token is `sign`, which is then behind."""
+        """Whether the next token is `sign`; if so, it is consumed."""
         found = self.tokens[self.at] == ("sign", sign)
         self.at += found
         return found
 
     def parsed(self, binding: int, room: int) -> tuple[Node, int]:
-        """(node, depth) of what binds at least as tightly as `binding`; room: how deep it may be."""
+        """(node, depth) of an operand that binds at least as tightly as `binding`. room: its greatest depth."""
         node, depth = self.first(room)
         while (sign := self.tokens[self.at][1]) in _BINDS and _BINDS[sign] >= binding:
             self.at += 1
@@ -230,7 +232,7 @@ class _Parser:
         return node, depth
 
     def first(self, room: int) -> tuple[Node, int]:
-        """(node, depth) of a number, a name, a call, a bracket, or a sign and what follows it."""
+        """(node, depth) of a number, a name, a call, a bracket, or a sign with its operand."""
         if room < 1:
             self.deep()
         kind, token = self.tokens[self.at]
@@ -262,7 +264,7 @@ class _Parser:
         if not self.taken(")"):
             self.unexpected()
         if len(given) != (wanted := arguments(function)):
-            raise InputError(f"{function} takes {wanted} arguments, {shown(self.text)} gives {len(given)}")
+            raise InputError(f"{function} takes {wanted} arguments, but {shown(self.text)} gives {len(given)}")
         node = Call(function, tuple(given), _constant(*given, of=FUNCTIONS[function]))
         return self.counted(node), 1 + max(depths)
 
@@ -313,7 +315,7 @@ _SIGNS = {"+": operator.add, "-": operator.sub, "*": operator.mul, "/": _divided
 
 
 def _value(node: Node) -> float | None:
-    """Of a tree without names."""
+    """The value of a tree without names."""
     match node:
         case Number(value):
             return float(value)
@@ -326,7 +328,7 @@ def _value(node: Node) -> float | None:
 
 
 def _constant(*parts: Node, of: Callable) -> float | None:
-    """`of` the values of the parts, as floats, whose arithmetic ends at once; None where a name stands in one."""
+    """`of` the values of the parts, as floats, since powers of integers may be huge; None if a part has a name."""
     values = [_value(part) for part in parts]
     if None in values:
         return None
@@ -335,7 +337,7 @@ def _constant(*parts: Node, of: Callable) -> float | None:
 
 
 def _quiet(compute: Callable[[Mapping], np.ndarray | float]) -> Callable[[Mapping], np.ndarray | float]:
-    """The same without NumPy's warnings: 1 / 0 is inf here, as in the compiled simulation, and no news."""
+    """The same function without NumPy's warnings: 1 / 0 is inf here, as in the compiled simulation."""
 
     def over(scope: Mapping) -> np.ndarray | float:
         with np.errstate(all="ignore"):
@@ -345,7 +347,7 @@ def _quiet(compute: Callable[[Mapping], np.ndarray | float]) -> Callable[[Mappin
 
 
 def _computed(node: Node) -> Callable[[Mapping], np.ndarray | float]:
-    """scope -> value."""
+    """The function scope -> value of a tree."""
     match node:
         case Number(value):
             return lambda scope: value
@@ -365,7 +367,7 @@ def _computed(node: Node) -> Callable[[Mapping], np.ndarray | float]:
 
 
 def _written(node: Node, around: int, source: bool) -> str:
-    """The node within what binds as tightly as `around`; source: for numba, else as `parse` reads it."""
+    """The text of a node inside an operation that binds as tightly as `around`. source: for numba, else for `parse`."""
     match node:
         case Number(value):
             return repr(value)
@@ -389,13 +391,13 @@ def _written(node: Node, around: int, source: bool) -> str:
 
 
 def _floats(*nodes: Node) -> tuple[Node, ...]:
-    """The nodes; where all are whole numbers, the same as floats, with which numba's arithmetic does not overflow."""
+    """The nodes; if all are whole numbers, as floats, with which numba's arithmetic does not overflow."""
     made = tuple(found for node in nodes if (found := _float(node)) is not None)
     return made if len(made) == len(nodes) else nodes
 
 
 def _float(node: Node) -> Node | None:
-    """A whole number, signed or not, as a float; None of any other node."""
+    """A whole number, signed or not, as a float; None for any other node."""
     match node:
         case Number(int(value)):
             return Number(float(value))

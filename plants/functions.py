@@ -1,4 +1,4 @@
-"""The functions of an expression: each of one line, for NumPy arrays, and by its text for the compiled simulation."""
+"""The functions of an expression: one line each, for NumPy arrays, and as text for the compiled simulation."""
 
 import inspect
 
@@ -57,7 +57,7 @@ FUNCTIONS = {f.__name__: f for f in (sqrt, exp, log, sin, cos, tanh, sign, abs, 
 
 
 def arguments(name: str) -> int:
-    """How many arguments the function takes."""
+    """The number of arguments that the function takes."""
     return FUNCTIONS[name].__code__.co_argcount
 
 

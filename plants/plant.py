@@ -1,8 +1,8 @@
 """A plant declared once: states, inputs, outputs, parameters, and balance equations by name.
 
-Every equation and every intermediate quantity is a sum of *named terms*, each an expression (`expressions.parse`).
-The compiled simulation (`simulate`), the residual of one equation on measured signals (`Plant.residual`) and the
-switching of single terms (`without`, `with_term`) all work on this one declaration.
+Every equation and every intermediate quantity is a sum of *named terms*; each term is an expression
+(`expressions.parse`). The compiled simulation (`simulate`), the residual of one equation on measured signals
+(`Plant.residual`) and the switching of single terms (`without`, `with_term`) all use this one declaration.
 """
 
 from collections.abc import Container, Iterable, Mapping
@@ -18,14 +18,14 @@ from greygate.plants.closure import Closure, check_closure
 from greygate.plants.expressions import check_expression, check_name, is_name, is_symbol, names, parse
 from greygate.reading import entry_of, line, listed, named, number, read_toml, table, within
 
-DERIVED = ("rate", "integral", "smooth_rate", "smooth_acceleration")  # how an input is made of a recorded signal
-TERMS = 500  # of a sum, at the most: Python and numba recurse over them; a closure tries some 100
+DERIVED = ("rate", "integral", "smooth_rate", "smooth_acceleration")  # ways to derive an input from a recorded signal
+TERMS = 500  # most terms of a sum, because Python and numba recurse over them; a closure tries about 100
 SHORTEST = 1e-9  # s, of a step
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A constant of the plant: `value` in `unit`, known to `tolerance` (relative, 0 = known)."""
+    """A constant of the plant: `value` in `unit`, with a relative `tolerance` (0: known exactly)."""
 
     value: float
     unit: str
@@ -37,9 +37,9 @@ class Parameter:
 class State:
     """A state in `unit`; `initial`, `low` and `high` are numbers or expressions in the parameters.
 
-    The state is held within [`low`, `high`]; on a bound neither it nor the state `rate`, its velocity, moves further
-    outward. A stroke stop, a saturation, a pressure that cannot fall below zero.
-    start: where it begins when a run starts within a recording, from parameters, inputs, states and definitions.
+    The state stays within [`low`, `high`]: on a bound neither the state nor the state `rate`, its velocity, moves
+    further outward. Examples are a stroke stop, a saturation, and a pressure that cannot fall below zero.
+    start: its value if a run starts within a recording, from parameters, inputs, states and definitions.
     """
 
     unit: str
@@ -75,17 +75,17 @@ class Plant:
     parameters: symbol -> Parameter
     inputs:     symbol -> unit
     states:     symbol -> State; each has exactly one equation
-    definitions: name -> Definition, each using only those before it
+    definitions: name -> Definition, which uses only earlier definitions
     equations:  name -> Equation
     outputs:    symbols (states, definitions or inputs) that a simulation returns
-    derived:    input -> how it is made of a recorded one, "rate x_motor" (`Plant.derive`)
-    switches:   parameter -> the parameter whose value in a data sheet turns it from 0 to 1
+    derived:    input -> how it is derived from a recorded signal, "rate x_motor" (`Plant.derive`)
+    switches:   parameter -> a second parameter; if a data sheet gives the second, the first turns from 0 to 1
     required:   parameters that a data sheet must give
-    step:       of integration that suits it, s
-    closure:    where it may miss a term that nobody named, and what such a term is made of
+    step:       suitable integration step, s
+    closure:    the places that may lack an unnamed term, and the functions of which such a term is made
     experiments: variable -> the experiment, in words, in which it changes alone
 
-    All names are checked here. Raises InputError naming plant, equation and term.
+    All names are checked. Raises InputError naming plant, equation and term.
 
     >>> text = '''
     ... outputs = ["x"]
@@ -143,7 +143,7 @@ class Plant:
             self._place(where)
         for name in (*self.definitions, *self.equations):
             if not is_name(name):
-                self._fail(shown(name), "is no name for a place; use ASCII letters, digits and underscores")
+                self._fail(shown(name), "is not a name for a place; use ASCII letters, digits and underscores")
         for name, equation in self.equations.items():
             if name in self.definitions:
                 self._fail(f"equation {name}", "a definition has this name too; rename one")
@@ -163,9 +163,9 @@ class Plant:
 
     @classmethod
     def read(cls, path: Path | str) -> "Plant":
-        """The plant of a TOML file, as `machines/*/*.toml`; its name is the file's.
+        """Read a plant from a TOML file such as `machines/*/*.toml`; it has the name of the file.
 
-        Raises InputError naming file, line or entry.
+        Raises InputError naming the file, and the line or the entry.
         """
         path = Path(path)
         entries = {
@@ -189,7 +189,7 @@ class Plant:
     # -- switching terms ---------------------------------------------------------------------------------------------
 
     def without(self, *terms: str) -> "Plant":
-        """This plant with the named terms, `"equation.term"`, left out."""
+        """This plant without the named terms, each `"equation.term"`."""
         plant = self
         for path in terms:
             where, _, term = path.partition(".")
@@ -204,12 +204,12 @@ class Plant:
     ) -> "Plant":
         """This plant with `expression` added to equation or definition `where` as `term`, or replacing that term.
 
-        parameters: those that the expression brings with it.
+        parameters: new parameters of the expression.
         """
         return self._with_terms(where, {**self._place(where).terms, term: expression}, parameters or {})
 
     def with_parameters(self, **values: float) -> "Plant":
-        """This plant with other parameter values."""
+        """This plant with other values of some parameters."""
         for symbol in values:
             if symbol not in self.parameters:
                 self._fail("parameters", f"{shown(symbol)} is not among {', '.join(self.parameters)}")
@@ -236,17 +236,18 @@ class Plant:
         return self._units[symbol]
 
     def values(self, symbols: Iterable[str], signals: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Each symbol from `signals` where it is there, else computed from its definition; shapes as in `signals`."""
+        """Value of each symbol: from `signals` if it is there, else from its definition; shapes as in `signals`."""
         known = Values(self, signals)
         return {symbol: known[symbol] for symbol in symbols}
 
     def residual(self, where: str, signals: Mapping[str, np.ndarray], dt: float) -> np.ndarray:
-        """What one equation leaves unexplained on sampled signals.
+        """The residual of one equation or definition on sampled signals.
 
-        For an equation `storage * d(state)/dt - sum(terms)`, the derivative by central differences (one-sided at both
-        ends); for a definition `measured symbol - sum(terms)`. In the unit of the terms; shape as the signals.
+        It is `storage * d(state)/dt - sum(terms)` for an equation, with the derivative by central differences
+        (one-sided at both ends), and `measured symbol - sum(terms)` for a definition. It has the unit of the terms and
+        the shape of the signals.
 
-        signals: inputs and states sampled every `dt` s, and any definition's symbol that was measured.
+        signals: inputs and states sampled every `dt` s, and the symbols of those definitions that were measured.
         Raises InputError naming the signal that is missing.
         """
         known, place = Values(self, signals), self._place(where)
@@ -271,7 +272,7 @@ class Plant:
         return value
 
     def needed(self, symbols: Iterable[str], known: Container[str] = ()) -> list[Definition]:
-        """The definitions on which `symbols` depend, in their order, but those whose symbol is `known`."""
+        """The definitions on which `symbols` depend, in their order, without those whose symbol is `known`."""
         wanted, found = set(symbols), []
         for definition in reversed([*self.definitions.values()]):
             if definition.symbol in wanted and definition.symbol not in known:
@@ -281,7 +282,7 @@ class Plant:
 
     @cached_property
     def symbols(self) -> frozenset[str]:
-        """Of parameters, inputs, states and definitions."""
+        """The symbols of parameters, inputs, states and definitions."""
         return frozenset(self._units)
 
     @cached_property
@@ -301,7 +302,7 @@ class Plant:
     def _declare(self, symbol: str, symbols: set[str]) -> None:
         if not is_symbol(symbol):
             where = symbol if is_name(symbol) else shown(symbol)
-            self._fail(where, "is no name for a quantity; use ASCII letters, digits and underscores, "
+            self._fail(where, "is not a name for a quantity; use ASCII letters, digits and underscores, "
                        "a letter first, no word of Python and no function's name")  # fmt: skip
         if symbol in symbols:
             self._fail(symbol, "is declared twice; rename one")
@@ -331,7 +332,7 @@ class Plant:
             self._fail(where, f"has {len(terms)} terms; {TERMS} are the most, split it into definitions")
         for term, expression in terms.items():
             if not all(map(is_name, term.split("."))):
-                self._fail(where, f"{shown(term)} is no name for a term; use ASCII letters, digits and underscores")
+                self._fail(where, f"{shown(term)} is not a name for a term; use ASCII letters, digits and underscores")
             self._check(f"{where}, term {term}", expression, symbols)
 
     def _check(self, where: str, expression: str, symbols: Container[str]) -> None:
@@ -345,16 +346,16 @@ class Plant:
 
     def _hint(self, name: str) -> str:
         defined = {definition.symbol for definition in self.definitions.values()}
-        return "; it is defined further down, move it up" if name in defined else "; declare it or mend the spelling"
+        return "; it is defined further down, move it up" if name in defined else "; declare it or correct the spelling"
 
 
-# -- what a plant, or an effect that joins one, is declared by: kinds (`greygate.reading`) ----------------------------
+# -- kinds (`greygate.reading`) of the entries that declare a plant, or an effect for one -----------------------------
 
 
 def _parameter(value: object, where: str) -> Parameter:
     """`[value, "unit"]`, or with its tolerance and its meaning."""
     if not (isinstance(value, list) and 2 <= len(value) <= 4):
-        raise InputError(f'{where} {shown(value)} is no parameter; write [value, "unit"]')
+        raise InputError(f'{where} {shown(value)} is not a parameter; write [value, "unit"]')
     kinds = (number, line, within(0.0, np.inf, "give 0 or more"), line)
     return Parameter(*(kind(part, f"{where}[{i}]") for i, (kind, part) in enumerate(zip(kinds, value, strict=False))))
 
@@ -389,16 +390,16 @@ def _definition(value: object, where: str) -> Definition:
 
 
 def _sum(value: object, where: str) -> tuple[str, str, dict]:
-    """(symbol, where its sum stands, what stands there)."""
+    """(symbol, place of its sum, content of the sum)."""
     if not (isinstance(value, dict) and len(value) == 1 and isinstance(given := next(iter(value.values())), dict)):
         wish = 'write one line, symbol = { term = "expression", ... }'
-        raise InputError(f"{where} {shown(value)} is no sum of terms; {wish}")
+        raise InputError(f"{where} {shown(value)} is not a sum of terms; {wish}")
     symbol = next(iter(value))
     return symbol, entry_of(where, symbol), dict(given)
 
 
 class Values(dict):
-    """Symbol -> array: given signals first, then parameters, then definitions, computed when first asked for."""
+    """Symbol -> array: from the given signals, else from parameters, else from definitions when first asked for."""
 
     def __init__(self, plant: Plant, signals: Mapping[str, np.ndarray]):
         super().__init__({symbol: np.asarray(values, dtype=np.float64) for symbol, values in signals.items()})
@@ -416,5 +417,5 @@ class Values(dict):
         return self[symbol]
 
     def evaluate(self, expression: str):
-        """Value of an expression, shape as of the symbols in it."""
+        """Value of an expression, with the shape of its symbols."""
         return parse(expression).over(self)

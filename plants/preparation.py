@@ -1,8 +1,8 @@
-"""What is done to a recording before it trains or judges a model.
+"""Prepares a recording before it trains or judges a model.
 
-Each function takes a `Recording` and gives a new one whose `history` has one more line, saying what was done.
-channels: which ones, all where they may be left out. A filter on one channel of a plant and not on another becomes
-part of what is identified: filter inputs and outputs alike, or neither.
+Each function takes a `Recording` and returns a new one whose `history` has one more line, which says what was done.
+channels: names of the channels; all, if they are not given. If only one channel of a plant is filtered, the filter
+becomes part of the identified model: filter inputs and outputs alike, or neither.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ from greygate.errors import InputError
 from greygate.plants.recording import Recording
 
 WHITENING = 20  # order of the autoregression that whitens an input
-CHANCE = 0.01  # that a delay is seen where there is none
+CHANCE = 0.01  # probability that a delay is found where there is none
 
 
 def filtered(
@@ -33,9 +33,9 @@ def filtered(
 ) -> Recording:
     """Butterworth filter of `order`. cutoff: Hz, (low, high) for a band-pass.
 
-    phase: "zero" runs it forwards and backwards, which delays nothing, looks ahead, and doubles order and attenuation
-    (6 dB at the cut-off); "causal" runs it once, as hardware would, and delays; it starts as if the first sample had
-    always been there. Raises InputError for a cut-off above Nyquist or a recording shorter than a period of it.
+    phase: "zero" runs it forwards and backwards, which adds no delay, looks ahead, and doubles order and attenuation
+    (6 dB at the cut-off). "causal" runs it once, as hardware would, and adds a delay; it starts as if the first sample
+    had stood there for ever. Raises InputError for a cut-off above Nyquist, or a recording shorter than a period of it.
     """
     edges = np.atleast_1d(np.asarray(cutoff, float))
     if kind not in ("low", "high", "band") or len(edges) != (2 if kind == "band" else 1) or order < 1:
@@ -59,7 +59,7 @@ def filtered(
 
 
 def without_offset(recording: Recording, channels: Sequence[str] | None = None, rest: int | None = None) -> Recording:
-    """Each channel less its mean; with `rest`, less the mean of the first `rest` samples, the plant standing still."""
+    """Subtract from each channel its mean, or the mean of the first `rest` samples, while the plant stands still."""
     if rest is not None and not 1 <= rest <= recording.samples:
         raise InputError(f"{recording.source}: rest of {rest} samples; give 1 to {recording.samples}")
     names = _names(recording, channels)
@@ -76,10 +76,10 @@ def without_drift(
     degree: int | None = None,
     cutoff: float | None = None,
 ) -> Recording:
-    """Each channel less its slow change; its mean stays.
+    """Subtract from each channel its slow change; the mean stays.
 
-    degree: of the polynomial in time that is fitted and taken off (1: a line). cutoff: or, what is slower than this
-    [Hz], by a zero-phase Butterworth filter. Give one of them; raises InputError otherwise.
+    degree: fit and subtract a polynomial in time of this degree (1: a line). cutoff: subtract what is slower than this
+    [Hz], by a zero-phase Butterworth filter. Raises InputError unless exactly one of them is given.
     """
     if (degree is None) == (cutoff is None) or (degree is not None and not 1 <= degree <= 10):
         raise InputError(f"drift: degree {degree}, cutoff {cutoff}; give a degree of 1 to 10, or a cutoff in Hz")
@@ -108,10 +108,10 @@ def without_outliers(
 ) -> tuple[Recording, dict[str, int]]:
     """Hampel's identifier: a sample too far from the median of its neighbourhood is replaced by that median.
 
-    Too far: more than `threshold` times 1.4826 MAD of the 2 half_width + 1 samples, and more than `least` (in the
-    channel's unit; give the sensor's resolution, so that a flickering last bit is none). Where most of a neighbourhood
-    is one value, MAD is 0 and says nothing: without `least` such samples stay, and the history counts them. A true
-    pulse of half_width samples or less falls to it too, so name sensors, not commands that step.
+    Too far is more than `threshold` times 1.4826 MAD of the 2 half_width + 1 samples, and more than `least` (in the
+    channel's unit; give the sensor's resolution, so that a flickering last bit is no outlier). If most samples of a
+    neighbourhood have one value, MAD is 0 and says nothing: without `least` such samples stay, and the history counts
+    them. A true pulse of half_width samples or less is replaced too, so name sensors, not commands that step.
     Returns how many samples were replaced, by channel (Hampel 1974).
     """
     width = 2 * half_width + 1
@@ -140,17 +140,17 @@ def without_outliers(
 
 
 def estimated_delay(recording: Recording, source: str, target: str, longest: int, onset: bool = False) -> int:
-    """Samples by which `target` follows `source`, 0 to `longest`, from their cross-correlation.
+    """Delay of `target` behind `source` in samples, 0 to `longest`, from their cross-correlation.
 
     Both pass the filter that whitens `source`, so that the correlation is the impulse response (Box and Jenkins 1976).
-    The lag of its peak; with `onset`, the first lag that chance explains in less than 1 % of recordings: the dead time
-    of a plant that then answers slowly. Raises InputError for a constant channel, too short a recording, or if no lag
-    stands out.
+    The delay is the lag of its peak. With `onset` it is the first lag that chance explains in less than 1 % of
+    recordings: the transport delay of a plant that answers slowly after it. Raises InputError for a constant channel,
+    for a recording that is too short, or if no lag stands out.
     """
     u, y = (recording[n] - np.mean(recording[n]) for n in (source, target))
     for name, values in ((source, u), (target, y)):
         if not np.ptp(values) > 1e-12 * np.abs(recording[name]).max():
-            raise InputError(f"{recording.source}: channel {name} is constant; a delay needs it to move")
+            raise InputError(f"{recording.source}: channel {name} is constant; a delay shows only if it moves")
     if longest < 0 or recording.samples < 4 * (longest + WHITENING):
         raise InputError(
             f"{recording.source}: {recording.samples} samples are too few for delays to {longest}; "
@@ -168,7 +168,7 @@ def estimated_delay(recording: Recording, source: str, target: str, longest: int
 
 
 def without_delay(recording: Recording, delays: Mapping[str, int]) -> Recording:
-    """Each channel named moved ahead by its delay in samples (below 0: back); all are cut to what they share."""
+    """Move each named channel ahead by its delay in samples (below 0: back), and cut all to the time they share."""
     names = _names(recording, delays)
     longest, shortest = (pick([0, *(delays[n] for n in names)]) for pick in (max, min))
     samples = recording.samples - longest + shortest
@@ -181,9 +181,10 @@ def without_delay(recording: Recording, delays: Mapping[str, int]) -> Recording:
 
 
 def resampled(recording: Recording, up: int = 1, down: int = 1) -> Recording:
-    """`up`/`down` times the sample rate, through a linear-phase low-pass at the lower Nyquist frequency (no delay).
+    """Change the sample rate by `up`/`down`, through a linear-phase low-pass at the lower Nyquist frequency (no delay).
 
-    A command that steps will ring: hold it instead, `recording[name][::down]`. Raises InputError if fewer than 2 stay.
+    A command that steps will ring; use `recording[name][::down]` for it. Raises InputError if fewer than 2 samples
+    stay.
     """
     if up < 1 or down < 1:
         raise InputError(f"{recording.source}: resampling by {up}/{down}; give whole numbers above 0")
@@ -204,7 +205,7 @@ def _changed(recording: Recording, values: Mapping[str, np.ndarray], line: str) 
 def _names(recording: Recording, channels: Sequence[str] | Mapping | None) -> list[str]:
     names = list(recording.channels if channels is None else channels)
     for name in names:
-        recording[name]  # raises, naming those there are
+        recording[name]  # raises InputError for an unknown name
     return names
 
 

@@ -19,15 +19,15 @@ UNITS = {
 """Unit suffix of a CSV column name -> unit."""
 
 _SUFFIX = {unit: suffix for suffix, unit in reversed(UNITS.items())}
-_UNIFORM = 1e-3  # of a sample interval: what a printed time may be off
-FEWEST = 2  # samples that tell a sample time
+_UNIFORM = 1e-3  # of a sample interval: largest error of a printed time
+FEWEST = 2  # samples, from which a sample time follows
 
 
 @dataclass(frozen=True)
 class Recording:
     """Channels `name -> float64 (samples,)` with `units` `name -> unit`, one sample every `dt` seconds.
 
-    history: what was done to it, a line a step (`plants/preparation.py`); a CSV does not keep it.
+    history: what was done to it, one line for each step (`plants/preparation.py`); a CSV does not keep it.
     Raises InputError when channels differ in length, are empty, hold NaN or inf, or lack a unit.
 
     >>> recording = Recording(1e-3, record.inputs | record.targets, {"u": "V", "y": "m"})
@@ -64,7 +64,7 @@ class Recording:
         return f"<Recording {self.source}: {channels}; {self.samples} samples, one every {self.dt:g} s>"
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """The channel `name`, float64 (samples,). Raises InputError naming the channels there are."""
+        """The channel `name`, float64 (samples,). Raises InputError, naming the channels, if there is none."""
         if name not in self.channels:
             raise InputError(f"{self.source}: no channel {name}; it has {', '.join(self.channels)}")
         return self.channels[name]
@@ -79,7 +79,7 @@ class Recording:
         return np.arange(self.samples) * self.dt
 
     def write_csv(self, path: Path | str) -> None:
-        """Write `t_s` and one column `name_unit` a channel; numbers read back bit for bit.
+        """Write `t_s` and a column `name_unit` for each channel; `read_csv` reads the same bits.
 
         Raises InputError for a unit without suffix in `UNITS`, or a folder that cannot be written.
         """
@@ -103,8 +103,8 @@ def read_csv(
 ) -> Recording:
     """Read a CSV whose header is `t_s` and `name_unit` columns, such as `v_c_V,x_m,p_a_Pa`.
 
-    required: channel -> unit that must be there.
-    units: unit of each column whose header carries none (`{"be_cmd": "1"}`); it wins over a suffix.
+    required: channel -> unit of those that must be there.
+    units: unit of each column whose header has none (`{"be_cmd": "1"}`); it takes precedence over a suffix.
     dt: sample time in s of a file whose first column is an index `k` instead of a time.
 
     Raises InputError, naming the row as an editor numbers it (the header is 1) and the column.

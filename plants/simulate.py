@@ -1,9 +1,9 @@
-"""From the declaration of a plant to a compiled fixed-step simulation.
+"""Makes a compiled fixed-step simulation of a plant's declaration.
 
 The right-hand side and a Dormand-Prince 5 step are written out as Python source and compiled by numba. The source is
 kept under its hash in `$XDG_CACHE_HOME/greygate/plants` (`~/.cache` by default) with numba's cache beside it, so that
-a plant is compiled once on a machine. Parameters, limits and initial states are arguments: changing them compiles
-nothing.
+a plant is compiled once on a computer. Parameters, limits and initial states are arguments, so changing them does not
+compile again.
 """
 
 import types
@@ -42,15 +42,15 @@ def simulate(
 ) -> Recording:
     """Simulate `plant` with zero-order-hold inputs and fixed Dormand-Prince 5 steps (thesis 5.2: 0.1 ms).
 
-    inputs: symbol -> (samples,), held over each `sample_time` s; `step` divides it a whole number of times.
-    initial: values of states that start elsewhere than declared.
+    inputs: symbol -> (samples,), each held for `sample_time` s, which must be a whole number of `step` s.
+    initial: values of states that do not start as declared.
     channels: symbols to record, default the plant's outputs; inputs are always recorded.
 
-    Sample k is taken at k * sample_time, where input k begins to act: a state at that instant, a definition with
-    the state at that instant and input k.
+    Sample k is taken at k * sample_time, where input k begins to act: a state has its value at that instant, and a
+    definition is computed from the states at that instant and input k.
 
-    Raises InputError for missing or unequal inputs, a step that does not divide, unknown states or channels, and,
-    naming state and time, for a state that leaves the finite numbers.
+    Raises InputError for missing inputs, inputs of unequal length, a step that does not divide the sample time, and
+    unknown states or channels; and, naming state and time, for a state that is no longer finite.
 
     >>> round(float(simulate(axis, {"force": np.full(100, 8.0)})["x"][-1]), 6)  # m, after 99 ms
     0.001118
@@ -91,7 +91,7 @@ def simulate(
 
 
 class Restarted:
-    """A plant compiled for many runs, restarted at some samples and then free. sample_time, step: as in `simulate`."""
+    """A plant compiled for many runs, which restart at some samples. sample_time, step: as in `simulate`."""
 
     def __init__(self, plant: Plant, sample_time: float, step: float):
         self.plant = plant
@@ -109,10 +109,10 @@ class Restarted:
         reset: np.ndarray,
         values: Mapping[str, float],
     ) -> np.ndarray:
-        """States (samples, states); from the first one on that is not finite, all are NaN.
+        """Simulate: states (samples, states); from the first sample that is not finite on, all are NaN.
 
-        restarts: rising sample indices, the first 0. starts: (restarts, states). reset: which states begin anew at a
-        restart, (states,); the others go on. values: symbol -> value of every parameter of the plant.
+        restarts: rising sample indices, the first 0. starts: (restarts, states). reset: (states,), which of them
+        restart; the others go on. values: symbol -> value of every parameter of the plant.
         """
         if not self.plant.states:
             return np.empty((len(inputs), 0))
@@ -152,12 +152,12 @@ def _inputs(plant: Plant, inputs: Mapping[str, np.ndarray]) -> np.ndarray:
 def source(plant: Plant) -> str:
     """Python source of `derivative` and `run` for `plant`; it depends on names and expressions, not on values.
 
-    It is written from checked names and from trees of checked expressions (`Plant` refuses others) alone.
+    It is written only from checked names and trees of checked expressions, because `Plant` refuses others.
     """
     lines = ["import numpy as np", "from numba import njit", ""]
     lines += ["jit = njit(cache=True, error_model='numpy', nogil=True)", ""]
     for name in FUNCTIONS:
-        if name != "when":  # which is written out
+        if name != "when":  # `when` is written out in place
             lines += ["@jit", text(name)]
     lines += ["@jit", "def derivative(_x, _u, _p, _dx):"]
     for array, symbols in (("_p", plant.parameters), ("_u", plant.inputs), ("_x", plant.states)):

@@ -51,7 +51,7 @@ def test_a_file_that_make_may_run_is_refused_before_a_verification(build, name, 
     strange.parent.mkdir(parents=True)
     strange.write_text("X := $(shell id)\n")
     monkeypatch.setattr(project, "verify_many", lambda *a: pytest.fail("simulated"))
-    with pytest.raises(InputError, match="no file of greygate verify"):
+    with pytest.raises(InputError, match="greygate verify did not write"):
         verify_project(Project.open(build))
     assert strange.exists()
 

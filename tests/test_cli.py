@@ -195,7 +195,7 @@ def test_verify_says_no_with_exit_code_1_when_the_verilog_is_changed(built):
     layer.write_text(text.replace(" + ", " - ", 1))
     code, out, error = greygate("verify", built, "--seed", 1)
     assert (code, out, error.count("\n")) == (2, "", 1)
-    assert f"{layer}: not the Verilog of program.json" in error
+    assert f"{layer}: is not the Verilog of program.json" in error
     code, out, error = greygate("verify", built, "--seed", 1, "--as-is")
     assert code == 1
     assert f"{layer} is not the Verilog of program.json; verified as it is" in error
@@ -252,9 +252,9 @@ def test_a_bad_recording_is_named_in_one_line_and_nothing_is_written(tmp_path, n
     [
         (["compile", "nobody", "--out", "b"], "no network is called 'nobody'"),
         (["compile", "missing.toml", "--record", "t=a.csv", "--out", "b"], "missing.toml: no such file"),
-        (["compile", "line.toml", "--out", "b"], "give recordings"),
+        (["compile", "line.toml", "--out", "b"], "no recordings"),
         (["compile", "line.toml", "--record", "=a.csv", "--out", "b"], "write SCENARIO=FILE.csv"),
-        (["validate", "line.toml"], "line.toml: give recordings of it, --record FILE.csv\n"),
+        (["validate", "line.toml"], "line.toml: no recordings; give --record FILE.csv\n"),
         (["compile", "line.toml", "--record", "a.csv", "--record", "slow.csv", "--out", "b"], TWO_TIMES),
         (["validate", "line.toml", "--record", "a.csv", "--record", "slow.csv"], TWO_TIMES),
         (["compile", "line.toml", "--record", "a.csv", "--held", "big.csv", "--out", "b"], "give --prune or --weights"),
@@ -271,7 +271,10 @@ def test_a_bad_recording_is_named_in_one_line_and_nothing_is_written(tmp_path, n
         (["report", "other"], "run greygate compile first"),
         (["train", "nobody"], "no network is called 'nobody'"),
         (["train", "crane", "--out", "nowhere"], "no such folder"),
-        (["train", "crane", "--epochs", "5", "--no-narx"], "crane is trained in a way of its own; --narx, --epochs"),
+        (
+            ["train", "crane", "--epochs", "5", "--no-narx"],
+            "crane is trained with its own options; give --narx, --epochs with",
+        ),
         (["train", "line.toml", "--record", "a.csv", "--settle", "60", "--out", "b"], "skips 60 of its 60 samples"),
         (
             ["train", "line.toml", "--record", "a.csv", "--shooting", "31", "--out", "b"],
@@ -461,7 +464,7 @@ def test_a_rig_in_which_nothing_is_uncertain_is_refused_in_a_line(rig, command, 
     (rig / "run.csv").rename(rig / "identify.csv")
     code, printed, error = greygate(command, rig)
     assert (code, printed) == (2, "")
-    assert error.endswith("rig.toml: tolerance: no parameter is uncertain; give one at least, e.g. 0.01\n")
+    assert error.endswith("rig.toml: tolerance: no parameter is uncertain; give at least one, e.g. 0.01\n")
 
 
 def test_a_rig_whose_simulation_explodes_is_refused_in_a_line(rig, greygate):
@@ -469,5 +472,5 @@ def test_a_rig_whose_simulation_explodes_is_refused_in_a_line(rig, greygate):
     (rig / "run.csv").rename(rig / "identify.csv")
     code, printed, error = greygate("diagnose", rig)
     assert (code, printed) == (2, "")
-    assert "the fit runs out of numbers" in error
+    assert "the fit fails numerically" in error
     assert error.count("\n") == 1

@@ -81,7 +81,7 @@ def test_a_library_with_k_has_each_function_once_for_every_k_named_by_its_whole_
         ('duration = "20.0"\n', "", "unknown name 'duration'; say in closure.signals what it stands for"),
         ("motion = {", "movement = {", "no such equation or definition; it has position, motion"),
         ('"u * x"', '"__import__(1)"', "closure.libraries.own.push"),
-        ("[closure.libraries.own]", "[closure.libraries.own]\nk = [3, 1]", "is no range; write [first, last]"),
+        ("[closure.libraries.own]", "[closure.libraries.own]\nk = [3, 1]", "is not a range; write [first, last]"),
         ("typical = 3.0", "typical = 0.0", "give a size above 0"),
         ('push = "u', "".join(f'p{i} = "u"\n' for i in range(500)) + 'push = "u', "526 functions; 499 are the most"),
         ("typical", "typicl", "write typical if that is meant"),

@@ -353,7 +353,7 @@ def test_a_program_comes_back_from_its_file_the_same(tmp_path):
     ("spoil", "message"),
     [
         (lambda p: p.unlink(), "No such file"),
-        (lambda p: p.write_text(p.read_text()[:300]), "is no JSON"),
+        (lambda p: p.write_text(p.read_text()[:300]), "is not JSON"),
         (
             lambda p: p.write_text(p.read_text().replace('"op": "affine"', '"op": "convolve"')),
             "op 'convolve' does not exist",

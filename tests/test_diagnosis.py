@@ -158,7 +158,7 @@ RIGS = {
     "a plant that is unknown": (put("cable_drum", "cable_car"), "plant 'cable_car' is unknown; give belt_drive"),
     "no sample time": (put("sample_time_s = 0.001", "sample_time_s = 0"), "sample_time_s 0 is too small; give seconds"),
     "another sample time": (put("sample_time_s = 0.001", "sample_time_s = 0.002"), "row 3, column t: step 0.001 s"),
-    "a syntax error": (put("[parameters]", "[parameters"), "is no TOML"),
+    "a syntax error": (put("[parameters]", "[parameters"), "is not TOML"),
 }  # fmt: skip
 
 
@@ -243,13 +243,13 @@ parameters.k = { unit = "1", typical = 1e-3 }
 terms."transmission.own" = "k * v"
 """
 TABLES = {
-    "a syntax error": (put("[own]", "[own"), "is no TOML"),
+    "a syntax error": (put("[own]", "[own"), "is not TOML"),
     "no place that the plant has": (put("transmission.own", "gear.own"), "own: gear: cable_drum has no such place"),
     "a name that is unknown": (put("k * v", "k * w"), "unknown name 'w'"),
     "no equations": (put('equations = ["transmission"]', ""), "effect own.equations is missing"),
     "a size in words": (put("1e-3", '"small"'), "own.parameters.k.typical 'small' is not a finite number"),
     "no size": (put("1e-3", "0"), "typical: 0.0; give a size above 0"),
-    "no expression": (put('"k * v"', "3"), "3 is no expression in quotes"),
+    "no expression": (put('"k * v"', "3"), "3 is not an expression in quotes"),
 }
 
 
@@ -261,7 +261,7 @@ def test_a_table_of_effects_is_refused_that_has(case, clean, tmp_path, greygate)
 
 
 PLANTS = {
-    "a syntax error": ("[inputs\n", "mine.toml: is no TOML"),
+    "a syntax error": ("[inputs\n", "mine.toml: is not TOML"),
     "an expression that is none": (
         'outputs = ["y"]\n[inputs]\nu = "m"\n[definitions.gear]\ny = { unit = "m", drive = "2 * * u" }\n',
         "mine.toml: definitions.gear.y.drive: '2 * * u' is no expression",
@@ -279,7 +279,7 @@ def test_a_plant_file_of_ones_own_is_refused_that_has(case, clean, tmp_path, gre
 
 
 DIAGNOSES = {
-    "no JSON": ("{", "is no JSON"),
+    "no JSON": ("{", "is not JSON"),
     "a list": ("[]", "[] is not a table; give schema"),
     "another schema": ('{"schema": "x"}', "schema 'x' does not exist; choose diagnosis/1"),
     "another plant": ('{"schema": "diagnosis/1", "plant": "belt_drive", "effects": [], "parameters": {}}',

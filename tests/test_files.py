@@ -89,7 +89,7 @@ def test_a_manifest_names_nothing_outside_its_folder(tmp_path, name):
     path = tmp_path / "b" / "manifest.json"
     found = json.loads(path.read_text())
     path.write_text(json.dumps(found | {"files": found["files"] | {name: "0" * 64}}))
-    with pytest.raises(InputError, match="no manifest of this greygate"):
+    with pytest.raises(InputError, match="not a manifest of this greygate"):
         put(tmp_path / "b")
 
 
@@ -143,7 +143,7 @@ def test_places_that_are_no_folder_of_ones_own_are_refused(tmp_path, monkeypatch
 def test_a_file_is_not_written_over_a_link_a_device_or_a_folder(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "real")
     for path in (tmp_path / "link", tmp_path, Path("/dev/null"), Path(".")):
-        with pytest.raises(InputError, match="is no plain file"), replacing(path) as new:
+        with pytest.raises(InputError, match="is not a plain file"), replacing(path) as new:
             new.write_text("x")
     assert [p.name for p in tmp_path.iterdir()] == ["link"]
     assert not Path("/dev/null").is_file()
@@ -173,7 +173,10 @@ def test_whatever_ends_a_writer_leaves_the_old_and_no_strays(tmp_path, ending):
 
 def test_of_two_writers_the_second_is_told_to_wait(tmp_path, monkeypatch):
     monkeypatch.setattr(files, "PATIENCE", 0.0)
-    with locked(tmp_path / "b"), pytest.raises(InputError, match="b: another greygate is writing it; wait for it"):
+    with (
+        locked(tmp_path / "b"),
+        pytest.raises(InputError, match="b: another greygate is writing it; wait until it has finished"),
+    ):
         put(tmp_path / "b")
     with locked(tmp_path / "f"), pytest.raises(InputError, match="another greygate"), replacing(tmp_path / "f") as new:
         new.write_text("x")

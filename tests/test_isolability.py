@@ -276,7 +276,7 @@ def test_before_data_motions_by_rule_stand_for_the_recording(blind, tmp_path, gr
     assert "not told apart: drive_loss, weak_magnet" in printed
     code, _, err = greygate("isolability", tmp_path)
     assert code == 2
-    assert "identify.csv: there is none; record it, or, before data, give --range u=LOW:HIGH" in err
+    assert "identify.csv: there is no such file; record it, or give --range u=LOW:HIGH" in err
 
 
 @pytest.mark.parametrize(

@@ -291,11 +291,11 @@ def test_any_entry_of_a_programs_file_may_be_wrong_or_missing(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('{"name": "a", "name": "b"}', "the entry 'name' stands twice"),
+        ('{"name": "a", "name": "b"}', "the entry 'name' appears twice"),
         ("[" * 100_000, "nested more than"),
         ("[]", "is not a table"),
-        ("1" * 5000, "is no JSON"),
-        ("\ud800", "is no JSON"),
+        ("1" * 5000, "is not JSON"),
+        ("\ud800", "is not JSON"),
     ],
 )
 def test_a_program_that_is_no_table_of_its_entries_is_named(tmp_path, text, message):

@@ -152,7 +152,7 @@ def test_wrong_inputs_are_named(inputs, message):
         (lambda p: p.with_suffix(".toml").unlink(), "no such file"),
         (lambda p: p.with_suffix(".safetensors").unlink(), "no such file"),
         (lambda p: p.with_suffix(".safetensors").write_bytes(b"\x00" * 20), "not a readable network"),
-        (lambda p: p.with_suffix(".toml").write_text("name = "), "is no TOML"),
+        (lambda p: p.with_suffix(".toml").write_text("name = "), "is not TOML"),
         (lambda p: p.with_suffix(".toml").write_text('name = "x"'), "inputs is missing; add it"),
         (lambda p: _edit(p, "rows = 1", "rows = 2"), "should have shape"),
         (lambda p: _edit(p, "own = 1", "mine = 1"), "should have shape"),

@@ -62,8 +62,8 @@ BAD = {
         "definition a, term t: unknown name 'f_b'; it is defined further down",
     ),
     "name twice": ({"inputs": {"x": "m"}}, "x: is declared twice"),
-    "name of a function": ({"inputs": {"exp": "N"}}, "exp: is no name for a quantity"),
-    "keyword": ({"inputs": {"lambda": "N"}}, "lambda: is no name for a quantity"),
+    "name of a function": ({"inputs": {"exp": "N"}}, "exp: is not a name for a quantity"),
+    "keyword": ({"inputs": {"lambda": "N"}}, "lambda: is not a name for a quantity"),
     "equation missing": ({"equations": {"position": Equation("x", {"velocity": "v"})}}, "state v has 0 equations"),
     "equation of no state": (
         {"equations": {"a": Equation("x", {}), "b": Equation("v", {}), "c": Equation("y", {})}},

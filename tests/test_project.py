@@ -97,7 +97,7 @@ def test_broken_results_are_one_line(build, name, content):
     with pytest.raises(InputError, match=f"{name}: .* again"):
         _ = opened.hardware, opened.resources
     (build / name).write_text(json.dumps(content)[:-1] + "[" * 90_000)
-    with pytest.raises(InputError, match=f"{name}: is no JSON|{name}: .*nested"):
+    with pytest.raises(InputError, match=f"{name}: is not JSON|{name}: .*nested"):
         _ = opened.hardware, opened.resources
 
 
@@ -191,7 +191,7 @@ def test_what_lies_in_a_builds_simulation_folder_is_never_built_again(build, mon
     thesis = planted.with_name("thesis.d")
     thesis.parent.mkdir(parents=True)
     thesis.write_text("mine")
-    with pytest.raises(InputError, match=r"thesis\.d: no file of greygate verify"):
+    with pytest.raises(InputError, match=r"thesis\.d: greygate verify did not write"):
         verify_project(Project.open(build))
     assert thesis.read_text() == "mine"
 

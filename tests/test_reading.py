@@ -10,12 +10,12 @@ from greygate.reading import DEEPEST, line, number, one_of, read_json, read_toml
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        (b"a = [", "is no TOML"),
-        (b"a = 1\na = 2", "is no TOML"),
-        (b"a = \x00", "is no TOML"),
+        (b"a = [", "is not TOML"),
+        (b"a = 1\na = 2", "is not TOML"),
+        (b"a = \x00", "is not TOML"),
         (b"#" * (LARGEST + 1), "is larger than 67108864 bytes"),
-        (b"a = \xff", "is no TOML"),
-        (b"a = " + b"9" * 5000, "is no TOML"),
+        (b"a = \xff", "is not TOML"),
+        (b"a = " + b"9" * 5000, "is not TOML"),
         (b"a = " + b"[" * 5000 + b"]" * 5000, "nested"),
         (b"a = " + b"[" * (DEEPEST + 1) + b"]" * (DEEPEST + 1), "nested"),
     ],

@@ -109,7 +109,7 @@ def spoilt(drums, tmp_path) -> list[Path]:
 
 SAID = {
     "no_toml": "rig.toml: cannot be read",
-    "no_table": "rig.toml: is no TOML",
+    "no_table": "rig.toml: is not TOML",
     "no_recording": "identify.csv: cannot be read",
     "huge": "is beyond any quantity",
     "backwards": "does not increase",
@@ -146,7 +146,7 @@ def test_the_command_sends_a_rig_to_a_cluster(drums, cluster, tmp_path, greygate
     ("options", "problem"),
     [
         (["--backend", "dask", "--scheduler", "tcp://127.0.0.1:1"], WITHOUT),
-        (["--scheduler", "tcp://127.0.0.1:1"], "the processes of this machine have none; add --backend dask"),
+        (["--scheduler", "tcp://127.0.0.1:1"], "loky has no scheduler; add --backend dask"),
     ],
 )
 def test_without_a_cluster_one_line_says_so(options, problem, drums, monkeypatch, greygate):

@@ -154,7 +154,7 @@ def test_a_folder_that_holds_another_network_is_named(plants):
     facts = plants / "mine" / NAME / "compile.json"
     facts.write_text(facts.read_text().replace('"source": "tiny"', '"source": "b2"'))
     write_manifest(facts.parent, "compile")
-    with pytest.raises(InputError, match="holds b2"):
+    with pytest.raises(InputError, match="is a build of b2"):
         CliRunner().invoke(app, ["report", "--all", "mine"], catch_exceptions=False)
 
 

@@ -118,7 +118,7 @@ def test_an_unbounded_free_run_is_exit_code_1_with_page_and_json(folder):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["arx.toml"], "give recordings"),
+        (["arx.toml"], "no recordings"),
         (["nobody"], "no network is called 'nobody'"),
         (["arx.toml", "--record", "missing.csv"], "missing.csv: cannot be read"),
         (["arx.toml", "--record", "train.csv", "--lags", "200"], "600 samples are too few for 200 lags"),

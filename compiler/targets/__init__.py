@@ -1,7 +1,7 @@
-"""What an integer program can be written as: every module of this folder is a target, and bears the target's name.
+"""The targets as which an integer program can be written: every module of this folder is one, and has its name.
 
-Such a module has one `TARGET`. The target is registered nowhere else: `emit`, the choices of the command line, what
-compile.json may name, `verify` and `synthesize` ask here.
+Such a module has one `TARGET`. The target is registered nowhere else: `emit`, the command line, the check of
+compile.json, `verify` and `synthesize` find it here.
 """
 
 import pkgutil
@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from greygate.errors import InputError
 
-if TYPE_CHECKING:  # the command line needs the names at once, and numpy only when it works
+if TYPE_CHECKING:  # the command line needs the names at its start, and numpy only in a command
     from greygate.emulator.program import Program
 
-BOTH = ("parallel", "folded")  # written unless the user chooses, in the order in which they are reported
-MULTIPLIERS = range(1, 257)  # that a target which shares multipliers may be given
+BOTH = ("parallel", "folded")  # the default targets, in the order in which they are reported
+MULTIPLIERS = range(1, 257)  # the numbers of multipliers that a target which shares them accepts
 
 
 def named() -> tuple[str, ...]:
@@ -32,12 +32,15 @@ class Register(NamedTuple):
 
     path: str  # below the top, such as "x" or "memory[3]"
     low: int = 0  # the lowest bit of the code in it
-    alone: bool = False  # nothing else stands in it: a wider register holds the code with its sign extended
+    alone: bool = False  # the register holds only this code; if it is wider, the sign is extended
 
 
 @dataclass(frozen=True)
 class Target:
-    """files: (program, multipliers) -> {file name: text}; raises InputError for what it cannot write."""
+    """A target.
+
+    files: (program, multipliers) -> {file name: text}; it raises InputError for a program that it cannot write.
+    """
 
     files: Callable[["Program", int], dict[str, str]]
 
@@ -46,7 +49,7 @@ class Target:
 class Architecture(Target):
     """A target in Verilog. `emit` adds the building blocks of rtl/ and the list of sources, Verilator simulates it.
 
-    registers: program -> where it keeps the states, a register for each element, in the order of the program.
+    registers: program -> one register for each element of the states, in the order of the program.
     """
 
     registers: Callable[["Program"], list[Register]]
@@ -60,8 +63,8 @@ def target(name: str) -> Target:
 
 
 def architecture(name: str) -> Architecture:
-    """The target of that name, which is Verilog. Raises InputError if it is not, or does not exist."""
+    """The Verilog target of that name. Raises InputError if it does not exist or is not Verilog."""
     found = target(name)
     if not isinstance(found, Architecture):
-        raise InputError(f"{name} is no Verilog, so it cannot be simulated or synthesized; choose {' or '.join(BOTH)}")
+        raise InputError(f"{name} is not Verilog, so it cannot be simulated or synthesized; choose {' or '.join(BOTH)}")
     return found

@@ -1,11 +1,11 @@
-"""The folded architecture: few multipliers, one memory of codes, a schedule in ROM that says what every clock does.
+"""The folded architecture: few multipliers, one memory of codes, and a schedule in ROM that controls every clock.
 
-The datapath, from left to right; the fields of a line of the schedule act in the clock in which the line stands:
+The datapath is drawn from left to right. The fields of a line of the schedule act in the clock of that line:
 
     read ─ x ┬─ multiply-accumulate (weights, first, next, bias) ─ hold ─ pick ─ round ─ fit ─┬─ write
              └─ tables, clamps, thresholds, selects, copy ────────────────────────────────────┘
 
-compiler/schedule.py says which line does what; this module writes the datapath and its ROMs.
+compiler/schedule.py makes the schedule; this module writes the datapath and its ROMs.
 """
 
 from dataclasses import dataclass
@@ -92,7 +92,7 @@ class _Core:
 
     @cached_property
     def fields(self) -> list[tuple[str, int, bool]]:
-        """(name, width, signed) of the fields of a line, as they stand from left to right."""
+        """(name, width, signed) of the fields of a line, from left to right."""
         w = self.widths
         flags = [(n, 1, False) for n in ("last", "enable")]
         head = [("source", w["source"], False), ("write", w["address"], False)]
@@ -107,7 +107,7 @@ class _Core:
         return f"{self.widths[what]}'d{value}"
 
     def code(self, name: str, low: int, width: int) -> str:
-        """The code at bit `low` of a vector, as wide as the words of the memory."""
+        """The code at bit `low` of a vector, extended to the width of the memory's words."""
         return sign_extended(name, low, width, self.widths["code"])
 
     # -- the ROMs ----------------------------------------------------------------------------------------------------
@@ -161,7 +161,7 @@ module {self.program.name} (
         return module_text(head, body + stream_instance(width_in, width_out, "booted"))
 
     def counter(self) -> str:
-        """Which line of the schedule acts."""
+        """The counter of the line of the schedule that acts."""
         last = self.widths["pc"] - 1
         zero, one = (self.constant("pc", n) for n in (0, 1))
         final = self.constant("pc", len(self.folding.schedule.lines) - 1)
@@ -180,7 +180,7 @@ module {self.program.name} (
 {instance(f"{self.program.name}__schedule", "schedule", {}, ends)}"""
 
     def memory(self) -> str:
-        """What each word of the memory holds."""
+        """The memory, with the content of each word."""
         code, address = self.widths["code"] - 1, self.widths["address"]
         held = ""
         for s in [*(s.signal for s in self.program.states), *(o.out for o in self.program.operations)]:
@@ -196,7 +196,7 @@ module {self.program.name} (
 """
 
     def boot(self) -> str:
-        """How the initial states get into the memory, and the results of a step."""
+        """The writes to the memory: the initial states after a reset, and the results of a step."""
         code = self.widths["code"]
         zero, one = (self.constant("address", n) for n in (0, 1))
         initial = [(f"{s.signal.name}[{k}]", v) for s in self.program.states for k, v in enumerate(s.initial)]
@@ -225,7 +225,7 @@ module {self.program.name} (
 """
 
     def argument(self) -> str:
-        """The code that is read: of the memory, or beyond its words of the sample."""
+        """The code that is read: from the memory or, at addresses beyond its words, from the input sample."""
         code, words = self.widths["code"] - 1, self.folding.words
         slices, cases = input_slices(self.program), ""
         for n, (s, k, low) in enumerate(slices):
@@ -248,7 +248,7 @@ module {self.program.name} (
 {unused_text(unused_bits(self.program), "  // sign extensions")}"""
 
     def multipliers(self) -> str:
-        """Sums of products, and the way of a held row to its format."""
+        """The sums of products, and the path of a held row to its format."""
         w, macs = self.widths, self.macs
         code, acc = w["code"], w["acc"]
         parts = [f"[{(m + 1) * acc - 1}:{m * acc}]" for m in range(macs)]
@@ -286,9 +286,9 @@ module {self.program.name} (
 {drain}"""
 
     def units(self) -> str:
-        """What answers an argument in one clock: a copy, and a unit for each small operation or shared table."""
+        """The units that answer an argument in one clock: a copy, and one for each small operation or shared table."""
         code = self.widths["code"] - 1
-        before = ["x", "x_last", "x_before_last"]  # where the code stands that was read so many clocks earlier
+        before = ["x", "x_last", "x_before_last"]  # the codes read 0, 1 and 2 clocks earlier
         units, cases = "", [f"{self.constant('source', COPY)}: y = copied;"]
         for n, (key, o) in enumerate(self.folding.units.items()):
             module, parameters, ports = small_operation(self.program, o, size=1)
@@ -314,7 +314,7 @@ module {self.program.name} (
 """
 
     def select_arguments(self) -> str:
-        """The two codes before the last, for those units that read three: no wider than they are read."""
+        """The two codes before the last, for units that read three, only as wide as these units need."""
         selects = [o for o in self.folding.units.values() if isinstance(o, Select)]
         if not selects:
             return ""
@@ -333,7 +333,7 @@ module {self.program.name} (
 """
 
     def outputs(self) -> str:
-        """Registers of the outputs, and the result that they make."""
+        """The registers of the outputs, and the result that they form."""
         codes = ""
         shown: list[str] = []
         for p in self.program.outputs:
@@ -355,7 +355,7 @@ def bits(largest: int) -> int:
 
 
 def rom_text(comment: list[str], name: str, ports: str, width: int, rows: list[str], index: str, out: str) -> str:
-    """A synchronous ROM whose lines can be read."""
+    """A synchronous ROM with lines that a person can read."""
     return module_text(
         comment,
         f"module {name} (\n{ports}\n);\n\n"

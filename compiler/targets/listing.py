@@ -1,6 +1,6 @@
-"""A listing for people: the program as text, a line for each input, state, row, element, output and table.
+"""A listing for people: the program as text, with a line for each input, state, row, element, output and table.
 
-Numbers are codes, and a shift is rounded as the word behind it says: docs/integer-program.md.
+Numbers are codes. The word behind a shift names its rounding (docs/integer-program.md).
 """
 
 from collections.abc import Callable, Iterator

@@ -1,6 +1,7 @@
-"""The parallel architecture: every layer has hardware of its own and a register at its end.
+"""The parallel architecture: every layer has its own hardware with a register at its end.
 
-A step takes as many clocks as the longest chain of operations, and three more. targets/folded.py shares multipliers.
+A step takes as many clocks as the longest chain of operations has members, plus three. targets/folded.py shares
+multipliers.
 """
 
 from dataclasses import dataclass
@@ -44,7 +45,7 @@ def parallel(program: Program) -> dict[str, str]:
 
 
 def registers(program: Program) -> list[Register]:
-    """A register for each state, under its own name."""
+    """A register for each state, with the name of the state."""
     names = verilog_names(program)
     signals = [s.signal for s in program.states]
     return [Register(names[s.name], k * s.fix.width) for s in signals for k in range(s.size)]
@@ -56,7 +57,7 @@ TARGET = Architecture(lambda program, macs: parallel(program), registers)
 class _Layer:
     """The module of an affine operation: a readable sum for each row, and its rounding.
 
-    wire: name of the wire, as wide as the sums, of each element of the arguments that has a weight in some row.
+    wire: name of the wire of each element of the arguments that has a weight in some row; it is as wide as the sums.
     """
 
     def __init__(self, program: Program, o: Affine, names: dict[str, str]):
@@ -97,7 +98,7 @@ module {self.program.name}_{self.names[o.out.name]} (
         return module_text(comment, body)
 
     def wires(self) -> str:
-        """The elements that take part, extended to the width of the sums."""
+        """The elements with a weight, extended to the width of the sums."""
         text = ""
         for (s, k), name in self.wire.items():
             code = sign_extended(self.names[s.name], k * s.fix.width, s.fix.width, self.width)
@@ -113,7 +114,7 @@ module {self.program.name}_{self.names[o.out.name]} (
         return text
 
     def row(self, r: int) -> str:
-        """The sum of row r in physical numbers as a comment, in codes, and its rounding."""
+        """The sum of row r: in physical numbers as a comment, then in codes, and its rounding."""
         o, out, width = self.o, self.o.out.fix, self.width
         bias, frac = int(o.bias[r]), int(o.frac[r])
         weights = [(self.columns[j], int(o.weights[r, j])) for j in self.used if o.weights[r, j]]
@@ -140,7 +141,7 @@ module {self.program.name}_{self.names[o.out.name]} (
 
 
 def term(weight: int, x: str, width: int) -> str:
-    """weight * x with its sign in front; a power of two is a shift."""
+    """weight * x with its sign in front; multiplication by a power of two is a shift."""
     sign, size = ("-", -weight) if weight < 0 else ("+", weight)
     if size == 1:
         return f"{sign} {x}"
@@ -151,7 +152,7 @@ def term(weight: int, x: str, width: int) -> str:
 
 @dataclass(frozen=True)
 class _Top:
-    """The top: registers of the states, one instance a layer, the two streams."""
+    """The top module: registers of the states, one instance for each layer, and the two streams."""
 
     program: Program
     names: dict[str, str]
@@ -210,7 +211,7 @@ module {self.program.name} (
         return "\n    // layers\n" + wires + "".join(f"\n{self.layer(o)}" for o in self.program.operations)
 
     def layer(self, o: Operation) -> str:
-        """The instance of an operation, which is enabled once its arguments stand."""
+        """The instance of an operation, which is enabled when its arguments are valid."""
         y, level = self.names[o.out.name], self.level[o.out.name]
         arguments = [self.names[a] for a in o.args]
         ends = {"clk": "clk", "en": "start" if level == 1 else f"stage[{level - 2}]"}
@@ -222,7 +223,7 @@ module {self.program.name} (
         return instance(module, f"{y}_layer", parameters, ends)
 
     def next_states(self) -> str:
-        """The registers of the states: all take their sources' values at once, when a step is done."""
+        """The registers of the states: all take the values of their sources at once, when a step is done."""
         if not self.program.states:
             return ""
         named = [(self.names[s.signal.name], s) for s in self.program.states]

@@ -16,8 +16,8 @@ from greygate.cli import builds, networks, rigs
 from greygate.cli.terminal import say
 from greygate.errors import InputError
 
-INTERRUPTED, TERMINATED = 130, 143  # exit codes of what Ctrl-C, and what `kill` ends, as shells have them
-UsageError: Any = typer.BadParameter.__base__  # of whatever a command line lacks or has too much
+INTERRUPTED, TERMINATED = 130, 143  # exit codes after Ctrl-C and after `kill`, as shells give them
+UsageError: Any = typer.BadParameter.__base__  # raised for an argument or option that is missing, unknown or wrong
 COMMANDS = (
     *(networks.train, networks.compile),
     *(builds.emulate, builds.verify, builds.synthesize, builds.report),
@@ -54,7 +54,7 @@ def run() -> None:
     """Entry point: a user's mistake is one line on stderr and exit code 2, Ctrl-C one line and 130, `kill` 143."""
     signal.signal(signal.SIGTERM, _terminated)
     if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # a path may hold what no text can
+        sys.stdout.reconfigure(errors="backslashreplace")  # a path may hold bytes that are no text
     try:
         code = app(standalone_mode=False) or 0
     except (KeyboardInterrupt, typer.Abort):
@@ -71,13 +71,13 @@ def run() -> None:
 
 
 def _terminated(number: int, frame: object) -> None:
-    """Leave by way of every `finally`, which puts temporary files away; a second such signal ends at once."""
+    """Exit through every `finally`, so that temporary files are removed; a second signal ends the process at once."""
     signal.signal(number, signal.SIG_DFL)
     sys.exit(TERMINATED)
 
 
 def _mistake(error: Exception) -> str | None:
-    """The line that tells the user what to do otherwise; None for what is no user's mistake."""
+    """Return the line that tells the user what to do; None if the error is not a user's mistake."""
     if isinstance(error, InputError):
         return str(error)
     if isinstance(error, UsageError):

@@ -46,7 +46,7 @@ def emulate(
 
 
 def _clipping(port: "Terminal", found: "Clipped") -> str:
-    """How much of an input lies outside its format."""
+    """Say how much of an input lies outside its format."""
     holds, given = (f"{least:.6g} to {most:.6g} {port.unit}" for least, most in (found.holds, found.given))
     share = f"{found.count} samples ({found.share:.2%})"
     return f"input {port.name}: {share} clipped to {holds}, which {port.signal.fix} holds; given {given}"
@@ -54,12 +54,12 @@ def _clipping(port: "Terminal", found: "Clipped") -> str:
 
 def verify(
     folder: Folder,
-    scenario: Annotated[list[str], typer.Option(help="Only these scenarios.")] = [],
+    scenario: Annotated[list[str], typer.Option(help="Verify only these scenarios.")] = [],
     seed: Annotated[
         int | None,
-        typer.Option(callback=options.SEED, help="Of back-pressure and reset; drawn and printed if not given."),
+        typer.Option(callback=options.SEED, help="Seed of back-pressure and reset; drawn and printed if not given."),
     ] = None,
-    as_is: Annotated[bool, typer.Option("--as-is", help="Even Verilog that was changed; it is code, read it.")] = False,
+    as_is: Annotated[bool, typer.Option("--as-is", help="Verify changed Verilog too. It is code: read it.")] = False,
     as_json: Json = False,
 ) -> None:
     """Simulate the emitted Verilog in Verilator and compare every output and every state with the emulator.
@@ -89,10 +89,11 @@ def synthesize(
         Family, typer.Option(help="; ".join(f"{name}: {family.title}" for name, family in FAMILIES.items()))
     ] = ECP5,
     clock: Annotated[
-        bool, typer.Option(help=f"Place and route with nextpnr for the clock rate ({', '.join(PLACED)}).")
+        bool, typer.Option(help=f"Find the clock rate: place and route with nextpnr ({', '.join(PLACED)}).")
     ] = False,
     limit: Annotated[
-        float | None, typer.Option(callback=options.SECONDS, help="Stop each design's tools after so many CPU seconds.")
+        float | None,
+        typer.Option(callback=options.SECONDS, help="Stop the tools of each design after this many CPU seconds."),
     ] = None,
     keep: Annotated[bool, typer.Option(help="Keep the figures in the package, for `report --all`.")] = False,
     as_json: Json = False,
@@ -111,15 +112,17 @@ def report(
     folders: Annotated[list[Path], typer.Argument(help="Folders that `greygate compile` wrote.")] = [],
     every: Annotated[
         bool,
-        typer.Option("--all", help="The thesis's plants side by side, from FOLDER/NAME; compiled if need be."),
+        typer.Option("--all", help="Compare the thesis's plants, each from FOLDER/NAME; compile what is missing."),
     ] = False,
-    check: Annotated[bool, typer.Option("--verify", help="Verify first what has not been verified.")] = False,
+    check: Annotated[
+        bool, typer.Option("--verify", help="First verify the builds that have not been verified.")
+    ] = False,
     out: Annotated[Path, typer.Option(help="HTML page to write; the JSON goes beside it.")] = Path("report.html"),
     as_json: Json = False,
 ) -> None:
-    """What quantization cost, per plant and scenario, as one HTML page and one JSON.
+    """Report what quantization cost for each plant and scenario, as one HTML page and one JSON file.
 
-    With --all one FOLDER, `hardware` if none is given. Exit code 1 if --verify finds a differing bit.
+    --all takes one FOLDER, or `hardware` if none is given. Exit code 1 if --verify finds a differing bit.
     """
     from greygate.pages.summary import aligned, designs, results
     from greygate.project import Project, verify_project
@@ -151,7 +154,7 @@ def report(
 
 
 def _errors(studies: list[dict]) -> list[str]:
-    """RMSE of float and fixed, a line for each plant, scenario and output."""
+    """RMSE of the float network and of fixed point, one line for each plant, scenario and output."""
     from greygate.pages.units import display
 
     lines = []

@@ -22,32 +22,33 @@ OWN_TRAINING = ("tail", "narx", "epochs", "decay", "settle", "shooting", "second
 
 Network = Annotated[str, typer.Argument(help="A name of the catalogue, or NAME.toml with --record.")]
 Settle = Annotated[
-    int, typer.Option(callback=options.SAMPLES, help="First samples of each record that only tell its initial state.")
+    int, typer.Option(callback=options.SAMPLES, help="First samples of each record: they give only its initial state.")
 ]
 
 
 def train(
     context: typer.Context,
     name: Annotated[str, typer.Argument(help="A network of the catalogue, `list`, or NAME.toml with --record.")],
-    record: Annotated[list[str], typer.Option(help="FILE.csv to learn from; several may be given.")] = [],
-    held: Annotated[list[str], typer.Option(help="FILE.csv that only chooses the epoch.")] = [],
+    record: Annotated[list[str], typer.Option(help="FILE.csv to train on; several may be given.")] = [],
+    held: Annotated[list[str], typer.Option(help="FILE.csv that is not trained on: it chooses the epoch.")] = [],
     tail: Annotated[
-        float, typer.Option(callback=options.SHARE, help="Share at the end of each record that only chooses the epoch.")
+        float, typer.Option(callback=options.SHARE, help="Share at the end of each record that chooses the epoch.")
     ] = 0.0,
-    narx: Annotated[bool, typer.Option(help="Learn one step ahead first, then free run from there.")] = True,
-    epochs: Annotated[int, typer.Option(callback=options.COUNT, help="Of the free run, at most.")] = 200,
+    narx: Annotated[bool, typer.Option(help="Train the one-step prediction first, then the free run.")] = True,
+    epochs: Annotated[int, typer.Option(callback=options.COUNT, help="Most epochs of training in free run.")] = 200,
     decay: Annotated[float, typer.Option(callback=options.DECAY, help="Weight decay D of the loss.")] = 0.0,
     settle: Settle = 0,
     shooting: Annotated[
-        int | None, typer.Option(callback=options.COUNT, help="Multiple shooting in windows of so many samples.")
+        int | None, typer.Option(callback=options.COUNT, help="Multiple shooting, in windows of this many samples.")
     ] = None,
     seconds: Annotated[float, typer.Option(callback=options.SECONDS, help="Time limit.")] = float("inf"),
     out: Annotated[Path | None, typer.Option(help="Folder for NAME.toml, .safetensors, .json.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Train a network by Levenberg-Marquardt: one of the catalogue from nothing, or your own on your recordings.
+    """Train a network by Levenberg-Marquardt: one of the catalogue from scratch, or your own on your recordings.
 
-    Your own is resumed from OUT/NAME.checkpoint if it was interrupted. Exit code 1 if its free run diverges.
+    If training your own network was interrupted, it resumes from OUT/NAME.checkpoint. Exit code 1 if the free run of
+    your network diverges.
     """
     from greygate.machines.catalog import CATALOG
 
@@ -58,10 +59,10 @@ def train(
         _train_own(name, record, held, settle, how, out, as_json)
     else:
         if record or held:
-            raise InputError(f"{name} is trained on records of its own; --record goes with a NAME.toml file")
+            raise InputError(f"{name} is trained on its own records; give --record only with a NAME.toml file")
         sources = {n: context.get_parameter_source(n) for n in OWN_TRAINING}
         if given := [f"--{n}" for n, s in sources.items() if s is not None and s.name == "COMMANDLINE"]:
-            raise InputError(f"{name} is trained in a way of its own; {', '.join(given)} goes with a NAME.toml file")
+            raise InputError(f"{name} is trained with its own options; give {', '.join(given)} with a NAME.toml file")
         _train_stored(name, out, as_json)
 
 
@@ -72,7 +73,7 @@ def _train_stored(name: str, out: Path | None, as_json: bool) -> None:
 
     chosen, out = entry(name), out or TRAINED
     if not out.is_dir():
-        raise InputError(f"{out}: no such folder; make it, or leave --out away to write into the package")
+        raise InputError(f"{out}: no such folder; make it, or omit --out to write into the package")
     with following(f"training {name}") as progress:
         network, figures = chosen.train(progress)
     chosen.save(network, figures, out)
@@ -86,7 +87,7 @@ def _train_own(
     from greygate.source import Source, train_source
 
     if not out:
-        raise InputError("--out is missing: the folder that the trained network is written into")
+        raise InputError("--out is missing; give the folder to write the trained network to")
     source, others = Source(name, recordings(record), settle), recordings(held)
     with following(f"training {Path(name).stem}") as progress:
         trained = train_source(source, out, others, progress=progress, **how)
@@ -105,7 +106,9 @@ def compile(
     network: Network,
     out: Annotated[Path, typer.Option(help="Folder to write; replaced if it is an earlier compilation.")],
     record: Annotated[list[str], typer.Option(help="FILE.csv or SCENARIO=FILE.csv; the first sets the ranges.")] = [],
-    held: Annotated[list[str], typer.Option(help="FILE.csv on which, not on the first, pruning is judged.")] = [],
+    held: Annotated[
+        list[str], typer.Option(help="FILE.csv that bounds the error of pruning, instead of the first.")
+    ] = [],
     width: Annotated[
         int, typer.Option(callback=options.WIDTH, help="Word width of signals and weights, 4 to 32 bits.")
     ] = 16,
@@ -113,12 +116,12 @@ def compile(
         int | None,
         typer.Option(
             callback=options.FINER,
-            help="Bits more for weights and neurons; the catalogue's choice if not given, else 0.",
+            help="Bits that weights and neurons have beyond the width; if not given, the catalogue's choice, else 0.",
         ),
     ] = None,
     budget: Annotated[
         float | None,
-        typer.Option(callback=options.GROWTH, help="Instead of a width: RMSE may be so many times float's."),
+        typer.Option(callback=options.GROWTH, help="Instead of a width: largest RMSE, as a factor of float's."),
     ] = None,
     prune: Annotated[
         float | None, typer.Option(callback=options.ALLOWANCE, help="Entropy pruning; RMSE may grow by this factor.")
@@ -131,13 +134,13 @@ def compile(
     macs: Annotated[int, typer.Option(callback=options.MACS, help="Multipliers of the folded architecture.")] = 4,
     as_json: Json = False,
 ) -> None:
-    """Simplify, prune, quantize a network and write it as Verilog."""
+    """Simplify, prune and quantize a network, and write it as Verilog."""
     from greygate.project import compile_project, fixed_and_float
     from greygate.source import Source
 
     pruned = prune is not None or weights is not None
     if held and not pruned:
-        raise InputError("--held: judges pruning; give --prune or --weights, or name it with --record")
+        raise InputError("--held: it only bounds pruning; give --prune or --weights, or give the file as --record")
     chosen = BOTH if architecture is EVERY else (architecture.value,)
     judges = recordings(held)
     source = Source(network, recordings([*record, *held]))
@@ -169,7 +172,7 @@ def compile(
 
 
 def _steps(compiled: "Compiled") -> list[str]:
-    """What each pass left, what was pruned, and what the compiler notes of single signals."""
+    """What each pass left, what was pruned, and what the compiler noted about single signals."""
     lines = [
         f"{p.name:18} {p.layers:4} layers {p.parameters:6} parameters {p.multiplications:6} products"
         for p in compiled.passes
@@ -182,7 +185,7 @@ def _steps(compiled: "Compiled") -> list[str]:
 
 
 def _errors(rmse: dict) -> list[str]:
-    """RMSE of float and fixed point, a line a scenario and output."""
+    """RMSE of the float network and of fixed point, one line for each scenario and output."""
     lines = []
     for scenario, outputs in rmse.items():
         for output, e in outputs.items():
@@ -195,13 +198,15 @@ def _errors(rmse: dict) -> list[str]:
 
 def validate(
     network: Network,
-    record: Annotated[list[str], typer.Option(help="FILE.csv or SCENARIO=FILE.csv; the first was learnt from.")] = [],
+    record: Annotated[list[str], typer.Option(help="FILE.csv or SCENARIO=FILE.csv; the first was trained on.")] = [],
     out: Annotated[Path, typer.Option(help="HTML page to write.")] = Path("validation.html"),
-    lags: Annotated[int, typer.Option(callback=options.COUNT, help="Of the residual tests, in steps.")] = 25,
+    lags: Annotated[
+        int, typer.Option(callback=options.COUNT, help="Largest lag of the residual tests, in steps.")
+    ] = 25,
     settle: Settle = 0,
     as_json: Json = False,
 ) -> None:
-    """Free run, steps ahead, residual tests and long run of a float network, as a table and one HTML page.
+    """Judge a float network by free run, k-step prediction, residual tests and long run: a table and one HTML page.
 
     Exit code 1 if a free run is unbounded.
     """

@@ -1,6 +1,6 @@
-"""What a number on the command line may be: each kind is decided here, before a command begins.
+"""The ranges of numbers on the command line, which are checked before a command begins.
 
-A kind is the callback of a `typer.Option`; it raises InputError naming the option, its value and what to give.
+Each range is the callback of a `typer.Option`; it raises InputError naming the option, its value and what to give.
 """
 
 import math
@@ -14,14 +14,14 @@ from greygate.compiler.targets import MULTIPLIERS
 from greygate.errors import InputError
 from greygate.limits import NARROWEST, WIDEST
 
-MOST = 10**9  # of whatever is counted one by one: more takes longer than anybody waits
+MOST = 10**9  # of samples, epochs and lags: more takes longer than anybody waits
 LEAST, GREATEST = math.ulp(0.0), sys.float_info.max  # above 0, below infinity
-SEEDS = 2**31  # Verilator takes no others
+SEEDS = 2**31  # Verilator takes seeds below this
 
 
 def _within(low: float, high: float, wish: str) -> Callable:
     def check(param: typer.CallbackParam, value: float | None) -> float | None:
-        if value is not None and not low <= value <= high:  # nan is within nothing
+        if value is not None and not low <= value <= high:  # nan is in no range
             raise InputError(f"{param.opts[-1]} {value}: give {wish}")
         return value
 
@@ -33,10 +33,10 @@ SAMPLES = _within(0, MOST, f"a whole number of samples from 0 to {MOST}")
 SEED = _within(0, SEEDS - 1, f"a whole number from 0 to {SEEDS - 1}")
 JOBS = _within(1, 1024, "a whole number from 1 to 1024")
 WIDTH = _within(NARROWEST, WIDEST, f"{NARROWEST} to {WIDEST} bits")
-FINER = _within(0, limits.FINER, f"0 to {limits.FINER} bits, which with the width make {WIDEST} at most")
+FINER = _within(0, limits.FINER, f"0 to {limits.FINER} bits; with the width they make at most {WIDEST}")
 MACS = _within(MULTIPLIERS[0], MULTIPLIERS[-1], f"{MULTIPLIERS[0]} to {MULTIPLIERS[-1]} multipliers")
-SHARE = _within(0, math.nextafter(1, 0), "a share from 0 up to 1, without 1")
-DECAY = _within(0, GREATEST, "a finite number from 0 on")
+SHARE = _within(0, math.nextafter(1, 0), "a share of at least 0 and below 1")
+DECAY = _within(0, GREATEST, "a finite number, 0 or more")
 SECONDS = _within(LEAST, math.inf, "seconds above 0")
-GROWTH = _within(math.nextafter(1, 2), GREATEST, "a factor on the error of float, e.g. 1.05")
-ALLOWANCE = _within(1, GREATEST, "a factor on the error before pruning, e.g. 1.02")
+GROWTH = _within(math.nextafter(1, 2), GREATEST, "a factor above 1 on the error of float, e.g. 1.05")
+ALLOWANCE = _within(1, GREATEST, "a factor of at least 1 on the error before pruning, e.g. 1.02")

@@ -1,4 +1,4 @@
-"""Commands on rigs: diagnose, isolability, simulate, augment, and the concealed cases that try them."""
+"""Commands on rigs: diagnose, isolability, simulate, augment, and the concealed cases that test them."""
 
 import re
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ from greygate.cli import options
 from greygate.cli.terminal import Json, finite, following, give, say
 from greygate.errors import InputError
 
-REACHED = 10.0  # s in which a cluster's scheduler answers
+REACHED = 10.0  # s to wait for the answer of a cluster's scheduler
 
 
 class Backend(StrEnum):
@@ -21,30 +21,32 @@ class Backend(StrEnum):
     DASK = "dask"
 
 
-Tables = Annotated[list[Path], typer.Option(help="TOML file that extends the effects; hydraulics comes along.")]
-RigFolder = Annotated[Path, typer.Argument(metavar="RIG_FOLDER", help="Folder of rig.toml.")]
+Tables = Annotated[list[Path], typer.Option(help="TOML file with effects to try besides greygate's own.")]
+RigFolder = Annotated[Path, typer.Argument(metavar="RIG_FOLDER", help="Folder that holds rig.toml.")]
 
 
 def diagnose(
-    rigs: Annotated[list[Path], typer.Argument(metavar="RIG_FOLDER...", help="Folders of rig.toml, identify.csv.")],
+    rigs: Annotated[list[Path], typer.Argument(metavar="RIG_FOLDER...", help="Folders with rig.toml, identify.csv.")],
     out: Annotated[
-        Path | None, typer.Option(help="diagnosis.json to write; of several rigs a folder of NAME.json.")
+        Path | None, typer.Option(help="diagnosis.json to write; for several rigs a folder, which gets NAME.json.")
     ] = None,
     html: Annotated[
-        Path | None, typer.Option(help="Page that argues the case; of several rigs a folder of NAME.html.")
+        Path | None, typer.Option(help="HTML page to write; for several rigs a folder, which gets NAME.html.")
     ] = None,
     effects: Tables = [],
     jobs: Annotated[
-        int, typer.Option(callback=options.JOBS, help="Rigs diagnosed at a time; dask takes all its workers.")
+        int, typer.Option(callback=options.JOBS, help="Number of rigs diagnosed at a time; dask uses all its workers.")
     ] = 1,
-    backend: Annotated[Backend, typer.Option(help="Processes of this machine, or a cluster.")] = Backend.LOKY,
-    scheduler: Annotated[str | None, typer.Option(help="Of the dask cluster: tcp://HOST:PORT.")] = None,
+    backend: Annotated[
+        Backend, typer.Option(help="Run on processes of this computer, or on a cluster.")
+    ] = Backend.LOKY,
+    scheduler: Annotated[str | None, typer.Option(help="Address of the dask cluster: tcp://HOST:PORT.")] = None,
     as_json: Json = False,
 ) -> None:
     """Say where a simulation and a recording differ, what physics is left out, and how much better it fits with it.
 
-    The files: docs/diagnosis.md. Exit code 0 whatever the verdict; of several rigs one that cannot be diagnosed is
-    told, the others are written, and the exit code is 2.
+    docs/diagnosis.md describes the files. The exit code is 0 whatever the verdict. If one of several rigs cannot be
+    diagnosed, the command says so, writes the others, and exits with 2.
     """
     from greygate.explain import explain, explain_all
 
@@ -69,12 +71,12 @@ def diagnose(
 
 @contextmanager
 def _joblib(backend: Backend, scheduler: str | None) -> Iterator[None]:
-    """Have joblib run its tasks there. Raises InputError where the cluster cannot be had."""
+    """Let joblib run its tasks on this backend. Raises InputError if the cluster cannot be reached."""
     import joblib
 
     if backend is Backend.LOKY:
         if scheduler is not None:
-            raise InputError("--scheduler: the processes of this machine have none; add --backend dask")
+            raise InputError("--scheduler: loky has no scheduler; add --backend dask")
         yield
         return
     try:
@@ -95,13 +97,14 @@ def isolability(
     rig: RigFolder,
     effects: Tables = [],
     ranges: Annotated[
-        list[str], typer.Option("--range", help="NAME=LOW:HIGH of every input: motions by rule, before data.")
+        list[str],
+        typer.Option("--range", help="NAME=LOW:HIGH for every input: designs motions where there is no data yet."),
     ] = [],
     as_json: Json = False,
 ) -> None:
     """Say which effects a rig's sensors and its identify.csv cannot tell apart, and which experiment or sensor would.
 
-    Without identify.csv, what motions within the inputs' ranges could tell.
+    If there is no identify.csv, --range says what motions within the inputs' ranges could tell apart.
     """
     from greygate.explain import isolable
 
@@ -124,15 +127,19 @@ def _range(text: str) -> tuple[str, tuple[float, float]]:
 
 def simulate(
     rig: RigFolder,
-    recording: Annotated[Path, typer.Option(help="CSV of this rig: inputs, and the states that runs begin from.")],
+    recording: Annotated[
+        Path, typer.Option(help="CSV of this rig: its inputs, and the states that the simulation begins from.")
+    ],
     out: Annotated[Path, typer.Option(help="CSV to write: t and the predicted channels.")],
-    diagnosis: Annotated[Path | None, typer.Option(help="Of this plant: the simulation as it corrects it.")] = None,
+    diagnosis: Annotated[
+        Path | None, typer.Option(help="diagnosis.json of this plant: simulate with its corrections.")
+    ] = None,
     effects: Annotated[list[Path], typer.Option(help="Tables that the diagnosis had, too.")] = [],
     as_json: Json = False,
 ) -> None:
-    """Simulate a recording with the data sheet's values, or as a diagnosis corrects the plant.
+    """Simulate a recording with the values of the data sheet, or with the plant as a diagnosis corrects it.
 
-    Exit code 1 if the simulation diverges; what it wrote ends in nan.
+    Exit code 1 if the simulation diverges; the CSV file then ends in nan.
     """
     from greygate.explain import predict
 
@@ -148,13 +155,13 @@ def simulate(
 
 def augment(
     rig: RigFolder,
-    diagnosis: Annotated[Path, typer.Option(help="Of this rig, as `greygate diagnose` wrote it.")],
-    out: Annotated[Path, typer.Option(help="Folder to write; replaced if it is an earlier one.")],
+    diagnosis: Annotated[Path, typer.Option(help="diagnosis.json of this rig, by `greygate diagnose`.")],
+    out: Annotated[Path, typer.Option(help="Folder to write; an earlier augmentation is replaced.")],
     as_json: Json = False,
 ) -> None:
     """Train the network of a rig's plant without and with a module of the physics that a diagnosis named.
 
-    Writes both as NAME.toml for `greygate compile`, and the recordings as they read them.
+    Writes both networks as NAME.toml for `greygate compile`, and the recordings as the networks read them.
     """
     from greygate.augment import augment as join
     from greygate.mismatch.simulation import read
@@ -170,14 +177,14 @@ def augment(
 
 
 def conceal(
-    plant: Annotated[str, typer.Argument(help="A rig by name; another name lists those there are.")],
-    seed: Annotated[int, typer.Option(callback=options.SEED, help="Draws everything.")],
-    out: Annotated[Path, typer.Option(help="Folder to write; replaced if it is an earlier case.")],
-    kind: Annotated[str, typer.Option(help="clean, parameter, one, two, foreign, or any.")] = "any",
-    effect: Annotated[str | None, typer.Option(help="The (first) effect, by name; drawn if not given.")] = None,
+    plant: Annotated[str, typer.Argument(help="Name of a rig; an unknown name lists the rigs.")],
+    seed: Annotated[int, typer.Option(callback=options.SEED, help="Seed from which the whole case is drawn.")],
+    out: Annotated[Path, typer.Option(help="Folder to write; an earlier case is replaced.")],
+    kind: Annotated[str, typer.Option(help="What is concealed: clean, parameter, one, two, foreign, or any.")] = "any",
+    effect: Annotated[str | None, typer.Option(help="Name of the (first) effect; drawn if not given.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Write recordings of a rig with something concealed in it, and the sealed answer."""
+    """Write recordings of a rig with a concealed effect, and the sealed answer."""
     from greygate.mismatch.concealed.conceal import conceal as write
 
     with following(f"recording {plant}"):
@@ -189,14 +196,15 @@ def conceal(
 def reveal(
     folder: Annotated[Path, typer.Argument(help="A folder that `greygate conceal` wrote.")],
     diagnosis: Annotated[
-        Path | None, typer.Option(help="diagnosis.json to be scored; FOLDER/diagnosis.json if it is there.")
+        Path | None,
+        typer.Option(help="diagnosis.json to score; FOLDER/diagnosis.json if not given, where there is one."),
     ] = None,
     effects: Annotated[list[Path], typer.Option(help="Tables that the diagnosis had, too.")] = [],
     as_json: Json = False,
 ) -> None:
     """Open the sealed answer, and score a diagnosis against it.
 
-    Exit code 1 if the diagnosis is wrong: its verdict, its effects, or the parameter.
+    Exit code 1 if the diagnosis is wrong in its verdict, its effects, or the parameter.
     """
     from greygate.explain import score
 

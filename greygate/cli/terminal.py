@@ -1,4 +1,4 @@
-"""What every command shares: results on stdout, messages on stderr, and how arguments name recordings."""
+"""Shared by all commands: results on stdout, messages on stderr, and arguments that name recordings."""
 
 import json
 import os
@@ -23,10 +23,10 @@ def give(result: object, as_json: bool, lines: list[str]) -> None:
 
 
 def print_out(text: str) -> None:
-    """Print to stdout. A reader that has closed it, such as `| head`, is no error."""
+    """Print to stdout; it is no error if the reader, such as `| head`, has closed it."""
     try:
         typer.echo(text)
-    except BrokenPipeError:  # what is left goes nowhere
+    except BrokenPipeError:  # the rest of the output is dropped
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -36,13 +36,13 @@ def say(text: str) -> None:
 
 
 def finite(value: float | None, form: str) -> str:
-    """A number that JSON may have left out, since it knows no infinity."""
+    """Format a number; None, which JSON holds instead of an infinity, becomes "inf"."""
     return "inf" if value is None else f"{value:{form}}"
 
 
 @contextmanager
 def following(title: str) -> Iterator[Progress]:
-    """Show a line on stderr while long work runs; gives the `progress` that changes it."""
+    """Show a line on stderr while long work runs; yield the `progress` that changes this line."""
     from rich.console import Console
 
     with Console(stderr=True).status(title) as status:
@@ -50,7 +50,7 @@ def following(title: str) -> Iterator[Progress]:
 
 
 def named(text: str) -> str:
-    """SCENARIO=FILE.csv; a file alone is called by its name."""
+    """Return the argument as SCENARIO=FILE.csv; the scenario of a file alone has the file's name."""
     return text if "=" in text else f"{Path(text).stem}={text}"
 
 
@@ -63,6 +63,6 @@ def recordings(given: list[str]) -> dict[str, str]:
             raise InputError(f"--record {text}: write SCENARIO=FILE.csv, e.g. training=train.csv")
         check_text(scenario, "--record, scenario")
         if scenario in found:
-            raise InputError(f"--record {text}: the scenario {scenario} is given twice; name one otherwise")
+            raise InputError(f"--record {text}: the scenario {scenario} is given twice; rename one of them")
         found[scenario] = path
     return found

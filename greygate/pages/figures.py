@@ -15,15 +15,15 @@ from markupsafe import Markup
 from greygate.pages.units import number
 
 LEFT, RIGHT, TOP, BOTTOM = 58, 10, 8, 34  # margins of a chart, px
-BINS = 400  # of a whole run as it is drawn; each shows its least and its largest value
+BINS = 400  # of the drawing of a complete run; each shows its least and its largest value
 ROW = 19  # height of one signal in `formats`, px
-TRUSTED = 0.8  # coherence below which a frequency response says nothing
-CHANGE_DECADES, CHANGE_HEIGHT = 6, 66  # of a row of `weight_changes`: its scale, and px
+TRUSTED = 0.8  # coherence below which a frequency response is not drawn
+CHANGE_DECADES, CHANGE_HEIGHT = 6, 66  # scale and height [px] of a row of `weight_changes`
 
 
 @dataclass(frozen=True)
 class Line:
-    """Points (x, y) of equal length, None where there is nothing to draw. `kind` is the CSS class."""
+    """A line of points: x and y of equal length, None where nothing is drawn; `kind` is the CSS class."""
 
     x: Sequence[float | None] | np.ndarray
     y: Sequence[float | None] | np.ndarray
@@ -68,7 +68,7 @@ class Scale:
 
 
 def span(values: Sequence[float | None], log: bool = False, margin: float = 0.06) -> tuple[float, float]:
-    """Limits that show all values with a little room; never empty."""
+    """Limits that contain all values with a margin; they are never equal."""
     known = [v for v in values if v is not None and (v > 0 or not log)] or [1.0]
     low, high = min(known), max(known)
     if log:
@@ -89,7 +89,7 @@ def envelope(values: np.ndarray, bins: int = BINS) -> dict[str, list]:
 
 
 def shortened(values: np.ndarray) -> list[float]:
-    """Six significant digits: enough to draw, and half the bytes."""
+    """Round to six significant digits, which are enough for drawing and take half the bytes."""
     return [float(f"{v:.6g}") for v in values]
 
 
@@ -152,7 +152,7 @@ def accuracy(
     """Magnitude, phase and coherence of Ŷ/Y over frequency [Hz], three panels one above another.
 
     found: CSS class of a line -> {"magnitude", "phase" [degrees], "coherence"}, as `models.spectra.frequency_response`
-    has them. Magnitude and phase are drawn only where the coherence says that they mean something.
+    returns them. Magnitude and phase are drawn only where the coherence is at least `TRUSTED`.
     """
     x_limits = span(frequency, log=True, margin=0)
 
@@ -203,10 +203,10 @@ def _path(line: Line, sx: Scale, sy: Scale, height: float) -> str:
 
 
 def formats(signals: Sequence[dict], width: int = 1160) -> Markup:
-    """What every format holds (from its LSB to full scale) against what its signal does, on a log2 scale.
+    """Draw the range of every format (from its LSB to full scale) and the values of its signal, on a log2 scale.
 
-    signals: entries of a study's `signals`. Box: quartiles of |signal|; whiskers: from 5 % to the largest seen. A
-    diamond is the proved bound, an arrow one that lies further right.
+    signals: entries of a study's `signals`. Box: quartiles of |signal|; whiskers: from 5 % to the largest value. A
+    diamond is the proved bound; an arrow is a bound beyond the right edge.
     """
     left, right = 180, 120
     inner = width - left - right
@@ -257,10 +257,11 @@ def _format_row(s: dict, y: float, left: float, inner: float, scale: Scale) -> s
 
 
 def weight_changes(changes: Mapping[str, np.ndarray], width: int = 1160) -> Markup:
-    """Per cent by which each weight changed, logarithmic: a row a module, a bar a weight (thesis 5.14 to 5.16).
+    """Draw the per cent by which each weight changed: a row for each module, a bar for each weight (thesis 5.14-5.16).
 
-    changes: of `models.adaptation.weight_changes`. Blue rose, orange fell; red, full height, was zero before. At the
-    right the module's median and largest change. A bar's name and figure show under the pointer.
+    changes: of `models.adaptation.weight_changes`. The scale is logarithmic. Blue weights rose, orange ones fell; red
+    ones, of full height, were zero before. The median and largest change of the module stand at the right. The pointer
+    shows the name and the figure of a bar.
     """
     rows: dict[str, dict[str, list[tuple[str, float]]]] = {}  # module -> layer -> (weight, change)
     for name, values in changes.items():

@@ -1,4 +1,4 @@
-"""Several studies side by side, as two tables: what each network errs, and what each design costs.
+"""Compares several studies in two tables: the errors of each network, and the resources of each design.
 
 Both are lists of rows, {column: cell}, for the terminal (`aligned`) and for the page of `greygate.pages.report`.
 """
@@ -13,9 +13,9 @@ LEFT = ("plant", "scenario", "output", "unit", "design", "target")  # columns of
 
 
 def results(studies: Sequence[dict]) -> list[dict[str, str]]:
-    """A row per scenario and output: published RMSE, float, fixed, their ratio also at other word widths, hardware.
+    """A row for each scenario and output: published RMSE, float, fixed, their ratio for some word widths, hardware.
 
-    A figure from a source called "thesis, on what" stands with "(on what)".
+    A figure from a source called "thesis, on what" is followed by "(on what)".
     """
     widths = dict.fromkeys(width for s in studies for width in s["widths"]["width"] if width != s["widths"]["word"])
     return [
@@ -49,7 +49,7 @@ def _result(s: dict, name: str, label: str, o: dict, columns: tuple[int, ...]) -
 
 
 def designs(studies: Sequence[dict]) -> list[dict[str, str]]:
-    """A row per plant, architecture and target of synthesis: clocks a step, those resources that one of them has."""
+    """A row for each plant, architecture and synthesis target: clocks per step, and every resource that one has."""
     counted = [n for n in COUNTED if any(counts.get(n) is not None for s in studies for *_, counts in _synthesized(s))]
     return [
         {
@@ -76,7 +76,7 @@ def _synthesized(s: dict) -> Iterator[tuple[str, str, dict]]:
 
 
 def word(s: dict) -> str:
-    """Bits of signals, and how many more of weights and neurons, if the program's formats follow from a width tried."""
+    """Bits of signals and further bits of weights and neurons, if the program's formats follow from a width tried."""
     bits, finer = s["widths"]["word"], s["widths"]["finer"]
     return f"{bits} + {finer}" if bits and finer else str(bits or NONE)
 
@@ -86,7 +86,7 @@ def _times(ratio: float | None) -> str:
 
 
 def _differing(hardware: dict) -> str:
-    """One word on each architecture, or on all: "0", "differ", or what is not known."""
+    """The verification result in a word for each architecture, or one for all: "0", "differ", or not known."""
     said = {a: "not verified" if h is None else "0" if h["equals_fixed"] else "differ" for a, h in hardware.items()}
     if len(set(said.values())) < 2:
         return next(iter(said.values()), "not verified")
@@ -94,7 +94,7 @@ def _differing(hardware: dict) -> str:
 
 
 def aligned(rows: Sequence[dict[str, str]], left: Collection[str] = LEFT) -> list[str]:
-    """Lines for a terminal; `left`: columns of text."""
+    """Lines for a terminal. left: columns of text."""
     widths = {n: max(len(n), *(len(r[n]) for r in rows)) for n in rows[0]}
     return [
         "  ".join(f"{cells[n]:{'<' if n in left else '>'}{w}}" for n, w in widths.items()).rstrip()

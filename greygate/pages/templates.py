@@ -1,7 +1,7 @@
-"""How a page is put together: one Jinja environment, and sections that each have a template and a context.
+"""Builds a page from sections, each with a template and a context, in one Jinja environment.
 
-A section is a module with a function `context`, beside it the template of the same name: `report/widths.py` says what
-`report/widths.html` shows. A page is a list of such modules. `page.html` is the frame of every page.
+A section is a module with a function `context` and a template of the same name beside it: `report/widths.py` computes
+what `report/widths.html` shows. A page is a list of such modules. `page.html` is the frame of every page.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ PACKAGE = __package__
 
 @cache
 def environment() -> Environment:
-    """The templates of every page. What they show is escaped, whatever it is; only `Markup` is taken as it stands."""
+    """The templates of every page; they escape every value except `Markup`."""
     found = Environment(loader=PackageLoader(PACKAGE, "."), autoescape=True, trim_blocks=True, lstrip_blocks=True)
     found.filters |= {"number": units.number, "figure": units.figure}
     found.globals |= {"differing": units.differing, "display": units.display, "shown": units.shown}
@@ -33,7 +33,7 @@ def render(template: str, **context: object) -> Markup:
 
 
 def render_sections(sections: Sequence[ModuleType], *subject: object) -> list[Markup]:
-    """Each section of what the page is about; a section whose `context` is None has nothing to show and is left out."""
+    """Render each section of a page's subject; a section whose `context` is None is left out, as it shows nothing."""
     contexts = [(section, section.context(*subject)) for section in sections]
     return [render(_template(section), **context) for section, context in contexts if context is not None]
 
@@ -43,6 +43,6 @@ def _template(section: ModuleType) -> str:
 
 
 def write(html: str, path: Path | str) -> None:
-    """Write a page, whole or not at all. Raises InputError where the folder cannot be written."""
+    """Write a page completely or not at all. Raises InputError if the folder cannot be written."""
     with replacing(path) as temporary:
         temporary.write_text(html, encoding="utf-8")

@@ -7,7 +7,7 @@ NONE = "–"
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A figure as a person writes it: three significant digits, powers of ten where it is tiny or huge."""
+    """Format a figure with three significant digits, and with a power of ten if it is very small or large."""
     if value is None:
         return NONE
     if value == 0:
@@ -22,19 +22,19 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def figure(value: float | str | None) -> str:
-    """A cell of a table of figures whose kind is not known beforehand."""
+    """Format a cell of a table: a figure of any kind."""
     if isinstance(value, str):
         return value
     return f"{value:,.0f}" if value is not None and value == int(value) else number(value, 4)
 
 
 def per_cent(value: float | None) -> str:
-    """One decimal, without the sign %."""
+    """Format per cent with one decimal, without the sign %."""
     return NONE if value is None or not math.isfinite(value) else f"{value:.1f}".replace("-", "−")
 
 
 def display(unit: str, reach: float = 0.0) -> tuple[float, str]:
-    """(factor, label) from SI to what a person reads: bar for Pa; µm for m, mm where `reach` is 1 mm or more."""
+    """(factor, label) from SI to a person's unit: bar for Pa; for m µm, or mm if `reach` is 1 mm or more."""
     if unit == "Pa":
         return 1e-5, "bar"
     if unit == "m":
@@ -43,17 +43,17 @@ def display(unit: str, reach: float = 0.0) -> tuple[float, str]:
 
 
 def shown(value: float | Sequence[float] | None, unit: str, reach: float = 0.0) -> str:
-    """An SI figure, or a pair of them, in the unit of `display`, which is not written."""
+    """Format an SI figure, or a pair of them, in the unit of `display`, without writing the unit."""
     if isinstance(value, Sequence):
         return " to ".join(shown(v, unit, reach) for v in value)
     return number(None if value is None else value * display(unit, reach)[0])
 
 
 def labelled(name: str, unit: str) -> str:
-    """The label of an axis: "p_a [bar]", or the name alone where there is no unit."""
+    """The label of an axis: "p_a [bar]", or only the name if there is no unit."""
     return f"{name} [{unit}]" if unit else name
 
 
 def differing(bits: int | None) -> str:
-    """How many bits differ. None: some do, and nobody has counted them."""
+    """Say how many bits differ; None means that some do, in an unknown number."""
     return "bits differ" if bits is None else f"{bits:,} bits differ"

@@ -19,12 +19,12 @@ EXPERIMENTS = {
 }
 """Variable -> the experiment in which it alone changes, for the variables of any motion; plants add their own."""
 
-SIMULATED = 3  # alternatives whose experiment is found by simulation
+SIMULATED = 3  # number of alternatives for which simulation finds an experiment
 
 
 @dataclass(frozen=True)
 class Amount:
-    """A value in the unit that a person reads, written to two digits of its uncertainty."""
+    """A value in a person's unit, written to two digits of its uncertainty."""
 
     value: str
     low: str
@@ -71,7 +71,7 @@ def lines(result: Diagnosis) -> list[str]:
         sure = f" (confidence {entry['confidence']:.3g})" if entry["id"] != "unknown" else ""
         out.append(row("effect", f"{entry['id']}: {means(result, entry)}{sure}"))
         for name, p in entry["parameters"].items():
-            name = name.removeprefix(f"unknown_{p.get('place')}_")  # the term itself stands in the file
+            name = name.removeprefix(f"unknown_{p.get('place')}_")  # the file holds the full name with the place
             out.append(row("", f"{name:<14} {amount(p['value'], p['ci95'], p['unit'])}"))
     for i, (name, p) in enumerate(found["parameters"].items()):
         out.append(row("" if i else "parameters", parameter(result, name, p)))
@@ -89,7 +89,7 @@ def row(head: str, text: str) -> str:
 
 
 def where(found: Mapping) -> list[tuple[str, str]]:
-    """(equations and variables; in which regime, when, in which band), places that share all that together."""
+    """(equations and variables; regime, time and frequency band), with places that agree in all of it together."""
     places: dict[tuple, list[str]] = {}
     for place in found["where"]:
         regime = place["regime"].rpartition("; ")[2]  # where, after what acts there
@@ -102,7 +102,7 @@ def where(found: Mapping) -> list[tuple[str, str]]:
 
 
 def parameter(result: Diagnosis, name: str, found: Mapping) -> str:
-    """A fitted parameter beside its data sheet."""
+    """A fitted parameter beside the value of its data sheet."""
     given = result.rig.plant.parameters[name]
     factor, _ = display_unit(given.unit, abs(found["value"]))
     off = " OUTSIDE ITS TOLERANCE" if found.get("outside_tolerance") else ""
@@ -111,7 +111,7 @@ def parameter(result: Diagnosis, name: str, found: Mapping) -> str:
 
 
 def fit_table(fit: Mapping) -> list[str]:
-    """RMS of simulated minus recorded, a line a recording and channel."""
+    """RMS of simulated minus recorded, one line for each recording and channel."""
     out = [row("fit (RMS)", f"{'':22}{'data sheet':>11}{'calibrated':>12}{'corrected':>11}")]
     for recording, channels in fit.items():
         for channel, rms in channels.items():
@@ -123,7 +123,7 @@ def fit_table(fit: Mapping) -> list[str]:
 
 
 def alike(result: Diagnosis, found: Mapping) -> list[str]:
-    """Every explanation that is about as good as the best, with the experiment that would tell them apart."""
+    """Every explanation that is about as good as the best, with the experiment that would separate the two."""
     out, told = [], separations(result, found["effects"], SIMULATED)
     units = {name: channel.unit for name, channel in result.rig.channels.items()}
     for entry in found["effects"]:
@@ -141,7 +141,7 @@ def alike(result: Diagnosis, found: Mapping) -> list[str]:
 
 
 def experiment(result: Diagnosis, one: str, other: str) -> str:
-    """The experiment in which a variable changes that only one of two effects depends on."""
+    """The experiment that changes a variable on which only one of the two effects depends."""
     first, second = (_depends(result, name) for name in (one, other))
     differ = [v for v in (*first, *second) if (v in first) != (v in second)] or [*first, *second]
     known = {**EXPERIMENTS, **result.rig.plant.experiments}

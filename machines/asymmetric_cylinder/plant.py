@@ -1,7 +1,8 @@
 """The second machine: the asymmetric cylinder with a solenoid valve of thesis section 5.4 (table 5.5), simulated.
 
-`asymmetric_cylinder()` is what its data sheets say; with `DIFFERENCES`, which no network is told, it is the rig in the
-laboratory. `record` drives the rig and reads it through noisy sensors, converters and the thesis's low-pass filters.
+`asymmetric_cylinder()` is the plant of the data sheets. With `DIFFERENCES`, which no network knows, it is the rig in
+the laboratory. `record` drives the rig and reads it through noisy sensors, converters and the thesis's low-pass
+filters.
 The thesis's own recordings were never published.
 """
 
@@ -68,14 +69,15 @@ CUTOFF = {"u": 100.0, "x": 20.0, "p_a": 100.0, "p_b": 100.0, "p_s": 100.0}
 SAMPLES = {"training": 50_001, "choice": 20_000, "v3": 2_500, "v4": 10_000, "v5": 10_000, "v6": 50_000}
 _SEEDS = {"training": 1, "choice": 3, "v3": 2, "v4": 4, "v6": 6}
 CLOSED, SLOW = 200.0, 60.0  # V/m, gain of the position loop; slow in v3
-MOVES = RESTS = (500, 1500)  # samples: the training run's staircase goes on so long, then pauses so long
+MOVES = RESTS = (500, 1500)  # samples: least and most of a motion and of a pause of the training run's staircase
 
 
 def asymmetric_cylinder(**values: float) -> Plant:
     """The second machine with its full supply: inputs `v_c` (V), `x_ref` (m), `f_ext` (N).
 
-    The valve's driver holds the spool `u` (V) at `v_c + k_position (x_ref - x)`. Outputs as the first machine's.
-    It starts at rest at the centre, its chambers carrying its weight. Raises InputError for an unknown parameter.
+    The valve's driver controls the spool `u` (V) to `v_c + k_position (x_ref - x)`. The outputs are those of the first
+    machine. The piston starts at rest at the centre, where the chamber pressures carry its weight. Raises InputError
+    for an unknown parameter.
     """
     bench = {symbol: p.value for symbol, p in BENCH.items()} | SUPPLY | values
     first = valve_cylinder("full")
@@ -120,12 +122,12 @@ def asymmetric_cylinder(**values: float) -> Plant:
 def record(name: str) -> Recording:
     """One run of the rig, 1 kHz; see `measure`. Raises InputError for an unknown name.
 
-    training (50,001 samples), choice (20,000), v3 (2,500): the valve follows a random staircase, held 0.08 to 0.6 s,
-    smoothed at 8 Hz, while a position loop keeps the piston off its stops and moves its middle about. In training and
-    choice the staircase pauses, and its reference stands: the loop brings the piston to rest and the valve to its lap.
-    `choice` is there for what a training leaves to be chosen, so that no validation run is ever chosen on.
-    v4, v5 (10,000), v6 (50,000): closed position loop, as the thesis's: a random staircase of 60 mm, a chirp of 40 mm,
-    0.1 to 3 Hz, and a staircase with a sine of 10 mm and 1.3 Hz upon it.
+    training (50,001 samples), choice (20,000), v3 (2,500): the valve follows a random staircase with steps of 0.08 to
+    0.6 s, smoothed at 8 Hz. A position loop keeps the piston off its stops and moves its mean position. In training and
+    choice the staircase pauses while the reference stands still: the loop brings the piston to rest and the valve to
+    its lap. Choices that training leaves open are made on `choice`, so that they never depend on a validation run.
+    v4, v5 (10,000), v6 (50,000): closed position loop, as in the thesis, with a random staircase of 60 mm, a chirp of
+    40 mm from 0.1 to 3 Hz, and a staircase plus a sine of 10 mm and 1.3 Hz.
     """
     if name not in SAMPLES:
         raise InputError(f"record {name!r} is unknown; give one of {', '.join(SAMPLES)}")
@@ -147,7 +149,7 @@ def record(name: str) -> Recording:
 
 
 def moves(samples: int, seed: int) -> np.ndarray:
-    """Whether the staircase goes on or pauses (samples,), in turn, each for a random while of `MOVES` and `RESTS`."""
+    """Whether the staircase moves (samples,); motions and pauses alternate, with random lengths of `MOVES`, `RESTS`."""
     rng = np.random.default_rng(seed)
     turns = [rng.integers(*span) for _ in range(samples // MOVES[0] + 1) for span in (MOVES, RESTS)]
     return np.repeat(np.arange(len(turns)) % 2 == 0, turns)[:samples]
@@ -165,8 +167,8 @@ def measure(
 ) -> Recording:
     """Simulate at 1 kHz and read `u`, `x`, `p_a`, `p_b`, `p_s` through sensors, converters and filters.
 
-    v_c: V, x_ref: m, f_ext: N, each (samples,). Channels: those five as `SENSORS` and `CUTOFF` leave them, and as they
-    are without either: `u_true`, `x_true`, `p_a_true`, `p_b_true`; `v_c`, `x_ref`, `f_ext`. seed: of the noise.
+    v_c: V, x_ref: m, f_ext: N, each (samples,). Channels: those five after `SENSORS` and `CUTOFF`; the true values
+    `u_true`, `x_true`, `p_a_true`, `p_b_true`; `v_c`, `x_ref`, `f_ext`. seed: of the noise.
     """
     true = simulate(plant, {"v_c": v_c, "x_ref": x_ref, "f_ext": f_ext}, sample_time=SAMPLE_TIME)
     rng = np.random.default_rng(seed)

@@ -1,7 +1,7 @@
 """The first machine's SRNN adapted to another machine (thesis 5.4.3), on its simulated rig.
 
-The weights are those that the first machine taught; G1, G2 and the other normalisations follow from the second one's
-data sheets. What its rig does otherwise (`machines/asymmetric_cylinder/plant.py`) the network learns from one record.
+The weights are those of the first machine; G1, G2 and the other normalisations follow from the data sheets of the
+second one. From one record, the network learns how the rig differs (`machines/asymmetric_cylinder/plant.py`).
 """
 
 from dataclasses import replace
@@ -38,7 +38,7 @@ CLOSED = Record({"u": np.zeros(99), "p": np.linspace(0.01, 0.99, 99)}, {"y": np.
 
 @lru_cache
 def records() -> dict[str, Record]:
-    """Training and v3 to v6: spool `u` [V], `x` [m]; pressures [Pa]; all as sensors and filters give them."""
+    """Training and v3 to v6: spool `u` [V], `x` [m]; pressures [Pa]; all of them after sensors and filters."""
     found = {}
     for name in SCENARIOS:
         c = record(name).channels
@@ -66,9 +66,9 @@ def first_machine() -> Network:
 
 
 def fit(network: Network, epochs: int, progress: Progress = silent) -> Trained:
-    """Free-run training on the 50,001 samples, both flow networks held to `CLOSED`; its network keeps its modules.
+    """Free-run training on the 50,001 samples, which also rehearses `CLOSED` in both flow networks; modules stay.
 
-    Of its weights 0, 1e5, 1e6, 1e7 the record `choice` was best with 1e6 or 1e5.
+    Of the weights 0, 1e5, 1e6 and 1e7 for `CLOSED`, 1e6 and 1e5 gave the least error on the record `choice`.
     """
     closed = {"qa": CLOSED, "qb": CLOSED}
     found = train(network, [records()["training"]], epochs=epochs, decay=1e-6, rehearse=closed, progress=progress)
@@ -76,7 +76,7 @@ def fit(network: Network, epochs: int, progress: Progress = silent) -> Trained:
 
 
 def adapt(progress: Progress = silent) -> tuple[Network, dict]:
-    """Adopt, then train: the thesis's 10 epochs, then on to `EPOCHS`. Returns the network and its figures.
+    """Adopt the weights and train for the thesis's 10 epochs, then on to `EPOCHS`; return the network and its figures.
 
     Figures: RMS in bar by step and scenario, seconds.
     """

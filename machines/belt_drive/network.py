@@ -1,12 +1,12 @@
-"""The timing-belt drive's machine: eight experts, switches, XOR and latches (thesis 4.5, figure 4.10).
+"""The network of the timing-belt drive: eight experts, switches, XOR and latches (thesis 4.5, figure 4.10).
 
-From the encoder's position alone it follows five states: direction, change of direction, latched position, latched
-error, boundary reached. A motion that turned at position p with error q (the play of the gears included) follows
+From the encoder's position alone it tracks five states: direction, change of direction, latched position, latched
+error, boundary reached. A motion that turned at position p with error q (including the play of the gears) follows
 
     path(k) = q + d(p, x(k) - p)    until it crosses    boundary(k) = e(x(k))
 
-p and q are latched when direction changes: on a boundary they are the last position and error; inside the band they are
-the point of the boundary from which a path would lead here (`sp`). Each expert stands there for either direction.
+p and q are latched when the direction changes: on a boundary they are the last position and error; inside the band they
+are the point of the boundary from which a path would lead here (`sp`). There is one of each expert per direction.
 """
 
 from collections.abc import Mapping
@@ -25,7 +25,7 @@ E = Port("e", "m", 1e-6 * 2**8)
 REACH = 0.040 / X_SCALE  # of a path from where it began
 MOVED = 2.0**9  # gain from position to motion
 HALF_COUNT = MOVED * 2.0**-15
-FAR = 100.0  # reach of a switch: its tanh form hands on a latched value unchanged over thousands of steps
+FAR = 100.0  # reach of a switch: its tanh form then keeps a latched value unchanged over thousands of steps
 DIRECTIONS = ("forward", "backward")
 EXPERTS = tuple(f"{part}_{way}" for part in ("e", "d", "sp", "b") for way in DIRECTIONS)
 

@@ -3,8 +3,9 @@
     e = x_scale - x_encoder = centre(x) + half band(x) * engagement + play + lag(v) + tooth wave
 
 `engagement` goes from -1 (the teeth push the carriage forward: lower boundary) to 1 (upper boundary) in three slip
-elements of different closing distance, so that the path inside the band depends on where and from which history the
-motion turned. `play` is the gearbox's, crossed in half a millisecond. The thesis's recordings were never published.
+elements of different closing distance, so that the path inside the band depends on the place and the history of the
+turn. `play` is that of the gearbox, which is crossed in half a millisecond. The thesis's recordings were never
+published.
 """
 
 from collections.abc import Sequence
@@ -20,8 +21,8 @@ from greygate.plants.simulate import simulate
 
 SAMPLE_TIME = 5e-3
 TRAVEL = 0.3  # m
-ENCODER = 1e-5  # m of belt a count of the motor's encoder
-SCALE = 1e-6  # m a count of the linear scale on the carriage
+ENCODER = 1e-5  # m of belt per count of the motor's encoder
+SCALE = 1e-6  # m per count of the linear scale on the carriage
 SCALE_NOISE = 1e-6  # m RMS
 PLAY = 120e-6  # m, the gearbox
 TRAINING_SPEED = 0.040  # m/s
@@ -32,7 +33,7 @@ _TURN = 2 * np.pi
 
 
 def belt_drive(**values: float) -> Plant:
-    """The drive, an engaged forward motion behind it: inputs `v` (m/s, of the motor at the belt), `slip` (relative).
+    """The drive after an engaged forward motion: inputs `v` (m/s, of the motor at the belt), `slip` (relative).
 
     Outputs: `x` (m, of the motor), `e` (m), `e_smooth` (m, e without the tooth wave), `w1` to `w3`, `play`.
     Raises InputError for an unknown parameter.
@@ -106,9 +107,9 @@ def belt_drive(**values: float) -> Plant:
 
 @dataclass(frozen=True)
 class Motion:
-    """Where the carriage turns (m, from 0 on), how fast it goes between (m/s), and whether by hand.
+    """A motion: the positions at which the carriage turns (m, from 0 on), its speed (m/s), and whether it is by hand.
 
-    day: seed of what is otherwise on that day (tooth phase, warmth, preload), of the hand, and of the noise.
+    day: seed of the conditions of that day (tooth phase, warmth, preload), of the hand, and of the noise.
     """
 
     turns: Sequence[float]
@@ -122,7 +123,7 @@ def _mm(*turns: float) -> tuple[float, ...]:
 
 
 def _loops(forth: Sequence[Sequence[float]], back: Sequence[Sequence[float]]) -> tuple[float, ...]:
-    """Out and home, in mm; each loop is the turns it makes on the way."""
+    """Turns of motions out and home, in mm; each loop lists its turns on the way."""
     return _mm(*(t for loop in forth for t in loop), 299, *(t for loop in back for t in loop), 1)
 
 
@@ -173,7 +174,7 @@ def record(name: str) -> Recording:
     """A motion of `MOTIONS`, driven and measured; see `measure`. Raises InputError for another name.
 
     training: out and back to every 25 mm (and 30, 37 mm) from either end (4.3.2), then cascaded loops.
-    boundaries: 12 round trips. choice: by hand, for what a training leaves to be chosen.
+    boundaries: 12 round trips. choice: by hand, for the choices that training leaves open.
     """
     if name not in MOTIONS:
         raise InputError(f"motion {name!r} is unknown; give one of {', '.join(MOTIONS)}")
@@ -181,7 +182,7 @@ def record(name: str) -> Recording:
 
 
 def velocity(motion: Motion) -> np.ndarray:
-    """Of the motor, m/s, (samples,): a smooth ramp at either end of each leg; a hand varies it by a fifth between."""
+    """Speed of the motor, m/s, (samples,): smooth ramps at both ends of each leg; a hand varies the rest by a fifth."""
     rng, legs, at = np.random.default_rng(motion.day), [], 0.0
     for turn in motion.turns:
         distance, ramp = abs(turn - at), 0.06 * motion.speed / TRAINING_SPEED
@@ -202,8 +203,8 @@ def velocity(motion: Motion) -> np.ndarray:
 def measure(motion: Motion, source: str = "belt_drive") -> Recording:
     """Drive the rig on the motion's day and read it every 5 ms.
 
-    Channels: `x` of the encoder (10 um a count), `e` = linear scale (1 um a count, noisy) less encoder; and as they
-    are: `x_true`, `e_smooth`, `v`, and `engaged`: 1 on the lower boundary, -1 on the upper one, between them inside.
+    Channels: `x` of the encoder (10 um per count), `e` = linear scale (1 um per count, noisy) minus encoder; the true
+    values `x_true`, `e_smooth`, `v`; and `engaged`: 1 on the lower boundary, -1 on the upper one, between them inside.
     """
     rng = np.random.default_rng(1000 + motion.day)
     plant = belt_drive(

@@ -1,4 +1,4 @@
-"""The timing-belt drive's machine on its simulated rig: experts trained apart, joined, scored (thesis chapter 4)."""
+"""The timing-belt drive's network on its simulated rig: experts are trained alone, joined and scored (thesis 4)."""
 
 from collections.abc import Callable, Mapping
 from functools import lru_cache
@@ -28,15 +28,15 @@ THESIS = {  # um RMS, tables 4.3 and 4.4
 }
 NEURONS = {"e": 12, "d": 16, "sp": 16, "b": 2}
 SIGNS = dict(zip(DIRECTIONS, (1, -1), strict=True))
-ENGAGED = 0.028  # m after a turn from where a carriage is taken to be on its boundary
-PITCH = 500  # counts, of the teeth: over so many the tooth wave averages out
+ENGAGED = 0.028  # m after a turn, from which on a carriage counts as on its boundary
+PITCH = 500  # counts, the pitch of the teeth, over which the tooth wave averages out
 TOUCH = 4e-6 / E.scale  # an averaged path this near its boundary has reached it
-BEYOND = 0.004 * X.scale / E.scale  # slope at which a path is led on across its boundary: 4 um a mm
+BEYOND = 0.004 * X.scale / E.scale  # slope with which a path continues across its boundary: 4 um per mm
 
 
 @lru_cache
 def records() -> dict[str, Record]:
-    """Every motion of the rig: encoder `x` [m]; target `e` [m] as scale and encoder give it, tooth wave and all."""
+    """Every motion of the rig: encoder `x` [m]; target `e` [m] by scale and encoder, including the tooth wave."""
     found = {}
     for name in rig.MOTIONS:
         c = rig.record(name).channels
@@ -59,13 +59,13 @@ def normalised(record: Record) -> tuple[np.ndarray, np.ndarray]:
 
 
 def answer(network: Network, **inputs: np.ndarray) -> np.ndarray:
-    """An expert's answer to (N,) values by port: (N,), or (N, size); of one with a memory, what it settles to."""
+    """An expert's answer to (N,) values by port: (N,), or (N, size); for one with a memory, its steady state."""
     steps = SETTLED if any(c.delay for c in network.connections) else 1
     return network.run({n: np.repeat(v[:, None], steps, axis=1) for n, v in inputs.items()})["y"][:, -1]
 
 
 def boundary_data(way: str, every: int = 5) -> Record:
-    """x -> e, of round trips, where the carriage is engaged; in the order of travel, one sample of so many."""
+    """x -> e on round trips, where the carriage is engaged; every `every`-th sample in the order of travel."""
     record = records()["boundaries"]
     x, e = normalised(record)
     rows = [
@@ -85,7 +85,7 @@ def turns(way: str) -> list[tuple[int, int]]:
 
 
 def play_data(way: str) -> Record:
-    """x -> jump of e at a turn: means of the samples before and after it that are within eight counts of it."""
+    """x -> jump of e at a turn: difference of the means before and after it, over samples within eight counts."""
     x, e = normalised(records()["training"])
     near = 8 * rig.ENCODER / X.scale
     at, jumps = [], []
@@ -98,7 +98,7 @@ def play_data(way: str) -> Record:
 
 
 def start_error(experts: Mapping[str, Network], way: str, x: np.ndarray) -> np.ndarray:
-    """Error where a path of that direction begins: the other boundary's, and the play."""
+    """Error at the start of a path of that direction: that of the other boundary, plus the play."""
     other = DIRECTIONS[way == "forward"]
     return answer(experts[f"e_{other}"], x=x) + answer(experts[f"b_{way}"], x=x)
 
@@ -106,7 +106,7 @@ def start_error(experts: Mapping[str, Network], way: str, x: np.ndarray) -> np.n
 def path_data(experts: Mapping[str, Network], way: str, every: int = 3) -> Record:
     """start, away -> error since the start of a path, up to its boundary and, at a slope, across it.
 
-    In the order of travel, one sample of so many.
+    Every `every`-th sample in the order of travel.
     """
     x, e = normalised(records()["training"])
     parts = []
@@ -125,7 +125,7 @@ def path_data(experts: Mapping[str, Network], way: str, every: int = 3) -> Recor
         target[end:] = bound[end:] - BEYOND * (away[end:] - away[end - 1])
         parts.append((np.full(len(away), start[0]), away / REACH, target - start_error(experts, way, start)))
     start, away, target = (np.concatenate(p)[::every] for p in zip(*parts, strict=True))
-    anywhere = np.linspace(-1, 1, 200)  # a path begins at 0, wherever
+    anywhere = np.linspace(-1, 1, 200)  # a path begins with the error 0 at any position
     start, away, target = (
         np.append(p, q) for p, q in ((start, anywhere), (away, 0 * anywhere), (target, 0 * anywhere))
     )
@@ -133,7 +133,7 @@ def path_data(experts: Mapping[str, Network], way: str, every: int = 3) -> Recor
 
 
 def start_data(experts: Mapping[str, Network], way: str) -> Record:
-    """x, e -> where a path began that leads there (less x, over `REACH`), and its error there: the other experts'."""
+    """x, e -> start of the path that leads there (minus x, over `REACH`), and its error there, by the other experts."""
     start, away = (a.ravel() for a in np.meshgrid(np.linspace(-0.92, 0.92, 60), SIGNS[way] * np.linspace(0, 0.8, 40)))
     began = start_error(experts, way, start)
     x, e = start + REACH * away, began + answer(experts[f"d_{way}"], start=start, away=away)
@@ -144,7 +144,7 @@ def start_data(experts: Mapping[str, Network], way: str) -> Record:
 RADIAL = {"e": 24, "d": 60}
 RECURRENT_EPOCHS = 15
 FADING = 0.8
-SETTLED = 40  # steps over which an expert with a memory is held where its answer is wanted
+SETTLED = 40  # steps with constant inputs after which the answer of an expert with a memory is read
 DECAY = {"e": 1e-3, "d": 1e-2, "sp": 1e-4, "b": 1e-2}
 
 
@@ -160,7 +160,7 @@ def fnn(part: str, inputs: tuple[str, ...], data: Record, seed: int) -> Network:
 
 
 def rbf(part: str, inputs: tuple[str, ...], data: Record, seed: int) -> Network:
-    """A radial network: centres by k-means, output by recursive least squares; the play's stays a tanh network."""
+    """A radial network: centres by k-means, output by recursive least squares; for the play, a tanh network."""
     if data.targets["y"].ndim > 1 or part == "b":
         return fnn(part, inputs, data, seed)
     taps = {Port(i): (0,) for i in inputs}
@@ -168,11 +168,11 @@ def rbf(part: str, inputs: tuple[str, ...], data: Record, seed: int) -> Network:
 
 
 def rnn(part: str, inputs: tuple[str, ...], data: Record, seed: int) -> Network:
-    """An Elman network for `e` and `d`, as in table 4.2; `sp` and `b`, asked only where motion turns, have no memory.
+    """An Elman network for `e` and `d`, as in table 4.2; `sp` and `b`, used only where motion turns, have no memory.
 
-    It starts as the tanh network of its neurons with no weight on its past, and learns the rows in the order of travel
-    and once more backwards: in the machine it runs in both directions. A neuron's weights on the past sum to `FADING`
-    at most, so that two runs on the same inputs come together whatever they began with.
+    It starts as a tanh network of the same neurons without weights on its past. It learns the rows in the order of
+    travel and then backwards, because it runs in both directions in the machine. A neuron's weights on the past sum to
+    `FADING` at most, so that two runs with the same inputs converge from any start.
     """
     still = fnn(part, inputs, data, seed)
     if part not in ("e", "d"):
@@ -212,9 +212,9 @@ def experts(kind: Callable = fnn, progress: Progress = silent, seed: int = 0) ->
 
 
 def scores(network: Network, names: tuple[str, ...] = SCENARIOS) -> dict[str, tuple[float, ...]]:
-    """RMS error in um, a figure a scenario: over all, `major` on a boundary, `minor` inside the band, worst either way.
+    """RMS error in um by scenario: over all, `major` on a boundary, `minor` inside the band, and the worst errors.
 
-    On which of the two the belt is, the rig knows; the network is never told.
+    Only the rig knows whether the belt is on a boundary or inside the band; the network does not.
     """
     found: dict[str, list[float]] = {"overall": [], "major": [], "minor": [], "max": [], "min": []}
     for name in names:
@@ -228,13 +228,13 @@ def scores(network: Network, names: tuple[str, ...] = SCENARIOS) -> dict[str, tu
 
 
 BASELINES = ("elman", "noe", "frnn")
-BASELINE_STEP = 40  # samples of the training recording to one of the baselines', about as many as the thesis's 1067
+BASELINE_STEP = 40  # a baseline reads every 40th sample of the training recording, about the thesis's 1067 samples
 
 
 def baseline(kind: str, neurons: int, seed: int = 0, epochs: int = 125, seconds: float = 900.0) -> Trained:
     """A black box of table 4.1 on x(k), x(k-1), x(k-2), trained for the thesis's epochs on its number of samples.
 
-    seconds: after so many it is stopped with the weights it has.
+    seconds: time limit, after which training stops with the weights that it has.
     """
     taps = {X: (0, 1, 2)}
     if kind == "noe":
@@ -267,8 +267,10 @@ def baselines(sizes: tuple[int, ...] = (10, 25, 50), progress: Progress = silent
 
 
 def train_machine(progress: Progress = silent) -> tuple[Network, dict]:
-    """Train the experts, join them. Returns the machine and its figures: `scores` by scenario, of machines with radial
-    and with recurrent experts too, seconds, sizes."""
+    """Train the experts and join them; return the machine and its figures.
+
+    Figures: `scores` by scenario, also of machines with radial and with recurrent experts; seconds; sizes.
+    """
     began = monotonic()
     parts = experts(progress=progress)
     seconds = monotonic() - began

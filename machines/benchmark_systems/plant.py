@@ -40,7 +40,7 @@ def b2(u: np.ndarray) -> np.ndarray:
 def b1_input(seed: int = 0, samples: int = 501) -> np.ndarray:
     """Training input of B1: levels uniform on [-1, 1], each held 1 to 5 samples.
 
-    The thesis has 501 samples and shows its signal in figure 3.8 alone, so this one is a choice.
+    The thesis has 501 samples and shows its signal only in figure 3.8, so this signal is a choice.
     """
     return prms(samples, -1, 1, (1, 5), seed)
 

@@ -34,10 +34,11 @@ THESIS = {
 
 @dataclass(frozen=True)
 class System:
-    """A benchmark: the plant, a start of its network, and what a start is trained and judged on.
+    """A benchmark: the plant, a start of its network, and the records that train and judge a start.
 
-    held: records that only choose. good: RMS error over them at which no further start is tried. spare: the one that
-    pruning may reach. goal: parameters after pruning. epochs: series-parallel and free run. starts: at most.
+    held: held-out records, which only choose. good: RMS error over them at which no further start is tried. spare: RMS
+    error over them that pruning may reach. goal: parameters after pruning. epochs: of the one-step prediction and of
+    the free run. starts: the most starts.
     """
 
     name: str
@@ -99,7 +100,7 @@ def rms(network: Network, records: list[Record]) -> float:
 
 
 def identify(system: System, seed: int, progress: Progress = silent) -> tuple[Network, dict]:
-    """The best of the seed's starts on the held-out records. Returns it and its figures.
+    """Find the best of the seed's starts on the held-out records; return the network and its figures.
 
     Figures: training MSE, RMS errors held out and on the test signal, starts tried, CPU seconds.
     """
@@ -137,10 +138,9 @@ def prune(
     weights: Method = obs,
     progress: Progress = silent,
 ) -> tuple[Network, list[Round]]:
-    """Down to `goal` parameters: B1 loses neurons of least entropy, B2 single weights by a method of saliency.
+    """Prune to `goal` parameters: B1 loses neurons of least entropy, B2 single weights by a method of saliency.
 
-    allowed: factor to which the RMS error over the held-out records may rise from what it is, or from `spare` if that
-    is more.
+    allowed: factor by which the RMS error over the held-out records, or `spare` if that is larger, may rise.
     """
     training, held = [system.record(system.excite(seed))], [system.record(u) for u in system.held]
     bound = allowed * max(rms(network, held), system.spare)
@@ -152,7 +152,7 @@ def prune(
 def _by_saliency(
     network: Network, training, held, bound: float, system: System, method: Method, progress: Progress
 ) -> tuple[Network, list[Round]]:
-    """With smaller and smaller rounds, until one way down is good on the held-out records."""
+    """Prune with smaller and smaller rounds, until a result is good on the held-out records."""
     ways = []
     for share in SHARES:
         found = prune_by_saliency(network, training, method, bound, held=held, epochs=60, goal=system.goal, share=share)
@@ -168,9 +168,10 @@ def _by_saliency(
 
 
 def _by_entropy(network: Network, training, held, bound: float, goal: int) -> tuple[Network, list[Round]]:
-    """One neuron a round, or two, or four: retrained series-parallel, and at the end in free run. All of it or none.
+    """Remove one neuron in each round, or two, or four; retrain the one-step prediction, and at the end the free run.
 
-    An undo after every round ends far earlier: the neuron of least entropy is often not the one best spared.
+    The pruning is kept or undone as a whole. Undoing single rounds would end it far earlier, because the neuron of
+    least entropy is often not the one that costs least.
     """
     for count in (1, 2, 4):
         smaller, rounds = network, []

@@ -1,11 +1,11 @@
-"""The cable drum's slip, added up along its travel, with a module for slip that the simulation leaves out.
+"""The cable drum's slip, summed along its travel, with a module for the slip that the simulation leaves out.
 
     d(k) = x(k) - x(k-1)
     slip(k) = slip(k-1) + creep d(k)                    the simulation: creep is what training moves
     slip(k) = slip(k-1) + (creep + g(s(k))) d(k)        g: a network of what the missing slip depends on, v or a
 
-Thesis 7.4.2 without drum angle and beacon. The product is (g + d)^2 / 4 - (g - d)^2 / 4, two neurons that answer alike
-where d is 0: nothing creeps at rest, in the hardware neither, and the only loop is the integrator, so that a free run
+Thesis 7.4.2 without drum angle and beacon. The product is (g + d)^2 / 4 - (g - d)^2 / 4: two neurons whose answers are
+equal where d is 0. So nothing creeps at rest, not even in the hardware. The only loop is the integrator, so a free run
 cannot diverge.
 """
 

@@ -6,9 +6,9 @@
 
 Thesis 7.4.2, figure 7.12. theta is the drum's angle within a turn, whose cosine and sine are library networks; the
 detector and both switches are library networks too and become logic. At home, x = 0, the position is known, and so is
-the error, whatever slipped before; `home` stays 0 where there is no beacon. The thesis's x_pe(k-1) and x_pe(k-2) say
-no more than v(k) and v(k-1), and are left out. The error itself is not among the inputs of `slip`: the only loop is
-the integrator, so a free run cannot diverge.
+the error, whatever slipped before; without a beacon, `home` stays 0. The thesis's x_pe(k-1) and x_pe(k-2) add nothing
+to v(k) and v(k-1), so they are left out. The error itself is not among the inputs of `slip`: the only loop is the
+integrator, so a free run cannot diverge.
 """
 
 import math

@@ -1,8 +1,9 @@
 """A cable-drum sensor (thesis chapter 7), simulated: a drum on a carriage rolls along a tensioned cable and slips.
 
-`cable_drum()` is the rig of the day on which networks are trained; with `ANOTHER_DAY`, which no network is told, that
+`cable_drum()` is the rig on the day of training; with `ANOTHER_DAY`, which no network knows, it is the rig on the day
 of validation. `record` moves the carriage and reads drum encoder, linear scale and home beacon. The thesis's recordings
-were never published; table 7.1's 0.6 mm, the 37 um by which NOE #9 misses the drum's turn, and 9776 samples fix sizes.
+were never published. The sizes follow from the 0.6 mm of table 7.1, from the 37 um by which NOE #9 misses the drum's
+turn, and from the 9776 samples.
 """
 
 import math
@@ -16,11 +17,11 @@ from greygate.plants.simulate import simulate
 
 SAMPLE_TIME = 0.02  # s; 9776 samples are 196 s
 TRAVEL = 0.6  # m
-RADIUS = 0.02  # m, the nominal one, with which angles become positions
-COUNTS = 2**15  # of the drum's encoder, a turn
-STEP = 2 * math.pi * RADIUS / COUNTS  # m of cable a count
+RADIUS = 0.02  # m, the nominal radius, which converts angles into positions
+COUNTS = 2**15  # of the drum's encoder per turn
+STEP = 2 * math.pi * RADIUS / COUNTS  # m of cable per count
 SCALE_STEP, SCALE_NOISE = 5e-6, 5e-6  # m: the linear scale's resolution and the vibration it sees, RMS
-BEACON = 20e-6  # m either side of home: where the beacon says so
+BEACON = 20e-6  # m on either side of home, within which the beacon answers
 SPEEDS = (0.05, 0.1, 0.14)  # m/s, of the round trips
 ROUND_TRIPS = 16
 SAMPLES = {"training": 9_776, "choice": 9_776, "validation": 12_500}
@@ -105,8 +106,8 @@ def cable_drum(**values: float) -> Plant:
 def moves(samples: int, seed: int, home_every: int = 0) -> np.ndarray:
     """Speed command (samples,) in m/s: from rest to rest between random places of the travel at random speeds.
 
-    10 to 140 mm/s, 0.1 to 1 m/s^2, rests of 0.2 to 2 s; it starts at home, x = 0. home_every: each so-manieth move ends
-    there and rests a second.
+    10 to 140 mm/s, 0.1 to 1 m/s^2, rests of 0.2 to 2 s; it starts at home, x = 0. home_every: with n, every n-th move
+    ends at home and rests there for a second.
     """
     rng = np.random.default_rng(seed)
     x, parts, length = 0.0, [], 0
@@ -144,8 +145,8 @@ def round_trips(speed: float, count: int = ROUND_TRIPS) -> np.ndarray:
 def record(name: str, **values: float) -> Recording:
     """`training`, `choice` (9,776 samples each), `validation` (12,500, 250 s) or one of `trips_50`, `_100`, `_140`.
 
-    Validation is another day and another course, which comes home at every eighth move. `choice` is there for what
-    training leaves to be chosen. values: of a rig with other parameters. Raises InputError for another name.
+    Validation is another day and another course, which comes home at every eighth move. `choice` serves for the choices
+    that training leaves open. values: other parameters of the rig. Raises InputError for another name.
     """
     plant = cable_drum(**values)
     if name in SAMPLES:
@@ -162,10 +163,11 @@ def record(name: str, **values: float) -> Recording:
 
 
 def measure(plant: Plant, v_ref: np.ndarray, seed: int, source: str = "cable_drum") -> Recording:
-    """Simulate and read: `x_pe` (m) of the encoder, `theta` (rad, -pi to pi) its angle within a turn, `home` (0, 1),
-    `e` (m), linear scale less `x_pe` (7.1), and `e_true`, `x_true`, `v_true` without any sensor.
+    """Simulate the rig and read it through its sensors.
 
-    v_ref: m/s, (samples,). seed: of the scale's noise and of the slow drift.
+    v_ref: m/s, (samples,). seed: of the scale's noise and of the slow drift. Channels: `x_pe` (m) of the encoder,
+    `theta` (rad, -pi to pi), its angle within a turn, `home` (0, 1), `e` (m), linear scale minus `x_pe` (7.1), and the
+    true values `e_true`, `x_true`, `v_true`.
     """
     rng = np.random.default_rng(seed)
     true = simulate(plant, {"v_ref": v_ref, "warmth": drift(len(v_ref), rng)}, sample_time=SAMPLE_TIME, step=1e-3)

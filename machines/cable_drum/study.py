@@ -38,11 +38,11 @@ HELD = 3000  # samples: a minute at rest
 
 @lru_cache
 def records(**rig: float) -> dict[str, Record]:
-    """Training, the round trips, validation without the beacon and `home` with it, and `choice`; `x_pe`, `theta`,
-    `home` as the rig reads them, target `e` [m] from its linear scale.
+    """Records: training, the round trips, validation without the beacon and `home` with it, and `choice`.
 
-    The round trips are of the training's day: they say how far the error goes, and nothing is trained on them.
-    rig: parameters of a rig that is built otherwise.
+    Inputs are `x_pe`, `theta` and `home` as the rig reads them; the target is `e` [m] from its linear scale. The round
+    trips are of the day of training: they show how large the error gets, and nothing is trained on them.
+    rig: parameters of a rig that is built differently.
     """
     found = {}
     for name in (*SCENARIOS, "choice"):
@@ -64,7 +64,7 @@ def fit(network: Network, training: Record) -> Network:
 
 
 def train_snn(progress: Progress = silent) -> tuple[Network, dict]:
-    """Size by the median of its seeds on the record `choice`, then the lowest of its seeds; judged once on the rest.
+    """Choose the size by the median of its seeds on the record `choice`, then its best seed, and judge it on the rest.
 
     Returns the network and its figures: RMS in um, drift at rest, every table of chapter 7, seconds.
     """
@@ -126,7 +126,7 @@ def at_rest(network: Network, record: Record) -> np.ndarray:
 
 
 def drift_at_rest(network: Network, record: Record) -> float:
-    """By how much the answer moves in that rest, um; the sensor's does not."""
+    """Change of the answer during that rest, um; the sensor does not move."""
     answer = at_rest(network, record)
     return 1e6 * float(np.abs(answer - answer[0]).max())
 
@@ -146,13 +146,13 @@ def ports() -> dict[str, Port]:
 
 
 def fnn(taps: int, neurons: int, seed: int = 0) -> Network:
-    """Figure 7.5: so many taps of position and speed."""
+    """The network of figure 7.5, with `taps` of position and speed."""
     inputs = {ports()[n]: range(taps) for n in ("x_pe", "v_pe")}
     return nguyen_widrow(nfir("fnn", inputs, ERROR, [neurons], seed, bypass=False), seed)
 
 
 def recurrent(taps: int, neurons: int, seed: int = 0, turning: bool = False) -> Network:
-    """Figures 7.6 and 7.7: with the error one step before; turning: cosine and sine of the drum's angle too (7.9)."""
+    """Figures 7.6 and 7.7: also reads the previous error; turning: also cosine and sine of the drum's angle (7.9)."""
     inputs = {ports()[n]: range(taps) for n in ("x_pe", "v_pe")}
     inputs |= {ports()[n]: range(1) for n in ("cos", "sin")} if turning else {}
     return nguyen_widrow(noe("noe", inputs, ERROR, [1], [neurons], seed, bypass=False), seed)
@@ -192,9 +192,9 @@ def tables(progress: Progress = silent) -> dict:
 
 
 def more_slip(f_bias: float = 0.5) -> dict:
-    """FNN #1 and #9 and the four seeds of the SNN where guide wheels pull so hard that the FNNs err as the thesis's.
+    """FNN #1 and #9 and the SNN's four seeds on a rig whose guide wheels pull until the FNNs err as in the thesis.
 
-    RMS in um: of the FNNs in training, of each seed by record.
+    RMS in um: of the FNNs in training, and of each seed by record.
     """
     found = records(f_bias=f_bias)
     judged = black_box(found["training"])

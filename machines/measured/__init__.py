@@ -1,1 +1,1 @@
-"""Machines of which there are measured recordings alone: the networks, and the rules of a test run."""
+"""Machines with only measured recordings: their networks, and the rules of a test run."""

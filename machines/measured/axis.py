@@ -1,4 +1,4 @@
-"""A linear axis driven by a force: double integrator with friction that differs by direction.
+"""A linear axis driven by a force: a double integrator whose friction depends on the direction.
 
     M dv/dt = F - friction(v, q),   dq/dt = v
     friction(v, q) = F_v v + F_+ max(v, 0) + F_c tanh(v / v_s) + F_0 + residual(v, q)
@@ -72,7 +72,7 @@ def axis(
 def moving(record: Record, start: int, stop: int, window: int, period: float = 1e-3) -> Record:
     """Samples start..stop, which do not count before `window`, with the state that they start from.
 
-    Place and speed are those of a cubic through the first `window` positions.
+    A cubic through the first `window` positions gives position and speed.
     """
     position = POSITION.normalised(record.targets[POSITION.name])
     steps = 1 + np.arange(window)  # the state is that of the step before
@@ -84,7 +84,7 @@ def moving(record: Record, start: int, stop: int, window: int, period: float = 1
 
 
 def starting(network: Network, record: Record) -> Network:
-    """The flat network whose hardware starts as the record does, in place, speed and force."""
+    """The flat network whose hardware starts with the position, speed and force of the record."""
     flat, state = network.flatten(), record.initial
     return replace(
         flat,

@@ -1,11 +1,12 @@
-"""The arm of a crane on a hydraulic cylinder: valve, oil and load, of which only the oil's pressure is measured.
+"""The arm of a crane on a hydraulic cylinder: valve, oil and load, with only the oil's pressure measured.
 
     s(k) = c s(k-1) + d u(k - delay)               valve: its spool
     dp/dt = b (flow(s) - leakage p - v)            oil: what comes in, less what leaks, less what the moving load takes
     dv/dt = a (p - friction(v))                    load
 
-p is the pressure, v the speed of the load, u the valve opening; flow and friction are linear with tanh neurons beside
-(a valve's saturation, Coulomb friction). Steps are semi-implicit Euler, p first: without losses the oscillation stays.
+p is the pressure, v the speed of the load, u the valve opening. Flow and friction are linear plus tanh neurons (for the
+valve's saturation and Coulomb friction). Steps are semi-implicit Euler, p first, so that without losses an oscillation
+keeps its amplitude.
 """
 
 import numpy as np
@@ -14,7 +15,7 @@ from greygate.models.network import Layer, Network, Port
 
 VALVE = Port("u_valve", "1", 2.0)
 PRESSURE = Port("p_oil", "1", 4.0)
-TURN = 0.24  # rad a sample, the resonance where training starts
+TURN = 0.24  # rad per sample, the resonance at the start of training
 
 
 def crane(flow: int, friction: int, delay: int = 1, seed: int = 0) -> Network:

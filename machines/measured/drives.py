@@ -15,7 +15,7 @@ from greygate.models.network import Layer, Network, Port
 
 VOLTAGE = Port("u", "V", 4.0)
 PULSES = Port("z", "tick/s", 4.0)
-REACH = 2.0  # of |v|: beyond it the sides saturate
+REACH = 2.0  # of |v|, beyond which f, d and h saturate
 
 
 def drives(seed: int, order: int = 3, friction: int = 2, counter: int = 0, drive: int = 0) -> Network:

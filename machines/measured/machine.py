@@ -1,4 +1,4 @@
-"""The machines of which there are measured recordings alone, in the catalogue."""
+"""The machines with only measured recordings, in the catalogue."""
 
 from collections.abc import Mapping
 

@@ -36,7 +36,7 @@ def _record(recording: Recording, inputs: Sequence[str], output: str) -> Record:
 
 
 def _linear(name: str, inputs: Mapping[Port, Sequence[int]], output: Port, feedback: Sequence[int], **options):
-    """Linear output-error model, from the weights of its ARX brother. options: of `train`."""
+    """Linear output-error model, trained from the weights of the ARX model. options: of `train`."""
 
     def fit(network: Network, records: Sequence[Record]) -> Trained:
         taught = train(network, list(records), teacher=True, **options).network
@@ -46,7 +46,7 @@ def _linear(name: str, inputs: Mapping[Port, Sequence[int]], output: Port, feedb
 
 
 def _hammerstein(hidden: int, *orders, **options) -> dict[str, Candidate]:
-    """`hidden` neurons on the inputs beside the linear model of the same orders, from whose weights they start."""
+    """`hidden` neurons on the inputs beside a linear model, trained from the linear model of the same orders."""
 
     def fit(network: Network, records: Sequence[Record]) -> Trained:
         return train(network, list(records), **options)
@@ -58,7 +58,7 @@ def _hammerstein(hidden: int, *orders, **options) -> dict[str, Candidate]:
 
 
 def _mts(folder: Path) -> tuple[dict[str, Record], dict[str, Record]]:
-    """Trained without coil current (0A), tested with 1 A: another load, whole runs, 1 kHz."""
+    """Train without coil current (0A), test with 1 A, which is another load; complete runs, 1 kHz."""
 
     def run(name: str) -> Record:
         return _record(read_csv(folder / f"mts_{name}.csv", {"x_cmd": "m", "x_meas": "m"}), ["x_cmd"], "x_meas")
@@ -107,7 +107,7 @@ def _crane(folder: Path) -> tuple[dict[str, Record], dict[str, Record]]:
 
 
 def _crane_folds(runs: Runs) -> list[Fold]:
-    """Eight blocks, each run into from the first sample, as the test is."""
+    """Eight blocks; the run into each starts at the first sample, as in the test."""
     (run,) = runs.values()
     ends = [len(run) * i // 8 for i in range(9)]
     return [
@@ -117,7 +117,7 @@ def _crane_folds(runs: Runs) -> list[Fold]:
 
 
 def _crane_fit(network: Network, records: Sequence[Record]) -> Trained:
-    """A piece from the middle has an initial state to be found; the run itself starts from rest."""
+    """Fit pieces: one from the middle has an unknown initial state, while the run itself starts from rest."""
     cut = any(r.initial for r in records)
     return train(network, list(records), decay=0.02, epochs=200, estimate_initial=cut)
 
@@ -144,7 +144,7 @@ BLOCKS, WINDOW = 5, 20
 
 
 def _emps(folder: Path) -> tuple[dict[str, Record], dict[str, Record]]:
-    """The same reference motion twice, the second time with pulses of force; each starts as its first samples say."""
+    """The same motion twice, the second time with pulses of force; the first samples give the initial state of each."""
 
     def run(name: str) -> Record:
         recording = read_csv(folder / f"{name}.csv", {"force": "N", "q_meas": "m"})
@@ -155,7 +155,7 @@ def _emps(folder: Path) -> tuple[dict[str, Record], dict[str, Record]]:
 
 
 def _emps_folds(runs: Runs) -> list[Fold]:
-    """Five blocks of 5 s; each piece and block starts as its first samples and the force before it say."""
+    """Five blocks of 5 s; its first samples and the force before it give the initial state of each piece and block."""
     (run,) = runs.values()
     ends = [len(run) * i // BLOCKS for i in range(BLOCKS + 1)]
     found = []
@@ -207,7 +207,7 @@ def _tanks(folder: Path) -> tuple[dict[str, Record], dict[str, Record]]:
 
 
 def _tanks_fit(network: Network, records: Sequence[Record]) -> Trained:
-    """The lowest loss from three pump gains: where the upper tank overflows at first decides which minimum is found."""
+    """The lowest loss from three pump gains, because the first overflow of the upper tank decides the minimum found."""
     starts = [pumped(network, factor) for factor in (0.7, 1.0, 1.4)]
     fits = [train(start, list(records), estimate_initial=True, decay=1e-2, epochs=200) for start in starts]
     fit = min(fits, key=lambda fit: fit.history[-1])

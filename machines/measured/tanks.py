@@ -4,9 +4,10 @@
     f2(k) = x2(k-1) + a x1(k-1-delay) - c2 sqrt(h(k-1) - h0) + s max(f1 - 1 - e, 0)  x2 = min(max(f2, 0), 1)
     y = h = x2 + q (x2^2 - x2)
 
-x1, x2: water in a tank, 1 where it is full. d: dead zone of the pump. Of what the upper tank cannot hold, the rim keeps
-e away, and a share s of the rest falls into the lower one. h: level at the sensor, h0: where the lower tank is empty;
-with q > 0 the lower tank is narrower above. That the upper outflow is no square root was seen in the training run.
+x1, x2: water in a tank, 1 where it is full. d: dead band of the pump. When the upper tank is full, its rim holds back e
+of the surplus, and a share s of the rest falls into the lower one. h: level at the sensor; h0: the level of the empty
+lower tank. With q > 0 the lower tank is narrower above. The training run shows that the upper outflow is not a square
+root.
 Equations of the plant: Schoukens, Mattson, Wigren, Noel, "Cascaded tanks benchmark combining soft and hard
 nonlinearities", 2016; Rogers et al. 2017 for the overflow.
 """
@@ -20,9 +21,9 @@ from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
 
-PUMP = Port("u", "V", 10.0, initial=3.2567)  # the pump's rest: what the training record begins with
-LEVEL = Port("y", "V", 10.0)  # of the sensor, which ends where the lower tank is full
-HALF = 0.5  # full before the first step, until that is estimated
+PUMP = Port("u", "V", 10.0, initial=3.2567)  # initial: the first value of the training record
+LEVEL = Port("y", "V", 10.0)  # of the sensor, whose range ends where the lower tank is full
+HALF = 0.5  # content of a tank before the first step, until it is estimated
 MEAN = 2.8  # V, of the pump over the training record
 RATE = 0.03  # share of a full tank that leaves it in a step
 EMPTY = 0.29  # the lowest level on record
@@ -31,8 +32,8 @@ EMPTY = 0.29  # the lowest level on record
 def tanks(seed: int, rim: bool = True, widening: bool = True, exchange: int = 0, delay: int = 1) -> Network:
     """The start whose pump gain `seed` draws; at the mean of the pump the upper tank stays half full.
 
-    rim, widening: e and q are to be found, else 0. exchange: tanh neurons of a correction r(x1(k-1), x2(k-1)) of f2.
-    delay: steps that the water takes from the upper tank to the lower one.
+    rim, widening: whether e and q are trained, else they are 0. exchange: tanh neurons of a correction
+    r(x1(k-1), x2(k-1)) of f2. delay: steps that the water takes from the upper tank to the lower one.
     """
     rng = np.random.default_rng(seed)
     pump = 0.2 * np.exp(0.3 * rng.normal())
@@ -81,7 +82,7 @@ def tanks(seed: int, rim: bool = True, widening: bool = True, exchange: int = 0,
 
 
 def pumped(network: Network, factor: float) -> Network:
-    """The same with `factor` times the pump gain, and half full at the mean of the pump again."""
+    """The same network with `factor` times the pump gain; the tank is again half full at the mean of the pump."""
     values = network.parameters()
     pump, outflow = factor * values["upper_fill.pump"], -values["upper_fill.outflow"]
     return network.with_parameters({"upper_fill.pump": pump, "upper_fill.bias": _dead(pump, outflow)[0]})

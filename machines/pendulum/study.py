@@ -3,8 +3,8 @@
     omega(k) = omega(k-1) + T/J (torque(k-1) - weight sin(theta(k-1)) - friction(omega(k-1)))
     theta(k) = theta(k-1) + T omega(k)
 
-What is known is built in: the two integrators, gravity as a sine of the library. Training finds what the data sheet
-says roughly, T/J and the weight, and what nobody wrote down: `friction`, a tanh network of the speed.
+The known physics is built in: the two integrators, and gravity by the sine of the library. Training finds T/J and the
+weight, which the data sheet gives roughly, and the unknown `friction`, a tanh network of the speed.
 """
 
 from functools import lru_cache
@@ -29,7 +29,7 @@ SAMPLES = {"training": 4000, "validation": 2000}  # 40 s, 20 s
 SEEDS = {"training": 1, "validation": 2}
 LARGEST = 0.5  # N m, of the motor
 BAND = (0.05, 3.0)  # Hz, of its torque: both sides of the resonance at 1.1 Hz
-ENCODER = 2 * np.pi / 2**14  # rad, a count
+ENCODER = 2 * np.pi / 2**14  # rad per count
 TORQUE = Port("torque", "N m", 1.0, resolution=2.0**-11)
 ANGLE = Port("theta", "rad", np.pi, resolution=ENCODER)
 FASTEST = 8.0  # rad/s, the scale of the speed

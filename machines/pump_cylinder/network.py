@@ -3,9 +3,9 @@
     P_A(k) = P_A(k-1) + G_A divider( q_a - v,  gamma)     q_a = Network Qa(n_1, n_2, P_A(k-1), P_A(k-1) - P_B(k-1))
     P_B(k) = P_B(k-1) + G_B divider(-q_b + v, -gamma)     q_b = Network Qb(n_2,      P_B(k-1), P_B(k-1) - P_A(k-1))
 
-The flow networks are linear, as the thesis's, their leakage written as a chamber's `own` and that `across` to the other
-one. While both only drain (`leakage_bounds`) and the divider rises with its first input, the largest difference of two
-runs with the same inputs shrinks in every step: no error of a pressure can build up, whatever training finds.
+The flow networks are linear, as in the thesis. Their leakage has two parts, a chamber's `own` and that `across` to the
+other one. If both only drain (`leakage_bounds`) and the divider rises with its first input, the largest difference of
+two runs with the same inputs shrinks in every step, so no pressure error can build up, whatever training finds.
 """
 
 from collections.abc import Mapping
@@ -30,9 +30,9 @@ def pump_srnn(
     """Join linear flow networks and dividers into the SRNN of fig. 6.3, with the parameters `k` of table 6.1 (SI).
 
     k: also `q_max` [m^3/s] and `p_max` [Pa], by which flows and pressures are normalised, and `p_a_rest`, `p_b_rest`.
-    divider: stays as it is. speeds: of pumps 1 and 2, rev/s; either's mean of two samples. taps: backward differences
-    of position that the piston's speed may draw on. stretch: see `cylinder.pressure`.
-    known: `"a"` or `"b"`, a chamber with a sensor (figs. 6.5, 6.6): the other one alone is predicted.
+    divider: it is not trained. speeds: of pumps 1 and 2, rev/s; the network reads the mean of two samples of each.
+    taps: backward differences of position from which the piston's speed is computed. stretch: see `cylinder.pressure`.
+    known: `"a"` or `"b"`, a chamber with a sensor (figs. 6.5, 6.6); then only the other chamber is predicted.
     Inputs `speeds`, `position`, and of a known chamber `p_a_measured` or `p_b_measured`; outputs `p_a`, `p_b` [Pa].
     """
     p_max, q_max = k["p_max"], k["q_max"]
@@ -76,7 +76,7 @@ def pump_srnn(
 
 
 def leakage_bounds(network: Network) -> dict[str, tuple[float, float]]:
-    """Bounds for `train`, from a `pump_srnn` as it was joined: a chamber always drains, by its own and across."""
+    """Bounds for `train`, from a `pump_srnn` as it was joined: both leakages of a chamber always drain it."""
     w = {name: float(v[0, 0]) for name, v in network.parameters().items() if name.endswith((".own", ".across"))}
     least = {".own": LEAST, ".across": 0.0}
     return {

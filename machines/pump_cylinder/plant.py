@@ -1,8 +1,8 @@
 """The cylinder of thesis chapter 6: two pumps of variable speed drive a differential cylinder, simulated.
 
-`pump_cylinder()` is table 6.1; with `DIFFERENCES`, which no network is told, it is the rig in the laboratory. A loop
-holds the position, another the sum of the pressures. `record` drives either and reads it through noisy sensors and
-converters. The thesis's own recordings were never published.
+`pump_cylinder()` is table 6.1; with `DIFFERENCES`, which no network knows, it is the rig in the laboratory. One loop
+controls the position, another the sum of the pressures. `record` drives either plant and reads it through noisy sensors
+and converters. The thesis's own recordings were never published.
 """
 
 from functools import lru_cache
@@ -98,11 +98,11 @@ RECORDS = {
 
 
 def pump_cylinder(**values: float) -> Plant:
-    """The plant of thesis section 6.2: inputs `x_ref` (m), `n_ref` (rev/s), `p_ref` (Pa), outputs `x`, `n_1`, `n_2`,
-    `p_a`, `p_b`, `v`.
+    """The plant of thesis section 6.2: inputs `x_ref` (m), `n_ref` (rev/s) and `p_ref` (Pa).
 
-    The drives are told n_2 = k_position (x_ref - x) + n_ref plus its offset, n_1 = (gamma - 1) times that plus its own
-    (6.2, 6.4). The loop of the sum integrates `p_ref - p_a - p_b`. Raises InputError for an unknown parameter.
+    Outputs are `x`, `n_1`, `n_2`, `p_a`, `p_b`, `v`. The commands to the drives are n_2 = k_position (x_ref - x) +
+    n_ref plus an offset, and n_1 = (gamma - 1) times that plus an offset of its own (6.2, 6.4). The loop of the sum
+    integrates `p_ref - p_a - p_b`. Raises InputError for an unknown parameter.
     """
     leak = "(1 + warming * warm)"
     air = {c: f"(1 + p_air / (p_{c} + {_ATMOSPHERE}))" for c in "ab"}
@@ -233,8 +233,8 @@ def measure(
 ) -> Recording:
     """Simulate at 1 kHz and read `n_1`, `n_2`, `x`, `p_a`, `p_b` through sensors and converters.
 
-    x_ref: m, n_ref: rev/s, p_ref: Pa, each (samples,); the first `settling` are left out. Channels: those five as
-    `SENSORS` leave them, and as they are: `x_true`, `p_a_true`, ...; the references. seed: of the noise.
+    x_ref: m, n_ref: rev/s, p_ref: Pa, each (samples,); the first `settling` are left out. Channels: those five after
+    `SENSORS`; the true values `x_true`, `p_a_true`, ...; the references. seed: of the noise.
     """
     true = simulate(plant, {"x_ref": x_ref, "n_ref": n_ref, "p_ref": p_ref}, sample_time=SAMPLE_TIME)
     rng = np.random.default_rng(seed)

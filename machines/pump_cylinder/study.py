@@ -1,6 +1,6 @@
 """The SRNN of the pump-controlled cylinder: trained on the nominal plant, adapted to its simulated rig (thesis ch. 6).
 
-No pressure sensor takes part in a prediction; `sensor_backup` gives the other chamber's pressure, as the thesis had to.
+No prediction uses a pressure sensor; only `sensor_backup` reads the other chamber's pressure, as the thesis had to.
 """
 
 from dataclasses import replace
@@ -27,7 +27,7 @@ THESIS = {  # RMS in Pa, chambers A and B
     "sensor_training": (0.092e6, 0.116e6),  # the other chamber measured (table 6.4)
     "sensor_validation": (0.112e6, 0.195e6),  # the same (6.4); without a sensor it diverged
 }
-_COMPARED = {  # with which of these a scenario can be compared; for its rig without a sensor the thesis has none
+_COMPARED = {  # source -> scenario -> figure of `THESIS`; there is none for its rig without a sensor
     "thesis, simulated plant": {"rig_chirp": "chirp"},
     "thesis, with a sensor": {
         "rig_training": "sensor_training",
@@ -99,7 +99,7 @@ def train_srnn(progress: Progress = silent) -> tuple[Network, dict]:
 
 
 def constant() -> dict[str, tuple[float, ...]]:
-    """RMS in Pa of the least that a model can say: the mean pressures of the rig's training record."""
+    """RMS in Pa of the simplest model: the mean pressures of the rig's training record."""
     mean = {p: v.mean() for p, v in recording("rig_training").targets.items()}
     return {name: tuple(rms(v - mean[p]) for p, v in recording(name).targets.items()) for name in SCENARIOS}
 
@@ -129,14 +129,14 @@ def noisy_position(nominal: Network) -> dict[str, tuple[float, ...]]:
 
 
 def black_box(name: str) -> Record:
-    """What table 6.2 gives its networks: `recording` with the speed `v` [m/s], both pressures one port `p`."""
+    """The record of table 6.2's networks: `recording` with the speed `v` [m/s], and both pressures as one port `p`."""
     r = recording(name)
     v = np.diff(r.inputs["x"], prepend=r.inputs["x"][0]) / SAMPLE_TIME
     return Record(r.inputs | {"v": v}, {"p": np.stack([r.targets["p_a"], r.targets["p_b"]], axis=1)})
 
 
 def narx(samples: int, neurons: int, seed: int = 0) -> Network:
-    """An architecture of table 6.2: so many samples of each signal, one hidden layer of tansig neurons; 0: linear."""
+    """An architecture of table 6.2: samples of each signal, and one hidden layer of tansig neurons; 0: linear."""
     ports = {n: Port(n, "rev/s", SENSORS[n][0]) for n in ("n_1", "n_2")}
     inputs = [*ports.values(), Port("x", "m", X_SCALE), Port("v", "m/s", 0.5)]
     taps = {port: range(samples) for port in inputs}
@@ -148,7 +148,7 @@ def narx(samples: int, neurons: int, seed: int = 0) -> Network:
 
 
 def black_boxes(progress: Progress = silent) -> dict:
-    """Table 6.2 and the NOE of 6.3.1 on the nominal plant, a linear rival on the rig; RMS in Pa of both chambers.
+    """Table 6.2 and the NOE of 6.3.1 on the nominal plant, and a linear model on the rig; RMS in Pa, both chambers.
 
     `narx`: by architecture, one step ahead in training, and the same network's free run of the chirp (inf: diverges).
     `noe`: the architecture of the lowest training error, trained on in free run, by record.
@@ -178,7 +178,7 @@ def _both(network: Network, record: Record) -> float:
 def random_starts(bounded: bool, seeds: range = range(3)) -> list[tuple[float, ...]]:
     """RMS in Pa on `rig_chirp` of SRNNs trained on `rig_training` from random weights of flow, speed and place.
 
-    bounded: whether the leakage is kept as `leakage_bounds` says; without it some diverge.
+    bounded: whether the leakage stays within `leakage_bounds`; without these bounds, some networks diverge.
     """
     start, found = assemble(), []
     for seed in seeds:

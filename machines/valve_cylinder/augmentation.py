@@ -16,7 +16,7 @@ from greygate.plants.recording import Recording
 
 
 class Pressures(Augmentation):
-    """Chamber pressures [Pa] from `v_c` and `x`; training leaves what is known as it is.
+    """Chamber pressures [Pa] from `v_c` and `x`; training does not change the known parts.
 
     A module reads the pressure difference "between" the chambers, or a chamber's own pressure, "outward", and answers
     the leakage in m^3/s.
@@ -60,7 +60,7 @@ class Pressures(Augmentation):
 
 
 def _scaled(network: Network) -> Network:
-    """A library network as it is, whose answer is multiplied by what training finds."""
+    """A frozen library network whose answer is multiplied by a trained gain."""
     scaled = Network(network.name, network.inputs, network.outputs)
     scaled.add("known", frozen(network))
     scaled.add("gain", Layer({"q": [[1.0]]}, [0.0], frozen={"bias"}))

@@ -3,8 +3,8 @@
     P_A(k) = P_A(k-1) + G2 divider( G1 q_a - v,  gamma)      q_a = Network Qa(u, P_A(k-1))
     P_B(k) = P_B(k-1) + G2 divider(-G1 q_b + v, -gamma)      q_b = Network Qb(u, P_B(k-1))
 
-From outside it sees what the thesis gives it: the valve voltage and the position. Velocity is the position's backward
-difference, and `u` is the spool position *averaged over the sampling interval*, by a third-order difference equation.
+Its inputs are those of the thesis: the valve voltage and the position. The velocity is the backward difference of the
+position, and `u` is the spool position *averaged over the sampling interval*, by a third-order difference equation.
 """
 
 from collections.abc import Mapping
@@ -90,10 +90,10 @@ def valve_srnn(
 
     k: parameters of the plant in SI units (`p_s`, `bulk_modulus`, `v_a0`, `v_b0`, `area_a`, `area_b`, `k_valve`,
     `u_max`, `q_max`) and `p_a_rest`, `p_b_rest`, the chambers' pressures before the first step.
-    spool: from `drive`, whatever the valve gives, to the mean spool position: `mean_spool` or `measured_spool`.
-    taps: backward differences of position that the speed may draw on. stretch: see `pressure`.
-    leakage: (module from port `s` to `y`, reads, reach, size): size q_max y leaves chamber A and enters B, where s is
-    (p_a - p_b) / reach and reads "between"; with "outward" it leaves either, and s is that one's p / reach.
+    spool: network from `drive`, the signal of the valve, to the mean spool position: `mean_spool` or `measured_spool`.
+    taps: backward differences of position from which the speed is computed. stretch: see `pressure`.
+    leakage: (module from port `s` to `y`, reads, reach, size). If it reads "between", s is (p_a - p_b) / reach, and the
+    flow size q_max y leaves chamber A and enters B; if "outward", it leaves each chamber, and s is its p / reach.
     Inputs `drive` and `position` [m]; outputs `p_a`, `p_b` [Pa].
     """
     g1 = k["k_valve"] * k["u_max"] * np.sqrt(k["p_s"]) / k["q_max"]

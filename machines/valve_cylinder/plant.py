@@ -4,8 +4,8 @@ Symbols are those of the rigs (`k_valve`, `bulk_modulus`, `p_a`, ...). Signs: `q
 `f_ext` acts against extension. The supply is either complete (`supply="full"`: motor, pump, relief valve, accumulator,
 line) or a constant pressure (`supply="constant"`).
 
-It shares parameters, states, valve drive and friction with the rig's plant, valve_hydraulic.toml, and differs in what
-the networks of chapter 5 are taught: one lap for all edges, leakage terms, an external force, 5 cm of stroke.
+It shares parameters, states, valve drive and friction with the rig's plant, valve_hydraulic.toml. It differs in the
+physics that the networks of chapter 5 learn: one lap for all edges, leakage terms, an external force, 5 cm of stroke.
 """
 
 from dataclasses import replace

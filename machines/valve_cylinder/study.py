@@ -56,9 +56,9 @@ def assemble(flow: Network, divider: Network) -> Network:
 
 
 def train_srnn(progress: Progress = silent) -> tuple[Network, dict]:
-    """Fit the parts, join them, train them as one on the training scenario. Returns the network and its figures.
+    """Fit the parts, join them, and train the joined network on the training scenario; return it and its figures.
 
-    progress: called with a line now and then. Figures: RMS in bar of each scenario as assembled and trained, seconds.
+    progress: gets lines of text. Figures: RMS in bar of each scenario as assembled and as trained; seconds.
     """
     q, d = flow_record(), divider_record()
     snn = Procedure(records(), subsystems=("flow", "divider"))
@@ -87,9 +87,9 @@ def swap_flow(network: Network, flow: Network) -> Network:
 
 
 def exercise(network: Network) -> Record:
-    """Another run of the rig, pushed about by a random force, with the network's own answers as targets.
+    """Another run of the rig under a random force, with the network's own answers as targets.
 
-    It tells pruning what the network does beyond the training scenario, and nothing new of the plant.
+    It shows pruning the behaviour of the network beyond the training scenario, and nothing new about the plant.
     """
     v_c = prms(10_000, -1.0, 1.0, (20, 150), seed=11)
     force = band_limited_noise(10_000, 1500.0, 0.1, 5.0, 1e-3, seed=12)
@@ -105,8 +105,8 @@ def prune(
 ) -> tuple[Network, list[Round]]:
     """Entropy pruning of the generic network, then its weights by a method of `compiler.saliency`, if one is given.
 
-    allowed: factor by which each chamber's RMS error over training scenario and `exercise` may rise; the exercise keeps
-    what the network does under load.
+    allowed: factor by which each chamber's RMS error over training scenario and `exercise` may rise; the exercise
+    preserves the behaviour of the network under load.
     """
     kept = [records()["training"], exercise(network)]
     say = progress or (lambda line: None)

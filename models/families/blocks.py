@@ -1,4 +1,4 @@
-"""Small networks that structured networks are joined from, each trained on the function it stands for."""
+"""Small networks from which structured networks are joined; each is trained on the function it stands for."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ def feedforward(
 ) -> Network:
     """`hidden` layers of neurons between scalar ports and one linear output `y`, with the weights of Nguyen and Widrow.
 
-    Nguyen, Widrow 1990: neurons share out the input range [-1, 1] among them.
+    Nguyen, Widrow 1990: the neurons share the input range [-1, 1] among them.
     """
     rng = np.random.default_rng(seed)
     network = Network(name, [Port(i) for i in inputs], [Port("y")])
@@ -37,7 +37,7 @@ def feedforward(
 
 
 def nguyen_widrow(network: Network, seed: int) -> Network:
-    """The flat network with another start: neurons of a sigmoid layer share out its input range [-1, 1] (1990).
+    """Return the flat network with new weights: neurons of a sigmoid layer share its input range [-1, 1] (1990).
 
     A linear layer's weights on a sigmoid layer are drawn with deviation 0.3; frozen weights and all others stay. The
     networks of the thesis's benchmarks are `nguyen_widrow(noe(..., bypass=False), seed)`.
@@ -70,7 +70,7 @@ def _shared_out(rng: np.random.Generator, size: int, fan_in: int) -> tuple[np.nd
 def flow_rate(u: np.ndarray, p: np.ndarray, lap: float = 0.0) -> np.ndarray:
     """Flow into a chamber, normalised: u sqrt(1 - p) for u > 0, u sqrt(p) else (thesis 5.3.2.1).
 
-    lap: of both edges, as u: > 0 closed centre (overlapped), < 0 open centre (underlapped).
+    lap: of both edges, in the unit of u: > 0 closed centre (overlapped), < 0 open centre (underlapped).
     """
     return np.maximum(u - lap, 0) * np.sqrt(1 - p) - np.maximum(-u - lap, 0) * np.sqrt(p)
 

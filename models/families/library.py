@@ -1,9 +1,9 @@
 """Standard library networks: modules whose weights are known, by name (thesis 3.4 and 7.4.2; Dolen 2000).
 
-Switches, logic and limits are constructed; where there is no construction a small tanh network was trained once and is
-kept in `trained/library` (`python -m greygate.models.families.library` trains them again). Each states the function it
-stands for, the range of its ports and a bound of its error there, and carries its name as `Network.meaning`, from which
-the compiler emits a multiplexer or a comparator instead (compiler/meaning.py). Constructed weights are frozen.
+Switches, logic and limits are constructed. The others are small tanh networks, which were trained once and are kept in
+`trained/library` (`python -m greygate.models.families.library` trains them again). Each network states the function it
+stands for, the range of its ports and a bound of its error there. Its name is its `Network.meaning`, from which the
+compiler emits a multiplexer or a comparator instead (compiler/meaning.py). Constructed weights are frozen.
 """
 
 import json
@@ -29,19 +29,19 @@ ERRORS = TRAINED / "errors.json"  # name -> worst error of each trained network
 SATURATED = 15.0  # tanh is 1 to 2e-13 from here on
 PASSED = 100.0  # a signal divided by it passes the linear part of tanh (kappa of 3.4, 1/0.01 of 3.7)
 ANY = (-math.inf, math.inf)
-FAR = 10.0  # how far grids go where a range has no end
-DENSE = {1: 20_001, 2: 401, 3: 41}  # points an axis, by the number of ports
-ROUNDING = 1e-15  # of a few float operations, relative
+FAR = 10.0  # end of the grid where a range has no end
+DENSE = {1: 20_001, 2: 401, 3: 41}  # points of each axis, by the number of ports
+ROUNDING = 1e-15  # relative rounding error of a few float operations
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A library network and what it promises.
+    """A library network with its function, its ranges and its worst error.
 
-    function: the exact answer to arrays given by port name, NaN where it has none. text: the same in a line. ranges:
-    port -> (low, high), in the port's unit. gaps: port -> open intervals of its range in which the network is on its
-    way from one value to the other. worst_error: no deviation from the function over the ranges is larger, gaps left
-    out. cure: what moves values out of the gaps. hardware: its operations.
+    function: the exact answer to arrays given by port name, NaN where it is not defined. text: the function in a line.
+    ranges: port -> (low, high), in the port's unit. gaps: port -> open intervals of its range in which the network
+    changes from one value to the other. worst_error: the largest deviation from the function over the ranges, without
+    the gaps. cure: advice against values in the gaps. hardware: its operations.
     """
 
     network: Network
@@ -54,7 +54,7 @@ class Entry:
     cure: str = ""
 
     def grid(self, points: int | None = None) -> dict[str, np.ndarray]:
-        """Every combination of `points` values of each port, the ends of its range and of its gaps among them."""
+        """Every combination of `points` values of each port, including the ends of its range and of its gaps."""
         axes = []
         for port, (low, high) in self.ranges.items():
             axis = np.linspace(max(low, -FAR), min(high, FAR), points or DENSE[len(self.ranges)])
@@ -77,7 +77,7 @@ class Entry:
 
 
 def _network(name: str, inputs: str, layers: Mapping[str, tuple[Layer, Mapping[str, str]]]) -> Network:
-    """Frozen layers {name: (layer, {port: source})}, the last of which is the output `y`."""
+    """A network of frozen layers {name: (layer, {port: source})}, of which the last is the output `y`."""
     network = Network(name, [Port(i) for i in inputs.split()], [Port("y")])
     for layer_name, (layer, sources) in layers.items():
         network.add(layer_name, replace(layer, frozen=frozenset({*layer.weights, "bias"})))
@@ -94,12 +94,12 @@ def _positive(name: str, **values: float) -> None:
 
 
 def _passing_error(reach: float) -> float:
-    """Of tanh that passes a signal, and of a saturated gate that is not quite 1, times 10 and 100."""
+    """Error of a tanh that passes a signal, and of a saturated gate that is not quite 1, times 10 and 100."""
     return reach * (1 - PASSED * math.tanh(1 / PASSED) + 2 * PASSED * 10 * (1 - math.tanh(SATURATED)))
 
 
 def switch_1(reach: float = 1.0) -> Entry:
-    """Switching network type 1 (3.4), kappa = 100: y = u1 for s = 1, u2 for s = -1. reach: of u1 and u2."""
+    """Switching network type 1 (3.4), kappa = 100: y = u1 for s = 1, u2 for s = -1. reach: largest |u1|, |u2|."""
     _positive("switch_1", reach=reach)
     k, r = PASSED, PASSED * reach
     gates = Layer({"u1": [[1 / r], [0.0]], "u2": [[0.0], [1 / r]], "s": [[k], [k]]}, [-k, k], "tansig")
@@ -124,10 +124,10 @@ def _chosen(u1: np.ndarray, u2: np.ndarray, s: np.ndarray) -> np.ndarray:
 def switch_2(gain: float = 1e6, reach: float = 1.0) -> Entry:
     """Switching network type 2 (3.5 to 3.7): y = u1 for s >= 0, u2 for s < 0.
 
-    The thesis writes it as a recurrent layer whose third neuron feeds the other two one update later; here that neuron
+    In the thesis it is a recurrent layer whose third neuron feeds the other two one update later. Here that neuron
     stands before them, so that y answers within the step. Its bias is 15 instead of 0: at s = 0 it says "not negative",
-    where the thesis's would give 0, neither u1 nor u2. Between -30/gain and 0 it is on its way, and y is far off.
-    gain: 1e5 in the thesis. reach: of u1 and u2.
+    while the thesis's switch gives 0, neither u1 nor u2. Between -30/gain and 0 it changes its value, and y is far
+    off. gain: 1e5 in the thesis. reach: largest magnitude of u1 and u2.
     """
     _positive("switch_2", gain=gain, reach=reach)
     r = PASSED * reach
@@ -150,9 +150,9 @@ def switch_2(gain: float = 1e6, reach: float = 1.0) -> Entry:
 
 
 def xor(gain: float = 1e5) -> Entry:
-    """Exclusive or (3.8, 3.9): y = -1 where sgn(u1) = sgn(u2), else 1. The sign of 0 is 0, equal to that of 0 alone.
+    """Exclusive or (3.8, 3.9): y = -1 where sgn(u1) = sgn(u2), else 1. The sign of 0 is 0, which equals only itself.
 
-    Up to about 0.55/gain a sign is not told from 0. gain: K of the thesis, at least 100.
+    Up to about 0.55/gain the network takes a value for 0. gain: K of the thesis, at least 100.
     """
     if not 100 <= gain < math.inf:
         raise InputError(f"library network xor: gain = {gain} is below 100 or not finite")
@@ -176,7 +176,7 @@ def xor(gain: float = 1e5) -> Entry:
 
 
 def sign(gain: float = 1e6) -> Entry:
-    """y = 1 for x >= 0, -1 for x < 0, by one tanh neuron whose bias of 15 settles x = 0."""
+    """y = 1 for x >= 0, -1 for x < 0, by one tanh neuron; its bias of 15 decides x = 0."""
     _positive("sign", gain=gain)
     layers = {"out": (Layer({"x": [[gain]]}, [SATURATED], "tansig"), {"x": "x"})}
     return Entry(
@@ -220,7 +220,7 @@ def absolute(reach: float = 1.0) -> Entry:
 
 
 def limiter(lo: float = 0.0, hi: float = 1.0) -> Entry:
-    """y = min(hi, max(x, lo)), by one saturating neuron; by a multiplexer if lo is -inf or hi is inf."""
+    """y = min(hi, max(x, lo)), by one saturating neuron, or by a multiplexer if lo is -inf or hi is inf."""
     if not lo < hi or (lo == -math.inf and hi == math.inf):
         raise InputError(f"library network limiter: lo = {lo}, hi = {hi}; give lo < hi, one of them may be infinite")
     span, text, error = hi - lo, f"min({hi:g}, max(x, {lo:g}))", ROUNDING * (abs(lo) + abs(hi))
@@ -249,7 +249,7 @@ def gaussian() -> Entry:
 
 @dataclass(frozen=True)
 class Function:
-    """What a network is trained on: function(*ports) over ranges, with that many tanh neurons."""
+    """The function on which a network is trained: function(*ports) over ranges. It has `neurons` tanh neurons."""
 
     function: Callable[..., np.ndarray]
     text: str
@@ -313,9 +313,9 @@ def flow(lap: float = 0.0) -> Entry:
 
         y = f(u + lap) sqrt(1 - p) - f(lap - u) sqrt(p),   f(x) = max(x, 0)
 
-    u: spool in [-1, 1], p: pressure over that of the supply. lap: of the spool's stroke; 0 for a zero-lapped valve,
-    positive for an under-lapped one (then |u| <= 1 - lap), negative for an over-lapped one. With a lap the trained
-    network is given the opening of each edge, which limits form exactly; its worst error is then a bound.
+    u: spool in [-1, 1], p: pressure over that of the supply. lap: share of the spool's stroke; 0 for a zero-lapped
+    valve, positive for an under-lapped one (then |u| <= 1 - lap), negative for an over-lapped one. With a lap, limiters
+    compute the opening of each edge exactly, and the trained network reads these; its worst error is then a bound.
     """
     if not -0.9 <= lap <= 0.9:
         raise InputError(f"library network flow: lap = {lap} is not within -0.9..0.9 of the stroke")
@@ -352,7 +352,7 @@ LIBRARY: dict[str, Callable[..., Entry]] = {
 
 
 def entry(name: str, **args: float) -> Entry:
-    """A library network with what it promises. Raises InputError for a name or an argument that does not exist."""
+    """The entry of a library network. Raises InputError for a name or an argument that does not exist."""
     if name not in LIBRARY:
         raise InputError(f"no library network is called {name!r}; there are {', '.join(LIBRARY)}")
     try:
@@ -371,7 +371,7 @@ def library(name: str, **args: float) -> Network:
 
 
 def recalled(meaning: str) -> tuple[str, Entry]:
-    """The name and the entry that `Network.meaning` was written from. Raises InputError if it names none."""
+    """The name and the entry to which `Network.meaning` belongs. Raises InputError if it names no library network."""
     match = re.fullmatch(r"(\w+)(?:\((.*)\))?", meaning)
     try:
         if match is None:
@@ -383,13 +383,13 @@ def recalled(meaning: str) -> tuple[str, Entry]:
 
 
 def rounded_up(value: float, digits: int) -> str:
-    """The least number of so many digits that is not below value."""
+    """The least number with this many digits that is not below value."""
     with localcontext(Context(prec=digits, rounding=ROUND_CEILING)):
         return f"{float(+Decimal(repr(float(value)))):g}"
 
 
 def listing() -> list[dict[str, str]]:
-    """Every library network with its default arguments, a row each, in words."""
+    """A row in words for every library network with its default arguments."""
     rows = []
     for name in LIBRARY:
         e = entry(name)
@@ -419,7 +419,7 @@ def markdown() -> str:
 
 
 def bound(found: Entry, zooms: int = 6) -> float:
-    """The worst error between grid points too: about the worst points of the grid, finer and finer grids."""
+    """A bound of the error between grid points too, by finer and finer grids about the worst points of the grid."""
     at = found.grid()
     steps = {p: (high - low) / (DENSE[len(at)] - 1) for p, (low, high) in found.ranges.items()}
     worst = 0.0
@@ -437,7 +437,7 @@ def bound(found: Entry, zooms: int = 6) -> float:
 
 
 def fit_library(progress: Progress = print) -> None:
-    """Train what is trained, of several seeds the one with the lowest worst error, and keep it in `TRAINED`."""
+    """Train the networks of `FUNCTIONS`, each from several seeds, and keep those of the lowest error in `TRAINED`."""
     errors = {}
     networks = {"flow": fit_flow(seed=1).network, "divider": fit_divider(seed=0).network}
     for name, f in FUNCTIONS.items():

@@ -1,7 +1,7 @@
-"""Orders of a regression from the record alone: Lipschitz quotients (He, Asada 1993; thesis 5.3.1).
+"""Finds the orders of a regression from the record alone, by Lipschitz quotients (He, Asada 1993; thesis 5.3.1).
 
-Where y = g(phi) is smooth, |y_i - y_j| / |phi_i - phi_j| stays small. Without a regressor that g needs one phi has two
-values of y: the largest quotients shoot up. One regressor too many changes them little.
+If y = g(phi) is smooth, |y_i - y_j| / |phi_i - phi_j| stays small. If phi lacks a regressor that g needs, one phi has
+two values of y, and the largest quotients become very large. A superfluous regressor changes them little.
 """
 
 from collections.abc import Sequence
@@ -16,16 +16,17 @@ from greygate.models.families.regression import Taps, regressors
 from greygate.models.network import Port
 from greygate.models.training.record import Record
 
-SHARE = 0.015  # of the rows: how many of the largest quotients count (He and Asada: 0.01 to 0.02)
+SHARE = 0.015  # of the rows: number of the largest quotients that count (He and Asada: 0.01 to 0.02)
 
 
 @dataclass(frozen=True)
 class Orders:
     """Order index of every candidate, and the taps proposed, ready for `narx(name, inputs, output, feedback)`.
 
-    index: one axis for each of `signals` (inputs, then the output): how many of its candidate taps are used, 0 first.
-    The corner where none is used is inf.
-    curve: (T,), the lowest index with 1, 2, ... T taps in all: steep down to the order, its knee, then flat.
+    index: one axis for each of `signals` (inputs, then the output): the number of its candidate taps that are used,
+    from 0 on. The corner where none is used is inf.
+    curve: (T,), the lowest index with 1, 2, ... T taps in all. It falls steeply to the order, its knee, and is flat
+    from there.
     """
 
     signals: tuple[str, ...]
@@ -45,12 +46,13 @@ def lipschitz(
 ) -> Orders:
     """Order index of the first n taps of each input and of the output, for every combination of n.
 
-    index = (prod_(i <= p) sqrt(T) q_i)^(1/p), q_i the p = 0.015 M largest quotients over all pairs of M rows, T taps;
-    every signal is divided by its standard deviation. Proposed is the knee of `Orders.curve`: the last tap that still
-    divides it by `fall`, and of the combinations with so many taps the one with the lowest index. Noise and weak terms
-    flatten the knee: look at the curve, and let the error in free run decide between neighbours.
-    inputs, feedback: the candidates, in order, such as {u: range(1, 6)}, range(1, 6). samples: rows that are compared,
-    spread evenly. Raises InputError as `regressors`, for signals that are constant and for too few rows.
+    index = (prod_(i <= p) sqrt(T) q_i)^(1/p) for T taps, where q_i are the p = 0.015 M largest quotients over all pairs
+    of M rows; every signal is divided by its standard deviation. The proposal is the knee of `Orders.curve`: the last
+    tap that still divides the curve by `fall`. Of the combinations with that number of taps it takes the one with the
+    lowest index. Noise and weak terms flatten the knee: look at the curve, and choose between neighbours by the error
+    in free run.
+    inputs, feedback: the candidates, in order, such as {u: range(1, 6)}, range(1, 6). samples: number of rows to
+    compare, spread evenly. Raises InputError as `regressors`, for constant signals and for too few rows.
     """
     phi = regressors(records, inputs, output, feedback)
     names = [p.name for p in inputs] + [output.name]

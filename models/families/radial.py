@@ -2,9 +2,9 @@
 
     y_hat(k) = sum_i w_i exp(-|(phi(k) - c_i) / s_i|^2) + b
 
-The squared distance is taken apart, |(phi - c)/s|^2 = phi^2 . 1/s^2 - phi . 2c/s^2 + |c/s|^2, so that it is a sum over
-taps and their squares: one `square` a tap, whatever the number of neurons, and one `negexp` a neuron. In hardware each
-is a lookup with one argument; products of signals there are none.
+The squared distance is expanded, |(phi - c)/s|^2 = phi^2 . 1/s^2 - phi . 2c/s^2 + |c/s|^2, so that it is a sum over
+taps and their squares. It takes one `square` for each tap, whatever the number of neurons, and one `negexp` for each
+neuron. In hardware each of them is a lookup with one argument, and no two signals are multiplied.
 """
 
 from collections.abc import Sequence
@@ -32,8 +32,8 @@ def radial(
 ) -> Network:
     """Gaussian neurons on the taps of `regression`, their output weights zero.
 
-    centres: (neurons, taps), normalised as the ports. widths: s, (neurons, taps) or of a shape that broadcasts to it.
-    With a teacher it is a NARX network, without one NOE.
+    centres: (neurons, taps), normalised as the ports. widths: s, (neurons, taps) or a shape that broadcasts to it.
+    Trained with a teacher it is a NARX network, without one a NOE network.
     Raises InputError for other shapes, widths that are not positive, and taps as in `regression`.
     """
     taps = {f"{port.name}_z{d}": (port.name, d) for port, delays in inputs.items() for d in delays}
@@ -72,10 +72,10 @@ def rbf(
 ) -> Trained:
     """Identify a radial network as NARX: centres by k-means, widths by their neighbours, output by least squares.
 
-    Moody, Darken 1989. A width is `overlap` times the root mean square distance to the two nearest centres, where each
-    tap counts in its standard deviations. Output weights are those of `RecursiveLeastSquares` over all rows. Go on with
-    `train`, which moves centres and widths too.
-    Raises InputError as `regressors`, and where there are no more different rows than neurons.
+    Moody, Darken 1989. A width is `overlap` times the root mean square distance to the two nearest centres, with each
+    tap divided by its standard deviation. `RecursiveLeastSquares` over all rows finds the output weights. `train` can
+    then move centres and widths too.
+    Raises InputError as `regressors`, and if there are not more different rows than neurons.
     """
     began = monotonic()
     phi = regressors(records, inputs, output, feedback)
@@ -101,11 +101,11 @@ def rbf(
 
 
 class RecursiveLeastSquares:
-    """theta that minimises sum_i f^(k-i) (y_i - phi_i' theta)^2 + f^k |theta - start|^2 / variance after each sample.
+    """Minimises sum_i f^(k-i) (y_i - phi_i' theta)^2 + f^k |theta - start|^2 / variance over theta after each sample.
 
-    forgetting f: 1 weighs all samples alike; below, the last 1 / (1 - f) count most and theta follows a plant that
+    forgetting f: 1 weighs all samples alike; below 1, the last 1 / (1 - f) count most and theta follows a plant that
     changes. variance: of the start, in theta's units squared. The covariance is kept as its square root (Potter's form,
-    Bierman 1977), so it cannot lose its definiteness. One update costs O(size^2).
+    Bierman 1977), so it stays positive definite. One update costs O(size^2).
     """
 
     def __init__(self, size: int, forgetting: float = 1.0, variance: float = 1e8, start: np.ndarray | float = 0.0):
@@ -117,11 +117,14 @@ class RecursiveLeastSquares:
 
     @property
     def covariance(self) -> np.ndarray:
-        """(size, size), of theta, for errors of variance one."""
+        """Covariance of theta for errors of variance one, (size, size)."""
         return self._root @ self._root.T
 
     def update(self, phi: np.ndarray, y: float) -> float:
-        """Take one sample, phi (size,); return its error before. Raises InputError for a sample that is not finite."""
+        """Learn one sample, phi (size,), and return its error before the update.
+
+        Raises InputError for a sample that is not finite.
+        """
         error = float(y - phi @ self.theta)
         if not np.isfinite(error):
             raise InputError("recursive least squares: a sample holds NaN or inf; leave it out")

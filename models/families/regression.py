@@ -1,17 +1,17 @@
-"""Regression networks on tapped delay lines (thesis table 3.1) and their linear brothers.
+"""Regression networks on tapped delay lines (thesis table 3.1) and their linear counterparts.
 
     y_hat(k) = W_lin phi(k) + W_out tansig( ... tansig(W phi(k) + b) ... ) + b_out
     phi(k) = inputs u_i(k - d), the output's past (k - d), prediction errors e(k - d) = y(k - d) - y_hat(k - d)
 
-One network is two models. `train(..., teacher=True)` puts the measured output in its feedback, `teacher=False` its own:
+One network is two models: `train(..., teacher=True)` feeds back the measured output, `teacher=False` the network's own:
 
     built by                     teacher=True     teacher=False    linear: hidden=()
     noe (narx is the same)       NARX             NOE              ARX, OE
     narmax (nbj is the same)     NARMAX           NBJ              ARMAX
     nfir                         NFIR             NFIR             FIR
 
-A network with e in its regressors has the measured output as one input more; `with_measured` gives it to a record. A
-free run has no measurement: there e = 0, and `free_run` makes that network. `box_jenkins` adds a noise filter instead.
+A network with e among its regressors has the measured output as a further input; `with_measured` adds it to a record. A
+free run has no measurement, so e = 0 there; `free_run` makes that network. `box_jenkins` adds a noise filter instead.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,8 +27,8 @@ from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 
 Taps = Mapping[Port, Sequence[int]]
-SAME = 1e-9  # a regressor that others leave no more of than this, relative to its own size, is collinear
-INSIDE = 0.98  # radius that the poles of an unstable start are drawn into
+SAME = 1e-9  # a regressor is collinear if the others explain it up to this residual, relative to its size
+INSIDE = 0.98  # radius into which the poles of an unstable start are drawn
 
 # ---- networks
 
@@ -48,14 +48,15 @@ def regression(
 ) -> Network:
     """A network on the taps u(k-d), d in `inputs[port]` >= 0, and y(k-d), e(k-d), d in `feedback` and `noise` >= 1.
 
-    Several inputs are several ports; several outputs are one port of that size, each of which sees the past of all.
-    hidden: neurons of each hidden layer; none gives the linear model of the same orders. Taps need not be neighbours:
-    with wider spacing a slow plant sampled fast does not cancel large weights against each other.
-    linear_loop: the first hidden layer sees the inputs alone (Hammerstein form): the only loop is linear, so free run
-    is stable if its poles are.
-    bypass: taps that the hidden layers see reach the output directly too (the thesis's networks have none).
-    It starts as y(k) = y(k - feedback[0]) where the output sees that tap, hidden weights drawn from `seed` at a size
-    that keeps tansig near linear. Raises InputError for a tap that would look ahead or close a loop without delay.
+    Several inputs are several ports; several outputs are one port of that size, and each reads the past of all.
+    hidden: neurons of each hidden layer; () gives the linear model of the same orders. Taps need not be neighbours:
+    with wider spacing, a slow plant that is sampled fast does not need large weights that cancel each other.
+    linear_loop: the first hidden layer reads only the inputs (Hammerstein form). Then the only loop is linear, so the
+    free run is stable if its poles are.
+    bypass: the taps of the hidden layers also reach the output directly (not in the thesis's networks).
+    The network starts as y(k) = y(k - feedback[0]) if the output reads that tap. Hidden weights are drawn from `seed`
+    at a size that keeps tansig near linear. Raises InputError for a tap that would look ahead or close a loop without
+    delay.
     """
     taps = {f"{port.name}_z{d}": (port.name, d) for port, delays in inputs.items() for d in delays}
     taps |= {f"{output.name}_z{d}": ("sum", d) for d in feedback} | {f"e_z{d}": ("e", d) for d in noise}
@@ -98,7 +99,7 @@ def noe(
     linear_loop: bool = False,
     **options,
 ) -> Network:
-    """Inputs and the output's past: NARX where training has a teacher, NOE where not. `options` as in `regression`."""
+    """Network on inputs and the output's past: NARX if trained with a teacher, else NOE. options: of `regression`."""
     return regression(name, inputs, output, feedback, (), hidden, seed, linear_loop=linear_loop, **options)
 
 
@@ -115,9 +116,9 @@ def narmax(
     seed: int = 0,
     **options,
 ) -> Network:
-    """Inputs, the output's past and errors: NARMAX where training has a teacher, NBJ (of table 3.1) where not.
+    """Network on inputs, the output's past and errors: NARMAX if trained with a teacher, else NBJ (of table 3.1).
 
-    Records need the measured output as an input: `with_measured`. `options` as in `regression`.
+    Records need the measured output as an input: `with_measured`. options: of `regression`.
     """
     return regression(name, inputs, output, feedback, noise, hidden, seed, **options)
 
@@ -126,7 +127,7 @@ nbj = narmax
 
 
 def nfir(name: str, inputs: Taps, output: Port, hidden: Sequence[int] = (), seed: int = 0, **options) -> Network:
-    """Inputs alone: no loop, so always stable. `options` as in `regression`."""
+    """Network on inputs only, which has no loop and so is always stable. options: of `regression`."""
     return regression(name, inputs, output, (), (), hidden, seed, **options)
 
 
@@ -134,8 +135,8 @@ def box_jenkins(plant: Network, noise: Sequence[int], shaping: Sequence[int]) ->
     """y_hat(k) = w(k) + sum_d p_d v(k-d) + sum_d q_d e(k-d), v = y - w, e = y - y_hat; w: the plant's free run.
 
     Box, Jenkins 1970: y = w + (C/D) e with C = 1 + q_1 z^-1 + ... (d in `noise`) and D = 1 - p_1 z^-1 - ... (d in
-    `shaping`), which share no pole with the plant. plant: one output, such as `noe` gives; its loop stays its own, so
-    train without a teacher, on records `with_measured`. The filter starts at zero.
+    `shaping`), which share no pole with the plant. plant: a network of one output, such as `noe` builds. It feeds back
+    its own output, so train without a teacher, on records `with_measured`. The weights of the filter start at zero.
     Raises InputError for a delay below 1 or a plant of several outputs.
     """
     if [p.size for p in plant.outputs] != [1] or min((*noise, *shaping), default=1) < 1:
@@ -160,7 +161,8 @@ def box_jenkins(plant: Network, noise: Sequence[int], shaping: Sequence[int]) ->
 def free_run(network: Network) -> Network:
     """The network that needs no measurement: y_hat stands for y, so every e is 0 and its taps vanish.
 
-    Layers that read a measured output go, with all that reads them. Without any it is the flat network as it is.
+    Layers that read a measured output are removed, with all that reads them. A network without such layers is returned
+    flat and otherwise unchanged.
     """
     flat = network.flatten()
     measured = {_measured(p).name for p in flat.outputs} & {p.name for p in flat.inputs}
@@ -177,7 +179,7 @@ def free_run(network: Network) -> Network:
 
 
 def with_measured(record: Record, network: Network) -> Record:
-    """The record with its targets as inputs where the network asks for them, `NAME_measured`."""
+    """The record with those targets as further inputs that the network asks for, as `NAME_measured`."""
     asked = {p.name for p in network.inputs}
     given = {_measured(p).name: record.targets[p.name] for p in network.outputs if _measured(p).name in asked}
     return replace(record, inputs={**record.inputs, **given})
@@ -211,7 +213,7 @@ class Regressors:
     target: np.ndarray
 
     def faults(self) -> list[str]:
-        """What keeps weights from being unique, a sentence each: constant and collinear regressors, too few rows."""
+        """Reasons why the weights are not unique, a sentence each: constant or collinear regressors, too few rows."""
         found = []
         rows, columns = self.matrix.shape
         if rows <= columns + 1:
@@ -239,9 +241,9 @@ class Regressors:
 
 
 def regressors(records: Sequence[Record], inputs: Taps, output: Port, feedback: Sequence[int] = ()) -> Regressors:
-    """Rows k of every record from the first at which all taps lie inside it (and from `skip`).
+    """The regression matrix: rows k of every record, from the first one with all taps inside it (and from `skip`).
 
-    Raises InputError for a signal that is missing, of another length or not finite, and for records that are too short.
+    Raises InputError for a signal that is missing, has another length or is not finite, and for too short records.
     """
     delays = [*(d for taps in inputs.values() for d in taps), *feedback]
     taps = [(port, d) for port, ds in inputs.items() for d in ds] + [(output, d) for d in feedback]
@@ -270,17 +272,19 @@ def _signal(signals: Mapping[str, np.ndarray], port: Port) -> np.ndarray:
         raise InputError(f"signal {port.name}: {value.shape}; give one number a sample")
     bad = np.flatnonzero(~np.isfinite(value))
     if len(bad):
-        raise InputError(f"signal {port.name}: NaN or inf at sample {bad[0]} ({len(bad)} in all); mend or cut there")
+        raise InputError(
+            f"signal {port.name}: NaN or inf at sample {bad[0]} ({len(bad)} in all); repair or cut the record"
+        )
     return value
 
 
-# ---- linear models, the baselines that a network has to beat
+# ---- linear models, the baselines for a network
 
 
 def arx(records: Sequence[Record], inputs: Taps, output: Port, feedback: Sequence[int], name: str = "arx") -> Trained:
-    """y(k) = sum b_d u(k-d) + sum a_d y(k-d) + bias + e(k): the least squares solution itself.
+    """Least-squares solution of y(k) = sum b_d u(k-d) + sum a_d y(k-d) + bias + e(k).
 
-    Linear fits leave out the rows whose taps reach before a record. Raises InputError as `regressors`, and naming the
+    Linear fits omit the rows with taps before the start of a record. Raises InputError as `regressors`, and naming the
     regressors whose weights are not unique.
     """
     began = monotonic()
@@ -296,7 +300,7 @@ def arx(records: Sequence[Record], inputs: Taps, output: Port, feedback: Sequenc
 
 
 def fir(records: Sequence[Record], inputs: Taps, output: Port, name: str = "fir") -> Trained:
-    """y(k) = sum b_d u(k-d) + bias + e(k), as `arx`."""
+    """Least-squares solution of y(k) = sum b_d u(k-d) + bias + e(k), as `arx`."""
     return arx(records, inputs, output, (), name)
 
 
@@ -308,7 +312,7 @@ def armax(
     noise: Sequence[int],
     name: str = "armax",
 ) -> Trained:
-    """`arx` with e(k) + sum c_d e(k-d) for its noise, trained from the ARX solution. Raises as `arx`."""
+    """`arx` with the noise e(k) + sum c_d e(k-d), trained from the ARX solution. Raises as `arx`."""
     start = arx(records, inputs, output, feedback, name).network
     network = narmax(name, inputs, output, feedback, noise).with_parameters(start.parameters())
     given = [with_measured(r, network) for r in with_full_taps(records, inputs, (*feedback, *noise))]
@@ -316,10 +320,10 @@ def armax(
 
 
 def oe(records: Sequence[Record], inputs: Taps, output: Port, feedback: Sequence[int], name: str = "oe") -> Trained:
-    """y_hat(k) = sum b_d u(k-d) + sum a_d y_hat(k-d) + bias: least error in free run, trained from the ARX solution.
+    """y_hat(k) = sum b_d u(k-d) + sum a_d y_hat(k-d) + bias with the least error in free run.
 
-    The free run starts from rest, so a record that does not should `skip` its beginning. An ARX solution that is
-    unstable has its poles drawn inside the unit circle first. Raises as `arx`.
+    It is trained from the ARX solution. The free run starts from rest, so a record that does not should `skip` its
+    beginning. If the ARX solution is unstable, its poles are first drawn inside the unit circle. Raises as `arx`.
     """
     weights = _stable(arx(records, inputs, output, feedback, name).network.parameters(), output, feedback)
     start = noe(name, inputs, output, feedback).with_parameters(weights)
@@ -348,7 +352,7 @@ def with_full_taps(records: Sequence[Record], inputs: Taps, delays: Sequence[int
 
 
 def _stable(weights: dict[str, np.ndarray], output: Port, feedback: Sequence[int]) -> dict[str, np.ndarray]:
-    """The weights, with a_d times radius^d where poles lie outside: every pole is drawn in by that radius."""
+    """The weights; if a pole lies outside, a_d is multiplied by radius^d, which draws every pole in by that radius."""
     own = {d: f"sum.{output.name}_z{d}" for d in feedback}
     polynomial = np.zeros(max(feedback, default=0) + 1)
     polynomial[0] = 1.0

@@ -13,12 +13,12 @@ from greygate.errors import InputError
 from greygate.models.families.blocks import feedforward
 from greygate.models.network import Layer, Network, Port
 
-MEMORY = 0.3  # gain of a recurrent network's past at the start
+MEMORY = 0.3  # initial gain of a recurrent network's past
 
 
 @dataclass(frozen=True)
 class Template:
-    """What g, f and the linear sum at the output read: x and y for their taps, f and g for the other networks."""
+    """The signals that g, f and the linear sum at the output read: x and y are their taps, f and g the networks."""
 
     g: str = ""
     f: str = ""
@@ -55,8 +55,9 @@ def template(
         4  y = g[y] + sum b_i x_i 8  y = g{y, f[x, y]} + sum b_i x_i
 
     f, g: neurons of their hidden layers. Both are modules of those names, tansig with one linear output, which can be
-    frozen, rehearsed or replaced; the linear part is the layer `sum`, its coefficients zero at first.
-    Raises InputError for a number that is not in the table, or taps that look ahead or that the type does not have.
+    frozen, rehearsed or replaced. The linear part is the layer `sum`, whose coefficients start at zero.
+    Raises InputError for a number that is not in the table, for taps that look ahead, and for taps that the type does
+    not have.
     """
     if number not in TEMPLATES:
         raise InputError(f"network {name}: no template {number}; table 3.2 has 1 to 8")
@@ -143,7 +144,7 @@ def _recurrent(name, inputs, outputs, hidden, seed, full) -> Network:
 
 
 def _layer(network, rng, name, reads, past, size, activation, initial=0.0) -> None:
-    """Weights that keep the layer's sum of what is now near one, and of the past near `MEMORY`."""
+    """Weights that keep the layer's sum of present signals near one, and that of past signals near `MEMORY`."""
     weights: dict[str, np.ndarray] = {}
     for ports, gain in ((reads, 1.0), (past, MEMORY)):
         norm = gain / np.sqrt(max(sum(width for _, _, width in ports.values()), 1))

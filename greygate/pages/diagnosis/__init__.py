@@ -1,4 +1,4 @@
-"""The case of a diagnosis in pictures: one HTML page that needs nothing else (docs/diagnosis.md)."""
+"""A diagnosis with its evidence in pictures: one self-contained HTML page (docs/diagnosis.md)."""
 
 from greygate.mismatch.diagnosis import Diagnosis
 from greygate.pages import templates

@@ -1,4 +1,4 @@
-"""What the sections of the page share: the diagnosis, and what each of its fits leaves."""
+"""Shared by the sections of the page: the diagnosis, and the residual of each of its fits."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,22 +26,22 @@ class Case:
 
     @cached_property
     def changed(self) -> bool:
-        """The diagnosis corrects more than parameters inside their tolerances."""
+        """Whether the diagnosis corrects more than parameters within their tolerances."""
         return self.result.verdict != Verdict.CONSISTENT and (self.result.best.size > 0 or bool(self.found["effects"]))
 
     @cached_property
     def fits(self) -> dict[str, Fit]:
-        """The fits that are drawn: "calibrated", and "corrected" where that is another."""
+        """The fits to draw: "calibrated", and "corrected" if it differs."""
         fits = {"calibrated": self.result.calibrated}
         return fits | ({"corrected": self.result.corrected} if self.changed else {})
 
     @cached_property
     def residuals(self) -> dict[str, Residual]:
-        """What each of `fits` leaves of identify.csv."""
+        """The residual of each of `fits` on identify.csv."""
         return dict(zip(self.fits, residuals(self.result, list(self.fits.values())), strict=True))
 
     @cached_property
     def depends_on(self) -> list[str]:
-        """Variables that the diagnosis names as what the mismatch depends on."""
+        """The variables on which the mismatch depends, according to the diagnosis."""
         variables = self.residuals["calibrated"].variables
         return [v for place in self.found["where"] for v in place["depends_on"] if v in variables]

@@ -1,4 +1,4 @@
-"""The evidence: how much worse than the best each hypothesis is."""
+"""The section on the evidence: how much worse each hypothesis is than the best."""
 
 import math
 from html import escape
@@ -22,7 +22,7 @@ def context(case: Case) -> dict | None:
 
 
 def ladder(result: Diagnosis, width: int = 980) -> Markup:
-    """Every hypothesis that was fitted in full, by how much worse than the best it is, on a logarithmic scale."""
+    """Draw every fully fitted hypothesis by its distance from the best, on a logarithmic scale."""
     best = min(result.rivals.values())
     taken = None if result.verdict == Verdict.UNEXPLAINED else result.best
     rungs = sorted((cost - best, str(h), h == taken) for h, cost in result.rivals.items())

@@ -1,4 +1,4 @@
-"""Which rig it is, the verdict, and the headline."""
+"""The head of the page: the rig, the verdict, and the headline."""
 
 from greygate.mismatch.locate import display_unit
 from greygate.mismatch.verdict import Verdict
@@ -6,7 +6,7 @@ from greygate.pages.diagnosis.case import Case
 from greygate.pages.units import number
 from greygate.pages.words import amount, means, parameter
 
-BETTER = 0.98  # of an RMS error, below which a correction counts as one
+BETTER = 0.98  # ratio of RMS errors below which a correction counts as an improvement
 
 
 def context(case: Case) -> dict:
@@ -21,7 +21,7 @@ def context(case: Case) -> dict:
 
 
 def facts(case: Case) -> list[tuple[str, str, bool | None]]:
-    """The headline: (value, what it is, good or bad or neither)."""
+    """The headline: (value, its meaning, whether it is good, or None)."""
     found = case.found
     place = " and ".join(p["equation"] for p in found["where"])
     lines: list[tuple[str, str, bool | None]] = [
@@ -41,7 +41,7 @@ def facts(case: Case) -> list[tuple[str, str, bool | None]]:
 
 
 def _error(case: Case) -> tuple[str, str, bool | None]:
-    """The RMS error that the correction lowers most, before and after."""
+    """The RMS error that the correction reduces most, before and after it."""
     fit = case.found["fit"]
     record = "holdout" if "holdout" in fit else "identify"
     channel, rms = min(fit[record].items(), key=lambda item: item[1]["corrected"] / item[1]["calibrated"])

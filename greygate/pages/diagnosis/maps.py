@@ -1,4 +1,4 @@
-"""Maps of the mismatch: what a fit leaves over two variables, and over time."""
+"""Maps of the mismatch: the residual of a fit over two variables, and over time."""
 
 from collections.abc import Sequence
 
@@ -21,7 +21,7 @@ def context(case: Case) -> dict:
 
 
 def maps(before: Residual, after: Residual | None, told: Sequence[str]) -> list[dict]:
-    """Of each channel: residual over the two variables that tell most of it, and over time."""
+    """For each channel, the residual over the two variables that explain most of it, and over time."""
     rows = []
     for channel, error in before.errors.items():
         shares = {n: dependence(x, error) for n, x in before.variables.items()}

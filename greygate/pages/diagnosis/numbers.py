@@ -1,4 +1,4 @@
-"""Every figure of the diagnosis, and what it could not tell."""
+"""The section with every figure of the diagnosis, and with the questions it leaves open."""
 
 from collections.abc import Mapping
 
@@ -8,7 +8,7 @@ from greygate.pages.diagnosis.case import Case
 
 
 def context(case: Case) -> dict:
-    """Effects with their parameters, the fit, and what remains open."""
+    """Effects with their parameters, the fit, and open questions."""
     result, found = case.result, case.found
     return {
         "effects": [(e, words.means(result, e), amounts(e["parameters"])) for e in found["effects"]],
@@ -22,7 +22,7 @@ def context(case: Case) -> dict:
 
 
 def amounts(parameters: Mapping) -> list[tuple[str, words.Amount, str]]:
-    """(name, amount, term where a fitted term stands for the effect)."""
+    """(name, amount, and the term, if a fitted term stands for the effect)."""
     return [
         (n, words.amount(p["value"], p["ci95"], p["unit"]), f"{p['place']}: {p['term']}" if "term" in p else "")
         for n, p in parameters.items()

@@ -1,4 +1,4 @@
-"""What a fit leaves of a recording, beside what it may depend on, in parts of equal width."""
+"""The residual of a fit on a recording, with the variables on which it may depend, in parts of equal width."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,9 +10,9 @@ from greygate.mismatch.fit import Fit
 from greygate.mismatch.locate import signals
 from greygate.mismatch.model import Model
 
-PIECE = 0.1  # s of a window in pictures of the residual, where a rig restarts
-SETTLED = 0.3  # of such a window, from which on its pressures count
-SKIP = 0.5  # s at the beginning in which states settle that no sensor shows
+PIECE = 0.1  # s, length of a window in pictures of the residual, if a rig restarts
+SETTLED = 0.3  # share of such a window after which its pressures count
+SKIP = 0.5  # s at the beginning, in which unmeasured states settle
 PARTS = (6, 240)  # of a variable's range, in pictures of the residual: fewest and most
 FEW = 2000  # points
 FEWEST = 5  # points in a part that is drawn
@@ -20,11 +20,11 @@ FEWEST = 5  # points in a part that is drawn
 
 @dataclass(frozen=True)
 class Residual:
-    """Recorded minus simulated by a fit, of every predicted channel, beside what it may depend on.
+    """Recorded minus simulated for every predicted channel, with the variables on which it may depend.
 
-    errors: name -> (points,), SI, the name telling channel and kind. units: of errors and variables. variables: name ->
-    (points,), SI. Points are samples; where the rig restarts, windows of `PIECE` s: a position by how fast its error
-    grows, any other channel by its mean error.
+    errors: name -> (points,), SI; the name gives channel and kind. units: of errors and variables. variables: name ->
+    (points,), SI. Points are samples. If the rig restarts, they are windows of `PIECE` s: for a position the growth
+    rate of its error, for any other channel its mean error.
     """
 
     errors: Mapping[str, np.ndarray]
@@ -33,7 +33,7 @@ class Residual:
 
 
 def residuals(result: Diagnosis, fits: Sequence[Fit]) -> list[Residual]:
-    """What each fit leaves of identify.csv."""
+    """The residual of each fit on identify.csv."""
     rig, recording = result.rig, result.calibrated.likelihood.model.recording
     piece = max(round(PIECE / rig.dt), 10) if rig.window else None
     model = Model(rig, recording, result.corrected.likelihood.model.effects, piece)
@@ -70,7 +70,7 @@ def known(model: Model, fit: Fit) -> dict[str, float]:
 
 
 def edges_of(values: np.ndarray, parts: int) -> np.ndarray:
-    """Equal parts of where nearly all values lie."""
+    """Edges of equal parts of the range that holds nearly all values."""
     low, high = np.percentile(values, (0.5, 99.5))
     return np.linspace(low, high if high > low else low + 1.0, parts + 1)
 
@@ -98,7 +98,7 @@ def binned(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def dependence(x: np.ndarray, y: np.ndarray) -> float:
-    """Share of the variance of y that its mean over parts of x explains, less what chance explains."""
+    """Share of the variance of y that its mean over parts of x explains, minus the share that chance explains."""
     parts = parts_of(x)
     which = np.clip(np.digitize(x, edges_of(x, parts)), 0, parts + 1)
     count = np.bincount(which, minlength=parts + 2)

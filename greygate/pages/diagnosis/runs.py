@@ -15,7 +15,7 @@ from greygate.pages.figures import BINS, Line, envelope, shortened
 from greygate.pages.units import labelled
 
 ZOOM = 2.0  # s drawn where the misfit is largest; two windows where a rig has them
-SHORTEST = 150  # samples of that
+SHORTEST = 150  # samples that are drawn at least
 LOOK = {"calibrated": "before", "corrected": "after"}  # class of a line
 
 
@@ -25,7 +25,7 @@ def context(case: Case) -> dict:
 
 
 def runs(case: Case) -> list[dict]:
-    """Per channel: errors over a whole recording by the rule of the rigs, and a zoom on the largest misfit.
+    """For each channel, the errors over a recording by the rig's rule, and a zoom on the largest misfit.
 
     The recording is holdout.csv where there is one.
     """
@@ -52,7 +52,7 @@ def runs(case: Case) -> list[dict]:
 
 
 def run_picture(errors: Mapping[str, np.ndarray], result: Diagnosis, channel: str) -> Markup:
-    """Errors over the whole recording, scaled to what comes after the first window."""
+    """Draw the errors over the recording, on a scale for the part after the first window."""
     dt = result.rig.dt
     later = [e[result.rig.window or 0 :] for e in errors.values()]
     low, high = min(float(e.min()) for e in later), max(float(e.max()) for e in later)
@@ -73,7 +73,7 @@ def run_picture(errors: Mapping[str, np.ndarray], result: Diagnosis, channel: st
 
 
 def zoom_picture(result: Diagnosis, target: np.ndarray, predicted: Mapping[str, np.ndarray], channel: str) -> Markup:
-    """What the calibrated simulation misses where it errs most, and what the correction adds to it."""
+    """Draw the calibrated simulation's residual where it is largest, and the change by the correction."""
     dt, window = result.rig.dt, result.rig.window
     length = min(2 * window if window else max(round(ZOOM / dt), SHORTEST), len(target))
     missed = np.nan_to_num(target - predicted["calibrated"])

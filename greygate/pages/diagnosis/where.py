@@ -1,4 +1,4 @@
-"""Where the calibrated simulation errs: what it leaves, against each variable."""
+"""The section on where the calibrated simulation errs: its residual against each variable."""
 
 from collections.abc import Sequence
 
@@ -24,7 +24,7 @@ def context(case: Case) -> dict:
 
 
 def against(before: Residual, after: Residual | None, told: Sequence[str]) -> list[dict]:
-    """A row a channel, a picture a variable: median and quartiles of the residual."""
+    """Median and quartiles of the residual: a row for each channel, a picture for each variable."""
     rows = []
     for channel, error in before.errors.items():
         drawn = {name: binned(x, error) for name, x in before.variables.items()}

@@ -1,7 +1,7 @@
-"""The report: what quantization cost, as one self-contained HTML page. How to read it: docs/report.md.
+"""The report on what quantization cost, as one self-contained HTML page (docs/report.md says how to read it).
 
-`study.study` measures one compiled network, `page` draws several, `write` puts page and JSON on disk. The dict of a
-study is in SI units; the page turns them into what a person reads.
+`study.study` measures one compiled network, `page` draws several studies, `write` writes the page and the JSON. The
+dict of a study is in SI units; the page converts them into a person's units.
 """
 
 import json
@@ -19,9 +19,9 @@ SECTIONS = (head, widths, formats, runs, inside)
 
 
 def page(studies: Sequence[dict], tables: Sequence[Sequence[dict]] = ()) -> str:
-    """One HTML page that needs nothing else: styles and pictures (SVG) are inside. studies: as `study` gives them.
+    """Make one self-contained HTML page, with styles and pictures (SVG) inside. studies: by `study`.
 
-    tables: of `greygate.pages.summary`, on top.
+    tables: of `greygate.pages.summary`, shown on top.
     """
     title = f"greygate report: {', '.join(s['title'] for s in studies)}"
     sections = [(s["title"], templates.render_sections(SECTIONS, s)) for s in studies]
@@ -31,7 +31,7 @@ def page(studies: Sequence[dict], tables: Sequence[Sequence[dict]] = ()) -> str:
 def write(
     studies: Sequence[dict], html_path: Path | str, json_path: Path | str, tables: Sequence[Sequence[dict]] = ()
 ) -> None:
-    """Write `page` and the JSON, each whole or not at all. Raises InputError where a folder cannot be written."""
+    """Write `page` and the JSON, each completely or not at all. Raises InputError if a folder cannot be written."""
     html, text = page(studies, tables), json.dumps(list(studies), indent=1, allow_nan=False, ensure_ascii=False)
     text = re.sub(r"\[[^][{}]*\]", lambda found: " ".join(found[0].split()), text)  # a list of numbers on one line
     with replacing_all([html_path, json_path]) as (first, second):

@@ -1,4 +1,4 @@
-"""What each format holds, beside what its signal does."""
+"""The section that compares the range of each format with that of its signal."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""Which program it is, its headline, and a table of errors, a row per scenario and output."""
+"""The head of a study: its program, its headline, and a table of errors with a row for each scenario and output."""
 
 from greygate.pages.units import differing, figure, number
 
@@ -9,7 +9,7 @@ def context(study: dict) -> dict:
 
 
 def facts(found: dict) -> list[tuple[str, str, bool | None]]:
-    """The headline of one study: (value, what it is, good or bad or neither)."""
+    """The headline of one study: (value, its meaning, whether it is good, or None)."""
     ratios = [o["ratio"] for s in found["scenarios"].values() for o in s["outputs"].values() if o["ratio"]]
     lines: list[tuple[str, str, bool | None]] = []
     if ratios:

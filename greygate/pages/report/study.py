@@ -1,4 +1,4 @@
-"""What quantization cost one compiled network, measured: one JSON-able dict in SI units. See docs/report.md."""
+"""Measures what quantization cost one compiled network; the result is a JSON-able dict in SI units (docs/report.md)."""
 
 import math
 import re
@@ -39,16 +39,16 @@ def study(
     formats: Formats | None = None,
     progress: Progress = silent,
 ) -> dict:
-    """Everything the report knows of one compiled network, in SI units; numbers are finite, None where there is none.
+    """Measure everything that the report shows of one compiled network, in SI units; a figure is finite or None.
 
-    records: scenarios; their targets are the reference. ranged_on: those whose ranges set the formats. period: s.
-    called: its name where it stands beside others; the program's if not given.
+    records: scenarios, whose targets are the reference. ranged_on: those whose ranges set the formats. period: s.
+    called: its name in tables of several networks; the name of the program if not given.
     references: published RMSE by source, scenario and output, {"thesis": {"v1": {"p_a": 55200.0}}}; a value may be a
     pair (low, high). hardware: by architecture, {"parallel": {"clocks_per_step": 40, "scenarios": {"v1": {"steps":
-    5000, "differing_bits": 0}}}}. resources: {"parallel, ecp5": {"luts": 9000, ...}}. widths, formats: word widths of
-    the curve, and everything else about its formats.
+    5000, "differing_bits": 0}}}}. resources: {"parallel, ecp5": {"luts": 9000, ...}}. widths: word widths of the curve.
+    formats: all other properties of its formats.
 
-    Raises InputError when one of `ranged_on` is no scenario, or the float network diverges on one.
+    Raises InputError if one of `ranged_on` is not a scenario, or the float network diverges on one.
     """
     for name in ranged_on:
         if name not in records:
@@ -96,7 +96,7 @@ def _scenario(compiled: Compiled, record: Record, period: float) -> tuple[dict, 
 
 
 def _labels(port: Terminal) -> list[str]:
-    """Names of a port's elements: its own, or `name[0]`, `name[1]`, ... where there are several."""
+    """Names of a port's elements: the name of the port, or `name[0]`, `name[1]`, ... if there are several."""
     return [port.name] if port.signal.size == 1 else [f"{port.name}[{i}]" for i in range(port.signal.size)]
 
 
@@ -156,7 +156,7 @@ def _ratio(fixed: float, floating: float) -> float | None:
 
 
 def _hardware(found: Mapping, scenario: str, fixed: float) -> dict | None:
-    """What verify found of one architecture on one scenario: with no differing bit its RMSE is that of fixed point."""
+    """The result of verify for one architecture and scenario; if no bit differs, its RMSE is that of fixed point."""
     verdict = found.get("scenarios", {}).get(scenario)
     if verdict is None:
         return None
@@ -175,8 +175,9 @@ def _curve(
 ) -> dict:
     """RMSE(fixed)/RMSE(float) of every output on every scenario, for programs of other word widths.
 
-    Simplification and ranges are those of `compiled`; formats, tables and biases are made anew. `word` is the
-    width whose program errs exactly as `compiled` does, if there is one. None: a width that cannot hold the ranges.
+    Simplification and ranges are those of `compiled`; formats, tables and biases are made anew. `word` is the width
+    whose program has exactly the errors of `compiled`, if there is one. None stands for a width that cannot hold the
+    ranges.
     """
     widths, word = list(widths), None
     ratio: dict[str, dict[str, list[float | None]]] = {n: {o: [] for o in s["outputs"]} for n, s in scenarios.items()}
@@ -205,11 +206,11 @@ def _curve(
 
 
 def _signals(compiled: Compiled, record: Record, saturations: Mapping[str, Mapping[str, int]]) -> list[dict]:
-    """Every signal of the program: its format, what the format holds, and what the signal does (normalised units).
+    """Every signal of the program: its format, the range of the format, and that of the signal (normalised units).
 
     observed: (low, high) of the float network on the record; a delayed signal or a view has that of its origin, and a
-    signal that only the program knows that of its codes. sound: proved bounds, None where there are none.
-    quantiles: of |value| where it is not zero, on the record.
+    signal that only the program has, that of its codes. sound: proved bounds, or None. quantiles: of |value| on the
+    record, where it is not zero.
     """
     program = compiled.program
     trace = run(program, program.encode(record.inputs), trace=True, states=False).trace or {}
@@ -254,7 +255,7 @@ def _table(t: Table, program: Program) -> dict:
 
 
 def size(program: Program) -> dict[str, int]:
-    """What the program is made of: products of one step, bits of weights, of states and of tables."""
+    """The size of the program: products of one step, and bits of weights, of states and of tables."""
     affine = [o for o in program.operations if isinstance(o, Affine)]
     return {
         "operations": len(program.operations),

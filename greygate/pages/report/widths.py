@@ -1,4 +1,4 @@
-"""What a narrower or wider word would cost."""
+"""The section on what a narrower or wider word would cost."""
 
 from markupsafe import Markup
 

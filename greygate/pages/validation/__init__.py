@@ -1,4 +1,4 @@
-"""What `greygate validate` finds, as one HTML page. How to read it: docs/validation.md."""
+"""The results of `greygate validate` as one HTML page (docs/validation.md says how to read it)."""
 
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
@@ -11,7 +11,7 @@ SECTIONS = (head, records, ranges)
 
 
 def page(judged: Judged) -> str:
-    """One HTML page that needs nothing else: styles, pictures (SVG), and Plotly for the runs that can be zoomed."""
+    """Make one self-contained HTML page: styles, pictures (SVG), and Plotly for the runs that can be zoomed."""
     return templates.render(
         "validation/page.html",
         title=f"greygate validation: {judged.title}",

@@ -1,4 +1,4 @@
-"""Which network it is, its headline, and a table with a row per record and output."""
+"""The head of the page: the network, its headline, and a table with a row for each record and output."""
 
 import math
 
@@ -13,7 +13,7 @@ def context(judged: Judged) -> dict:
 
 
 def facts(judged: Judged) -> list[tuple[str, str, bool | None]]:
-    """The headline: (value, what it is, good or bad or neither)."""
+    """The headline: (value, its meaning, whether it is good, or None)."""
     fresh = [v for v in judged.validations if v.record not in judged.training] or judged.validations
     worst = min(fresh, key=lambda v: v.fit if not math.isnan(v.fit) else math.inf)
     where = f"{worst.output} on {worst.record}"

@@ -1,4 +1,4 @@
-"""A network judged on its records: what the validation page shows and what the terminal prints."""
+"""A network judged on its records, for the validation page and for the terminal."""
 
 import math
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from greygate.source import Source
 
 @dataclass(frozen=True)
 class Judged:
-    """One network on its records. training: those that it learnt from. period: s."""
+    """One network judged on its records. training: the records it was trained on. period: s."""
 
     title: str
     name: str
@@ -40,8 +40,8 @@ class Judged:
 def judge(source: Source, lags: int = 25, progress: Progress = silent) -> Judged:
     """Validate a network of the catalogue, or a file, on its records. Raises InputError as `validate` and `Source`.
 
-    A network of the catalogue is judged on what it learnt from too, if recordings are given; any other is taken to have
-    learnt from the first one.
+    A network of the catalogue is also judged on its training records, even if recordings are given. Any other network
+    is assumed to be trained on the first recording.
     """
     network, records, training = source.network(), source.records(), source.training
     if source.name in CATALOG and source.recordings:
@@ -66,7 +66,7 @@ def long_run(v: Validation) -> str:
 
 
 def rows(judged: Judged) -> list[dict]:
-    """What stands in the table, by column, a row per record and output."""
+    """The rows of the table, {column: cell}, one for each record and output."""
     found = []
     for v in judged.validations:
         reach = v.rms if math.isfinite(v.rms) else v.spread

@@ -1,4 +1,4 @@
-"""Which ranges the training records cover, and how far each record goes beyond."""
+"""The section on the ranges of the training records, and on how far each record exceeds them."""
 
 from itertools import groupby
 
@@ -12,7 +12,7 @@ def context(judged: Judged) -> dict:
 
 
 def bars(judged: Judged) -> list[tuple[str, list[dict]]]:
-    """(signal with unit, a bar per record) in per cent of the axis: what was learnt, and what the record covers."""
+    """(signal with unit, a bar for each record): the ranges of training and of the record, in per cent of the axis."""
     found = []
     for (signal, unit), ranges in groupby(judged.ranges, key=lambda r: (r.signal, r.unit)):
         group = list(ranges)

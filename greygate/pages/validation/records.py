@@ -15,7 +15,7 @@ from greygate.pages.units import display, labelled
 from greygate.pages.validation.judged import Judged, long_run
 from greygate.plain import plain
 
-DRAWN = 20_000  # samples of a run that are drawn one by one; of a longer one, least and largest of so many bins
+DRAWN = 20_000  # longest run that is drawn sample by sample; a longer one is drawn by least and largest of bins
 BARS = 40  # of the error's histogram
 WIDTH = 285  # px of a small picture
 SYMBOLS = {"phi_ee": "φ(e, e)", "phi_ue": "φ({}, e)", "phi_u2e": "φ({}², e)", "phi_u2e2": "φ({}², e²)",
@@ -65,13 +65,13 @@ def _response(v: Validation) -> Markup:
 
 
 def run_data(v: Validation, period: float) -> dict:
-    """What Plotly draws: measured, predicted and error over time, JSON-able, with binary float32.
+    """The data for Plotly: measured, predicted and error over time, JSON-able, with binary float32.
 
     Plotly takes labels as HTML, so they are escaped; the template's `tojson` then keeps them inside <script>.
     """
     factor, unit = display(v.unit, float(np.abs(v.measured).max()))
     small, small_unit = display(v.unit, v.rms if math.isfinite(v.rms) else v.spread)
-    reach = LEASH * (np.ptp(v.measured) or np.inf)  # a run that diverges is drawn so far
+    reach = LEASH * (np.ptp(v.measured) or np.inf)  # a run that diverges is drawn up to here
     leash = np.mean(v.measured) + reach * np.array([-1, 1])
     near = np.where((v.predicted > leash[0]) & (v.predicted < leash[1]), v.predicted, np.nan)
     traces = {"measured": v.measured * factor, "predicted": near * factor, "error": (v.measured - near) * small}
@@ -85,7 +85,7 @@ def run_data(v: Validation, period: float) -> dict:
 
 
 def _thinned(y: np.ndarray) -> np.ndarray:
-    """Samples to draw: all, or where each of DRAWN / 2 bins has its least and its largest value."""
+    """Indices of the samples to draw: all, or those of the least and largest value of each of DRAWN / 2 bins."""
     if len(y) <= DRAWN:
         return np.arange(len(y))
     edges = np.linspace(0, len(y), DRAWN // 2 + 1).astype(int)
@@ -137,7 +137,7 @@ def stems(test: Correlation) -> Markup:
 
 
 def ahead(v: Validation, factor: float, unit: str) -> Markup:
-    """RMS over the horizon; the level is the free run's."""
+    """RMS over the prediction horizon; the horizontal line is the RMS of the free run."""
     steps = list(v.ahead)
     values = plain([rms * factor if math.isfinite(rms) else None for rms, _ in v.ahead.values()])
     levels = [(v.rms * factor, "")] if math.isfinite(v.rms) else []
@@ -156,7 +156,7 @@ def ahead(v: Validation, factor: float, unit: str) -> Markup:
 
 
 def repetitions(v: Validation, factor: float, unit: str) -> Markup:
-    """Error of each repetition, and how far the prediction goes as recorded and with larger inputs."""
+    """Error of each repetition, and the range of the prediction with the recorded inputs and with larger ones."""
     number = list(range(1, len(v.long_run.rms) + 1))
     ends = (0.6, number[-1] + 0.4)
     rms = plain([value * factor for value in v.long_run.rms])
