@@ -43,8 +43,7 @@ def diagnose(
 ) -> None:
     """Say where a simulation and a recording differ, what physics is left out, and how much better it fits with it.
 
-    The files: docs/diagnosis.md. Exit code 0 whatever the verdict; of several rigs one that cannot be diagnosed is
-    told, the others are written, and the exit code is 2.
+    The files: docs/diagnosis.md. Exit code 0 whatever the verdict; 2 if a rig cannot be diagnosed: others are written.
     """
     from greygate.explain import explain, explain_all
 
@@ -170,7 +169,7 @@ def augment(
 
 
 def conceal(
-    plant: Annotated[str, typer.Argument(help="A rig by name; another name lists those there are.")],
+    plant: Annotated[str, typer.Argument(help="A plant by name; an unknown name lists those there are.")],
     seed: Annotated[int, typer.Option(callback=options.SEED, help="Draws everything.")],
     out: Annotated[Path, typer.Option(help="Folder to write; replaced if it is an earlier case.")],
     kind: Annotated[str, typer.Option(help="clean, parameter, one, two, foreign, or any.")] = "any",
