@@ -58,7 +58,11 @@ def on_files(files, config):
 
 
 def on_page_markdown(markdown, page, config, files) -> str:
-    """The public names, pictures from elsewhere, and files of the repository, which are named and not linked."""
+    """The public names, pictures from elsewhere, and files of the repository, which are named and not linked.
+
+    README.md is the site's first page.
+    """
+    markdown = markdown.replace("](../README.md", "](index.md")
     for source, shown in FIGURES.items():
         markdown = markdown.replace(source, shown)
     markdown = re.sub(r"\[[^\]]*\]\(\.\./([^)]+)\)", r"`\1`", markdown)

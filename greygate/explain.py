@@ -186,7 +186,10 @@ def isolable(
         recording = rig.recording(path)
     effects = table_of(own, rig, recording)
     check(rig, recording, effects)
-    found = isolability(Search(rig, recording, effects, free_run=Likelihood if rig.stated else Coloured))
+    search = Search(rig, recording, effects, free_run=Likelihood if rig.stated else Coloured)
+    if not search.effects:
+        raise InputError(f"{rig.plant.name}: no table has an effect of this plant; write one and give it by --effects")
+    found = isolability(search)
     seconds = recording.samples * recording.dt
     motion = "motion by rule" if ranges else "recording"
     head = f"{rig.folder.resolve().name} ({rig.plant.name}), {seconds:.4g} s of {motion}"

@@ -15,6 +15,7 @@ class Activation:
 
     value: f of (xp, n). slope: dy/dn of (xp, y); or of (xp, y, n) where y does not tell it, and n must be summed again.
     xp is numpy, torch, `models.arithmetic.xp` or, in compiled kernels, `models.scalars`; torch finds slopes by itself.
+    So f may use arithmetic, abs, and of xp what all of them have: exp, tanh, clip, where, ones_like and zeros_like.
     image: least and greatest y. A function without symmetry, or with an odd one, rises monotonically; an even function
     is monotone on either side of zero.
     lowered: the operation that computes it in the integer program (docs/integer-program.md). A threshold answers with

@@ -1,10 +1,16 @@
 """What several test files share."""
 
+import shutil
 import sys
+from pathlib import Path
 
 import pytest
+from networks import delay_line
 
 from greygate import cli
+from greygate.compiler.quantize import Formats
+from greygate.project import compile_project
+from greygate.source import Source
 
 
 @pytest.fixture
@@ -19,3 +25,21 @@ def greygate(monkeypatch, capsys):
         return stopped.value.code, *capsys.readouterr()
 
     return run
+
+
+@pytest.fixture(scope="session")
+def compiled(tmp_path_factory) -> Path:
+    """The folder of a compiled `delay_line`, beside its network and recording; nobody writes into it."""
+    folder = tmp_path_factory.mktemp("compiled")
+    delay_line().save(folder / "line")
+    rows = "".join(f"{k * 1e-3:.3f},{k % 5},{k % 3}\n" for k in range(20))
+    (folder / "a.csv").write_text("t_s,u_V,y_m\n" + rows)
+    compile_project(Source(str(folder / "line.toml"), {"a": str(folder / "a.csv")}), folder / "b", Formats())
+    return folder / "b"
+
+
+@pytest.fixture
+def build(compiled, tmp_path) -> Path:
+    """A copy of it, to be changed."""
+    shutil.copytree(compiled, tmp_path / "b")
+    return tmp_path / "b"

@@ -1,4 +1,4 @@
-"""Random networks: nested modules, feedback, delays, every activation. Used by tests of the whole road."""
+"""Networks that several tests use: a small one, and random ones with nested modules, feedback, every activation."""
 
 import numpy as np
 
@@ -6,6 +6,17 @@ from greygate.models.activations import ACTIVATIONS
 from greygate.models.network import Layer, Network, Port
 
 TAME = tuple(a for a in ACTIVATIONS if a != "square")  # which diverges in a loop
+
+
+def delay_line() -> Network:
+    """One layer that reads its input, that of two steps before, and itself: small enough to work out by hand."""
+    network = Network("line", [Port("u", "V", scale=2.0, offset=1.0, initial=5.0)], [Port("y", "m", scale=10.0)])
+    network.add("sum", Layer({"now": [[1.0]], "old": [[0.5]], "own": [[0.25]]}, [0.1], initial=0.2))
+    network.connect("u", "sum.now")
+    network.connect("u", "sum.old", delay=2)
+    network.connect("sum", "sum.own", delay=1)
+    network.connect("sum", "y")
+    return network
 
 
 def random_network(seed: int, nested: bool = True, activations: tuple[str, ...] = TAME) -> Network:

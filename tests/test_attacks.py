@@ -2,7 +2,6 @@
 
 import gzip
 import os
-import shutil
 import subprocess
 import sys
 import time
@@ -10,10 +9,8 @@ import tracemalloc
 from pathlib import Path
 
 import pytest
-from test_network import delay_line
 
 from greygate import project, table
-from greygate.compiler.quantize import Formats
 from greygate.contents import contents
 from greygate.emulator.program import Program
 from greygate.errors import InputError
@@ -24,25 +21,8 @@ from greygate.mismatch.concealed.conceal import sealed
 from greygate.models.network import Network
 from greygate.models.training.checkpoint import Checkpoint
 from greygate.plants.recording import read_csv
-from greygate.project import Project, compile_project, verify_project
-from greygate.source import Source
+from greygate.project import Project, verify_project
 from greygate.table import read_table
-
-
-@pytest.fixture(scope="module")
-def compiled(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("mail")
-    delay_line().save(folder / "line")
-    rows = "".join(f"{k * 1e-3:.3f},{k % 5},{k % 3}\n" for k in range(20))
-    (folder / "a.csv").write_text("t_s,u_V,y_m\n" + rows)
-    compile_project(Source(str(folder / "line.toml"), {"a": str(folder / "a.csv")}), folder / "b", Formats())
-    return folder / "b"
-
-
-@pytest.fixture
-def build(compiled, tmp_path) -> Path:
-    shutil.copytree(compiled, tmp_path / "b")
-    return tmp_path / "b"
 
 
 @pytest.mark.parametrize("name", ["x.d", "Makefile", "GNUmakefile", "sitecustomize.py", "deep/bench"])

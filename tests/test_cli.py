@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_network import delay_line
+from networks import delay_line
 from typer.testing import CliRunner
 
 from greygate import __version__, cli

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from networks import random_inputs, random_network
-from test_network import delay_line
+from networks import delay_line, random_inputs, random_network
 
 from greygate.compiler.centre import centre_biases
 from greygate.compiler.pipeline import compile_network, entropy_pruning, fixed_error

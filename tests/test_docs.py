@@ -46,7 +46,7 @@ def test_the_python_and_the_commands_in_a_page_run(page, tmp_path, monkeypatch):
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_links_between_pages_lead_somewhere(page):
     for target, anchor in re.findall(r"\]\((?!http)([^)#]*)(?:#([^)]+))?\)", page.read_text()):
-        to = ROOT / "README.md" if target == "index.md" else page.parent / target if target else page
+        to = page.parent / target if target else page
         assert os.path.exists(to), target
         assert not anchor or anchor in anchors(to), f"{target}#{anchor}"
 

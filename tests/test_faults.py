@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from faults import KILLED, LEAVING, libc_has_exchange, struck, unforked, without_exchange
-from test_network import delay_line
+from networks import delay_line
 
 from greygate import explain, files, project, reporting, source
 from greygate.compiler.quantize import Formats

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from test_network import delay_line
+from networks import delay_line
 
 from greygate import files
 from greygate.errors import InputError

@@ -11,8 +11,8 @@ from enum import Enum
 
 import pytest
 import typer
+from networks import delay_line
 from test_cli import recording
-from test_network import delay_line
 
 from greygate import cli
 from greygate.mismatch.concealed.conceal import conceal

@@ -279,6 +279,14 @@ def test_before_data_motions_by_rule_stand_for_the_recording(blind, tmp_path, gr
     assert "identify.csv: there is no such file; record it, or give --range u=LOW:HIGH" in err
 
 
+def test_a_plant_that_no_table_knows_is_refused_with_what_to_do(blind, tmp_path, greygate):
+    for name in ("rig.toml", "linear_motor.toml"):
+        (tmp_path / name).write_text((blind / name).read_text())
+    code, _, err = greygate("isolability", tmp_path, "--range", "u=-2:2")
+    assert code == 2
+    assert "linear_motor: no table has an effect of this plant; write one and give it by --effects" in err
+
+
 @pytest.mark.parametrize(
     ("ranges", "problem"),
     [

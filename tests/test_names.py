@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
+from networks import delay_line
 from programs import cylinder_program, random_program
 from safetensors.numpy import load_file, save_file
 from test_cli import greygate, recording
-from test_network import delay_line
 
 from greygate.emulator.fields import to_json
 from greygate.emulator.program import Program

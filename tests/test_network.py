@@ -3,23 +3,13 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from networks import random_inputs, random_network
+from networks import delay_line, random_inputs, random_network
 
 from greygate.errors import InputError
 from greygate.models.activations import ACTIVATIONS
 from greygate.models.network import Layer, Network, Port
 
 SMOOTH = ("tansig", "logsig", "linear", "radbas", "select")
-
-
-def delay_line() -> Network:
-    network = Network("line", [Port("u", "V", scale=2.0, offset=1.0, initial=5.0)], [Port("y", "m", scale=10.0)])
-    network.add("sum", Layer({"now": [[1.0]], "old": [[0.5]], "own": [[0.25]]}, [0.1], initial=0.2))
-    network.connect("u", "sum.now")
-    network.connect("u", "sum.old", delay=2)
-    network.connect("sum", "sum.own", delay=1)
-    network.connect("sum", "y")
-    return network
 
 
 def test_delays_initial_values_and_normalisation_are_those_worked_by_hand():

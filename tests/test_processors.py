@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_network import delay_line
+from networks import delay_line
 
 from greygate.compiler.pipeline import compile_network
 from greygate.errors import InputError

@@ -1,36 +1,18 @@
 """A build from anywhere is data: no entry leads outside it, and no Verilog runs but its program's."""
 
 import json
-import shutil
 from pathlib import Path
 
 import pytest
-from test_network import delay_line
+from networks import delay_line
 
 from greygate import project
 from greygate.compiler.emit import sources
-from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.files import write_manifest
 from greygate.models.network import Network
-from greygate.project import Project, compile_project, synthesize_project, verify_project
+from greygate.project import Project, synthesize_project, verify_project
 from greygate.source import Source, train_source
-
-
-@pytest.fixture(scope="module")
-def compiled(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("project")
-    delay_line().save(folder / "line")
-    rows = "".join(f"{k * 1e-3:.3f},{k % 5},{k % 3}\n" for k in range(20))
-    (folder / "a.csv").write_text("t_s,u_V,y_m\n" + rows)
-    compile_project(Source(str(folder / "line.toml"), {"a": str(folder / "a.csv")}), folder / "b", Formats())
-    return folder / "b"
-
-
-@pytest.fixture
-def build(compiled, tmp_path) -> Path:
-    shutil.copytree(compiled, tmp_path / "b")
-    return tmp_path / "b"
 
 
 def edited(build: Path, name: str, **entries) -> None:

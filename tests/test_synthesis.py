@@ -4,7 +4,7 @@ import json
 from dataclasses import replace
 
 import pytest
-from test_network import delay_line
+from networks import delay_line
 
 from greygate import project
 from greygate.compiler.quantize import Formats

@@ -5,8 +5,8 @@ import re
 
 import pytest
 from legal_programs import legal_program
+from networks import delay_line
 from programs import cylinder_program, random_program
-from test_network import delay_line
 
 from greygate.cli import builds, networks
 from greygate.compiler import targets

@@ -164,5 +164,6 @@ def _errors(studies: list[dict]) -> list[str]:
             for label, figures in scenario["outputs"].items():
                 factor, unit = display(figures["unit"])
                 float_, fixed = (factor * figures["rmse"][kind] for kind in ("float", "fixed"))
-                lines.append(f"  {name:10} {label:8} RMSE float {float_:8.4g} {unit}, fixed {fixed:8.4g} {unit}")
+                unit = unit and f" {unit}"
+                lines.append(f"  {name:10} {label:8} RMSE float {float_:8.4g}{unit}, fixed {fixed:8.4g}{unit}")
     return lines

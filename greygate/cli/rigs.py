@@ -177,7 +177,7 @@ def augment(
 
 
 def conceal(
-    plant: Annotated[str, typer.Argument(help="Name of a rig; an unknown name lists the rigs.")],
+    plant: Annotated[str, typer.Argument(help="Name of a plant; an unknown name lists the plants.")],
     seed: Annotated[int, typer.Option(callback=options.SEED, help="Seed from which the whole case is drawn.")],
     out: Annotated[Path, typer.Option(help="Folder to write; an earlier case is replaced.")],
     kind: Annotated[str, typer.Option(help="What is concealed: clean, parameter, one, two, foreign, or any.")] = "any",

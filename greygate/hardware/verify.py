@@ -142,7 +142,7 @@ def verify_many(
         np.savez(work / "job.npz", **{k: v for d in designs for k, v in d.arrays().items()})
         simulate(work, folder, junit, seed, environment, waves)
         ended = time.perf_counter()
-        print(f"verify: seed {seed}", file=sys.stderr)
+        print(f"verify: {', '.join(sorted({case.architecture for case in cases}))}: seed {seed}", file=sys.stderr)
         verdicts = work / "verdicts.json"
         if not verdicts.exists() or not junit.exists():
             raise InputError(f"{folder / 'sim.log'}: the simulation ended without results; its last lines say why")
