@@ -8,7 +8,7 @@ from time import perf_counter
 import numpy as np
 
 from greygate.compiler.prune import prune_by_entropy
-from greygate.compiler.saliency import METHODS, Method, Step, prune_by_saliency
+from greygate.compiler.saliency import METHODS, Method, Stage, prune_by_saliency
 from greygate.compiler.simplify import parameter_count
 from greygate.errors import InputError
 from greygate.machines.benchmark_systems.plant import b2, b2_input, b2_test_input
@@ -62,7 +62,7 @@ def main() -> None:
     def smallest(name: str, start: Network, began: float, method: Method) -> None:
         reached = []
 
-        def note(step: Step) -> None:
+        def note(step: Stage) -> None:
             if step.parameters <= 244:
                 reached.append(perf_counter() - began)
 

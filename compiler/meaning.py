@@ -17,7 +17,7 @@ import numpy as np
 
 from greygate.compiler.ranges import ranges, sums
 from greygate.emulator.program import Affine, Program, Threshold
-from greygate.models.families.library import Entry, recalled, rounded_up
+from greygate.models.families.library import LibraryNetwork, recalled, rounded_up
 from greygate.models.network import Layer, Network
 from greygate.models.training.record import Record
 
@@ -88,7 +88,7 @@ class Replaced:
 
     meaning: str
     name: str
-    entry: Entry
+    entry: LibraryNetwork
     form: Network
 
 

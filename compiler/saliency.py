@@ -275,7 +275,7 @@ class _Surgery:
 
 
 @dataclass(frozen=True)
-class Step:
+class Stage:
     """One network of a pruning. error: RMS of each output over the records, normalised; held: over held-out ones."""
 
     network: Network
@@ -292,7 +292,7 @@ class Pruned:
     steps: the given network, then every network that was kept. rounds: every attempt, with the weights that it removed.
     """
 
-    steps: tuple[Step, ...]
+    steps: tuple[Stage, ...]
     rounds: tuple[Round, ...]
 
     @property
@@ -393,11 +393,11 @@ def _retrained(
     return retrained(network, list(records), epochs, decay=decay, free=free, held=held, patience=epochs)
 
 
-def _step(network: Network, records: Sequence[Record], held: Sequence[Record]) -> Step:
+def _step(network: Network, records: Sequence[Record], held: Sequence[Record]) -> Stage:
     neurons = sum(layer.size for layer in network.layers().values() if spareable(layer))
     error = pooled_rms(network, list(records))
     other = pooled_rms(network, list(held)) if held else np.array([])
-    return Step(network, parameter_count(network), neurons, tuple(error.tolist()), tuple(other.tolist()))
+    return Stage(network, parameter_count(network), neurons, tuple(error.tolist()), tuple(other.tolist()))
 
 
 def _named(objective: Objective, weights: np.ndarray) -> dict[str, list[int]]:

@@ -20,7 +20,7 @@ from greygate.mismatch.rig import load
 from greygate.mismatch.simulation import simulate
 from greygate.models.accuracy import float_error
 from greygate.models.training.record import Record
-from greygate.pages.figures import Line, chart, envelope
+from greygate.pages.figures import Curve, chart, envelope
 from greygate.plants import Recording, read_csv
 from greygate.reading import read_json
 
@@ -73,13 +73,13 @@ def predicted(name: str, scenario: str, output: str) -> tuple[Record, np.ndarray
     return record, record.targets[output], record.targets[output] + float_error(chosen.network(), record)[output]
 
 
-def over_time(values: np.ndarray, part: slice, period: float, kind: str) -> Line:
+def over_time(values: np.ndarray, part: slice, period: float, kind: str) -> Curve:
     """At most SHOWN points, extremes kept."""
     drawn = envelope(values[part], SHOWN // 2)
-    return Line([period * (part.start + k) for k in drawn["step"]], drawn["value"], kind)
+    return Curve([period * (part.start + k) for k in drawn["step"]], drawn["value"], kind)
 
 
-def panel(lines: Sequence[Line], x: str, y: str, **options) -> Markup:
+def panel(lines: Sequence[Curve], x: str, y: str, **options) -> Markup:
     return chart(lines, x=x, y=y, width=WIDTH, height=HEIGHT, **options)
 
 
@@ -90,7 +90,7 @@ def belt_drive() -> str:
 
     def plane(part: slice, every: int) -> Markup:
         lines = [
-            Line(list(x[part][::every]), list(1e6 * e[part][::every]), kind)
+            Curve(list(x[part][::every]), list(1e6 * e[part][::every]), kind)
             for e, kind in ((truth, "reference"), (told, "fixed"))
         ]
         return panel(lines, "encoder [mm]", "error [µm]")

@@ -18,7 +18,7 @@ class InputError(ValueError):
 
     >>> emulate(program, {"u": np.array([np.nan])})
     Traceback (most recent call last):
-    greygate.errors.InputError: input u: a value is not finite; mend the recording
+    greygate.errors.InputError: input u: a value is not finite; repair the recording
     """
 
     def __init__(self, message: str):

@@ -28,7 +28,7 @@ _GZIP = b"\x1f\x8b"
 
 
 @dataclass(frozen=True)
-class Table:
+class CsvTable:
     """A header and its rows of numbers.
 
     header: names of the columns, each once. cells: the text of each row, with decimal points. values: float64
@@ -62,7 +62,7 @@ class Table:
         )
 
 
-def read_table(path: Path | str, nan: bool = False) -> Table:
+def read_table(path: Path | str, nan: bool = False) -> CsvTable:
     """The table in a CSV file: UTF-8, columns separated by commas, semicolons or tabs, one header, decimal numbers.
 
     Decimal commas are read if a cell shows that they do not separate thousands. nan: cells may be `nan`, as at the end
@@ -80,7 +80,7 @@ def read_table(path: Path | str, nan: bool = False) -> Table:
                 f"{path}: row {line} has {len(row)} cells, the header {len(header)}; correct the row"
                 + (", or separate columns by semicolons if commas are decimal" if separator == "," else "")
             )
-    return Table(path, header, *_numbers(path, header, rows, lines, _is_plain(text, separator), nan), lines)
+    return CsvTable(path, header, *_numbers(path, header, rows, lines, _is_plain(text, separator), nan), lines)
 
 
 def _text(path: Path) -> str:

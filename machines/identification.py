@@ -42,7 +42,7 @@ class Fold:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class Structure:
     """A structure. build: seed -> start. fit: (start, records) -> what training makes of it.
 
     grown: the start takes the weights of the linear baseline wherever it has weights of the same name.
@@ -66,8 +66,8 @@ class Study:
     recording: str
     published: str
     load: Callable[[Path], tuple[dict[str, Record], dict[str, Record]]]
-    linear: Candidate
-    candidates: Mapping[str, Candidate]
+    linear: Structure
+    candidates: Mapping[str, Structure]
     seeds: Sequence[int]
     folds: Callable[[Runs], list[Fold]]
     period: float

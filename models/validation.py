@@ -98,7 +98,7 @@ class Validation:
 
 
 @dataclass(frozen=True)
-class Range:
+class Covered:
     """What a signal covers on one record against the training records. outside: share of samples beyond `trained`."""
 
     signal: str
@@ -150,7 +150,7 @@ def validate(
         return [v for found in CORES.map(work, records) for v in found]
 
 
-def coverage(network: Network, records: Mapping[str, Record], training: Sequence[str]) -> list[Range]:
+def coverage(network: Network, records: Mapping[str, Record], training: Sequence[str]) -> list[Covered]:
     """Ranges of every input and output on every record. training: names of the records that the network learnt from."""
     found = []
     for port in network.inputs + network.outputs:
@@ -160,7 +160,7 @@ def coverage(network: Network, records: Mapping[str, Record], training: Sequence
             low = min(columns[n].min() for n in training)
             high = max(columns[n].max() for n in training)
             found += [
-                Range(label, port.unit, n, x.min(), x.max(), (low, high), float(np.mean((x < low) | (x > high))))
+                Covered(label, port.unit, n, x.min(), x.max(), (low, high), float(np.mean((x < low) | (x > high))))
                 for n, x in columns.items()
             ]
     return found

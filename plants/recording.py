@@ -9,7 +9,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.files import replacing
-from greygate.table import Table, read_table
+from greygate.table import CsvTable, read_table
 
 UNITS = {
     "s": "s", "m": "m", "m_s": "m/s", "m_s2": "m/s^2", "m3_s": "m^3/s", "rad": "rad", "rad_s": "rad/s",
@@ -151,7 +151,7 @@ def _split(path: Path, column: str, units: Mapping[str, str]) -> tuple[str, str]
     raise InputError(f"{path}: column {column}: {problem}; end its name in one of _{', _'.join(UNITS)}")
 
 
-def _step(table: Table) -> float:
+def _step(table: CsvTable) -> float:
     """The uniform step of the first column."""
     clock = table.values[:, 0]
     steps, step = np.diff(clock), (clock[-1] - clock[0]) / (len(clock) - 1)

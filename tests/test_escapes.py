@@ -30,7 +30,7 @@ from greygate.models.training.record import Record
 from greygate.models.validation import coverage, validate
 from greygate.pages import figures
 from greygate.pages.diagnosis.evidence import ladder as draw_ladder
-from greygate.pages.figures import Line
+from greygate.pages.figures import Curve
 from greygate.pages.report import page
 from greygate.pages.report.study import study
 from greygate.pages.summary import results
@@ -226,7 +226,7 @@ def test_no_text_of_a_drawing_becomes_a_tag():
     signal |= {"quantiles": [0.1, 0.2, 0.3, 0.4, 0.5], "saturations": {}}
 
     def drawn(text: str) -> str:
-        line = Line([0.0, 1.0], [0.0, 1.0], "fixed")
+        line = Curve([0.0, 1.0], [0.0, 1.0], "fixed")
         chart = figures.chart([line], x=text, y=text, levels=[(0.5, text)])
         formats = figures.formats([signal | {"name": text}])
         changes = figures.weight_changes({f"{text}.layer.{text}": np.array([1.0, np.nan])})

@@ -17,7 +17,7 @@ from networks import delay_line
 
 from greygate import explain, files, project, reporting, source
 from greygate.compiler.quantize import Formats
-from greygate.hardware.verify import Verdict, Verification
+from greygate.hardware.verify import Comparison, Verification
 from greygate.models.network import Network
 from greygate.models.training.checkpoint import Checkpoint
 from greygate.models.training.levenberg import Outcome, Trained
@@ -181,7 +181,7 @@ def test_verify_leaves_the_old_verdict_or_the_new_one(built, monkeypatch):
     def simulated(cases, folder, seed):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "results.xml").write_text(f"<testsuites><!-- {seed} --></testsuites>")
-        verdicts = tuple(Verdict("line", case.architecture, "a", 20, 9.0, 0.1, None) for case in cases)
+        verdicts = tuple(Comparison("line", case.architecture, "a", 20, 9.0, 0.1, None) for case in cases)
         return Verification(verdicts, seed, folder / "results.xml", 0.1, 0.1)
 
     monkeypatch.setattr(project, "verify_many", simulated)

@@ -7,7 +7,7 @@ import pytest
 from greygate.errors import InputError
 from greygate.machines.identification import (
     ROOT,
-    Candidate,
+    Structure,
     Study,
     blocked,
     choose,
@@ -175,8 +175,8 @@ def test_identification_repeats_and_saves_what_it_says(tmp_path):
     def fit(network, records):
         return train(network, list(records), epochs=15, decay=1e-3)
 
-    candidates = {"1 neuron": Candidate(build((1,)), fit, grown=True), "2 neurons": Candidate(build((2,)), fit)}
-    study = Study("quick", "", "", load, Candidate(build(()), fit), candidates, (0, 1), masked(3), 1.0)
+    candidates = {"1 neuron": Structure(build((1,)), fit, grown=True), "2 neurons": Structure(build((2,)), fit)}
+    study = Study("quick", "", "", load, Structure(build(()), fit), candidates, (0, 1), masked(3), 1.0)
     lines = []
     first, again = identify(study, tmp_path, lines.append), identify(study, tmp_path)
     assert len(lines) == 5
@@ -211,8 +211,8 @@ def test_a_structure_is_chosen_by_the_median_of_its_seeds_unless_the_study_says_
 
     u = np.random.default_rng(0).normal(size=200)
     runs = {"all": Record({"u": u}, {"y": u})}
-    candidates = {name: Candidate(lambda seed, of=of: build(of[seed]), fit) for name, of in GAINS.items()}
-    linear = Candidate(lambda seed: build(0.0), fit)
+    candidates = {name: Structure(lambda seed, of=of: build(of[seed]), fit) for name, of in GAINS.items()}
+    linear = Structure(lambda seed: build(0.0), fit)
     study = Study(
         "gain", "", "", lambda f: (runs, runs), linear, candidates, range(4), tails(0.2), 1.0, typical=typical
     )

@@ -30,7 +30,7 @@ class Mismatch(AssertionError):
     """The design and the emulator differ, or the design does not answer."""
 
 
-class Design:
+class UnderTest:
     """One design in the bench: its handles, and how to read what is seen of it: {states, m_axis_tdata}."""
 
     def __init__(self, dut, job: dict):
@@ -87,7 +87,7 @@ def bit_strings(words: np.ndarray) -> list[str]:
     return [text[k : k + width] for k in range(0, len(text), width)]
 
 
-async def play(design: Design, samples: list[bytes], expected: list[str], steps: int, seed: int) -> float:
+async def play(design: UnderTest, samples: list[bytes], expected: list[str], steps: int, seed: int) -> float:
     """Run `steps` steps from idle and compare each; returns clocks per step. The first three steps are not paused."""
     rng = np.random.default_rng(seed)
     pauses = np.where(rng.random((2, steps + 1)) < PAUSED, rng.integers(1, 6, (2, steps + 1)), 0)
@@ -126,7 +126,7 @@ async def play(design: Design, samples: list[bytes], expected: list[str], steps:
     return clocks
 
 
-async def watch(design: Design, verdict: dict) -> None:
+async def watch(design: UnderTest, verdict: dict) -> None:
     """Fail the test when no step ends for PATIENCE clocks."""
     seen = None
     while seen != design.step:
@@ -149,7 +149,7 @@ def make_test(job: dict, scenario: dict, arrays, seed: int, verdicts: list, repo
         began = np.frombuffer(bytes.fromhex(job["initial"]) if initial is None else initial, np.uint8)
         began = bit_strings(began[None])[0] if began.size else ""
         rng = np.random.default_rng(seed)
-        design = Design(dut, job)
+        design = UnderTest(dut, job)
         design.source.value = 0
         design.load.value = 0
         clock = Clock(design.clk, CLOCK)

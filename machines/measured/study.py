@@ -10,9 +10,9 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.machines.identification import (
-    Candidate,
     Fold,
     Runs,
+    Structure,
     Study,
     blocked,
     initialised,
@@ -42,16 +42,16 @@ def _linear(name: str, inputs: Mapping[Port, Sequence[int]], output: Port, feedb
         taught = train(network, list(records), teacher=True, **options).network
         return train(taught, list(records), **options)
 
-    return Candidate(lambda seed: noe(name, inputs, output, feedback), fit)
+    return Structure(lambda seed: noe(name, inputs, output, feedback), fit)
 
 
-def _hammerstein(hidden: int, *orders, **options) -> dict[str, Candidate]:
+def _hammerstein(hidden: int, *orders, **options) -> dict[str, Structure]:
     """`hidden` neurons on the inputs beside a linear model, trained from the linear model of the same orders."""
 
     def fit(network: Network, records: Sequence[Record]) -> Trained:
         return train(network, list(records), **options)
 
-    return {f"{hidden} neurons": Candidate(lambda seed: noe(*orders, (hidden,), seed, True), fit, grown=True)}
+    return {f"{hidden} neurons": Structure(lambda seed: noe(*orders, (hidden,), seed, True), fit, grown=True)}
 
 
 # ---- servo-hydraulic test machine
@@ -127,9 +127,9 @@ CRANE = Study(
     "hydraulic-actuator-crane",
     "github.com/zhenwendai/RGP, datasets/system_identification/actuator.mat",
     _crane,
-    Candidate(lambda seed: crane(0, 0), _crane_fit),
+    Structure(lambda seed: crane(0, 0), _crane_fit),
     {
-        f"friction {n}, delay {d}": Candidate(partial(crane, 1, n, d), _crane_fit)
+        f"friction {n}, delay {d}": Structure(partial(crane, 1, n, d), _crane_fit)
         for n, d in ((0, 4), (1, 3), (1, 4), (1, 5), (1, 6))
     },
     seeds=range(6),
@@ -176,11 +176,11 @@ EMPS = Study(
     "emps",
     "nonlinearbenchmark.org (EMPS; A. Janot, M. Gautier, M. Brunot, 2019)",
     _emps,
-    Candidate(
+    Structure(
         lambda seed: axis(coulomb=0.0),
         partial(_emps_fit, free={f"balance.{part}": np.zeros(1, bool) for part in ("sign", "forward")}),
     ),
-    {f"residual {n}": Candidate(lambda seed, n=n: axis(hidden=n, seed=seed), _emps_fit) for n in (0, 2, 4)},
+    {f"residual {n}": Structure(lambda seed, n=n: axis(hidden=n, seed=seed), _emps_fit) for n in (0, 2, 4)},
     seeds=range(3),
     folds=_emps_folds,
     period=1e-3,
@@ -221,7 +221,7 @@ TANKS = Study(
     _tanks,
     _linear("tanks", {PUMP: (1, 2)}, LEVEL, (1, 2), epochs=200, estimate_initial=True),
     {
-        name: Candidate(partial(tanks, **options), _tanks_fit)
+        name: Structure(partial(tanks, **options), _tanks_fit)
         for name, options in {
             "plain": {"rim": False, "widening": False},
             "rim": {"widening": False},
@@ -261,7 +261,7 @@ CED = Study(
     _ced,
     _linear("ced", {VOLTAGE: (1, 2, 3)}, PULSES, (1, 2, 3), epochs=200),
     {
-        name: Candidate(partial(drives, **options), _ced_fit)
+        name: Structure(partial(drives, **options), _ced_fit)
         for name, options in {
             "friction 2": {"friction": 2},
             "friction 3": {"friction": 3},

@@ -35,7 +35,7 @@ ROUNDING = 1e-15  # relative rounding error of a few float operations
 
 
 @dataclass(frozen=True)
-class Entry:
+class LibraryNetwork:
     """A library network with its function, its ranges and its worst error.
 
     function: the exact answer to arrays given by port name, NaN where it is not defined. text: the function in a line.
@@ -98,14 +98,14 @@ def _passing_error(reach: float) -> float:
     return reach * (1 - PASSED * math.tanh(1 / PASSED) + 2 * PASSED * 10 * (1 - math.tanh(SATURATED)))
 
 
-def switch_1(reach: float = 1.0) -> Entry:
+def switch_1(reach: float = 1.0) -> LibraryNetwork:
     """Switching network type 1 (3.4), kappa = 100: y = u1 for s = 1, u2 for s = -1. reach: largest |u1|, |u2|."""
     _positive("switch_1", reach=reach)
     k, r = PASSED, PASSED * reach
     gates = Layer({"u1": [[1 / r], [0.0]], "u2": [[0.0], [1 / r]], "s": [[k], [k]]}, [-k, k], "tansig")
     out = Layer({"gates": [[r, r]], "s": [[-r]]}, [0.0])
     layers = {"gates": (gates, {"u1": "u1", "u2": "u2", "s": "s"}), "out": (out, {"gates": "gates", "s": "s"})}
-    return Entry(
+    return LibraryNetwork(
         _network("switch_1", "u1 u2 s", layers),
         lambda u1, u2, s: np.select([s == 1, s == -1], [u1, u2], np.nan),
         "u1 for s = 1, u2 for s = -1",
@@ -121,7 +121,7 @@ def _chosen(u1: np.ndarray, u2: np.ndarray, s: np.ndarray) -> np.ndarray:
     return np.where(s >= 0, u1, u2)
 
 
-def switch_2(gain: float = 1e6, reach: float = 1.0) -> Entry:
+def switch_2(gain: float = 1e6, reach: float = 1.0) -> LibraryNetwork:
     """Switching network type 2 (3.5 to 3.7): y = u1 for s >= 0, u2 for s < 0.
 
     In the thesis it is a recurrent layer whose third neuron feeds the other two one update later. Here that neuron
@@ -138,7 +138,7 @@ def switch_2(gain: float = 1e6, reach: float = 1.0) -> Entry:
         "values": (values, {"u1": "u1", "u2": "u2", "gate": "gate"}),
         "out": (Layer({"values": [[r, r]], "gate": [[-r]]}, [0.0]), {"values": "values", "gate": "gate"}),
     }
-    return Entry(
+    return LibraryNetwork(
         _network("switch_2", "u1 u2 s", layers),
         _chosen,
         "u1 for s >= 0, else u2",
@@ -149,7 +149,7 @@ def switch_2(gain: float = 1e6, reach: float = 1.0) -> Entry:
     )
 
 
-def xor(gain: float = 1e5) -> Entry:
+def xor(gain: float = 1e5) -> LibraryNetwork:
     """Exclusive or (3.8, 3.9): y = -1 where sgn(u1) = sgn(u2), else 1. The sign of 0 is 0, which equals only itself.
 
     Up to about 0.55/gain the network takes a value for 0. gain: K of the thesis, at least 100.
@@ -164,7 +164,7 @@ def xor(gain: float = 1e5) -> Entry:
         "out": (Layer({"compared": [[1.0, -1.0]]}, [1.0]), {"compared": "compared"}),
     }
     gap = math.atanh(0.5 + 20 / gain) / gain
-    return Entry(
+    return LibraryNetwork(
         _network("xor", "u1 u2", layers),
         lambda u1, u2: np.where(np.sign(u1) == np.sign(u2), -1.0, 1.0),
         "-1 if sgn(u1) = sgn(u2), else 1; sgn(0) = 0",
@@ -175,11 +175,11 @@ def xor(gain: float = 1e5) -> Entry:
     )
 
 
-def sign(gain: float = 1e6) -> Entry:
+def sign(gain: float = 1e6) -> LibraryNetwork:
     """y = 1 for x >= 0, -1 for x < 0, by one tanh neuron; its bias of 15 decides x = 0."""
     _positive("sign", gain=gain)
     layers = {"out": (Layer({"x": [[gain]]}, [SATURATED], "tansig"), {"x": "x"})}
-    return Entry(
+    return LibraryNetwork(
         _network("sign", "x", layers),
         lambda x: np.where(x >= 0, 1.0, -1.0),
         "1 for x >= 0, else -1",
@@ -190,7 +190,7 @@ def sign(gain: float = 1e6) -> Entry:
     )
 
 
-def zero_region(threshold: float = 1e-3) -> Entry:
+def zero_region(threshold: float = 1e-3) -> LibraryNetwork:
     """Zero-region detector (7.4.2): y = 1 for |x| <= threshold, else -1, by two hard limits; it drives a switch."""
     _positive("zero_region", threshold=threshold)
     layers = {
@@ -198,7 +198,7 @@ def zero_region(threshold: float = 1e-3) -> Entry:
         "below": (Layer({"x": [[-1.0]]}, [threshold], "hardlim"), {"x": "x"}),
         "out": (Layer({"above": [[2.0]], "below": [[2.0]]}, [-3.0]), {"above": "above", "below": "below"}),
     }
-    return Entry(
+    return LibraryNetwork(
         _network("zero_region", "x", layers),
         lambda x: np.where(np.abs(x) <= threshold, 1.0, -1.0),
         f"1 for |x| <= {threshold:g}, else -1",
@@ -208,7 +208,7 @@ def zero_region(threshold: float = 1e-3) -> Entry:
     )
 
 
-def absolute(reach: float = 1.0) -> Entry:
+def absolute(reach: float = 1.0) -> LibraryNetwork:
     """y = |x| for |x| <= reach, by two saturating neurons."""
     _positive("absolute", reach=reach)
     layers = {
@@ -216,10 +216,10 @@ def absolute(reach: float = 1.0) -> Entry:
         "out": (Layer({"halves": [[reach, reach]]}, [0.0]), {"halves": "halves"}),
     }
     ranges, error = {"x": (-reach, reach)}, ROUNDING * reach
-    return Entry(_network("absolute", "x", layers), lambda x: np.abs(x), "|x|", ranges, error, "1 multiplexer")
+    return LibraryNetwork(_network("absolute", "x", layers), lambda x: np.abs(x), "|x|", ranges, error, "1 multiplexer")
 
 
-def limiter(lo: float = 0.0, hi: float = 1.0) -> Entry:
+def limiter(lo: float = 0.0, hi: float = 1.0) -> LibraryNetwork:
     """y = min(hi, max(x, lo)), by one saturating neuron, or by a multiplexer if lo is -inf or hi is inf."""
     if not lo < hi or (lo == -math.inf and hi == math.inf):
         raise InputError(f"library network limiter: lo = {lo}, hi = {hi}; give lo < hi, one of them may be infinite")
@@ -233,15 +233,17 @@ def limiter(lo: float = 0.0, hi: float = 1.0) -> Entry:
         end, side, text = (lo, 1.0, f"max(x, {lo:g})") if math.isinf(hi) else (hi, -1.0, f"min(x, {hi:g})")
         chosen = Layer({"x": [[side], [1.0], [0.0]]}, [-side * end, 0.0, end], "select")
         layers, hardware, error = {"out": (chosen, {"x": "x"})}, "1 multiplexer", 0.0
-    return Entry(_network("limiter", "x", layers), lambda x: np.clip(x, lo, hi), text, {"x": ANY}, error, hardware)
+    return LibraryNetwork(
+        _network("limiter", "x", layers), lambda x: np.clip(x, lo, hi), text, {"x": ANY}, error, hardware
+    )
 
 
-def gaussian() -> Entry:
+def gaussian() -> LibraryNetwork:
     """y = exp(-x^2 / 2), by one radial neuron."""
     layers = {"out": (Layer({"x": [[1 / math.sqrt(2)]]}, [0.0], "radbas"), {"x": "x"})}
     network = _network("gaussian", "x", layers)
     function, text = (lambda x: np.exp(-(x**2) / 2)), "exp(-x^2 / 2)"
-    return Entry(network, function, text, {"x": ANY}, ROUNDING, "1 table look-up")
+    return LibraryNetwork(network, function, text, {"x": ANY}, ROUNDING, "1 table look-up")
 
 
 # ---- trained
@@ -286,12 +288,12 @@ def _tables(network: Network) -> str:
     return f"{sum(v.size for v in network.layers().values() if v.activation == 'tansig')} table look-ups"
 
 
-def _trained(name: str) -> Callable[[], Entry]:
+def _trained(name: str) -> Callable[[], LibraryNetwork]:
     """Builder of a network of `FUNCTIONS`."""
 
-    def build() -> Entry:
+    def build() -> LibraryNetwork:
         f, network = FUNCTIONS[name], Network.load(TRAINED / name)
-        return Entry(network, f.function, f.text, f.ranges, _stored_error(name), _tables(network))
+        return LibraryNetwork(network, f.function, f.text, f.ranges, _stored_error(name), _tables(network))
 
     build.__doc__ = f"y = {FUNCTIONS[name].text}, trained."
     return build
@@ -301,14 +303,14 @@ def _stored_error(name: str) -> float:
     return json.loads(ERRORS.read_text())[name]
 
 
-def divider() -> Entry:
+def divider() -> LibraryNetwork:
     """y = omega / (gamma + 1), trained (5.3.2.2)."""
     network, ranges = Network.load(TRAINED / "divider"), {"omega": (-1, 1), "gamma": (-0.9, 0.9)}
     function, text = (lambda omega, gamma: omega / (gamma + 1)), "omega / (gamma + 1)"
-    return Entry(network, function, text, ranges, _stored_error("divider"), _tables(network))
+    return LibraryNetwork(network, function, text, ranges, _stored_error("divider"), _tables(network))
 
 
-def flow(lap: float = 0.0) -> Entry:
+def flow(lap: float = 0.0) -> LibraryNetwork:
     """Flow into a chamber through a valve (5.3.2.1; A.1, A.4, A.6), normalised, from a trained zero-lapped one.
 
         y = f(u + lap) sqrt(1 - p) - f(lap - u) sqrt(p),   f(x) = max(x, 0)
@@ -340,18 +342,18 @@ def flow(lap: float = 0.0) -> Entry:
             network.connect("p", f"{name}.p")
             network.connect(name, "y")
         error *= len(parts)
-    return Entry(network, function, text, {"u": (-reach, reach), "p": p}, error, _tables(network))
+    return LibraryNetwork(network, function, text, {"u": (-reach, reach), "p": p}, error, _tables(network))
 
 
 # ---- the library
 
-LIBRARY: dict[str, Callable[..., Entry]] = {
+LIBRARY: dict[str, Callable[..., LibraryNetwork]] = {
     build.__name__: build
     for build in (switch_1, switch_2, xor, sign, zero_region, absolute, limiter, gaussian, divider, flow)
 } | {name: _trained(name) for name in FUNCTIONS}
 
 
-def entry(name: str, **args: float) -> Entry:
+def entry(name: str, **args: float) -> LibraryNetwork:
     """The entry of a library network. Raises InputError for a name or an argument that does not exist."""
     if name not in LIBRARY:
         raise InputError(f"no library network is called {name!r}; there are {', '.join(LIBRARY)}")
@@ -370,7 +372,7 @@ def library(name: str, **args: float) -> Network:
     return entry(name, **args).network
 
 
-def recalled(meaning: str) -> tuple[str, Entry]:
+def recalled(meaning: str) -> tuple[str, LibraryNetwork]:
     """The name and the entry to which `Network.meaning` belongs. Raises InputError if it names no library network."""
     match = re.fullmatch(r"(\w+)(?:\((.*)\))?", meaning)
     try:
@@ -418,7 +420,7 @@ def markdown() -> str:
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines) + "\n"
 
 
-def bound(found: Entry, zooms: int = 6) -> float:
+def bound(found: LibraryNetwork, zooms: int = 6) -> float:
     """A bound of the error between grid points too, by finer and finer grids about the worst points of the grid."""
     at = found.grid()
     steps = {p: (high - low) / (DENSE[len(at)] - 1) for p, (low, high) in found.ranges.items()}
@@ -442,7 +444,7 @@ def fit_library(progress: Progress = print) -> None:
     networks = {"flow": fit_flow(seed=1).network, "divider": fit_divider(seed=0).network}
     for name, f in FUNCTIONS.items():
         fits = [f.fit(name, seed) for seed in SEEDS]
-        networks[name] = min(fits, key=lambda n: Entry(n, f.function, "", f.ranges, 0.0, "").measured_error())
+        networks[name] = min(fits, key=lambda n: LibraryNetwork(n, f.function, "", f.ranges, 0.0, "").measured_error())
     for name, network in networks.items():
         network.save(TRAINED / name)
         errors[name] = 0.0

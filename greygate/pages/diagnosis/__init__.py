@@ -3,13 +3,13 @@
 from greygate.mismatch.diagnosis import Diagnosis
 from greygate.pages import templates
 from greygate.pages.diagnosis import evidence, head, maps, numbers, runs, where
-from greygate.pages.diagnosis.case import Case
+from greygate.pages.diagnosis.case import Diagnosed
 
 SECTIONS = (head, runs, where, maps, evidence, numbers)
 
 
 def page(result: Diagnosis) -> str:
     """The page of a diagnosis."""
-    case = Case(result)
+    case = Diagnosed(result)
     title, sections = f"greygate diagnosis: {case.title}", templates.render_sections(SECTIONS, case)
     return templates.render("diagnosis/page.html", title=title, sections=sections)

@@ -10,7 +10,7 @@ from greygate.pages.diagnosis.residual import Residual, residuals
 
 
 @dataclass(frozen=True)
-class Case:
+class Diagnosed:
     """A diagnosis as its page reads it."""
 
     result: Diagnosis

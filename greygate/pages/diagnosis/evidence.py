@@ -7,14 +7,14 @@ from markupsafe import Markup
 
 from greygate.mismatch.diagnosis import APART, Diagnosis
 from greygate.mismatch.verdict import Verdict
-from greygate.pages.diagnosis.case import Case
+from greygate.pages.diagnosis.case import Diagnosed
 from greygate.pages.figures import Scale
 from greygate.pages.units import number
 
 LADDER = 12  # hypotheses drawn
 
 
-def context(case: Case) -> dict | None:
+def context(case: Diagnosed) -> dict | None:
     """The ladder of hypotheses; None where there is only one."""
     if len(case.result.rivals) < 2:
         return None

@@ -2,14 +2,14 @@
 
 from greygate.mismatch.locate import display_unit
 from greygate.mismatch.verdict import Verdict
-from greygate.pages.diagnosis.case import Case
+from greygate.pages.diagnosis.case import Diagnosed
 from greygate.pages.units import number
 from greygate.pages.words import amount, means, parameter
 
 BETTER = 0.98  # ratio of RMS errors below which a correction counts as an improvement
 
 
-def context(case: Case) -> dict:
+def context(case: Diagnosed) -> dict:
     """The verdict in a sentence, the headline, and whether there is a ladder of evidence to lead to."""
     return {
         "title": case.title,
@@ -20,7 +20,7 @@ def context(case: Case) -> dict:
     }
 
 
-def facts(case: Case) -> list[tuple[str, str, bool | None]]:
+def facts(case: Diagnosed) -> list[tuple[str, str, bool | None]]:
     """The headline: (value, its meaning, whether it is good, or None)."""
     found = case.found
     place = " and ".join(p["equation"] for p in found["where"])
@@ -40,7 +40,7 @@ def facts(case: Case) -> list[tuple[str, str, bool | None]]:
     return [*lines, _error(case)]
 
 
-def _error(case: Case) -> tuple[str, str, bool | None]:
+def _error(case: Diagnosed) -> tuple[str, str, bool | None]:
     """The RMS error that the correction reduces most, before and after it."""
     fit = case.found["fit"]
     record = "holdout" if "holdout" in fit else "identify"

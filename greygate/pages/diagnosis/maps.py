@@ -7,15 +7,15 @@ from markupsafe import Markup
 
 from greygate.mismatch.locate import display_unit
 from greygate.pages import figures
-from greygate.pages.diagnosis.case import Case
+from greygate.pages.diagnosis.case import Diagnosed
 from greygate.pages.diagnosis.residual import FEW, Residual, dependence, edges_of, part_of
-from greygate.pages.figures import Line
+from greygate.pages.figures import Curve
 from greygate.pages.units import labelled, number
 
 CELLS = {False: (36, 20), True: (16, 12)}  # of a map, by whether its points are few
 
 
-def context(case: Case) -> dict:
+def context(case: Diagnosed) -> dict:
     """A row of pictures per channel."""
     return {"maps": maps(case.residuals["calibrated"], case.residuals.get("corrected"), case.depends_on)}
 
@@ -60,7 +60,7 @@ def heat(residual: Residual, channel: str, pair: tuple[str, str], reach: float, 
     signals = [residual.variables[name] for name in pair]
     labels = [display_unit(residual.units[n], float(np.abs(s).max())) for n, s in zip(pair, signals, strict=True)]
     frame = figures.chart(
-        [Line([e * labels[0][0] for e in edges[0][[0, -1]]], [e * labels[1][0] for e in edges[1][[0, -1]]], "none")],
+        [Curve([e * labels[0][0] for e in edges[0][[0, -1]]], [e * labels[1][0] for e in edges[1][[0, -1]]], "none")],
         x=labelled(pair[0], labels[0][1]),
         y=labelled(pair[1], labels[1][1]),
         y_limits=tuple(e * labels[1][0] for e in edges[1][[0, -1]]),

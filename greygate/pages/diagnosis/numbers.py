@@ -4,10 +4,10 @@ from collections.abc import Mapping
 
 from greygate.mismatch.experiments.excitation import unseen
 from greygate.pages import words
-from greygate.pages.diagnosis.case import Case
+from greygate.pages.diagnosis.case import Diagnosed
 
 
-def context(case: Case) -> dict:
+def context(case: Diagnosed) -> dict:
     """Effects with their parameters, the fit, and open questions."""
     result, found = case.result, case.found
     return {

@@ -9,9 +9,9 @@ from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.locate import display_unit
 from greygate.mismatch.model import Model, begun
 from greygate.pages import figures
-from greygate.pages.diagnosis.case import Case
+from greygate.pages.diagnosis.case import Diagnosed
 from greygate.pages.diagnosis.residual import known
-from greygate.pages.figures import BINS, Line, envelope, shortened
+from greygate.pages.figures import BINS, Curve, envelope, shortened
 from greygate.pages.units import labelled
 
 ZOOM = 2.0  # s drawn where the misfit is largest; two windows where a rig has them
@@ -19,12 +19,12 @@ SHORTEST = 150  # samples that are drawn at least
 LOOK = {"calibrated": "before", "corrected": "after"}  # class of a line
 
 
-def context(case: Case) -> dict:
+def context(case: Diagnosed) -> dict:
     """A row of pictures per channel."""
     return {"changed": case.changed, "runs": runs(case)}
 
 
-def runs(case: Case) -> list[dict]:
+def runs(case: Diagnosed) -> list[dict]:
     """For each channel, the errors over a recording by the rig's rule, and a zoom on the largest misfit.
 
     The recording is holdout.csv where there is one.
@@ -60,7 +60,7 @@ def run_picture(errors: Mapping[str, np.ndarray], result: Diagnosis, channel: st
     lines = []
     for kind, error in errors.items():
         points = envelope(error * factor, BINS)
-        lines.append(Line([k * dt for k in points["step"]], points["value"], LOOK[kind]))
+        lines.append(Curve([k * dt for k in points["step"]], points["value"], LOOK[kind]))
     return figures.chart(
         lines,
         x="time [s]",
@@ -83,10 +83,10 @@ def zoom_picture(result: Diagnosis, target: np.ndarray, predicted: Mapping[str, 
     steps = np.arange(first, min(first + length, len(target)), max(length // 500, 1))
     factor, label = display_unit(result.rig.channels[channel].unit, float(np.abs(missed[steps]).max()))
     times = (steps * dt).tolist()
-    lines = [Line(times, shortened(missed[steps] * factor), "reference")]
+    lines = [Curve(times, shortened(missed[steps] * factor), "reference")]
     if "corrected" in predicted:
         added = np.nan_to_num(predicted["corrected"] - predicted["calibrated"])
-        lines.append(Line(times, shortened(added[steps] * factor), "after"))
+        lines.append(Curve(times, shortened(added[steps] * factor), "after"))
     marks = [k * dt for k in range(first, first + length, window)][1:] if window else []
     return figures.chart(
         lines,

@@ -6,13 +6,13 @@ import numpy as np
 
 from greygate.mismatch.locate import display_unit
 from greygate.pages import figures, words
-from greygate.pages.diagnosis.case import Case
+from greygate.pages.diagnosis.case import Diagnosed
 from greygate.pages.diagnosis.residual import Residual, binned, dependence
-from greygate.pages.figures import Line
+from greygate.pages.figures import Curve
 from greygate.pages.units import labelled
 
 
-def context(case: Case) -> dict:
+def context(case: Diagnosed) -> dict:
     """Places in words, and a row of pictures per channel."""
     before, after = case.residuals["calibrated"], case.residuals.get("corrected")
     return {
@@ -34,10 +34,10 @@ def against(before: Residual, after: Residual | None, told: Sequence[str]) -> li
         for name, (middle, quartiles) in drawn.items():
             scale, label = display_unit(before.units[name], float(np.abs(before.variables[name]).max()))
             x, q = middle * scale, quartiles * factor
-            lines = [Line([*x, *x[::-1]], [*q[:, 0], *q[::-1, 2]], "quartiles"), Line(x, q[:, 1], "before")]
+            lines = [Curve([*x, *x[::-1]], [*q[:, 0], *q[::-1, 2]], "quartiles"), Curve(x, q[:, 1], "before")]
             if after is not None:
                 at, now = binned(after.variables[name], after.errors[channel])
-                lines.append(Line(at * scale, now[:, 1] * factor, "after"))
+                lines.append(Curve(at * scale, now[:, 1] * factor, "after"))
             picture = figures.chart(
                 lines,
                 x=labelled(name, label),

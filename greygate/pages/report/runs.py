@@ -5,7 +5,7 @@ import math
 from markupsafe import Markup
 
 from greygate.pages import figures
-from greygate.pages.figures import Line
+from greygate.pages.figures import Curve
 from greygate.pages.units import display, labelled
 
 KINDS = ("float", "fixed")
@@ -47,9 +47,9 @@ def _display(o: dict, trace: str) -> tuple[float, str]:
     return display(o["unit"], max(map(abs, o["drawn"]["reference"]["value"])))
 
 
-def _over_time(o: dict, trace: str, kind: str, period: float) -> Line:
+def _over_time(o: dict, trace: str, kind: str, period: float) -> Curve:
     points, (factor, _) = o["drawn"][trace], _display(o, trace)
-    return Line([k * period for k in points["step"]], [v * factor for v in points["value"]], kind)
+    return Curve([k * period for k in points["step"]], [v * factor for v in points["value"]], kind)
 
 
 def _run(name: str, o: dict, span: tuple[float, float], period: float) -> Markup:
@@ -75,7 +75,7 @@ def _zoom(name: str, o: dict, period: float) -> Markup:
     zoom, (factor, unit) = o["zoom"], _display(o, "reference")
     times = [(zoom["start"] + k) * period for k in range(len(zoom["reference"]))]
     return figures.chart(
-        [Line(times, [v * factor for v in zoom[kind]], kind) for kind in ("reference", *KINDS)],
+        [Curve(times, [v * factor for v in zoom[kind]], kind) for kind in ("reference", *KINDS)],
         x="time [s]",
         y=labelled(name, unit),
         marks=[zoom["worst"] * period],
@@ -88,7 +88,7 @@ def _spectrum(o: dict) -> Markup:
     q, (factor, unit) = o["quantization"], _display(o, "cost")
     return figures.chart(
         [
-            Line(q["frequency"], [math.sqrt(v) * factor for v in psd], kind)
+            Curve(q["frequency"], [math.sqrt(v) * factor for v in psd], kind)
             for psd, kind in ((o["model_psd"], "model"), (q["psd"], "cost"))
         ],
         x="frequency [Hz]",

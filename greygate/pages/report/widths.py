@@ -3,7 +3,7 @@
 from markupsafe import Markup
 
 from greygate.pages import figures
-from greygate.pages.figures import Line
+from greygate.pages.figures import Curve
 
 
 def context(study: dict) -> dict | None:
@@ -21,7 +21,7 @@ def pictures(widths: dict) -> dict[str, Markup]:
     for label in outputs:
         curves = [r[label] for r in widths["ratio"].values()]
         found[label] = figures.chart(
-            [Line(widths["width"], c, f"series{i % 5} dots") for i, c in enumerate(curves)],
+            [Curve(widths["width"], c, f"series{i % 5} dots") for i, c in enumerate(curves)],
             x="word width [bit]",
             y="RMSE fixed / float",
             y_log=True,

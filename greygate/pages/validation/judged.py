@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from greygate.errors import InputError
 from greygate.machines.catalog import CATALOG, entry
 from greygate.machines.identification import initialised
-from greygate.models.validation import Correlation, Range, Validation, coverage, validate
+from greygate.models.validation import Correlation, Covered, Validation, coverage, validate
 from greygate.pages.units import NONE, display, per_cent, shown
 from greygate.plain import plain
 from greygate.progress import Progress, silent
@@ -24,7 +24,7 @@ class Judged:
     period: float
     training: tuple[str, ...]
     validations: list[Validation]
-    ranges: list[Range]
+    ranges: list[Covered]
 
     @property
     def bounded(self) -> bool:

@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from greygate.models.validation import LEASH, Correlation, Validation
 from greygate.pages import figures
-from greygate.pages.figures import Line
+from greygate.pages.figures import Curve
 from greygate.pages.units import display, labelled
 from greygate.pages.validation.judged import Judged, long_run
 from greygate.plain import plain
@@ -108,7 +108,7 @@ def histogram(error: np.ndarray, unit: str) -> Markup:
     normal = (
         np.exp(-0.5 * ((at - mean) / deviation) ** 2) / (deviation * math.sqrt(2 * math.pi)) if deviation else 0 * at
     )
-    lines = [Line(x, 100 * y, "bars"), Line(at, 100 * normal * (edges[1] - edges[0]), "normal")]
+    lines = [Curve(x, 100 * y, "bars"), Curve(at, 100 * normal * (edges[1] - edges[0]), "normal")]
     return figures.chart(lines, x=labelled("error", unit), y="samples [%]", width=WIDTH, height=230)
 
 
@@ -120,10 +120,10 @@ def stems(test: Correlation) -> Markup:
     for kind, which in (("inside", ~beyond), ("beyond", beyond)):
         x = [v for lag in test.lags[which] for v in (lag, lag, None)]
         y = [v for value in test.values[which] for v in (0.0, value, None)]
-        lines.append(Line(x, y, f"stem {kind}"))
+        lines.append(Curve(x, y, f"stem {kind}"))
     for level, kind in ((test.plain, "plain"), (test.band, "band")):
         if kind == "band" or test.band > 1.02 * test.plain:
-            lines += [Line(ends, [sign * level] * 2, kind) for sign in (-1, 1)]
+            lines += [Curve(ends, [sign * level] * 2, kind) for sign in (-1, 1)]
     reach = 1.15 * max(np.abs(test.values).max(), test.band)
     return figures.chart(
         lines,
@@ -142,7 +142,7 @@ def ahead(v: Validation, factor: float, unit: str) -> Markup:
     values = plain([rms * factor if math.isfinite(rms) else None for rms, _ in v.ahead.values()])
     levels = [(v.rms * factor, "")] if math.isfinite(v.rms) else []
     return figures.chart(
-        [Line(steps, values, "series0 dots")],
+        [Curve(steps, values, "series0 dots")],
         x="steps ahead",
         y=labelled("RMS", unit),
         x_log=True,
@@ -163,7 +163,7 @@ def repetitions(v: Validation, factor: float, unit: str) -> Markup:
     reach = [plain(list(values)) for values in v.long_run.reach]
     known = [value for line in reach for value in line if value is not None]
     return figures.chart(
-        [Line(number, rms, "series0 dots")],
+        [Curve(number, rms, "series0 dots")],
         y=labelled("RMS", unit),
         x_limits=ends,
         x_ticks=number,
@@ -171,7 +171,7 @@ def repetitions(v: Validation, factor: float, unit: str) -> Markup:
         width=WIDTH,
         height=100,
     ) + figures.chart(
-        [Line(number, values, f"series{i} dots") for i, values in enumerate(reach)],
+        [Curve(number, values, f"series{i} dots") for i, values in enumerate(reach)],
         x="repetition",
         y="reach [½ range]",
         x_limits=ends,
