@@ -206,7 +206,7 @@ def table_words(table: Table) -> list[tuple[int, int]]:
 
 
 def least_width(values: Sequence[int]) -> tuple[int, int]:
-    """(bits, 1 if signed, 0 if not) of the least unsigned numbers, or else in two's complement, that hold all values."""
+    """(bits, signed) of the least numbers that hold all values; signed is 0 if none is negative."""
     if min(values) < 0:
         return max(v.bit_length() if v >= 0 else (~v).bit_length() for v in values) + 1, 1
     return max(1, max(values).bit_length()), 0
@@ -351,7 +351,7 @@ _BLOCKS: dict[Op, Callable] = {Op.TABLE: _lookup, Op.CLAMP: _clamp, Op.THRESHOLD
 
 
 def small_operation(program: Program, o: Elementwise, size: int) -> Block:
-    """The block that computes `size` elements of a table, clamp, threshold or select in one clock, a table in LOOKUP_CLOCKS."""
+    """The block that computes `size` elements of a table (in LOOKUP_CLOCKS), clamp, threshold or select (in one)."""
     return _BLOCKS[o.op](program, o, size)
 
 

@@ -56,7 +56,9 @@ def registers(program: Program) -> list[Register]:
     return [Register(f"memory[{k}]", alone=True) for k in range(sum(s.signal.size for s in program.states))]
 
 
-TARGET = Architecture(lambda program, design: folded(program, design.multipliers), registers)
+TARGET = Architecture(
+    lambda program, design: folded(program, design.multipliers) | table_texts(program, design.memory), registers
+)
 
 
 @dataclass(frozen=True)
