@@ -288,9 +288,13 @@ class Table:
         return Segments(self.arg.width, (self.shift,), (0,), self.shift, 0, self.points[:-1], slopes)
 
     @property
-    def words(self) -> int:
-        """Words of a memory that holds the table."""
-        return len(self.points) - 1 if self.interpolated else len(self.points)
+    def entries(self) -> int:
+        return len(self.points)
+
+    @property
+    def bits(self) -> int:
+        """Bits of all points."""
+        return len(self.points) * self.out.width
 
     def problems(self) -> Iterator[str]:
         name, out = f"table {self.name}", self.out
@@ -335,9 +339,13 @@ class Lines:
         return Segments(*(getattr(self, name) for name in Segments._fields))
 
     @property
-    def words(self) -> int:
-        """Words of a memory that holds the table."""
+    def entries(self) -> int:
         return len(self.bases)
+
+    @property
+    def bits(self) -> int:
+        """Bits of all bases and slopes."""
+        return len(self.bases) * sum(signed_width(max(map(abs, part))) for part in (self.bases, self.slopes))
 
     def problems(self) -> Iterator[str]:
         name, out, problem = f"table {self.name}", self.out, self._shape()
