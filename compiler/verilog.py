@@ -18,6 +18,7 @@ from greygate.emulator.program import (
 )
 from greygate.errors import InputError, one_line
 
+LOOKUP_CLOCKS = 1  # from an argument to its answer
 ROUNDING = {Rounding.TRUNCATE: 0, Rounding.HALF_UP: 1, Rounding.HALF_EVEN: 2}
 SYMMETRY = {Symmetry.ODD: 0, Symmetry.EVEN: 1, Symmetry.COMPLEMENT: 2}
 PORTS = (
