@@ -6,7 +6,7 @@ from greygate.compiler.adder_text import Sums
 from greygate.compiler.code_ranges import code_ranges
 from greygate.compiler.targets import Design
 from greygate.compiler.verilog import (
-    LOOKUP_CLOCKS,
+    clocks,
     input_slices,
     instance,
     lane_width,
@@ -45,7 +45,7 @@ class Dataflow:
         """From arguments to results."""
         if isinstance(o, Affine):
             return self.sums[o.out.name].clocks
-        return LOOKUP_CLOCKS if isinstance(o, Lookup) else 1
+        return clocks(o)
 
     @cached_property
     def since(self) -> dict[str, int]:
@@ -58,7 +58,7 @@ class Dataflow:
     def modules(self) -> dict[str, str]:
         """File name -> text of the modules below the top."""
         texts = {f"{self.program.name}_{self.names[y]}.v": sums.text() for y, sums in self.sums.items()}
-        return texts | table_texts(self.program)
+        return texts | table_texts(self.program, self.design.memory)
 
     def vector(self, kind: str, s: Signal, tail: str = "") -> str:
         return f"    {kind} [{s.size * s.fix.width - 1}:0] {self.names[s.name]}{tail};  // {s.size} x {s.fix}\n"
