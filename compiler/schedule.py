@@ -246,9 +246,9 @@ class _Folder:
             elements = np.array([self.first[a] + job.next for a in job.reads])
             clocks = [self._latency(job)]
             start = self.now
-        ready = self.ready[elements]
+        ready = self.ready[elements]  # of a group in rising order
         if ready.max() > start:
-            start = max(start, int((np.sort(ready) - np.arange(len(ready))).max()))
+            start = max(start, int((ready - np.arange(len(ready))).max()))
         while any(start + clock in self.taken for clock in clocks):
             start += 1
         return start
