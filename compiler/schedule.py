@@ -14,10 +14,9 @@ import numpy as np
 
 from greygate.compiler.jobs import Job, measure, planned
 from greygate.compiler.products import Mode, Products, laid_out
-from greygate.compiler.verilog import shared_tables
+from greygate.compiler.verilog import LOOKUP_CLOCKS, shared_tables
 from greygate.emulator.program import Affine, Elementwise, Lookup, Program, signed_width
 
-LOOKUP_CLOCKS = 1
 # Clocks from the read of a code to ...
 WORD = 1  # ... the code at the output of the memory, and its weight beside it
 SELECT = 2  # ... the stages of its product, in the line

@@ -2,12 +2,14 @@
 
 import re
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 from greygate.emulator.program import (
     Clamp,
     Elementwise,
     Lookup,
     Op,
+    Operation,
     Program,
     Rounding,
     Select,
@@ -19,6 +21,8 @@ from greygate.emulator.program import (
 from greygate.errors import InputError, one_line
 
 ROUNDING = {Rounding.TRUNCATE: 0, Rounding.HALF_UP: 1, Rounding.HALF_EVEN: 2}
+LOOKUP_CLOCKS = 3  # clocks from a code to the answer of a table: word, product, sum
+MEMORIES = {"block": '(* rom_style = "block" *) ', "logic": '(* rom_style = "logic" *) '}  # and how a tool is told
 SYMMETRY = {Symmetry.ODD: 0, Symmetry.EVEN: 1, Symmetry.COMPLEMENT: 2}
 PORTS = (
     "clk",
@@ -189,17 +193,42 @@ def sign_extended(name: str, low: int, width: int, lane: int) -> str:
     return code if lane == width else f"{{{{{lane - width}{{{name}[{low + width - 1}]}}}}, {code}}}"
 
 
-def table_parameters(table: Table, size: int | str) -> dict:
-    """Parameters of a lookup for `size` neurons, but for the points."""
+def table_words(table: Table) -> list[tuple[int, int]]:
+    """(base, slope) of every segment; of every point with slope 0 where nothing is interpolated.
+
+    A slope is kept modulo 2^width of the result, which changes no answer.
+    """
+    if not table.interpolated:
+        return [(p, 0) for p in table.points]
+    turn = 1 << table.out.width
+    slopes = ((b - a + turn // 2) % turn - turn // 2 for a, b in pairwise(table.points))
+    return list(zip(table.points, slopes, strict=False))
+
+
+def least_width(values: Sequence[int]) -> tuple[int, int]:
+    """(bits, signed) of the least numbers that hold all values; signed is 0 if none is negative."""
+    if min(values) < 0:
+        return max(v.bit_length() if v >= 0 else (~v).bit_length() for v in values) + 1, 1
+    return max(1, max(values).bit_length()), 0
+
+
+def table_parameters(table: Table) -> dict:
+    """Parameters of the lookup of one neuron."""
+    bases, slopes = zip(*table_words(table), strict=True)
+    (base, base_signed), (slope, slope_signed) = least_width(bases), least_width(slopes)
     return {
-        "SIZE": size,
         "ARG_W": table.arg.width,
         "OUT_W": table.out.width,
         "SHIFT": table.shift,
-        "LAST": len(table.points) - 1,
+        "LAST": len(bases) - 1,
+        "ADDRESS_W": max(1, (len(bases) - 1).bit_length()),
         "INTERPOLATED": int(table.interpolated),
         "SYMMETRY": SYMMETRY[table.symmetry],
         "ONE": f"{table.out.width + 1}'d{1 << max(0, table.out.frac) if table.symmetry is Symmetry.COMPLEMENT else 0}",
+        "BASE_W": base,
+        "BASE_SIGNED": base_signed,
+        "SLOPE_W": slope,
+        "SLOPE_SIGNED": slope_signed,
     }
 
 
@@ -219,42 +248,70 @@ def table_module(program: Program, table: Table) -> str:
     return f"{program.name}_table_{table.name}".replace(".", "__")
 
 
-def table_text(program: Program, table: Table) -> str:
-    """A module that answers SIZE neurons from the table, which it holds."""
-    w, last = table.out.width, len(table.points) - 1
+def _table_rows(table: Table, base: int, slope: int) -> str:
+    """The assignment of every word: {slope, base}, or base alone where nothing is interpolated."""
     rows = []
-    for k in range(last, -1, -1):
-        p = table.points[k]
-        x, y = k * 2.0**table.shift * table.arg.lsb, p * table.out.lsb
-        rows.append(f"        {number(p, w)}{',' if k else ' '}  // points[{k}]: {x:g} -> {y:g}")
-    listed = "\n".join(rows)
-    ports = {"clk": "clk", "en": "en", "x": "x", "y": "y"}
-    parameters = table_parameters(table, "SIZE") | {"POINTS": "POINTS"}
+    for k, (b, d) in enumerate(table_words(table)):
+        left = (k << table.shift) * table.arg.lsb
+        value = f"{{{slope}'d{d % (1 << slope)}, {base}'d{b % (1 << base)}}}"
+        rows.append(f"            rom[{k}] = {value};  // from {left:g}: {b * table.out.lsb:g}")
+    return "\n".join(rows)
+
+
+def table_text(program: Program, table: Table, memory: str = "block") -> str:
+    """A module that answers SIZE neurons from the table, whose words it holds in a memory for every two neurons.
+
+    memory: where the words are kept, a key of MEMORIES.
+    """
+    parameters = table_parameters(table)
+    arg, out, address, base, slope = (parameters[k] for k in ("ARG_W", "OUT_W", "ADDRESS_W", "BASE_W", "SLOPE_W"))
+    last = parameters["LAST"]
+
+    def neuron(n: str, side: str, indent: str) -> str:
+        ends = {"clk": "clk", "en": "en", "x": f"x[{n}*{arg}+:{arg}]", "address": f"address_{side}"}
+        ends |= {"base": f"word_{side}[{base - 1}:0]", "slope": f"word_{side}[{base + slope - 1}:{base}]"}
+        return (
+            f"{indent}wire [{address - 1}:0] address_{side};\n"
+            f"{indent}reg [{base + slope - 1}:0] word_{side};\n"
+            f"{indent}always @(posedge clk) if (en) word_{side} <= rom[address_{side}];\n"
+            + instance("greygate_lookup", f"lookup_{side}", parameters, ends | {"y": f"y[{n}*{out}+:{out}]"}, indent)
+        )
+
     return module_text(
         [
-            f"Table {table.name}: {table.function} from {table.arg} to {table.out}, {last + 1} points"
+            f"Table {table.name}: {table.function} from {table.arg} to {table.out}, {len(table.points)} points"
             f" {'and a line between two' if table.interpolated else ', the nearest one'}.",
             f"{table.symmetry.value.capitalize()} symmetry. Worst error over every input code: {table.worst_error:g}.",
+            "Two neurons read one memory of words {slope, base}, which has two ports for reading.",
         ],
         f"module {table_module(program, table)} #(\n"
         f"    parameter SIZE = 1  // number of neurons\n) (\n"
         f"    input  wire clk,\n    input  wire en,\n"
-        f"    input  wire [SIZE*{table.arg.width}-1:0] x,\n    output wire [SIZE*{w}-1:0] y\n);\n\n"
-        f"    localparam [{(last + 1) * w - 1}:0] POINTS = {{\n{listed}\n    }};\n\n"
-        + instance("greygate_lookup", "lookup", parameters, ports),
+        f"    input  wire [SIZE*{arg}-1:0] x,\n    output wire [SIZE*{out}-1:0] y\n);\n\n"
+        f"    genvar n;\n    generate for (n = 0; n < SIZE; n = n + 2) begin : pair\n"
+        f"        {MEMORIES[memory]}reg [{base + slope - 1}:0] rom[0:{last}];\n"
+        f"        initial begin\n{_table_rows(table, base, slope)}\n        end\n\n"
+        f"{neuron('n', 'a', '        ')}\n"
+        f"        if (n + 1 < SIZE) begin : both\n{neuron('(n + 1)', 'b', '            ')}"
+        f"        end\n    end endgenerate\n",
     )
 
 
-def table_texts(program: Program) -> dict[str, str]:
+def table_texts(program: Program, memory: str = "block") -> dict[str, str]:
     """File name -> text of the module of every table that is used."""
-    return {f"{table_module(program, t)}.v": table_text(program, t) for t in shared_tables(program).values()}
+    return {f"{table_module(program, t)}.v": table_text(program, t, memory) for t in shared_tables(program).values()}
+
+
+def clocks(o: Operation) -> int:
+    """Clocks from the arguments of an operation to its result."""
+    return LOOKUP_CLOCKS if isinstance(o, Lookup) else 1
 
 
 def levels(program: Program) -> dict[str, int]:
     """Signal -> the clock of a step, counted from 1, at whose end it stands; 0 for inputs and states."""
     level = dict.fromkeys(program.signals, 0)
     for o in program.operations:
-        level[o.out.name] = 1 + max(level[a] for a in o.args)
+        level[o.out.name] = clocks(o) + max(level[a] for a in o.args)
     return level
 
 
@@ -294,7 +351,7 @@ _BLOCKS: dict[Op, Callable] = {Op.TABLE: _lookup, Op.CLAMP: _clamp, Op.THRESHOLD
 
 
 def small_operation(program: Program, o: Elementwise, size: int) -> Block:
-    """The block that computes `size` elements of a table, clamp, threshold or select in one clock."""
+    """The block that computes `size` elements of a table (in LOOKUP_CLOCKS), clamp, threshold or select (in one)."""
     return _BLOCKS[o.op](program, o, size)
 
 

@@ -41,8 +41,9 @@ from greygate.errors import InputError
 REMARKED = 4096  # lines of a ROM up to which each says what it does
 
 
-def folded(program: Program, multipliers: int) -> dict[str, str]:
+def folded(program: Program, design: Design) -> dict[str, str]:
     """File name -> text of the folded architecture, without the building blocks."""
+    multipliers = design.multipliers
     if multipliers not in MULTIPLIERS:
         raise InputError(f"{multipliers} multipliers are not in {MULTIPLIERS.start}..{MULTIPLIERS.stop - 1}")
     verilog_names(program)
@@ -51,7 +52,7 @@ def folded(program: Program, multipliers: int) -> dict[str, str]:
         f"{program.name}.v": core.top(),
         f"{program.name}__schedule.v": core.schedule_rom(),
         f"{program.name}__biases.v": core.biases_rom(),
-    } | table_texts(program)
+    } | table_texts(program, design.memory)
 
 
 def registers(program: Program, design: Design) -> list[Register]:
@@ -60,7 +61,7 @@ def registers(program: Program, design: Design) -> list[Register]:
     return [Register(f"memory[{word}]", alone=True) for s in program.states for word in address[s.signal.name].tolist()]
 
 
-TARGET = Architecture(lambda program, design: folded(program, design.multipliers), registers)
+TARGET = Architecture(folded, registers)
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,10 @@ from functools import cached_property
 
 import numpy as np
 
-from greygate.compiler.targets import Architecture, Register
+from greygate.compiler.targets import Architecture, Design, Register
 from greygate.compiler.verilog import (
     ROUNDING,
+    clocks,
     header,
     input_slices,
     instance,
@@ -31,7 +32,7 @@ from greygate.compiler.verilog import (
     verilog_names,
     wrapped,
 )
-from greygate.emulator.program import Affine, Operation, Overflow, Program, Signal
+from greygate.emulator.program import Affine, Lookup, Operation, Overflow, Program, Signal
 
 
 def parallel(program: Program) -> dict[str, str]:
@@ -44,14 +45,14 @@ def parallel(program: Program) -> dict[str, str]:
     return texts | table_texts(program)
 
 
-def registers(program: Program) -> list[Register]:
+def registers(program: Program, design: Design = Design()) -> list[Register]:
     """A register for each state, with the name of the state."""
     names = verilog_names(program)
     signals = [s.signal for s in program.states]
     return [Register(names[s.name], k * s.fix.width) for s in signals for k in range(s.size)]
 
 
-TARGET = Architecture(lambda program, design: parallel(program), lambda program, design: registers(program))
+TARGET = Architecture(lambda program, design: parallel(program) | table_texts(program, design.memory), registers)
 
 
 class _Layer:
@@ -213,11 +214,14 @@ module {self.program.name} (
     def layer(self, o: Operation) -> str:
         """The instance of an operation, which is enabled when its arguments are valid."""
         y, level = self.names[o.out.name], self.level[o.out.name]
+        first = level - clocks(o)  # the clock before the first of the operation
         arguments = [self.names[a] for a in o.args]
-        ends = {"clk": "clk", "en": "start" if level == 1 else f"stage[{level - 2}]"}
+        ends = {"clk": "clk", "en": "start" if first == 0 else f"stage[{first - 1}]"}
         if isinstance(o, Affine):
             ends |= {a: a for a in arguments} | {y: y}
             return instance(f"{self.program.name}_{y}", f"{y}_layer", {}, ends)
+        if isinstance(o, Lookup):
+            ends["en"] = "1'b1"  # several clocks: its answer holds still because its argument does
         module, parameters, ports = small_operation(self.program, o, o.out.size)
         ends |= dict(zip(ports, arguments, strict=True)) | {"y": y}
         return instance(module, f"{y}_layer", parameters, ends)
