@@ -1,4 +1,4 @@
-"""How the folded architecture multiplies: each weight as narrow words with shifts, each code in parts, each row aligned.
+"""How the folded architecture multiplies: weights as narrow words with shifts, codes in parts, rows aligned.
 
 A weight is `word << shift`; a word fits the multipliers of every FPGA. The rows are aligned: a row is summed at the
 fraction at which it is drained, `mode.shift` bits finer than its result, so that few drains serve all rows.
@@ -164,9 +164,7 @@ def _row_widths(program: Program, o: Affine) -> list[int]:
     magnitude = np.abs(o.weights).astype(object) @ largest
     shift = [int(s) for s in o.frac - o.out.fix.frac]
     rounding = [1 << (s - 1) if s > 0 else 0 for s in shift]
-    return [
-        signed_width(int(m) + abs(int(b)) + h) for m, b, h in zip(magnitude, o.bias, rounding, strict=True)
-    ]
+    return [signed_width(int(m) + abs(int(b)) + h) for m, b, h in zip(magnitude, o.bias, rounding, strict=True)]
 
 
 def _alignment(affine: list[Affine], widths: dict[str, list[int]]) -> dict[str, list[int]]:
@@ -224,7 +222,7 @@ def _pieces(weights: np.ndarray, width: int) -> Iterator[tuple[np.ndarray, np.nd
 
 
 def _pairs(words: np.ndarray, shifts: np.ndarray, width: int) -> set[tuple[int, int]]:
-    """(least, greatest) shift with which each product may be made: a word narrower than `width` may be shifted itself."""
+    """(least, greatest) shift with which each product may be made: a narrow word may itself be shifted."""
     used = words != 0
     greatest = shifts[used]
     least = np.maximum(0, greatest - (width - width_of(words[used])))

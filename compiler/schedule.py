@@ -426,11 +426,27 @@ class _Folder:
         notes = dict(boot.notes) | {idle + line: found for line, found in self.lines.notes.items()}
         order = {element: n for n, element in enumerate(self.shows[clock] for clock in sorted(self.shows))}
         shown = {name: [order[self.first[name] + k] for k in range(self.sizes[name])] for name in self.outputs}
-        address = {name: words[self._span(name)] for name in self.sizes}
         return Folding(
-            self.products, self.multipliers, tuple(self.modes), self.acc_width, reads, weights, selects, controls,
-            idle, self.biases, len(self.boots), address, size, self.plan.kept, shown, self.units, self.fused, self.stored, notes,
-        )  # fmt: skip
+            products=self.products,
+            multipliers=self.multipliers,
+            modes=tuple(self.modes),
+            acc_width=self.acc_width,
+            reads=reads,
+            words=weights,
+            selects=selects,
+            controls=controls,
+            idle=idle,
+            biases=self.biases,
+            boots=len(self.boots),
+            address={name: words[self._span(name)] for name in self.sizes},
+            size=size,
+            kept=self.plan.kept,
+            shown=shown,
+            units=self.units,
+            fused=self.fused,
+            stored=self.stored,
+            notes=notes,
+        )
 
     def _span(self, name: str) -> slice:
         return slice(self.first[name], self.first[name] + self.sizes[name])

@@ -276,7 +276,9 @@ def terms(network: Network, record: Record) -> tuple[int, int, int]:
     """Products in the text of the parallel architecture; weights and lines in the schedule of the folded one."""
     program = compile_network(network, {"record": record}).program
     sums = "".join(re.sub("//.*", "", text) for text in parallel(program).values())
-    schedule = next(text for name, text in folded(program, Design(multipliers=1)).items() if name.endswith("schedule.v"))
+    schedule = next(
+        text for name, text in folded(program, Design(multipliers=1)).items() if name.endswith("schedule.v")
+    )
     lines = re.findall(r"^ *rom\[\d+\] = .*'sd(\d+)};", schedule, re.M)
     return len(re.findall(r"'sd\d+ \* \w+|<<<", sums)), sum(int(w) != 0 for w in lines), len(lines)
 

@@ -35,7 +35,7 @@ from greygate.compiler.verilog import (
     unused_text,
     verilog_names,
 )
-from greygate.emulator.program import Lookup, Program, Select
+from greygate.emulator.program import Program, Select
 from greygate.errors import InputError
 
 REMARKED = 4096  # lines of a ROM up to which each says what it does
@@ -168,7 +168,7 @@ class _Core:
     # -- the datapath ------------------------------------------------------------------------------------------------
 
     def top(self) -> str:
-        ports, width_in, width_out = top_ports(self.program)
+        ports, _, _ = top_ports(self.program)
         parts = (self.edge, self.counter, self.control, self.memory, self.multipliers, self.units, self.results)
         body = f"""\
 module {self.program.name} (
@@ -186,8 +186,9 @@ module {self.program.name} (
         loaded = ",\n".join(f"            {lane}" for lane in reversed(lanes))
         rest = f"{{{w}'d0, sample[{len(lanes) * w - 1}:{w}]}}" if len(lanes) > 1 else ""
         shift = f"\n        else if (write && source == {self.source(SAMPLED)}) sample <= {rest};" if rest else ""
-        unread = unused_text([b.replace("sample", "s_axis_tdata") for b in unused_bits(self.program)],
-                             "  // sign extensions")
+        unread = unused_text(
+            [b.replace("sample", "s_axis_tdata") for b in unused_bits(self.program)], "  // sign extensions"
+        )
         regs = "".join(f"    reg {f'[{k - 1}:0] ' if k > 1 else ''}{n};\n" for n, k in self.controls.items())
         return f"""
     // the control: what happens in a clock
@@ -282,8 +283,11 @@ module {self.program.name} (
         f, w = self.folding, self.widths
         code, address = w["code"], w["address"]
         held = ""
-        for s in [*(p.signal for p in self.program.inputs), *(o.out for o in self.program.operations),
-                  *(s.signal for s in self.program.states)]:
+        for s in [
+            *(p.signal for p in self.program.inputs),
+            *(o.out for o in self.program.operations),
+            *(s.signal for s in self.program.states),
+        ]:
             if s.name in f.kept and s.size:
                 words = ", ".join(map(str, f.address[s.name][:8].tolist())) + (", ..." if s.size > 8 else "")
                 held += f"    {remark(f'{s.name}, {s.size} x {s.fix}: {words}')}\n"
@@ -309,7 +313,7 @@ module {self.program.name} (
         parameters = {"X_W": x, "WORD_W": w["word"], "ACC_W": acc, "BASE": f.products.base, "STAGES": len(stages)}
         parameters |= {"AMOUNTS": vector(stages)}
         text = "\n    // the multipliers: each takes the code of the one before, one clock later\n" + self.part()
-        text += f"    reg first_0;\n    always @(posedge clk) first_0 <= row;\n" if count == 1 else ""
+        text += "    reg first_0;\n    always @(posedge clk) first_0 <= row;\n" if count == 1 else ""
         text += "".join(self.one_multiplier(m, parameters) for m in range(count))
         text += f"    wire unused_x = &{{1'b0, x_{count}}};\n"
         modes = f.modes or (Mode(0, False, 2, False),)
@@ -347,7 +351,7 @@ module {self.program.name} (
                 return sign_extended("word", low, min(x, code - low), x)
             return f"{{1'b0, word[{low + x - 2}:{low}]}}"
 
-        kinds = [(n, part) for n, part in enumerate(parts) if part.low + (x - 1) <= code or part.signed and part.low < code]
+        kinds = [(n, part) for n, part in enumerate(parts) if part.low + (1 if part.signed else x - 1) <= code]
         if len(kinds) <= 1 or "part" not in self.controls:
             return f"    wire signed [{x - 1}:0] x_0 = {bits_of(*PLAIN)};\n"
         width = self.controls["part"]
@@ -396,7 +400,7 @@ module {self.program.name} (
         code = self.widths["code"]
         before = ["argument", "argument_last", "argument_before_last"]  # the codes read 0, 1 and 2 clocks earlier
         text, cases = "", [f"{self.source(COPIED)}: y = {self.extended('word', code, y)};"]
-        cases += [f"{self.source(SAMPLED)}: y = {self.extended('sample', self.widths['input'], y)};"]
+        cases += [f"{self.source(SAMPLED)}: y = {self.first_sample(y)};"]
         for n, (key, o) in enumerate(f.units.items()):
             module, parameters, ports = small_operation(self.program, o, size=1)
             ends = {"clk": "clk", "en": "1'b1"}
@@ -417,6 +421,11 @@ module {self.program.name} (
         endcase
 """
 
+    def first_sample(self, to: int) -> str:
+        """The element of the sample that is written next, extended or cut to `to` bits."""
+        width = self.widths["input"]
+        return sign_extended("sample", 0, min(width, to), to)
+
     def argument(self, key: str, place: str, width: int) -> str:
         """The argument of a unit: a row that is drained, a code of the memory, or either."""
         drained, stored = f"drained[{width - 1}:0]", f"{place}[{width - 1}:0]"
@@ -431,7 +440,7 @@ module {self.program.name} (
             return ""
         code = self.widths["code"]
         text = f"    reg signed [{code - 1}:0] argument;\n    always @(posedge clk) argument <= word;\n"
-        text += f"    wire unused_argument = &{{1'b0, argument}};\n"
+        text += "    wire unused_argument = &{1'b0, argument};\n"
         selects = [o for o in units if isinstance(o, Select)]
         if not selects:
             return text
@@ -489,9 +498,7 @@ def rom_rows(columns: list[tuple[np.ndarray, int, bool]], notes: dict[int, list[
     """The lines of a ROM from the columns (values, width, signed) of their fields; a long ROM as plain numbers."""
     count = len(columns[0][0])
     if count <= REMARKED:
-        texts = [
-            [number(v, k) if signed else f"{k}'d{v}" for v in values.tolist()] for values, k, signed in columns
-        ]
+        texts = [[number(v, k) if signed else f"{k}'d{v}" for v in values.tolist()] for values, k, signed in columns]
         return [
             f"{{{', '.join(parts)}}};  {remark('; '.join(notes.get(t, ())) or '-')}"
             for t, parts in enumerate(zip(*texts, strict=True))
