@@ -46,12 +46,24 @@ class Plan:
     shadows: dict[str, str]
 
 
+def live_operations(program: Program) -> list[Operation]:
+    """The operations on which an output or a state depends."""
+    read = {p.signal.name for p in program.outputs} | {s.source for s in program.states}
+    found = []
+    for o in reversed(program.operations):
+        if o.out.name in read:
+            read |= set(o.args)
+            found.append(o)
+    return found[::-1]
+
+
 def planned(program: Program, multipliers: int) -> Plan:
     """The jobs of a step, without their lengths."""
-    answers = _answers(program)
+    live = live_operations(program)
+    answers = _answers(live)
     inside = {o.out.name: name for name, o in answers.items()}
-    operations = [o for o in program.operations if o.out.name not in inside]
-    producer = {o.out.name: inside.get(o.out.name, o.out.name) for o in program.operations}
+    operations = [o for o in live if o.out.name not in inside]
+    producer = {o.out.name: inside.get(o.out.name, o.out.name) for o in live}
     jobs = {o.out.name: Job(o.out.name, tuple(o.args), o.out.size, operation=o) for o in operations}
     states = [s.signal.name for s in program.states]
     size = {s.name: s.size for s in program.signals.values()}
@@ -77,11 +89,11 @@ def planned(program: Program, multipliers: int) -> Plan:
     return Plan(jobs, answers, home, read | set(home) | set(states), kept_shadows)
 
 
-def _answers(program: Program) -> dict[str, Lookup]:
+def _answers(operations: list[Operation]) -> dict[str, Lookup]:
     """Affine result -> the first lookup that reads it."""
-    affine = {o.out.name for o in program.operations if isinstance(o, Affine)}
+    affine = {o.out.name for o in operations if isinstance(o, Affine)}
     found: dict[str, Lookup] = {}
-    for o in program.operations:
+    for o in operations:
         if isinstance(o, Lookup) and o.arg in affine:
             found.setdefault(o.arg, o)
     return found

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greygate.emulator.program import Affine, Overflow, Program, Rounding, signed_width
+from greygate.emulator.program import Affine, Operation, Overflow, Program, Rounding, signed_width
 
 OPERANDS = (16, 18)  # widths of the multipliers that every family has: 16 x 16 on the iCE40, 18 x 18 on the others
 FEW = 1.05  # products, as a factor, that narrower multipliers may cost
@@ -75,17 +75,17 @@ class Products:
     count: int  # products of a step
 
 
-def laid_out(program: Program) -> Products:
-    """The products of a program, for the narrowest multipliers that do not cost many more of them."""
-    wide = _Maker(program, OPERANDS[-1])
-    narrow = _Maker(program, OPERANDS[0])
+def laid_out(program: Program, operations: list[Operation]) -> Products:
+    """The products of some operations, for the narrowest multipliers that do not cost many more of them."""
+    affine = [o for o in operations if isinstance(o, Affine)]
+    wide = _Maker(program, affine, OPERANDS[-1])
+    narrow = _Maker(program, affine, OPERANDS[0])
     return (narrow if narrow.count <= FEW * wide.count else wide).products()
 
 
 class _Maker:
-    def __init__(self, program: Program, operand: int):
-        self.program, self.operand = program, operand
-        self.affine = [o for o in program.operations if isinstance(o, Affine)]
+    def __init__(self, program: Program, affine: list[Affine], operand: int):
+        self.program, self.affine, self.operand = program, affine, operand
         self.parts: dict[Part, int] = {PLAIN: 0}
         self.x_width = min(operand, max([2, *(program.signals[a].fix.width for o in self.affine for a in o.args)]))
         self.widths = {o.out.name: _row_widths(program, o) for o in self.affine}
@@ -133,10 +133,11 @@ class _Maker:
             signal = self.program.signals[a]
             span = slice(first, first + signal.size)
             for part in _parts(signal.fix.width, self.x_width):
-                index = self.parts.setdefault(part, len(self.parts))
                 for words, shifts in pieces:
                     used = np.flatnonzero(np.any(words[:, span] != 0, axis=0)) + first
-                    found.append((used, index, words[:, used], shifts[:, used] + part.low + to[:, None]))
+                    if used.size:
+                        index = self.parts.setdefault(part, len(self.parts))
+                        found.append((used, index, words[:, used], shifts[:, used] + part.low + to[:, None]))
             first += signal.size
         if not found:  # no weight at all
             zero = np.zeros((o.out.size, 1), np.int64)

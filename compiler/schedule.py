@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from greygate.compiler.jobs import Job, measure, planned
+from greygate.compiler.jobs import Job, live_operations, measure, planned
 from greygate.compiler.products import Mode, Products, laid_out
 from greygate.compiler.verilog import LOOKUP_CLOCKS, shared_tables
 from greygate.emulator.program import Affine, Elementwise, Lookup, Program, signed_width
@@ -142,7 +142,8 @@ class _Folder:
     def __init__(self, program: Program, multipliers: int):
         self.program, self.multipliers = program, multipliers
         self.levels = levels_of(multipliers)
-        self.products = laid_out(program)
+        self.operations = live_operations(program)
+        self.products = laid_out(program, self.operations)
         self.plan = planned(program, multipliers)
         self.inside = {o.out.name for o in self.plan.answers.values()}
         self.outputs = {p.signal.name for p in program.outputs}
@@ -171,7 +172,7 @@ class _Folder:
         """A unit for each operation that is not affine; lookups in equal tables share one."""
         shared = shared_tables(self.program)
         self.unit: dict[str, str] = {}
-        for o in self.program.operations:
+        for o in self.operations:
             if isinstance(o, Affine):
                 continue
             key = f"table {shared[o.table].name}" if isinstance(o, Lookup) else o.out.name

@@ -412,6 +412,7 @@ module {self.program.name} (
             text += instance(module, f"unit_{n}_{o.op.value}", parameters, ends)
             cases.append(f"{self.source(UNITS + n)}: y = {self.extended(f'unit_{n}', out, y)};  {remark(key)}")
         chosen = "".join(f"            {case}\n" for case in cases)
+        unread = ", ".join(["sample", "drained", *(f"unit_{n}" for n in range(len(f.units)))])
         return f"""
     // what is written, and the units that answer an argument
 {self.arguments()}{text}
@@ -419,6 +420,7 @@ module {self.program.name} (
         case (source)
 {chosen}            default: y = {self.extended("drained", self.widths["drained"], y)};
         endcase
+    wire unused_y = &{{1'b0, {unread}}};  // a result may be wider than what is kept
 """
 
     def first_sample(self, to: int) -> str:
