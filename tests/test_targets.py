@@ -44,7 +44,7 @@ def test_every_target_writes_every_program(name):
 @pytest.mark.parametrize("name", BOTH)
 def test_an_architecture_has_a_register_for_each_code_of_the_states(name):
     for program in (cylinder_program(), random_program(3)):
-        registers = target(name).registers(program)
+        registers = target(name).registers(program, Design())
         assert len(set(registers)) == len(registers) == sum(s.signal.size for s in program.states)
 
 

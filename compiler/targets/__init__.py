@@ -79,10 +79,10 @@ class Target:
 class Architecture(Target):
     """A target in Verilog. `emit` adds the building blocks of rtl/ and the list of sources, Verilator simulates it.
 
-    registers: program -> one register for each element of the states, in the order of the program.
+    registers: (program, design) -> one register for each element of the states, in the order of the program.
     """
 
-    registers: Callable[["Program"], list[Register]]
+    registers: Callable[["Program", Design], list[Register]]
 
 
 def target(name: str) -> Target:
