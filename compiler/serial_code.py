@@ -264,11 +264,12 @@ class Compiler:
         w.add("argument")
         w.rise("twice the argument, or 0")
         w.add("argument", Add.INVERT)
-        w.add(NOTHING, Add.INVERT, "the absolute value")
-        w.set((0, max(map(abs, w.memory["argument"]))))
         line = table.interpolated and shift > 0
-        for k in range(shift):
-            w.add(NOTHING, Add.SHIFT | (Add.CARRY if not line and k + 1 == shift else 0), "the index")
+        nearest = -1 if line else shift - 1  # the place at which half a step is added
+        w.add(NOTHING, Add.INVERT | (Add.CARRY if nearest == 0 else 0), "the absolute value")
+        w.set((0, 1 + max(map(abs, w.memory["argument"]))))
+        for place in range(1, shift + 1):
+            w.add(NOTHING, Add.SHIFT | (Add.CARRY if nearest == place else 0), "the index")
         first = self.origin + self.first_point[table.name]
         w.add(Constant(last), TAKE)
         w.rise("at most the last")
