@@ -24,6 +24,9 @@ class Add(IntFlag):
     SHIFT = 4
 
 
+PLAIN = Add(0)
+
+
 class Word(IntEnum):
     """The operations that are no additions."""
 
@@ -97,7 +100,7 @@ class Writer:
         self.range = found
         self.acc_width = max(self.acc_width, width_of(found))
 
-    def add(self, key: Key = NOTHING, how: Add = Add(0), note: str = "", choose: bool = False) -> None:
+    def add(self, key: Key = NOTHING, how: Add = PLAIN, note: str = "", choose: bool = False) -> None:
         """Add a code. choose: the word reads the next code by a choice."""
         lo, hi = self.read(key)
         a, b = self.range
@@ -171,7 +174,7 @@ class Writer:
     def double(self, carry: bool) -> None:
         self.write("twice", "twice")
         self.load("twice")
-        self.add("twice", Add.CARRY if carry else Add(0))
+        self.add("twice", Add.CARRY if carry else PLAIN)
 
     def fit(self, fix: Fix, overflow: Overflow) -> None:
         if overflow is Overflow.SATURATE:
@@ -193,7 +196,7 @@ class Writer:
             _Sum(self, terms, constant >> spare, shift - spare, note).write()
         else:
             self.load(Constant(constant >> shift), note)
-        assert self.range[0] <= exact[0] and exact[1] <= self.range[1]
+        assert self.range[0] <= exact[0] <= exact[1] <= self.range[1]
         self.set(exact)
 
     def range_of(self, key: Key) -> Range:
@@ -253,9 +256,9 @@ def signed_digits(weight: int) -> list[tuple[int, int]]:
 class _Sum:
     """One weighted sum, a place of its digits after the other.
 
-    Places from `shift` up are summed from the highest down, by doubling; then those below from the lowest up, by halving
-    the accumulator. `inverted` says that the accumulator holds the complement of the sum: to subtract a code is to add
-    it to the complement. An addition's carry is a digit of the constant: +1, or -1 while inverted.
+    Places from `shift` up are summed from the highest down, by doubling; then those below from the lowest up, by
+    halving the accumulator. `inverted` says that the accumulator holds the complement of the sum: to subtract a code is
+    to add it to the complement. An addition's carry is a digit of the constant: +1, or -1 while inverted.
     """
 
     def __init__(self, writer: Writer, terms: list[tuple[Key, int]], constant: int, shift: int, note: str):
@@ -306,27 +309,14 @@ class _Sum:
     def final(self, digits: list[tuple[Key, int]]) -> None:
         """Add the digits of the last place and what is left of the constant; end without inversion."""
         digits = sorted(digits, key=lambda d: d[1] > 0)
-        how = Add.SHIFT if self.shift else 0
-        if self.constant == 1 and digits and digits[-1][1] > 0:
-            negative, positive = digits[:-1], digits[-1:]
-        else:
-            negative, positive = digits, []
-            if self.constant:
-                positive = [(Constant(self.constant), 1)]
-                self.constant = 0
-            elif self.shift and not digits:
-                positive = [(NOTHING, 1)]
-            elif digits and digits[-1][1] < 0 or self.inverted and not digits:
-                positive = [(NOTHING, 1)]
-        if negative:
-            self.place_in_order(negative, how)
-            how = 0
-        if positive:
-            self.place_in_order(positive, how, self.constant)
-
-    def place_in_order(self, digits: list[tuple[Key, int]], how: int, odd: int = 0) -> None:
+        if self.constant and not (self.constant == 1 and digits and digits[-1][1] > 0):
+            digits.append((Constant(self.constant), 1))
+            self.constant = 0
+        if digits[-1][1] < 0 if digits else self.shift or self.inverted:
+            digits.append((NOTHING, 1))
         for n, (key, digit) in enumerate(digits):
-            self.place([(key, digit)], how if n == 0 else 0, odd if n + 1 == len(digits) else 0)
+            how = Add.SHIFT if self.shift and n == 0 else PLAIN
+            self.place([(key, digit)], how, self.constant if n + 1 == len(digits) else 0)
 
 
 def name_of(key: Key) -> str:

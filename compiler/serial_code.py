@@ -11,6 +11,7 @@ from greygate.compiler.schedule import ordered
 from greygate.compiler.serial import (
     ACCEPT,
     NOTHING,
+    PLAIN,
     PUSH,
     SAMPLE,
     ZERO,
@@ -197,7 +198,7 @@ class Compiler:
         w.load(kept[-1], "the result")
         w.read(kept[0])
         w.word(Word.SHOW, kept[0], "show the result")
-        w.word(Add(0), NOTHING)
+        w.word(PLAIN, NOTHING)
 
     # -- routines ----------------------------------------------------------------------------------------------------
 
@@ -266,10 +267,10 @@ class Compiler:
         w.add("argument", Add.INVERT)
         line = table.interpolated and shift > 0
         nearest = -1 if line else shift - 1  # the place at which half a step is added
-        w.add(NOTHING, Add.INVERT | (Add.CARRY if nearest == 0 else 0), "the absolute value")
+        w.add(NOTHING, Add.INVERT | (Add.CARRY if nearest == 0 else PLAIN), "the absolute value")
         w.set((0, 1 + max(map(abs, w.memory["argument"]))))
         for place in range(1, shift + 1):
-            w.add(NOTHING, Add.SHIFT | (Add.CARRY if nearest == place else 0), "the index")
+            w.add(NOTHING, Add.SHIFT | (Add.CARRY if nearest == place else PLAIN), "the index")
         first = self.origin + self.first_point[table.name]
         w.add(Constant(last), TAKE)
         w.rise("at most the last")
@@ -374,8 +375,8 @@ def element(signal: Signal, k: int) -> str:
 class Code:
     """A program laid out for the machine.
 
-    words: (operation, field, note), by address. memory: what each word of memory holds at first, by address, with a note.
-    bits: place in the main code -> bit of the sample.
+    words: (operation, field, note), by address. memory: what each word of memory holds at first, with a note, by
+    address. bits: place in the main code -> bit of the sample.
     """
 
     words: list[tuple[int, int, str]]

@@ -39,7 +39,7 @@ module greygate_serial #(
     output wire [ READ_W-1:0] read,
     output wire               write,          // at memory[field]
     input  wire [ DATA_W-1:0] x,              // memory[read] of the clock before
-    output reg  [  ACC_W-1:0] acc,
+    output wire [ DATA_W-1:0] y,              // what is written, and the last output
     output wire               push,
     input  wire               s_axis_tvalid,
     output wire               s_axis_tready,
@@ -49,6 +49,8 @@ module greygate_serial #(
 
     wire [3:0] operation = word[FIELD_W+3:FIELD_W];
     wire [FIELD_W-1:0] field = word[FIELD_W-1:0];
+
+    reg [ACC_W-1:0] acc;
 
     // the code
     reg inside_reg;  // a routine
@@ -84,9 +86,9 @@ module greygate_serial #(
     end
 
     // the memory
-    reg [REST_W-1:0] rest_reg;  // bits shifted out of the accumulator, the oldest lowest; or its sign there
+    reg [REST_W-1:0] rest_reg;  // bits shifted out of the accumulator, the oldest lowest; there its sign, too
 
-    wire [REST_W:0] rest = {acc[0], rest_reg};
+    wire [REST_W-1:0] rest;  // after a shift
     wire choose = operation == 4'b1100;
     wire chosen = choose && (inside_reg ? rest_reg[0] : sample_bit);
     wire look = operation == 4'b1011;
@@ -97,8 +99,11 @@ module greygate_serial #(
     generate
         genvar k;
         for (k = 1; k < READ_W; k = k + 1) begin : address
-            if (k < FIELD_W) assign read[k] = look ? acc[k] : field[k];
-            else assign read[k] = look && acc[k];
+            if (k < FIELD_W) begin : low
+                assign read[k] = look ? acc[k] : field[k];
+            end else begin : high
+                assign read[k] = look && acc[k];
+            end
         end
     endgenerate
 
@@ -108,20 +113,26 @@ module greygate_serial #(
     wire [ACC_W-1:0] shifted = shift ? {negative, acc[ACC_W-1:1]} : acc;
     wire [ACC_W-1:0] augend = operation[1] ? ~shifted : shifted;
     wire [ACC_W-1:0] addend;
-    wire [ACC_W:0] sum = {augend, 1'b1} + {addend, operation[0]};
+    wire [ACC_W-1:0] sum;
+    wire unused;
 
     assign addend[DATA_W-1:0] = x;
+    assign {sum, unused} = {augend, 1'b1} + {addend, operation[0]};
+    assign y = acc[DATA_W-1:0];
 
     always @(posedge clk) begin
-        if (!operation[3] || choose) acc <= sum[ACC_W:1];
+        if (!operation[3] || choose) acc <= sum;
         else if (operation == 4'b1001 || look || (operation == 4'b1010 && negative)) acc <= {ACC_W{1'b0}};
     end
 
-    always @(posedge clk) rest_reg[0] <= shift ? rest[1] : negative;
+    always @(posedge clk) rest_reg[0] <= shift ? rest[0] : negative;
 
     generate
         if (REST_W > 1) begin : keep
-            always @(posedge clk) if (shift) rest_reg[REST_W-1:1] <= rest[REST_W:2];
+            assign rest = {acc[0], rest_reg[REST_W-1:1]};
+            always @(posedge clk) if (shift) rest_reg[REST_W-1:1] <= rest[REST_W-1:1];
+        end else begin : none
+            assign rest = acc[0];
         end
         if (ACC_W > DATA_W) begin : extend
             assign addend[ACC_W-1:DATA_W] = {ACC_W - DATA_W{x[DATA_W-1]}};

@@ -4,7 +4,6 @@ compiler/serial_code.py writes the words; rtl/greygate_serial.v performs them. A
 each signed digit of its weight, so that no multiplier is needed.
 """
 
-
 from greygate.compiler.serial_code import Code, compiled
 from greygate.compiler.targets import Architecture, Register
 from greygate.compiler.verilog import (
@@ -49,10 +48,10 @@ def _top(program: Program, code: Code) -> str:
     parameters = {f"{k.upper()}_W": v for k, v in w.items()}
     parameters |= {"PUSHES": int(code.pushes > 0), "BOOT": code.boot, "START": code.start}
     ends = {k: k for k in ("clk", "rst", "code_address", "code_read", "word", "place", "sample_bit", "read", "write")}
-    ends |= {k: k for k in ("x", "acc", "push")}
+    ends |= {k: k for k in ("x", "y", "push")}
     ends |= {k: k for k in ("s_axis_tvalid", "s_axis_tready", "m_axis_tvalid", "m_axis_tready")}
     field = f"word[{w['field'] - 1}:0]"
-    memory = {"clk": "clk", "read": "read", "write": "write", "field": field, "y": f"acc[{w['data'] - 1}:0]", "x": "x"}
+    memory = {"clk": "clk", "read": "read", "write": "write", "field": field, "y": "y", "x": "x"}
     rom = {"clk": "clk", "read": "code_read", "address": "code_address", "word": "word"}
     body = f"""\
 module {program.name} (
@@ -66,7 +65,7 @@ module {program.name} (
     wire [{w["read"] - 1}:0] read;
     wire write;
     wire [{w["data"] - 1}:0] x;
-    wire [{w["acc"] - 1}:0] acc;
+    wire [{w["data"] - 1}:0] y;
     wire push;
     wire [{width_in - 1}:0] sample = s_axis_tdata;
     wire [{width_out - 1}:0] result;
@@ -84,9 +83,8 @@ def _sample(program: Program, code: Code) -> str:
     width = 1
     while len({p % (1 << width) for p in code.bits}) < len(code.bits):
         width += 1
-    cases = "".join(
-        f"            {width}'d{place % (1 << width)}: sample_bit = sample[{bit}];\n" for place, bit in code.bits.items()
-    )
+    numbered = ((f"{width}'d{place % (1 << width)}", bit) for place, bit in code.bits.items())
+    cases = "".join(f"            {place}: sample_bit = sample[{bit}];\n" for place, bit in numbered)
     rest = [f"place[{code.widths['code'] - 1}:{width}]"] if code.widths["code"] > width else []
     return f"""
     // the bits of the sample, one after the other
@@ -108,9 +106,9 @@ def _outputs(program: Program, code: Code) -> str:
         widest = max(widest, s.fix.width)
         registers.append((f"output_{n}", widest))
     for n, (name, width) in enumerate(registers):
-        source = f"acc[{width - 1}:0]" if n + 1 == len(registers) else f"output_{n + 1}[{width - 1}:0]"
+        source = f"y[{width - 1}:0]" if n + 1 == len(registers) else f"output_{n + 1}[{width - 1}:0]"
         text += f"    reg [{width - 1}:0] {name};\n    always @(posedge clk) if (push) {name} <= {source};\n"
-    names = [*(name for name, _ in registers), *["x", "acc"][2 - min(2, len(shown)) :]]
+    names = [*(name for name, _ in registers), *["x", "y"][2 - min(2, len(shown)) :]]
     lanes = [sign_extended(n, 0, s.fix.width, lane_width(s)) for n, s in zip(names, shown, strict=True)]
     return f"{text}\n{result_text(lanes)}"
 
@@ -141,6 +139,8 @@ def _code(program: Program, code: Code) -> str:
 def _memory(program: Program, code: Code) -> str:
     w = code.widths
     half = 1 << (w["field"] - 1)
+    beyond = w["read"] - w["field"]
+    where = f"{{{beyond}'d0, field}}" if beyond else "field"
     depth = max(code.memory) + 1
     rows = "\n".join(
         f"        words[{n}] = {number(v, w['data'])};" + (f"  {remark(note)}" if note else "")
@@ -162,7 +162,7 @@ def _memory(program: Program, code: Code) -> str:
 
     always @(posedge clk) begin
         x <= words[read];
-        if (write) words[field] <= y;
+        if (write) words[{where}] <= y;
     end
 
     initial begin
