@@ -450,11 +450,9 @@ class _Layout:
     def code(self) -> Code:
         compiler, program = self.compiler, self.program
         count = bits(max([1, *(len(r.lines) - 1 for r in compiler.routines.values())]))
-        entry = bits(len(compiler.routines) - 1)
+        entry = bits(len(compiler.routines) - 1) if len(compiler.routines) > 1 else 0
         block, boot = 1 << count, 1 << (count + entry)
-        start = boot + (1 << bits(len(compiler.boot) - 1))
-        if start >= 2 * boot:
-            start = 1 << bits(boot + len(compiler.boot) - 1)
+        start = 1 << bits(boot + len(compiler.boot) - 1)
         words = [(int(Word.CLEAR), 0, "")] * (start + len(compiler.main))
         places = [(n * block, r.lines) for n, r in enumerate(compiler.routines.values())]
         for place, lines in [*places, (boot, compiler.boot), (start, compiler.main)]:
@@ -473,7 +471,7 @@ class _Layout:
             "data": data,
             "read": max(read, self.field_width),
             "field": self.field_width,
-            "code": max(bits(len(words) - 1), count + entry + 1),
+            "code": bits(len(words) - 1),
             "entry": entry,
             "count": count,
             "rest": compiler.rest,

@@ -8,7 +8,7 @@
 //   1010  rise       acc = 0 if it is negative                                          reads memory[field]
 //   1011  look       acc = 0                                                            reads memory[acc]
 //   1100  choose     acc = (acc >> 1) + x                                reads memory[field], or the word after it
-//   1101  call       begins routine `field`, or ends it; the word after it is performed before
+//   1101  call       begins routine `field`, or ends it; the word after it is performed before, and again after
 //   1110  wait       for a sample; or, by the lowest bits of the field, 01 accepts it, 11 pushes acc to the outputs
 //   1111  show       holds the result until it is taken, then begins the next step after one more word
 // A choice takes the next word for a bit of 1: of the sample, or in a routine the one that was shifted out of acc
@@ -22,8 +22,8 @@ module greygate_serial #(
     parameter READ_W = 11,    // width of an address of memory
     parameter FIELD_W = 8,    // width of a field, at most READ_W
     parameter CODE_W = 11,    // width of an address of code
-    parameter ENTRY_W = 1,    // width of a routine's number
-    parameter COUNT_W = 6,    // width of the place within a routine; routines stand at the lowest addresses of code
+    parameter ENTRY_W = 0,    // width of a routine's number; routines stand at the lowest addresses of code
+    parameter COUNT_W = 6,    // width of the place within a routine
     parameter REST_W = 7,     // bits that are kept of those shifted out
     parameter PUSHES = 0,     // whether there are outputs beside acc and x
     parameter BOOT = 128,     // address of code that follows a reset
@@ -31,10 +31,9 @@ module greygate_serial #(
 ) (
     input  wire               clk,
     input  wire               rst,            // synchronous, active high
-    output wire [ CODE_W-1:0] code_address,
+    output wire [ CODE_W-1:0] code_address,   // tells the bits of the sample apart, too
     output wire               code_read,
     input  wire [FIELD_W+3:0] word,           // of the code, a clock after its address, kept while code_read is low
-    output wire [ CODE_W-1:0] place,          // in the main code; tells the bits of the sample apart
     input  wire               sample_bit,
     output wire [ READ_W-1:0] read,
     output wire               write,          // at memory[field]
@@ -53,36 +52,37 @@ module greygate_serial #(
     reg [ACC_W-1:0] acc;
 
     // the code
+    reg fresh_reg;  // after a reset: the word was read before it
     reg inside_reg;  // a routine
     reg [CODE_W-1:0] place_reg;
-    reg [ENTRY_W-1:0] entry_reg;
-    reg [COUNT_W-1:0] count_reg;
+    reg [CODE_W-1:0] back_reg;  // place of the word after the call
 
-    wire call = operation == 4'b1101;
-    wire wait_word = operation == 4'b1110;
-    wire show = operation == 4'b1111;
+    wire flow = operation[3] && operation[2] && !fresh_reg;
+    wire call = flow && !operation[1] && operation[0];
+    wire wait_word = flow && operation[1] && !operation[0];
+    wire show = flow && operation[1] && operation[0];
     wire sleep = (wait_word && !field[0] && !s_axis_tvalid) || (show && !m_axis_tready);
-    wire [CODE_W-1:0] routine = {{CODE_W - ENTRY_W - COUNT_W{1'b0}}, entry_reg, count_reg};
+    wire [CODE_W-1:0] next = place_reg - {CODE_W{!call}};  // one more; call shares the logic cell of the sum
+    wire [CODE_W-1:0] entry;
 
-    assign code_address = rst ? {CODE_W{1'b0}} : inside_reg ? routine : place_reg;
+    assign code_address = place_reg;
     assign code_read = rst || !sleep;
-    assign place = place_reg;
     assign push = PUSHES != 0 && wait_word && field[1] && field[0];
     assign s_axis_tready = wait_word && !rst && (field[0] ? !(PUSHES != 0 && field[1]) : !s_axis_tvalid);
     assign m_axis_tvalid = show;
 
     always @(posedge clk) begin
+        fresh_reg <= rst;
+
         if (rst) inside_reg <= 1'b0;
         else if (call) inside_reg <= !inside_reg;
 
+        if (call) back_reg <= place_reg;
+
         if (rst) place_reg <= BOOT[CODE_W-1:0];
         else if (show) place_reg <= START[CODE_W-1:0];
-        else if (!inside_reg && !sleep) place_reg <= place_reg + {{CODE_W - 1{1'b0}}, 1'b1};
-
-        if (!inside_reg) begin
-            entry_reg <= field[ENTRY_W-1:0];
-            count_reg <= {COUNT_W{1'b0}};
-        end else count_reg <= count_reg + {{COUNT_W - 1{1'b0}}, 1'b1};
+        else if (call && !inside_reg) place_reg <= entry;
+        else if (!sleep) place_reg <= call ? back_reg : next;
     end
 
     // the memory
@@ -133,6 +133,11 @@ module greygate_serial #(
             always @(posedge clk) if (shift) rest_reg[REST_W-1:1] <= rest[REST_W-1:1];
         end else begin : none
             assign rest = acc[0];
+        end
+        if (ENTRY_W > 0) begin : several
+            assign entry = {{CODE_W - ENTRY_W - COUNT_W{1'b0}}, field[ENTRY_W > 0 ? ENTRY_W - 1 : 0:0], {COUNT_W{1'b0}}};
+        end else begin : one
+            assign entry = {CODE_W{1'b0}};
         end
         if (ACC_W > DATA_W) begin : extend
             assign addend[ACC_W-1:DATA_W] = {ACC_W - DATA_W{x[DATA_W-1]}};

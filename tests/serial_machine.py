@@ -13,7 +13,7 @@ class Machine:
         self.program, self.code = program, code
         self.memory: dict[int, int | None] = {n: v for n, (v, _) in code.memory.items()}
         self.acc, self.x, self.rest = 0, None, [0] * code.widths["rest"]
-        self.place, self.inside, self.entry, self.count = code.boot, False, 0, 0
+        self.place, self.back, self.inside = code.boot, 0, False
         self.word = code.words[0]
         self.pushed: list[int] = []
         self.clocks = 0
@@ -35,12 +35,9 @@ class Machine:
     def clock(self, sample: int) -> list[int] | None:
         (operation, field, _), code, w = self.word, self.code, self.code.widths
         assert operation is not None, "a word that was never written"
+        address = self.place
         shift, acc, x = bool(operation & 4), self.acc, self.x
-        if self.inside:
-            address = (self.entry << w["count"]) + self.count
-        else:
-            address = self.place
-        chosen = operation == 12 and (self.rest[0] if self.inside else sample >> code.bits[self.place] & 1)
+        chosen = operation == 12 and (self.rest[0] if self.inside else sample >> code.bits[address] & 1)
         read = acc % (1 << w["read"]) if operation == 11 else field | chosen
         x_next = self.memory.get(read)
         if operation < 8 or operation == 12:
@@ -57,12 +54,10 @@ class Machine:
         elif operation == 14 and field == 3:
             self.pushed.append(acc)
         self.rest = [*self.rest[1:], acc & 1] if shift else [int(acc < 0), *self.rest[1:]]
-        if not self.inside:
-            self.entry, self.count = field % (1 << w["entry"]), 0
-            self.place += 1
-        else:
-            self.count += 1
-        if operation == 13:
+        self.place += 1
+        if operation == 13:  # the word after it is performed before, and again after
+            called = field % (1 << w["entry"]) << w["count"]
+            self.place, self.back = (self.back, 0) if self.inside else (called, address)
             self.inside = not self.inside
         shown = None
         if operation == 15:

@@ -19,8 +19,11 @@ from greygate.compiler.verilog import (
     unused_bits,
     unused_text,
     verilog_names,
+    wrapped,
 )
 from greygate.emulator.program import Program
+
+BLANK = "1'bx"  # no bit of the sample
 
 
 def serial(program: Program) -> dict[str, str]:
@@ -47,7 +50,7 @@ def _top(program: Program, code: Code) -> str:
     w = code.widths
     parameters = {f"{k.upper()}_W": v for k, v in w.items()}
     parameters |= {"PUSHES": int(code.pushes > 0), "BOOT": code.boot, "START": code.start}
-    ends = {k: k for k in ("clk", "rst", "code_address", "code_read", "word", "place", "sample_bit", "read", "write")}
+    ends = {k: k for k in ("clk", "rst", "code_address", "code_read", "word", "sample_bit", "read", "write")}
     ends |= {k: k for k in ("x", "y", "push")}
     ends |= {k: k for k in ("s_axis_tvalid", "s_axis_tready", "m_axis_tvalid", "m_axis_tready")}
     field = f"word[{w['field'] - 1}:0]"
@@ -61,7 +64,6 @@ module {program.name} (
     wire [{w["code"] - 1}:0] code_address;
     wire code_read;
     wire [{w["field"] + 3}:0] word;
-    wire [{w["code"] - 1}:0] place;
     wire [{w["read"] - 1}:0] read;
     wire write;
     wire [{w["data"] - 1}:0] x;
@@ -83,18 +85,16 @@ def _sample(program: Program, code: Code) -> str:
     width = 1
     while len({p % (1 << width) for p in code.bits}) < len(code.bits):
         width += 1
-    numbered = ((f"{width}'d{place % (1 << width)}", bit) for place, bit in code.bits.items())
-    cases = "".join(f"            {place}: sample_bit = sample[{bit}];\n" for place, bit in numbered)
-    rest = [f"place[{code.widths['code'] - 1}:{width}]"] if code.widths["code"] > width else []
+    taken = {place % (1 << width): f"sample[{bit}]" for place, bit in code.bits.items()}
+    listed = wrapped([f"{taken.get(n, BLANK)}," for n in reversed(range(1 << width))], "        ").rstrip(",")
     return f"""
-    // the bits of the sample, one after the other
-    reg sample_bit;
-    always @*
-        case (place[{width - 1}:0])
-{cases}            default: sample_bit = 1'bx;
-        endcase
+    // the bits of the sample in the order in which the code takes them
+    wire [{(1 << width) - 1}:0] ordered = {{
+{listed}
+    }};
+    wire sample_bit = ordered[code_address[{width - 1}:0]];
 
-{unused_text([*unused_bits(program), *rest, *([] if code.pushes else ["push"])])}"""
+{unused_text([*unused_bits(program), *([] if code.pushes else ["push"])])}"""
 
 
 def _outputs(program: Program, code: Code) -> str:
