@@ -17,7 +17,7 @@ def parallel(program: Program, design: Design = Design()) -> dict[str, str]:
     return {f"{program.name}.v": _top(core)} | core.modules()
 
 
-def registers(program: Program) -> list[Register]:
+def registers(program: Program, design: Design) -> list[Register]:
     """A register for each state, with the name of the state."""
     names = verilog_names(program)
     signals = [s.signal for s in program.states]
