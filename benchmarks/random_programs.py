@@ -19,6 +19,7 @@ import numpy as np
 from legal_programs import legal_codes, legal_program
 from oracle import differing_bits, perform
 
+from greygate.compiler.targets import Design
 from greygate.emulator.engine import run
 from greygate.emulator.interpreter import Run, interpret
 from greygate.emulator.program import Program
@@ -59,7 +60,8 @@ def hardware(seeds: range) -> dict:
             for architecture in ARCHITECTURES:
                 program = legal_program(seed, f"legal{seed}_{architecture}")
                 codes = legal_codes(program, seed, STEPS)
-                cases.append(Case(program, {"legal": scenario_of(program, codes)}, architecture, macs=1 + seed % 5))
+                design = Design(multipliers=1 + seed % 5)
+                cases.append(Case(program, {"legal": scenario_of(program, codes)}, architecture, design))
                 seed_of[program.name] = seed
                 shown = [p.signal for p in program.outputs] + [s.signal for s in program.states]
                 bits += STEPS * sum(s.size * s.fix.width for s in shown)

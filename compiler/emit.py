@@ -4,17 +4,17 @@ import re
 from pathlib import Path
 
 from greygate import rtl
-from greygate.compiler.targets import Architecture, target
+from greygate.compiler.targets import Architecture, Design, target
 from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.files import making, replacing_all
 from greygate.names import check_file_name
 
 
-def emit(program: Program, folder: Path | str, architecture: str = "parallel", macs: int = 4) -> list[Path]:
+def emit(program: Program, folder: Path | str, architecture: str = "parallel", design: Design = Design()) -> list[Path]:
     """Write the program into `folder` and return the files, the top `<program>.v` of Verilog first.
 
-    architecture: the name of a target, such as "parallel", or "folded" with `macs` multipliers. Verilog stands on its
+    architecture: the name of a target, such as "parallel" or "folded". design: how it is built. Verilog stands on its
     own: the building blocks used are copied into the folder, and `<program>.f` lists the sources. Either all files are
     written or none. Raises InputError for names that Verilog cannot hold, a program without input or output, an illegal
     option, or a folder that cannot be written.
@@ -22,7 +22,7 @@ def emit(program: Program, folder: Path | str, architecture: str = "parallel", m
     >>> [path.name for path in emit(program, "rtl")][0]
     'lag.v'
     """
-    files = emitted(program, architecture, macs)
+    files = emitted(program, architecture, design)
     folder = Path(folder)
     with making(folder), replacing_all([folder / name for name in files], durable=False) as new:
         for path, text in zip(new, files.values(), strict=True):
@@ -30,11 +30,11 @@ def emit(program: Program, folder: Path | str, architecture: str = "parallel", m
     return [folder / name for name in files]
 
 
-def emitted(program: Program, architecture: str = "parallel", macs: int = 4) -> dict[str, str]:
+def emitted(program: Program, architecture: str = "parallel", design: Design = Design()) -> dict[str, str]:
     """The files that `emit` writes, by name. Raises InputError as it does."""
     program.check()
     chosen = target(architecture)
-    texts = chosen.files(program, macs)
+    texts = chosen.files(program, design)
     if isinstance(chosen, Architecture):
         blocks = set(re.findall(r"^ *(greygate_\w+) #\(", "".join(texts.values()), re.M))
         if {"greygate_clamp", "greygate_select"} & blocks:

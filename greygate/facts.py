@@ -7,7 +7,8 @@ read as CSV, and the architectures, which must be names of targets.
 import os
 from pathlib import Path
 
-from greygate.compiler.targets import MULTIPLIERS, NAMES
+from greygate.compiler.targets import NAMES, Design
+from greygate.emulator.fields import record
 from greygate.errors import InputError
 from greygate.limits import FINER
 from greygate.names import check_text
@@ -35,7 +36,7 @@ FILES: dict[str, Kind] = {
             "recordings": named(line, check_text),
             "title": check_text,
             "architectures": listed(one_of(NAMES)),
-            "macs": whole(MULTIPLIERS[0], MULTIPLIERS[-1]),
+            "design": record(Design),
             "finer": whole(0, FINER),
             "passes": listed(lambda value, where: table(value, where, PASS)),
             "pruning": listed(anything),

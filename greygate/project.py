@@ -28,7 +28,7 @@ from greygate.compiler.prune import Round, retrained
 from greygate.compiler.quantize import Formats
 from greygate.compiler.ranges import ranges
 from greygate.compiler.saliency import METHODS, saliency_pruning
-from greygate.compiler.targets import BOTH, NAMES, Architecture, target
+from greygate.compiler.targets import BOTH, NAMES, Architecture, Design, target
 from greygate.emulator.engine import run
 from greygate.emulator.program import Program
 from greygate.errors import InputError
@@ -77,7 +77,7 @@ def compile_project(
     held: Sequence[str] = (),
     generic: bool = False,
     architectures: Sequence[str] = BOTH,
-    macs: int = 4,
+    design: Design = Design(),
     progress: Progress = silent,
 ) -> Compiled:
     """Compile a network and write the folder that `Project.open` reads, completely or not at all.
@@ -88,7 +88,7 @@ def compile_project(
     prune: factor by which entropy pruning may raise the RMS error on the training records, e.g. 1.02.
     weights: method of `compiler.saliency` that then removes single weights and may raise the error by that factor
     again. held: scenarios, other than the training ones, that bound the error of pruning instead.
-    architectures: of the Verilog. macs: multipliers of the folded one.
+    architectures: of the Verilog. design: how each is built.
     Raises InputError as `Source`, `compile` and `emit`, and for a folder that holds other files.
 
     >>> compiled = build(source, "lag", Formats(18))
@@ -110,7 +110,7 @@ def compile_project(
             generic=generic,
             period=source.period,
         )
-        _write(new, source, compiled, formats, architectures, macs)
+        _write(new, source, compiled, formats, architectures, design)
     return compiled
 
 
@@ -141,7 +141,7 @@ def _pruning(
 
 
 def _write(
-    folder: Path, source: Source, compiled: Compiled, formats: Formats, architectures: Sequence[str], macs: int
+    folder: Path, source: Source, compiled: Compiled, formats: Formats, architectures: Sequence[str], design: Design
 ) -> None:
     """Fill the folder of a build."""
     facts = {
@@ -149,13 +149,13 @@ def _write(
         "recordings": {n: str(Path(p).resolve()) for n, p in source.recordings.items()},
         "title": source.title,
         "architectures": list(architectures),
-        "macs": macs,
+        "design": asdict(design),
         "finer": formats.finer,
         "passes": [asdict(p) for p in compiled.passes],
         "pruning": [asdict(r) for r in compiled.pruning],
     }
     for architecture in architectures:
-        emit(compiled.program, folder / "rtl" / architecture, architecture, macs)
+        emit(compiled.program, folder / "rtl" / architecture, architecture, design)
     compiled.program.save(folder / "program.json")
     compiled.network.save(folder / "network")
     _write_json(folder / FACTS, facts)
@@ -192,7 +192,7 @@ class Project:
     float. facts: the content of compile.json.
 
     >>> project = Project.open("lag")
-    >>> project.program.name, project.facts["macs"]
+    >>> project.program.name, project.design.multipliers
     ('lag', 4)
     """
 
@@ -246,7 +246,12 @@ class Project:
     def case(self, architecture: str, names: tuple[str, ...] = ()) -> Case:
         """One emitted design with the answers that it must give."""
         where = self.folder / "rtl" / architecture
-        return Case(self.program, self.scenarios(names), architecture, self.facts["macs"], emitted=where)
+        return Case(self.program, self.scenarios(names), architecture, self.design, emitted=where)
+
+    @property
+    def design(self) -> Design:
+        """How the Verilog was built."""
+        return Design(**self.facts["design"])
 
     @property
     def designs(self) -> list[str]:
@@ -261,7 +266,7 @@ class Project:
         found = []
         for architecture in self.facts["architectures"]:
             where = self.folder / "rtl" / architecture
-            for name, text in emitted(self.program, architecture, self.facts["macs"]).items():
+            for name, text in emitted(self.program, architecture, self.design).items():
                 path = where / name
                 if not path.is_file() or path.read_bytes() != text.encode():
                     found.append(path)

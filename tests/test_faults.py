@@ -17,6 +17,7 @@ from networks import delay_line
 
 from greygate import explain, files, project, reporting, source
 from greygate.compiler.quantize import Formats
+from greygate.compiler.targets import Design
 from greygate.hardware.verify import Comparison, Verification
 from greygate.models.network import Network
 from greygate.models.training.checkpoint import Checkpoint
@@ -131,7 +132,7 @@ def line(tmp_path) -> Source:
 
 @pytest.fixture
 def built(line, tmp_path) -> Path:
-    compile_project(line, tmp_path / "here" / "b", Formats(), macs=2)
+    compile_project(line, tmp_path / "here" / "b", Formats(), design=Design(multipliers=2))
     return tmp_path / "here" / "b"
 
 

@@ -11,6 +11,7 @@ from greygate.compiler.emit import emit
 from greygate.compiler.meaning import FORMS
 from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.compiler.quantize import Formats
+from greygate.compiler.targets import Design
 from greygate.emulator.engine import run
 from greygate.emulator.interpreter import interpret
 from greygate.emulator.program import Clamp, Lookup, Program, Select, Threshold
@@ -235,7 +236,7 @@ def test_hardware_with_switches_logic_and_a_latch_equals_the_emulator_in_both_ar
     answer = run(program, codes)
     scenario = {"record": Scenario(codes, answer.outputs, answer.states)}
     cases = [
-        Case(replace(program, name=f"machine_{architecture}"), scenario, architecture, macs=2)
+        Case(replace(program, name=f"machine_{architecture}"), scenario, architecture, design=Design(multipliers=2))
         for architecture in ("parallel", "folded")
     ]
     result = verify_many(cases, tmp_path, seed=1)

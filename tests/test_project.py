@@ -22,6 +22,7 @@ def edited(build: Path, name: str, **entries) -> None:
     write_manifest(build, "compile")
 
 
+DESIGN = {"multipliers": 4, "memory": "block", "dsps": 0, "adders": 3, "channels": 1}
 PASS = {"name": "p", "layers": 1, "parameters": 1, "multiplications": 1, "change": 0.0, "remarks": []}
 
 
@@ -33,10 +34,10 @@ PASS = {"name": "p", "layers": 1, "parameters": 1, "multiplications": 1, "change
         ({"architectures": []}, "name at least one"),
         ({"architectures": ["folded", "folded"]}, "each once"),
         ({"architectures": "folded"}, "architectures 'folded' is not a list"),
-        ({"macs": 10**9}, "macs 1000000000 is not a whole number >= 1 and <= 256"),
-        ({"macs": "4"}, "macs '4'"),
-        ({"macs": True}, "macs True"),
-        ({"macs": 4.0}, r"macs 4\.0"),
+        ({"design": DESIGN | {"multipliers": 10**9}}, "multipliers 1000000000 is not a whole number >= 1 and <= 256"),
+        ({"design": DESIGN | {"multipliers": "4"}}, "multipliers '4'"),
+        ({"design": DESIGN | {"multipliers": True}}, "multipliers True"),
+        ({"design": DESIGN | {"multipliers": 4.0}}, r"multipliers 4\.0"),
         ({"source": ["a"]}, r"source \["),
         ({"recordings": ["a.csv"]}, r"recordings \["),
         ({"recordings": {"a": 5}}, "recordings.a 5 is not a line of text"),

@@ -8,6 +8,7 @@ from test_compiler import random_program
 
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
+from greygate.compiler.targets import Design
 from greygate.emulator.engine import run
 from greygate.emulator.program import Program
 from greygate.hardware.verify import Case, Scenario, verify_many
@@ -37,7 +38,7 @@ def test_hardware_of_networks_equals_the_emulator_in_both_architectures(tmp_path
         scenarios = {"random": Scenario(codes, answer.outputs, answer.states)}
         for architecture in ("parallel", "folded"):
             named = replace(program, name=f"{program.name}_{architecture}")
-            cases.append(Case(named, scenarios, architecture, macs=1 + seed % 3))
+            cases.append(Case(named, scenarios, architecture, design=Design(multipliers=1 + seed % 3)))
     result = verify_many(cases, tmp_path, seed=1)
     assert [v.mismatch for v in result.verdicts if v.mismatch] == []
     assert len(result.verdicts) == 2 * COUNT + 2

@@ -16,6 +16,7 @@ from programs import cylinder_program, make_table, random_codes, random_program
 
 from greygate import rtl
 from greygate.compiler.emit import emit
+from greygate.compiler.targets import Design
 from greygate.emulator.interpreter import interpret
 from greygate.emulator.program import (
     Affine,
@@ -135,15 +136,22 @@ def test_hardware_equals_the_interpreter_on_random_programs_and_on_tables_worked
         for seed in SEEDS:  # printed with a mismatch, as the name of the program
             p = random_program(seed)
             named = replace(p, name=f"{p.name}_{architecture}")
-            cases.append(Case(named, {"random": scenario(p, seed)}, architecture, macs=1 + seed % 5))
+            cases.append(Case(named, {"random": scenario(p, seed)}, architecture, Design(multipliers=1 + seed % 5)))
         for seed in LEGAL_SEEDS:
             p = legal_program(seed, f"legal{seed}_{architecture}")
-            cases.append(Case(p, {"legal": scenario(p, seed, draw=legal_codes)}, architecture, macs=1 + seed % 5))
+            cases.append(
+                Case(
+                    p,
+                    {"legal": scenario(p, seed, draw=legal_codes)},
+                    architecture,
+                    design=Design(multipliers=1 + seed % 5),
+                )
+            )
         p, table = hand_worked(f"hand_{architecture}")
         assert np.array_equal(interpret(p, table.inputs).outputs, table.outputs), (
             "the interpreter disagrees with the table"
         )
-        cases.append(Case(p, {"table": table}, architecture, macs=3))
+        cases.append(Case(p, {"table": table}, architecture, design=Design(multipliers=3)))
         p = ring(f"ring_{architecture}")
         elsewhere = np.array([9, 8, 7, 6, 5, 4, 3, 2, 1, 0])
         cases.append(Case(p, {"ring": scenario(p), "elsewhere": scenario(p, 1, 30, elsewhere)}, architecture))

@@ -11,7 +11,7 @@ from programs import cylinder_program, random_program
 from greygate.cli import builds, networks
 from greygate.compiler import targets
 from greygate.compiler.emit import emit, emitted
-from greygate.compiler.targets import BOTH, NAMES, Architecture, Target, target
+from greygate.compiler.targets import BOTH, NAMES, Architecture, Design, Target, target
 from greygate.errors import InputError
 from greygate.hardware.families import FAMILIES
 from greygate.hardware.synthesis import counted, synthesize
@@ -20,9 +20,7 @@ from greygate.hardware.synthesis import counted, synthesize
 @pytest.fixture
 def stub(tmp_path, monkeypatch):
     """A target of one file, in a folder that is joined to that of the targets."""
-    text = (
-        "from greygate.compiler.targets import Target\nTARGET = Target(lambda program, macs: {'it.txt': program.name})"
-    )
+    text = "from greygate.compiler.targets import Target\nTARGET = Target(lambda program, _: {'it.txt': program.name})"
     (tmp_path / "stub.py").write_text(text + "\n")
     monkeypatch.setattr(targets, "__path__", [*targets.__path__, str(tmp_path)])
     monkeypatch.setattr(targets, "NAMES", targets.named())
@@ -38,7 +36,7 @@ def test_a_target_is_one_file_in_the_folder(stub, tmp_path):
 def test_every_target_writes_every_program(name):
     assert isinstance(target(name), Target)
     for program in (cylinder_program(), *map(random_program, range(6)), *map(legal_program, range(6))):
-        texts = emitted(program, name, 3)
+        texts = emitted(program, name, Design(multipliers=3))
         assert all(text.isprintable() or "\n" in text for text in texts.values())
         assert (f"{program.name}.f" in texts) == isinstance(target(name), Architecture)
 

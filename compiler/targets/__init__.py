@@ -7,16 +7,46 @@ compile.json, `verify` and `synthesize` find it here.
 import pkgutil
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import StrEnum
 from importlib import import_module
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from greygate.errors import InputError
+from greygate.reading import one_of, whole
 
 if TYPE_CHECKING:  # the command line needs the names at its start, and numpy only in a command
     from greygate.emulator.program import Program
 
 BOTH = ("parallel", "folded")  # the default targets, in the order in which they are reported
 MULTIPLIERS = range(1, 257)  # the numbers of multipliers that a target which shares them accepts
+LARGEST = 1 << 16  # of any other number of a design
+
+
+class Memory(StrEnum):
+    """Where the words of a table are kept."""
+
+    BLOCK = "block"  # block RAM
+    LOGIC = "logic"  # LUTs, or the memory that a device makes of them
+
+
+@dataclass(frozen=True)
+class Design:
+    """How a program is built: every choice that changes no bit of any answer. A target reads those that concern it.
+
+    multipliers: of the folded target. memory: where tables are kept. dsps: the most multipliers that the parallel
+    target may use for products; it builds the others of adders. adders: the most adders in a row between two registers
+    of the parallel target, 0 for no register between them. channels: independent copies of the states that one
+    pipelined core serves in turn.
+
+    >>> Design(multipliers=2).memory
+    <Memory.BLOCK: 'block'>
+    """
+
+    multipliers: Annotated[int, whole(MULTIPLIERS[0], MULTIPLIERS[-1])] = 4
+    memory: Annotated[Memory, one_of(Memory)] = Memory.BLOCK
+    dsps: Annotated[int, whole(0, LARGEST)] = 0
+    adders: Annotated[int, whole(0, LARGEST)] = 3
+    channels: Annotated[int, whole(1, LARGEST)] = 1
 
 
 def named() -> tuple[str, ...]:
@@ -39,10 +69,10 @@ class Register(NamedTuple):
 class Target:
     """A target.
 
-    files: (program, multipliers) -> {file name: text}; it raises InputError for a program that it cannot write.
+    files: (program, design) -> {file name: text}; it raises InputError for a program that it cannot write.
     """
 
-    files: Callable[["Program", int], dict[str, str]]
+    files: Callable[["Program", Design], dict[str, str]]
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ def registers(program: Program) -> list[Register]:
     return [Register(f"memory[{k}]", alone=True) for k in range(sum(s.signal.size for s in program.states))]
 
 
-TARGET = Architecture(folded, registers)
+TARGET = Architecture(lambda program, design: folded(program, design.multipliers), registers)
 
 
 @dataclass(frozen=True)

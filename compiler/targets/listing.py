@@ -85,4 +85,4 @@ _BODY: dict[Op, Callable] = {
     Op.THRESHOLD: _threshold,
     Op.SELECT: _select,
 }
-TARGET = Target(lambda program, macs: listing(program))
+TARGET = Target(lambda program, design: listing(program))

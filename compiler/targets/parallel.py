@@ -51,7 +51,7 @@ def registers(program: Program) -> list[Register]:
     return [Register(names[s.name], k * s.fix.width) for s in signals for k in range(s.size)]
 
 
-TARGET = Architecture(lambda program, macs: parallel(program), registers)
+TARGET = Architecture(lambda program, design: parallel(program), registers)
 
 
 class _Layer:

@@ -9,7 +9,7 @@ import typer
 
 from greygate.cli import options
 from greygate.cli.terminal import Json, finite, following, give, recordings, say
-from greygate.compiler.targets import BOTH, NAMES
+from greygate.compiler.targets import BOTH, NAMES, Design
 from greygate.errors import InputError
 
 if TYPE_CHECKING:
@@ -155,7 +155,7 @@ def compile(
             held=tuple(judges),
             generic=generic,
             architectures=chosen,
-            macs=macs,
+            design=Design(multipliers=macs),
             progress=progress,
         )
     before = source.network() if pruned else None

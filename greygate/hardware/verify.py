@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from greygate.compiler.emit import emit, sources
-from greygate.compiler.targets import Register, architecture
+from greygate.compiler.targets import Design, Register, architecture
 from greygate.compiler.verilog import lane_width, remark, sign_extended, verilog_names
 from greygate.emulator.program import Program, Signal
 from greygate.errors import InputError
@@ -52,13 +52,13 @@ class Case:
     program: Program
     scenarios: Mapping[str, Scenario]
     architecture: str = "parallel"
-    macs: int = 4
+    design: Design = Design()
     emitted: Path | None = None
 
     def sources(self, folder: Path) -> list[Path]:
         """The design's Verilog files."""
         if self.emitted is None:
-            files = emit(self.program, folder / "rtl" / self.program.name, self.architecture, self.macs)
+            files = emit(self.program, folder / "rtl" / self.program.name, self.architecture, self.design)
         else:
             files = sources(self.emitted, self.program.name)
         return [f for f in files if f.suffix == ".v"]
@@ -97,12 +97,12 @@ def verify(
     folder: Path | str,
     scenarios: Mapping[str, Scenario],
     architecture: str = "parallel",
-    macs: int = 4,
+    design: Design = Design(),
     seed: int | None = None,
     waves: bool = False,
 ) -> Verification:
     """Emit one program into `folder`/rtl, simulate it, run every scenario. See verify_many."""
-    return verify_many([Case(program, scenarios, architecture, macs)], folder, seed, waves)
+    return verify_many([Case(program, scenarios, architecture, design)], folder, seed, waves)
 
 
 def verify_many(
@@ -126,7 +126,7 @@ def verify_many(
     with writing(folder, "make this folder"):
         folder.mkdir(parents=True, exist_ok=True)
     seed = int(np.random.SeedSequence().entropy % (1 << 31)) if seed is None else seed
-    designs = [Design(i, case) for i, case in enumerate(cases)]
+    designs = [_Bench(i, case) for i, case in enumerate(cases)]
     files = {file.name: file for case in cases for file in case.sources(folder)}
     junit = folder / "results.xml"
     junit.unlink(missing_ok=True)
@@ -180,7 +180,7 @@ def lanes(signals: Sequence[Signal], codes: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Design:
+class _Bench:
     """One case in the bench: the Verilog around it, and what the bench must know of it."""
 
     index: int
