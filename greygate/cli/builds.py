@@ -86,7 +86,7 @@ def verify(
 
 def prove(
     folder: Folder,
-    only: Annotated[list[str], typer.Option(help="Only this proof: netlist, drift, ...")] = [],
+    only: Annotated[list[str], typer.Option(help="Only this proof: primitives, sums, bound, netlist or drift.")] = [],
     target: Annotated[Device, typer.Option(help="Device or family of the netlist.")] = ICE40,
     steps: Annotated[int, typer.Option(callback=options.COUNT, help="Steps of the long run.")] = 1_000_000,
     limit: Annotated[

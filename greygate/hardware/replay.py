@@ -5,12 +5,14 @@ are compared bit by bit; greygate/hardware/verify.py compares the states too, an
 """
 
 import json
+import os
 import re
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -69,17 +71,37 @@ def replay(
     """Play input codes (N, columns) and compare with the output codes (N, columns) of the emulator.
 
     files: the Verilog of a design whose top is the program's. include: folders of the files that they include.
-    Raises InputError where a tool is missing, or Verilator cannot build the design.
+    Raises InputError as `simulate`.
     """
-    environment = simulator_environment()
     signals = [p.signal for p in program.inputs], [p.signal for p in program.outputs]
     words = [lanes(s, codes) for s, codes in zip(signals, (inputs, outputs), strict=True)]
+    data = {
+        f"{name}.hex": "".join(row[::-1].tobytes().hex() + "\n" for row in rows)
+        for name, rows in zip(("samples", "wanted"), words, strict=True)
+    }
+    text = bench(program.name, len(inputs), *(8 * rows.shape[1] for rows in words))
+    found = simulate(files, text, data, include, progress)
+    first = None if found["first"] < 0 else (found["first"], int(found["given"], 16), int(found["wanted"], 16))
+    clocks = found["clocks"] / (found["steps"] - 1) if found["steps"] > 1 else float("nan")
+    return Replay(found["steps"], found["differing"], first, clocks, found["steps"] < len(inputs))
+
+
+def simulate(
+    files: Sequence[Path],
+    bench: str,
+    data: Mapping[str, str],
+    include: Sequence[Path] = (),
+    progress: Progress = silent,
+) -> Any:
+    """Build and run a Verilog module `bench` with the one input `clk`; return what it writes to result.json.
+
+    data: files that it reads, by name. Raises InputError where a tool is missing, or Verilator cannot build it.
+    """
+    environment = simulator_environment()
     with tempfile.TemporaryDirectory(prefix="greygate-") as temporary:
         work = Path(temporary)
-        for name, rows in zip(("samples", "wanted"), words, strict=True):
-            (work / f"{name}.hex").write_text("".join(row[::-1].tobytes().hex() + "\n" for row in rows))
-        (work / "bench.v").write_text(bench(program.name, len(inputs), *(8 * rows.shape[1] for rows in words)))
-        (work / "main.cpp").write_text(MAIN)
+        for name, text in (*data.items(), ("bench.v", bench), ("main.cpp", MAIN)):
+            (work / name).write_text(text)
         for path in files:
             shutil.copy(path, work)
         cache = runtime_cache(environment, False)
@@ -93,24 +115,20 @@ def replay(
             except InputError as error:
                 said = (work / "log").read_text(errors="replace").splitlines()
                 why = next((line for line in said if re.search("[Ee]rror", line)), str(error))
-                raise InputError(f"{program.name}: {why}; Verilator cannot build the simulation") from None
+                raise InputError(f"{why}; the simulation cannot be built or run") from None
 
         progress("Verilator")
         options = ["--cc", "--exe", "--prefix", "Vbench", "--top-module", "bench", "-Mdir", ".", "-o", "bench"]
-        options += [f"-I{path}" for path in include]
         options += ["--timescale", "1ns/1ns", "--x-initial", "unique", "-O3", "--output-split", "20000", *LINT]
+        options += [f"-I{path}" for path in include]
         tool("verilator", *options, "main.cpp", "bench.v", *(p.name for p in files))
         progress("compiling the simulation")
-        tool("make", "-j2", "-f", "Vbench.mk", "OPT_FAST=-O1", "OPT_SLOW=-O0")
+        tool("make", "-j", str(os.cpu_count() or 1), "-f", "Vbench.mk", "OPT_FAST=-O1", "OPT_SLOW=-O0")
         progress("simulating")
         tool(str(work / "bench"))
-        said = work / "result.json"
-        if not said.exists():
-            raise InputError(f"{program.name}: the simulation ended without a result")
-        found = json.loads(said.read_text())
-    first = None if found["first"] < 0 else (found["first"], int(found["given"], 16), int(found["wanted"], 16))
-    clocks = found["clocks"] / (found["steps"] - 1) if found["steps"] > 1 else float("nan")
-    return Replay(found["steps"], found["differing"], first, clocks, found["steps"] < len(inputs))
+        if not (work / "result.json").exists():
+            raise InputError("the simulation ended without a result")
+        return json.loads((work / "result.json").read_text())
 
 
 def bench(top: str, steps: int, width_in: int, width_out: int) -> str:
