@@ -37,6 +37,7 @@ FINER = _within(0, limits.FINER, f"0 to {limits.FINER} bits; with the width they
 MACS = _within(MULTIPLIERS[0], MULTIPLIERS[-1], f"{MULTIPLIERS[0]} to {MULTIPLIERS[-1]} multipliers")
 SHARE = _within(0, math.nextafter(1, 0), "a share of at least 0 and below 1")
 DECAY = _within(0, GREATEST, "a finite number, 0 or more")
+MHZ = _within(1e-3, 1e4, "a clock rate in MHz from 0.001 to 10000")
 SECONDS = _within(LEAST, math.inf, "seconds above 0")
 GROWTH = _within(math.nextafter(1, 2), GREATEST, "a factor above 1 on the error of float, e.g. 1.05")
 ALLOWANCE = _within(1, GREATEST, "a factor of at least 1 on the error before pruning, e.g. 1.02")
