@@ -10,7 +10,7 @@ PORTS = {  # inputs and outputs of the line
     "uart": (("uart_rx",), ("uart_tx",)),
     "spi": (("spi_sck", "spi_cs_n", "spi_mosi"), ("spi_miso",)),
 }
-FLAGS = ("running", "fault", "step")
+FLAGS = ("running", "fault", "tick")
 BAUD = 1_000_000  # divides every board's clock, and every USB bridge on them makes it
 
 
@@ -84,8 +84,8 @@ BOARDS = {
         oscillator_mhz=25,
         clock_mhz=25,
         pins={
-            **{"clk": "G2", "uart_rx": "M1", "uart_tx": "L4", "running": "B2", "fault": "C2", "step": "C11"},
-            **{"spi_cs_n": "B11", "spi_mosi": "A10", "spi_miso": "A9", "spi_sck": "B9"},  # gp[0] to gp[3]; step: gn[0]
+            **{"clk": "G2", "uart_rx": "M1", "uart_tx": "L4", "running": "B2", "fault": "C2", "tick": "C11"},
+            **{"spi_cs_n": "B11", "spi_mosi": "A10", "spi_miso": "A9", "spi_sck": "B9"},  # gp[0] to gp[3]; tick: gn[0]
         },
         held={"wifi_gpio0": ("L2", 1)},  # low, it would load the passthrough bitstream
         pll="ehxplll",
@@ -98,8 +98,8 @@ BOARDS = {
         oscillator_mhz=12,
         clock_mhz=24,
         pins={
-            **{"clk": "35", "uart_rx": "6", "uart_tx": "9", "running": "37", "fault": "11", "step": "3"},
-            **{"spi_cs_n": "4", "spi_mosi": "2", "spi_miso": "47", "spi_sck": "45"},  # PMOD 1A, as a Pmod SPI; step: 7
+            **{"clk": "35", "uart_rx": "6", "uart_tx": "9", "running": "37", "fault": "11", "tick": "3"},
+            **{"spi_cs_n": "4", "spi_mosi": "2", "spi_miso": "47", "spi_sck": "45"},  # PMOD 1A, as a Pmod SPI; tick: 7
         },
         inverted=frozenset({"running", "fault"}),
         pll="sb_pll40",
@@ -112,8 +112,8 @@ BOARDS = {
         oscillator_mhz=100,
         clock_mhz=50,
         pins={
-            **{"clk": "E3", "uart_rx": "A9", "uart_tx": "D10", "running": "H5", "fault": "J5", "step": "D13"},
-            **{"spi_cs_n": "G13", "spi_mosi": "B11", "spi_miso": "A11", "spi_sck": "D12"},  # PMOD JA; step: pin 7
+            **{"clk": "E3", "uart_rx": "A9", "uart_tx": "D10", "running": "H5", "fault": "J5", "tick": "D13"},
+            **{"spi_cs_n": "G13", "spi_mosi": "B11", "spi_miso": "A11", "spi_sck": "D12"},  # PMOD JA; tick: pin 7
         },
         pll="plle2",
         load="openFPGALoader -b arty_a7_35t",

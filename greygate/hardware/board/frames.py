@@ -86,6 +86,11 @@ class Frames:
         body = bytes([number % NUMBERS | (RESTART if restart else 0)]) + sample
         return bytes([SYNC]) + body + check_sum(body, self.seed)
 
+    def answer(self, result: bytes, following: int, refused: bool = False, limited: bool = False) -> bytes:
+        """The frame that brings a result; `following` is the number of the sample that the board waits for."""
+        body = bytes([following % NUMBERS | REFUSED * refused | LIMITED * limited]) + result
+        return bytes([SYNC]) + body + check_sum(body, self.seed)
+
     def parse(self, received: bytearray) -> Answer | None:
         """Remove the first answer from what was received, and return it; None if there is no whole one yet.
 

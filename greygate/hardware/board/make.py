@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 FACTS = "board.json"
 ARCHITECTURE = "folded"  # unless another is asked for: the port is slower than either
 LATER = (  # what `make` in the folder adds
-    r"\w+\.(json|asc|config|bin|bit)|bench\.vvp|obj_dir/.*|\w+\.rpt|\.Xil/.*|vivado.*"
+    r"\w+\.(json|asc|config|bin|bit)|\w+\.vvp|obj_dir/.*|\w+\.rpt|build/.*|\.Xil/.*|vivado.*"
 )
 
 

@@ -9,7 +9,6 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from greygate import rtl
@@ -18,13 +17,15 @@ from greygate.emulator.program import Fix, Program
 from greygate.errors import InputError
 from greygate.hardware.board.boards import BAUD, BOARDS, FLAGS, PORTS, Board
 from greygate.hardware.board.clocks import PLLS
-from greygate.hardware.board.frames import seed, width
+from greygate.hardware.board.frames import Frames, seed, width
 from greygate.hardware.verify import Scenario, lanes
 from greygate.names import check_file_name
 
 BAUD_ERROR = (
     0.02  # relative: a receiver that samples in the middle of a bit bears 5 % over ten bits, both ends together
 )
+SCENARIO, FRAMES = "scenario.hex", "frames.hex"  # what the benches read
+BENCH_FRAMES = 20  # of the scenario, in the bench of the port
 BENCH_STEPS = 1000  # of the scenario, in the bench
 PATIENCE = 100_000  # clocks that a step of the bench may take; a folded core of 10,000 weights takes a few thousand
 
@@ -153,6 +154,7 @@ class Package:
             f"rtl/{name}__axis.v": "axis.v",
             f"rtl/{name}__axis_last.v": "axis_last.v",
             f"bench/{name}__bench.v": "bench.v",
+            f"bench/{name}__port_bench.v": "port_bench.v",
             f"{name}.{self.constraints}": f"pins.{self.constraints}",
             f"{name}.core": "fusesoc.core",
             "Makefile": "Makefile",
@@ -168,14 +170,15 @@ class Package:
                 raise InputError(f"{name}: two modules would be called {file[:-2]}; rename an operation or a table")
             found[f"rtl/{file}"] = text
         found[f"rtl/{name}.f"] = "\n".join(self.sources) + "\n"
-        found[context["hex"]] = scenario_hex(self.program, self.scenario)
+        found[SCENARIO] = scenario_hex(self.program, self.scenario)
+        found[FRAMES] = "".join((request + answer)[::-1].hex() + "\n" for request, answer in context["frames"])
         return found
 
     def context(self) -> dict[str, Any]:
         """What the templates read."""
         board, (inputs, outputs) = self.board, PORTS[self.port]
         wires = {flag: f"{flag}_high" if flag in board.inverted else flag for flag in FLAGS}
-        chain = board.toolchain
+        chain, frames = board.toolchain, Frames.of(self.program)
         return {
             "name": self.name,
             "title": board.title,
@@ -208,7 +211,11 @@ class Package:
             "yosys_options": quoted(["-dsp"] if chain and "-dsp" in chain.synth else []),
             "load": board.load,
             "sources": self.sources,
-            "hex": "scenario.hex",
+            "hex": SCENARIO,
+            "frames_hex": FRAMES,
+            "frames": bench_frames(self.program, self.scenario),
+            "request_size": frames.request_size,
+            "answer_size": frames.answer_size,
             "steps": min(BENCH_STEPS, len(self.scenario.inputs)),
             "patience": PATIENCE,
         }
@@ -225,17 +232,45 @@ def output_codes(program: Program) -> list[dict[str, Any]]:
     for port in program.outputs:
         for _ in range(port.signal.size):
             fix: Fix = port.signal.fix
+            whole = {"mask": (1 << fix.width) - 1, "most": fix.hi}
             ends = {"hi": f"{fix.width}'h{fix.hi:x}", "lo": f"{fix.width}'h{fix.hi + 1:x}"}
-            found.append({"low": start, "high": start + fix.width - 1} | ends)
+            found.append({"low": start, "high": start + fix.width - 1} | ends | whole)
             start += lane_width(port.signal)
     return found
 
 
 def scenario_hex(program: Program, scenario: Scenario) -> str:
     """{result, sample} of each step of the bench, a line each, for $readmemh."""
+    return "".join((sample + result)[::-1].hex() + "\n" for sample, result in steps(program, scenario, BENCH_STEPS))
+
+
+def steps(program: Program, scenario: Scenario, count: int) -> list[tuple[bytes, bytes]]:
+    """(sample, result) of the first steps of a scenario, as bytes of AXI4-Stream."""
     sides = ((program.inputs, scenario.inputs), (program.outputs, scenario.outputs))
-    sample, result = (lanes([p.signal for p in ports], codes[:BENCH_STEPS]) for ports, codes in sides)
-    return "".join(row[::-1].tobytes().hex() + "\n" for row in np.hstack([sample, result]))
+    samples, results = (lanes([p.signal for p in ports], codes[:count]) for ports, codes in sides)
+    return [(s.tobytes(), r.tobytes()) for s, r in zip(samples, results, strict=True)]
+
+
+def bench_frames(program: Program, scenario: Scenario) -> list[tuple[bytes, bytes]]:
+    """(request, answer) on the line: the second request is damaged, the third is sent twice."""
+    frames, ends = Frames.of(program), output_codes(program)
+
+    def limited(result: bytes) -> bool:
+        word = int.from_bytes(result, "little")
+        return any((word >> e["low"]) & e["mask"] in (e["most"], e["most"] + 1) for e in ends)
+
+    found = []
+    for n, (sample, result) in enumerate(steps(program, scenario, BENCH_FRAMES)):
+        request = frames.request(sample, n, restart=n == 0)
+        answer = frames.answer(result, n + 1, limited=limited(result))
+        if n == 1:
+            damaged = request[:-1] + bytes([request[-1] ^ 1])
+            _, before = found[0]
+            found.append((damaged, frames.answer(before[2:-2], n, refused=True, limited=limited(before[2:-2]))))
+        found.append((request, answer))
+        if n == 1:
+            found.append((request, frames.answer(result, n + 1, refused=True, limited=limited(result))))
+    return found
 
 
 def board(name: str) -> Board:

@@ -18,17 +18,22 @@ from greygate.hardware.board.frames import IDLE, NUMBERS, Answer, Frames
 from greygate.hardware.verify import lanes, words
 
 AHEAD = NUMBERS // 2  # requests that may be under way: fewer than the numbers, so that none is taken for another
+LINE = 2048  # bytes that may be under way: more would only wait in the computer
 SPARE = 4  # idle bytes beyond those of an answer, at first: time for a step, and for two clocks that differ
 MOST_SPARE = 1 << 10  # beyond it the host sends no request before the answer to the last
 GROWTH = 4  # of the idle bytes when they were too few, which shows within ...
 SOON = 64  # samples; a fault after more of them is taken for noise
-PATIENCE = 0.5  # s without an answer after which the line is taken for silent; USB bridges hold bytes back for 16 ms
+PATIENCE = 0.25  # s without an answer after which the line is taken for silent; USB bridges hold bytes back for 16 ms
+QUIET = 0.05  # s of silence, beyond the time of the bytes under way, after which nothing more comes
 TRIES = 4  # of one sample
-RESTARTS = 3
+RESTARTS = 8
+FEWER = 4  # by this the requests ahead are divided when the board was ahead of its answers
 
 
 class Line(Protocol):
     """What is needed of a serial port: bytes to write, and those that have come within its time-out."""
+
+    baudrate: int
 
     def write(self, data: bytes, /) -> int | None: ...
 
@@ -64,32 +69,39 @@ class Session:
     received: bytearray = field(default_factory=bytearray)
     heard: bool = False  # any byte at all
     spare: int = SPARE
+    ahead: int = AHEAD
+
+    @property
+    def transit(self) -> float:
+        """Seconds that the bytes under way take at most; ten bits each."""
+        return 10 * LINE / self.line.baudrate
 
     def run(self) -> None:
         """Play every sample. Raises InputError if the board does not answer."""
         self.restore()
         while len(self.results) < len(self.samples):
-            if self.spare <= MOST_SPARE and self.stream():
-                continue
-            if len(self.results) < len(self.samples):
+            if not self.stream():
                 self.restore()
 
     def stream(self) -> bool:
         """Send requests ahead until all are answered (true), or until an answer is missing or refused (false)."""
         first = sent = len(self.results)
-        idle = bytes([IDLE]) * (self.frames.answer_size + self.spare)
-        until = time.monotonic() + PATIENCE
+        idle = bytes([IDLE]) * (self.frames.answer_size + self.spare if self.ahead > 1 else 0)
+        ahead = max(1, min(self.ahead, LINE // (self.frames.request_size + len(idle))))
+        until = time.monotonic() + PATIENCE + self.transit
         while len(self.results) < len(self.samples):
-            while sent < len(self.samples) and sent - len(self.results) < AHEAD:
+            while sent < len(self.samples) and sent - len(self.results) < ahead:
                 self.line.write(self.frames.request(self.samples[sent], sent) + idle)
                 sent += 1
             before = len(self.results)
             right = all(self.taken(answer, len(self.results)) for answer in self.answers())
             if len(self.results) > before:
-                until = time.monotonic() + PATIENCE
+                until = time.monotonic() + PATIENCE + self.transit
                 self.told(len(self.results))
             if not right or time.monotonic() > until:
-                self.spare *= GROWTH if len(self.results) - first < SOON else 1
+                if len(self.results) - first < SOON and ahead > 1:
+                    self.spare *= GROWTH
+                    self.ahead = self.ahead if self.spare <= MOST_SPARE else 1
                 return False
         return True
 
@@ -98,28 +110,30 @@ class Session:
         for _ in range(TRIES):
             number = len(self.results)
             self.settle()
-            if number:
-                self.resent += 1
+            self.resent += number > 0
             self.line.write(self.frames.request(self.samples[number], number, restart=number == 0))
             answer = self.wait()
-            if answer is None or self.taken(answer, number):
-                if answer is not None:
-                    self.told(len(self.results))
-                    return
-            elif answer.next == (number + 1) % NUMBERS:  # it has been stepped, and its answer was lost
+            if answer is None:
+                continue
+            if self.taken(answer, number):
+                self.told(len(self.results))
+                return
+            if number and answer.next == (number + 1) % NUMBERS:  # it has been stepped, and its answer was lost
                 self.take(answer)
                 return
-            elif number and answer.next != number % NUMBERS:
+            if number and answer.next != number % NUMBERS:
                 self.again()
                 return
         raise InputError(self.silence())
 
     def again(self) -> None:
-        """Begin from the first sample."""
+        """Begin from the first sample, with fewer requests ahead: none is lost where there is but one."""
         self.restarts += 1
-        if self.restarts > RESTARTS:
+        if self.ahead == 1 and self.restarts > RESTARTS:
             raise InputError(f"the line loses answers again and again ({self.resent} samples were sent twice)")
+        self.ahead = max(1, self.ahead // FEWER)
         self.results.clear()
+        self.overruns = self.limited = 0
         self.restore()
 
     def taken(self, answer: Answer, number: int) -> bool:
@@ -146,18 +160,19 @@ class Session:
 
     def wait(self) -> Answer | None:
         """The next answer; None after PATIENCE."""
-        until = time.monotonic() + PATIENCE
+        until = time.monotonic() + PATIENCE + self.transit
         while time.monotonic() < until:
             if found := self.answers():
                 return found[0]
         return None
 
     def settle(self) -> None:
-        """Fill up whatever the board believes to be a frame, and drop what it says to that."""
+        """Fill up whatever the board believes to be a frame, and drop what it says until it is silent."""
         self.line.write(bytes([IDLE]) * (self.frames.request_size + self.frames.answer_size))
-        quiet = 0
-        while quiet < 2:
-            quiet = quiet + 1 if not self.line.read(self.frames.answer_size) else 0
+        until = time.monotonic() + QUIET + self.transit
+        while time.monotonic() < until:
+            if self.line.read(LINE):
+                until = time.monotonic() + QUIET + self.transit
         self.received.clear()
 
     def silence(self) -> str:
