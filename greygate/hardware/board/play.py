@@ -7,7 +7,7 @@ where a result was lost that the board no longer has, from the beginning.
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -238,7 +238,7 @@ def _mismatch(program: Program, got: np.ndarray, right: np.ndarray) -> str | Non
     if not len(rows):
         return None
     step = int(rows[0])
-    for name, size, start in words([p.signal for p in program.outputs]):
+    for name, size, start in words([replace(p.signal, name=p.name) for p in program.outputs]):
         if start <= columns[0] < start + size:
             codes = (
                 int.from_bytes(side[step, start : start + size].tobytes(), "little", signed=True)

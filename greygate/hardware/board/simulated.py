@@ -1,6 +1,8 @@
 """A board in simulation: the port of a package in Verilator, its UART behind a pseudo terminal, bit by bit."""
 
+import os
 import re
+import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterator
@@ -8,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from greygate.errors import InputError
-from greygate.hardware.verify import run_logged, simulator_environment
+from greygate.hardware.verify import OPTIONS, run_logged, runtime_cache, simulator_environment
 
 DRIVER = Path(__file__).with_name("simulated.cpp")
 
@@ -25,12 +27,17 @@ def build(package: Path | str, folder: Path | str, clocks_per_bit: int) -> Path:
     (name,) = names
     files = (package / "rtl" / f"{name}.f").read_text(encoding="utf-8").split()
     sources = [str(package / "rtl" / file) for file in files if file != f"{name}__top.v"]
+    environment = simulator_environment()
     command = [
-        *("verilator", "--cc", "--exe", "--build", "--quiet", "--prefix", "Vport", "--top-module", f"{name}__port"),
-        *("-Mdir", str(folder), "-o", "simulated", f"-GCLOCKS_PER_BIT={clocks_per_bit}", "-O3", "--x-assign", "fast"),
-        *("-CFLAGS", "-O2", "-Wno-lint", str(DRIVER), *sources),
+        *("verilator", "--cc", "--exe", "--quiet", "--prefix", "Vport", "--top-module", f"{name}__port", "-Mdir", "."),
+        *("-o", "simulated", f"-GCLOCKS_PER_BIT={clocks_per_bit}", "-O3", "--x-assign", "fast", "-Wno-lint"),
+        *(str(DRIVER), *sources),
     ]
-    run_logged(command, folder / "verilator.log", simulator_environment(), folder)
+    run_logged(command, folder / "verilator.log", environment, folder)
+    for path in runtime_cache(environment, waves=False).glob("verilated*.o"):  # as `verify` left it
+        shutil.copy(path, folder)
+    make = ["make", "-j", str(os.cpu_count() or 1), "-f", "Vport.mk", *OPTIONS, "OPT_FAST=-O2"]
+    run_logged(make, folder / "make.log", environment, folder)
     return folder / "simulated"
 
 
