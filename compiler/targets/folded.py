@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from greygate.compiler.schedule import COPY, Folding, fold
-from greygate.compiler.targets import MULTIPLIERS, Architecture, Register
+from greygate.compiler.targets import MULTIPLIERS, Architecture, Design, Register
 from greygate.compiler.verilog import (
     header,
     input_slices,
@@ -37,6 +37,8 @@ from greygate.compiler.verilog import (
 from greygate.emulator.program import Affine, Program, Select, signed_width
 from greygate.errors import InputError
 
+EDGES = 3  # clocks that the streams and the inputs take beside the schedule
+
 
 def folded(program: Program, macs: int) -> dict[str, str]:
     """File name -> text of the folded architecture, without the building blocks."""
@@ -56,7 +58,12 @@ def registers(program: Program) -> list[Register]:
     return [Register(f"memory[{k}]", alone=True) for k in range(sum(s.signal.size for s in program.states))]
 
 
-TARGET = Architecture(lambda program, design: folded(program, design.multipliers), registers)
+def clocks(program: Program, design: Design) -> int:
+    """Clocks of a step: the lines of the schedule, and the edges of the core."""
+    return len(fold(program, design.multipliers).schedule.lines) + EDGES
+
+
+TARGET = Architecture(lambda program, design: folded(program, design.multipliers), registers, clocks)
 
 
 @dataclass(frozen=True)

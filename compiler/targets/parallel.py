@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from greygate.compiler.targets import Architecture, Register
+from greygate.compiler.targets import Architecture, Design, Register
 from greygate.compiler.verilog import (
     ROUNDING,
     header,
@@ -33,6 +33,8 @@ from greygate.compiler.verilog import (
 )
 from greygate.emulator.program import Affine, Operation, Overflow, Program, Signal
 
+EDGES = 3  # clocks that the streams and the inputs take beside the longest chain
+
 
 def parallel(program: Program) -> dict[str, str]:
     """File name -> text of the parallel architecture, without the building blocks."""
@@ -51,7 +53,12 @@ def registers(program: Program) -> list[Register]:
     return [Register(names[s.name], k * s.fix.width) for s in signals for k in range(s.size)]
 
 
-TARGET = Architecture(lambda program, design: parallel(program), registers)
+def clocks(program: Program, design: Design) -> int:
+    """Clocks of a step: the longest chain of operations, and the edges of the core."""
+    return max(levels(program).values()) + EDGES
+
+
+TARGET = Architecture(lambda program, design: parallel(program), registers, clocks)
 
 
 class _Layer:
