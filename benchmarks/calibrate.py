@@ -32,8 +32,8 @@ from greygate.source import Source
 FAMILIES = ("ecp5", "ice40", "xilinx")
 PLACED = {"ecp5": "ecp5-85k", "ice40": "up5k"}  # the device that tells the clock period of a family
 CACHE = Path(__file__).parents[1] / "build/calibrate"
-FITTED_WIDTHS, JUDGED_WIDTHS = (8, 12, 16, 18), (10, 14)
-PLANTS = ("valve_cylinder", "pump_cylinder", "mts")
+FITTED_WIDTHS, JUDGED_WIDTHS = (8, 12, 16), (10, 14)
+PLANTS = {"valve_cylinder": True, "pump_cylinder": False, "mts": False}  # plant -> whether the fit sees it
 
 
 @dataclass(frozen=True)
@@ -48,26 +48,26 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """Designs of the flow network in many formats, and of plants."""
+    """Designs of the flow network in several formats, and of plants."""
     network, record = flow()
     for width in sorted(FITTED_WIDTHS + JUDGED_WIDTHS):
         program = compile_network(network, {"grid": record}, Formats(width)).program
-        for n, design in enumerate((Design(), Design(dsps=10), Design(memory=Memory.LOGIC))):
-            judged = width in JUDGED_WIDTHS
-            if width < 16 or n == 0:
+        judged = width in JUDGED_WIDTHS
+        for design in (Design(), Design(dsps=20), Design(memory=Memory.LOGIC)):
+            if width < 12 or not judged:
                 yield Case(f"flow {width}", program, "parallel", design, not judged)
-        for m in (1, 4):
-            yield Case(f"flow {width}", program, "folded", Design(multipliers=m), not judged)
-        yield Case(f"flow {width}", program, "folded", Design(multipliers=2, memory=Memory.LOGIC), not judged)
-    for name in PLANTS:
+        for design in (Design(multipliers=1), Design(multipliers=4), Design(multipliers=2, memory=Memory.LOGIC)):
+            yield Case(f"flow {width}", program, "folded", design, not judged)
+        yield Case(f"flow {width}", program, "serial", Design(), not judged)
+    for name, fitted in PLANTS.items():
         source = Source(name)
-        for width in (12, 16):
-            program = compile_network(
-                source.network(), source.records(), source.formats(width), ranged_on=source.training
-            ).program
-            for m in (1, 2, 8):
-                yield Case(f"{name} {width}", program, "folded", Design(multipliers=m), name == PLANTS[0])
-            yield Case(f"{name} {width}", program, "parallel", Design(), name == PLANTS[0])
+        program = compile_network(
+            source.network(), source.records(), source.formats(), ranged_on=source.training
+        ).program
+        for m in (1, 4):
+            yield Case(name, program, "folded", Design(multipliers=m), fitted)
+        yield Case(name, program, "parallel", Design(), fitted)
+        yield Case(name, program, "serial", Design(), fitted)
 
 
 def measured(case: Case, family: str, limit: float, clock: bool = False) -> dict:

@@ -18,6 +18,7 @@ from greygate.compiler.targets import Design, Memory, architecture
 from greygate.emulator.program import Affine, Lookup, Program, signed_width
 
 COEFFICIENTS = Path(__file__).with_name("cost.toml")
+LOOKUP, EDGES = 3, 2  # clocks of a lookup, and of a step beside its longest chain
 SHALLOW = 16  # words up to which a table is kept in logic, whatever the design says: a block would stand empty
 SHARED = 0.5  # part of the digits of single weights that is left when equal patterns are summed once
 
@@ -194,6 +195,20 @@ def folded(program: Program, design: Design, family: str, clocks: int) -> Parts:
     return Parts(luts, dsps, memories)
 
 
+def parallel_clocks(program: Program, design: Design) -> int:
+    """An estimate: each sum is a tree of its digits, with a register after every few adders."""
+    since = dict.fromkeys(program.signals, 0)
+    for o in program.operations:
+        clocks = LOOKUP if isinstance(o, Lookup) else 1
+        if isinstance(o, Affine):
+            terms = int(digits(o.weights).sum(axis=1).max()) + 1
+            depth = (terms - 1).bit_length()
+            clocks = max(1, -(-depth // design.adders)) if design.adders else 1
+        since[o.out.name] = clocks + max(since[a] for a in o.args)
+    return max(since.values()) + EDGES
+
+
+CLOCKS: dict[str, Callable[[Program, Design], int]] = {"parallel": parallel_clocks}  # where counting takes long
 COUNTS: dict[str, Callable[[Program, Design, str, int], Parts]] = {"parallel": parallel, "folded": folded}
 
 
@@ -202,12 +217,17 @@ def explored() -> tuple[str, ...]:
     return tuple(name for name in COUNTS if architecture(name).clocks is not None)
 
 
+def clocks_of(program: Program, name: str, design: Design, exact: bool = False) -> int:
+    """Clocks from one sample to the next. exact: as the design is written, not as it is estimated quickly."""
+    count = architecture(name).clocks if exact or name not in CLOCKS else CLOCKS[name]
+    assert count is not None, f"{name} is not explored"
+    return count(program, design)
+
+
 def cost(program: Program, name: str, design: Design, family: str, clocks: int | None = None) -> Cost:
     """What the program costs as that architecture. clocks: of a step, if they are known."""
     if clocks is None:
-        count = architecture(name).clocks
-        assert count is not None, f"{name} is not explored"
-        clocks = count(program, design)
+        clocks = clocks_of(program, name, design)
     parts, table = COUNTS[name](program, design, family, clocks), coefficients()[family][name]
     luts = sum(table["luts"].get(kind, 0.0) * number for kind, number in parts.luts.items())
     return Cost(math.ceil(luts), parts.dsps, parts.memories, clocks, table["period"])

@@ -7,14 +7,14 @@ numbers on which all processors agree.
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from greygate.compiler.cost import Cost, cost, explored
+from greygate.compiler.cost import Cost, clocks_of, cost, explored
 from greygate.compiler.judge import Bound
 from greygate.compiler.quantize import Formats
-from greygate.compiler.targets import Design, Memory, architecture
+from greygate.compiler.targets import Design, Memory
 from greygate.compiler.trail import Candidate, Maker, trail
 from greygate.emulator.program import Affine, Lookup, Program
 from greygate.errors import InputError
@@ -23,8 +23,9 @@ from greygate.progress import Progress, silent
 WIDTHS = range(8, 25)  # words that are tried everywhere
 FINER = (0, 2, 4)  # bits beyond them
 MULTIPLIERS = (1, 2, 4, 8, 16, 32)  # of the folded architecture
-WORST = 10.0  # per cent of the range (or the bound, if it is larger) beyond which an error is not looked at
-STARTS = (0.25, 1.0 / 64)  # error of a trail's start, as a part of the bound
+STARTS = (0.25, 1.0 / 64)  # error of a trail's start, as a part of the largest that is of interest
+ALIKE = 1.02  # factor by which LUTs or time must be better for a point to stand on the front beside a more accurate one
+PER_BIT = 0.01  # LUTs by which a trail prefers a narrower signal where no part of the design gets smaller
 
 
 @dataclass(frozen=True)
@@ -104,9 +105,8 @@ def explore(make: Maker, request: Request, mapper: Mapper = map, progress: Progr
     progress(f"{len(candidates)} programs measured; costing designs")
     points = [p for found in mapper(_Coster(request), candidates) for p in found]
     fitting = [p for p in points if _fits(p, request.whole)]
-    met = [p for p in fitting if not misses(p, request)]
-    chosen = min(met, key=lambda p: _rank(p, request), default=None)
-    front = pareto(fitting)
+    chosen = _smallest([p for p in fitting if not misses(p, request)], request)
+    front = pareto([p for p in fitting if p.candidate.error <= request.bound.interest])
     why = "" if chosen else _binding(points, request)
     return Exploration(request, len(candidates), len(points), tuple(front), chosen, why)
 
@@ -122,17 +122,17 @@ def _candidates(make: Maker, request: Request, mapper: Mapper, progress: Progres
     found = [c for c in mapper(make, words) if c is not None]
     progress(f"{len(found)} words measured")
     yield from found
-    if request.single or "parallel" not in (request.architectures or explored()):
+    if request.single:
         return
-    limit = request.bound.limit if math.isfinite(request.bound.limit) else WORST
+    interest = request.bound.interest
     starts: dict[tuple[int, int], Candidate] = {}
     for part in STARTS:
-        fine = [c for c in found if c.error <= part * limit]
+        fine = [c for c in found if c.error <= part * interest]
         if fine:
             start = min(fine, key=lambda c: (c.formats.width + c.formats.finer, c.formats.finer))
             starts[start.formats.width, start.formats.finer] = start
-    price = _Price(request)
-    for steps in mapper(_Walk(make, price, limit), starts.values()):
+    walks = [(name, start) for name in request.architectures or explored() for start in starts.values()]
+    for steps in mapper(_Walk(make, request, interest), walks):
         progress(f"{len(steps)} programs on a trail")
         yield from steps[1:]
 
@@ -142,24 +142,27 @@ class _Walk:
     """A trail as a list, in a process of its own."""
 
     make: Maker
-    price: "_Price"
+    request: Request
     end: float
 
-    def __call__(self, start: Candidate) -> list[Candidate]:
-        return list(trail(start, self.make, self.price, self.end))
+    def __call__(self, walk: tuple[str, Candidate]) -> list[Candidate]:
+        name, start = walk
+        return list(trail(start, self.make, _Price(self.request, name), self.end))
 
 
 @dataclass(frozen=True)
 class _Price:
-    """What a program costs as a parallel design: the share of the device that it takes, in LUTs."""
+    """What a program costs as a plain design of an architecture, in LUTs: a block of memory at its share of the device."""
 
     request: Request
+    architecture: str
 
     def __call__(self, program: Program) -> float:
-        request = self.request
-        point = cost(program, "parallel", Design(dsps=0), request.family, 1)
-        block = request.whole.luts / request.whole.memories if request.whole.memories else request.whole.luts
-        return point.luts + block * point.memories
+        whole = self.request.whole
+        point = cost(program, self.architecture, Design(multipliers=1), self.request.family, 1)
+        block = whole.luts / whole.memories if whole.memories else whole.luts
+        bits = sum(s.size * s.fix.width for s in program.signals.values())
+        return point.luts + block * point.memories + PER_BIT * bits
 
 
 # -- designs ---------------------------------------------------------------------------------------------------------
@@ -189,7 +192,7 @@ class _Coster:
         )
         key = name, design.multipliers, design.adders, read
         if key not in self.clocks:
-            self.clocks[key] = architecture(name).clocks(program, design)
+            self.clocks[key] = clocks_of(program, name, design)
         return self.clocks[key]
 
 
@@ -229,20 +232,30 @@ def misses(point: Point, request: Request) -> dict[str, float]:
     return {name: value / limit if limit else math.inf for name, (value, limit) in pairs.items() if value > limit}
 
 
+def _smallest(met: Sequence[Point], request: Request) -> Point | None:
+    """The smallest whose clocks, counted as it is written, still meet the request."""
+    for p in sorted(met, key=lambda p: _rank(p, request)):
+        clocks = clocks_of(p.candidate.program, p.architecture, p.design, exact=True)
+        exact = replace(p, cost=replace(p.cost, clocks=clocks))
+        if not misses(exact, request):
+            return exact
+    return None
+
+
 def _rank(p: Point, request: Request) -> tuple:
     """The smallest first; of equal ones the more accurate, then the faster."""
     return p.area(request.whole), p.candidate.error, p.cost.microseconds, p.architecture, str(p.design)
 
 
 def pareto(points: Sequence[Point]) -> list[Point]:
-    """The points that no other beats in error, LUTs and microseconds together; those of equal figures once."""
+    """The points that no more accurate one beats or equals in LUTs and in microseconds."""
     keys = [(p.candidate.error, p.cost.luts, p.cost.microseconds, p.cost.dsps, p.cost.memories) for p in points]
     order = sorted(range(len(points)), key=lambda n: keys[n])
     kept: list[int] = []
     best = np.empty((0, 2))
     for n in order:
         luts, microseconds = keys[n][1:3]
-        if not ((best[:, 0] <= luts) & (best[:, 1] <= microseconds)).any():
+        if not ((best[:, 0] <= ALIKE * luts) & (best[:, 1] <= ALIKE * microseconds)).any():
             kept.append(n)
             best = np.vstack([best, [luts, microseconds]])
     return [points[n] for n in kept]

@@ -26,6 +26,10 @@ class Scale(StrEnum):
     GROWTH = "x"  # RMS error of fixed point against the targets, over that of float
 
 
+BEYOND = 4.0
+USELESS = {Scale.RANGE: 5.0, Scale.UNIT: math.inf, Scale.GROWTH: 2.0}
+
+
 @dataclass(frozen=True)
 class Bound:
     """The largest error that is allowed. limit: inf if none is. unit: of `Scale.UNIT`; factors: output -> what turns
@@ -35,6 +39,11 @@ class Bound:
     scale: Scale = Scale.RANGE
     unit: str = ""
     factors: Mapping[str, float] | None = None
+
+    @property
+    def interest(self) -> float:
+        """The error beyond which nobody looks at a design: far above the limit, or useless whatever is asked for."""
+        return BEYOND * self.limit if math.isfinite(self.limit) else USELESS[self.scale]
 
     def text(self, value: float) -> str:
         """An error in words, such as 0.31 % or 0.2 bar."""
