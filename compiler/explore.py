@@ -16,7 +16,7 @@ from greygate.compiler.judge import Bound
 from greygate.compiler.quantize import Formats
 from greygate.compiler.targets import Design, Memory
 from greygate.compiler.trail import Candidate, Maker, trail
-from greygate.emulator.program import Affine, Lookup, Program
+from greygate.emulator.program import Lookup, Program
 from greygate.errors import InputError
 from greygate.progress import Progress, silent
 
@@ -147,12 +147,13 @@ class _Walk:
 
     def __call__(self, walk: tuple[str, Candidate]) -> list[Candidate]:
         name, start = walk
-        return list(trail(start, self.make, _Price(self.request, name), self.end))
+        steps = trail(start, self.make, _Price(self.request, name), self.end)
+        return [replace(step, tuned=name) for step in steps]
 
 
 @dataclass(frozen=True)
 class _Price:
-    """What a program costs as a plain design of an architecture, in LUTs: a block of memory at its share of the device."""
+    """What a program costs as a plain design, in LUTs: a block of memory counts as its share of the device."""
 
     request: Request
     architecture: str
@@ -173,27 +174,18 @@ class _Coster:
     """The designs of a candidate, each with its cost."""
 
     request: Request
-    clocks: dict = field(default_factory=dict)
 
     def __call__(self, candidate: Candidate) -> list[Point]:
         found = []
-        for name in self.request.architectures or explored():
+        for name in (candidate.tuned,) if candidate.tuned else self.request.architectures or explored():
+            clocks: dict[tuple[int, int], int] = {}  # of designs that differ in nothing that counts
             for design in designs(name, candidate.program, self.request):
-                clocks = self._clocks(candidate.program, name, design)
-                one = cost(candidate.program, name, design, self.request.family, clocks)
+                key = design.multipliers, design.adders
+                if key not in clocks:
+                    clocks[key] = clocks_of(candidate.program, name, design)
+                one = cost(candidate.program, name, design, self.request.family, clocks[key])
                 found.append(Point(candidate, name, design, one))
         return found
-
-    def _clocks(self, program: Program, name: str, design: Design) -> int:
-        """Counted once for programs that read the same elements in the same operations."""
-        read = tuple(
-            (o.op, o.out.name, o.args, (o.weights != 0).tobytes() if isinstance(o, Affine) else b"")
-            for o in program.operations
-        )
-        key = name, design.multipliers, design.adders, read
-        if key not in self.clocks:
-            self.clocks[key] = clocks_of(program, name, design)
-        return self.clocks[key]
 
 
 def designs(name: str, program: Program, request: Request) -> Iterator[Design]:

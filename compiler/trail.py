@@ -24,11 +24,12 @@ NOISE = 1e-4  # of the error squared: what a bit is taken to add where its measu
 
 @dataclass(frozen=True)
 class Candidate:
-    """A program, the formats that made it, and its error on the judge's scale."""
+    """A program, the formats that made it, and its error on the judge's scale. tuned: for which architecture, or ""."""
 
     formats: Formats
     program: Program
     error: float
+    tuned: str = ""
 
 
 @dataclass(frozen=True)
