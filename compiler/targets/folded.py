@@ -61,7 +61,12 @@ def registers(program: Program, design: Design) -> list[Register]:
     return [Register(f"memory[{word}]", alone=True) for s in program.states for word in address[s.signal.name].tolist()]
 
 
-TARGET = Architecture(folded, registers)
+def clocks(program: Program, design: Design) -> int:
+    """Clocks of a step: the lines of the schedule."""
+    return fold(program, design.multipliers).clocks
+
+
+TARGET = Architecture(folded, registers, clocks)
 
 
 @dataclass(frozen=True)

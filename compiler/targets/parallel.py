@@ -10,6 +10,8 @@ from greygate.compiler.targets import Architecture, Design, Register
 from greygate.compiler.verilog import header, module_text, stream_instance, top_ports, verilog_names
 from greygate.emulator.program import Program
 
+EDGES = 2  # clocks that the streams take beside the longest chain
+
 
 def parallel(program: Program, design: Design = Design()) -> dict[str, str]:
     """File name -> text of the parallel architecture, without the building blocks."""
@@ -24,7 +26,12 @@ def registers(program: Program, design: Design) -> list[Register]:
     return [Register(names[s.name], k * s.fix.width) for s in signals for k in range(s.size)]
 
 
-TARGET = Architecture(parallel, registers)
+def clocks(program: Program, design: Design) -> int:
+    """Clocks of a step: the longest chain of operations, and the edges of the core."""
+    return max(Dataflow(program, design).since.values()) + EDGES
+
+
+TARGET = Architecture(parallel, registers, clocks)
 
 
 def _top(core: Dataflow) -> str:
