@@ -69,9 +69,9 @@ def _affine(program: Program, o: Affine, args: list[list[Interval]]) -> list[Int
 
 
 def _table(program: Program, o: Lookup, args: list[list[Interval]]) -> list[Interval]:
-    """A line between two points lies between them, so the extremes are among the points and their mirror images."""
+    """The answers of the table to codes that are not negative, and their mirror images."""
     table = program.table[o.table]
-    lo, hi = min(table.points), max(table.points)
+    lo, hi = table.extent
     one = 1 << max(0, table.out.frac)
     mirrored = {Symmetry.ODD: (-hi, -lo), Symmetry.EVEN: (lo, hi), Symmetry.COMPLEMENT: (one - hi, one - lo)}
     least, most = mirrored[table.symmetry]

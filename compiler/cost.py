@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from greygate.compiler.targets import Design, Memory, architecture
-from greygate.emulator.program import Affine, Lookup, Program, signed_width
+from greygate.emulator.program import Affine, Lines, Lookup, Program, signed_width
 
 COEFFICIENTS = Path(__file__).with_name("cost.toml")
 LOOKUP, EDGES = 3, 2  # clocks of a lookup, and of a step beside its longest chain
@@ -127,6 +127,9 @@ def slope_bits(points: tuple[int, ...]) -> int:
 def _word(program: Program, o: Lookup) -> tuple[int, int, int, int]:
     """(words, bits of a word, and the widths of the two factors of the line between points) of a lookup's memory."""
     t = program.table[o.table]
+    if isinstance(t, Lines):
+        base, slope = (signed_width(max(map(abs, part))) for part in (t.bases, t.slopes))
+        return t.entries, base + slope, slope, max(s - d for s, d in zip(t.shifts, t.drops, strict=True)) + 1
     slope = slope_bits(t.points) if t.interpolated and t.shift else 0
     return len(t.points), t.out.width + slope, slope, t.shift + 1 if slope else 0
 

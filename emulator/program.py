@@ -292,6 +292,16 @@ class Table:
         return len(self.points)
 
     @property
+    def extent(self) -> tuple[int, int]:
+        """Least and greatest answer to a code that is not negative, or beyond."""
+        return min(self.points), max(self.points)
+
+    @property
+    def reach(self) -> int:
+        """The least absolute value of a code from which on there is one answer, or more."""
+        return (len(self.points) - 1) << self.shift
+
+    @property
     def bits(self) -> int:
         """Bits of all points."""
         return len(self.points) * self.out.width
@@ -341,6 +351,20 @@ class Lines:
     @property
     def entries(self) -> int:
         return len(self.bases)
+
+    @property
+    def extent(self) -> tuple[int, int]:
+        """Least and greatest answer to a code that is not negative, or beyond."""
+        ends = self.segments.ends()
+        return min(ends), max(ends)
+
+    @property
+    def reach(self) -> int:
+        """The least absolute value of a code from which on there is one answer, or more."""
+        s, places = self.segments, 1 << (self.shifts[-1] - self.drops[-1])
+        last, beyond = (s.at(self.bases[-1], self.slopes[-1], p) for p in (places - 1, places))
+        end = s.lefts[-1] + ((len(self.bases) - s.firsts[-1]) << self.shifts[-1])
+        return end + (self.drops[-1] > 0 and last != beyond)  # -end is looked up one place before
 
     @property
     def bits(self) -> int:
