@@ -246,6 +246,14 @@ class Segments(NamedTuple):
                 found += [self.at(self.bases[i], self.slopes[i], place) for place in (0, 1 << (shift - drop))]
         return found
 
+    @property
+    def reach(self) -> int:
+        """The least absolute value of a code from which on all answers are alike, those of one sign."""
+        end = self.lefts[-1] + ((len(self.bases) - self.firsts[-1]) << self.shifts[-1])
+        places = 1 << (self.shifts[-1] - self.drops[-1])
+        last, beyond = (self.at(self.bases[-1], self.slopes[-1], p) for p in (places - 1, places))
+        return end + (1 if self.drops[-1] and last != beyond else 0)  # -end is looked up one place before
+
     def width(self) -> int:
         """Bits that hold every product and every sum."""
         place = max(s - d for s, d in zip(self.shifts, self.drops, strict=True))
@@ -262,6 +270,13 @@ def _answers(table: "Table | Lines", codes: list[int]) -> list[int]:
         Symmetry.EVEN: [],
         Symmetry.COMPLEMENT: [one - c for c in codes],
     }[table.symmetry]
+
+
+def _extremes(table: "Table | Lines") -> tuple[int, int]:
+    """The least and the greatest result."""
+    ends = list(table.points) if isinstance(table, Table) else table.segments.ends()
+    found = [*ends, *_answers(table, ends)]
+    return min(found), max(found)
 
 
 @dataclass(frozen=True)
@@ -287,19 +302,16 @@ class Table:
         slopes = tuple(b - a for a, b in pairwise(self.points))
         return Segments(self.arg.width, (self.shift,), (0,), self.shift, 0, self.points[:-1], slopes)
 
-    @property
-    def entries(self) -> int:
-        return len(self.points)
-
-    @property
-    def extent(self) -> tuple[int, int]:
-        """Least and greatest answer to a code that is not negative, or beyond."""
-        return min(self.points), max(self.points)
+    extremes = property(_extremes)
 
     @property
     def reach(self) -> int:
-        """The least absolute value of a code from which on there is one answer, or more."""
+        """The least absolute value of a code from which on all answers are alike, those of one sign."""
         return (len(self.points) - 1) << self.shift
+
+    @property
+    def entries(self) -> int:
+        return len(self.points)
 
     @property
     def bits(self) -> int:
@@ -348,23 +360,16 @@ class Lines:
     def segments(self) -> Segments:
         return Segments(*(getattr(self, name) for name in Segments._fields))
 
-    @property
-    def entries(self) -> int:
-        return len(self.bases)
-
-    @property
-    def extent(self) -> tuple[int, int]:
-        """Least and greatest answer to a code that is not negative, or beyond."""
-        ends = self.segments.ends()
-        return min(ends), max(ends)
+    extremes = property(_extremes)
 
     @property
     def reach(self) -> int:
-        """The least absolute value of a code from which on there is one answer, or more."""
-        s, places = self.segments, 1 << (self.shifts[-1] - self.drops[-1])
-        last, beyond = (s.at(self.bases[-1], self.slopes[-1], p) for p in (places - 1, places))
-        end = s.lefts[-1] + ((len(self.bases) - s.firsts[-1]) << self.shifts[-1])
-        return end + (self.drops[-1] > 0 and last != beyond)  # -end is looked up one place before
+        """The least absolute value of a code from which on all answers are alike, those of one sign."""
+        return self.segments.reach
+
+    @property
+    def entries(self) -> int:
+        return len(self.bases)
 
     @property
     def bits(self) -> int:
