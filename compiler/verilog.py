@@ -50,6 +50,13 @@ tranif1 tri tri0 tri1 triand trior trireg unsigned use uwire vectored wait wand 
 bit byte logic int shortint longint do return break continue class new this super package import export interface
 modport program property sequence assert assume cover final unique priority static void string enum struct union
 type typedef virtual local protected pure rand ref var with within checker let global soft strong weak
+accept_on alias always_comb always_ff always_latch before bind bins binsof chandle clocking constraint context
+covergroup coverpoint cross dist endchecker endclass endclocking endgroup endinterface endpackage endprogram
+endproperty endsequence eventually expect extends extern first_match foreach forkjoin iff ignore_bins illegal_bins
+implements implies inside interconnect intersect join_any join_none matches nettype nexttime null packed randc
+randcase randsequence reject_on restrict s_always s_eventually s_nexttime s_until s_until_with shortreal solve
+sync_accept_on sync_reject_on tagged this throughout timeprecision timeunit unique0 until until_with untyped
+wait_order wildcard
 """
 KEYWORDS = frozenset(WORDS.split())  # of Verilog-2005, and those of SystemVerilog that tools trip over
 TOOLS = "verilator synopsys synthesis pragma ambit cadence synplify altera xilinx vcs coverage lint translate"
