@@ -6,6 +6,7 @@ from greygate.compiler.adder_text import Sums
 from greygate.compiler.code_ranges import code_ranges
 from greygate.compiler.targets import Design
 from greygate.compiler.verilog import (
+    TAKEN,
     clocks,
     input_slices,
     instance,
@@ -28,6 +29,14 @@ class Dataflow:
     def __init__(self, program: Program, design: Design, pipelined: bool = False):
         self.program, self.design, self.pipelined = program, design, pipelined
         self.names = verilog_names(program)
+        self.taken = {*TAKEN, program.name, *self.names.values(), *(f"{name}_layer" for name in self.names.values())}
+
+    def fresh(self, name: str) -> str:
+        """That name, or one like it that the top does not have yet."""
+        while name in self.taken:
+            name += "_"
+        self.taken.add(name)
+        return name
 
     @cached_property
     def sums(self) -> dict[str, Sums]:
@@ -78,7 +87,8 @@ class Dataflow:
         y = self.names[o.out.name]
         ends = {"clk": "clk"}
         if isinstance(o, Affine):
-            ends |= {"en": enable} if self.pipelined else {}
+            sums = self.sums[o.out.name]
+            ends |= {"en": enable} if sums.pipelined or sums.held else {}
             ends |= {self.names[a]: wire for a, wire in zip(o.args, arguments, strict=True)} | {y: y}
             return instance(f"{self.program.name}_{y}", f"{y}_layer", {}, ends)
         module, parameters, ports = small_operation(self.program, o, o.out.size)
