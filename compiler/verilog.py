@@ -2,16 +2,19 @@
 
 import re
 from collections.abc import Callable, Sequence
-from itertools import pairwise
+from dataclasses import fields as dataclass_fields
+from typing import NamedTuple
 
 from greygate.emulator.program import (
     Clamp,
     Elementwise,
+    Lines,
     Lookup,
     Op,
     Operation,
     Program,
     Rounding,
+    Segments,
     Select,
     Signal,
     Symmetry,
@@ -193,16 +196,40 @@ def sign_extended(name: str, low: int, width: int, lane: int) -> str:
     return code if lane == width else f"{{{{{lane - width}{{{name}[{low + width - 1}]}}}}, {code}}}"
 
 
-def table_words(table: Table) -> list[tuple[int, int]]:
-    """(base, slope) of every segment; of every point with slope 0 where nothing is interpolated.
+class Layout(NamedTuple):
+    """Where a table stands in its memory: {base, slope} of each word, and the address of each octave's first.
 
-    A slope is kept modulo 2^width of the result, which changes no answer.
+    An octave begins at a multiple of its number of segments, so that an address needs no adder. lefts: the least code
+    of each word.
+    """
+
+    words: list[tuple[int, int]]
+    firsts: list[int]
+    lefts: list[int]
+
+
+def table_layout(table: Table | Lines) -> Layout:
+    """The words of a memory: longer octaves first; a base with the rounding constant where it has fraction bits.
+
+    Plain points have slope 0.
     """
     if not table.interpolated:
-        return [(p, 0) for p in table.points]
-    turn = 1 << table.out.width
-    slopes = ((b - a + turn // 2) % turn - turn // 2 for a, b in pairwise(table.points))
-    return list(zip(table.points, slopes, strict=False))
+        return Layout([(p, 0) for p in table.points], [0], [k << table.shift for k in range(len(table.points))])
+    s = table.segments
+    ends = [*s.firsts[1:], len(s.bases)]
+    counts = [end - first for first, end in zip(s.firsts, ends, strict=True)]
+    firsts, words, lefts = [0] * len(counts), [], []
+    for o in sorted(range(len(counts)), key=lambda o: -(counts[o] - 1).bit_length()):
+        room = 1 << (counts[o] - 1).bit_length()
+        idle = -len(words) % room  # only after an octave that is not full
+        words += [(0, 0)] * idle
+        lefts += [0] * idle
+        firsts[o] = len(words)
+        for k in range(counts[o]):
+            i = s.firsts[o] + k
+            words.append((s.bases[i] + s.halves[1], s.slopes[i]))
+            lefts.append(s.lefts[o] + (k << s.shifts[o]))
+    return Layout(words, firsts, lefts)
 
 
 def least_width(values: Sequence[int]) -> tuple[int, int]:
@@ -212,19 +239,32 @@ def least_width(values: Sequence[int]) -> tuple[int, int]:
     return max(1, max(values).bit_length()), 0
 
 
-def table_parameters(table: Table) -> dict:
+def table_parameters(table: Table | Lines) -> dict:
     """Parameters of the lookup of one neuron."""
-    bases, slopes = zip(*table_words(table), strict=True)
+    words, firsts, _ = table_layout(table)
+    bases, slopes = zip(*words, strict=True)
     (base, base_signed), (slope, slope_signed) = least_width(bases), least_width(slopes)
+    one = 1 << max(0, table.out.frac) if table.symmetry is Symmetry.COMPLEMENT else 0
+    if table.interpolated:
+        s = table.segments
+    else:
+        s = Segments(table.arg.width, (table.shift,), (table.shift,), 0, 0, table.points, ())
     return {
         "ARG_W": table.arg.width,
         "OUT_W": table.out.width,
-        "SHIFT": table.shift,
-        "LAST": len(bases) - 1,
-        "ADDRESS_W": max(1, (len(bases) - 1).bit_length()),
         "INTERPOLATED": int(table.interpolated),
         "SYMMETRY": SYMMETRY[table.symmetry],
-        "ONE": f"{table.out.width + 1}'d{1 << max(0, table.out.frac) if table.symmetry is Symmetry.COMPLEMENT else 0}",
+        "ONE": f"{table.out.width + 1}'d{one}",
+        "START": s.start,
+        "OCTAVES": len(s.shifts),
+        "SHIFTS": fields(s.shifts, 8),
+        "DROPS": fields(s.drops, 8),
+        "FIRSTS": fields(firsts, 32),
+        "COUNT": len(s.bases) - s.firsts[-1],
+        "PLACE_W": max(1, *(shift - drop for shift, drop in zip(s.shifts, s.drops, strict=True)), 1),
+        "ADDRESS_W": max(1, (len(words) - 1).bit_length()),
+        "SLOPE_FRAC": s.slope_frac,
+        "GUARD": s.guard,
         "BASE_W": base,
         "BASE_SIGNED": base_signed,
         "SLOPE_W": slope,
@@ -232,40 +272,54 @@ def table_parameters(table: Table) -> dict:
     }
 
 
-def shared_tables(program: Program) -> dict[str, Table]:
+def fields(values: Sequence[int], width: int) -> str:
+    """Unsigned numbers side by side, the first in the least significant bits."""
+    return "{" + ", ".join(f"{width}'d{v}" for v in reversed(values)) + "}"
+
+
+def shared_tables(program: Program) -> dict[str, Table | Lines]:
     """Name of each table that is used -> the first table equal to it, whose module they share."""
     used = {o.table for o in program.operations if isinstance(o, Lookup)}
     alike = {}
-    first: dict[tuple, Table] = {}
+    first: dict[tuple, Table | Lines] = {}
     for t in program.tables:
         if t.name in used:
-            key = (t.symmetry, t.shift, t.points, t.interpolated, t.arg, t.out)
+            key = tuple(
+                getattr(t, f.name) for f in dataclass_fields(t) if f.name not in ("name", "function", "worst_error")
+            )
             alike[t.name] = first.setdefault(key, t)
     return alike
 
 
-def table_module(program: Program, table: Table) -> str:
+def table_module(program: Program, table: Table | Lines) -> str:
     return f"{program.name}_table_{table.name}".replace(".", "__")
 
 
-def _table_rows(table: Table, base: int, slope: int) -> str:
-    """The assignment of every word: {slope, base}, or base alone where nothing is interpolated."""
-    rows = []
-    for k, (b, d) in enumerate(table_words(table)):
-        left = (k << table.shift) * table.arg.lsb
+def _table_rows(table: Table | Lines, base: int, slope: int) -> str:
+    """The assignment of every word: {slope, base}."""
+    rows, (words, _, lefts) = [], table_layout(table)
+    unit = table.out.lsb * 2.0 ** -(table.segments.guard if table.interpolated else 0)
+    for k, ((b, d), left) in enumerate(zip(words, lefts, strict=True)):
         value = f"{{{slope}'d{d % (1 << slope)}, {base}'d{b % (1 << base)}}}"
-        rows.append(f"            rom[{k}] = {value};  // from {left:g}: {b * table.out.lsb:g}")
+        rows.append(f"            rom[{k}] = {value};  // from {left * table.arg.lsb:g}: {b * unit:g}")
     return "\n".join(rows)
 
 
-def table_text(program: Program, table: Table, memory: str = "block") -> str:
+def table_kind(table: Table | Lines) -> str:
+    """What the table holds, in words."""
+    if isinstance(table, Lines):
+        return f"{len(table.bases)} lines over {len(table.shifts)} octave{'s' if len(table.shifts) > 1 else ''}"
+    return f"{len(table.points)} points, {'a line between two' if table.interpolated else 'the nearest'}"
+
+
+def table_text(program: Program, table: Table | Lines, memory: str = "block") -> str:
     """A module that answers SIZE neurons from the table, whose words it holds in a memory for every two neurons.
 
     memory: where the words are kept, a key of MEMORIES.
     """
     parameters = table_parameters(table)
     arg, out, address, base, slope = (parameters[k] for k in ("ARG_W", "OUT_W", "ADDRESS_W", "BASE_W", "SLOPE_W"))
-    last = parameters["LAST"]
+    last = len(table_layout(table).words) - 1
 
     def neuron(n: str, side: str, indent: str) -> str:
         ends = {"clk": "clk", "en": "en", "x": f"x[{n}*{arg}+:{arg}]", "address": f"address_{side}"}
@@ -279,8 +333,7 @@ def table_text(program: Program, table: Table, memory: str = "block") -> str:
 
     return module_text(
         [
-            f"Table {table.name}: {table.function} from {table.arg} to {table.out}, {len(table.points)} points"
-            f" {'and a line between two' if table.interpolated else ', the nearest one'}.",
+            f"Table {table.name}: {table.function} from {table.arg} to {table.out}, {table_kind(table)}.",
             f"{table.symmetry.value.capitalize()} symmetry. Worst error over every input code: {table.worst_error:g}.",
             "Two neurons read one memory of words {slope, base}, which has two ports for reading.",
         ],
