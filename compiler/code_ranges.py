@@ -17,6 +17,7 @@ from greygate.emulator.program import (
     Rounding,
     Select,
     Symmetry,
+    Table,
     Threshold,
 )
 
@@ -69,9 +70,10 @@ def _affine(program: Program, o: Affine, args: list[list[Interval]]) -> list[Int
 
 
 def _table(program: Program, o: Lookup, args: list[list[Interval]]) -> list[Interval]:
-    """A line between two points lies between them, so the extremes are among the points and their mirror images."""
+    """A line lies between its ends, so the extremes are among these and their mirror images."""
     table = program.table[o.table]
-    lo, hi = min(table.points), max(table.points)
+    ends = table.points if isinstance(table, Table) else table.segments.ends()
+    lo, hi = min(ends), max(ends)
     one = 1 << max(0, table.out.frac)
     mirrored = {Symmetry.ODD: (-hi, -lo), Symmetry.EVEN: (lo, hi), Symmetry.COMPLEMENT: (one - hi, one - lo)}
     least, most = mirrored[table.symmetry]

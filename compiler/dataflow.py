@@ -20,7 +20,7 @@ from greygate.compiler.verilog import (
     unused_text,
     verilog_names,
 )
-from greygate.emulator.program import Affine, Lookup, Operation, Program, Signal, Table
+from greygate.emulator.program import Affine, Lines, Lookup, Operation, Program, Signal, Table
 
 
 class Dataflow:
@@ -119,9 +119,12 @@ class Dataflow:
         return {s.signal.name: packed(s.initial, s.signal.fix.width) for s in self.program.states}
 
 
-def reach(table: Table) -> int:
-    """The least absolute value of a code from which on a table gives one answer."""
-    return (len(table.points) - 1) << table.shift
+def reach(table: Table | Lines) -> int:
+    """The least code from which on a table gives one answer; so it does to all codes below its negative."""
+    if isinstance(table, Table):
+        return (len(table.points) - 1) << table.shift
+    lines = table.segments
+    return lines.lefts[-1] + ((len(table.bases) - lines.firsts[-1]) << lines.shifts[-1])
 
 
 def told_alike(program: Program, o: Affine) -> int:
