@@ -16,8 +16,9 @@ from greygate.emulator.program import (
     Program,
     Rounding,
     Select,
-    Symmetry,
-    Table,
+<<<<<<< HEAD
+=======
+>>>>>>> tables
     Threshold,
 )
 
@@ -70,14 +71,8 @@ def _affine(program: Program, o: Affine, args: list[list[Interval]]) -> list[Int
 
 
 def _table(program: Program, o: Lookup, args: list[list[Interval]]) -> list[Interval]:
-    """A line lies between its ends, so the extremes are among these and their mirror images."""
-    table = program.table[o.table]
-    ends = table.points if isinstance(table, Table) else table.segments.ends()
-    lo, hi = min(ends), max(ends)
-    one = 1 << max(0, table.out.frac)
-    mirrored = {Symmetry.ODD: (-hi, -lo), Symmetry.EVEN: (lo, hi), Symmetry.COMPLEMENT: (one - hi, one - lo)}
-    least, most = mirrored[table.symmetry]
-    return [(min(lo, least), max(hi, most))] * o.out.size
+<<<<<<< HEAD
+    return [program.table[o.table].extremes] * o.out.size
 
 
 def _clamp(program: Program, o: Clamp, args: list[list[Interval]]) -> list[Interval]:

@@ -7,6 +7,7 @@ from greygate.compiler.code_ranges import code_ranges
 from greygate.compiler.targets import Design
 from greygate.compiler.verilog import (
     TAKEN,
+    Block,
     clocks,
     input_slices,
     instance,
@@ -20,7 +21,11 @@ from greygate.compiler.verilog import (
     unused_text,
     verilog_names,
 )
-from greygate.emulator.program import Affine, Lines, Lookup, Operation, Program, Signal, Table
+<<<<<<< HEAD
+from greygate.emulator.program import Affine, Elementwise, Lookup, Operation, Program, Signal
+=======
+from greygate.emulator.program import Affine, Elementwise, Lookup, Operation, Program, Signal
+>>>>>>> tables
 
 
 class Dataflow:
@@ -28,6 +33,7 @@ class Dataflow:
 
     def __init__(self, program: Program, design: Design, pipelined: bool = False):
         self.program, self.design, self.pipelined = program, design, pipelined
+        self.dsps = design.dsps  # that are left
         self.names = verilog_names(program)
         self.taken = {*TAKEN, program.name, *self.names.values(), *(f"{name}_layer" for name in self.names.values())}
 
@@ -91,9 +97,18 @@ class Dataflow:
             ends |= {"en": enable} if sums.pipelined or sums.held else {}
             ends |= {self.names[a]: wire for a, wire in zip(o.args, arguments, strict=True)} | {y: y}
             return instance(f"{self.program.name}_{y}", f"{y}_layer", {}, ends)
-        module, parameters, ports = small_operation(self.program, o, o.out.size)
+        module, parameters, ports = self.block(o, o.out.size)
         ends |= {"en": enable} | dict(zip(ports, arguments, strict=True)) | {"y": y}
         return instance(module, f"{y}_layer", parameters, ends)
+
+    def block(self, o: Elementwise, size: int) -> Block:
+        """As `small_operation`; tables multiply by DSPs as long as the design has any left."""
+        module, parameters, ports = small_operation(self.program, o, size)
+        if isinstance(o, Lookup):
+            used = min(size, self.dsps)
+            self.dsps -= used
+            parameters = parameters | {"MULTIPLIERS": used}
+        return module, parameters, ports
 
     def unread(self) -> str:
         """What nothing reads."""
@@ -119,14 +134,7 @@ class Dataflow:
         return {s.signal.name: packed(s.initial, s.signal.fix.width) for s in self.program.states}
 
 
-def reach(table: Table | Lines) -> int:
-    """The least code from which on a table gives one answer; so it does to all codes below its negative."""
-    if isinstance(table, Table):
-        return (len(table.points) - 1) << table.shift
-    lines = table.segments
-    return lines.lefts[-1] + ((len(table.bases) - lines.firsts[-1]) << lines.shifts[-1])
-
-
+<<<<<<< HEAD
 def told_alike(program: Program, o: Affine) -> int:
     """So many low bits of a saturated result that nobody tells apart: where only tables read it, beyond their reach.
 
@@ -138,5 +146,5 @@ def told_alike(program: Program, o: Affine) -> int:
     readers = [other for other in program.operations if name in other.args]
     if not all(isinstance(other, Lookup) for other in readers):
         return 0
-    bits = max(((reach(program.table[other.table]) - 1).bit_length() for other in readers), default=0)
+    bits = max(((program.table[other.table].reach - 1).bit_length() for other in readers), default=0)
     return bits if bits <= o.out.fix.width - 2 else 0

@@ -47,7 +47,8 @@ class Formats:
     are the width of an FPGA's multiplier.
     tables: how tables are kept.
     margin: room above the observed range (1.25 = a quarter). wide: extra fraction bits of pre-activations.
-    signals: formats that the user (or the search for a budget) fixes, by signal name.
+    signals: formats that the user (or a search) fixes, by signal name. weights: significant bits of the weights of a
+    sum instead of the word's, by the name of the sum's signal, which a search fixes.
 
     >>> Formats(18).width
     18
@@ -64,6 +65,7 @@ class Formats:
     table_budget: float = 1.25
     horizon: int = 10_000
     signals: Mapping[str, Fix] = field(default_factory=dict)
+    weights: Mapping[str, int] = field(default_factory=dict)
 
 
 def memory(loops: list[np.ndarray]) -> float:
@@ -394,7 +396,7 @@ class _Quantizer:
         finer: further bits.
         """
         finer += self.formats.finer
-        rows, word = out.size, self.formats.width + finer
+        rows, word = out.size, self.formats.weights.get(out.name, self.formats.width) + finer
         if not reads:  # a constant: an operation must read a signal, so it reads one with weights of zero
             first = self.signals[self.flat.inputs[0].name]
             reads = [(first, np.zeros((rows, first.size)))]

@@ -1,58 +1,59 @@
-// Product: a times b, exactly, without a register.
-// As a multiplier of the device, or as adders: two bits of b a row, which adds 0, a, 2a or 3a to what is above the
-// two low bits of the row before.
+// Product: a number times an unsigned one, by adders instead of a multiplier; combinational.
+// A row of every bit of the factor is added to the rows before it, of which one bit a row is done. Two such chains, of
+// the lower and of the upper half of the factor, stand side by side, so that half as many additions follow each other.
 
 `default_nettype none
 
 module greygate_product #(
-    parameter A_W = 8,       // width of a
-    parameter A_SIGNED = 0,  // 1: a has a sign
-    parameter B_W = 8,       // width of b, which has none
-    parameter DSP = 1        // 1: a multiplier, 0: adders
+    parameter A_W = 9,    // width of a
+    parameter SIGNED = 0, // 1: a has a sign
+    parameter B_W = 8     // width of b
 ) (
     input  wire [    A_W-1:0] a,
     input  wire [    B_W-1:0] b,
-    output wire [A_W+B_W-1:0] p
+    output wire [A_W+B_W-1:0] y
 );
 
-    localparam ROWS = (B_W + 1) / 2;
-    localparam W = A_W + 2;  // holds 3a, and a row's sum
+    localparam LOWER = B_W > 3 ? B_W / 2 : B_W;  // bits of the lower half
+    localparam UPPER = B_W - LOWER;
+    localparam W = A_W + 1;
 
-    wire sign = A_SIGNED == 1 && a[A_W-1];
-    wire [W-1:0] once = {{2{sign}}, a};
+    wire sign = SIGNED == 1 && a[A_W-1];
+    wire [W*B_W-1:0] sums;  // of the rows so far, less the bits that are done
 
+    genvar k;
     generate
-        if (DSP == 1) begin : multiplier
-            wire signed [A_W+B_W+1:0] factor = {{B_W + 2{sign}}, a};
-            wire signed [A_W+B_W+1:0] times = {{A_W + 2{1'b0}}, b};
-            (* use_dsp = "yes", multstyle = "dsp" *)
-            wire signed [A_W+B_W+1:0] product;
-            assign product = factor * times;
-            assign p = product[A_W+B_W-1:0];
-            wire unused = &{1'b0, product, once};
-        end else begin : adders
-            wire [W-1:0] thrice = {once[W-2:0], 1'b0} + once;
-            wire [2*ROWS-1:0] digits = {{2 * ROWS - B_W{1'b0}}, b};
-            wire [W*ROWS-1:0] sums;
-            wire [2*ROWS+W-1:0] whole;
-            genvar k;
-            for (k = 0; k < ROWS; k = k + 1) begin : row
-                wire [W-1:0] part = digits[2*k+1] ? (digits[2*k] ? thrice : {once[W-2:0], 1'b0})
-                                                  : once & {W{digits[2*k]}};
-                if (k == 0) begin : first
-                    assign sums[0+:W] = part;
-                end else begin : following
-                    wire [W-1:0] before = sums[W*(k-1)+:W];
-                    assign sums[W*k+:W] = {{2{A_SIGNED == 1 && before[W-1]}}, before[W-1:2]} + part;
-                end
-                assign whole[2*k+:2] = sums[W*k+:2];
+        for (k = 0; k < B_W; k = k + 1) begin : row
+            wire [W-1:0] addend = {sign, a} & {W{b[k]}};
+            if (k == 0 || k == LOWER) begin : first
+                assign sums[W*k+:W] = addend;
+            end else begin : next
+                // kept apart: a tool that merges the additions of a product needs more logic
+                (* keep *) wire [W-1:0] sum = {SIGNED == 1 && sums[W*k-1], sums[W*k-1-:W-1]} + addend;
+                assign sums[W*k+:W] = sum;
             end
-            assign whole[2*ROWS+:W] = {2'b0, sums[W*(ROWS-1)+2+:W-2]};
-            assign p = whole[A_W+B_W-1:0];
-            wire unused = &{1'b0, whole};
         end
 
-        if (A_W < 1 || B_W < 1 || A_SIGNED < 0 || A_SIGNED > 1 || DSP < 0 || DSP > 1) begin : check
+        wire [A_W+LOWER-1:0] lower;
+        for (k = 0; k + 1 < LOWER; k = k + 1) begin : lower_bit
+            assign lower[k] = sums[W*k];
+        end
+        assign lower[A_W+LOWER-1:LOWER-1] = sums[W*(LOWER-1)+:W];
+
+        if (UPPER > 0) begin : halves
+            wire [A_W+UPPER-1:0] upper;
+            for (k = 0; k + 1 < UPPER; k = k + 1) begin : upper_bit
+                assign upper[k] = sums[W*(LOWER+k)];
+            end
+            assign upper[A_W+UPPER-1:UPPER-1] = sums[W*(B_W-1)+:W];
+            (* keep *) wire [A_W+UPPER-1:0] sum =
+                upper + {{UPPER{SIGNED == 1 && lower[A_W+LOWER-1]}}, lower[A_W+LOWER-1:LOWER]};
+            assign y = {sum, lower[LOWER-1:0]};
+        end else begin : whole
+            assign y = lower;
+        end
+
+        if (A_W < 1 || B_W < 1) begin : check
             greygate_product_parameters_are_illegal illegal ();
         end
     endgenerate

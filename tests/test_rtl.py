@@ -232,8 +232,9 @@ def test_every_building_block_passes_lint_by_itself_and_refuses_illegal_paramete
         "threshold": "SIZE=0",
         "select": "BELOW_LEFT=-1",
         "stream": "IN_W=9",
-        "mac": "WEIGHT_W=1",
-        "drain": "SHIFT_W=1",
+        "mac": "WORD_W=1",
+        "drain": "OUT_W=1",
+        "serial": "FIELD_W=1",
     }.items():
         said = lint(rtl.BLOCKS, f"greygate_{name}", f"greygate_{name}.v", f"-I{rtl.BLOCKS}", f"-G{parameter}")
         assert f"greygate_{name}_parameters_are_illegal" in said

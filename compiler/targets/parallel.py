@@ -20,20 +20,27 @@ from greygate.compiler.verilog import (
 )
 from greygate.emulator.program import Lookup, Program
 
+EDGES = 2  # clocks that the streams take beside the longest chain
+
 
 def parallel(program: Program, design: Design = Design()) -> dict[str, str]:
     """File name -> text of the parallel architecture, without the building blocks."""
     return _Parallel(program, design).files()
 
 
-def registers(program: Program) -> list[Register]:
+def registers(program: Program, design: Design) -> list[Register]:
     """A register for each state, with the name of the state."""
     names = verilog_names(program)
     signals = [s.signal for s in program.states]
     return [Register(names[s.name], k * s.fix.width) for s in signals for k in range(s.size)]
 
 
-TARGET = Architecture(parallel, registers)
+def clocks(program: Program, design: Design) -> int:
+    """Clocks of a step: the longest chain of operations, and the edges of the core."""
+    return max(Dataflow(program, design).since.values()) + EDGES
+
+
+TARGET = Architecture(parallel, registers, clocks)
 
 
 class _Parallel(Dataflow):
@@ -112,7 +119,7 @@ module {program.name} (
         text += f"    wire [{size * arg - 1}:0] {chosen} = {value};\n    wire [{size * out - 1}:0] {answer};\n"
         for o in served:
             text += f"    assign {self.names[o.out.name]} = {answer}[{o.out.size * out - 1}:0];\n"
-        module, parameters, _ = small_operation(self.program, first, size)
+        module, parameters, _ = self.block(first, size)
         return text + instance(
             module, f"{base}_layer", parameters, {"clk": "clk", "en": "1'b1", "x": chosen, "y": answer}
         )

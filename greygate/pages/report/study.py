@@ -35,6 +35,7 @@ def study(
     references: Mapping[str, Mapping] | None = None,
     hardware: Mapping[str, Mapping] | None = None,
     resources: Mapping[str, Mapping] | None = None,
+    explored: Mapping | None = None,
     widths: Iterable[int] = range(8, 25),
     formats: Formats | None = None,
     progress: Progress = silent,
@@ -45,8 +46,8 @@ def study(
     called: its name in tables of several networks; the name of the program if not given.
     references: published RMSE by source, scenario and output, {"thesis": {"v1": {"p_a": 55200.0}}}; a value may be a
     pair (low, high). hardware: by architecture, {"parallel": {"clocks_per_step": 40, "scenarios": {"v1": {"steps":
-    5000, "differing_bits": 0}}}}. resources: {"parallel, ecp5": {"luts": 9000, ...}}. widths: word widths of the curve.
-    formats: all other properties of its formats.
+    5000, "differing_bits": 0}}}}. resources: {"parallel, ecp5": {"luts": 9000, ...}}. explored: of
+    compile.json. widths: word widths of the curve. formats: all other properties of its formats.
 
     Raises InputError if one of `ranged_on` is not a scenario, or the float network diverges on one.
     """
@@ -77,6 +78,7 @@ def study(
             "references": references,
             "hardware": hardware,
             "resources": resources or {},
+            "explored": explored or {},
         }
     )
 
