@@ -16,9 +16,6 @@ from greygate.emulator.program import (
     Program,
     Rounding,
     Select,
-<<<<<<< HEAD
-=======
->>>>>>> tables
     Threshold,
 )
 
@@ -71,7 +68,6 @@ def _affine(program: Program, o: Affine, args: list[list[Interval]]) -> list[Int
 
 
 def _table(program: Program, o: Lookup, args: list[list[Interval]]) -> list[Interval]:
-<<<<<<< HEAD
     return [program.table[o.table].extremes] * o.out.size
 
 

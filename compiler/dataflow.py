@@ -21,11 +21,7 @@ from greygate.compiler.verilog import (
     unused_text,
     verilog_names,
 )
-<<<<<<< HEAD
 from greygate.emulator.program import Affine, Elementwise, Lookup, Operation, Program, Signal
-=======
-from greygate.emulator.program import Affine, Elementwise, Lookup, Operation, Program, Signal
->>>>>>> tables
 
 
 class Dataflow:
@@ -134,7 +130,6 @@ class Dataflow:
         return {s.signal.name: packed(s.initial, s.signal.fix.width) for s in self.program.states}
 
 
-<<<<<<< HEAD
 def told_alike(program: Program, o: Affine) -> int:
     """So many low bits of a saturated result that nobody tells apart: where only tables read it, beyond their reach.
 

@@ -13,7 +13,6 @@ from greygate.compiler.verilog import (
     header,
     instance,
     module_text,
-    small_operation,
     stream_instance,
     top_ports,
     verilog_names,
