@@ -143,7 +143,7 @@ class _Folder:
         self.program, self.multipliers = program, multipliers
         self.levels = levels_of(multipliers)
         self.operations = live_operations(program)
-        self.products = laid_out(program, self.operations)
+        self.products = laid_out(program, self.operations, multipliers)
         self.plan = planned(program, multipliers)
         self.inside = {o.out.name for o in self.plan.answers.values()}
         self.outputs = {p.signal.name for p in program.outputs}

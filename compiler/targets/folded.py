@@ -110,8 +110,11 @@ class _Core:
     @cached_property
     def codes(self) -> tuple[np.ndarray, np.ndarray]:
         """The different values of the control, idle first, and the number of the one in each line."""
-        values, codes = np.unique(self.folding.controls, axis=0, return_inverse=True)
-        return values, codes.reshape(-1)
+        packed = np.zeros(len(self.folding.controls), np.int64)
+        for column in self.folding.controls.T:
+            packed = packed << bits(column.max()) | column
+        _, first, codes = np.unique(packed, return_index=True, return_inverse=True)
+        return self.folding.controls[first], codes
 
     def constant(self, what: str, value: int) -> str:
         """An unsigned constant of that width."""
