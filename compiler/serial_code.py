@@ -7,7 +7,7 @@ a step begins at an address behind that. compiler/serial.py makes the words.
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from greygate.compiler.schedule import ordered
+from greygate.compiler.jobs import ordered
 from greygate.compiler.serial import (
     ACCEPT,
     NOTHING,
