@@ -7,7 +7,7 @@ a step begins at an address behind that. compiler/serial.py makes the words.
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from greygate.compiler.schedule import ordered
+from greygate.compiler.jobs import ordered
 from greygate.compiler.serial import (
     ACCEPT,
     NOTHING,
@@ -386,6 +386,7 @@ class Code:
     boot: int
     start: int
     pushes: int
+    clocks: int  # of a step in which neither side waits
 
 
 def compiled(program: Program) -> Code:
@@ -477,7 +478,10 @@ class _Layout:
             "rest": compiler.rest,
         }
         sample = {start + n + 1: bit for n, bit in compiler.bits.items()}
-        return Code(words, memory, sample, widths, boot, start, max(0, outputs - 2))
+        lengths = [len(r.lines) + 1 for r in compiler.routines.values()]  # the word after a call is performed twice
+        calls = [line.field for line in compiler.main if line.operation == Word.CALL]
+        clocks = len(compiler.main) + sum(lengths[n] for n in calls)
+        return Code(words, memory, sample, widths, boot, start, max(0, outputs - 2), clocks)
 
     def field(self, line: Line) -> int:
         """The number in a word's field."""

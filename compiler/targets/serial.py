@@ -26,7 +26,7 @@ from greygate.emulator.program import Program
 BLANK = "1'bx"  # no bit of the sample
 
 
-def serial(program: Program) -> dict[str, str]:
+def serial(program: Program, design: Design = Design()) -> dict[str, str]:
     """File name -> text of the serial architecture, without the building blocks."""
     verilog_names(program)
     code = compiled(program)
@@ -42,7 +42,12 @@ def registers(program: Program, design: Design) -> list[Register]:
     return [Register(f"memory.words[{k}]", alone=True) for k in range(sum(s.signal.size for s in program.states))]
 
 
-TARGET = Architecture(lambda program, design: serial(program), registers)
+def clocks(program: Program, design: Design) -> int:
+    """Clocks of a step."""
+    return compiled(program).clocks
+
+
+TARGET = Architecture(serial, registers, clocks)
 
 
 def _top(program: Program, code: Code) -> str:
