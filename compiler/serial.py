@@ -25,6 +25,7 @@ class Add(IntFlag):
 
 
 PLAIN = Add(0)
+TAKE = Add.INVERT | Add.CARRY  # takes the accumulator from the code
 
 
 class Word(IntEnum):
@@ -126,6 +127,13 @@ class Writer:
         self.word(Word.RISE, None, note)
         self.set((max(0, self.range[0]), max(0, self.range[1])))
 
+    def look(self, found: Range) -> None:
+        """acc = the word of memory at the address in the accumulator, of that range."""
+        self.word(Word.LOOK)
+        self.set(ZERO)
+        self.memory["point"] = found
+        self.add("point")
+
     def write(self, key: Key, note: str = "") -> None:
         self.word(Word.WRITE, key, note)
         self.memory[key] = self.range
@@ -140,17 +148,16 @@ class Writer:
     def limit(self, lo: int, hi: int) -> None:
         """Bring the accumulator to the nearest value in [lo, hi]."""
         over, under = self.range[1] > hi, self.range[0] < lo
-        take = Add.INVERT | Add.CARRY
         if over and under:
-            self.add(Constant(hi), take, f"at most {hi}")
+            self.add(Constant(hi), TAKE, f"at most {hi}")
             self.rise()
-            self.add(Constant(hi - lo), take, f"at least {lo}")
+            self.add(Constant(hi - lo), TAKE, f"at least {lo}")
             self.rise()
             self.add(Constant(lo))
         elif over:
-            self.add(Constant(hi), take, f"at most {hi}")
+            self.add(Constant(hi), TAKE, f"at most {hi}")
             self.rise()
-            self.add(Constant(hi), take)
+            self.add(Constant(hi), TAKE)
         elif under:
             self.add(Constant(-lo), note=f"at least {lo}")
             self.rise()
@@ -215,7 +222,7 @@ class Writer:
             self.write("half")
             self.load("half")
             self.add("half")
-            self.add("quotient", Add.INVERT | Add.CARRY)
+            self.add("quotient", TAKE)
             self.set((0, 1))
             self.write("odd")
             keys, weights, half = [*keys, "odd"], [*weights, 1], half - 1

@@ -11,7 +11,7 @@ from test_rtl import hand_worked, lint, ring, scenario
 
 from greygate.compiler.emit import emit
 from greygate.compiler.serial import Writer, signed_digits
-from greygate.compiler.serial_code import compiled
+from greygate.compiler.serial_layout import compiled
 from greygate.compiler.verilog import input_slices
 from greygate.emulator.interpreter import interpret
 from greygate.hardware.verify import Case, verify_many

@@ -4,7 +4,7 @@ compiler/serial_code.py writes the words; rtl/greygate_serial.v performs them. A
 each signed digit of its weight, so that no multiplier is needed.
 """
 
-from greygate.compiler.serial_code import Code, compiled
+from greygate.compiler.serial_layout import Code, compiled
 from greygate.compiler.targets import Architecture, Design, Register
 from greygate.compiler.verilog import (
     header,
