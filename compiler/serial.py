@@ -68,10 +68,12 @@ class Line:
 class Writer:
     """Writes words one after the other, with the range of the accumulator and of each word of memory.
 
-    width: of the accumulator, where it must be known beforehand (`wrap`). acc_width, data_width: what was found.
+    width: of the accumulator, where it must be known beforehand (`wrap`). scaled: the codes that memory holds a second
+    time, `doubled` this often. acc_width, data_width: what was found.
     """
 
     width: int = 2
+    scaled: dict[Key, int] = field(default_factory=dict)
     lines: list[Line] = field(default_factory=list)
     range: Range = ZERO
     memory: dict[Key, Range] = field(default_factory=dict)
@@ -183,6 +185,15 @@ class Writer:
         self.load("twice")
         self.add("twice", Add.CARRY if carry else PLAIN)
 
+    def scale(self, key: Key, times: int) -> None:
+        """Keep a code times 2^times beside the code itself, for the sums that follow."""
+        if self.scaled.get(key) != times:
+            self.load(key, f"{key} * 2^{times}")
+            for _ in range(times):
+                self.double(carry=False)
+            self.write(doubled(key))
+            self.scaled[key] = times
+
     def fit(self, fix: Fix, overflow: Overflow) -> None:
         if overflow is Overflow.SATURATE:
             self.limit(fix.lo, fix.hi)
@@ -237,6 +248,10 @@ class Writer:
         self.limit(fix.lo, fix.hi)
 
 
+def doubled(key: Key) -> str:
+    return f"{key}, scaled"
+
+
 def width_of(found: Range) -> int:
     """The least width in two's complement, of 2 or more bits, that holds a range."""
     return max(2, *(signed_width(v if v >= 0 else ~v) for v in found))
@@ -272,8 +287,12 @@ class _Sum:
         self.writer, self.constant, self.shift, self.note = writer, constant, shift, note
         self.places: dict[int, list[tuple[Key, int]]] = {}
         for key, weight in terms:
+            times = writer.scaled.get(key, 0)
             for place, digit in signed_digits(weight):
-                self.places.setdefault(place, []).append((key, digit))
+                if shift < place <= shift + times and place >= times:
+                    self.places.setdefault(place - times, []).append((doubled(key), digit))
+                else:
+                    self.places.setdefault(place, []).append((key, digit))
         self.inverted = False
 
     def write(self) -> None:

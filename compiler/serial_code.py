@@ -24,6 +24,8 @@ from greygate.compiler.serial import (
     Word,
     Writer,
     name_of,
+    signed_digits,
+    width_of,
 )
 from greygate.compiler.serial_tables import Answer, Kept, kept_tables
 from greygate.compiler.verilog import input_slices, shared_tables
@@ -122,6 +124,7 @@ class Compiler:
 
     def affine(self, o: Affine, lookup: Lookup | None) -> None:
         columns = [element(self.program.signals[a], k) for a in o.args for k in range(self.program.signals[a].size)]
+        self.scale(o, columns)
         for r in range(o.out.size):
             shift = int(o.frac[r]) - o.out.fix.frac
             self.writer.rounded(columns, o.weights[r].tolist(), int(o.bias[r]), shift, o.rounding, f"{o.out.name}[{r}]")
@@ -134,6 +137,17 @@ class Compiler:
                 self.call(lookup, r)
             else:
                 self.writer.write(element(o.out, r))
+
+    def scale(self, o: Affine, columns: list[str]) -> None:
+        """Keep codes scaled whose weights reach beyond the shift in more rows than one, as far as words are wide."""
+        widest = max(s.fix.width for s in self.program.signals.values())
+        shifts = (o.frac - o.out.fix.frac).tolist()
+        for key, weights in zip(columns, o.weights.T.tolist(), strict=True):
+            beyond = [signed_digits(w)[-1][0] - s for w, s in zip(weights, shifts, strict=True) if w]
+            beyond = [b for b in beyond if b > 0]
+            room = widest - width_of(self.writer.memory[key])
+            if len(beyond) > 1 and room > 0:
+                self.writer.scale(key, min(room, max(beyond)))
 
     def lookup(self, o: Lookup) -> None:
         for k in range(o.out.size):
