@@ -34,6 +34,7 @@ from greygate.emulator.program import (
     Clamp,
     Fix,
     Lookup,
+    Operation,
     Overflow,
     Program,
     Select,
@@ -81,7 +82,7 @@ class Compiler:
                 if lookup:
                     self.fused.add(lookup.out.name)
             elif o.out.name not in self.fused:
-                {Lookup: self.lookup, Clamp: self.clamp, Threshold: self.threshold, Select: self.select}[type(o)](o)
+                self.elements(o)
         self.end()
         for routine in self.routines.values():
             self.writer.lines = routine.lines
@@ -137,6 +138,18 @@ class Compiler:
                 self.call(lookup, r)
             else:
                 self.writer.write(element(o.out, r))
+
+    def elements(self, o: Operation) -> None:
+        """Write any other operation."""
+        if isinstance(o, Lookup):
+            self.lookup(o)
+        elif isinstance(o, Clamp):
+            self.clamp(o)
+        elif isinstance(o, Threshold):
+            self.threshold(o)
+        else:
+            assert isinstance(o, Select)
+            self.select(o)
 
     def scale(self, o: Affine, columns: list[str]) -> None:
         """Keep codes scaled whose weights reach beyond the shift in more rows than one, as far as words are wide."""

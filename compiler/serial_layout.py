@@ -60,8 +60,9 @@ class _Layout:
         )
         fixed += [k for k in dict.fromkeys(shared) if isinstance(k, str) and k not in fixed]
         self.address |= {key: n for n, key in enumerate(fixed)}
-        end, free = len(fixed), []
-        last = {}
+        end = len(fixed)
+        free: list[int] = []
+        last: dict[str, int] = {}
         for n, line in enumerate(self.compiler.main):
             if isinstance(line.field, str):
                 last[line.field] = n
@@ -118,7 +119,7 @@ class _Layout:
         }
         sample = {start + n + 1: bit for n, bit in compiler.bits.items()}
         lengths = [len(r.lines) + 1 for r in compiler.routines.values()]  # the word after a call is performed twice
-        calls = [line.field for line in compiler.main if line.operation == Word.CALL]
+        calls = [n for line in compiler.main if line.operation == Word.CALL and isinstance(n := line.field, int)]
         clocks = len(compiler.main) + sum(lengths[n] for n in calls)
         return Code(words, memory, sample, widths, boot, start, max(0, outputs - 2), clocks)
 
