@@ -4,8 +4,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from greygate.compiler.emit import sources
 from greygate.errors import InputError
+from greygate.hardware.proofs.bound import bounded, contraction, feedback
 from greygate.hardware.proofs.drift import STEPS, no_drift
 from greygate.hardware.proofs.elaborated import blocks, elaborate
 from greygate.hardware.proofs.mapped import netlist_equals_emulator
@@ -81,6 +84,18 @@ def _netlists(project: Project, chosen: dict, progress: Progress) -> Iterator[Pr
         yield _of(proof, architecture)
 
 
+def _bound(project: Project, chosen: dict, progress: Progress) -> Iterator[Proof]:
+    """Between the least and the greatest value of each input in all scenarios; then what holds of feedback."""
+    records = project.source.records().values()
+    ends = {
+        p.name: (min(np.min(r.inputs[p.name]) for r in records), max(np.max(r.inputs[p.name]) for r in records))
+        for p in project.network.inputs
+    }
+    yield bounded(project.program, project.network, ends, progress=titled(progress, "bound"))
+    if feedback(project.program):
+        yield contraction(project.program)
+
+
 def _drift(project: Project, chosen: dict, progress: Progress) -> Iterator[Proof]:
     name = project.source.training[0]
     yield no_drift(project.program, project.network, project.source.records()[name], chosen["steps"], progress)
@@ -94,6 +109,7 @@ def _of(proof: Proof, architecture: str) -> Proof:
 PROOFS: dict[str, Callable[[Project, dict, Progress], Iterator[Proof]]] = {
     "primitives": _primitives,
     "sums": _sums,
+    "bound": _bound,
     "netlist": _netlists,
     "drift": _drift,
 }
