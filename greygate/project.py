@@ -32,6 +32,7 @@ from greygate.compiler.targets import BOTH, NAMES, Architecture, Design, target
 from greygate.emulator.engine import run
 from greygate.emulator.program import Program
 from greygate.errors import InputError
+from greygate.exploring import Explorer
 from greygate.facts import FACTS, read_facts, read_hardware, read_resources
 from greygate.files import (
     changed,
@@ -80,6 +81,7 @@ def compile_project(
     generic: bool = False,
     architectures: Sequence[str] = BOTH,
     design: Design = Design(),
+    explorer: Explorer | None = None,
     progress: Progress = silent,
 ) -> Compiled:
     """Compile a network and write the folder that `Project.open` reads, completely or not at all.
@@ -90,7 +92,8 @@ def compile_project(
     prune: factor by which entropy pruning may raise the RMS error on the training records, e.g. 1.02.
     weights: method of `compiler.saliency` that then removes single weights and may raise the error by that factor
     again. held: scenarios, other than the training ones, that bound the error of pruning instead.
-    architectures: of the Verilog. design: how each is built.
+    architectures: of the Verilog. design: how each is built. explorer: instead of formats, a budget, architectures and
+    a design, what chooses them for a device; it raises `Unmet`, before anything is written, if no design will do.
     Raises InputError as `Source`, `compile` and `emit`, and for a folder that holds other files.
 
     >>> compiled = build(source, "lag", Formats(18))
@@ -110,9 +113,14 @@ def compile_project(
             budget=budget,
             prune=_pruning(source, records, prune, weights, held, progress),
             generic=generic,
+            choose=explorer and partial(explorer.choose, records, source.period),
             period=source.period,
         )
-        _write(new, source, compiled, formats, architectures, design)
+        facts = {}
+        if explorer:
+            formats, architectures, design = explorer.formats, (explorer.architecture,), explorer.design
+            facts = {"explored": explorer.facts}
+        _write(new, source, compiled, formats, architectures, design, facts)
     return compiled
 
 
@@ -143,9 +151,15 @@ def _pruning(
 
 
 def _write(
-    folder: Path, source: Source, compiled: Compiled, formats: Formats, architectures: Sequence[str], design: Design
+    folder: Path,
+    source: Source,
+    compiled: Compiled,
+    formats: Formats,
+    architectures: Sequence[str],
+    design: Design,
+    more: Mapping[str, object],
 ) -> None:
-    """Fill the folder of a build."""
+    """Fill the folder of a build. more: facts beside those of every build."""
     facts = {
         "source": source.name if source.name in CATALOG else str(Path(source.name).resolve()),
         "recordings": {n: str(Path(p).resolve()) for n, p in source.recordings.items()},
@@ -155,6 +169,7 @@ def _write(
         "finer": formats.finer,
         "passes": [asdict(p) for p in compiled.passes],
         "pruning": [asdict(r) for r in compiled.pruning],
+        **more,
     }
     for architecture in architectures:
         emit(compiled.program, folder / "rtl" / architecture, architecture, design)

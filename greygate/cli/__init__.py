@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from greygate import __version__
-from greygate.cli import builds, networks, rigs
+from greygate.cli import boards, builds, networks, rigs
 from greygate.cli.terminal import say
 from greygate.errors import InputError
 
@@ -21,6 +21,7 @@ UsageError: Any = typer.BadParameter.__base__  # raised for an argument or optio
 COMMANDS = (
     *(networks.train, networks.compile),
     *(builds.emulate, builds.verify, builds.prove, builds.synthesize, builds.report),
+    *(boards.board, boards.play),
     networks.validate,
     *(rigs.diagnose, rigs.isolability, rigs.simulate, rigs.augment, rigs.conceal, rigs.reveal),
 )

@@ -18,7 +18,7 @@ from greygate.errors import InputError
 from greygate.hardware.proofs.affine import Affine, Module, Value, Vector, signed_bits
 from greygate.hardware.proofs.elaborated import elaborate
 from greygate.hardware.proofs.proof import Proof, timed
-from greygate.hardware.proofs.reach import Interval, reachable
+from greygate.hardware.proofs.reach import reachable
 from greygate.progress import Progress, silent
 
 FLAT = "flatten; opt_expr; opt_dff -nosdff; opt_clean"  # registers that hold are registers with an enable
