@@ -38,7 +38,7 @@ def compiled(tmp_path, monkeypatch) -> Project:
     compile_project(Source(str(tmp_path / "b2.toml"), {"u": str(tmp_path / "u.csv")}), tmp_path / "hw", Formats())
     monkeypatch.setattr(project, "TRAINED", tmp_path)
 
-    def counted(folder, top, target, clock_rate, limit):
+    def counted(folder, top, target, clock_rate, limit, mhz, progress):
         return {"luts": 42} if folder.name == "folded" else {"stopped_after_s": limit}
 
     monkeypatch.setattr(project, "synthesize", counted)
