@@ -127,8 +127,8 @@ module DP16KD (
     integer k;
     initial begin
         for (k = 0; k < 1024; k = k + 1) memory[k] = INIT[k*20+:18];
-        if (REGMODE_A != "NOREG" || REGMODE_B != "NOREG" || RESETMODE != "SYNC")
-            $fatal(1, "DP16KD: registers at its outputs and asynchronous resets are not modelled");
+        if (REGMODE_A != "NOREG" || REGMODE_B != "NOREG")
+            $fatal(1, "DP16KD: registers at its outputs are not modelled");
     end
 
     // an address counts bits; of 9, 4, 2 and 1 bits there are two bytes of 9 in a word, of 36 it is two words
@@ -215,6 +215,8 @@ module DP16KD (
     always @(posedge clk_a) if (CEA && WEA) store(ad_a, mask(ad_a, DATA_WIDTH_A), placed(ad_a, DATA_WIDTH_A, in_a));
     always @(posedge clk_b) if (CEB && WEB) store(ad_b, mask(ad_b, DATA_WIDTH_B), placed(ad_b, DATA_WIDTH_B, in_b));
 
-    assign {DOA17, DOA16, DOA15, DOA14, DOA13, DOA12, DOA11, DOA10, DOA9, DOA8, DOA7, DOA6, DOA5, DOA4, DOA3, DOA2, DOA1, DOA0} = DATA_WIDTH_B == 36 ? out_b[17:0] : out_a[17:0];
-    assign {DOB17, DOB16, DOB15, DOB14, DOB13, DOB12, DOB11, DOB10, DOB9, DOB8, DOB7, DOB6, DOB5, DOB4, DOB3, DOB2, DOB1, DOB0} = DATA_WIDTH_B == 36 ? out_b[35:18] : out_b[17:0];
+    wire [35:0] shown_a = RESETMODE == "ASYNC" && RSTA ? 36'd0 : out_a;
+    wire [35:0] shown_b = RESETMODE == "ASYNC" && RSTB ? 36'd0 : out_b;
+    assign {DOA17, DOA16, DOA15, DOA14, DOA13, DOA12, DOA11, DOA10, DOA9, DOA8, DOA7, DOA6, DOA5, DOA4, DOA3, DOA2, DOA1, DOA0} = DATA_WIDTH_B == 36 ? shown_b[17:0] : shown_a[17:0];
+    assign {DOB17, DOB16, DOB15, DOB14, DOB13, DOB12, DOB11, DOB10, DOB9, DOB8, DOB7, DOB6, DOB5, DOB4, DOB3, DOB2, DOB1, DOB0} = DATA_WIDTH_B == 36 ? shown_b[35:18] : shown_b[17:0];
 endmodule
