@@ -6,7 +6,7 @@ OUT := demo
 PEERS := build/peers
 FOLDERS := models plants emulator compiler rtl mismatch machines recordings
 
-.PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-programs fuzz faults mutants train clean tools bench-accuracy calibrate bench-adders
+.PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-programs fuzz faults mutants train clean tools bench-accuracy calibrate bench-adders resources proofs
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -90,6 +90,13 @@ train: $(VENV)/.ready
 	for name in valve_cylinder asymmetric_cylinder pump_cylinder cable_drum belt_drive mts crane tanks b2; do $(BIN)/greygate train $$name || exit 1; done
 	$(BIN)/python -m greygate.machines.pruned
 
+# What the thesis's plants take on FPGAs, hours where a tool runs into its limit; and the proofs of a whole network.
+resources: $(VENV)/.ready-dev
+	$(BIN)/python benchmarks/resources.py --limit 300
+
+proofs: $(VENV)/.ready-dev | tools
+	$(BIN)/python benchmarks/proofs.py --limit 300
+
 clean:
 	rm -rf $(OUT) build *.egg-info
 
@@ -102,7 +109,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(INSTALL) -e '.[dev,synthesis,board,cluster]'
+	$(INSTALL) -e '.[dev,synthesis,proof,board,cluster]'
 	@touch $@
 
 $(VENV)/.ready-docs: $(VENV)/.ready
