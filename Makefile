@@ -6,7 +6,7 @@ OUT := demo
 PEERS := build/peers
 FOLDERS := models plants emulator compiler rtl mismatch machines recordings
 
-.PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-programs fuzz faults mutants train clean tools
+.PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-board bench-programs fuzz faults mutants train clean tools
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -66,6 +66,10 @@ mutants: $(VENV)/.ready-dev | tools
 bench-diagnosis: $(VENV)/.ready-dev
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/concealed.py
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/measured_mismatch.py
+
+# Ten minutes: whole scenarios through the port of a board, in Verilator behind a pseudo terminal; a bitstream.
+bench-board: $(VENV)/.ready-dev | tools
+	$(BIN)/python benchmarks/board.py --bitstream icebreaker
 
 # An hour: beside other trainers, beside the thesis's minutes, and ten seeds of its benchmark systems.
 bench-training: $(VENV)/.ready-dev $(PEERS)/.ready

