@@ -68,7 +68,7 @@ def make(
         mhz or chosen.clock_mhz,
         baud,
         round((mhz or chosen.clock_mhz) * 1e6 * project.program.period) if tick else 0,
-        project.scenarios((first,))[first],
+        project.scenarios((first,))[first].inputs,
     )
     facts: dict[str, Any] = {
         "board": name,

@@ -178,10 +178,10 @@ class Session:
     def silence(self) -> str:
         """Why there is no answer, as far as one can tell."""
         if self.results:
-            return f"sample {len(self.results)}: no answer after {TRIES} tries; check the cable and play again"
+            return f"sample {len(self.results)}: no answer after {TRIES} tries; check the plug and play again"
         if self.heard:
             return "what answers is no board with this build: compare the build, its bitstream and --baud"
-        return "nothing answers: load the bitstream of this build, check the cable, and --baud"
+        return "nothing answers: load the bitstream of this build, check the plug, and --baud"
 
 
 @dataclass(frozen=True)
