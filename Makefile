@@ -6,7 +6,7 @@ OUT := demo
 PEERS := build/peers
 FOLDERS := models plants emulator compiler rtl mismatch machines recordings
 
-.PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-board bench-programs fuzz faults mutants train clean tools
+.PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-board bench-programs fuzz faults mutants train clean tools bench-accuracy calibrate
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -76,6 +76,14 @@ bench-training: $(VENV)/.ready-dev $(PEERS)/.ready
 	$(BIN)/python benchmarks/training.py --peers $(PEERS)/bin/python
 	$(BIN)/python benchmarks/training_times.py
 	$(BIN)/python benchmarks/systems.py
+
+# Five minutes: RMS of the flow network at 8 to 20 bits, beside da4ml and alkaid.
+bench-accuracy: $(VENV)/.ready-dev $(PEERS)/.ready
+	$(BIN)/python benchmarks/accuracy_per_bit.py --peers $(PEERS)/bin/python
+
+# Half an hour: what the parts of a design take on each family, by Yosys and nextpnr; writes compiler/cost.toml.
+calibrate: $(VENV)/.ready-dev | tools
+	$(BIN)/python benchmarks/calibrate.py
 
 train: $(VENV)/.ready
 	$(BIN)/python -m greygate.models.families.library

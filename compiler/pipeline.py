@@ -60,6 +60,7 @@ def compile_network(
     prune: Pruning | None = None,
     generic: bool = False,
     meanings: bool = True,
+    choose: Callable[[Network, Mapping[str, Range]], Program] | None = None,
     period: float = 1e-3,
 ) -> Compiled:
     """Put logic for library networks, simplify, prune, range and quantize a network.
@@ -68,7 +69,8 @@ def compile_network(
     set the formats (the first, if none is given). budget: instead of a width, the largest factor by which fixed point
     may raise the RMS error on each of `ranged_on`, 1.05 for five per cent. prune: see `entropy_pruning`. generic:
     merge linear layers even where that costs multiplications. meanings: let library networks become the logic that they
-    stand for (`meaning.py`), else keep their tanh form. period: s, of a step. Raises InputError without a record, for
+    stand for (`meaning.py`), else keep their tanh form. choose: instead of formats and a budget, what makes the program
+    of the simplified network and its ranges. period: s, of a step. Raises InputError without a record, for
     a network that diverges on one, and for formats that cannot hold the ranges.
 
     >>> compiled = compile(lag, {"train": record}, Formats(18))
@@ -85,7 +87,9 @@ def compile_network(
         small = passes.simplified(small, generic)
         small, rounds = passes.pruned(small, prune) if prune else (small, [])
         found = ranges(small, training)
-        if budget is None:
+        if choose is not None:
+            program = choose(small, found)
+        elif budget is None:
             program = quantize_centred(small, found, training, formats, period)
         else:
             program = meet_budget(small, found, training, budget, formats, period)

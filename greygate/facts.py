@@ -11,7 +11,7 @@ from greygate.compiler.targets import NAMES, Design
 from greygate.emulator.fields import record
 from greygate.errors import InputError
 from greygate.limits import FINER
-from greygate.names import check_text
+from greygate.names import check_path, check_text
 from greygate.reading import Kind, anything, line, listed, maybe, named, number, one_of, read_json, table, whole
 
 FACTS = "compile.json"
@@ -27,6 +27,23 @@ ARCHITECTURE = {
     "seed": whole(0),
     "scenarios": named(lambda value, where: table(value, where, SCENARIO), line),
 }
+POINT = {
+    **dict.fromkeys(("error", "microseconds", "period_ns", "memories"), number),
+    **dict.fromkeys(("luts", "dsps", "clocks", "width", "finer"), whole(0)),
+    "architecture": one_of(NAMES),
+    "design": record(Design),
+    "table_budget": number,
+    "signals": named(line, check_path),
+    "weights": named(whole(0), check_path),
+}
+EXPLORED = {
+    **dict.fromkeys(("device", "family", "error_in"), line),
+    "request": named(maybe(number), line),
+    **dict.fromkeys(("programs", "points"), whole(0)),
+    "front": listed(lambda value, where: table(value, where, POINT)),
+    "chosen": maybe(lambda value, where: table(value, where, POINT)),
+    "why": line,
+}
 FILES: dict[str, Kind] = {
     FACTS: lambda value, where: table(
         value,
@@ -41,6 +58,7 @@ FILES: dict[str, Kind] = {
             "passes": listed(lambda value, where: table(value, where, PASS)),
             "pruning": listed(anything),
         },
+        {"explored": lambda value, where: table(value, where, EXPLORED)},
     ),
     "verify.json": named(lambda value, where: table(value, where, ARCHITECTURE), line),
     "resources.json": named(named(maybe(number), line), line),

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.compiler.emit import emit, emitted
+from greygate.compiler.emit import emit, emitted, sources
 from greygate.compiler.pipeline import Compiled, Pass, compile_network, entropy_pruning, fixed_error
 from greygate.compiler.prune import Round, retrained
 from greygate.compiler.quantize import Formats
@@ -33,6 +33,7 @@ from greygate.compiler.targets import BOTH, NAMES, Architecture, Design, target
 from greygate.emulator.engine import run
 from greygate.emulator.program import Program
 from greygate.errors import InputError
+from greygate.exploring import Explorer
 from greygate.facts import FACTS, read_facts, read_hardware, read_resources
 from greygate.files import (
     changed,
@@ -47,6 +48,7 @@ from greygate.files import (
     writing,
 )
 from greygate.hardware.board.benches import core_bench
+from greygate.hardware.replay import replay
 from greygate.hardware.synthesis import synthesize
 from greygate.hardware.verify import Case, Scenario, Verification, stop_tools, verify_many
 from greygate.machines.catalog import CATALOG, entry
@@ -56,7 +58,7 @@ from greygate.models.network import Network
 from greygate.models.training.record import Record
 from greygate.pages.report.study import size
 from greygate.plain import json_text
-from greygate.progress import Progress, silent
+from greygate.progress import Progress, silent, titled
 from greygate.reading import read_json
 from greygate.source import Source
 
@@ -66,6 +68,7 @@ LATER = (  # the files that verify and synthesize add to a build; nothing else w
     r"build/(bench(\.v)?|job\.(json|npz)|verdicts\.json|(verilator|make)\.log|(Vtop|verilat)\w*(\.\w+)+))"
 )
 RETRAIN_EPOCHS = 4
+COUNTED_STEPS = 4  # of a simulation that only counts the clocks between them
 
 
 def compile_project(
@@ -80,6 +83,7 @@ def compile_project(
     generic: bool = False,
     architectures: Sequence[str] = BOTH,
     design: Design = Design(),
+    explorer: Explorer | None = None,
     progress: Progress = silent,
 ) -> Compiled:
     """Compile a network and write the folder that `Project.open` reads, completely or not at all.
@@ -90,7 +94,8 @@ def compile_project(
     prune: factor by which entropy pruning may raise the RMS error on the training records, e.g. 1.02.
     weights: method of `compiler.saliency` that then removes single weights and may raise the error by that factor
     again. held: scenarios, other than the training ones, that bound the error of pruning instead.
-    architectures: of the Verilog. design: how each is built.
+    architectures: of the Verilog. design: how each is built. explorer: instead of formats, a budget, architectures and
+    a design, what chooses them for a device; it raises `Unmet`, before anything is written, if no design will do.
     Raises InputError as `Source`, `compile` and `emit`, and for a folder that holds other files.
 
     >>> compiled = build(source, "lag", Formats(18))
@@ -110,9 +115,14 @@ def compile_project(
             budget=budget,
             prune=_pruning(source, records, prune, weights, held, progress),
             generic=generic,
+            choose=explorer and partial(explorer.choose, records, source.period),
             period=source.period,
         )
-        _write(new, source, compiled, formats, architectures, design)
+        facts = {}
+        if explorer:
+            formats, architectures, design = explorer.formats, (explorer.architecture,), explorer.design
+            facts = {"explored": explorer.facts}
+        _write(new, source, compiled, formats, architectures, design, facts)
         if any(isinstance(target(a), Architecture) for a in architectures):
             _write_bench(new, compiled.program, records[(source.scenarios or source.training)[0]])
     return compiled
@@ -145,9 +155,15 @@ def _pruning(
 
 
 def _write(
-    folder: Path, source: Source, compiled: Compiled, formats: Formats, architectures: Sequence[str], design: Design
+    folder: Path,
+    source: Source,
+    compiled: Compiled,
+    formats: Formats,
+    architectures: Sequence[str],
+    design: Design,
+    more: Mapping[str, object],
 ) -> None:
-    """Fill the folder of a build."""
+    """Fill the folder of a build. more: facts beside those of every build."""
     facts = {
         "source": source.name if source.name in CATALOG else str(Path(source.name).resolve()),
         "recordings": {n: str(Path(p).resolve()) for n, p in source.recordings.items()},
@@ -157,6 +173,7 @@ def _write(
         "finer": formats.finer,
         "passes": [asdict(p) for p in compiled.passes],
         "pruning": [asdict(r) for r in compiled.pruning],
+        **more,
     }
     for architecture in architectures:
         emit(compiled.program, folder / "rtl" / architecture, architecture, design)
@@ -388,13 +405,19 @@ def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[
 
 
 def synthesize_project(
-    project: Project, target: str, clock_rate: bool = False, limit: float | None = None, keep: bool = False
+    project: Project,
+    target: str,
+    clock_rate: bool = False,
+    limit: float | None = None,
+    keep: bool = False,
+    mhz: float | None = None,
+    progress: Progress = silent,
 ) -> dict[str, dict]:
     """Find the resources of each architecture by Yosys (and nextpnr), and add them to resources.json.
 
-    limit: seconds of processor time for each tool; a design that takes longer has the result
-    {"stopped_after_s": limit}. keep: store them in the package too; this raises InputError for a program that is not
-    of the catalogue.
+    clock_rate, mhz, limit: as for `greygate.hardware.synthesis.synthesize`; a design that takes longer than the limit
+    has the result {"stopped_after_s": limit}. With a clock rate come the clocks and the microseconds of a step.
+    keep: store them in the package too; this raises InputError for a program that is not of the catalogue.
 
     >>> sorted(synthesize(project, "ice40"))
     ['folded, ice40', 'parallel, ice40']
@@ -407,12 +430,26 @@ def synthesize_project(
         if edited := project.edited():
             raise InputError(f"{edited[0]}: is not the Verilog of program.json; compile again")
         for architecture in reversed(project.designs):
-            folder = project.folder / "rtl" / architecture
-            found[f"{architecture}, {target}"] = synthesize(folder, project.program.name, target, clock_rate, limit)
+            folder, told = project.folder / "rtl" / architecture, titled(progress, architecture)
+            counts = synthesize(folder, project.program.name, target, clock_rate, limit, mhz, told)
+            if counts.get("clock_mhz"):
+                clocks = clocks_per_step(project, architecture, told)
+                counts |= {"clocks": clocks, "us_per_step": clocks / counts["clock_mhz"]}
+            found[f"{architecture}, {target}"] = counts
         _write_json(project.folder / "resources.json", found)
     if keep:
         _write_json(_kept(name), {"size": size(project.program), "resources": found})
     return found
+
+
+def clocks_per_step(project: Project, architecture: str, progress: Progress = silent) -> float:
+    """Clocks that a step takes: as the last verification counted them, or as a simulation of a few steps does."""
+    verified = (project.hardware or {}).get(architecture, {}).get("clocks_per_step")
+    if verified is not None:
+        return verified
+    steps = np.zeros((COUNTED_STEPS, sum(p.signal.size for p in project.program.inputs)), np.int64)
+    files = sources(project.folder / "rtl" / architecture, project.program.name)
+    return replay(files, project.program, steps, run(project.program, steps).outputs, progress=progress).clocks
 
 
 def _write_json(path: Path, value: object) -> None:

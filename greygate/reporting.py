@@ -65,6 +65,7 @@ def _study(project: Project, widths: Sequence[int] | None, progress: Progress) -
         references=project.source.references,
         hardware=project.hardware,
         resources=project.resources,
+        explored=project.facts.get("explored"),
         formats=Formats(finer=project.facts.get("finer", 0)),
         progress=progress,
         **{} if widths is None else {"widths": widths},

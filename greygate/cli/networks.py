@@ -8,12 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from greygate.cli import options
+from greygate.cli.backends import Backend, Scheduler, joblib_on
 from greygate.cli.terminal import Json, finite, following, give, recordings, say
 from greygate.compiler.targets import BOTH, NAMES, Design
 from greygate.errors import InputError
+from greygate.progress import Progress
 
 if TYPE_CHECKING:
     from greygate.compiler.pipeline import Compiled
+    from greygate.exploring import Explorer
+    from greygate.source import Source
 
 _architectures = {name.upper(): name for name in (*NAMES, "both")}
 Architecture = StrEnum("Architecture", _architectures)  # type: ignore[misc]  # members that NAMES lists
@@ -103,6 +107,7 @@ def _train_own(
 
 
 def compile(
+    context: typer.Context,
     network: Network,
     out: Annotated[Path, typer.Option(help="Folder to write; replaced if it is an earlier compilation.")],
     record: Annotated[list[str], typer.Option(help="FILE.csv or SCENARIO=FILE.csv; the first sets the ranges.")] = [],
@@ -132,32 +137,73 @@ def compile(
     generic: Annotated[bool, typer.Option(help="Merge linear layers even where that costs multipliers.")] = False,
     architecture: Annotated[Architecture, typer.Option()] = EVERY,
     macs: Annotated[int, typer.Option(callback=options.MACS, help="Multipliers of the folded architecture.")] = 4,
+    device: Annotated[
+        str | None, typer.Option(help="FPGA such as up5k: explore, and write the smallest design that meets --max-...")
+    ] = None,
+    max_error: Annotated[
+        str | None, typer.Option(help="Error beside float: 0.5% of an output's range, 0.2bar, or 1.05x its RMSE.")
+    ] = None,
+    max_latency: Annotated[str | None, typer.Option(help="Time of a step, such as 2us.")] = None,
+    max_luts: Annotated[int | None, typer.Option(callback=options.LUTS, help="LUTs.")] = None,
+    max_dsps: Annotated[int | None, typer.Option(callback=options.DSPS, help="DSPs.")] = None,
+    max_memories: Annotated[float | None, typer.Option(callback=options.MEMORIES, help="Blocks of memory.")] = None,
+    jobs: Annotated[
+        int, typer.Option(callback=options.JOBS, help="Processes that explore; dask uses all its workers.")
+    ] = 1,
+    backend: Annotated[
+        Backend, typer.Option(help="Explore in processes of this computer, or on a cluster.")
+    ] = Backend.LOKY,
+    scheduler: Scheduler = None,
     as_json: Json = False,
 ) -> None:
-    """Simplify, prune and quantize a network, and write it as Verilog."""
+    """Simplify, prune and quantize a network, and write it as Verilog.
+
+    With --device it tries formats, tables and architectures, and writes the smallest design that meets the request; if
+    there is none it says what binds and what is nearest, and exits with 1. A width, a number of multipliers or an
+    architecture that is given is not varied.
+    """
+    from greygate.exploring import Unmet, facts, lines
     from greygate.project import compile_project, fixed_and_float
     from greygate.source import Source
 
+    found = None
+    given = {n for n in context.params if getattr(context.get_parameter_source(n), "name", "") == "COMMANDLINE"}
+    _check_exploring(given)
     pruned = prune is not None or weights is not None
     if held and not pruned:
         raise InputError("--held: it only bounds pruning; give --prune or --weights, or give the file as --record")
     chosen = BOTH if architecture is EVERY else (architecture.value,)
     judges = recordings(held)
     source = Source(network, recordings([*record, *held]))
-    with following(f"compiling {network}") as progress:
-        compiled = compile_project(
-            source,
-            out,
-            source.formats(width, finer),
-            budget=budget,
-            prune=prune,
-            weights=weights,
-            held=tuple(judges),
-            generic=generic,
-            architectures=chosen,
-            design=Design(multipliers=macs),
-            progress=progress,
-        )
+    formats = source.formats(width, finer)
+    tried: dict = {} if architecture is EVERY else {"architectures": chosen}
+    if given & {"width", "finer"}:
+        tried |= {"widths": (formats.width,), "finer": (formats.finer,)}
+    if "macs" in given:
+        tried["multipliers"] = (macs,)
+    limits = (max_error, max_latency, max_luts, max_dsps, max_memories)
+    with joblib_on(backend, scheduler), following(f"compiling {network}") as progress:
+        explorer = _explorer(source, device, limits, tried, jobs if backend is Backend.LOKY else -1, progress)
+        try:
+            compiled = compile_project(
+                source,
+                out,
+                formats,
+                budget=budget,
+                prune=prune,
+                weights=weights,
+                held=tuple(judges),
+                generic=generic,
+                architectures=chosen,
+                design=Design(multipliers=macs),
+                explorer=explorer,
+                progress=progress,
+            )
+        except Unmet as unmet:
+            found = unmet.found
+    if found is not None:
+        give(facts(found), as_json, lines(found))
+        raise typer.Exit(1)
     before = source.network() if pruned else None
     rmse = {scenario: fixed_and_float(compiled, judged, before) for scenario, judged in source.records().items()}
     passes = [
@@ -168,7 +214,32 @@ def compile(
     signals = {s.name: str(s.fix) for s in compiled.program.signals.values()}
     top = compiled.program.name
     result = {"folder": str(out), "top": top, "passes": passes, "signals": signals, "rmse": rmse}
-    give(result, as_json, [*_steps(compiled), *_errors(rmse), f"written to {out}, top module {top}"])
+    told = [*_steps(compiled), *_errors(rmse)]
+    if explorer:
+        result["explored"] = explorer.facts
+        told += explorer.lines
+    give(result, as_json, [*told, f"written to {out}, top module {top}"])
+
+
+def _check_exploring(given: set[str]) -> None:
+    """Raise InputError for options that mean nothing together."""
+    limits = ("max_error", "max_latency", "max_luts", "max_dsps", "max_memories", "jobs", "backend", "scheduler")
+    for name in ("budget",) if "device" in given else limits:
+        if name in given:
+            does = "does not go with --device; give --max-error" if "device" in given else "needs --device"
+            raise InputError(f"--{name.replace('_', '-')} {does}")
+
+
+def _explorer(
+    source: "Source", device: str | None, limits: tuple, tried: dict, jobs: int, progress: Progress
+) -> "Explorer | None":
+    """What answers the request of the options; None if no device is named."""
+    if device is None:
+        return None
+    from greygate.exploring import Explorer, requested, side_by_side
+
+    units = {port.name: port.unit for port in source.network().outputs}
+    return Explorer(requested(device, units, *limits, **tried), side_by_side(jobs), progress)
 
 
 def _steps(compiled: "Compiled") -> list[str]:

@@ -1,25 +1,14 @@
 """Commands on rigs: diagnose, isolability, simulate, augment, and the concealed cases that test them."""
 
-import re
-from collections.abc import Iterator
-from contextlib import contextmanager
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from greygate.cli import options
+from greygate.cli.backends import Backend, Scheduler, joblib_on
 from greygate.cli.terminal import Json, finite, following, give, say
 from greygate.errors import InputError
-
-REACHED = 10.0  # s to wait for the answer of a cluster's scheduler
-
-
-class Backend(StrEnum):
-    LOKY = "loky"
-    DASK = "dask"
-
 
 Tables = Annotated[list[Path], typer.Option(help="TOML file with effects to try besides greygate's own.")]
 RigFolder = Annotated[Path, typer.Argument(metavar="RIG_FOLDER", help="Folder that holds rig.toml.")]
@@ -40,7 +29,7 @@ def diagnose(
     backend: Annotated[
         Backend, typer.Option(help="Run on processes of this computer, or on a cluster.")
     ] = Backend.LOKY,
-    scheduler: Annotated[str | None, typer.Option(help="Address of the dask cluster: tcp://HOST:PORT.")] = None,
+    scheduler: Scheduler = None,
     as_json: Json = False,
 ) -> None:
     """Say where a simulation and a recording differ, what physics is left out, and how much better it fits with it.
@@ -55,7 +44,7 @@ def diagnose(
             found, lines = explain(rigs[0], out, html, effects, progress)
         failed = []
     else:
-        with _joblib(backend, scheduler), following("diagnosing") as progress:
+        with joblib_on(backend, scheduler), following("diagnosing") as progress:
             results = explain_all(rigs, out, html, effects, jobs, progress)
         found = {name: content for name, (content, _) in results.items()}
         failed = [name for name, content in found.items() if "error" in content]
@@ -67,30 +56,6 @@ def diagnose(
         say(f"greygate: {name}: {found[name]['error']}")
     if failed:
         raise typer.Exit(2)
-
-
-@contextmanager
-def _joblib(backend: Backend, scheduler: str | None) -> Iterator[None]:
-    """Let joblib run its tasks on this backend. Raises InputError if the cluster cannot be reached."""
-    import joblib
-
-    if backend is Backend.LOKY:
-        if scheduler is not None:
-            raise InputError("--scheduler: loky has no scheduler; add --backend dask")
-        yield
-        return
-    try:
-        from distributed import Client
-    except ImportError:
-        raise InputError("--backend dask: distributed is not installed; pip install 'greygate[cluster]'") from None
-    if not re.fullmatch(r"(\w+://)?[^/]+:\d+", scheduler or ""):
-        raise InputError(f"--scheduler {scheduler}: give the address of the cluster's scheduler, tcp://HOST:PORT")
-    try:
-        client = Client(scheduler, timeout=REACHED, set_as_default=False)
-    except (OSError, TimeoutError) as error:
-        raise InputError(f"--scheduler {scheduler}: no answer ({error}); start `dask scheduler` there") from None
-    with client, joblib.parallel_config(backend="dask", client=client):
-        yield
 
 
 def isolability(

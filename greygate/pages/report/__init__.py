@@ -11,10 +11,10 @@ from pathlib import Path
 
 from greygate.files import replacing_all
 from greygate.pages import templates
-from greygate.pages.report import formats, head, inside, runs, widths
+from greygate.pages.report import explored, formats, head, inside, runs, widths
 from greygate.pages.summary import LEFT
 
-SECTIONS = (head, widths, formats, runs, inside)
+SECTIONS = (head, explored, widths, formats, runs, inside)
 """Of each study on the page."""
 
 

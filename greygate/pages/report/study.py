@@ -10,7 +10,7 @@ import numpy as np
 from greygate.compiler.pipeline import Compiled, quantize_centred
 from greygate.compiler.quantize import Formats
 from greygate.emulator.engine import run
-from greygate.emulator.program import Affine, Lookup, Program, Table, Terminal
+from greygate.emulator.program import Affine, Lines, Lookup, Program, Table, Terminal
 from greygate.errors import InputError
 from greygate.models.accuracy import float_error, rms
 from greygate.models.network import Network
@@ -35,6 +35,7 @@ def study(
     references: Mapping[str, Mapping] | None = None,
     hardware: Mapping[str, Mapping] | None = None,
     resources: Mapping[str, Mapping] | None = None,
+    explored: Mapping | None = None,
     widths: Iterable[int] = range(8, 25),
     formats: Formats | None = None,
     progress: Progress = silent,
@@ -45,8 +46,8 @@ def study(
     called: its name in tables of several networks; the name of the program if not given.
     references: published RMSE by source, scenario and output, {"thesis": {"v1": {"p_a": 55200.0}}}; a value may be a
     pair (low, high). hardware: by architecture, {"parallel": {"clocks_per_step": 40, "scenarios": {"v1": {"steps":
-    5000, "differing_bits": 0}}}}. resources: {"parallel, ecp5": {"luts": 9000, ...}}. widths: word widths of the curve.
-    formats: all other properties of its formats.
+    5000, "differing_bits": 0}}}}. resources: {"parallel, ecp5": {"luts": 9000, ...}}. explored: of
+    compile.json. widths: word widths of the curve. formats: all other properties of its formats.
 
     Raises InputError if one of `ranged_on` is not a scenario, or the float network diverges on one.
     """
@@ -77,6 +78,7 @@ def study(
             "references": references,
             "hardware": hardware,
             "resources": resources or {},
+            "explored": explored or {},
         }
     )
 
@@ -239,12 +241,12 @@ def _signals(compiled: Compiled, record: Record, saturations: Mapping[str, Mappi
     return found
 
 
-def _table(t: Table, program: Program) -> dict:
+def _table(t: Table | Lines, program: Program) -> dict:
     """A table of the program: its formats, its worst error, and the operations that look up in it."""
     return {
         "name": t.name,
         "function": t.function,
-        "points": len(t.points),
+        "points": t.entries,
         "interpolated": t.interpolated,
         "argument": str(t.arg),
         "result": str(t.out),
@@ -261,6 +263,6 @@ def size(program: Program) -> dict[str, int]:
         "operations": len(program.operations),
         "multiplications": sum(int(np.count_nonzero(o.weights)) for o in affine),
         "state_bits": sum(s.signal.size * s.signal.fix.width for s in program.states),
-        "table_bits": sum(len(t.points) * t.out.width for t in program.tables),
+        "table_bits": sum(t.bits for t in program.tables),
         "accumulator_bits": max((program.accumulator_width(o) for o in affine), default=0),
     }

@@ -1,0 +1,56 @@
+"""The flow network in da4ml or alkaid, with a full table for each neuron. Run by accuracy_per_bit.py, elsewhere.
+
+Usage: python accuracy_peers.py PACKAGE DATA.npz WIDTH...    prints {"width": [RMS, seconds], ...}
+DATA: x (N, 2), y (N,) of float, and w1, b1, w2, b2, w3, b3 of y = w3 tanh(w2 tanh(w1 x + b1) + b2) + b3.
+"""
+
+import importlib
+import json
+import sys
+import time
+
+import numpy as np
+
+FLAT = 3  # whole bits of an argument: beyond 8, tanh is 1 to 20 bits
+PACKAGES = {  # package -> (module, class of arrays), (module, function that traces)
+    "da4ml": (("da4ml.trace", "FixedVariableArray"), ("da4ml.trace", "comb_trace")),
+    "alkaid": (("alkaid.trace", "FVArray"), ("alkaid.trace", "trace")),
+}
+
+
+def rounded(weights: np.ndarray, width: int) -> np.ndarray:
+    """Weights with `width` significant bits, the sign counted, of the largest of the matrix."""
+    scale = 2.0 ** (width - 1 - int(np.frexp(np.abs(weights).max())[1]))
+    return np.floor(weights * scale + 0.5) / scale
+
+
+def network(array, trace, data, width: int):
+    """The logic: inputs, sums that fit their range, tables of every code, an output of the same width."""
+    x = array.from_kif(np.array([1, 1]), np.array([0, 0]), np.array([width - 1, width - 1]))
+    h = x
+    for n in (1, 2):
+        w, b = rounded(data[f"w{n}"], width), rounded(data[f"b{n}"], width)
+        whole = min(int(np.frexp(float(data[f"reach{n}"]))[1]), FLAT)
+        z = (h @ w.T + b).quantize(k=1, i=whole, f=width - 1 - whole, overflow_mode="SAT", round_mode="RND")
+        h = z.apply(np.tanh).quantize(k=1, i=0, f=width - 1, overflow_mode="SAT", round_mode="RND")
+    y = h @ rounded(data["w3"], width).T + rounded(data["b3"], width)
+    return trace(x, y.quantize(k=1, i=0, f=width - 1, overflow_mode="SAT", round_mode="RND"))
+
+
+def main() -> None:
+    package, path, *widths = sys.argv[1:]
+    array, trace = (getattr(importlib.import_module(module), name) for module, name in PACKAGES[package])
+    data, found = dict(np.load(path)), {}
+    for width in map(int, widths):
+        start = time.monotonic()
+        logic = network(array, trace, data, width)
+        lsb = 2.0 ** (1 - width)
+        x = np.clip(np.floor(data["x"] / lsb + 0.5) * lsb, -1, 1 - lsb)
+        y = np.asarray(logic.predict(x)).reshape(-1)
+        found[width] = [float(np.sqrt(np.mean((y - data["y"]) ** 2))), round(time.monotonic() - start, 2)]
+        print(width, found[width], file=sys.stderr)
+    print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,30 @@
+"""The flow network, 2-10-10-1: `qa` of the trained valve cylinder as a network of its own, and a grid of its inputs."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from greygate.models.layer import Port
+from greygate.models.network import Network
+from greygate.models.training.record import Record
+from greygate.source import Source
+
+SIDE = 99  # points of the grid along each input
+ENDS = {"u": (-1.0, 1.0), "p": (0.01, 0.99)}
+
+
+def flow() -> tuple[Network, Record]:
+    """The network, and its own float output on the grid."""
+    layers = Source("valve_cylinder").network().layers()
+    network = Network("flow", [Port(name, "1") for name in ENDS], [Port("y", "1")])
+    before = {"u": "u", "p": "p"}
+    for name in ("hidden1", "hidden2", "out"):
+        layer = layers[f"qa.{name}"]
+        network.add(name, replace(layer, weights=dict(zip(before, layer.weights.values(), strict=True))))
+        for port, source in before.items():
+            network.connect(source, f"{name}.{port}")
+        before = {name: name}
+    network.connect("out", "y")
+    axes = np.meshgrid(*(np.linspace(*ends, SIDE) for ends in ENDS.values()))
+    inputs = {name: axis.ravel() for name, axis in zip(ENDS, axes, strict=True)}
+    return network, Record(inputs, network.run(inputs))

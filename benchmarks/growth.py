@@ -1,0 +1,89 @@
+"""How the time grows with the network: compiling, writing and synthesizing the folded design, and emulating.
+
+Networks of two layers of tanh with 10 to 10,000 weights are compiled, written, synthesized on ECP5 and emulated; one of
+100,000 weights is compiled and written. Seconds of the wall clock, and steps a second of the emulator.
+Usage: python benchmarks/growth.py [--weights N...] [--limit SECONDS]
+"""
+
+import argparse
+import json
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from greygate.compiler.emit import emit
+from greygate.compiler.pipeline import compile_network
+from greygate.compiler.targets import Design
+from greygate.emulator.engine import run
+from greygate.hardware.synthesis import synthesize
+from greygate.models.layer import Layer, Port
+from greygate.models.network import Network
+from greygate.models.training.record import Record
+
+WEIGHTS = (10, 100, 1_000, 10_000, 100_000)
+SYNTHESIZED = 10_000  # weights up to which a design is synthesized and emulated
+STEPS = 2_000  # of the record that sets the ranges
+EMULATED = 20_000_000  # products that are emulated, in as many steps as that makes
+INPUTS = 4
+MULTIPLIERS = 4
+RESULTS = Path(__file__).parent / "results/growth.json"
+
+
+def network(weights: int) -> tuple[Network, Record]:
+    """4-n-n-1 with about that many weights, but at least one neuron; and its own output."""
+    size = max(1, round((-(INPUTS + 1) + ((INPUTS + 1) ** 2 + 4 * weights) ** 0.5) / 2))
+    rng = np.random.default_rng(weights)
+
+    def dense(rows: int, columns: int, activation: str, port: str) -> Layer:
+        w = rng.normal(size=(rows, columns)) / columns**0.5
+        return Layer({port: w}, 0.1 * rng.normal(size=rows), activation)
+
+    made = Network(f"grown_{weights}", [Port("x", size=INPUTS)], [Port("y")])
+    made.add("first", dense(size, INPUTS, "tansig", "x"))
+    made.add("second", dense(size, size, "tansig", "first"))
+    made.add("last", dense(1, size, "linear", "second"))
+    for source, target in (("x", "first.x"), ("first", "second.first"), ("second", "last.second"), ("last", "y")):
+        made.connect(source, target)
+    inputs = {"x": rng.uniform(-1, 1, size=(STEPS, INPUTS))}
+    return made, Record(inputs, made.run(inputs))
+
+
+def grown(weights: int, limit: float) -> dict[str, float]:
+    """Figures of one size."""
+    made, record = network(weights)
+    found: dict[str, float] = {"weights": sum(w.size for n, w in made.parameters().items() if not n.endswith("bias"))}
+    start = time.perf_counter()
+    program = compile_network(made, {"grid": record}).program
+    found["compile_s"] = round(time.perf_counter() - start, 2)
+    with tempfile.TemporaryDirectory() as folder:
+        start = time.perf_counter()
+        emit(program, folder, "folded", Design(multipliers=MULTIPLIERS))
+        found["emit_s"] = round(time.perf_counter() - start, 2)
+        if weights > SYNTHESIZED:
+            return found
+        found |= {f"yosys_{k}": v for k, v in synthesize(folder, program.name, "ecp5", limit=limit).items()}
+    codes = program.encode(record.inputs)
+    many = np.tile(codes, (max(1, EMULATED // found["weights"] // STEPS), 1))
+    run(program, codes, states=False)
+    start = time.perf_counter()
+    run(program, many, states=False)
+    found["steps_per_s"] = round(len(many) / (time.perf_counter() - start))
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--weights", nargs="*", type=int, default=WEIGHTS)
+    parser.add_argument("--limit", type=float, default=300.0, help="seconds of processor time for Yosys")
+    given = parser.parse_args()
+    rows = []
+    for weights in given.weights:
+        rows.append(grown(weights, given.limit))
+        print(rows[-1], flush=True)
+    RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,296 @@
+"""From shared sums to an adder graph: trees balanced for depth, signs kept inside, every range exact.
+
+A search gives *sums*: lists of terms (operand, shift, sign). Operands 0 to columns - 1 are the columns, columns + k is
+definition k, an earlier one. Values are meant up to a shift: a shift may be negative, and where it is, the bits that it
+drops are 0.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from greygate.compiler.adders_graph import CONSTANT, Graph, Node, Output
+
+Term = tuple[int, int, int]  # operand, shift, sign
+
+
+class _Value(NamedTuple):
+    """A linear form as it is built: an odd vector (columns and the constant), its magnitude and its level."""
+
+    vector: np.ndarray
+    size: int  # sum of |coefficient| times the greatest magnitude of the column
+    level: int
+    index: int  # in the list of what is built
+
+
+class _Part(NamedTuple):
+    """A term of a sum under way: sign * (value << shift)."""
+
+    value: _Value
+    shift: int
+    sign: int
+
+
+class _Built(NamedTuple):
+    """One adder before its sign is chosen: sum of two parts by their indices, and the low bits that it drops."""
+
+    left: int
+    left_shift: int
+    left_sign: int
+    right: int
+    right_shift: int
+    right_sign: int
+    drop: int
+
+
+def shape(
+    columns: int,
+    definitions: Sequence[Sequence[Term]],
+    rows: Sequence[Sequence[Term]],
+    constants: Sequence[int],
+    ranges: Sequence[tuple[int, int]],
+) -> Graph:
+    """Build the graph: of each sum the tree of least depth, of narrow adders where that leaves a choice."""
+    return _Shaper(columns, constants, ranges).graph(*inlined(columns, definitions, rows))
+
+
+def inlined(
+    columns: int, definitions: Sequence[Sequence[Term]], rows: Sequence[Sequence[Term]]
+) -> tuple[list[list[Term]], list[list[Term]]]:
+    """Put every definition that is read once into its reader; leave out what nobody reads; number the rest anew."""
+    sums = [list(d) for d in definitions]
+    outs = [list(r) for r in rows]
+    uses = [0] * len(sums)
+    for s in outs:
+        for o, _, _ in s:
+            if o >= columns:
+                uses[o - columns] += 1
+    for k in range(len(sums) - 1, -1, -1):
+        if not uses[k]:
+            continue
+        for o, _, _ in sums[k]:
+            if o >= columns:
+                uses[o - columns] += 1
+    number: dict[int, int] = {}
+    kept: list[list[Term]] = []
+
+    def open_up(terms: Sequence[Term]) -> list[Term]:
+        found: list[Term] = []
+        for o, shift, sign in terms:
+            k = o - columns
+            if k < 0:
+                found.append((o, shift, sign))
+            elif uses[k] == 1 or len(sums[k]) == 1:
+                found += [(p, shift + s, sign * g) for p, s, g in sums[k]]
+            else:
+                found.append((number[k], shift, sign))
+        return found
+
+    for k, terms in enumerate(sums):
+        if not uses[k]:
+            continue
+        sums[k] = open_up(terms)
+        if uses[k] > 1 and len(sums[k]) > 1:
+            number[k] = columns + len(kept)
+            kept.append(sums[k])
+    return kept, [open_up(r) for r in outs]
+
+
+class _Shaper:
+    """Builds values one by one: `values[i]` with `adders[i]` (None for a column or a constant)."""
+
+    def __init__(self, columns: int, constants: Sequence[int], ranges: Sequence[tuple[int, int]]):
+        self.columns = columns
+        self.constants = [int(c) for c in constants]
+        self.ranges = [(int(lo), int(hi)) for lo, hi in ranges]
+        self.sizes = [max(abs(lo), abs(hi), 1) for lo, hi in self.ranges]
+        self.values: list[_Value] = []
+        self.adders: list[_Built | None] = []
+        self.numbers: dict[int, int] = {}  # index -> the number that a constant stands for
+        for c in range(columns):
+            vector = np.zeros(columns + 1, dtype=object)
+            vector[c] = 1
+            self._keep(vector, self.sizes[c], 0, None)
+
+    def _keep(self, vector: np.ndarray, size: int, level: int, adder: _Built | None) -> _Value:
+        value = _Value(vector, size, level, len(self.values))
+        self.values.append(value)
+        self.adders.append(adder)
+        return value
+
+    def graph(self, definitions: list[list[Term]], rows: list[list[Term]]) -> Graph:
+        defined: list[_Part] = [_Part(v, 0, 1) for v in self.values]
+        for terms in definitions:
+            defined.append(self._tree([_moved(defined[o], shift, sign) for o, shift, sign in terms]))
+        outputs: list[_Part | None] = []
+        for terms, constant in zip(rows, self.constants, strict=True):
+            parts = [_moved(defined[o], shift, sign) for o, shift, sign in terms]
+            if constant and parts:
+                parts.append(self._constant(constant))
+            outputs.append(self._tree(parts) if parts else None)
+        return self._signed(outputs)
+
+    def _constant(self, number: int) -> _Part:
+        shift = _trailing(number)
+        odd = abs(number) >> shift
+        vector = np.zeros(self.columns + 1, dtype=object)
+        vector[-1] = odd
+        value = self._keep(vector, odd, 0, None)
+        self.numbers[value.index] = odd
+        return _Part(value, shift, 1 if number > 0 else -1)
+
+    def _tree(self, parts: list[_Part]) -> _Part:
+        """Sum the parts: always two of the lowest levels, among those the pair that needs the narrowest adder."""
+        parts = list(parts)
+        while len(parts) > 1:
+            levels = sorted({p.value.level for p in parts})
+            low = [i for i, p in enumerate(parts) if p.value.level == levels[0]]
+            if len(low) == 1:
+                others = [i for i, p in enumerate(parts) if p.value.level == levels[1]]
+                pairs = [(low[0], i) for i in others]
+            else:
+                pairs = [(a, b) for n, a in enumerate(low) for b in low[n + 1 :]]
+            a, b = min(pairs, key=lambda ab: (_bits(parts[ab[0]], parts[ab[1]]), ab))
+            joined = self._add(parts[a], parts[b])
+            parts = [p for i, p in enumerate(parts) if i not in (a, b)]
+            parts.append(joined)
+        return parts[0]
+
+    def _add(self, a: _Part, b: _Part) -> _Part:
+        base = min(a.shift, b.shift)
+        left, right = a.shift - base, b.shift - base
+        vector = a.value.vector * (a.sign << left) + b.value.vector * (b.sign << right)
+        drop = min(_trailing(int(v)) for v in vector if v)
+        vector = vector // (1 << drop)
+        size = sum(abs(int(v)) * s for v, s in zip(vector, [*self.sizes, 1], strict=True))
+        adder = _Built(a.value.index, left, a.sign, b.value.index, right, b.sign, drop)
+        level = 1 + max(a.value.level, b.value.level)
+        return _Part(self._keep(vector, size, level, adder), base + drop, 1)
+
+    def _signed(self, outputs: list[_Part | None]) -> Graph:
+        """Choose the sign of every node so that no adder negates both operands, and no output its node if avoidable."""
+        signs = _Signs(self.adders, self.numbers, outputs).chosen()
+        number: dict[int, int] = {c: c for c in range(self.columns)}
+        nodes: list[Node] = []
+        for i, adder in enumerate(self.adders):
+            if adder is None:
+                continue
+            number[i] = self.columns + len(nodes)
+            nodes.append(self._node(i, adder, signs, number))
+        rows = []
+        for part, constant in zip(outputs, self.constants, strict=True):
+            if part is None:
+                rows.append(Output(CONSTANT, 0, False, constant))
+            else:
+                i = part.value.index
+                rows.append(Output(number[i], part.shift, part.sign * signs[i] < 0, 0))
+        return Graph(tuple(self.ranges), tuple(nodes), tuple(rows))
+
+    def _node(self, i: int, adder: _Built, signs: list[int], number: dict[int, int]) -> Node:
+        sides = []
+        for operand, shift, sign in (adder[:3], adder[3:6]):
+            constant = self.numbers.get(operand, 0) * signs[operand]
+            sides.append((sign * signs[operand] * signs[i], number.get(operand, CONSTANT), shift, constant << shift))
+        sides.sort(key=lambda side: -side[0])  # a negative one goes right
+        (positive, a, a_shift, a_constant), (other, b, b_shift, b_constant) = sides
+        assert positive > 0, "an adder negates both operands"
+        a_shift, b_shift = (0 if a == CONSTANT else a_shift), (0 if b == CONSTANT else b_shift)
+        lo, hi = self._range(self.values[i].vector * signs[i])
+        return Node(a, a_shift, b, b_shift, other < 0, adder.drop, a_constant or b_constant, lo, hi)
+
+    def _range(self, vector: np.ndarray) -> tuple[int, int]:
+        lo = hi = int(vector[-1])
+        for v, (least, most) in zip(vector[:-1].tolist(), self.ranges, strict=True):
+            lo += min(v * least, v * most)
+            hi += max(v * least, v * most)
+        return lo, hi
+
+
+class _Signs:
+    """Signs of the built values: an adder a*x + b*y must not find both of its terms of the sign opposite to its own."""
+
+    def __init__(self, adders: list[_Built | None], numbers: dict[int, int], outputs: list[_Part | None]):
+        self.adders, self.numbers = adders, numbers
+        self.signs = [1] * len(adders)
+        self.users: list[list[int]] = [[] for _ in adders]
+        self.wanted: dict[int, int] = {}  # value -> the sign that its outputs ask for; 0 if they disagree
+        for i, adder in enumerate(adders):
+            if adder is not None:
+                for o in (adder.left, adder.right):
+                    self.users[o].append(i)
+        for part in outputs:
+            if part is not None:
+                i = part.value.index
+                self.wanted[i] = part.sign if self.wanted.get(i, part.sign) == part.sign else 0
+
+    def chosen(self) -> list[int]:
+        for i in range(len(self.adders)):
+            self._settle(i)
+        for i, wanted in self.wanted.items():
+            if wanted and self.signs[i] != wanted:
+                trail: list[int] = []
+                if not self._flip(i, None, trail):
+                    for j in trail:
+                        self.signs[j] = -self.signs[j]
+        return self.signs
+
+    def _settle(self, i: int) -> None:
+        adder = self.adders[i]
+        if adder is None:
+            return
+        x, y = self._terms(adder)
+        if x == y and adder.left not in self.numbers and adder.right not in self.numbers:
+            self.signs[i] = x
+        else:
+            self.signs[i] = self.wanted.get(i, 1) or 1
+            if x == y:  # the constant takes whatever sign helps
+                constant = adder.left if adder.left in self.numbers else adder.right
+                self.signs[constant] = self.signs[constant] if self.signs[i] == x else -self.signs[constant]
+
+    def _terms(self, adder: _Built) -> tuple[int, int]:
+        return adder.left_sign * self.signs[adder.left], adder.right_sign * self.signs[adder.right]
+
+    def _good(self, i: int) -> bool:
+        adder = self.adders[i]
+        assert adder is not None
+        x, y = self._terms(adder)
+        return x != y or x == self.signs[i]
+
+    def _flip(self, i: int, asker: int | None, trail: list[int]) -> bool:
+        """Turn the sign of a value, and of values below it where an adder then asks for that; note them in trail."""
+        adder = self.adders[i]
+        if adder is None and i not in self.numbers:
+            return False
+        if i in trail or (asker is not None and self.wanted.get(i)):
+            return False
+        self.signs[i] = -self.signs[i]
+        trail.append(i)
+        if any(not self._good(u) for u in self.users[i] if u != asker):
+            return False
+        if adder is None or self._good(i):
+            return True
+        for operand in (adder.left, adder.right):
+            mark = len(trail)
+            if self._flip(operand, i, trail) and self._good(i):
+                return True
+            for j in trail[mark:]:
+                self.signs[j] = -self.signs[j]
+            del trail[mark:]
+        return False
+
+
+def _moved(part: _Part, shift: int, sign: int) -> _Part:
+    return _Part(part.value, part.shift + shift, part.sign * sign)
+
+
+def _bits(a: _Part, b: _Part) -> int:
+    """An estimate of the full adders that the sum of two parts needs."""
+    base = min(a.shift, b.shift)
+    top = (a.value.size << (a.shift - base)) + (b.value.size << (b.shift - base))
+    return top.bit_length() - abs(a.shift - b.shift)
+
+
+def _trailing(number: int) -> int:
+    """Zeros at the low end of a number that is not 0."""
+    return (number & -number).bit_length() - 1

@@ -1,0 +1,233 @@
+"""What a design costs on an FPGA, told in milliseconds: a count of its parts, and what Yosys made of such parts.
+
+The parts of each architecture are counted here, from the program alone. `cost.toml` says what a part of each kind
+takes on each family. `benchmarks/calibrate.py` fits it to synthesized designs, and states its error on others.
+"""
+
+import math
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from greygate.compiler.targets import Design, Memory, architecture
+from greygate.emulator.program import Affine, Lookup, Program, signed_width
+
+COEFFICIENTS = Path(__file__).with_name("cost.toml")
+LOOKUP, EDGES = 3, 2  # clocks of a lookup, and of a step beside its longest chain
+SHALLOW = 16  # words up to which a table is kept in logic, whatever the design says: a block would stand empty
+SHARED = 0.5  # part of the digits of single weights that is left when equal patterns are summed once
+
+# Shapes (words, bits) that one block of memory can have with one read port, and with two; and how many a family counts
+# it as. Lattice ECP5: technical note FPGA-TN-02204; iCE40: FPGA-TN-02002; Xilinx 7 series: UG473.
+BLOCKS: dict[str, tuple[tuple[tuple[int, int], ...], tuple[tuple[int, int], ...], float]] = {
+    "ecp5": (((512, 36), (1024, 18), (2048, 9), (4096, 4)), ((1024, 18), (2048, 9), (4096, 4)), 1.0),
+    "ice40": (((256, 16), (512, 8), (1024, 4), (2048, 2)), (), 1.0),
+    "xilinx": (((512, 36), (1024, 18), (2048, 9), (4096, 4)), ((1024, 18), (2048, 9), (4096, 4)), 0.5),
+}
+MULTIPLIERS = {"ecp5": (18, 18), "ice40": (16, 16), "xilinx": (25, 18)}  # widths that one DSP multiplies
+
+
+@dataclass(frozen=True)
+class Cost:
+    """luts, dsps, memories: as the family counts them. clocks: of a step. period: shortest clock, ns."""
+
+    luts: int
+    dsps: int
+    memories: float
+    clocks: int
+    period: float
+
+    @property
+    def microseconds(self) -> float:
+        """Of a step."""
+        return round(self.clocks * self.period / 1e3, 4)
+
+
+def blocks(family: str, words: int, bits: int, ports: int = 1) -> float:
+    """Blocks of memory that hold `words` of `bits`, each block read through that many ports."""
+    shapes = BLOCKS[family][ports - 1]
+    return BLOCKS[family][2] * min(math.ceil(words / w) * math.ceil(bits / b) for w, b in shapes)
+
+
+def tiles(family: str, a: int, b: int) -> int:
+    """DSPs that a signed product of that many by that many bits takes."""
+    wide, narrow = MULTIPLIERS[family]
+    return min(math.ceil(x / wide) * math.ceil(y / narrow) for x, y in ((a, b), (b, a)))
+
+
+@cache
+def coefficients() -> dict:
+    """The table of the package."""
+    return tomllib.loads(COEFFICIENTS.read_text(encoding="utf-8"))
+
+
+# -- what a program has ----------------------------------------------------------------------------------------------
+
+
+def digits(numbers: np.ndarray) -> np.ndarray:
+    """Digits other than zero of each whole number, in canonical signed form."""
+    size = np.abs(numbers).astype(np.uint64)
+    return np.bitwise_count((np.uint64(3) * size) ^ size)
+
+
+def odd_bits(numbers: np.ndarray) -> np.ndarray:
+    """Bits of the odd part of each whole number, 0 for 0."""
+    size = np.abs(numbers)
+    odd = size // np.maximum(size & -size, 1)
+    return np.where(size > 0, np.floor(np.log2(np.maximum(odd, 1))) + 1, 0)
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Of one affine operation: weights other than zero, bits of its adders, and bits of its results."""
+
+    products: int
+    adders: float
+    results: int
+
+
+def sums(program: Program, o: Affine) -> Sums:
+    """Estimate the adders of an operation whose constants are adder graphs."""
+    widths = np.array([program.signals[a].fix.width for a in o.args for _ in range(program.signals[a].size)])
+    present = o.weights != 0
+    inside = (np.maximum(digits(o.weights).astype(float) - 1, 0) * (widths + odd_bits(o.weights))).sum() * SHARED
+    terms = present.sum(axis=1) + (o.bias != 0)
+    low = np.where(present, np.abs(o.weights) & -np.abs(o.weights), np.int64(1) << 62).min(axis=1)
+    reach = np.abs(o.weights).astype(float) @ np.exp2(widths - 1.0) + np.abs(o.bias)
+    height = np.log2(np.maximum(reach, 1)) + 1 - np.log2(np.maximum(low, 1))
+    between = (np.maximum(terms - 1, 0) * np.maximum(height, 0)).sum()
+    return Sums(int(present.sum()), float(inside + between), o.out.size * o.out.fix.width)
+
+
+def trivial(program: Program, o: Affine) -> bool:
+    """Whether an operation only shifts and rounds one element into each of its own."""
+    return bool((np.count_nonzero(o.weights, axis=1) <= 1).all() and not o.bias.any()
+                and (digits(o.weights) <= 1).all())  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What a design is made of. luts: parts by kind, whose size `cost.toml` knows. dsps, memories: counted."""
+
+    luts: Mapping[str, float]
+    dsps: int
+    memories: float
+
+
+def slope_bits(points: tuple[int, ...]) -> int:
+    """Width of the signed difference of two neighbouring points."""
+    return signed_width(max((abs(b - a) for a, b in pairwise(points)), default=0))
+
+
+def _word(program: Program, o: Lookup) -> tuple[int, int, int, int]:
+    """(words, bits of a word, and the widths of the two factors of the line between points) of a lookup's memory."""
+    t = program.table[o.table]
+    slope = slope_bits(t.points) if t.interpolated and t.shift else 0
+    return len(t.points), t.out.width + slope, slope, t.shift + 1 if slope else 0
+
+
+def _small(program: Program) -> float:
+    """Bits that the clamps, thresholds and selects take in and give."""
+    other = (o for o in program.operations if not isinstance(o, Affine | Lookup))
+    return float(sum(o.out.size * (o.out.fix.width + sum(program.signals[a].fix.width for a in o.args)) for o in other))
+
+
+def _ports(program: Program) -> float:
+    """Bits of the samples that come and go."""
+    return float(sum(p.signal.size * p.signal.fix.width for p in program.inputs + program.outputs))
+
+
+def parallel(program: Program, design: Design, family: str, clocks: int) -> Parts:
+    """Every sum of adders of its own, every two lookups a memory of their own where it has two ports."""
+    luts = dict.fromkeys(("adders", "results", "lookups", "products", "rom"), 0.0)
+    luts |= {"small": _small(program), "ports": _ports(program), "core": 1.0}
+    dsps, memories, both = 0, 0.0, bool(BLOCKS[family][1])
+    for o in program.operations:
+        if isinstance(o, Affine):
+            found = sums(program, o)
+            luts["adders"] += found.adders
+            luts["results"] += 0.0 if trivial(program, o) else found.results
+        elif isinstance(o, Lookup):
+            words, bits, slope, rest = _word(program, o)
+            luts["lookups"] += o.out.size * (program.signals[o.arg].fix.width + 2 * o.out.fix.width)
+            in_dsps = min(o.out.size, max(0, design.dsps - dsps)) if slope else 0
+            dsps += in_dsps * (tiles(family, slope, rest) if slope else 0)
+            luts["products"] += (o.out.size - in_dsps) * slope * rest
+            if design.memory is Memory.BLOCK and words > SHALLOW:
+                one = blocks(family, words, bits)
+                memories += min(o.out.size * one, math.ceil(o.out.size / 2) * blocks(family, words, bits, 2)
+                                if both else math.inf)  # fmt: skip
+            else:
+                luts["rom"] += o.out.size * words * bits
+    return Parts(luts, dsps, memories)
+
+
+def folded(program: Program, design: Design, family: str, clocks: int) -> Parts:
+    """Some multipliers, a memory of codes, a schedule in a memory; lookups in equal tables share one."""
+    affine = [o for o in program.operations if isinstance(o, Affine)]
+    m = design.multipliers
+    code = max(s.fix.width for s in program.signals.values())
+    acc = max([2, *(program.accumulator_width(o) for o in affine)])
+    weight = 1 + max([1, *(int(odd_bits(o.weights).max(initial=0)) for o in affine)])
+    shifts = {int(f) - o.out.fix.frac for o in affine for f in o.frac}
+    words = sum(s.size for s in program.signals.values())
+    line = m * weight + 2 * math.ceil(math.log2(words + 1)) + 16
+    luts = {"multipliers": float(m * acc), "drain": float(acc * math.ceil(math.log2(len(shifts) + 1)))}
+    luts |= {"codes": float(words * code), "code": float(code * (2 + m)), "small": _small(program) / 8}
+    luts |= {"lookups": 0.0, "rom": 0.0, "ports": _ports(program), "core": 1.0}
+    dsps, memories = m * tiles(family, code, weight), 0.0
+    stored = [(clocks, line), (sum(math.ceil(o.out.size / m) for o in affine), m * acc)]
+    for table in {o.table: o for o in program.operations if isinstance(o, Lookup)}.values():
+        count, bits, slope, rest = _word(program, table)
+        stored.append((count, bits))
+        luts["lookups"] += program.signals[table.arg].fix.width + 2 * table.out.fix.width
+        dsps += tiles(family, slope, rest) if slope else 0
+    for count, bits in stored:
+        if design.memory is Memory.BLOCK and count > SHALLOW:
+            memories += blocks(family, count, bits)
+        else:
+            luts["rom"] += count * bits
+    return Parts(luts, dsps, memories)
+
+
+def parallel_clocks(program: Program, design: Design) -> int:
+    """An estimate: each sum is a tree of its digits, with a register after every few adders."""
+    since = dict.fromkeys(program.signals, 0)
+    for o in program.operations:
+        clocks = LOOKUP if isinstance(o, Lookup) else 1
+        if isinstance(o, Affine):
+            terms = int(digits(o.weights).sum(axis=1).max()) + 1
+            depth = (terms - 1).bit_length()
+            clocks = max(1, -(-depth // design.adders)) if design.adders else 1
+        since[o.out.name] = clocks + max(since[a] for a in o.args)
+    return max(since.values()) + EDGES
+
+
+CLOCKS: dict[str, Callable[[Program, Design], int]] = {"parallel": parallel_clocks}  # where counting takes long
+COUNTS: dict[str, Callable[[Program, Design, str, int], Parts]] = {"parallel": parallel, "folded": folded}
+
+
+def explored() -> tuple[str, ...]:
+    """The architectures whose parts and clocks are known."""
+    return tuple(name for name in COUNTS if architecture(name).clocks is not None)
+
+
+def clocks_of(program: Program, name: str, design: Design, exact: bool = False) -> int:
+    """Clocks from one sample to the next. exact: as the design is written, not as it is estimated quickly."""
+    count = architecture(name).clocks if exact or name not in CLOCKS else CLOCKS[name]
+    assert count is not None, f"{name} is not explored"
+    return count(program, design)
+
+
+def cost(program: Program, name: str, design: Design, family: str, clocks: int | None = None) -> Cost:
+    """What the program costs as that architecture. clocks: of a step, if they are known."""
+    if clocks is None:
+        clocks = clocks_of(program, name, design)
+    parts, table = COUNTS[name](program, design, family, clocks), coefficients()[family][name]
+    luts = sum(table["luts"].get(kind, 0.0) * number for kind, number in parts.luts.items())
+    return Cost(math.ceil(luts), parts.dsps, parts.memories, clocks, table["period"])

@@ -1,0 +1,291 @@
+"""The designs of one network on one FPGA, which of them are worth having, and the smallest that meets a request.
+
+explore = programs (trail.py) x architectures x designs, each program measured (judge.py), each design costed (cost.py).
+The result depends on the network, the records and the request alone: nothing is timed, and every comparison is of
+numbers on which all processors agree.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from greygate.compiler.cost import Cost, clocks_of, cost, explored
+from greygate.compiler.judge import Bound
+from greygate.compiler.quantize import Formats
+from greygate.compiler.targets import Design, Memory
+from greygate.compiler.trail import Candidate, Maker, trail
+from greygate.emulator.program import Lookup, Program
+from greygate.errors import InputError
+from greygate.progress import Progress, silent
+
+WIDTHS = range(8, 25)  # words that are tried everywhere
+FINER = (0, 2, 4)  # bits beyond them
+MULTIPLIERS = (1, 2, 4, 8, 16, 32)  # of the folded architecture
+STARTS = (0.25, 1.0 / 64)  # error of a trail's start, as a part of the largest that is of interest
+ALIKE = 1.02  # factor by which LUTs or time must be better for a point to stand on the front beside a more accurate one
+PER_BIT = 0.01  # LUTs by which a trail prefers a narrower signal where no part of the design gets smaller
+
+
+@dataclass(frozen=True)
+class Room:
+    """What a device has. The most of each that a design may take: of LUTs, of DSPs, of blocks of memory."""
+
+    luts: float
+    dsps: float
+    memories: float
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked for. room: of the device, and no more than the request allows. whole: of the device alone.
+
+    latency: us, of a step. widths, finer, architectures, multipliers: what is tried.
+    """
+
+    device: str
+    family: str
+    whole: Room
+    room: Room
+    bound: Bound = field(default_factory=Bound)
+    latency: float = math.inf
+    widths: Sequence[int] = WIDTHS
+    finer: Sequence[int] = FINER
+    architectures: Sequence[str] = ()
+    multipliers: Sequence[int] = MULTIPLIERS
+
+    @property
+    def single(self) -> bool:
+        """Whether only one word is asked for: then no other format is tried."""
+        return len(self.widths) == 1 and len(self.finer) == 1
+
+
+@dataclass(frozen=True)
+class Point:
+    """A design: a candidate as an architecture."""
+
+    candidate: Candidate
+    architecture: str
+    design: Design
+    cost: Cost
+
+    def area(self, whole: Room) -> float:
+        """The share of the device that it takes: of LUTs, DSPs and memories together."""
+        pairs = ((self.cost.luts, whole.luts), (self.cost.dsps, whole.dsps), (self.cost.memories, whole.memories))
+        return round(sum(taken / room if taken else 0.0 for taken, room in pairs if room or taken), 9)
+
+
+@dataclass(frozen=True)
+class Exploration:
+    """What was found: front by error; chosen, None if no design meets the request; why, in words, what binds then."""
+
+    request: Request
+    programs: int
+    points: int
+    front: tuple[Point, ...]
+    chosen: Point | None
+    why: str = ""
+
+
+class Unmet(Exception):
+    """No design meets the request."""
+
+    def __init__(self, found: Exploration):
+        super().__init__(found.why)
+        self.found = found
+
+
+Mapper = Callable[[Callable, Iterable], Iterable]  # `map`, or one that works side by side
+
+
+def explore(make: Maker, request: Request, mapper: Mapper = map, progress: Progress = silent) -> Exploration:
+    """Try formats and designs, and choose."""
+    candidates = list(_candidates(make, request, mapper, progress))
+    progress(f"{len(candidates)} programs measured; costing designs")
+    points = [p for found in mapper(_Coster(request), candidates) for p in found]
+    fitting = [p for p in points if _fits(p, request.whole)]
+    chosen = _smallest([p for p in fitting if not misses(p, request)], request)
+    front = pareto([p for p in fitting if p.candidate.error <= request.bound.interest])
+    why = "" if chosen else _binding(points, request)
+    return Exploration(request, len(candidates), len(points), tuple(front), chosen, why)
+
+
+# -- programs --------------------------------------------------------------------------------------------------------
+
+
+def _candidates(make: Maker, request: Request, mapper: Mapper, progress: Progress) -> Iterator[Candidate]:
+    """Words first, then trails from fine ones of them."""
+    words = [Formats(w, f) for w in request.widths for f in request.finer if w + f <= 32]
+    if request.single:
+        words = [Formats(request.widths[0], request.finer[0])]
+    found = [c for c in mapper(make, words) if c is not None]
+    progress(f"{len(found)} words measured")
+    yield from found
+    if request.single:
+        return
+    interest = request.bound.interest
+    starts: dict[tuple[int, int], Candidate] = {}
+    for part in STARTS:
+        fine = [c for c in found if c.error <= part * interest]
+        if fine:
+            start = min(fine, key=lambda c: (c.formats.width + c.formats.finer, c.formats.finer))
+            starts[start.formats.width, start.formats.finer] = start
+    walks = [(name, start) for name in request.architectures or explored() for start in starts.values()]
+    for steps in mapper(_Walk(make, request, interest), walks):
+        progress(f"{len(steps)} programs on a trail")
+        yield from steps[1:]
+
+
+@dataclass(frozen=True)
+class _Walk:
+    """A trail as a list, in a process of its own."""
+
+    make: Maker
+    request: Request
+    end: float
+
+    def __call__(self, walk: tuple[str, Candidate]) -> list[Candidate]:
+        name, start = walk
+        steps = trail(start, self.make, _Price(self.request, name), self.end)
+        return [replace(step, tuned=name) for step in steps]
+
+
+@dataclass(frozen=True)
+class _Price:
+    """What a program costs as a plain design, in LUTs: a block of memory counts as its share of the device."""
+
+    request: Request
+    architecture: str
+
+    def __call__(self, program: Program) -> float:
+        whole = self.request.whole
+        point = cost(program, self.architecture, Design(multipliers=1), self.request.family, 1)
+        block = whole.luts / whole.memories if whole.memories else whole.luts
+        bits = sum(s.size * s.fix.width for s in program.signals.values())
+        return point.luts + block * point.memories + PER_BIT * bits
+
+
+# -- designs ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Coster:
+    """The designs of a candidate, each with its cost."""
+
+    request: Request
+
+    def __call__(self, candidate: Candidate) -> list[Point]:
+        found = []
+        for name in (candidate.tuned,) if candidate.tuned else self.request.architectures or explored():
+            clocks: dict[tuple[int, int], int] = {}  # of designs that differ in nothing that counts
+            for design in designs(name, candidate.program, self.request):
+                key = design.multipliers, design.adders
+                if key not in clocks:
+                    clocks[key] = clocks_of(candidate.program, name, design)
+                one = cost(candidate.program, name, design, self.request.family, clocks[key])
+                found.append(Point(candidate, name, design, one))
+        return found
+
+
+def designs(name: str, program: Program, request: Request) -> Iterator[Design]:
+    """The designs of an architecture that are worth a try."""
+    for memory in Memory:
+        if memory is Memory.BLOCK and not request.room.memories:
+            continue
+        if name == "folded":
+            yield from (Design(multipliers=m, memory=memory) for m in request.multipliers if m <= request.whole.dsps)
+        elif name == "parallel":
+            lookups = sum(o.out.size for o in program.operations if isinstance(o, Lookup))
+            room = int(min(request.room.dsps, lookups))
+            yield from (Design(dsps=n, memory=memory) for n in dict.fromkeys((0, room // 2, room)))
+        else:
+            yield Design(memory=memory)
+
+
+# -- choice ----------------------------------------------------------------------------------------------------------
+
+
+def _fits(point: Point, room: Room) -> bool:
+    c = point.cost
+    return c.luts <= room.luts and c.dsps <= room.dsps and c.memories <= room.memories
+
+
+def misses(point: Point, request: Request) -> dict[str, float]:
+    """Constraint -> the factor by which the point misses it; only those that it misses."""
+    c, room = point.cost, request.room
+    pairs = {
+        "--max-error": (point.candidate.error, request.bound.limit),
+        "--max-latency": (c.microseconds, request.latency),
+        "--max-luts": (c.luts, room.luts),
+        "--max-dsps": (c.dsps, room.dsps),
+        "--max-memories": (c.memories, room.memories),
+    }
+    return {name: value / limit if limit else math.inf for name, (value, limit) in pairs.items() if value > limit}
+
+
+def _smallest(met: Sequence[Point], request: Request) -> Point | None:
+    """The smallest whose clocks, counted as it is written, still meet the request."""
+    for p in sorted(met, key=lambda p: _rank(p, request)):
+        clocks = clocks_of(p.candidate.program, p.architecture, p.design, exact=True)
+        exact = replace(p, cost=replace(p.cost, clocks=clocks))
+        if not misses(exact, request):
+            return exact
+    return None
+
+
+def _rank(p: Point, request: Request) -> tuple:
+    """The smallest first; of equal ones the more accurate, then the faster."""
+    return p.area(request.whole), p.candidate.error, p.cost.microseconds, p.architecture, str(p.design)
+
+
+def pareto(points: Sequence[Point]) -> list[Point]:
+    """The points that no more accurate one beats or equals in LUTs and in microseconds."""
+    keys = [(p.candidate.error, p.cost.luts, p.cost.microseconds, p.cost.dsps, p.cost.memories) for p in points]
+    order = sorted(range(len(points)), key=lambda n: keys[n])
+    kept: list[int] = []
+    best = np.empty((0, 2))
+    for n in order:
+        luts, microseconds = keys[n][1:3]
+        if not ((best[:, 0] <= ALIKE * luts) & (best[:, 1] <= ALIKE * microseconds)).any():
+            kept.append(n)
+            best = np.vstack([best, [luts, microseconds]])
+    return [points[n] for n in kept]
+
+
+def _binding(points: Sequence[Point], request: Request) -> str:
+    """Which constraint no design meets with the others, and what is nearest."""
+    if not points:
+        raise InputError("no format holds the ranges of the network; allow other widths")
+    missed = [(misses(p, request), p) for p in points]
+    lone = [(next(iter(m.items())), p) for m, p in missed if len(m) == 1]
+    says = []
+    for name in dict.fromkeys(n for (n, _), _ in lone):
+        (_, factor), p = min(((m, p) for m, p in lone if m[0] == name), key=lambda f: (f[0][1], _rank(f[1], request)))
+        says.append((factor, f"{name} binds: with {needs(p, name, request)} all else is met, by {told(p, request)}"))
+    if says:
+        return "; ".join(text for _, text in sorted(says))
+    found, p = min(missed, key=lambda f: (sum(map(math.log2, f[0].values())), _rank(f[1], request)))
+    return f"{' and '.join(found)} bind together; nearest is {told(p, request)}"
+
+
+def needs(p: Point, name: str, request: Request) -> str:
+    """What a constraint would have to allow for this point."""
+    c = p.cost
+    return {
+        "--max-error": request.bound.text(p.candidate.error),
+        "--max-latency": f"{c.microseconds:.3g} us",
+        "--max-luts": f"{c.luts} LUTs",
+        "--max-dsps": f"{c.dsps} DSPs",
+        "--max-memories": f"{c.memories:g} blocks of memory",
+    }[name]
+
+
+def told(p: Point, request: Request) -> str:
+    """A point in a line of words."""
+    c = p.cost
+    how = f", {p.design.multipliers} multipliers" if p.architecture == "folded" else ""
+    return (
+        f"{p.architecture}{how}: {c.luts} LUTs, {c.dsps} DSPs, {c.memories:g} memories, {c.clocks} clocks, "
+        f"{c.microseconds:.3g} us, error {request.bound.text(p.candidate.error)}"
+    )

@@ -1,0 +1,117 @@
+"""Programs of one network from fine to coarse: each signal and each sum gets a format of its own.
+
+`trail` starts at one program and takes a bit away where that saves most for the error that it adds. The error of a bit
+less is measured for each knob alone, in closed loop, and four times as much is expected of the next one; after each
+step the program is measured again.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+from greygate.compiler.judge import Judge, agreed
+from greygate.compiler.quantize import Formats, quantize
+from greygate.compiler.ranges import Range
+from greygate.emulator.program import Affine, Fix, Program
+from greygate.errors import InputError
+from greygate.models.network import Network
+
+LEAST_WIDTH, LEAST_WEIGHT = 3, 3  # bits of a signal and of weights below which nothing is left of them
+COARSEST = 40.0  # LSB of error that a table may have
+TABLES = "tables"  # the knob of all tables
+NOISE = 1e-4  # of the error squared: what a bit is taken to add where its measure says that it adds nothing
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A program, the formats that made it, and its error on the judge's scale. tuned: for which architecture, or ""."""
+
+    formats: Formats
+    program: Program
+    error: float
+    tuned: str = ""
+
+
+@dataclass(frozen=True)
+class Maker:
+    """Makes and measures programs of a simplified network. found: its ranges. period: s, of a step."""
+
+    network: Network
+    found: Mapping[str, Range]
+    judge: Judge
+    period: float
+
+    def __call__(self, formats: Formats) -> Candidate | None:
+        """None where the formats cannot hold the ranges."""
+        try:
+            program = quantize(self.network, self.found, formats, self.period)
+        except InputError:
+            return None
+        return Candidate(formats, program, self.judge.error(program))
+
+
+def knobs(program: Program) -> list[tuple[str, str]]:
+    """(kind, name) of everything that can be made coarser by a step."""
+    inputs = {p.signal.name for p in program.inputs}
+    names = [n for n in program.signals if n in inputs] + [
+        o.out.name for o in program.operations if not o.out.name.endswith(".view")
+    ]
+    sums = [o.out.name for o in program.operations if isinstance(o, Affine) and not o.out.name.endswith(".view")]
+    tables = [("table", TABLES)] if program.tables else []
+    return [("signal", n) for n in names] + [("weights", n) for n in sums] + tables
+
+
+def coarser(candidate: Candidate, knob: tuple[str, str]) -> Formats | None:
+    """The formats with one knob a step coarser, None at its end."""
+    formats, (kind, name) = candidate.formats, knob
+    if kind == "signal":
+        fix = candidate.program.signals[name].fix
+        if fix.width <= LEAST_WIDTH:
+            return None
+        return replace(formats, signals={**formats.signals, name: Fix(fix.width - 1, fix.frac - 1)})
+    if kind == "weights":
+        bits = formats.weights.get(name, formats.width + formats.finer) - 1
+        return replace(formats, weights={**formats.weights, name: bits}) if bits >= LEAST_WEIGHT else None
+    budget = formats.table_budget * 2
+    return replace(formats, table_budget=budget) if budget <= COARSEST else None
+
+
+def trail(start: Candidate, make: Maker, price: Callable[[Program], float], end: float) -> Iterator[Candidate]:
+    """Ever coarser candidates, the start first, until the error is above `end` or nothing can be taken away."""
+    yield start
+    here, adds, saves = start, {}, {}
+    for knob in knobs(start.program):
+        if (tried := _tried(here, knob, make)) is not None:
+            adds[knob] = max(tried.error**2 - here.error**2, NOISE * here.error**2)
+            saves[knob] = price(here.program) - price(tried.program)
+    while adds and here.error <= end:
+        knob = max(adds, key=lambda k: (_worth(saves[k], adds[k]), k))
+        before, tried = here, _tried(here, knob, make)
+        if tried is None or saves[knob] <= 0:
+            del adds[knob]
+            continue
+        here = tried
+        adds[knob] = 4 * max(here.error**2 - before.error**2, adds[knob] / 4)
+        further = coarser(here, knob)
+        if further is None:
+            del adds[knob]
+        else:
+            saves[knob] = _saving(here, further, make, price)
+        yield here
+
+
+def _worth(saved: float, added: float) -> float:
+    """What a step saves for the error that it adds, to digits on which every processor agrees."""
+    return agreed(saved / added) if added > 0 else math.inf
+
+
+def _tried(here: Candidate, knob: tuple[str, str], make: Maker) -> Candidate | None:
+    formats = coarser(here, knob)
+    return None if formats is None else make(formats)
+
+
+def _saving(here: Candidate, further: Formats, make: Maker, price: Callable[[Program], float]) -> float:
+    try:
+        return price(here.program) - price(quantize(make.network, make.found, further, make.period))
+    except InputError:
+        return 0.0

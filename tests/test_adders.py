@@ -1,0 +1,112 @@
+"""Adder graphs: each is the matrix it was made from, in integers, and no adder is wider or narrower than its values."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from greygate.compiler.adders import CONSTANT, Graph, solve
+from greygate.compiler.adders_graph import signed_width
+
+
+@st.composite
+def problems(draw):
+    """A matrix, widths and constants: zeros, repeats and powers of two as often as anything else."""
+    rows, columns = draw(st.integers(1, 5)), draw(st.integers(1, 5))
+    bits = draw(st.sampled_from([2, 6, 16, 24]))
+    entry = st.one_of(
+        st.just(0),
+        st.integers(0, bits - 1).map(lambda s: 1 << s),
+        st.integers(-(1 << (bits - 1)), (1 << (bits - 1)) - 1),
+    )
+    weights = np.array(draw(st.lists(entry, min_size=rows * columns, max_size=rows * columns)), dtype=np.int64)
+    widths = draw(st.lists(st.integers(2, 20), min_size=columns, max_size=columns))
+    constants = draw(st.lists(st.one_of(st.just(0), st.integers(-(1 << 30), 1 << 30)), min_size=rows, max_size=rows))
+    return weights.reshape(rows, columns), widths, constants
+
+
+def corners(graph: Graph) -> np.ndarray:
+    """For every node the two inputs that give its least and its greatest value: (2 * nodes, columns)."""
+    vectors = graph.vectors()[graph.columns :, :-1]
+    lo = np.array([least for least, _ in graph.ranges], dtype=object)
+    hi = np.array([most for _, most in graph.ranges], dtype=object)
+    return np.concatenate([np.where(vectors < 0, hi, lo), np.where(vectors < 0, lo, hi)])
+
+
+def values(graph: Graph, x: np.ndarray) -> list[int]:
+    """Every node for one input, by the meaning of a node's fields and nothing else; no dropped bit may be 1."""
+    found = [int(v) for v in x]
+    for n in graph.nodes:
+        left = n.constant if n.left == CONSTANT else found[n.left] << n.left_shift
+        right = n.constant if n.right == CONSTANT else found[n.right] << n.right_shift
+        total = left - right if n.subtract else left + right
+        assert total % (1 << n.drop) == 0
+        found.append(total >> n.drop)
+    return found[graph.columns :]
+
+
+@settings(max_examples=60, deadline=None)
+@given(problems())
+def test_a_graph_is_its_matrix(problem):
+    weights, widths, constants = problem
+    graph = solve(weights, widths, constants)
+    assert (graph.matrix() == weights).all()
+    assert (graph.constants() == constants).all()
+    x = np.random.default_rng(1).integers(
+        -(1 << (np.array(widths) - 1)), 1 << (np.array(widths) - 1), (20, len(widths))
+    )
+    assert (graph.evaluate(x) == x.astype(object) @ weights.T.astype(object) + constants).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(problems())
+def test_ranges_are_exact(problem):
+    weights, widths, constants = problem
+    graph = solve(weights, widths, constants)
+    x = corners(graph)
+    for k, node in enumerate(graph.nodes):
+        low, high = values(graph, x[k])[k], values(graph, x[len(graph.nodes) + k])[k]
+        assert (low, high) == (node.lo, node.hi)
+        assert node.width == min(w for w in range(1, 80) if -(1 << (w - 1)) <= low <= high < 1 << (w - 1))
+
+
+def test_every_input_of_a_small_graph_stays_within_its_ranges():
+    graph = solve(np.array([[3, -5, 7], [11, 13, -3], [-1, 6, 9]]), [3, 3, 3], [5, 0, -7])
+    seen = np.array([values(graph, np.array(x)) for x in itertools.product(range(-4, 4), repeat=3)])
+    assert seen.min(axis=0).tolist() == [n.lo for n in graph.nodes]
+    assert seen.max(axis=0).tolist() == [n.hi for n in graph.nodes]
+
+
+@settings(max_examples=40, deadline=None)
+@given(problems())
+def test_operands_stand_before_their_users_and_shifts_are_plain(problem):
+    weights, widths, constants = problem
+    graph = solve(weights, widths, constants)
+    for k, n in enumerate(graph.nodes):
+        assert CONSTANT <= n.left < graph.columns + k
+        assert CONSTANT <= n.right < graph.columns + k
+        assert min(n.left_shift, n.right_shift, n.drop) >= 0
+        assert not (n.left == CONSTANT and n.right == CONSTANT)
+        assert graph.levels[k] == 1 + max(graph.level(n.left), graph.level(n.right))
+        assert n.bits <= n.width + n.drop
+    assert all(o.shift >= 0 for o in graph.outputs)
+    if all(constants):
+        assert graph.negations == 0  # a constant can always be added so that the sign comes out
+
+
+def test_the_same_matrix_gives_the_same_graph():
+    weights = np.random.default_rng(5).integers(-500, 500, (6, 6))
+    assert solve(weights, [12] * 6, [3] * 6) == solve(weights.copy(), [12] * 6, [3] * 6)
+
+
+def test_what_is_shared_is_built_once():
+    graph = solve(np.array([[5, 5], [10, 10], [-5, -5]]), [8, 8])
+    assert (graph.adders, graph.negations) == (2, 1)
+    assert solve(np.array([[0, 0], [4, 0]]), [8, 8], [9, 0]).adders == 0
+
+
+@pytest.mark.parametrize(("lo", "hi", "width"), [(0, 0, 1), (-1, 0, 1), (0, 1, 2), (-128, 127, 8), (-129, 0, 9)])
+def test_width_of_a_range(lo, hi, width):
+    assert signed_width(lo, hi) == width
