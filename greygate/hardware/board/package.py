@@ -19,6 +19,7 @@ from greygate.hardware.board.boards import BAUD, BOARDS, FLAGS, PORTS, Board
 from greygate.hardware.board.clocks import PLLS
 from greygate.hardware.board.frames import seed, width
 from greygate.hardware.board.texts import render
+from greygate.hardware.families import FAMILIES
 from greygate.names import check_file_name
 
 SCENARIO, FRAMES = "scenario.hex", "frames.hex"  # what the benches read
@@ -89,8 +90,8 @@ class Package:
         """What Yosys does, from the folder of the package."""
         assert self.board.toolchain is not None
         files = " ".join(f"rtl/{name}" for name in self.sources)
-        synth = self.board.toolchain.synth.format(top=f"{self.name}__top", json=f"{self.name}.json")
-        return f"read_verilog {files}; {synth}"
+        synth = FAMILIES[self.board.toolchain.family].synth.format(top=f"{self.name}__top")
+        return f"read_verilog {files}; {synth} -json {self.name}.json"
 
     @property
     def place(self) -> list[str]:
@@ -189,7 +190,7 @@ class Package:
             "place": " ".join(self.place) if chain else "",
             "script": self.script if chain else "",
             "nextpnr_options": quoted([*board.part, "--freq", f"{self.mhz:g}"]),
-            "yosys_options": quoted(["-dsp"] if chain and "-dsp" in chain.synth else []),
+            "yosys_options": quoted(["-dsp"] if chain and "-dsp" in self.script else []),
             "load": board.load,
             "sources": self.sources,
             "listings": (SCENARIO, FRAMES),
