@@ -19,7 +19,7 @@ from greygate.compiler.verilog import (
     unused_text,
     verilog_names,
 )
-from greygate.emulator.program import Affine, Lookup, Operation, Program, Signal, Table
+from greygate.emulator.program import Affine, Lookup, Operation, Program, Signal
 
 
 class Dataflow:
@@ -109,11 +109,6 @@ class Dataflow:
         return {s.signal.name: packed(s.initial, s.signal.fix.width) for s in self.program.states}
 
 
-def reach(table: Table) -> int:
-    """The least absolute value of a code from which on a table gives one answer."""
-    return (len(table.points) - 1) << table.shift
-
-
 def told_alike(program: Program, o: Affine) -> int:
     """So many low bits of a saturated result that nobody tells apart: where only tables read it, beyond their reach.
 
@@ -125,5 +120,5 @@ def told_alike(program: Program, o: Affine) -> int:
     readers = [other for other in program.operations if name in other.args]
     if not all(isinstance(other, Lookup) for other in readers):
         return 0
-    bits = max(((reach(program.table[other.table]) - 1).bit_length() for other in readers), default=0)
+    bits = max(((program.table[other.table].reach - 1).bit_length() for other in readers), default=0)
     return bits if bits <= o.out.fix.width - 2 else 0
