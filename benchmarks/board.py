@@ -1,10 +1,10 @@
 """A network on a board: whole scenarios played through its port, bit by bit, and what the port and the board take.
 
-Usage: python benchmarks/board.py [--bitstream BOARD]... [--options "compile options"] [--json FILE]
+Usage: python benchmarks/board.py [--bitstream BOARD]... [--design NAME]... [--json FILE]
 
-The network is that of the valve cylinder, pruned, in the folded architecture with one multiplier. The port is the one
-that the bitstream holds, in Verilator behind a pseudo terminal, with as many clocks a bit as on the board. The port's
-own cells are those of Yosys for a core that is not there; with --bitstream nextpnr places the whole board.
+The network is that of the valve cylinder, pruned. The port is the one that the bitstream holds, in Verilator behind a
+pseudo terminal, with as many clocks a bit as on the board. The port's own cells are those of Yosys for a core that is
+not there; with --bitstream nextpnr places the whole board.
 """
 
 import argparse
@@ -27,7 +27,11 @@ from greygate.hardware.tools import yosys
 from greygate.project import Project
 
 BOARD = "icebreaker"
-COMPILE = "valve_cylinder --prune 1.0 --macs 1 --architecture folded"
+NETWORK = "valve_cylinder --prune 1.0"
+DESIGNS = {  # name -> options of greygate compile, scenarios that are played
+    "folded": ("--architecture folded --macs 1", ("training", "v1", "v2")),
+    "serial": ("--architecture serial", ("v2",)),
+}
 CLOCKS_PER_BIT = 24  # of 1,000,000 baud at 24 MHz
 
 
@@ -63,11 +67,11 @@ def port_alone(program: Program) -> dict[str, int]:
     return {"lut4": cells["SB_LUT4"], "flip_flops": sum(n for cell, n in cells.items() if cell.startswith("SB_DFF"))}
 
 
-def played(project: Project, package: Path) -> dict[str, dict]:
+def played(project: Project, package: Path, names: tuple[str, ...]) -> dict[str, dict]:
     """Scenario -> what came of playing it, whole."""
     found = {}
     with simulated_board(package, CLOCKS_PER_BIT) as terminal:
-        for name, scenario in project.scenarios().items():
+        for name, scenario in project.scenarios(names).items():
             with opened(terminal, 1_000_000) as line:
                 result = play(project.program, scenario.inputs, scenario.outputs, line)
             found[name] = asdict(result) | {"bits": result.samples * width(project.program.outputs)}
@@ -75,37 +79,38 @@ def played(project: Project, package: Path) -> dict[str, dict]:
     return found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--bitstream", action="append", default=[], help="board to place and route, too")
-    parser.add_argument("--options", default="", help="more options of greygate compile")
-    parser.add_argument("--json", default=Path(__file__).parent / "results" / "board.json", type=Path)
-    given = parser.parse_args()
+def measured(options: str, names: tuple[str, ...], boards: list[str]) -> dict:
+    """What one design gives: the port, the scenarios played, the boards placed."""
     with tempfile.TemporaryDirectory() as folder:
         build, package = Path(folder, "build"), Path(folder, "package")
-        options = [*COMPILE.split(), *given.options.split()]
-        command = [
-            sys.executable,
-            "-c",
-            "from greygate.cli import run; run()",
-            "compile",
-            *options,
-            "--out",
-            str(build),
-        ]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        words = [*NETWORK.split(), *options.split(), "--out", str(build)]
+        command = [sys.executable, "-c", "from greygate.cli import run; run()", "compile", *words]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         project = Project.open(build)
         make(project, BOARD, package)
-        found: dict = {"compile": " ".join(options), "port": port_alone(project.program)}
+        found: dict = {"compile": f"{NETWORK} {options}", "port": port_alone(project.program)}
         print(f"port alone: {found['port']}")
-        found["played"] = played(project, package)
-        found["boards"] = {}
-        for board in given.bitstream:
+        found |= {"played": played(project, package, names), "boards": {}}
+        for board in boards:
             begun = time.perf_counter()
             facts = make(project, board, Path(folder, board), bitstream=True)
             found["boards"][board] = facts | {"seconds": round(time.perf_counter() - begun, 1)}
             print(f"{board}: {facts['cells']}, {facts['reached_mhz']} MHz")
-    given.json.write_text(json.dumps(found, indent=1) + "\n")
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--bitstream", action="append", default=[], help="board to place and route, too")
+    parser.add_argument("--design", action="append", choices=DESIGNS, help="only these")
+    parser.add_argument("--json", default=Path(__file__).parent / "results" / "board.json", type=Path)
+    given = parser.parse_args()
+    found = json.loads(given.json.read_text()) if given.json.exists() else {}
+    for name in given.design or DESIGNS:
+        print(name)
+        options, names = DESIGNS[name]
+        found[name] = measured(options, names, given.bitstream)
+        given.json.write_text(json.dumps(found, indent=1) + "\n")
 
 
 if __name__ == "__main__":

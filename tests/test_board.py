@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import subprocess
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -297,10 +298,60 @@ def test_a_command_that_finds_a_differing_bit_exits_with_1(greygate, compiled, t
 
 def test_noise_on_the_line_costs_time_and_no_bit(scenario, built):
     program, codes, right = scenario
-    with simulated.running(built, CLOCKS, flip=401) as path, opened(path, 1_000_000) as line:
+    with simulated.running(built, CLOCKS, flip=1201) as path, opened(path, 1_000_000) as line:
         played = play(program, codes, right, line)
     assert (played.samples, played.differing_bits) == (STEPS, 0)
     assert played.resent > 0
+
+
+class Board:
+    """A board without hardware, whose result is the sample and how many were stepped since the restart.
+
+    late: step whose answer comes half a second after the others. lost: step whose answer is lost the first time.
+    """
+
+    baudrate = 1_000_000
+
+    def __init__(self, frames, late=-1, lost=-1):
+        self.frames, self.late, self.lost = frames, late, lost
+        self.heard, self.said, self.at = bytearray(), bytearray(), 0.0
+        self.next, self.stepped, self.result = 0, 0, bytes(frames.result)
+
+    def write(self, data):
+        self.heard += data
+        while (at := self.heard.find(0x55)) >= 0 and len(self.heard) - at >= self.frames.request_size:
+            body = bytes(self.heard[at + 1 : at + self.frames.request_size])
+            del self.heard[: at + self.frames.request_size]
+            self.step(body[0], body[1:-2], check_sum(body[:-2], self.frames.seed) == body[-2:])
+
+    def step(self, tag, sample, right):
+        restart, number = tag >> 7, tag % 32
+        if refused := not (right and (restart or number == self.next)):
+            self.said += self.frames.answer(self.result, self.next, refused=True)
+            return
+        self.stepped = 1 if restart else self.stepped + 1
+        self.next, self.result = (number + 1) % 32, sample + bytes([self.stepped % 256])
+        if self.stepped == self.late:
+            self.at, self.late = time.monotonic() + 0.5, -1
+        if self.stepped == self.lost:
+            self.lost = -1
+        else:
+            self.said += self.frames.answer(self.result, self.next, refused)
+
+    def read(self, size=1):
+        data = self.said[:size] if time.monotonic() > self.at else b""
+        del self.said[: len(data)]
+        return bytes(data)
+
+
+@pytest.mark.parametrize(("trouble", "restarts"), [({}, 0), ({"late": 20}, 0), ({"lost": 20}, 1), ({"lost": 100}, 0)])
+def test_a_late_answer_is_waited_for_and_a_lost_one_is_asked_for_or_played_again(trouble, restarts):
+    frames = Frames(sample=2, result=3, seed=5)
+    samples = [k.to_bytes(2, "little") for k in range(100)]
+    session = Session(Board(frames, **trouble), frames, samples)
+    session.run()
+    assert session.results == [sample + bytes([k + 1]) for k, sample in enumerate(samples)]
+    assert session.restarts == restarts
 
 
 def test_outputs_at_the_end_of_their_format_are_flagged(scenario, terminal):
