@@ -19,7 +19,6 @@ from greygate.emulator.program import Affine, Lookup, Program, signed_width
 
 COEFFICIENTS = Path(__file__).with_name("cost.toml")
 LOOKUP, EDGES = 3, 2  # clocks of a lookup, and of a step beside its longest chain
-SHALLOW = 16  # words up to which a table is kept in logic, whatever the design says: a block would stand empty
 SHARED = 0.5  # part of the digits of single weights that is left when equal patterns are summed once
 
 # Shapes (words, bits) that one block of memory can have with one read port, and with two; and how many a family counts
@@ -29,6 +28,8 @@ BLOCKS: dict[str, tuple[tuple[tuple[int, int], ...], tuple[tuple[int, int], ...]
     "ice40": (((256, 16), (512, 8), (1024, 4), (2048, 2)), (), 1.0),
     "xilinx": (((512, 36), (1024, 18), (2048, 9), (4096, 4)), ((1024, 18), (2048, 9), (4096, 4)), 0.5),
 }
+WORTH = {"ecp5": 6000, "ice40": 1000, "xilinx": 7000}  # bits of a memory from which Yosys takes a block for each
+WORD = 18  # bits of a factor of the folded architecture; longer ones are multiplied in parts
 MULTIPLIERS = {"ecp5": (18, 18), "ice40": (16, 16), "xilinx": (25, 18)}  # widths that one DSP multiplies
 
 
@@ -158,7 +159,7 @@ def parallel(program: Program, design: Design, family: str, clocks: int) -> Part
             in_dsps = min(o.out.size, max(0, design.dsps - dsps)) if slope else 0
             dsps += in_dsps * (tiles(family, slope, rest) if slope else 0)
             luts["products"] += (o.out.size - in_dsps) * slope * rest
-            if design.memory is Memory.BLOCK and words > SHALLOW:
+            if design.memory is Memory.BLOCK:
                 one = blocks(family, words, bits)
                 memories += min(o.out.size * one, math.ceil(o.out.size / 2) * blocks(family, words, bits, 2)
                                 if both else math.inf)  # fmt: skip
@@ -168,27 +169,31 @@ def parallel(program: Program, design: Design, family: str, clocks: int) -> Part
 
 
 def folded(program: Program, design: Design, family: str, clocks: int) -> Parts:
-    """Some multipliers, a memory of codes, a schedule in a memory; lookups in equal tables share one."""
+    """Some multipliers, a memory of codes, a schedule and biases in ROM; lookups in equal tables share one."""
     affine = [o for o in program.operations if isinstance(o, Affine)]
     m = design.multipliers
     code = max(s.fix.width for s in program.signals.values())
     acc = max([2, *(program.accumulator_width(o) for o in affine)])
     weight = 1 + max([1, *(int(odd_bits(o.weights).max(initial=0)) for o in affine)])
     shifts = {int(f) - o.out.fix.frac for o in affine for f in o.frac}
-    words = sum(s.size for s in program.signals.values())
-    line = m * weight + 2 * math.ceil(math.log2(words + 1)) + 16
-    luts = {"multipliers": float(m * acc), "drain": float(acc * math.ceil(math.log2(len(shifts) + 1)))}
-    luts |= {"codes": float(words * code), "code": float(code * (2 + m)), "small": _small(program) / 8}
-    luts |= {"lookups": 0.0, "rom": 0.0, "ports": _ports(program), "core": 1.0}
-    dsps, memories = m * tiles(family, code, weight), 0.0
-    stored = [(clocks, line), (sum(math.ceil(o.out.size / m) for o in affine), m * acc)]
+    words = 1 << (sum(s.size for s in program.signals.values()) - 1).bit_length()
+    line = m * (min(weight, WORD) + 2) + words.bit_length() + 3
+    luts = {"multipliers": float(m * acc), "drain": float(acc * len(shifts).bit_length())}
+    luts |= {"code": float(code), "tags": float(line), "small": _small(program) / 8}
+    luts |= {"lookups": 0.0, "rom": 0.0, "ram": 0.0, "ports": _ports(program), "core": 1.0}
+    dsps, memories = m * tiles(family, min(code, WORD), min(weight, WORD)), 0.0
+    rows = sum(o.out.size for o in affine) + sum(s.signal.size for s in program.states)
+    for count, bits, kind in ((clocks + words // 8, line, "rom"), (rows, acc, "rom"), (words, code, "ram")):
+        taken = blocks(family, count, bits)
+        if count * bits * BLOCKS[family][2] >= WORTH[family] * taken:
+            memories += taken
+        else:
+            luts[kind] += count * bits
     for table in {o.table: o for o in program.operations if isinstance(o, Lookup)}.values():
         count, bits, slope, rest = _word(program, table)
-        stored.append((count, bits))
         luts["lookups"] += program.signals[table.arg].fix.width + 2 * table.out.fix.width
         dsps += tiles(family, slope, rest) if slope else 0
-    for count, bits in stored:
-        if design.memory is Memory.BLOCK and count > SHALLOW:
+        if design.memory is Memory.BLOCK:
             memories += blocks(family, count, bits)
         else:
             luts["rom"] += count * bits
