@@ -9,13 +9,12 @@ import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from greygate.compiler.targets import Design, Memory, architecture
-from greygate.emulator.program import Affine, Lookup, Program, signed_width
+from greygate.emulator.program import Affine, Lookup, Program, Table, signed_width
 
 COEFFICIENTS = Path(__file__).with_name("cost.toml")
 LOOKUP, EDGES = 3, 2  # clocks of a lookup, and of a step beside its longest chain
@@ -120,16 +119,15 @@ class Parts:
     memories: float
 
 
-def slope_bits(points: tuple[int, ...]) -> int:
-    """Width of the signed difference of two neighbouring points."""
-    return signed_width(max((abs(b - a) for a, b in pairwise(points)), default=0))
-
-
 def _word(program: Program, o: Lookup) -> tuple[int, int, int, int]:
-    """(words, bits of a word, and the widths of the two factors of the line between points) of a lookup's memory."""
+    """(words, bits of a word, and the widths of the two factors of a line) of the memory of a lookup."""
     t = program.table[o.table]
-    slope = slope_bits(t.points) if t.interpolated and t.shift else 0
-    return len(t.points), t.out.width + slope, slope, t.shift + 1 if slope else 0
+    if isinstance(t, Table) and not (t.interpolated and t.shift):
+        return len(t.points), t.out.width, 0, 0
+    found = t.segments
+    base, slope = (signed_width(max(map(abs, part))) for part in (found.bases, found.slopes))
+    place = max(shift - drop for shift, drop in zip(found.shifts, found.drops, strict=True))
+    return len(found.bases), base + slope, slope, place + 1
 
 
 def _small(program: Program) -> float:

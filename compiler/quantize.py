@@ -9,12 +9,13 @@ from fractions import Fraction
 import numpy as np
 
 from greygate.compiler.ranges import Range, sums
-from greygate.compiler.tables import flat_from, integer_bits, make_table, output_fix
+from greygate.compiler.tables import Form, flat_from, integer_bits, make_table, output_fix
 from greygate.emulator.program import (
     ACCUMULATOR_BITS,
     Affine,
     Clamp,
     Fix,
+    Lines,
     Lookup,
     Op,
     Operation,
@@ -44,6 +45,7 @@ class Formats:
     finer: bits that weights and the outputs of neurons have beyond the word. A network needs them if it integrates
     while its plant stands still, because then every step has the same rounding error and the errors add up. 16 + 2 bits
     are the width of an FPGA's multiplier.
+    tables: how tables are kept.
     margin: room above the observed range (1.25 = a quarter). wide: extra fraction bits of pre-activations.
     signals: formats that the user (or a search) fixes, by signal name. weights: significant bits of the weights of a
     sum instead of the word's, by the name of the sum's signal, which a search fixes.
@@ -59,6 +61,7 @@ class Formats:
     rounding: Rounding = Rounding.HALF_UP
     overflow: Overflow = Overflow.SATURATE
     interpolated: bool = True
+    tables: Form = Form.POINTS
     table_budget: float = 1.25
     horizon: int = 10_000
     signals: Mapping[str, Fix] = field(default_factory=dict)
@@ -117,7 +120,7 @@ class _Quantizer:
         self.signals: dict[str, Signal] = {}
         self.states: dict[str, State] = {}
         self.operations: list[Operation] = []
-        self.tables: dict[tuple, Table] = {}
+        self.tables: dict[tuple, Table | Lines] = {}
         self.notes: dict[str, str] = {}
 
     def fix(self, name: str, width: int) -> Fix:
@@ -298,7 +301,7 @@ class _Quantizer:
             fix = self.formats.signals.get(pre, Fix(frac + reach + 1, frac))
             signal = Signal(pre, layer.size, fix)
             self._affine(signal, layer.bias, reads)
-            table = make_table(layer.activation, fix, out.fix, f.table_budget, f.interpolated)
+            table = make_table(layer.activation, fix, out.fix, f.table_budget, f.interpolated, f.tables)
             key = (table.function, table.arg, table.out)
             self.tables.setdefault(key, table)
             self.operations.append(Lookup(out, pre, table.name))

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from greygate.compiler.verilog import ROUNDING, levels, shared_tables
+from greygate.compiler.verilog import ROUNDING, clocks, levels, shared_tables
 from greygate.emulator.program import Affine, Elementwise, Lookup, Operation, Overflow, Program
 
 WEIGHT, SUM, HOLD, PICK = 2, 3, 4, 5  # clocks from the read of a column to its weight, sum, hold and pick
 FIT = 1  # clocks from pick to write
-UNIT = 3  # clocks from the read of an argument to the write of a result
+UNIT = 2  # clocks from the read of an argument to the unit that answers it
 DRAIN, COPY = 0, 1  # numbers of the sources of a write; units follow
 
 
@@ -42,7 +42,7 @@ class Folding:
     """A program laid out for the folded datapath.
 
     address: word of element 0 of each signal. words: size of the memory; at addresses beyond it, inputs are read and
-    outputs written. groups: the biases of each group of rows. units: the units that answer an argument in one clock, by
+    outputs written. groups: the biases of each group of rows. units: the units that answer an argument, by
     source number.
     """
 
@@ -111,10 +111,11 @@ class _Folder:
         self.units.setdefault(key, o)
         source = COPY + 1 + list(self.units).index(key)
         for k in range(o.out.size):
-            self._through(source, [f"{a}[{k}]" for a in o.args], self.address[o.out.name] + k, f"{o.out.name}[{k}]")
+            arguments, to = [f"{a}[{k}]" for a in o.args], self.address[o.out.name] + k
+            self._through(source, arguments, to, f"{o.out.name}[{k}]", UNIT + clocks(o))
 
     def copy(self, element: str, to: int, note: str) -> None:
-        self._through(COPY, [element], to, note)
+        self._through(COPY, [element], to, note, UNIT + 1)
 
     def _give(self, name: str, size: int) -> None:
         self.address[name] = len(self.word)
@@ -133,15 +134,15 @@ class _Folder:
         """The first line that can read an element."""
         return self.ready.get(self.word[element], 1)
 
-    def _through(self, source: int, arguments: list[str], to: int, note: str) -> None:
-        """Read the arguments in consecutive clocks, and write the result of the unit."""
+    def _through(self, source: int, arguments: list[str], to: int, note: str, unit: int) -> None:
+        """Read the arguments in consecutive clocks, and write the result `unit` clocks after the last."""
         free, last = self.schedule.free, len(arguments) - 1
-        t = max([self.last_read.get(to, 0) - UNIT, *(self._when(a) - i for i, a in enumerate(arguments))])
-        while not (all(free(t + i, "read") for i in range(len(arguments))) and free(t + last + UNIT, "write")):
+        t = max([self.last_read.get(to, 0) - unit, *(self._when(a) - i for i, a in enumerate(arguments))])
+        while not (all(free(t + i, "read") for i in range(len(arguments))) and free(t + last + unit, "write")):
             t += 1
         for i, argument in enumerate(arguments):
             self._read(t + i, argument)
-        self._write(t + last + UNIT, to, source, note)
+        self._write(t + last + unit, to, source, note)
 
     def _sum(self, o: Affine, start: int, columns: list[str]) -> None:
         """Sum a group of rows over their columns, in the order in which the columns become ready, and hold the sums."""

@@ -1,19 +1,25 @@
-"""Lookup tables: half of a symmetric function of one argument, interpolated, with the worst error over every code."""
+"""Lookup tables: half of a symmetric function of one argument, interpolated, with the worst error over every code.
+
+compiler/lines.py fits the tables of free lines.
+"""
 
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from enum import StrEnum
 from functools import lru_cache
 
 import numpy as np
 
+from greygate.compiler.lines import Goal, fit_lines
 from greygate.emulator.interpreter import lookup
-from greygate.emulator.program import Fix, Symmetry, Table
+from greygate.emulator.program import Fix, Lines, Symmetry, Table
 from greygate.models.activations import ACTIVATIONS
 from greygate.models.arithmetic import xp
 
 LARGEST_BITS = 12  # 4096 intervals
 CHUNK = 1 << 20
+ATTEMPTS = 6  # at lines that meet a budget for every code
 
 
 def output_fix(width: int) -> Fix:
@@ -39,19 +45,61 @@ def _most(out: Fix) -> float:
     return 2.0 ** (out.width - 1 - out.frac)
 
 
+class Form(StrEnum):
+    """How a table is kept; docs/integer-program.md, "Lookup"."""
+
+    POINTS = "points"  # values at equal distances, and a line between two
+    LINES = "lines"  # free lines over segments of equal length
+    OCTAVES = "octaves"  # free lines over segments that may be longer from octave to octave
+
+
 @lru_cache(maxsize=256)
-def make_table(function: str, arg: Fix, out: Fix, budget: float = 1.25, interpolated: bool = True) -> Table:
+def make_table(
+    function: str, arg: Fix, out: Fix, budget: float = 1.25, interpolated: bool = True, form: Form = Form.POINTS
+) -> Table | Lines:
     """The smallest table whose worst error over every code of `arg` is at most `budget` LSB of `out`.
 
     The error is that of the table, without rounding of the argument. Where f is 1, `out` is one LSB too small, and this
     counts. If no table of up to 4096 points meets the budget, it takes the largest, whose worst error shows this.
     """
     reach = min(arg.width - 1, integer_bits(flat_from(function, out)) + arg.frac)  # codes that differ: below 2^reach
+    if form is not Form.POINTS and interpolated:
+        return _lines(function, arg, out, budget, form, reach)
     for bits in range(min(3, reach), min(reach, LARGEST_BITS) + 1):
         table = _table(function, arg, out, reach - bits, bits, interpolated)
         if _worst(table, _spread(reach)) <= budget * out.lsb:
             break
-    return replace(table, worst_error=max(_worst(table, codes) for codes in _every(reach, arg)))
+    return replace(table, worst_error=_worst_of_all(table, reach))
+
+
+def _lines(function: str, arg: Fix, out: Fix, budget: float, form: Form, reach: int) -> Lines:
+    """The same of free lines. They are chosen by samples; if a code between them errs more, they are chosen again."""
+    f = ACTIVATIONS[function]
+    assert f.symmetry, f"{function} is kept in a table, which is half of it"
+    name = f"{_name(function, arg, out)}_{form}"
+    goal = Goal(lambda codes: np.minimum(f.value(xp, codes * arg.lsb), _most(out)) * 2.0**out.frac, arg, out, reach)
+    limit, aim, found = budget, budget, []
+    for _ in range(ATTEMPTS):
+        fitted = fit_lines(goal, Symmetry(f.symmetry), limit, aim, LARGEST_BITS, several=form is Form.OCTAVES)
+        table = Lines(name, function, Symmetry(f.symmetry), *fitted, arg, out, math.inf)
+        excess = _worst_of_all(table, reach, avoidable=True) / out.lsb - budget
+        found.append((max(0.0, excess), table))
+        if excess <= 0:
+            break
+        aim -= excess
+        if len(found) % 2 == 0:  # rounding the lines better was not enough
+            limit, aim = limit - excess, budget
+    table = min(found, key=lambda pair: pair[0])[1]
+    return replace(table, worst_error=_worst_of_all(table, reach))
+
+
+def _worst_of_all(table: Table | Lines, reach: int, avoidable: bool = False) -> float:
+    both = isinstance(table, Lines)
+    return max(_worst(table, codes, avoidable) for codes in _every(reach, table.arg, both))
+
+
+def _name(function: str, arg: Fix, out: Fix) -> str:
+    return f"{function}_{arg.width}_{arg.frac}_{out.width}" + (f"_{out.frac}" if out != output_fix(out.width) else "")
 
 
 def _table(function: str, arg: Fix, out: Fix, shift: int, bits: int, interpolated: bool) -> Table:
@@ -59,13 +107,30 @@ def _table(function: str, arg: Fix, out: Fix, shift: int, bits: int, interpolate
     assert f.symmetry, f"{function} is kept in a table, which is half of it"
     exact = f.value(xp, np.arange((1 << bits) + 1) * 2.0**shift * arg.lsb)
     points = np.clip(np.floor(exact * 2.0**out.frac + 0.5), 0, out.hi).astype(int)
-    name = f"{function}_{arg.width}_{arg.frac}_{out.width}" + (f"_{out.frac}" if out != output_fix(out.width) else "")
-    return Table(name, function, Symmetry(f.symmetry), shift, tuple(points.tolist()), interpolated, arg, out, math.inf)
+    return Table(
+        _name(function, arg, out),
+        function,
+        Symmetry(f.symmetry),
+        shift,
+        tuple(points.tolist()),
+        interpolated,
+        arg,
+        out,
+        math.inf,
+    )
 
 
-def _worst(table: Table, codes: np.ndarray) -> float:
-    exact = np.minimum(ACTIVATIONS[table.function].value(xp, codes * table.arg.lsb), _most(table.out))
-    return float(np.abs(lookup(table, codes) * table.out.lsb - exact).max())
+def _worst(table: Table | Lines, codes: np.ndarray, avoidable: bool = False) -> float:
+    """The largest error, or the largest that another answer to the same code could avoid."""
+    f = ACTIVATIONS[table.function]
+    exact = np.minimum(f.value(xp, np.abs(codes) * table.arg.lsb), _most(table.out))
+    answers = lookup(table, codes)
+    if f.symmetry != "even":  # the answer to |x| is what an answer to x means
+        answers = np.where(codes < 0, (f.symmetry == "complement") * (1 << table.out.frac) - answers, answers)
+    error = np.abs(answers * table.out.lsb - exact)
+    return float(
+        error.max(where=(answers < table.out.hi) | (exact < answers * table.out.lsb) | (not avoidable), initial=0)
+    )
 
 
 def _spread(reach: int) -> np.ndarray:
@@ -73,11 +138,15 @@ def _spread(reach: int) -> np.ndarray:
     return np.arange(0, (1 << reach) + 1, 1 << max(reach - 16, 0), dtype=np.int64)
 
 
-def _every(reach: int, arg: Fix) -> Iterator[np.ndarray]:
+def _every(reach: int, arg: Fix, both: bool = False) -> Iterator[np.ndarray]:
     """Every code that can have an error of its own: the curved part and the ends of the flat part, where f is monotone.
 
-    Negative codes repeat the error of their absolute value, by the symmetry of the lookup.
+    Negative codes repeat the error of their absolute value, by the symmetry of the lookup, unless `both`: a place that
+    leaves out bits of a code leaves out others of its negative.
     """
     for start in range(0, 1 << reach, CHUNK):
-        yield np.arange(start, min(start + CHUNK, 1 << reach), dtype=np.int64)
+        codes = np.arange(start, min(start + CHUNK, 1 << reach), dtype=np.int64)
+        yield codes
+        if both:
+            yield ~codes
     yield np.array([min(1 << reach, arg.hi), arg.hi, arg.lo])

@@ -2,14 +2,19 @@
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import fields as dataclass_fields
+from typing import NamedTuple
 
 from greygate.emulator.program import (
     Clamp,
     Elementwise,
+    Lines,
     Lookup,
     Op,
+    Operation,
     Program,
     Rounding,
+    Segments,
     Select,
     Signal,
     Symmetry,
@@ -19,6 +24,8 @@ from greygate.emulator.program import (
 from greygate.errors import InputError, one_line
 
 ROUNDING = {Rounding.TRUNCATE: 0, Rounding.HALF_UP: 1, Rounding.HALF_EVEN: 2}
+LOOKUP_CLOCKS = 3  # clocks from a code to the answer of a table: word, product, sum
+MEMORIES = {"block": '(* rom_style = "block" *) ', "logic": '(* rom_style = "logic" *) '}  # and how a tool is told
 SYMMETRY = {Symmetry.ODD: 0, Symmetry.EVEN: 1, Symmetry.COMPLEMENT: 2}
 PORTS = (
     "clk",
@@ -189,72 +196,175 @@ def sign_extended(name: str, low: int, width: int, lane: int) -> str:
     return code if lane == width else f"{{{{{lane - width}{{{name}[{low + width - 1}]}}}}, {code}}}"
 
 
-def table_parameters(table: Table, size: int | str) -> dict:
-    """Parameters of a lookup for `size` neurons, but for the points."""
+class Layout(NamedTuple):
+    """Where a table stands in its memory: {base, slope} of each word, and the address of each octave's first.
+
+    An octave begins at a multiple of its number of segments, so that an address needs no adder. lefts: the least code
+    of each word.
+    """
+
+    words: list[tuple[int, int]]
+    firsts: list[int]
+    lefts: list[int]
+
+
+def table_layout(table: Table | Lines) -> Layout:
+    """The words of a memory: longer octaves first; a base with the rounding constant where it has fraction bits.
+
+    Plain points have slope 0.
+    """
+    if not table.interpolated:
+        return Layout([(p, 0) for p in table.points], [0], [k << table.shift for k in range(len(table.points))])
+    s = table.segments
+    ends = [*s.firsts[1:], len(s.bases)]
+    counts = [end - first for first, end in zip(s.firsts, ends, strict=True)]
+    firsts, words, lefts = [0] * len(counts), [], []
+    for o in sorted(range(len(counts)), key=lambda o: -(counts[o] - 1).bit_length()):
+        room = 1 << (counts[o] - 1).bit_length()
+        idle = -len(words) % room  # only after an octave that is not full
+        words += [(0, 0)] * idle
+        lefts += [0] * idle
+        firsts[o] = len(words)
+        for k in range(counts[o]):
+            i = s.firsts[o] + k
+            words.append((s.bases[i] + s.halves[1], s.slopes[i]))
+            lefts.append(s.lefts[o] + (k << s.shifts[o]))
+    return Layout(words, firsts, lefts)
+
+
+def least_width(values: Sequence[int]) -> tuple[int, int]:
+    """(bits, signed) of the least numbers that hold all values; signed is 0 if none is negative."""
+    if min(values) < 0:
+        return max(v.bit_length() if v >= 0 else (~v).bit_length() for v in values) + 1, 1
+    return max(1, max(values).bit_length()), 0
+
+
+def table_parameters(table: Table | Lines) -> dict:
+    """Parameters of the lookup of one neuron."""
+    words, firsts, _ = table_layout(table)
+    bases, slopes = zip(*words, strict=True)
+    (base, base_signed), (slope, slope_signed) = least_width(bases), least_width(slopes)
+    one = 1 << max(0, table.out.frac) if table.symmetry is Symmetry.COMPLEMENT else 0
+    if table.interpolated:
+        s = table.segments
+    else:
+        s = Segments(table.arg.width, (table.shift,), (table.shift,), 0, 0, table.points, ())
     return {
-        "SIZE": size,
         "ARG_W": table.arg.width,
         "OUT_W": table.out.width,
-        "SHIFT": table.shift,
-        "LAST": len(table.points) - 1,
         "INTERPOLATED": int(table.interpolated),
         "SYMMETRY": SYMMETRY[table.symmetry],
-        "ONE": f"{table.out.width + 1}'d{1 << max(0, table.out.frac) if table.symmetry is Symmetry.COMPLEMENT else 0}",
+        "ONE": f"{table.out.width + 1}'d{one}",
+        "START": s.start,
+        "OCTAVES": len(s.shifts),
+        "SHIFTS": fields(s.shifts, 8),
+        "DROPS": fields(s.drops, 8),
+        "FIRSTS": fields(firsts, 32),
+        "COUNT": len(s.bases) - s.firsts[-1],
+        "PLACE_W": max(1, *(shift - drop for shift, drop in zip(s.shifts, s.drops, strict=True)), 1),
+        "ADDRESS_W": max(1, (len(words) - 1).bit_length()),
+        "SLOPE_FRAC": s.slope_frac,
+        "GUARD": s.guard,
+        "BASE_W": base,
+        "BASE_SIGNED": base_signed,
+        "SLOPE_W": slope,
+        "SLOPE_SIGNED": slope_signed,
     }
 
 
-def shared_tables(program: Program) -> dict[str, Table]:
+def fields(values: Sequence[int], width: int) -> str:
+    """Unsigned numbers side by side, the first in the least significant bits."""
+    return "{" + ", ".join(f"{width}'d{v}" for v in reversed(values)) + "}"
+
+
+def shared_tables(program: Program) -> dict[str, Table | Lines]:
     """Name of each table that is used -> the first table equal to it, whose module they share."""
     used = {o.table for o in program.operations if isinstance(o, Lookup)}
     alike = {}
-    first: dict[tuple, Table] = {}
+    first: dict[tuple, Table | Lines] = {}
     for t in program.tables:
         if t.name in used:
-            key = (t.symmetry, t.shift, t.points, t.interpolated, t.arg, t.out)
+            key = tuple(
+                getattr(t, f.name) for f in dataclass_fields(t) if f.name not in ("name", "function", "worst_error")
+            )
             alike[t.name] = first.setdefault(key, t)
     return alike
 
 
-def table_module(program: Program, table: Table) -> str:
+def table_module(program: Program, table: Table | Lines) -> str:
     return f"{program.name}_table_{table.name}".replace(".", "__")
 
 
-def table_text(program: Program, table: Table) -> str:
-    """A module that answers SIZE neurons from the table, which it holds."""
-    w, last = table.out.width, len(table.points) - 1
-    rows = []
-    for k in range(last, -1, -1):
-        p = table.points[k]
-        x, y = k * 2.0**table.shift * table.arg.lsb, p * table.out.lsb
-        rows.append(f"        {number(p, w)}{',' if k else ' '}  // points[{k}]: {x:g} -> {y:g}")
-    listed = "\n".join(rows)
-    ports = {"clk": "clk", "en": "en", "x": "x", "y": "y"}
-    parameters = table_parameters(table, "SIZE") | {"POINTS": "POINTS"}
+def _table_rows(table: Table | Lines, base: int, slope: int) -> str:
+    """The assignment of every word: {slope, base}."""
+    rows, (words, _, lefts) = [], table_layout(table)
+    unit = table.out.lsb * 2.0 ** -(table.segments.guard if table.interpolated else 0)
+    for k, ((b, d), left) in enumerate(zip(words, lefts, strict=True)):
+        value = f"{{{slope}'d{d % (1 << slope)}, {base}'d{b % (1 << base)}}}"
+        rows.append(f"            rom[{k}] = {value};  // from {left * table.arg.lsb:g}: {b * unit:g}")
+    return "\n".join(rows)
+
+
+def table_kind(table: Table | Lines) -> str:
+    """What the table holds, in words."""
+    if isinstance(table, Lines):
+        return f"{len(table.bases)} lines over {len(table.shifts)} octave{'s' if len(table.shifts) > 1 else ''}"
+    return f"{len(table.points)} points, {'a line between two' if table.interpolated else 'the nearest'}"
+
+
+def table_text(program: Program, table: Table | Lines, memory: str = "block") -> str:
+    """A module that answers SIZE neurons from the table, whose words it holds in a memory for every two neurons.
+
+    memory: where the words are kept, a key of MEMORIES.
+    """
+    parameters = table_parameters(table)
+    arg, out, address, base, slope = (parameters[k] for k in ("ARG_W", "OUT_W", "ADDRESS_W", "BASE_W", "SLOPE_W"))
+    last = len(table_layout(table).words) - 1
+
+    def neuron(n: str, side: str, indent: str) -> str:
+        ends = {"clk": "clk", "en": "en", "x": f"x[{n}*{arg}+:{arg}]", "address": f"address_{side}"}
+        ends |= {"base": f"word_{side}[{base - 1}:0]", "slope": f"word_{side}[{base + slope - 1}:{base}]"}
+        return (
+            f"{indent}wire [{address - 1}:0] address_{side};\n"
+            f"{indent}reg [{base + slope - 1}:0] word_{side};\n"
+            f"{indent}always @(posedge clk) if (en) word_{side} <= rom[address_{side}];\n"
+            + instance("greygate_lookup", f"lookup_{side}", parameters, ends | {"y": f"y[{n}*{out}+:{out}]"}, indent)
+        )
+
     return module_text(
         [
-            f"Table {table.name}: {table.function} from {table.arg} to {table.out}, {last + 1} points"
-            f" {'and a line between two' if table.interpolated else ', the nearest one'}.",
+            f"Table {table.name}: {table.function} from {table.arg} to {table.out}, {table_kind(table)}.",
             f"{table.symmetry.value.capitalize()} symmetry. Worst error over every input code: {table.worst_error:g}.",
+            "Two neurons read one memory of words {slope, base}, which has two ports for reading.",
         ],
         f"module {table_module(program, table)} #(\n"
         f"    parameter SIZE = 1  // number of neurons\n) (\n"
         f"    input  wire clk,\n    input  wire en,\n"
-        f"    input  wire [SIZE*{table.arg.width}-1:0] x,\n    output wire [SIZE*{w}-1:0] y\n);\n\n"
-        f"    localparam [{(last + 1) * w - 1}:0] POINTS = {{\n{listed}\n    }};\n\n"
-        + instance("greygate_lookup", "lookup", parameters, ports),
+        f"    input  wire [SIZE*{arg}-1:0] x,\n    output wire [SIZE*{out}-1:0] y\n);\n\n"
+        f"    genvar n;\n    generate for (n = 0; n < SIZE; n = n + 2) begin : pair\n"
+        f"        {MEMORIES[memory]}reg [{base + slope - 1}:0] rom[0:{last}];\n"
+        f"        initial begin\n{_table_rows(table, base, slope)}\n        end\n\n"
+        f"{neuron('n', 'a', '        ')}\n"
+        f"        if (n + 1 < SIZE) begin : both\n{neuron('(n + 1)', 'b', '            ')}"
+        f"        end\n    end endgenerate\n",
     )
 
 
-def table_texts(program: Program) -> dict[str, str]:
+def table_texts(program: Program, memory: str = "block") -> dict[str, str]:
     """File name -> text of the module of every table that is used."""
-    return {f"{table_module(program, t)}.v": table_text(program, t) for t in shared_tables(program).values()}
+    return {f"{table_module(program, t)}.v": table_text(program, t, memory) for t in shared_tables(program).values()}
+
+
+def clocks(o: Operation) -> int:
+    """Clocks from the arguments of an operation to its result."""
+    return LOOKUP_CLOCKS if isinstance(o, Lookup) else 1
 
 
 def levels(program: Program) -> dict[str, int]:
     """Signal -> the clock of a step, counted from 1, at whose end it stands; 0 for inputs and states."""
     level = dict.fromkeys(program.signals, 0)
     for o in program.operations:
-        level[o.out.name] = 1 + max(level[a] for a in o.args)
+        level[o.out.name] = clocks(o) + max(level[a] for a in o.args)
     return level
 
 
@@ -294,7 +404,7 @@ _BLOCKS: dict[Op, Callable] = {Op.TABLE: _lookup, Op.CLAMP: _clamp, Op.THRESHOLD
 
 
 def small_operation(program: Program, o: Elementwise, size: int) -> Block:
-    """The block that computes `size` elements of a table, clamp, threshold or select in one clock."""
+    """The block that computes `size` elements of a table (in LOOKUP_CLOCKS), clamp, threshold or select (in one)."""
     return _BLOCKS[o.op](program, o, size)
 
 

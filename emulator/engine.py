@@ -20,6 +20,7 @@ from greygate.emulator.interpreter import Run
 from greygate.emulator.program import (
     Affine,
     Clamp,
+    Lines,
     Lookup,
     Op,
     Overflow,
@@ -27,12 +28,13 @@ from greygate.emulator.program import (
     Rounding,
     Select,
     Symmetry,
+    Table,
     Threshold,
 )
 
 WORTH_COMPILING = 20_000_000  # steps of all sequences
-AFFINE, AFFINE_WIDE, TABLE, CLAMP, THRESHOLD, SELECT = range(6)
-COLUMNS = 11  # kind, first element of the result, its size, and the numbers that the kind needs
+AFFINE, AFFINE_WIDE, TABLE, CLAMP, THRESHOLD, SELECT, LINES = range(7)
+COLUMNS = 13  # kind, first element of the result, its size, and the numbers that the kind needs
 # unsigned, so that numba omits its check for negative indices and the loops become vector code
 ZERO, ONE, TWO, THREE, FOUR = (np.uint64(n) for n in range(5))
 _ROUNDING = list(Rounding)
@@ -49,7 +51,7 @@ class _Arrays(NamedTuple):
     weights_int: np.ndarray  # the same as int64
     bias: np.ndarray  # int64, per padded row
     shifts: np.ndarray  # int64, per padded row
-    points: np.ndarray  # int64, all tables
+    points: np.ndarray  # int64, all tables; of lines: see `_Tabulator.lines`
     moves: np.ndarray  # (states, 2): element of the source, element of the state
     inputs: np.ndarray  # elements
     outputs: np.ndarray  # elements
@@ -73,7 +75,7 @@ class _Tabulator:
         self.points: list[int] = []
         for table in program.tables:
             self.tables[table.name] = len(self.points)
-            self.points += table.points
+            self.points += table.points if isinstance(table, Table) else self.lines(table)
         self.reads: list[int] = []
         self.weights, self.bias, self.shifts = ([np.zeros(0, np.int64)] for _ in range(3))
         self.weight_at, self.row_at = 0, 0
@@ -103,10 +105,23 @@ class _Tabulator:
         self.widest = max(self.widest, padded, len(columns))
         return row
 
+    @staticmethod
+    def lines(table: Lines) -> list[int]:
+        """Four numbers of each octave: least code, first segment, shift, drop; then base and slope of each segment."""
+        s = table.segments
+        octaves = zip(s.lefts, s.firsts, s.shifts, s.drops, strict=True)
+        words = zip(s.bases, s.slopes, strict=True)
+        return [n for part in (octaves, words) for row in part for n in row]
+
     def lookup(self, o: Lookup) -> tuple:
         t = self.program.table[o.table]
         flip = 0 if t.symmetry is Symmetry.EVEN else -1
         lift = 1 << t.out.frac if t.symmetry is Symmetry.COMPLEMENT else 0
+        if isinstance(t, Lines):
+            s = t.segments
+            fractions = (*s.halves, s.below, s.guard)
+            ends = (self.first[o.arg], self.tables[o.table], len(s.shifts), len(s.bases) - 1)
+            return (LINES, *ends, flip, lift, *fractions)
         last = len(t.points) - 1
         end = min(last << t.shift, 1 << t.arg.width)  # the argument of the last point, or beyond all arguments
         return (TABLE, self.first[o.arg], self.tables[o.table], last, t.shift, t.interpolated, flip, lift, end)
@@ -179,6 +194,24 @@ def _look_up(points, base, last, end, shift, half, interpolated, flip, lift, x):
     else:
         y = points[np.uint64(base + min((a + half) >> shift, last))]
     return (y ^ (sign & flip)) - (sign & flip) + (sign & lift)  # for a negative x: minus y, and what the symmetry adds
+
+
+@numba.njit(inline="always")
+def _on_line(words, at, octaves, last, flip, lift, lower, upper, below, guard, x):  # pragma: no cover - compiled
+    sign = x >> 63
+    m, o = x ^ sign, 0
+    while o + 1 < octaves and m >= words[at + 4 * o + 4]:
+        o += 1
+    left, first, shift, drop = words[at + 4 * o], words[at + 4 * o + 1], words[at + 4 * o + 2], words[at + 4 * o + 3]
+    i = first + ((m - left) >> shift)
+    place = ((m - left) & ((np.int64(1) << shift) - 1)) >> drop
+    if drop == 0:
+        place -= sign
+    if i > last:
+        i, place = last, np.int64(1) << (shift - drop)
+    word = at + 4 * octaves + 2 * i
+    y = (words[word] + upper + ((words[word + 1] * place + lower) >> below)) >> guard
+    return (y ^ (sign & flip)) - (sign & flip) + (sign & lift)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract"})
@@ -255,6 +288,13 @@ def _run(
                         for r in range(size):
                             x = np.int64(value[source + r])
                             value[out + r] = _look_up(points, base, last, end, shift, half, False, flip, lift, x)
+                elif kind == LINES:
+                    source = np.uint64(op[3])
+                    for r in range(size):
+                        x = np.int64(value[source + r])
+                        value[out + r] = _on_line(
+                            points, op[4], op[5], op[6], op[7], op[8], op[9], op[10], op[11], op[12], x
+                        )
                 elif kind == CLAMP:
                     source, lo, top = np.uint64(op[3]), op[4], op[5]
                     hi = (np.int64(1) << (op[6] - 1)) - 1

@@ -13,11 +13,13 @@ from greygate.emulator.program import (
     Affine,
     Clamp,
     Fix,
+    Lines,
     Lookup,
     Op,
     Overflow,
     Program,
     Rounding,
+    Segments,
     Select,
     Signal,
     Symmetry,
@@ -60,20 +62,32 @@ def fit(a: np.ndarray, fix: Fix, overflow: Overflow) -> np.ndarray:
     return ((a - fix.lo) & ((1 << fix.width) - 1)) + fix.lo
 
 
-def lookup(table: Table, x: np.ndarray) -> np.ndarray:
+def lookup(table: Table | Lines, x: np.ndarray) -> np.ndarray:
     """The table's answer to every code of x."""
-    points = np.array(table.points, np.int64)
-    last = len(points) - 1
-    half = (1 << table.shift) >> 1
-    a = np.abs(x)
-    i = np.minimum(a >> table.shift, last)
-    if table.interpolated:
-        step = points[np.minimum(i + 1, last)] - points[i]
-        y = points[i] + ((step * (a & ((1 << table.shift) - 1)) + half) >> table.shift)
-    else:
-        y = np.where(i < last, points[np.minimum((a + half) >> table.shift, last)], points[last])
+    y = _on_lines(table.segments, x) if table.interpolated else _nearest(table, x)
     negative = {Symmetry.ODD: -y, Symmetry.EVEN: y, Symmetry.COMPLEMENT: (1 << table.out.frac) - y}
     return np.where(x < 0, negative[table.symmetry], y)
+
+
+def _nearest(table: Table, x: np.ndarray) -> np.ndarray:
+    """The point nearest to |x|."""
+    points, last, half = np.array(table.points, np.int64), len(table.points) - 1, (1 << table.shift) >> 1
+    a = np.abs(x)
+    return points[np.where(a >> table.shift < last, np.minimum((a + half) >> table.shift, last), last)]
+
+
+def _on_lines(s: Segments, x: np.ndarray) -> np.ndarray:
+    """The line of the segment of |x| at the place of |x|."""
+    lefts, firsts, shifts, drops = (np.array(part, np.int64) for part in (s.lefts, s.firsts, s.shifts, s.drops))
+    bases, slopes, last = np.array(s.bases, np.int64), np.array(s.slopes, np.int64), len(s.bases) - 1
+    m = np.where(x < 0, ~x, x)
+    o = np.searchsorted(lefts[1:], m, side="right")
+    shift, drop, local = shifts[o], drops[o], m - lefts[o]
+    i = firsts[o] + (local >> shift)
+    place = ((local & ((1 << shift) - 1)) >> drop) + ((x < 0) & (drop == 0))
+    place = np.where(i > last, 1 << (shift - drop), place)
+    i = np.minimum(i, last)
+    return s.at(bases[i], slopes[i], place)
 
 
 # Each operation on the codes x of its arguments. It returns codes, or, to be requantized, an accumulator and its frac.

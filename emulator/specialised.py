@@ -14,6 +14,7 @@ from greygate.emulator.program import (
     Affine,
     Clamp,
     Fix,
+    Lines,
     Lookup,
     Op,
     Overflow,
@@ -21,6 +22,7 @@ from greygate.emulator.program import (
     Rounding,
     Select,
     Symmetry,
+    Table,
     Threshold,
 )
 from greygate.generated import load
@@ -102,6 +104,34 @@ class _Writer:
 
     def lookup(self, n: int, o: Lookup) -> None:
         t = self.program.table[o.table]
+        body = self.on_lines(t, o) if isinstance(t, Lines) else self.on_points(t, o)
+        if t.symmetry is not Symmetry.EVEN:
+            lift = 1 << t.out.frac if t.symmetry is Symmetry.COMPLEMENT else 0
+            body.append(f"y = {lift} - y if x < 0 else y")
+        self.loop(self.padded(o.out.size), *body, f"v[{self.first[o.out.name]} + r] = y")
+
+    def on_lines(self, t: Lines, o: Lookup) -> list[str]:
+        """y by the section "Lookup", in int64: the octave by comparisons, the rest from constant arrays."""
+        s = t.segments
+        bases, slopes = (self.table(t, kind, np.array(part)) for kind, part in (("B", s.bases), ("C", s.slopes)))
+        parts = zip("LFSR", (s.lefts, s.firsts, s.shifts, s.drops), strict=True)
+        left, first, shift, drop = (f"{self.table(t, kind, np.array(part))}[o]" for kind, part in parts)
+        lower, upper = s.halves
+        return [
+            f"x = np.int64(v[{self.first[o.arg]} + r])",
+            "m = x ^ (x >> 63)",
+            f"o = {' + '.join(['0', *(f'(m >= {n})' for n in s.lefts[1:])])}",
+            f"place = m - {left}",
+            f"i = {first} + (place >> {shift})",
+            f"beyond = i > {len(s.bases) - 1}",
+            f"i = {len(s.bases) - 1} if beyond else i",
+            f"place = ((place & ((1 << {shift}) - 1)) >> {drop}) + (x < 0 and {drop} == 0)",
+            f"place = 1 << ({shift} - {drop}) if beyond else place",
+            f"y = ({bases}[i] + {upper} + (({slopes}[i] * place + {lower}) >> {s.below})) >> {s.guard}",
+        ]
+
+    def on_points(self, t: Table, o: Lookup) -> list[str]:
+        """y for |x|, of the points or of the lines between them."""
         shift, last, half = t.shift, len(t.points) - 1, (1 << t.shift) >> 1
         end = min(last << shift, -t.arg.lo)
         # on the interval i, y = floor(start[i] + slope[i] * a), all times 2^-shift; the interval after the end is flat
@@ -122,10 +152,7 @@ class _Writer:
             points = self.table(t, "P", np.array(t.points))
             body.append(f"i = np.int64(a) >> {shift}")
             body.append(f"y = {points}[i] + (({slopes}[i] * (np.int64(a) - (i << {shift})) + {half}) >> {shift})")
-        if t.symmetry is not Symmetry.EVEN:
-            lift = 1 << t.out.frac if t.symmetry is Symmetry.COMPLEMENT else 0
-            body.append(f"y = {lift} - y if x < 0 else y")
-        self.loop(self.padded(o.out.size), *body, f"v[{self.first[o.out.name]} + r] = y")
+        return body
 
     def table(self, t, kind: str, values: np.ndarray) -> str:
         """The name of the table's constant array, which is declared once."""

@@ -1,6 +1,7 @@
 """Random programs over the whole legal space of docs/integer-program.md, at its limits as often as within."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,11 +12,13 @@ from greygate.emulator.program import (
     Affine,
     Clamp,
     Fix,
+    Lines,
     Lookup,
     Operation,
     Overflow,
     Program,
     Rounding,
+    Segments,
     Select,
     Signal,
     State,
@@ -115,6 +118,10 @@ class _Drawing:
             Symmetry.EVEN: (lo, hi),
             Symmetry.COMPLEMENT: (max(lo, one - hi), min(hi, one - lo)),
         }[symmetry]
+        if self.chance(0.5):
+            table = self.lines(arg.fix, out.fix, symmetry, lo, hi)
+            self.tables.append(table)
+            return Lookup(out, arg.name, table.name)
         last = int(self.rng.integers(1, MOST_POINTS))
         natural = max(0, arg.fix.width - last.bit_length() - int(self.rng.integers(-1, 2)))
         shift = min(natural if self.chance(0.6) else self.among(0, arg.fix.width), arg.fix.width)
@@ -128,6 +135,45 @@ class _Drawing:
         )
         self.tables.append(table)
         return Lookup(out, arg.name, table.name)
+
+    def lines(self, arg: Fix, out: Fix, symmetry: Symmetry, lo: int, hi: int) -> Lines:
+        """Lines over one octave or several, with results lo to hi at both ends of every segment."""
+        octaves = min(self.pick((1, 1, 2, 3, 4, 6, arg.width)), arg.width)
+        natural = max(0, arg.width - octaves + int(self.rng.integers(-1, 2)))
+        start = min(natural if self.chance(0.6) else self.among(0, arg.width), arg.width)
+        sizes = [arg.width] if octaves == 1 else [start, *(start + o for o in range(octaves - 1))]
+        shifts = [max(0, z - int(self.rng.integers(0, 4))) if self.chance(0.8) else z for z in sizes]
+        if octaves == 1:
+            shifts = [self.among(0, arg.width) if self.chance(0.4) else max(0, arg.width - self.pick((2, 3, 5)))]
+        drops = [self.among(0, s) if self.chance(0.4) else 0 for s in shifts]
+        most = 1 << (sizes[-1] - shifts[-1])
+        last = self.among(1, min(most, MOST_POINTS) if octaves > 1 else MOST_POINTS)
+        count = sum(1 << (z - s) for z, s in zip(sizes[:-1], shifts[:-1], strict=True)) + last
+        guard = self.among(0, ACCUMULATOR_BITS - out.width - 3)
+        slope_frac = self.among(guard, ACCUMULATOR_BITS - 2) if self.chance(0.3) else guard
+        slope_frac = min(slope_frac + self.pick((0, 1, 4, 9)), ACCUMULATOR_BITS - 2)
+        table = Lines(
+            f"t{len(self.tables)}", "any", symmetry, start, tuple(shifts), tuple(drops), slope_frac, guard,
+            (0,) * count, (0,) * count, arg, out, 0.0,
+        )  # fmt: skip
+        s = table.segments
+        firsts, words, most = [*s.firsts, count], [], max(z - d for z, d in zip(shifts, drops, strict=True))
+        for o, (shift, drop) in enumerate(zip(shifts, drops, strict=True)):
+            for _ in range(firsts[o], firsts[o + 1]):
+                words.append(self.line(s, shift - drop, most, lo, hi))
+        bases, slopes = zip(*words, strict=True)
+        return replace(table, bases=bases, slopes=slopes)
+
+    def line(self, s: Segments, places: int, most: int, lo: int, hi: int) -> tuple[int, int]:
+        """Base and slope whose answers at both ends are from lo to hi, and whose sums fit the emulators."""
+        left, right = (self.among(lo, hi) for _ in range(2))
+        base = (left << s.guard) + (self.among(0, (1 << s.guard) - 1) - s.halves[1] if s.guard else 0)
+        steepest = ((1 << (ACCUMULATOR_BITS - 2)) - 1 - s.halves[0]) >> most
+        rise = right - left
+        size = min((abs(rise) << s.slope_frac) >> places, steepest)
+        while size and not lo <= s.at(base, size if rise > 0 else -size, 1 << places) <= hi:
+            size >>= 1
+        return base, size if rise > 0 else -size
 
     def clamp(self, name: str) -> Clamp:
         arg, width = self.arg(), self.width()

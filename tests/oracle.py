@@ -9,6 +9,7 @@ from greygate.emulator.program import (
     Affine,
     Clamp,
     Fix,
+    Lines,
     Lookup,
     Overflow,
     Program,
@@ -52,22 +53,43 @@ def requantize(a: int, F: int, out: Fix, rounding: Rounding, overflow: Overflow)
     return (low - 2**out.width if low > hi else low), 1
 
 
-def lookup(table: Table, x: int) -> int:
+def lookup(table: Table | Lines, x: int) -> int:
     """The section "Lookup", line by line."""
-    n, points, shift = len(table.points) - 1, table.points, table.shift
-    a = abs(x)
-    i, r = a >> shift, a & (2**shift - 1)
-    half = 2 ** (shift - 1) if shift else 0
-    if i >= n:
-        y = points[n]
-    elif table.interpolated:
-        y = points[i] + (((points[i + 1] - points[i]) * r + half) >> shift)
+    if isinstance(table, Lines):
+        y = on_line(table, x)
     else:
-        y = points[(a + half) >> shift]
+        y = on_points(table, abs(x))
     if x < 0:
         y = {Symmetry.ODD: -y, Symmetry.EVEN: y, Symmetry.COMPLEMENT: 2**table.out.frac - y}[table.symmetry]
     assert table.out.lo <= y <= table.out.hi
     return y
+
+
+def on_points(table: Table, a: int) -> int:
+    n, points, shift = len(table.points) - 1, table.points, table.shift
+    i, r = a >> shift, a & (2**shift - 1)
+    half = 2 ** (shift - 1) if shift else 0
+    if i >= n:
+        return points[n]
+    if table.interpolated:
+        return points[i] + (((points[i + 1] - points[i]) * r + half) >> shift)
+    return points[(a + half) >> shift]
+
+
+def on_line(t: Lines, x: int) -> int:
+    s = 1 if x < 0 else 0
+    m = -x - 1 if s else x
+    first, left, o = 0, 0, 0
+    while o < len(t.shifts) - 1 and m >= 2 ** (t.start + o):
+        first += (2 ** (t.start + o) - left) // 2 ** t.shifts[o]
+        left = 2 ** (t.start + o)
+        o += 1
+    i, p = divmod(m - left, 2 ** t.shifts[o])
+    i, p = first + i, p // 2 ** t.drops[o] + (s if t.drops[o] == 0 else 0)
+    if i >= len(t.bases):
+        i, p = len(t.bases) - 1, 2 ** (t.shifts[o] - t.drops[o])
+    half = 2 ** (t.slope_frac - 1) if t.slope_frac else 0
+    return (t.bases[i] * 2 ** (t.slope_frac - t.guard) + t.slopes[i] * p + half) // 2**t.slope_frac
 
 
 def operate(program: Program, o, value: dict[str, list[int]]) -> tuple[list[int], int]:

@@ -59,11 +59,15 @@ def registers(program: Program) -> list[Register]:
 
 
 def clocks(program: Program, design: Design) -> int:
-    """Clocks of a step: the lines of the schedule, and the edges of the core."""
+    """Clocks from one sample to the next."""
     return len(fold(program, design.multipliers).schedule.lines) + EDGES
 
 
-TARGET = Architecture(lambda program, design: folded(program, design.multipliers), registers, clocks)
+TARGET = Architecture(
+    lambda program, design: folded(program, design.multipliers) | table_texts(program, design.memory),
+    registers,
+    clocks,
+)
 
 
 @dataclass(frozen=True)
@@ -293,7 +297,7 @@ module {self.program.name} (
 {drain}"""
 
     def units(self) -> str:
-        """The units that answer an argument in one clock: a copy, and one for each small operation or shared table."""
+        """The units that answer an argument: a copy, and one for each small operation or shared table."""
         code = self.widths["code"] - 1
         before = ["x", "x_last", "x_before_last"]  # the codes read 0, 1 and 2 clocks earlier
         units, cases = "", [f"{self.constant('source', COPY)}: y = copied;"]
@@ -310,7 +314,7 @@ module {self.program.name} (
                 f"{self.constant('source', COPY + 1 + n)}: y = {self.code(f'unit_{n}', 0, out)};  {remark(key)}"
             )
         return f"""
-    // what answers an argument in one clock
+    // what answers an argument in one clock, or a table in more
     reg signed [{code}:0] copied;
     always @(posedge clk) copied <= x;
 {self.select_arguments()}{units}

@@ -6,7 +6,19 @@ Numbers are codes. The word behind a shift names its rounding (docs/integer-prog
 from collections.abc import Callable, Iterator
 
 from greygate.compiler.targets import Target
-from greygate.emulator.program import Affine, Clamp, Lookup, Op, Program, Select, Signal, Table, Terminal, Threshold
+from greygate.emulator.program import (
+    Affine,
+    Clamp,
+    Lines,
+    Lookup,
+    Op,
+    Program,
+    Select,
+    Signal,
+    Table,
+    Terminal,
+    Threshold,
+)
 
 LONGEST = 8  # initial codes that are shown
 
@@ -40,7 +52,13 @@ def _terminal(p: Terminal) -> str:
     return f"{p.name}: {_signal(p.signal)}, value = code * {p.signal.fix.lsb * p.scale:g}{offset} {p.unit}"
 
 
-def _table(t: Table) -> str:
+def _table(t: Table | Lines) -> str:
+    if isinstance(t, Lines):
+        octaves = ", ".join(f"2^{shift}" for shift in t.shifts)
+        return (
+            f"table {t.name}: {t.function} from {t.arg} to {t.out}, {t.symmetry}, {t.entries} lines over segments of "
+            f"{octaves} codes by octaves, the first of 2^{t.start}; worst error {t.worst_error:g}"
+        )
     way = "a line between two" if t.interpolated else "the nearest"
     return (
         f"table {t.name}: {t.function} from {t.arg} to {t.out}, {t.symmetry}, {len(t.points)} points, {1 << t.shift} "

@@ -12,6 +12,7 @@ import numpy as np
 from greygate.compiler.targets import Architecture, Design, Register
 from greygate.compiler.verilog import (
     ROUNDING,
+    clocks,
     header,
     input_slices,
     instance,
@@ -31,7 +32,7 @@ from greygate.compiler.verilog import (
     verilog_names,
     wrapped,
 )
-from greygate.emulator.program import Affine, Operation, Overflow, Program, Signal
+from greygate.emulator.program import Affine, Lookup, Operation, Overflow, Program, Signal
 
 EDGES = 3  # clocks that the streams and the inputs take beside the longest chain
 
@@ -53,12 +54,12 @@ def registers(program: Program) -> list[Register]:
     return [Register(names[s.name], k * s.fix.width) for s in signals for k in range(s.size)]
 
 
-def clocks(program: Program, design: Design) -> int:
-    """Clocks of a step: the longest chain of operations, and the edges of the core."""
+def step(program: Program, design: Design) -> int:
+    """Clocks from one sample to the next."""
     return max(levels(program).values()) + EDGES
 
 
-TARGET = Architecture(lambda program, design: parallel(program), registers, clocks)
+TARGET = Architecture(lambda program, design: parallel(program) | table_texts(program, design.memory), registers, step)
 
 
 class _Layer:
@@ -220,11 +221,14 @@ module {self.program.name} (
     def layer(self, o: Operation) -> str:
         """The instance of an operation, which is enabled when its arguments are valid."""
         y, level = self.names[o.out.name], self.level[o.out.name]
+        first = level - clocks(o)  # the clock before the first of the operation
         arguments = [self.names[a] for a in o.args]
-        ends = {"clk": "clk", "en": "start" if level == 1 else f"stage[{level - 2}]"}
+        ends = {"clk": "clk", "en": "start" if first == 0 else f"stage[{first - 1}]"}
         if isinstance(o, Affine):
             ends |= {a: a for a in arguments} | {y: y}
             return instance(f"{self.program.name}_{y}", f"{y}_layer", {}, ends)
+        if isinstance(o, Lookup):
+            ends["en"] = "1'b1"  # several clocks: its answer holds still because its argument does
         module, parameters, ports = small_operation(self.program, o, o.out.size)
         ends |= dict(zip(ports, arguments, strict=True)) | {"y": y}
         return instance(module, f"{y}_layer", parameters, ends)

@@ -10,7 +10,7 @@ import numpy as np
 from greygate.compiler.pipeline import Compiled, quantize_centred
 from greygate.compiler.quantize import Formats
 from greygate.emulator.engine import run
-from greygate.emulator.program import Affine, Lookup, Program, Table, Terminal
+from greygate.emulator.program import Affine, Lines, Lookup, Program, Table, Terminal
 from greygate.errors import InputError
 from greygate.models.accuracy import float_error, rms
 from greygate.models.network import Network
@@ -241,12 +241,12 @@ def _signals(compiled: Compiled, record: Record, saturations: Mapping[str, Mappi
     return found
 
 
-def _table(t: Table, program: Program) -> dict:
+def _table(t: Table | Lines, program: Program) -> dict:
     """A table of the program: its formats, its worst error, and the operations that look up in it."""
     return {
         "name": t.name,
         "function": t.function,
-        "points": len(t.points),
+        "points": t.entries,
         "interpolated": t.interpolated,
         "argument": str(t.arg),
         "result": str(t.out),
@@ -263,6 +263,6 @@ def size(program: Program) -> dict[str, int]:
         "operations": len(program.operations),
         "multiplications": sum(int(np.count_nonzero(o.weights)) for o in affine),
         "state_bits": sum(s.signal.size * s.signal.fix.width for s in program.states),
-        "table_bits": sum(len(t.points) * t.out.width for t in program.tables),
+        "table_bits": sum(t.bits for t in program.tables),
         "accumulator_bits": max((program.accumulator_width(o) for o in affine), default=0),
     }
