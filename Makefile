@@ -98,7 +98,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(INSTALL) -e '.[dev,synthesis,cluster]'
+	$(INSTALL) -e '.[dev,synthesis,board,cluster]'
 	@touch $@
 
 $(VENV)/.ready-docs: $(VENV)/.ready

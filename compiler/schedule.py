@@ -1,198 +1,453 @@
-"""The schedule of the folded architecture (targets/folded.py): what it reads, sums, drains and writes in each clock.
+"""The schedule of the folded architecture (targets/folded.py): what every clock of a step reads, multiplies and writes.
 
-Rows of a layer are summed in groups of `macs`. A group visits only the columns in which one of its rows has a weight,
-and is drained while the next group is being summed.
+Rows of a layer are summed in groups of as many as there are multipliers. A group reads its columns in consecutive
+clocks, those in which one of its rows has a weight; while it is drained, the next one is summed. Of the jobs that can
+go on first, that on the longest path comes first, and copies fill gaps. What is written takes the words of the memory
+in the order of the writes, so that no line names the word that it writes.
 """
 
+from collections import defaultdict
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
-from greygate.compiler.verilog import ROUNDING, clocks, levels, shared_tables
-from greygate.emulator.program import Affine, Elementwise, Lookup, Operation, Overflow, Program
+from greygate.compiler.jobs import Job, live_operations, measure, planned
+from greygate.compiler.products import Mode, Products, laid_out
+from greygate.compiler.verilog import LOOKUP_CLOCKS, shared_tables
+from greygate.emulator.program import Affine, Elementwise, Lookup, Program, signed_width
 
-WEIGHT, SUM, HOLD, PICK = 2, 3, 4, 5  # clocks from the read of a column to its weight, sum, hold and pick
-FIT = 1  # clocks from pick to write
-UNIT = 2  # clocks from the read of an argument to the unit that answers it
-DRAIN, COPY = 0, 1  # numbers of the sources of a write; units follow
+# Clocks from the read of a code to ...
+WORD = 1  # ... the code at the output of the memory, and its weight beside it
+SELECT = 2  # ... the stages of its product, in the line
+SUM = 4  # ... the sum that takes its product
+CODE = 6  # ... the code of a row that ends with it, and `levels` more where several multipliers take turns
+ARGUMENT = 2  # ... the argument of a unit that reads the memory
+UNIT = 1  # clocks of a unit that is no lookup
+CONTROL = 1  # a field of the control acts so many clocks after its line
+NEAR = 4  # sums among which one clock can pick
+DRAINED, COPIED, SAMPLED, UNITS = range(4)  # numbers of the sources of a write; each unit has one from UNITS up
+FIELDS = ("first", "row", "last", "mode", "part", "source", "write", "show", "stored", "done")
+
+
+def levels_of(multipliers: int) -> int:
+    """Clocks in which one of so many sums is picked."""
+    levels = 0
+    while multipliers > 1:
+        multipliers, levels = -(-multipliers // NEAR), levels + 1
+    return levels
 
 
 @dataclass
-class Schedule:
-    """Lines of fields, placed so that no field has two values in one line. Line 0 is idle."""
+class Lines:
+    """Lines of the ROM while they are laid out.
 
-    lines: list[dict[str, int]] = field(default_factory=lambda: [{}])
-    notes: list[list[str]] = field(default_factory=lambda: [[]])
+    controls: field -> {line: value}. bursts: (line, elements read, words and selects of each multiplier).
+    """
 
-    def free(self, t: int, *names: str) -> bool:
-        return t >= len(self.lines) or not any(n in self.lines[t] for n in names)
+    controls: dict[str, dict[int, int]] = field(default_factory=lambda: {n: {} for n in FIELDS})
+    reads: dict[int, int] = field(default_factory=dict)
+    bursts: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
+    notes: dict[int, list[str]] = field(default_factory=lambda: defaultdict(list))
 
-    def place(self, t: int, note: str = "", /, **values: int) -> None:
-        assert self.free(t, *values), "two values for one field in one clock"
-        while t >= len(self.lines):
-            self.lines.append({})
-            self.notes.append([])
-        self.lines[t] |= values
-        if note:
-            self.notes[t].append(note)
+    def control(self, clock: int, **values: int) -> None:
+        """Let fields act in a clock. Every field has one value in a line."""
+        for name, value in values.items():
+            if value:
+                assert clock - CONTROL not in self.controls[name], f"two values of {name} in one clock"
+                self.controls[name][clock - CONTROL] = value
+
+    @cached_property
+    def length(self) -> int:
+        """Lines up to the last that does anything."""
+        ends = [max(found) for found in (*self.controls.values(), self.reads) if found]
+        return 1 + max(ends, default=0)
+
+    def arrays(self, multipliers: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """reads (lines,), words and selects (lines, multipliers), controls (lines, fields), with CLOSING idle lines."""
+        count = self.length + CLOSING
+        reads, controls = np.zeros(count, np.int64), np.zeros((count, len(FIELDS)), np.int64)
+        words, selects = np.zeros((2, count, multipliers), np.int64)
+        reads[list(self.reads)] = list(self.reads.values())
+        for i, name in enumerate(FIELDS):
+            controls[list(self.controls[name]), i] = list(self.controls[name].values())
+        for start, elements, w, s in self.bursts:
+            n = len(elements)
+            reads[start : start + n] = elements
+            for m in range(len(w)):
+                words[start + WORD + m : start + WORD + m + n, m] = w[m]
+                selects[start + SELECT + m : start + SELECT + m + n, m] = s[m]
+        return reads, words, selects, controls
+
+
+CLOSING = 2  # lines that are read while `done` returns the counter
 
 
 @dataclass(frozen=True)
 class Folding:
     """A program laid out for the folded datapath.
 
-    address: word of element 0 of each signal. words: size of the memory; at addresses beyond it, inputs are read and
-    outputs written. groups: the biases of each group of rows. units: the units that answer an argument, by
-    source number.
+    reads: (lines,) words of the memory, or where an initial state is written. words, selects: (lines, multipliers).
+    controls: (lines, fields), as in FIELDS. idle: the line at which the core waits for a sample; those before it write
+    the initial states. biases: in the order in which rows begin; `boots` of them are initial states. address: signal ->
+    words of its elements. size: words of the memory. kept: the signals
+    that have words. shown: signal -> places of its elements among the results. units:
+    what answers arguments, by source number less UNITS. fused: units that answer drained rows; stored: those that
+    answer codes of the memory. notes: line -> what it does.
     """
 
-    schedule: Schedule
-    address: dict[str, int]
-    words: int
-    groups: list[tuple[str, list[int]]]
+    products: Products
+    multipliers: int
+    modes: tuple[Mode, ...]
+    acc_width: int
+    reads: np.ndarray
+    words: np.ndarray
+    selects: np.ndarray
+    controls: np.ndarray
+    idle: int
+    biases: list[int]
+    boots: int
+    address: dict[str, np.ndarray]
+    size: int
+    kept: set[str]
+    shown: dict[str, list[int]]
     units: dict[str, Elementwise]
+    fused: set[str]
+    stored: set[str]
+    notes: dict[int, list[str]]
+
+    @property
+    def clocks(self) -> int:
+        """Clocks of a step, from the sample to the result."""
+        return len(self.reads) - CLOSING - self.idle + 2
+
+    @property
+    def utilisation(self) -> float:
+        """Share of the multipliers' clocks in a step that make a product."""
+        return self.products.count / (self.clocks * self.multipliers)
 
 
-def fold(program: Program, macs: int) -> Folding:
-    """Place every read, sum, drain and write of one step."""
-    level = levels(program)
-    operations = sorted(program.operations, key=lambda o: level[o.out.name])  # independent ones side by side
-    shadows, moves = ordered([(s.source, s.signal.name) for s in program.states if s.source != s.signal.name])
-    folder = _Folder(program, macs, operations, shadows)
-    for o in operations:
-        if isinstance(o, Affine):
-            folder.layer(o)
-        else:
-            folder.elements(o)
-    shown = [(f"{p.signal.name}[{k}]", f"{p.name}[{k}]") for p in program.outputs for k in range(p.signal.size)]
-    for n, (element, name) in enumerate(shown):
-        folder.copy(element, folder.words + n, f"output {name}")
-    for source, target in [*shadows, *moves]:
-        size = program.signals[source if source in program.signals else target].size
-        for k in range(size):
-            folder.copy(f"{source}[{k}]", folder.address[target] + k, f"{target}[{k}]")
-    folder.schedule.place(len(folder.schedule.lines), "done", last=1)
-    return Folding(folder.schedule, folder.address, folder.words, folder.groups, folder.units)
+def fold(program: Program, multipliers: int) -> Folding:
+    """Place every read, product, sum, drain and write of one step."""
+    return _Folder(program, multipliers).folding()
 
 
 class _Folder:
-    """Assigns words to every signal, and places each operation as early as its arguments and the datapath allow."""
+    """Places the jobs of a step, one after the other, each from the first line at which it needs no pause.
 
-    def __init__(self, program: Program, macs: int, operations: list[Operation], shadows: list[tuple[str, str]]):
-        self.program, self.macs = program, macs
-        self.schedule = Schedule()
-        self.groups: list[tuple[str, list[int]]] = []
-        self.units: dict[str, Elementwise] = {}
-        self.address: dict[str, int] = {}
-        self.word: dict[str, int] = {}  # by element
-        for s in [*(s.signal for s in program.states), *(o.out for o in operations)]:
-            self._give(s.name, s.size)
-        for original, shadow in shadows:
-            self._give(shadow, program.signals[original].size)
-        self.words = len(self.word)
-        for p in program.inputs:
-            self._give(p.signal.name, p.signal.size)
-        self.ready: dict[int, int] = {}  # word -> the first line that can read its new value
-        self.last_read: dict[int, int] = {}
-        self.summed, self.picked = 0, 0  # the last line that read a column, or picked a row
-
-    def layer(self, o: Affine) -> None:
-        """Place the rows of an affine operation, group by group."""
-        columns = [f"{a}[{k}]" for a in o.args for k in range(self.program.signals[a].size)]
-        for start in range(0, o.out.size, self.macs):
-            self._sum(o, start, columns)
-            self._drain(o, start)
-
-    def elements(self, o: Elementwise) -> None:
-        """Place every element of any other operation on one unit; lookups in equal tables share a unit."""
-        key = o.out.name
-        if isinstance(o, Lookup):
-            key = f"table {shared_tables(self.program)[o.table].name}"
-        self.units.setdefault(key, o)
-        source = COPY + 1 + list(self.units).index(key)
-        for k in range(o.out.size):
-            arguments, to = [f"{a}[{k}]" for a in o.args], self.address[o.out.name] + k
-            self._through(source, arguments, to, f"{o.out.name}[{k}]", UNIT + clocks(o))
-
-    def copy(self, element: str, to: int, note: str) -> None:
-        self._through(COPY, [element], to, note, UNIT + 1)
-
-    def _give(self, name: str, size: int) -> None:
-        self.address[name] = len(self.word)
-        self.word |= {f"{name}[{k}]": len(self.word) + k for k in range(size)}
-
-    def _read(self, t: int, element: str) -> None:
-        word = self.word[element]
-        self.schedule.place(t, f"read {element}", read=word)
-        self.last_read[word] = max(self.last_read.get(word, 0), t)
-
-    def _write(self, t: int, word: int, source: int, note: str, **values: int) -> None:
-        self.schedule.place(t, f"write {note}", write=word, enable=1, source=source, **values)
-        self.ready[word] = t + 1
-
-    def _when(self, element: str) -> int:
-        """The first line that can read an element."""
-        return self.ready.get(self.word[element], 1)
-
-    def _through(self, source: int, arguments: list[str], to: int, note: str, unit: int) -> None:
-        """Read the arguments in consecutive clocks, and write the result `unit` clocks after the last."""
-        free, last = self.schedule.free, len(arguments) - 1
-        t = max([self.last_read.get(to, 0) - unit, *(self._when(a) - i for i, a in enumerate(arguments))])
-        while not (all(free(t + i, "read") for i in range(len(arguments))) and free(t + last + unit, "write")):
-            t += 1
-        for i, argument in enumerate(arguments):
-            self._read(t + i, argument)
-        self._write(t + last + unit, to, source, note)
-
-    def _sum(self, o: Affine, start: int, columns: list[str]) -> None:
-        """Sum a group of rows over their columns, in the order in which the columns become ready, and hold the sums."""
-        weights = o.weights[start : start + self.macs]
-        used = np.flatnonzero(np.any(weights != 0, axis=0)).tolist() or [0]
-        used.sort(key=lambda j: self._when(columns[j]))
-        label = f"{o.out.name}[{start}]" + (f"..[{start + len(weights) - 1}]" if len(weights) > 1 else "")
-        place, t = self.schedule.place, self.summed
-        for n, j in enumerate(used):
-            t = max(t + 1, self._when(columns[j]), self.picked - HOLD if n + 1 == len(used) else 0)
-            while not self.schedule.free(t, "read"):
-                t += 1
-            self._read(t, columns[j])
-            given = {f"weight_{m}": int(w) for m, w in enumerate(weights[:, j])}
-            place(t + WEIGHT, f"{label} from {columns[j]}", **given)
-            if n == 0:
-                place(t + WEIGHT, group=len(self.groups))
-            place(t + SUM, **({"first": 1} if n == 0 else {"next": 1}))
-        place(t + HOLD, f"hold {label}", hold=1)
-        self.summed = t
-        self.groups.append((label, [int(b) for b in o.bias[start : start + self.macs]]))
-
-    def _drain(self, o: Affine, start: int) -> None:
-        """Round, fit and write the rows of the group that was summed last, one row a clock."""
-        fix, d = o.out.fix, self.summed + PICK
-        fit = {"width": fix.width, "saturate": int(o.overflow is Overflow.SATURATE)}
-        for r in range(start, min(start + self.macs, o.out.size)):
-            while not (self.schedule.free(d, "pick") and self.schedule.free(d + FIT, "write")):
-                d += 1
-            self.schedule.place(d, pick=r - start, shift=int(o.frac[r]) - fix.frac, rounding=ROUNDING[o.rounding])
-            self._write(d + FIT, self.address[o.out.name] + r, DRAIN, f"{o.out.name}[{r}]", **fit)
-            self.picked = d
-            d += 1
-
-
-def ordered(moves: list[tuple[str, str]]) -> tuple[list[tuple[str, str]], list[tuple[str, str]]]:
-    """Order the moves (source, state) so that none overwrites a state that a later one reads.
-
-    A copy opens a ring of states. Copies are made first, and are returned before the moves.
+    first: signal -> number of its element 0. ready: element -> the first line that can read it. taken: clocks of
+    writes. order: elements in the order in which they take words.
     """
-    shadows, done, left = [], [], list(moves)
-    while left:
-        sources = {source for source, _ in left}
-        safe = [m for m in left if m[1] not in sources]
-        if safe:
-            done += safe
-            left = [m for m in left if m not in safe]
+
+    def __init__(self, program: Program, multipliers: int):
+        self.program, self.multipliers = program, multipliers
+        self.levels = levels_of(multipliers)
+        self.operations = live_operations(program)
+        self.products = laid_out(program, self.operations)
+        self.plan = planned(program, multipliers)
+        self.inside = {o.out.name for o in self.plan.answers.values()}
+        self.outputs = {p.signal.name for p in program.outputs}
+        sizes = {s.name: s.size for s in program.signals.values()}
+        sizes |= {shadow: sizes[state] for shadow, state in self.plan.shadows.items()}
+        ends = np.cumsum([0, *sizes.values()]).tolist()
+        self.first = dict(zip(sizes, ends, strict=False))
+        self.sizes = sizes
+        self.ready = np.zeros(ends[-1], np.int64)
+        self.lines = Lines()
+        self.taken: set[int] = set()
+        self.written: dict[int, int] = {}  # clock -> element
+        self.shows: dict[int, int] = {}
+        self.biases: list[int] = []
+        self.modes = list(self.products.modes)
+        self.acc_width = self.products.acc_width
+        self.now = 1  # the first line without a read
+        self.begins = self.ends = 0  # the first line at which the next group may begin, and end
+        self.group_reads: dict[str, tuple[int, np.ndarray, np.ndarray]] = {}
+        self.units: dict[str, Elementwise] = {}
+        self.fused: set[str] = set()
+        self.stored: set[str] = set()
+        self._name_units()
+
+    def _name_units(self) -> None:
+        """A unit for each operation that is not affine; lookups in equal tables share one."""
+        shared = shared_tables(self.program)
+        self.unit: dict[str, str] = {}
+        for o in self.operations:
+            if isinstance(o, Affine):
+                continue
+            key = f"table {shared[o.table].name}" if isinstance(o, Lookup) else o.out.name
+            self.units.setdefault(key, o)
+            self.unit[o.out.name] = key
+            (self.fused if o.out.name in self.inside else self.stored).add(key)
+
+    def _source(self, name: str) -> int:
+        """The source number of the unit that makes that signal."""
+        return UNITS + list(self.units).index(self.unit[name])
+
+    # -- the step ----------------------------------------------------------------------------------------------------
+
+    def folding(self) -> Folding:
+        boot = self._boot()
+        self._samples()
+        reads = {key: self._cost(job) for key, job in self.plan.jobs.items()}
+        measure(self.plan.jobs, reads, CODE + self.levels + LOOKUP_CLOCKS)
+        left = dict(self.plan.jobs)
+        while left:
+            job, start = self._chosen(left)
+            if job.operation is None:
+                self._copy(job, start)
+            elif isinstance(job.operation, Affine):
+                self._group(job, job.operation, start)
+            else:
+                self._element(job, job.operation, start)
+            if job.next >= job.size:
+                del left[job.key]
+                for other in left.values():
+                    other.after.discard(job.key)
+        self.lines.control(max(self.taken), done=1)
+        return self._finished(boot)
+
+    def _cost(self, job: Job) -> int:
+        if isinstance(job.operation, Affine):
+            layer = self.products.layers[job.operation.out.name]
+            return -(-int(np.count_nonzero(layer.words)) // self.multipliers)
+        return job.size * len(job.reads)
+
+    def _chosen(self, left: dict[str, Job]) -> tuple[Job, int]:
+        """The job that goes on, and from which line."""
+        free = [job for job in left.values() if not job.after]
+        best: tuple[int, int, Job] | None = None
+        for job in free:
+            if job.operation is not None:
+                start = self._start(job)
+                if best is None or (start, -job.length) < best[:2]:
+                    best = start, -job.length, job
+        if best is None or best[0] > self.now:
+            for job in free:
+                if job.operation is None:
+                    start = self._start(job)
+                    if best is None or start < best[0]:
+                        best = start, 0, job
+                    if start == self.now:
+                        break
+        assert best is not None, "the jobs of a step wait for each other"
+        return best[2], best[0]
+
+    def _start(self, job: Job) -> int:
+        """The first line from which the next piece of a job can be placed without a pause."""
+        if isinstance(job.operation, Affine):
+            elements = self._group_reads(job, job.operation)[0]
+            rows = min(self.multipliers, job.size - job.next)
+            writes = self._row_writes(job.operation.out.name)
+            offset = len(elements) - 1 + CODE + self.levels
+            clocks = [offset + m + later for m in range(rows) for later in writes]
+            start = max(self.now, self.begins, self.ends - len(elements) + 1)
         else:
-            state = left[0][1]
-            shadow = f"{state} before the step"
-            shadows.append((state, shadow))
-            left = [(shadow if source == state else source, target) for source, target in left]
-    return shadows, done
+            elements = np.array([self.first[a] + job.next for a in job.reads])
+            clocks = [self._latency(job)]
+            start = self.now
+        ready = self.ready[elements]  # of a group in rising order
+        if ready.max() > start:
+            start = max(start, int((ready - np.arange(len(ready))).max()))
+        while any(start + clock in self.taken for clock in clocks):
+            start += 1
+        return start
+
+    def _row_writes(self, name: str) -> list[int]:
+        """Clocks from the code of a row to what it causes: its own write, and that of the lookup which it asks."""
+        own = [0] if name in self.plan.kept or name in self.outputs else []
+        return own + ([LOOKUP_CLOCKS] if name in self.plan.answers else [])
+
+    def _latency(self, job: Job) -> int:
+        """Clocks from the first read of an element to the write of its result."""
+        o = job.operation
+        if o is None:
+            return WORD
+        return len(job.reads) - 1 + ARGUMENT + (LOOKUP_CLOCKS if isinstance(o, Lookup) else UNIT)
+
+    # -- one piece of a job ------------------------------------------------------------------------------------------
+
+    def _write(self, clock: int, name: str, k: int, source: int, shows: bool = True) -> None:
+        """Write element k of a signal where it is kept, and show it where it is an output."""
+        assert clock not in self.taken, "two results in one clock"
+        self.taken.add(clock)
+        element, kept, shown = self.first[name] + k, name in self.plan.kept, shows and name in self.outputs
+        if kept:
+            self.written[clock] = element
+            self.ready[element] = clock + 1
+        if shown:
+            self.shows[clock] = element
+        self.lines.control(clock, source=source, write=int(kept), show=int(shown))
+        self.lines.notes[clock - CONTROL].append(f"{'write' if kept else 'show'} {name}[{k}]")
+
+    def _read(self, line: int, name: str, k: int) -> None:
+        self.lines.reads[line] = self.first[name] + k
+        self.lines.notes[line].append(f"read {name}[{k}]")
+        self.now = line + 1
+
+    def _samples(self) -> None:
+        """Write the inputs, in their order, as soon as a step begins."""
+        clock = 1 + CONTROL
+        for p in self.program.inputs:
+            for k in range(p.signal.size):
+                self.taken.add(clock)
+                element, shown = self.first[p.signal.name] + k, p.signal.name in self.outputs
+                self.written[clock] = element
+                self.ready[element] = clock + 1
+                if shown:
+                    self.shows[clock] = element
+                self.lines.control(clock, source=SAMPLED, write=1, show=int(shown))
+                self.lines.notes[clock - CONTROL].append(f"write {p.signal.name}[{k}]")
+                clock += 1
+
+    def _copy(self, job: Job, start: int) -> None:
+        """Copy one element to a state, or show it."""
+        k = job.next
+        self._read(start, job.source, k)
+        if job.target:
+            self._write(start + WORD, job.target, k, COPIED, shows=False)
+        else:
+            self.taken.add(start + WORD)
+            self.shows[start + WORD] = self.first[job.source] + k
+            self.lines.control(start + WORD, source=COPIED, show=1)
+        job.next += 1
+
+    def _element(self, job: Job, o: Elementwise, start: int) -> None:
+        """Read the arguments of one element in consecutive clocks, and write what the unit answers."""
+        for i, a in enumerate(o.args):
+            self._read(start + i, a, job.next)
+        if isinstance(o, Lookup) and self.unit[o.out.name] in self.fused:
+            self.lines.control(start + ARGUMENT, stored=1)
+        self._write(start + self._latency(job), o.out.name, job.next, self._source(o.out.name))
+        job.next += 1
+
+    def _group_reads(self, job: Job, o: Affine) -> tuple[np.ndarray, np.ndarray]:
+        """The elements that the next group reads, in the order in which they are ready, and their columns."""
+        cached = self.group_reads.get(job.key)
+        if cached is None or cached[0] != job.next:
+            layer = self.products.layers[o.out.name]
+            words = layer.words[job.next : job.next + self.multipliers]
+            columns = np.flatnonzero(np.any(words != 0, axis=0))
+            columns = columns if columns.size else np.zeros(1, np.int64)
+            arguments = np.concatenate([self.first[a] + np.arange(self.sizes[a]) for a in o.args])
+            elements = arguments[layer.columns[columns]]
+            order = np.argsort(self.ready[elements], kind="stable")
+            cached = job.next, elements[order], columns[order]
+            self.group_reads[job.key] = cached
+        return cached[1:]
+
+    def _group(self, job: Job, o: Affine, start: int) -> None:
+        """Sum a group of rows from a line on, and drain it."""
+        name, layer, row = o.out.name, self.products.layers[o.out.name], job.next
+        elements, columns = self._group_reads(job, o)
+        rows = min(self.multipliers, job.size - row)
+        span = slice(row, row + rows)
+        self.lines.bursts.append((start, elements, layer.words[span, columns], layer.selects[span, columns]))
+        for i in np.flatnonzero(layer.parts[columns]).tolist():
+            self.lines.control(start + i + WORD, part=int(layer.parts[columns[i]]))
+        last = start + len(elements) - 1
+        self.lines.notes[start].append(f"sum {name}[{row}]" + (f"..[{row + rows - 1}]" if rows > 1 else ""))
+        self._sum(start, last, layer.biases[span])
+        for m in range(rows):
+            clock = last + CODE + self.levels + m
+            self.lines.control(clock - 1, mode=layer.modes[row + m])
+            if name in self.plan.kept or name in self.outputs:
+                self._write(clock, name, row + m, DRAINED)
+            if name in self.plan.answers:
+                answer = self.plan.answers[name].out.name
+                self._write(clock + LOOKUP_CLOCKS, answer, row + m, self._source(answer))
+        self.now, self.begins, self.ends = last + 1, start + rows, last + rows
+        job.next += rows
+
+    def _sum(self, start: int, last: int, biases: list[int], lines: Lines | None = None) -> None:
+        """Open the sums of a group that reads from line `start` to line `last`."""
+        lines = lines or self.lines
+        for m in range(len(biases)):
+            lines.control(start + SUM - 1 + m, row=1)
+        if self.multipliers > 1:
+            lines.control(start + SUM, first=1)
+            lines.control(last + SUM, last=1)
+        self.biases += biases
+
+    # -- around the step ---------------------------------------------------------------------------------------------
+
+    def _boot(self) -> Lines:
+        """The lines that write the initial states after a reset: rows without a weight."""
+        lines = Lines()
+        self.boots: list[tuple[int, int]] = []  # line, element
+        line = 0
+        for s in self.program.states:
+            for k, code in enumerate(s.initial):
+                line += 1
+                mode = self._exact(s.signal.fix.width, int(code))
+                bias = (int(code) << self.modes[mode].shift) + int(self.modes[mode].even)
+                self._sum(line, line, [bias], lines)
+                clock = line + CODE + self.levels
+                lines.control(clock - 1, mode=mode)
+                lines.control(clock, source=DRAINED, write=1)
+                lines.notes[clock].append(f"write {s.signal.name}[{k}] = {code}")
+                self.boots.append((clock, self.first[s.signal.name] + k))
+        lines.control(line + CODE + self.levels, done=1)
+        return lines
+
+    def _exact(self, width: int, code: int) -> int:
+        """A mode that gives a code of that width as it is, of those there are the one with the narrowest sum."""
+        fitting = [i for i, m in enumerate(self.modes) if m.width >= width and (m.shift or not m.even)]
+        if not fitting:
+            self.modes.append(Mode(min((m.shift for m in self.modes), default=0), False, width, False))
+            fitting = [len(self.modes) - 1]
+        best = min(fitting, key=lambda i: self.modes[i].shift)
+        self.acc_width = max(self.acc_width, signed_width((abs(code) << self.modes[best].shift) + 1))
+        return best
+
+    def _finished(self, boot: Lines) -> Folding:
+        """The lines of the reset and of the step, with words for elements."""
+        words = np.full(len(self.ready), -1, np.int64)
+        words[[self.written[clock] for clock in sorted(self.written)]] = np.arange(len(self.written))
+        for result, state in self.plan.home.items():
+            own, taken = self._span(state), self._span(result)
+            words[own] = words[taken]
+        size = len(self.written)
+        for s in self.program.states:
+            for element in range(*self._span(s.signal.name).indices(len(words))):
+                if words[element] < 0:
+                    words[element] = size
+                    size += 1
+        for line, element in self.boots:
+            boot.reads[line] = element
+        parts = [lines.arrays(self.multipliers) for lines in (boot, self.lines)]
+        reads, weights, selects, controls = (np.concatenate(pair) for pair in zip(*parts, strict=True))
+        idle = boot.length + CLOSING
+        read = np.zeros(len(reads), bool)
+        for at, lines in ((0, boot), (idle, self.lines)):
+            read[[at + line for line in lines.reads]] = True
+            for start, elements, *_ in lines.bursts:
+                read[at + start : at + start + len(elements)] = True
+        reads = np.where(read, words[reads], 0)
+        notes = dict(boot.notes) | {idle + line: found for line, found in self.lines.notes.items()}
+        order = {element: n for n, element in enumerate(self.shows[clock] for clock in sorted(self.shows))}
+        shown = {name: [order[self.first[name] + k] for k in range(self.sizes[name])] for name in self.outputs}
+        return Folding(
+            products=self.products,
+            multipliers=self.multipliers,
+            modes=tuple(self.modes),
+            acc_width=self.acc_width,
+            reads=reads,
+            words=weights,
+            selects=selects,
+            controls=controls,
+            idle=idle,
+            biases=self.biases,
+            boots=len(self.boots),
+            address={name: words[self._span(name)] for name in self.sizes},
+            size=size,
+            kept=self.plan.kept,
+            shown=shown,
+            units=self.units,
+            fused=self.fused,
+            stored=self.stored,
+            notes=notes,
+        )
+
+    def _span(self, name: str) -> slice:
+        return slice(self.first[name], self.first[name] + self.sizes[name])

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.compiler.emit import emit, emitted
+from greygate.compiler.emit import emit, emitted, sources
 from greygate.compiler.pipeline import Compiled, Pass, compile_network, entropy_pruning, fixed_error
 from greygate.compiler.prune import Round, retrained
 from greygate.compiler.quantize import Formats
@@ -46,6 +46,7 @@ from greygate.files import (
     settle_folder,
     writing,
 )
+from greygate.hardware.replay import replay
 from greygate.hardware.synthesis import synthesize
 from greygate.hardware.verify import Case, Scenario, Verification, stop_tools, verify_many
 from greygate.machines.catalog import CATALOG, entry
@@ -55,7 +56,7 @@ from greygate.models.network import Network
 from greygate.models.training.record import Record
 from greygate.pages.report.study import size
 from greygate.plain import json_text
-from greygate.progress import Progress, silent
+from greygate.progress import Progress, silent, titled
 from greygate.reading import read_json
 from greygate.source import Source
 
@@ -65,6 +66,7 @@ LATER = (  # the files that verify and synthesize add to a build; nothing else w
     r"build/(bench(\.v)?|job\.(json|npz)|verdicts\.json|(verilator|make)\.log|(Vtop|verilat)\w*(\.\w+)+))"
 )
 RETRAIN_EPOCHS = 4
+COUNTED_STEPS = 4  # of a simulation that only counts the clocks between them
 
 
 def compile_project(
@@ -390,13 +392,19 @@ def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[
 
 
 def synthesize_project(
-    project: Project, target: str, clock_rate: bool = False, limit: float | None = None, keep: bool = False
+    project: Project,
+    target: str,
+    clock_rate: bool = False,
+    limit: float | None = None,
+    keep: bool = False,
+    mhz: float | None = None,
+    progress: Progress = silent,
 ) -> dict[str, dict]:
     """Find the resources of each architecture by Yosys (and nextpnr), and add them to resources.json.
 
-    limit: seconds of processor time for each tool; a design that takes longer has the result
-    {"stopped_after_s": limit}. keep: store them in the package too; this raises InputError for a program that is not
-    of the catalogue.
+    clock_rate, mhz, limit: as for `greygate.hardware.synthesis.synthesize`; a design that takes longer than the limit
+    has the result {"stopped_after_s": limit}. With a clock rate come the clocks and the microseconds of a step.
+    keep: store them in the package too; this raises InputError for a program that is not of the catalogue.
 
     >>> sorted(synthesize(project, "ice40"))
     ['folded, ice40', 'parallel, ice40']
@@ -409,12 +417,26 @@ def synthesize_project(
         if edited := project.edited():
             raise InputError(f"{edited[0]}: is not the Verilog of program.json; compile again")
         for architecture in reversed(project.designs):
-            folder = project.folder / "rtl" / architecture
-            found[f"{architecture}, {target}"] = synthesize(folder, project.program.name, target, clock_rate, limit)
+            folder, told = project.folder / "rtl" / architecture, titled(progress, architecture)
+            counts = synthesize(folder, project.program.name, target, clock_rate, limit, mhz, told)
+            if counts.get("clock_mhz"):
+                clocks = clocks_per_step(project, architecture, told)
+                counts |= {"clocks": clocks, "us_per_step": clocks / counts["clock_mhz"]}
+            found[f"{architecture}, {target}"] = counts
         _write_json(project.folder / "resources.json", found)
     if keep:
         _write_json(_kept(name), {"size": size(project.program), "resources": found})
     return found
+
+
+def clocks_per_step(project: Project, architecture: str, progress: Progress = silent) -> float:
+    """Clocks that a step takes: as the last verification counted them, or as a simulation of a few steps does."""
+    verified = (project.hardware or {}).get(architecture, {}).get("clocks_per_step")
+    if verified is not None:
+        return verified
+    steps = np.zeros((COUNTED_STEPS, sum(p.signal.size for p in project.program.inputs)), np.int64)
+    files = sources(project.folder / "rtl" / architecture, project.program.name)
+    return replay(files, project.program, steps, run(project.program, steps).outputs, progress=progress).clocks
 
 
 def _write_json(path: Path, value: object) -> None:

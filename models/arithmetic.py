@@ -56,3 +56,60 @@ def _sums(values):  # pragma: no cover - compiled
         for j in range(values.shape[1]):
             total[j] += values[k, j]
     return total
+
+
+@numba.njit(cache=True, nogil=True)
+def gram(a):  # pragma: no cover - compiled
+    """a.T @ a of a matrix (n, k): terms added one after the other, four rows at a time."""
+    n, k = a.shape
+    total = np.zeros((k, k))
+    for r in range(0, n - 3, 4):
+        for i in range(k):
+            x0, x1, x2, x3 = a[r, i], a[r + 1, i], a[r + 2, i], a[r + 3, i]
+            if x0 == 0.0 and x1 == 0.0 and x2 == 0.0 and x3 == 0.0:
+                continue
+            for j in range(i, k):
+                total[i, j] += x0 * a[r, j] + x1 * a[r + 1, j] + x2 * a[r + 2, j] + x3 * a[r + 3, j]
+    for r in range(n - n % 4, n):
+        for i in range(k):
+            for j in range(i, k):
+                total[i, j] += a[r, i] * a[r, j]
+    for i in range(k):
+        for j in range(i):
+            total[i, j] = total[j, i]
+    return total
+
+
+@numba.njit(cache=True, nogil=True)
+def inverse(a):  # pragma: no cover - compiled
+    """The inverse of a symmetric matrix (k, k) by Cholesky; all NaN if it is not positive definite."""
+    k = len(a)
+    low = np.zeros((k, k))  # L, then its inverse
+    for j in range(k):
+        for i in range(j, k):
+            s = a[i, j]
+            for m in range(j):
+                s -= low[i, m] * low[j, m]
+            if i == j:
+                if not s > 0.0:
+                    return np.full((k, k), np.nan)
+                low[j, j] = np.sqrt(s)
+            else:
+                low[i, j] = s / low[j, j]
+    turned = np.zeros((k, k))  # turned[j] is column j of the inverse of L
+    for j in range(k):
+        turned[j, j] = 1.0 / low[j, j]
+        for i in range(j + 1, k):
+            s = 0.0
+            for m in range(j, i):
+                s -= low[i, m] * turned[j, m]
+            turned[j, i] = s / low[i, i]
+    found = np.zeros((k, k))
+    for i in range(k):
+        for j in range(i + 1):
+            s = 0.0
+            for m in range(i, k):
+                s += turned[i, m] * turned[j, m]
+            found[i, j] = s
+            found[j, i] = s
+    return found

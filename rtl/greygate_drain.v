@@ -1,58 +1,59 @@
-// Drain: requantize with a shift, a rounding and an output width that are chosen from clock to clock.
-// docs/integer-program.md, "Numbers". First clock: round and shift; then, combinational: saturate or wrap.
+// Drain: bring a sum, to which the rounding constant has been added, to one of few formats.
+// docs/integer-program.md, "Numbers". One clock from a and mode to y.
+// A tie that goes to even is seen by the bits that are dropped: with the constant added they are all 0.
 
 `default_nettype none
 
 module greygate_drain #(
-    parameter IN_W = 40,    // width of the accumulator; the rounding constant must not overflow it
-    parameter OUT_W = 16,   // width of the widest output format
-    parameter SHIFT_W = 6,  // width of the shift
-    parameter LEFT = 0,     // the largest shift to the left
-    parameter WIDTH_W = 6   // width of `width`
+    parameter IN_W = 40,   // width of the sum
+    parameter OUT_W = 16,  // width of the widest format
+    parameter MODES = 1,   // ways to drain
+    parameter MODE_W = 1,  // width of `mode`
+    parameter [MODES*8-1:0] SHIFTS = 0,        // bits dropped in each mode, that of mode 0 lowest
+    parameter [MODES*8-1:0] WIDTHS = {MODES{8'd16}},  // width of the format
+    parameter [MODES-1:0] EVEN = 0,            // 1: a tie goes to even
+    parameter [MODES-1:0] WRAPS = 0            // 1: the low bits are kept, 0: the result saturates
 ) (
-    input  wire                      clk,
-    input  wire signed [   IN_W-1:0] a,
-    input  wire signed [SHIFT_W-1:0] shift,     // fraction bits dropped; negative: zeros appended
-    input  wire        [        1:0] rounding,  // 0 truncate, 1 half up, 2 half even
-    input  wire        [WIDTH_W-1:0] width,     // one clock later: width of the output format, in bits
-    input  wire                      saturate,  // one clock later: 1 saturate, 0 wrap
-    output wire signed [  OUT_W-1:0] y
+    input  wire                     clk,
+    input  wire signed [  IN_W-1:0] a,
+    input  wire        [MODE_W-1:0] mode,
+    output reg  signed [ OUT_W-1:0] y
 );
 
-    localparam W = (IN_W + LEFT > OUT_W ? IN_W + LEFT : OUT_W) + 1;  // holds every value below
-    localparam signed [W-1:0] ONE = {{W - 1{1'b0}}, 1'b1};
+    localparam W = IN_W > OUT_W ? IN_W : OUT_W;
+    localparam [W-1:0] ONES = {W{1'b1}};
 
-    function automatic signed [W-1:0] rounded(
-        input signed [IN_W-1:0] code, input signed [SHIFT_W-1:0] by, input [1:0] how
-    );
-        reg signed [W-1:0] v, half;
-        reg [SHIFT_W-1:0] right, left;
+    function automatic [OUT_W-1:0] drained(input signed [IN_W-1:0] sum, input [MODE_W-1:0] how);
+        integer k;
+        reg signed [W-1:0] v, q;
+        reg [W-1:0] above;  // the bits that hold only copies of the sign
+        reg tie, wraps, fits, sign;
         begin
-            right = by[SHIFT_W-1] ? {SHIFT_W{1'b0}} : by;
-            left = by[SHIFT_W-1] ? -by : {SHIFT_W{1'b0}};
-            v = {{W - IN_W{code[IN_W-1]}}, code};
-            half = right == 0 ? {W{1'b0}} : ONE <<< (right - 1'b1);
-            if (how == 2'd1) v = v + half;
-            if (how == 2'd2 && right != 0) v = v + half - ONE + ((v >>> right) & ONE);
-            rounded = (v >>> right) <<< left;
+            v = {{W - IN_W + 1{sum[IN_W-1]}}, sum[IN_W-2:0]};
+            q = v >>> SHIFTS[0+:8];
+            above = ONES << (WIDTHS[0+:8] - 8'd1);
+            tie = EVEN[0] && (v & ~(ONES << SHIFTS[0+:8])) == {W{1'b0}};
+            wraps = WRAPS[0];
+            for (k = 1; k < MODES; k = k + 1)
+                if (how == k[MODE_W-1:0]) begin
+                    q = v >>> SHIFTS[k*8+:8];
+                    above = ONES << (WIDTHS[k*8+:8] - 8'd1);
+                    tie = EVEN[k] && (v & ~(ONES << SHIFTS[k*8+:8])) == {W{1'b0}};
+                    wraps = WRAPS[k];
+                end
+            if (tie) q[0] = 1'b0;
+            fits = (q & above) == {W{1'b0}} || (~q & above) == {W{1'b0}};
+            sign = wraps ? |(q & above & ~(above << 1)) : q[W-1];
+            if (!fits && !wraps) q = {W{~sign}};
+            q = sign ? q | above : q & ~above;
+            drained = q[OUT_W-1:0];
         end
     endfunction
 
-    reg signed [W-1:0] rounded_reg;
-    always @(posedge clk) rounded_reg <= rounded(a, shift, rounding);
-
-    // The result fits if all bits from the sign of the format upwards are equal.
-    wire signed [W-1:0] above = rounded_reg >>> (width - 1'b1);
-    wire fits = &above || ~|above;
-    wire signed [W-1:0] ones = {W{1'b1}} <<< (width - 1'b1);  // the least code of the format
-    wire sign = saturate ? rounded_reg[W-1] : above[0];
-    wire signed [W-1:0] fitted = saturate && !fits ? (sign ? ones : ~ones) : (sign ? rounded_reg | ones : rounded_reg & ~ones);
-    wire unused = &{1'b0, fitted[W-1:OUT_W]};  // copies of the sign
-
-    assign y = fitted[OUT_W-1:0];
+    always @(posedge clk) y <= drained(a, mode);
 
     generate
-        if (IN_W < 2 || OUT_W < 2 || SHIFT_W < 2 || LEFT < 0 || WIDTH_W < 2) begin : check
+        if (IN_W < 2 || OUT_W < 2 || MODES < 1 || MODE_W < 1) begin : check
             greygate_drain_parameters_are_illegal illegal ();
         end
     endgenerate

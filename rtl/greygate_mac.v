@@ -1,36 +1,58 @@
-// Multiply-accumulate: acc = bias + w[0] x[0] + w[1] x[1] + ..., exact. Two clocks from x to acc.
+// Multiply-accumulate: acc = bias + sum of (word x << shift), exact. A shift is BASE and the stages that `select` names.
+// Four clocks from x and word to acc; `select` comes one clock after them, `first` and `bias` three.
 
 `default_nettype none
 
 module greygate_mac #(
-    parameter X_W = 16,       // width of a code
-    parameter WEIGHT_W = 16,  // width of a weight
-    parameter ACC_W = 40      // width of the sum; proved from the formats that no sum overflows it
+    parameter X_W = 16,      // width of a code, or of a part of it
+    parameter WORD_W = 16,   // width of a word of a weight
+    parameter ACC_W = 40,    // width of the sum; proved from the formats that no sum overflows it
+    parameter BASE = 0,      // the least shift
+    parameter STAGES = 1,    // stages of shifts beyond it
+    parameter [STAGES*8-1:0] AMOUNTS = 0  // the shift of each stage, that of stage 0 lowest
 ) (
-    input  wire                       clk,
-    input  wire signed [     X_W-1:0] x,
-    input  wire signed [WEIGHT_W-1:0] weight,
-    input  wire                       first,  // the product before this clock opens a sum: start at bias
-    input  wire                       next,   // the product before this clock is one of a sum
-    input  wire signed [   ACC_W-1:0] bias,
-    output reg  signed [   ACC_W-1:0] acc
+    input  wire                     clk,
+    input  wire signed [   X_W-1:0] x,
+    input  wire signed [WORD_W-1:0] word,
+    input  wire        [STAGES-1:0] select,
+    input  wire                     first,  // the product opens a sum: start at bias
+    input  wire signed [ ACC_W-1:0] bias,
+    output reg  signed [   X_W-1:0] x_reg,  // the code of the clock before, for the next multiplier
+    output reg  signed [ ACC_W-1:0] acc
 );
 
-    localparam P = X_W + WEIGHT_W;
-    localparam W = (P > ACC_W ? P : ACC_W) + 1;
+    localparam P = X_W + WORD_W;
+    localparam W = P > ACC_W ? P : ACC_W;
 
-    reg signed [P-1:0] product_reg;
-    wire signed [W-1:0] sum = {{W - P{product_reg[P-1]}}, product_reg}
-        + (first ? {{W - ACC_W{bias[ACC_W-1]}}, bias} : {{W - ACC_W{acc[ACC_W-1]}}, acc});
-    wire unused = &{1'b0, sum[W-1:ACC_W]};  // copies of the sign
+    reg signed [WORD_W-1:0] word_reg;
+    reg        [STAGES-1:0] select_reg;
+    reg signed [     P-1:0] product_reg;
+    reg signed [ ACC_W-1:0] shifted_reg;
+
+    function automatic signed [W-1:0] shifted(input signed [P-1:0] product, input [STAGES-1:0] stages);
+        integer k;
+        begin
+            shifted = {{W - P + 1{product[P-1]}}, product[P-2:0]} <<< BASE;
+            for (k = 0; k < STAGES; k = k + 1) if (stages[k]) shifted = shifted <<< AMOUNTS[k*8+:8];
+        end
+    endfunction
+
+    wire signed [W-1:0] wide = shifted(product_reg, select_reg);
 
     always @(posedge clk) begin
-        product_reg <= {{WEIGHT_W{x[X_W-1]}}, x} * {{X_W{weight[WEIGHT_W-1]}}, weight};
-        if (first || next) acc <= sum[ACC_W-1:0];
+        x_reg <= x;
+        word_reg <= word;
+        product_reg <= x_reg * word_reg;
+        select_reg <= select;
+        shifted_reg <= wide[ACC_W-1:0];
+        acc <= (first ? bias : acc) + shifted_reg;
     end
 
     generate
-        if (X_W < 2 || WEIGHT_W < 2 || ACC_W < 2) begin : check
+        if (W > ACC_W) begin : wider
+            wire unused = &{1'b0, wide[W-1:ACC_W]};  // copies of the sign
+        end
+        if (X_W < 2 || WORD_W < 2 || ACC_W < 2 || BASE < 0 || STAGES < 1) begin : check
             greygate_mac_parameters_are_illegal illegal ();
         end
     endgenerate

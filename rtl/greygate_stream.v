@@ -1,5 +1,6 @@
 // Stream: the AXI4-Stream edge of a core that works on one sample at a time.
 // Takes a beat, raises start, waits for done, gives a beat. A reset drops a sample under way.
+// The clock in which a result is taken may bring the next sample.
 
 `default_nettype none
 
@@ -24,21 +25,23 @@ module greygate_stream #(
 
     reg busy_reg;
 
-    assign s_axis_tready = ready && !busy_reg && !rst;
+    wire taken = m_axis_tvalid && m_axis_tready;
+
+    assign s_axis_tready = ready && (!busy_reg || taken) && !rst;
 
     always @(posedge clk) begin
         start <= s_axis_tvalid && s_axis_tready;
-        if (s_axis_tvalid && s_axis_tready) begin
-            sample <= s_axis_tdata;
-            busy_reg <= 1'b1;
-        end
         if (done) begin
             m_axis_tdata <= result;
             m_axis_tvalid <= 1'b1;
         end
-        if (m_axis_tvalid && m_axis_tready) begin
+        if (taken) begin
             m_axis_tvalid <= 1'b0;
             busy_reg <= 1'b0;
+        end
+        if (s_axis_tvalid && s_axis_tready) begin
+            sample <= s_axis_tdata;
+            busy_reg <= 1'b1;
         end
         if (rst) begin
             start <= 1'b0;

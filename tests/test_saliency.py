@@ -19,6 +19,7 @@ from greygate.compiler.saliency import (
     unit_obs,
 )
 from greygate.compiler.simplify import fold_constants, parameter_count
+from greygate.compiler.targets import Design
 from greygate.compiler.targets.folded import folded
 from greygate.compiler.targets.parallel import parallel
 from greygate.emulator.engine import run
@@ -275,7 +276,9 @@ def terms(network: Network, record: Record) -> tuple[int, int, int]:
     """Products in the text of the parallel architecture; weights and lines in the schedule of the folded one."""
     program = compile_network(network, {"record": record}).program
     sums = "".join(re.sub("//.*", "", text) for text in parallel(program).values())
-    schedule = next(text for name, text in folded(program, 1).items() if name.endswith("schedule.v"))
+    schedule = next(
+        text for name, text in folded(program, Design(multipliers=1)).items() if name.endswith("schedule.v")
+    )
     lines = re.findall(r"^ *rom\[\d+\] = .*'sd(\d+)};", schedule, re.M)
     return len(re.findall(r"'sd\d+ \* \w+|<<<", sums)), sum(int(w) != 0 for w in lines), len(lines)
 

@@ -41,10 +41,10 @@ def test_every_target_writes_every_program(name):
         assert (f"{program.name}.f" in texts) == isinstance(target(name), Architecture)
 
 
-@pytest.mark.parametrize("name", BOTH)
+@pytest.mark.parametrize("name", [*BOTH, "serial"])
 def test_an_architecture_has_a_register_for_each_code_of_the_states(name):
     for program in (cylinder_program(), random_program(3)):
-        registers = target(name).registers(program)
+        registers = target(name).registers(program, Design())
         assert len(set(registers)) == len(registers) == sum(s.signal.size for s in program.states)
 
 

@@ -79,11 +79,12 @@ class Target:
 class Architecture(Target):
     """A target in Verilog. `emit` adds the building blocks of rtl/ and the list of sources, Verilator simulates it.
 
-    registers: program -> one register for each element of the states, in the order of the program. clocks: (program,
-    design) -> clocks from one sample to the next where the bench never waits; a target without it is not explored.
+    registers: (program, design) -> one register for each element of the states, in the order of the program. clocks:
+    (program, design) -> clocks from one sample to the next where the bench never waits; a target without it is not
+    explored.
     """
 
-    registers: Callable[["Program"], list[Register]]
+    registers: Callable[["Program", Design], list[Register]]
     clocks: Callable[["Program", Design], int] | None = None
 
 

@@ -1,9 +1,11 @@
 """The folded architecture: few multipliers, one memory of codes, and a schedule in ROM that controls every clock.
 
-The datapath is drawn from left to right. The fields of a line of the schedule act in the clock of that line:
+The datapath is drawn from left to right:
 
-    read ─ x ┬─ multiply-accumulate (weights, first, next, bias) ─ hold ─ pick ─ round ─ fit ─┬─ write
-             └─ tables, clamps, thresholds, selects, copy ────────────────────────────────────┘
+    samples ──────────────────────────────────────────────────────────────┐
+    memory ─ word ┬─ part ─ multiply ─ shift ─ add ─ drain ┬──────────────┼─ y ─ memory, results
+                  │         (words, selects, biases)       └─ tables ─────┤
+                  └─ clamps, thresholds, selects, tables, copies ─────────┘
 
 compiler/schedule.py makes the schedule; this module writes the datapath and its ROMs.
 """
@@ -13,7 +15,8 @@ from functools import cached_property
 
 import numpy as np
 
-from greygate.compiler.schedule import COPY, Folding, fold
+from greygate.compiler.products import PLAIN, Mode
+from greygate.compiler.schedule import COPIED, FIELDS, NEAR, SAMPLED, UNITS, Folding, fold
 from greygate.compiler.targets import MULTIPLIERS, Architecture, Design, Register
 from greygate.compiler.verilog import (
     header,
@@ -26,48 +29,44 @@ from greygate.compiler.verilog import (
     result_text,
     sign_extended,
     small_operation,
-    stream_instance,
     table_texts,
     top_ports,
     unused_bits,
     unused_text,
     verilog_names,
-    wrapped,
 )
-from greygate.emulator.program import Affine, Program, Select, signed_width
+from greygate.emulator.program import Program, Select
 from greygate.errors import InputError
 
-EDGES = 3  # clocks that the streams and the inputs take beside the schedule
+REMARKED = 4096  # lines of a ROM up to which each says what it does
 
 
-def folded(program: Program, macs: int) -> dict[str, str]:
+def folded(program: Program, design: Design) -> dict[str, str]:
     """File name -> text of the folded architecture, without the building blocks."""
-    if macs not in MULTIPLIERS:
-        raise InputError(f"{macs} multipliers are not in {MULTIPLIERS.start}..{MULTIPLIERS.stop - 1}")
+    multipliers = design.multipliers
+    if multipliers not in MULTIPLIERS:
+        raise InputError(f"{multipliers} multipliers are not in {MULTIPLIERS.start}..{MULTIPLIERS.stop - 1}")
     verilog_names(program)
-    core = _Core(program, macs, fold(program, macs))
+    core = _Core(program, fold(program, multipliers))
     return {
         f"{program.name}.v": core.top(),
         f"{program.name}__schedule.v": core.schedule_rom(),
         f"{program.name}__biases.v": core.biases_rom(),
-    } | table_texts(program)
+    } | table_texts(program, design.memory)
 
 
-def registers(program: Program) -> list[Register]:
-    """States take the first words of the memory, in order."""
-    return [Register(f"memory[{k}]", alone=True) for k in range(sum(s.signal.size for s in program.states))]
+def registers(program: Program, design: Design) -> list[Register]:
+    """States stand in words of the memory."""
+    address = fold(program, design.multipliers).address
+    return [Register(f"memory[{word}]", alone=True) for s in program.states for word in address[s.signal.name].tolist()]
 
 
 def clocks(program: Program, design: Design) -> int:
-    """Clocks from one sample to the next."""
-    return len(fold(program, design.multipliers).schedule.lines) + EDGES
+    """Clocks of a step: the lines of the schedule."""
+    return fold(program, design.multipliers).clocks
 
 
-TARGET = Architecture(
-    lambda program, design: folded(program, design.multipliers) | table_texts(program, design.memory),
-    registers,
-    clocks,
-)
+TARGET = Architecture(folded, registers, clocks)
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,6 @@ class _Core:
     """A folded program, and the Verilog of each part of its datapath."""
 
     program: Program
-    macs: int
     folding: Folding
 
     # -- widths ------------------------------------------------------------------------------------------------------
@@ -83,281 +81,408 @@ class _Core:
     @cached_property
     def widths(self) -> dict[str, int]:
         """Widths of the datapath and of the fields of a line."""
-        program = self.program
-        affine = [o for o in program.operations if isinstance(o, Affine)]
-        beyond = max(sum(p.signal.size for p in program.inputs), sum(p.signal.size for p in program.outputs))
-        shifts = [int(s) - o.out.fix.frac for o in affine for s in o.frac] or [0]
+        program, f = self.program, self.folding
+        kept = [s.fix.width for s in program.signals.values() if s.name in f.kept]
+        shown = [p.signal.fix.width for p in program.outputs]
         return {
-            "code": max(s.fix.width for s in program.signals.values()),
-            "weight": max([2, *(signed_width(int(np.abs(o.weights).max(initial=0))) for o in affine)]),
-            "acc": max([2, *(program.accumulator_width(o) for o in affine)]),
-            "address": bits(self.folding.words + beyond - 1),
-            "group": bits(len(self.folding.groups) - 1),
-            "pick": bits(self.macs - 1),
-            "shift": max(2, *(signed_width(s) for s in map(abs, shifts)), 2),
-            "left": max(0, -min(shifts)),
-            "width": 6,
-            "source": bits(COPY + len(self.folding.units)),
-            "pc": bits(len(self.folding.schedule.lines) - 1),
+            "code": max([2, *kept]),  # of the memory
+            "y": max([2, *kept, *shown]),
+            "shown": max(shown),
+            "input": max(p.signal.fix.width for p in program.inputs),
+            "drained": max([2, *(m.width for m in f.modes)]),
+            "address": bits(f.size - 1),
+            "bias": bits(len(f.biases) - 1),
+            "pc": bits(len(f.reads) - 1),
+            "select": max(1, len(f.products.stages)),
+            "word": f.products.word_width,
+            "acc": f.acc_width,
+            "x": f.products.x_width,
         }
+
+    @cached_property
+    def controls(self) -> dict[str, int]:
+        """Width of each field of the control that is used at all, from left to right."""
+        largest = self.folding.controls.max(axis=0).tolist()
+        found = {name: bits(most) for name, most in zip(FIELDS, largest, strict=True) if most}
+        always = ["source", "mode", "row"] + ["first", "last"] * (self.folding.multipliers > 1)
+        return found | {name: 1 for name in always if name not in found}
+
+    @cached_property
+    def codes(self) -> tuple[np.ndarray, np.ndarray]:
+        """The different values of the control, idle first, and the number of the one in each line."""
+        values, codes = np.unique(self.folding.controls, axis=0, return_inverse=True)
+        return values, codes.reshape(-1)
+
+    def constant(self, what: str, value: int) -> str:
+        """An unsigned constant of that width."""
+        return f"{self.widths[what]}'d{value}"
+
+    def extended(self, name: str, width: int, to: int) -> str:
+        """The low bits of a signed vector of `width` bits, extended or cut to `to` bits."""
+        if width >= to:
+            return name if width == to else f"{name}[{to - 1}:0]"
+        return sign_extended(name, 0, width, to)
+
+    # -- the ROMs ----------------------------------------------------------------------------------------------------
 
     @cached_property
     def fields(self) -> list[tuple[str, int, bool]]:
         """(name, width, signed) of the fields of a line, from left to right."""
-        w = self.widths
-        flags = [(n, 1, False) for n in ("last", "enable")]
-        head = [("source", w["source"], False), ("write", w["address"], False)]
-        drain = [("saturate", 1, False), ("width", w["width"], False), ("rounding", 2, False)]
-        middle = [("shift", w["shift"], True), ("pick", w["pick"], False)]
-        middle += [(n, 1, False) for n in ("hold", "next", "first")]
-        tail = [("group", w["group"], False), ("read", w["address"], False)]
-        return flags + head + drain + middle + tail + [(f"weight_{m}", w["weight"], True) for m in range(self.macs)]
+        w, several = self.widths, range(self.folding.multipliers)
+        found = [("code", bits(len(self.codes[0]) - 1), False), ("read", w["address"], False)]
+        if self.folding.products.stages:
+            found += [(f"select_{m}", w["select"], False) for m in several]
+        return found + [(f"word_{m}", w["word"], True) for m in several]
 
-    def constant(self, what: str, value: int) -> str:
-        """An unsigned constant as wide as that field."""
-        return f"{self.widths[what]}'d{value}"
-
-    def code(self, name: str, low: int, width: int) -> str:
-        """The code at bit `low` of a vector, extended to the width of the memory's words."""
-        return sign_extended(name, low, width, self.widths["code"])
-
-    # -- the ROMs ----------------------------------------------------------------------------------------------------
+    def columns(self) -> dict[str, np.ndarray]:
+        """Field of a line -> its values."""
+        f = self.folding
+        found = {"code": self.codes[1], "read": f.reads}
+        for m in range(f.multipliers):
+            found |= {f"select_{m}": f.selects[:, m], f"word_{m}": f.words[:, m]}
+        return found
 
     def schedule_rom(self) -> str:
-        lines, notes = self.folding.schedule.lines, self.folding.schedule.notes
-        rows = []
-        for t, line in enumerate(lines):
-            values = [number(line.get(n, 0), k) if s else f"{k}'d{line.get(n, 0)}" for n, k, s in self.fields]
-            rows.append(f"rom[{t}] = {{{', '.join(values)}}};  {remark('; '.join(notes[t]) or 'idle')}")
+        f = self.folding
+        given = self.columns()
+        rows = rom_rows([(given[name], k, s) for name, k, s in self.fields], f.notes)
+        width = sum(k for _, k, _ in self.fields)
         ports = [f"    input  wire clk,\n    input  wire [{self.widths['pc'] - 1}:0] pc"]
         ports += [f"    output wire {'signed ' if s else ''}[{k - 1}:0] {n}" for n, k, s in self.fields]
         comment = [
-            f"Schedule of {self.program.name}: what every clock of a step does. {len(lines)} lines, line 0 is idle.",
-            "Fields from left to right as in the assignment to them below.",
+            f"Schedule of {self.program.name}: {f.idle} lines that write the initial states, and those of a step.",
+            f"Its multipliers make {f.products.count} products in {f.clocks} clocks: {f.utilisation:.0%} of what they"
+            " could.",
+            "Fields of a line from left to right: " + ", ".join(n for n, _, _ in self.fields) + ".",
         ]
-        *others, last = (n for n, _, _ in self.fields)
-        named = wrapped([*(f"{n}," for n in others), last], "        ")
-        assign = f"    assign {{\n{named}\n    }} = line;\n"
-        width = sum(k for _, k, _ in self.fields)
-        return rom_text(comment, f"{self.program.name}__schedule", ",\n".join(ports), width, rows, "pc", assign)
+        out = f"    assign {{{', '.join(n for n, _, _ in self.fields)}}} = line;\n"
+        return rom_text(comment, f"{self.program.name}__schedule", ",\n".join(ports), width, rows, "pc", out)
 
     def biases_rom(self) -> str:
-        acc, width = self.widths["acc"], self.macs * self.widths["acc"]
-        groups = self.folding.groups + [("no rows", [])] * (2 - len(self.folding.groups))
-        rows = []
-        for g, (label, biases) in enumerate(groups):
-            values = [number(b, acc) for b in [*biases, *[0] * (self.macs - len(biases))]]
-            rows.append(f"rom[{g}] = {{{', '.join(reversed(values))}}};  {remark(label)}")
-        ports = f"    input  wire clk,\n    input  wire [{self.widths['group'] - 1}:0] group,\n"
+        f, width = self.folding, self.widths["acc"]
+        rows = [f"{number(b, width)};" for b in f.biases] or [f"{width}'sd0;"]
+        ports = f"    input  wire clk,\n    input  wire [{self.widths['bias'] - 1}:0] index,\n"
         ports += f"    output wire [{width - 1}:0] bias"
-        comment = [f"Biases of {self.program.name}, a group of {self.macs} rows a line, the first row on the right."]
+        comment = [
+            f"Biases of {self.program.name} with their rounding constants, in the order in which the rows begin;"
+            f" {f.boots} initial states first."
+        ]
         name = f"{self.program.name}__biases"
-        return rom_text(comment, name, ports, width, rows, "group", "    assign bias = line;\n")
+        return rom_text(comment, name, ports, width, rows, "index", "    assign bias = line;\n")
 
     # -- the datapath ------------------------------------------------------------------------------------------------
 
     def top(self) -> str:
-        ports, width_in, width_out = top_ports(self.program)
-        parts = (self.counter, self.memory, self.boot, self.argument, self.multipliers, self.units, self.outputs)
+        ports, _, _ = top_ports(self.program)
+        parts = (self.edge, self.counter, self.control, self.memory, self.multipliers, self.units, self.results)
         body = f"""\
 module {self.program.name} (
 {ports}
 );
-
-    wire [{width_in - 1}:0] sample;
-    wire [{width_out - 1}:0] result;
-    wire start;
 {"".join(part() for part in parts)}"""
-        head = header(self.program, f"folded ({self.macs} multipliers)")
-        return module_text(head, body + stream_instance(width_in, width_out, "booted"))
+        f = self.folding
+        head = header(self.program, f"folded ({f.multipliers} multipliers, {f.clocks} clocks a step)")
+        return module_text(head, body)
+
+    def edge(self) -> str:
+        """The handshakes, and the sample: element by element it moves down to bit 0, from where it is written."""
+        w, slices = self.widths["input"], input_slices(self.program)
+        lanes = [sign_extended("s_axis_tdata", low, s.fix.width, w) for s, _, low in slices]
+        loaded = ",\n".join(f"            {lane}" for lane in reversed(lanes))
+        rest = f"{{{w}'d0, sample[{len(lanes) * w - 1}:{w}]}}" if len(lanes) > 1 else ""
+        shift = f"\n        else if (write && source == {self.source(SAMPLED)}) sample <= {rest};" if rest else ""
+        unread = unused_text(
+            [b.replace("sample", "s_axis_tdata") for b in unused_bits(self.program)], "  // sign extensions"
+        )
+        regs = "".join(f"    reg {f'[{k - 1}:0] ' if k > 1 else ''}{n};\n" for n, k in self.controls.items())
+        return f"""
+    // the control: what happens in a clock
+{regs}
+    // a step runs from the sample to the result; a reset lasts two clocks, and the initial states are written after it
+    reg reset_last, running, booting, finished;
+    wire clear = rst || reset_last;
+    wire go = s_axis_tvalid && s_axis_tready;
+    assign s_axis_tready = !running && !finished && !rst;
+    assign m_axis_tvalid = finished;
+
+    always @(posedge clk) begin
+        reset_last <= rst;
+        if (go) running <= 1'b1;
+        if (m_axis_tready) finished <= 1'b0;
+        if (done) begin
+            running <= 1'b0;
+            booting <= 1'b0;
+            finished <= !booting;
+        end
+        if (clear) begin
+            running <= 1'b1;
+            booting <= 1'b1;
+            finished <= 1'b0;
+        end
+    end
+
+    reg [{len(lanes) * w - 1}:0] sample;
+    always @(posedge clk)
+        if (go) sample <= {{
+{loaded}
+        }};{shift}
+{unread}"""
 
     def counter(self) -> str:
-        """The counter of the line of the schedule that acts."""
-        last = self.widths["pc"] - 1
-        zero, one = (self.constant("pc", n) for n in (0, 1))
-        final = self.constant("pc", len(self.folding.schedule.lines) - 1)
-        wires = "".join(f"    wire {'signed ' if signed else ''}[{k - 1}:0] {n};\n" for n, k, signed in self.fields)
+        """The counters of the lines, of the words that are written and of the biases."""
+        w = self.widths
+        wires = "".join(f"    wire {'signed ' if s else ''}[{k - 1}:0] {n};\n" for n, k, s in self.fields)
         ends = {"clk": "clk", "pc": "pc"} | {n: n for n, _, _ in self.fields}
+        idle, one = self.constant("pc", self.folding.idle), self.constant("pc", 1)
         return f"""
-    // the schedule: one line a clock; line 0 is idle
-{wires}    reg booted;
-    wire done = last && booted;
-    reg [{last}:0] pc;
+    // the schedule: one line a clock; a step waits at line {self.folding.idle}
+{wires}    reg [{w["pc"] - 1}:0] pc;
     always @(posedge clk)
-        if (rst) pc <= {zero};
-        else if (start) pc <= {one};
-        else if (pc != {zero}) pc <= pc == {final} ? {zero} : pc + {one};
+        if (clear) pc <= {self.constant("pc", 0)};
+        else if (done || !(running || go)) pc <= {idle};
+        else pc <= pc + {one};
 
-{instance(f"{self.program.name}__schedule", "schedule", {}, ends)}"""
+{instance(f"{self.program.name}__schedule", "schedule", {}, ends)}
+    // results are written to one word after the other, initial states where `read` says
+    reg [{w["address"] - 1}:0] written;
+    always @(posedge clk)
+        if (go) written <= {self.constant("address", 0)};
+        else if (write) written <= written + {self.constant("address", 1)};
+
+    // and rows take one bias after the other
+    reg [{w["bias"] - 1}:0] index;
+    wire [{w["acc"] - 1}:0] bias;
+    always @(posedge clk)
+        if (clear) index <= {self.constant("bias", 0)};
+        else if (go) index <= {self.constant("bias", self.folding.boots % (1 << w["bias"]))};
+        else if (row) index <= index + {self.constant("bias", 1)};
+
+{instance(f"{self.program.name}__biases", "biases", {}, {"clk": "clk", "index": "index", "bias": "bias"})}"""
+
+    def control(self) -> str:
+        """The control: what the code of a line stands for."""
+        values, _ = self.codes
+        names, width = list(self.controls), sum(self.controls.values())
+        places = [FIELDS.index(n) for n in names]
+        code = bits(len(values) - 1)
+        cases = ""
+        for n, value in enumerate(values.tolist()):
+            if n:
+                parts = ", ".join(f"{self.controls[name]}'d{value[i]}" for name, i in zip(names, places, strict=True))
+                cases += f"            {code}'d{n}: {{{', '.join(names)}}} <= {{{parts}}};\n"
+        return f"""
+    // what the code of a line stands for
+    always @(posedge clk)
+        if (clear) {{{", ".join(names)}}} <= {width}'d0;
+        else
+            case (code)
+{cases.replace("            ", "                ")}                default: {{{", ".join(names)}}} <= {width}'d0;
+            endcase
+"""
+
+    def source(self, value: int) -> str:
+        return f"{self.controls['source']}'d{value}"
 
     def memory(self) -> str:
         """The memory, with the content of each word."""
-        code, address = self.widths["code"] - 1, self.widths["address"]
+        f, w = self.folding, self.widths
+        code, address = w["code"], w["address"]
         held = ""
-        for s in [*(s.signal for s in self.program.states), *(o.out for o in self.program.operations)]:
-            first = self.folding.address[s.name]
-            last = f"..{first + s.size - 1}" if s.size > 1 else ""
-            held += f"    {remark(f'{first}{last}: {s.name}, {s.size} x {s.fix}')}\n"
+        for s in [
+            *(p.signal for p in self.program.inputs),
+            *(o.out for o in self.program.operations),
+            *(s.signal for s in self.program.states),
+        ]:
+            if s.name in f.kept and s.size:
+                words = ", ".join(map(str, f.address[s.name][:8].tolist())) + (", ..." if s.size > 8 else "")
+                held += f"    {remark(f'{s.name}, {s.size} x {s.fix}: {words}')}\n"
         return f"""
-    // the memory: states first, then results; after a reset the initial states are written
-{held}    reg signed [{code}:0] memory[0:{(1 << address) - 1}];
-    reg [{address - 1}:0] boot;
-    reg signed [{code}:0] initial_code;
-    reg signed [{code}:0] y;
-"""
-
-    def boot(self) -> str:
-        """The writes to the memory: the initial states after a reset, and the results of a step."""
-        code = self.widths["code"]
-        zero, one = (self.constant("address", n) for n in (0, 1))
-        initial = [(f"{s.signal.name}[{k}]", v) for s in self.program.states for k, v in enumerate(s.initial)]
-        cases = "".join(
-            f"            {self.constant('address', n)}: initial_code = {number(v, code)};  {remark(element)}\n"
-            for n, (element, v) in enumerate(initial)
-        )
-        return f"""
-    always @(posedge clk)
-        if (rst) begin
-            boot <= {zero};
-            booted <= 1'b0;
-        end else if (!booted) begin
-            boot <= boot + {one};
-            booted <= boot == {self.constant("address", max(0, len(initial) - 1))};
-        end
-
-    always @*
-        case (boot)
-{cases}            default: initial_code = {code}'sd0;
-        endcase
-
-    always @(posedge clk)
-        if (!booted) memory[boot] <= initial_code;
-        else if (enable && write < {self.constant("address", self.folding.words)}) memory[write] <= y;
-"""
-
-    def argument(self) -> str:
-        """The code that is read: from the memory or, at addresses beyond its words, from the input sample."""
-        code, words = self.widths["code"] - 1, self.folding.words
-        slices, cases = input_slices(self.program), ""
-        for n, (s, k, low) in enumerate(slices):
-            case = self.constant("address", words + n) if n + 1 < len(slices) else "default"
-            value = self.code("sample", low, s.fix.width)
-            cases += f"            {case}: input_code <= {value};  {remark(f'{s.name}[{k}]')}\n"
-        return f"""
-    reg signed [{code}:0] word;
-    always @(posedge clk) word <= memory[read];
-
-    reg from_input;
-    reg signed [{code}:0] input_code;
-    reg signed [{code}:0] x;  // a register of its own: block RAM is slow to answer
+    // the memory, and the words of each signal
+{held}    (* no_rw_check *) reg signed [{code - 1}:0] memory[0:{(1 << address) - 1}];
+    reg signed [{code - 1}:0] word;
+    reg signed [{w["y"] - 1}:0] y;
+    wire [{address - 1}:0] place = booting ? read : written;
+    integer k;
+    initial for (k = 0; k < {1 << address}; k = k + 1) memory[k] = {code}'sd0;
     always @(posedge clk) begin
-        x <= from_input ? input_code : word;
-        from_input <= read >= {self.constant("address", words)};
-        case (read)
-{cases}        endcase
+        word <= memory[read];
+        if (write) memory[place] <= {self.extended("y", w["y"], code)};
     end
-{unused_text(unused_bits(self.program), "  // sign extensions")}"""
+"""
 
     def multipliers(self) -> str:
-        """The sums of products, and the path of a held row to its format."""
-        w, macs = self.widths, self.macs
-        code, acc = w["code"], w["acc"]
-        parts = [f"[{(m + 1) * acc - 1}:{m * acc}]" for m in range(macs)]
-        sums = ""
-        for m, part in enumerate(parts):
-            ends = {"clk": "clk", "x": "x", "weight": f"weight_{m}", "first": "first", "next": "next"}
-            ends |= {"bias": f"bias{part}", "acc": f"sums{part}"}
-            sums += "\n" + instance(
-                "greygate_mac", f"mac_{m}", {"X_W": code, "WEIGHT_W": w["weight"], "ACC_W": acc}, ends
-            )
-        rows = "".join(f"            {self.constant('pick', m)}: row = held{parts[m]};\n" for m in range(1, macs))
-        drain = instance(
-            "greygate_drain",
-            "drain",
-            {"IN_W": acc, "OUT_W": code, "SHIFT_W": w["shift"], "LEFT": w["left"], "WIDTH_W": w["width"]},
-            {"clk": "clk", "a": "row"} | {n: n for n in ("shift", "rounding", "width", "saturate")} | {"y": "drained"},
+        """The sums of products, and their way to a format."""
+        f, w = self.folding, self.widths
+        x, acc, count = w["x"], w["acc"], f.multipliers
+        stages = f.products.stages or (0,)
+        parameters = {"X_W": x, "WORD_W": w["word"], "ACC_W": acc, "BASE": f.products.base, "STAGES": len(stages)}
+        parameters |= {"AMOUNTS": vector(stages)}
+        text = "\n    // the multipliers: each takes the code of the one before, one clock later\n" + self.part()
+        text += "    reg first_0;\n    always @(posedge clk) first_0 <= row;\n" if count == 1 else ""
+        text += "".join(self.one_multiplier(m, parameters) for m in range(count))
+        text += f"    wire unused_x = &{{1'b0, x_{count}}};\n"
+        modes = f.modes or (Mode(0, False, 2, False),)
+        drain = {"IN_W": acc, "OUT_W": w["drained"], "MODES": len(modes), "MODE_W": self.controls["mode"]}
+        drain |= {"SHIFTS": vector([m.shift for m in modes]), "WIDTHS": vector([m.width for m in modes])}
+        drain |= {"EVEN": flags([m.even for m in modes]), "WRAPS": flags([m.wraps for m in modes])}
+        picked, picks = self.picks()
+        ends = {"clk": "clk", "a": picked, "mode": "mode", "y": "drained"}
+        text += f"{picks}\n    wire signed [{w['drained'] - 1}:0] drained;\n"
+        return text + instance("greygate_drain", "drain", drain, ends)
+
+    def one_multiplier(self, m: int, parameters: dict) -> str:
+        """The instance of a multiplier and its wires."""
+        w, count = self.widths, self.folding.multipliers
+        text = f"    wire signed [{w['x'] - 1}:0] x_{m + 1};\n    wire signed [{w['acc'] - 1}:0] acc_{m};\n"
+        if count > 1 and m:
+            text += f"    reg first_{m};\n    always @(posedge clk) first_{m} <= first_{m - 1};\n"
+        elif count > 1:
+            text += "    wire first_0 = first;\n"
+        select = f"select_{m}" if self.folding.products.stages else "1'b0"
+        ends = {"clk": "clk", "x": f"x_{m}", "word": f"word_{m}", "select": select, "first": f"first_{m}"}
+        return text + instance(
+            "greygate_mac", f"mac_{m}", parameters, ends | {"bias": "bias", "x_reg": f"x_{m + 1}", "acc": f"acc_{m}"}
         )
-        biases = {"clk": "clk", "group": "group", "bias": "bias"}
-        return f"""
-    // {macs} multipliers: sums, held while they are drained row by row
-    wire [{macs * acc - 1}:0] bias;
-    wire [{macs * acc - 1}:0] sums;
-    reg [{macs * acc - 1}:0] held;
-    reg signed [{acc - 1}:0] row;
-    wire signed [{code - 1}:0] drained;
 
-{instance(f"{self.program.name}__biases", "biases", {}, biases)}{sums}
-    always @(posedge clk) if (hold) held <= sums;
+    def part(self) -> str:
+        """The code, or the part of it, that is multiplied."""
+        x, code = self.widths["x"], self.widths["code"]
+        parts = self.folding.products.parts
 
+        def bits_of(low: int, signed: bool) -> str:
+            if (low, signed) == PLAIN:
+                return self.extended("word", code, x)
+            if signed:
+                return sign_extended("word", low, min(x, code - low), x)
+            return f"{{1'b0, word[{low + x - 2}:{low}]}}"
+
+        kinds = [(n, part) for n, part in enumerate(parts) if part.low + (1 if part.signed else x - 1) <= code]
+        if len(kinds) <= 1 or "part" not in self.controls:
+            return f"    wire signed [{x - 1}:0] x_0 = {bits_of(*PLAIN)};\n"
+        width = self.controls["part"]
+        cases = "".join(f"            {width}'d{n}: x_0 = {bits_of(*part)};\n" for n, part in kinds if n)
+        return f"""\
+    reg signed [{x - 1}:0] x_0;
     always @*
-        case (pick)
-{rows}            default: row = held{parts[0]};
-        endcase
-
-{drain}"""
-
-    def units(self) -> str:
-        """The units that answer an argument: a copy, and one for each small operation or shared table."""
-        code = self.widths["code"] - 1
-        before = ["x", "x_last", "x_before_last"]  # the codes read 0, 1 and 2 clocks earlier
-        units, cases = "", [f"{self.constant('source', COPY)}: y = copied;"]
-        for n, (key, o) in enumerate(self.folding.units.items()):
-            module, parameters, ports = small_operation(self.program, o, size=1)
-            out = o.out.fix.width
-            ends = {"clk": "clk", "en": "1'b1"}
-            for port, argument, place in zip(ports, o.args, reversed(before[: len(ports)]), strict=True):
-                ends[port] = f"{place}[{self.program.signals[argument].fix.width - 1}:0]"
-            ends["y"] = f"unit_{n}"
-            units += f"\n    wire [{out - 1}:0] unit_{n};  {remark(key)}\n"
-            units += instance(module, f"unit_{n}_{o.op.value}", parameters, ends)
-            cases.append(
-                f"{self.constant('source', COPY + 1 + n)}: y = {self.code(f'unit_{n}', 0, out)};  {remark(key)}"
-            )
-        return f"""
-    // what answers an argument in one clock, or a table in more
-    reg signed [{code}:0] copied;
-    always @(posedge clk) copied <= x;
-{self.select_arguments()}{units}
-    always @*
-        case (source)
-{"".join(f"            {case}" + chr(10) for case in cases)}            default: y = drained;
+        case (part)
+{cases}            default: x_0 = {bits_of(*PLAIN)};
         endcase
 """
 
-    def select_arguments(self) -> str:
-        """The two codes before the last, for units that read three, only as wide as these units need."""
-        selects = [o for o in self.folding.units.values() if isinstance(o, Select)]
-        if not selects:
+    def picks(self) -> tuple[str, str]:
+        """The sum that is drained, and how it is picked: {NEAR} of them a clock."""
+        acc, names, level = self.widths["acc"], [f"acc_{m}" for m in range(self.folding.multipliers)], 0
+        if len(names) == 1:
+            return names[0], ""
+        width = bits(len(names) - 1)
+        text = f"""
+    // the sums end one clock after the other: the turn goes round
+    reg [{width - 1}:0] turn_0;
+    always @(posedge clk) turn_0 <= last ? {width}'d0 : turn_0 + {width}'d1;
+"""
+        while len(names) > 1:
+            following = []
+            low = 2 * level
+            high = min(low + 1, width - 1)
+            for g in range(0, len(names), NEAR):
+                group, name = names[g : g + NEAR], f"picked_{level}_{g // NEAR}"
+                following.append(name)
+                chosen = group[-1]
+                select = f"turn_{level}[{high}:{low}]"
+                for i in range(len(group) - 2, -1, -1):
+                    chosen = f"{select} == {high - low + 1}'d{i} ? {group[i]} : {chosen}"
+                text += f"    reg signed [{acc - 1}:0] {name};\n    always @(posedge clk) {name} <= {chosen};\n"
+            level, names = level + 1, following
+            if len(names) > 1:
+                text += f"    reg [{width - 1}:0] turn_{level};\n"
+                text += f"    always @(posedge clk) turn_{level} <= turn_{level - 1};\n"
+        used = [f"turn_{k}" for k in range(level)]
+        return names[0], text + f"    wire unused_turn = &{{1'b0, {', '.join(used)}}};\n"
+
+    def units(self) -> str:
+        """The units that answer an argument, and the choice of what is written."""
+        f, y = self.folding, self.widths["y"]
+        code = self.widths["code"]
+        before = ["argument", "argument_last", "argument_before_last"]  # the codes read 0, 1 and 2 clocks earlier
+        text, cases = "", [f"{self.source(COPIED)}: y = {self.extended('word', code, y)};"]
+        cases += [f"{self.source(SAMPLED)}: y = {self.first_sample(y)};"]
+        for n, (key, o) in enumerate(f.units.items()):
+            module, parameters, ports = small_operation(self.program, o, size=1)
+            ends = {"clk": "clk", "en": "1'b1"}
+            for port, argument, place in zip(ports, o.args, reversed(before[: len(ports)]), strict=True):
+                ends[port] = self.argument(key, place, self.program.signals[argument].fix.width)
+            ends["y"] = f"unit_{n}"
+            out = o.out.fix.width
+            text += f"\n    wire [{out - 1}:0] unit_{n};  {remark(key)}\n"
+            text += instance(module, f"unit_{n}_{o.op.value}", parameters, ends)
+            cases.append(f"{self.source(UNITS + n)}: y = {self.extended(f'unit_{n}', out, y)};  {remark(key)}")
+        chosen = "".join(f"            {case}\n" for case in cases)
+        unread = ", ".join(["sample", "drained", *(f"unit_{n}" for n in range(len(f.units)))])
+        return f"""
+    // what is written, and the units that answer an argument
+{self.arguments()}{text}
+    always @*
+        case (source)
+{chosen}            default: y = {self.extended("drained", self.widths["drained"], y)};
+        endcase
+    wire unused_y = &{{1'b0, {unread}}};  // a result may be wider than what is kept
+"""
+
+    def first_sample(self, to: int) -> str:
+        """The element of the sample that is written next, extended or cut to `to` bits."""
+        width = self.widths["input"]
+        return sign_extended("sample", 0, min(width, to), to)
+
+    def argument(self, key: str, place: str, width: int) -> str:
+        """The argument of a unit: a row that is drained, a code of the memory, or either."""
+        drained, stored = f"drained[{width - 1}:0]", f"{place}[{width - 1}:0]"
+        if key in self.folding.fused and key in self.folding.stored:
+            return f"stored ? {stored} : {drained}"
+        return drained if key in self.folding.fused else stored
+
+    def arguments(self) -> str:
+        """The registers of the codes that units read from the memory, only as many and as wide as units need."""
+        units = [o for key, o in self.folding.units.items() if key in self.folding.stored]
+        if not units:
             return ""
+        code = self.widths["code"]
+        text = f"    reg signed [{code - 1}:0] argument;\n    always @(posedge clk) argument <= word;\n"
+        text += "    wire unused_argument = &{1'b0, argument};\n"
+        selects = [o for o in units if isinstance(o, Select)]
+        if not selects:
+            return text
         condition, above = (
             max(self.program.signals[getattr(o, part)].fix.width for o in selects) for part in ("condition", "above")
         )
         last = max(condition, above)
-        return f"""\
+        return f"""{text}\
     // a select reads three codes on end
-    reg [{last - 1}:0] x_last;
-    reg [{condition - 1}:0] x_before_last;
+    reg [{last - 1}:0] argument_last;
+    reg [{condition - 1}:0] argument_before_last;
     always @(posedge clk) begin
-        x_last <= x[{last - 1}:0];
-        x_before_last <= x_last[{condition - 1}:0];
+        argument_last <= argument[{last - 1}:0];
+        argument_before_last <= argument_last[{condition - 1}:0];
     end
 """
 
-    def outputs(self) -> str:
-        """The registers of the outputs, and the result that they form."""
-        codes = ""
-        shown: list[str] = []
+    def results(self) -> str:
+        """The registers of the outputs: what is shown moves down from the highest place."""
+        f, w, y = self.folding, self.widths["shown"], self.widths["y"]
+        places = 1 + max(max(places) for places in f.shown.values())
+        lanes = []
         for p in self.program.outputs:
-            width = p.signal.fix.width
-            for k in range(p.signal.size):
-                n = len(shown)
-                codes += (
-                    f"    reg [{width - 1}:0] output_{n};  {remark(f'{p.name}[{k}]')}\n"
-                    f"    always @(posedge clk) if (enable && write == "
-                    f"{self.constant('address', self.folding.words + n)}) output_{n} <= y[{width - 1}:0];\n"
-                )
-                shown.append(sign_extended(f"output_{n}", 0, width, lane_width(p.signal)))
-        return f"\n    // outputs\n{codes}{result_text(shown)}"
+            for place in f.shown[p.signal.name]:
+                lanes.append(sign_extended("results", place * w, p.signal.fix.width, lane_width(p.signal)))
+        code = self.extended("y", y, w)
+        following = f"{{{code}, results[{places * w - 1}:{w}]}}" if places > 1 else code
+        used = [f"results[{places * w - 1}:0]"]
+        return f"""
+    // outputs
+    reg [{places * w - 1}:0] results;
+    always @(posedge clk) if (show) results <= {following};
+{result_text(lanes).replace("assign result", "assign m_axis_tdata").rstrip()}
+    wire unused_results = &{{1'b0, {", ".join(used)}}};
+"""
 
 
 def bits(largest: int) -> int:
@@ -365,13 +490,42 @@ def bits(largest: int) -> int:
     return max(1, int(largest).bit_length())
 
 
+def vector(values) -> str:
+    """Numbers of eight bits side by side, the first lowest."""
+    return "{" + ", ".join(f"8'd{v}" for v in reversed(list(values))) + "}"
+
+
+def flags(values) -> str:
+    """Bits side by side, the first lowest."""
+    listed = list(values)
+    return f"{len(listed)}'b" + "".join(str(int(v)) for v in reversed(listed))
+
+
+def rom_rows(columns: list[tuple[np.ndarray, int, bool]], notes: dict[int, list[str]]) -> list[str]:
+    """The lines of a ROM from the columns (values, width, signed) of their fields; a long ROM as plain numbers."""
+    count = len(columns[0][0])
+    if count <= REMARKED:
+        texts = [[number(v, k) if signed else f"{k}'d{v}" for v in values.tolist()] for values, k, signed in columns]
+        return [
+            f"{{{', '.join(parts)}}};  {remark('; '.join(notes.get(t, ())) or '-')}"
+            for t, parts in enumerate(zip(*texts, strict=True))
+        ]
+    total = [0] * count
+    for values, k, _ in columns:
+        mask = (1 << k) - 1
+        total = [t << k | v & mask for t, v in zip(total, values.tolist(), strict=True)]
+    width = sum(k for _, k, _ in columns)
+    return [f"{width}'h{t:x};" for t in total]
+
+
 def rom_text(comment: list[str], name: str, ports: str, width: int, rows: list[str], index: str, out: str) -> str:
     """A synchronous ROM with lines that a person can read."""
+    listed = "\n".join(f"        rom[{n}] = {row}" for n, row in enumerate(rows))
     return module_text(
         comment,
         f"module {name} (\n{ports}\n);\n\n"
         f"    reg [{width - 1}:0] rom[0:{len(rows) - 1}];\n"
         f"    reg [{width - 1}:0] line;\n"
         f"    always @(posedge clk) line <= rom[{index}];\n{out}\n"
-        "    initial begin\n" + "\n".join(f"        {r}" for r in rows) + "\n    end\n",
+        f"    initial begin\n{listed}\n    end\n",
     )

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from greygate import __version__
-from greygate.cli import builds, networks, rigs
+from greygate.cli import boards, builds, networks, rigs
 from greygate.cli.terminal import say
 from greygate.errors import InputError
 
@@ -20,7 +20,8 @@ INTERRUPTED, TERMINATED = 130, 143  # exit codes after Ctrl-C and after `kill`, 
 UsageError: Any = typer.BadParameter.__base__  # raised for an argument or option that is missing, unknown or wrong
 COMMANDS = (
     *(networks.train, networks.compile),
-    *(builds.emulate, builds.verify, builds.synthesize, builds.report),
+    *(builds.emulate, builds.verify, builds.prove, builds.synthesize, builds.report),
+    *(boards.board, boards.play),
     networks.validate,
     *(rigs.diagnose, rigs.isolability, rigs.simulate, rigs.augment, rigs.conceal, rigs.reveal),
 )

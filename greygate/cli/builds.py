@@ -1,4 +1,4 @@
-"""Commands on folders that `greygate compile` wrote: emulate, verify, synthesize, report."""
+"""Commands on folders that `greygate compile` wrote: emulate, verify, prove, synthesize, report."""
 
 from dataclasses import asdict
 from enum import StrEnum
@@ -10,14 +10,15 @@ import typer
 from greygate.cli import options
 from greygate.cli.terminal import Json, following, give, print_out
 from greygate.errors import InputError
-from greygate.hardware.families import FAMILIES, PLACED
+from greygate.hardware.families import PLACED, TARGETS
 
 if TYPE_CHECKING:
     from greygate.emulator.program import Clipped, Terminal
 
-_families = {name.upper(): name for name in FAMILIES}
-Family = StrEnum("Family", _families)  # type: ignore[misc]  # members that FAMILIES lists
-ECP5 = Family("ecp5")
+_targets = {name.upper().replace("-", "_"): name for name in TARGETS}
+Device = StrEnum("Device", _targets)  # type: ignore[misc]  # members that TARGETS lists
+ECP5, ICE40 = Device("ecp5"), Device("ice40")
+DEVICES = "; ".join(f"{name}: {title}" for name, title in TARGETS.items())
 Folder = Annotated[Path, typer.Argument(help="A folder that `greygate compile` wrote.")]
 
 
@@ -83,14 +84,42 @@ def verify(
         raise typer.Exit(1)
 
 
+def prove(
+    folder: Folder,
+    only: Annotated[list[str], typer.Option(help="Only this proof: primitives, sums, bound, netlist or drift.")] = [],
+    target: Annotated[Device, typer.Option(help="Device or family of the netlist.")] = ICE40,
+    steps: Annotated[int, typer.Option(callback=options.COUNT, help="Steps of the long run.")] = 1_000_000,
+    limit: Annotated[
+        float | None, typer.Option(callback=options.SECONDS, help="Stop each tool after this many CPU seconds.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Prove that the Verilog means what program.json means, and bound what fixed point costs.
+
+    Exit code 1 if a proof fails; one for which nothing could be shown says why, and is no failure.
+    """
+    from greygate.hardware.proofs.build import prove as run
+    from greygate.project import Project
+
+    project = Project.open(folder)
+    with following(f"proving {project.program.name}") as progress:
+        proofs = run(project, tuple(only), target.value, steps, limit, progress)
+    holds = all(proof.holds is not False for proof in proofs)
+    give({"holds": holds, "proofs": [asdict(proof) for proof in proofs]}, as_json, [proof.line() for proof in proofs])
+    if not holds:
+        raise typer.Exit(1)
+
+
 def synthesize(
     folder: Folder,
-    target: Annotated[
-        Family, typer.Option(help="; ".join(f"{name}: {family.title}" for name, family in FAMILIES.items()))
-    ] = ECP5,
-    clock: Annotated[
-        bool, typer.Option(help=f"Find the clock rate: place and route with nextpnr ({', '.join(PLACED)}).")
+    target: Annotated[Device, typer.Option(help=DEVICES)] = ECP5,
+    clock_rate: Annotated[
+        bool, typer.Option("--clock-rate", help=f"Place and route with nextpnr, too: {', '.join(PLACED)}.")
     ] = False,
+    mhz: Annotated[
+        float | None,
+        typer.Option(callback=options.MHZ, help="Place and route for this clock rate; exit code 1 if it is not met."),
+    ] = None,
     limit: Annotated[
         float | None,
         typer.Option(callback=options.SECONDS, help="Stop the tools of each design after this many CPU seconds."),
@@ -98,14 +127,17 @@ def synthesize(
     keep: Annotated[bool, typer.Option(help="Keep the figures in the package, for `report --all`.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Count LUTs, flip-flops, DSPs and block RAM with Yosys. Slow: minutes."""
+    """Count LUTs, flip-flops, DSPs and block RAM with Yosys; with a clock rate also microseconds a step. Slow: minutes."""
     from greygate.project import Project, synthesize_project
 
     project = Project.open(folder)
-    with following(f"synthesizing {project.program.name} for {target.value}"):
-        found = synthesize_project(project, target.value, clock, limit, keep)
+    with following(f"synthesizing {project.program.name} for {target.value}") as progress:
+        found = synthesize_project(project, target.value, clock_rate, limit, keep, mhz, progress)
     lines = [f"{name}: " + ", ".join(f"{k} {v}" for k, v in figures.items()) for name, figures in found.items()]
     give(found, as_json, lines)
+    met = [figures.get("meets") for name, figures in found.items() if name.endswith(f", {target.value}")]
+    if mhz is not None and not all(met):
+        raise typer.Exit(1)
 
 
 def report(

@@ -3,9 +3,11 @@
 import json
 import os
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Event, Thread
 from typing import Annotated
 
 import typer
@@ -14,6 +16,7 @@ from greygate.errors import InputError, one_line
 from greygate.names import check_text
 from greygate.progress import Progress
 
+SILENCE = 5.0  # s between two lines of long work, where stderr is no terminal
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
@@ -42,11 +45,50 @@ def finite(value: float | None, form: str) -> str:
 
 @contextmanager
 def following(title: str) -> Iterator[Progress]:
-    """Show a line on stderr while long work runs; yield the `progress` that changes this line."""
+    """Show a line on stderr while long work runs; yield the `progress` that changes this line.
+
+    Where stderr is no terminal, the line is printed every few seconds.
+    """
     from rich.console import Console
 
-    with Console(stderr=True).status(title) as status:
-        yield lambda line: status.update(f"{title}: {line}")
+    console = Console(stderr=True)
+    if console.is_terminal:
+        with console.status(title) as status:
+            yield lambda line: status.update(f"{title}: {line}")
+    else:
+        with _repeating(title) as progress:
+            yield progress
+
+
+@contextmanager
+def _repeating(title: str) -> Iterator[Progress]:
+    """Print what `progress` was last given, and for how long, every SILENCE seconds."""
+    last, done, start = [title], Event(), time.monotonic()
+
+    def repeat() -> None:
+        while not done.wait(SILENCE):
+            say(f"{last[0]} ({time.monotonic() - start:.0f} s)")
+
+    thread = Thread(target=repeat, daemon=True)
+    thread.start()
+    try:
+        yield lambda line: last.__setitem__(0, f"{title}: {line}")
+    finally:
+        done.set()
+        thread.join()
+
+
+@contextmanager
+def counting(title: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Show a bar on stderr while `total` things are done; yield the call that says how many are done."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bar
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title, total=total)
+        yield lambda done: bar.update(task, completed=done)
 
 
 def named(text: str) -> str:

@@ -102,7 +102,9 @@ def netlist(family: Family, place: PlaceAndRoute, folder: Path, top: str) -> str
         return f"write_json {NETLIST}"
     widths = stream_widths((folder / f"{top}.v").read_text(), top)
     (folder / "greygate_pins.v").write_text(few_pins(top, *widths))
-    mapped = f"design -save mapped; design -reset; read_verilog greygate_pins.v; {family.synth.format(top='greygate_pins')}"
+    mapped = (
+        f"design -save mapped; design -reset; read_verilog greygate_pins.v; {family.synth.format(top='greygate_pins')}"
+    )
     return f"{mapped}; delete {top}; design -copy-from mapped {top}; flatten; opt_clean; write_json {NETLIST}"
 
 

@@ -200,7 +200,7 @@ class _Bench:
 
     def registers(self) -> list[tuple[Register, Signal]]:
         """Where the design keeps each state code, and the signal that it belongs to."""
-        found = architecture(self.case.architecture).registers(self.case.program)
+        found = architecture(self.case.architecture).registers(self.case.program, self.case.design)
         return list(zip(found, (s for s in self.states for _ in range(s.size)), strict=True))
 
     def verilog(self) -> str:

@@ -347,3 +347,7 @@ def sensitivities(
             lo, hi = spans[shown[j]]
             jacobian[k - start, j, lo:hi] = carried[k % ring, shown[j], lo:hi]
             jacobian[k - start, j, n_theta:] = carried[k % ring, shown[j], n_theta:]
+
+
+portable_sensitivities = kernel()(sensitivities.py_func)
+"""`sensitivities` to the same bits on every processor, more slowly: no term is contracted or added in another order."""

