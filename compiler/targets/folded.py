@@ -62,8 +62,8 @@ def registers(program: Program, design: Design) -> list[Register]:
 
 
 def clocks(program: Program, design: Design) -> int:
-    """Clocks of a step: the lines of the schedule."""
-    return fold(program, design.multipliers).clocks
+    """Clocks of a step: the lines of the schedule, and the one in which the next sample is taken."""
+    return fold(program, design.multipliers).clocks + 1
 
 
 TARGET = Architecture(folded, registers, clocks)
