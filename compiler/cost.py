@@ -27,7 +27,8 @@ BLOCKS: dict[str, tuple[tuple[tuple[int, int], ...], tuple[tuple[int, int], ...]
     "ice40": (((256, 16), (512, 8), (1024, 4), (2048, 2)), (), 1.0),
     "xilinx": (((512, 36), (1024, 18), (2048, 9), (4096, 4)), ((1024, 18), (2048, 9), (4096, 4)), 0.5),
 }
-WORTH = {"ecp5": 6000, "ice40": 1000, "xilinx": 7000}  # bits of a memory from which Yosys takes a block for each
+WORTH = {"ecp5": 2048, "ice40": 1024, "xilinx": 7000}  # bits in each block from which Yosys 0.70 takes blocks for a ROM
+BLOCKS_ALONE = {"ice40"}  # families without memory made of LUTs
 WORD = 18  # bits of a factor of the folded architecture; longer ones are multiplied in parts
 MULTIPLIERS = {"ecp5": (18, 18), "ice40": (16, 16), "xilinx": (25, 18)}  # widths that one DSP multiplies
 
@@ -166,15 +167,22 @@ def parallel(program: Program, design: Design, family: str, clocks: int) -> Part
     return Parts(luts, dsps, memories)
 
 
+def kept(program: Program) -> set[str]:
+    """Signals that stand in the memory of the folded architecture: all but sums that only tables read."""
+    shown = {p.signal.name for p in program.outputs} | {s.source for s in program.states}
+    shown |= {a for o in program.operations if not isinstance(o, Lookup) for a in o.args}
+    return shown | {s.signal.name for s in program.states}
+
+
 def folded(program: Program, design: Design, family: str, clocks: int) -> Parts:
     """Some multipliers, a memory of codes, a schedule and biases in ROM; lookups in equal tables share one."""
     affine = [o for o in program.operations if isinstance(o, Affine)]
     m = design.multipliers
-    code = max(s.fix.width for s in program.signals.values())
+    code = max(program.signals[name].fix.width for name in kept(program))
     acc = max([2, *(program.accumulator_width(o) for o in affine)])
     weight = 1 + max([1, *(int(odd_bits(o.weights).max(initial=0)) for o in affine)])
     shifts = {int(f) - o.out.fix.frac for o in affine for f in o.frac}
-    words = 1 << (sum(s.size for s in program.signals.values()) - 1).bit_length()
+    words = 1 << max(1, (sum(program.signals[name].size for name in kept(program)) - 1).bit_length())
     line = m * (min(weight, WORD) + 2) + words.bit_length() + 3
     luts = {"multipliers": float(m * acc), "drain": float(acc * len(shifts).bit_length())}
     luts |= {"code": float(code), "tags": float(line), "small": _small(program) / 8}
@@ -183,7 +191,8 @@ def folded(program: Program, design: Design, family: str, clocks: int) -> Parts:
     rows = sum(o.out.size for o in affine) + sum(s.signal.size for s in program.states)
     for count, bits, kind in ((clocks + words // 8, line, "rom"), (rows, acc, "rom"), (words, code, "ram")):
         taken = blocks(family, count, bits)
-        if count * bits * BLOCKS[family][2] >= WORTH[family] * taken:
+        least = 0 if kind == "ram" and family in BLOCKS_ALONE else WORTH[family]
+        if count * bits * BLOCKS[family][2] >= least * taken:
             memories += taken
         else:
             luts[kind] += count * bits
