@@ -14,8 +14,9 @@ import numpy as np
 from greygate.compiler.cost import Cost, clocks_of, cost, explored
 from greygate.compiler.judge import Bound
 from greygate.compiler.quantize import Formats
+from greygate.compiler.rounding import prices
 from greygate.compiler.targets import Design, Memory
-from greygate.compiler.trail import Candidate, Maker, trail
+from greygate.compiler.trail import KEPT, Candidate, Maker, trail, with_few_digits
 from greygate.emulator.program import Lookup, Program
 from greygate.errors import InputError
 from greygate.progress import Progress, silent
@@ -25,6 +26,7 @@ FINER = (0, 2, 4)  # bits beyond them
 MULTIPLIERS = (1, 2, 4, 8, 16, 32)  # of the folded architecture
 STARTS = (0.25, 1.0 / 64)  # error of a trail's start, as a part of the largest that is of interest
 ALIKE = 1.02  # factor by which LUTs or time must be better for a point to stand on the front beside a more accurate one
+SETTLED = 1.05  # an error so near to the least of a network that signals have bits enough
 PER_BIT = 0.01  # LUTs by which a trail prefers a narrower signal where no part of the design gets smaller
 
 
@@ -135,6 +137,9 @@ def _candidates(make: Maker, request: Request, mapper: Mapper, progress: Progres
     for steps in mapper(_Walk(make, request, interest), walks):
         progress(f"{len(steps)} programs on a trail")
         yield from steps[1:]
+    for steps in mapper(_Rounding(make, request, interest), prices()):
+        progress(f"{len(steps)} programs of weights of few digits")
+        yield from steps
 
 
 @dataclass(frozen=True)
@@ -149,6 +154,28 @@ class _Walk:
         name, start = walk
         steps = trail(start, self.make, _Price(self.request, name), self.end)
         return [replace(step, tuned=name) for step in steps]
+
+
+@dataclass(frozen=True)
+class _Rounding:
+    """Words and trails of the network with weights of few digits, at a price of a digit."""
+
+    make: Maker
+    request: Request
+    end: float
+
+    def __call__(self, price: float) -> list[Candidate]:
+        make = with_few_digits(self.make, price)
+        if make is None:
+            return []
+        found = [c for w in self.request.widths if (c := make(Formats(w, keep=KEPT))) is not None]
+        least = min((c.error for c in found), default=math.inf)
+        if least > self.end:
+            return []
+        start = next(c for c in found if c.error <= SETTLED * least)
+        walk = _Walk(make, self.request, self.end)
+        names = [n for n in self.request.architectures or explored() if n != "folded"]  # a digit more costs it nothing
+        return found + [c for name in names for c in walk((name, start))[1:]]
 
 
 @dataclass(frozen=True)
