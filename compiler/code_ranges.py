@@ -16,7 +16,6 @@ from greygate.emulator.program import (
     Program,
     Rounding,
     Select,
-    Symmetry,
     Threshold,
 )
 
@@ -69,13 +68,7 @@ def _affine(program: Program, o: Affine, args: list[list[Interval]]) -> list[Int
 
 
 def _table(program: Program, o: Lookup, args: list[list[Interval]]) -> list[Interval]:
-    """A line between two points lies between them, so the extremes are among the points and their mirror images."""
-    table = program.table[o.table]
-    lo, hi = min(table.points), max(table.points)
-    one = 1 << max(0, table.out.frac)
-    mirrored = {Symmetry.ODD: (-hi, -lo), Symmetry.EVEN: (lo, hi), Symmetry.COMPLEMENT: (one - hi, one - lo)}
-    least, most = mirrored[table.symmetry]
-    return [(min(lo, least), max(hi, most))] * o.out.size
+    return [program.table[o.table].extremes] * o.out.size
 
 
 def _clamp(program: Program, o: Clamp, args: list[list[Interval]]) -> list[Interval]:

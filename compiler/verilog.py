@@ -324,11 +324,18 @@ def table_text(program: Program, table: Table | Lines, memory: str = "block") ->
     def neuron(n: str, side: str, indent: str) -> str:
         ends = {"clk": "clk", "en": "en", "x": f"x[{n}*{arg}+:{arg}]", "address": f"address_{side}"}
         ends |= {"base": f"word_{side}[{base - 1}:0]", "slope": f"word_{side}[{base + slope - 1}:{base}]"}
+        multiplier = {"MULTIPLIER": f"{n} < MULTIPLIERS ? 1 : 0"}
         return (
             f"{indent}wire [{address - 1}:0] address_{side};\n"
             f"{indent}reg [{base + slope - 1}:0] word_{side};\n"
             f"{indent}always @(posedge clk) if (en) word_{side} <= rom[address_{side}];\n"
-            + instance("greygate_lookup", f"lookup_{side}", parameters, ends | {"y": f"y[{n}*{out}+:{out}]"}, indent)
+            + instance(
+                "greygate_lookup",
+                f"lookup_{side}",
+                parameters | multiplier,
+                ends | {"y": f"y[{n}*{out}+:{out}]"},
+                indent,
+            )
         )
 
     return module_text(
@@ -338,7 +345,8 @@ def table_text(program: Program, table: Table | Lines, memory: str = "block") ->
             "Two neurons read one memory of words {slope, base}, which has two ports for reading.",
         ],
         f"module {table_module(program, table)} #(\n"
-        f"    parameter SIZE = 1  // number of neurons\n) (\n"
+        f"    parameter SIZE = 1,  // number of neurons\n"
+        f"    parameter MULTIPLIERS = SIZE  // how many of them multiply by a multiplier, which may be a DSP\n) (\n"
         f"    input  wire clk,\n    input  wire en,\n"
         f"    input  wire [SIZE*{arg}-1:0] x,\n    output wire [SIZE*{out}-1:0] y\n);\n\n"
         f"    genvar n;\n    generate for (n = 0; n < SIZE; n = n + 2) begin : pair\n"

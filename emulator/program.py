@@ -246,6 +246,14 @@ class Segments(NamedTuple):
                 found += [self.at(self.bases[i], self.slopes[i], place) for place in (0, 1 << (shift - drop))]
         return found
 
+    @property
+    def reach(self) -> int:
+        """The least absolute value of a code from which on all answers are alike, those of one sign."""
+        end = self.lefts[-1] + ((len(self.bases) - self.firsts[-1]) << self.shifts[-1])
+        places = 1 << (self.shifts[-1] - self.drops[-1])
+        last, beyond = (self.at(self.bases[-1], self.slopes[-1], p) for p in (places - 1, places))
+        return end + (1 if self.drops[-1] and last != beyond else 0)  # -end is looked up one place before
+
     def width(self) -> int:
         """Bits that hold every product and every sum."""
         place = max(s - d for s, d in zip(self.shifts, self.drops, strict=True))
@@ -262,6 +270,13 @@ def _answers(table: "Table | Lines", codes: list[int]) -> list[int]:
         Symmetry.EVEN: [],
         Symmetry.COMPLEMENT: [one - c for c in codes],
     }[table.symmetry]
+
+
+def _extremes(table: "Table | Lines") -> tuple[int, int]:
+    """The least and the greatest result."""
+    ends = list(table.points) if isinstance(table, Table) else table.segments.ends()
+    found = [*ends, *_answers(table, ends)]
+    return min(found), max(found)
 
 
 @dataclass(frozen=True)
@@ -286,6 +301,13 @@ class Table:
         """The lines between the points: the rise from one to the next over a segment."""
         slopes = tuple(b - a for a, b in pairwise(self.points))
         return Segments(self.arg.width, (self.shift,), (0,), self.shift, 0, self.points[:-1], slopes)
+
+    extremes = property(_extremes)
+
+    @property
+    def reach(self) -> int:
+        """The least absolute value of a code from which on all answers are alike, those of one sign."""
+        return (len(self.points) - 1) << self.shift
 
     @property
     def entries(self) -> int:
@@ -337,6 +359,13 @@ class Lines:
     @property
     def segments(self) -> Segments:
         return Segments(*(getattr(self, name) for name in Segments._fields))
+
+    extremes = property(_extremes)
+
+    @property
+    def reach(self) -> int:
+        """The least absolute value of a code from which on all answers are alike, those of one sign."""
+        return self.segments.reach
 
     @property
     def entries(self) -> int:

@@ -23,7 +23,8 @@ module greygate_lookup #(
     parameter BASE_W = 16,       // width of a base, at most OUT_W + GUARD
     parameter BASE_SIGNED = 1,   // 1: a base has a sign; 0: it is not negative
     parameter SLOPE_W = 16,      // width of a slope
-    parameter SLOPE_SIGNED = 1   // the same for slopes
+    parameter SLOPE_SIGNED = 1,  // the same for slopes
+    parameter MULTIPLIER = 1     // 1: a multiplier, which may be a DSP; 0: adders
 ) (
     input  wire                 clk,
     input  wire                 en,
@@ -122,14 +123,31 @@ module greygate_lookup #(
             reg [PLACE_W:0] place_1;
             always @(posedge clk) if (en) place_1 <= place_here[PLACE_W:0];
 
-            wire signed [P+1:0] factor = {{P + 2 - SLOPE_W{SLOPE_SIGNED == 1 && slope[SLOPE_W-1]}}, slope};
-            wire signed [P+1:0] times = {{P + 1 - PLACE_W{1'b0}}, place_1};
-            wire signed [P+1:0] product = factor * times;
+            wire [P-1:0] product;
+            if (MULTIPLIER == 1) begin : multiplied
+                wire signed [P+1:0] factor = {{P + 2 - SLOPE_W{SLOPE_SIGNED == 1 && slope[SLOPE_W-1]}}, slope};
+                wire signed [P+1:0] times = {{P + 1 - PLACE_W{1'b0}}, place_1};
+                wire signed [P+1:0] exact = factor * times;
+                wire unused = &{1'b0, exact[P+1:P]};
+                assign product = exact[P-1:0];
+            end else begin : added  // 2^PLACE_W has no other bit
+                wire [P-1:0] below;
+                greygate_product #(
+                    .A_W(SLOPE_W),
+                    .SIGNED(SLOPE_SIGNED),
+                    .B_W(PLACE_W)
+                ) rows (
+                    .a(slope),
+                    .b(place_1[PLACE_W-1:0]),
+                    .y(below)
+                );
+                assign product = below | {slope & {SLOPE_W{place_1[PLACE_W]}}, {PLACE_W{1'b0}}};
+            end
             reg signed [P-1:0] product_2;
             reg flip_2;
             always @(posedge clk)
                 if (en) begin
-                    product_2 <= product[P-1:0];
+                    product_2 <= product;
                     flip_2 <= flip;
                 end
 
@@ -143,7 +161,7 @@ module greygate_lookup #(
             end
             wire [S:0] sum = {base_2, 1'b1} + ({wide[BELOW+:S], carry} ^ {S + 1{flip_2}});
             always @(posedge clk) if (en) y <= sum[GUARD+1+:OUT_W];
-            wire unused = &{1'b0, sum, wide, product, place_here, segment_here, extended[S]};
+            wire unused = &{1'b0, sum, wide, place_here, segment_here, extended[S]};
         end else begin : point
             always @(posedge clk) if (en) y <= base_2[GUARD+:OUT_W];
             wire unused = &{1'b0, slope, place_here, segment_here, extended[S]};
