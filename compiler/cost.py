@@ -142,28 +142,43 @@ def _ports(program: Program) -> float:
     return float(sum(p.signal.size * p.signal.fix.width for p in program.inputs + program.outputs))
 
 
+def served(program: Program, since: Mapping[str, int]) -> list[tuple[Lookup, int]]:
+    """(one of its lookups, neurons) of the units that answer lookups: those of one table take turns if they can.
+
+    since: clock at which each signal stands.
+    """
+    turns: dict[str, dict[int, int]] = {}
+    for o in program.operations:
+        if isinstance(o, Lookup):
+            at = turns.setdefault(o.table, {})
+            at[since[o.arg]] = at.get(since[o.arg], 0) + o.out.size
+    one = {o.table: o for o in program.operations if isinstance(o, Lookup)}
+    return [(one[table], max(sizes.values())) for table, sizes in turns.items()]
+
+
 def parallel(program: Program, design: Design, family: str, clocks: int) -> Parts:
-    """Every sum of adders of its own, every two lookups a memory of their own where it has two ports."""
+    """Every sum of adders of its own, every two units of a table a memory of their own where it has two ports."""
     luts = dict.fromkeys(("adders", "results", "lookups", "products", "rom"), 0.0)
     luts |= {"small": _small(program), "ports": _ports(program), "core": 1.0}
-    dsps, memories, both = 0, 0.0, bool(BLOCKS[family][1])
+    dsps, left, memories, both = 0, design.dsps, 0.0, bool(BLOCKS[family][1])
     for o in program.operations:
         if isinstance(o, Affine):
             found = sums(program, o)
             luts["adders"] += found.adders
             luts["results"] += 0.0 if trivial(program, o) else found.results
-        elif isinstance(o, Lookup):
-            words, bits, slope, rest = _word(program, o)
-            luts["lookups"] += o.out.size * (program.signals[o.arg].fix.width + 2 * o.out.fix.width)
-            in_dsps = min(o.out.size, max(0, design.dsps - dsps)) if slope else 0
-            dsps += in_dsps * (tiles(family, slope, rest) if slope else 0)
-            luts["products"] += (o.out.size - in_dsps) * slope * rest
-            if design.memory is Memory.BLOCK:
-                one = blocks(family, words, bits)
-                memories += min(o.out.size * one, math.ceil(o.out.size / 2) * blocks(family, words, bits, 2)
-                                if both else math.inf)  # fmt: skip
-            else:
-                luts["rom"] += o.out.size * words * bits
+    for o, units in served(program, standing(program, design)):
+        words, bits, slope, rest = _word(program, o)
+        luts["lookups"] += units * (program.signals[o.arg].fix.width + 2 * o.out.fix.width)
+        if slope:
+            in_dsps = min(units, left)
+            left -= in_dsps
+            dsps += in_dsps * tiles(family, slope, rest)
+            luts["products"] += (units - in_dsps) * slope * rest
+        if design.memory is Memory.BLOCK:
+            one = blocks(family, words, bits)
+            memories += min(units * one, math.ceil(units / 2) * blocks(family, words, bits, 2)) if both else units * one
+        else:
+            luts["rom"] += units * words * bits
     return Parts(luts, dsps, memories)
 
 
@@ -207,17 +222,21 @@ def folded(program: Program, design: Design, family: str, clocks: int) -> Parts:
     return Parts(luts, dsps, memories)
 
 
-def parallel_clocks(program: Program, design: Design) -> int:
-    """An estimate: each sum is a tree of its digits, with a register after every few adders."""
+def standing(program: Program, design: Design) -> dict[str, int]:
+    """Signal -> clock at which it stands, an estimate: each sum is a tree with a register after every few adders."""
     since = dict.fromkeys(program.signals, 0)
     for o in program.operations:
         clocks = LOOKUP if isinstance(o, Lookup) else 1
         if isinstance(o, Affine):
             terms = int(digits(o.weights).sum(axis=1).max()) + 1
-            depth = (terms - 1).bit_length()
-            clocks = max(1, -(-depth // design.adders)) if design.adders else 1
+            clocks = max(1, -(-(terms - 1).bit_length() // design.adders)) if design.adders else 1
         since[o.out.name] = clocks + max(since[a] for a in o.args)
-    return max(since.values()) + EDGES
+    return since
+
+
+def parallel_clocks(program: Program, design: Design) -> int:
+    """An estimate of the clocks of a step."""
+    return max(standing(program, design).values()) + EDGES
 
 
 CLOCKS: dict[str, Callable[[Program, Design], int]] = {"parallel": parallel_clocks}  # where counting takes long

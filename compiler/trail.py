@@ -22,7 +22,8 @@ from greygate.models.training.record import Record
 
 LEAST_WIDTH, LEAST_WEIGHT = 3, 3  # bits of a signal and of weights below which nothing is left of them
 COARSEST = 40.0  # LSB of error that a table may have
-SAMPLES, STAGES = 1500, 16  # of joint rounding: more take longer, and the digits hardly fewer
+SAMPLES, LONGER = 1500, 5000  # on which weights are rounded, of a network without memory, and of one with
+STAGES = 16  # of joint rounding: more take longer, and the digits hardly fewer
 KEPT = BITS + 2  # bits in which weights of few digits are kept: rounding moves some beyond the range they had
 TABLES = "tables"  # the knob of all tables
 NOISE = 1e-4  # of the error squared: what a bit is taken to add where its measure says that it adds nothing
@@ -65,10 +66,15 @@ class Maker:
         return Candidate(formats, program, self.judge.error(program), price=self.price)
 
 
+def without_memory(network: Network) -> bool:
+    """Whether an output depends on the inputs of the same step alone."""
+    return not any(c.delay for c in network.flatten().connections)
+
+
 def thinned(network: Network, records: Sequence[Record]) -> list[Record]:
     """What weights are rounded on: evenly spread samples of a network without memory, else the begin of each record."""
-    still = not any(c.delay for c in network.flatten().connections)
-    most = max(1, SAMPLES // max(1, len(records)))
+    still = without_memory(network)
+    most = max(1, (SAMPLES if still else LONGER) // max(1, len(records)))
     found = []
     for r in records:
         every = slice(None, None, -(-len(r) // most)) if still else slice(0, most)
