@@ -17,7 +17,7 @@ from greygate.compiler.quantize import Formats
 from greygate.compiler.rounding import prices
 from greygate.compiler.targets import Design, Memory
 from greygate.compiler.trail import KEPT, Candidate, Maker, trail, with_few_digits, without_memory
-from greygate.emulator.program import Lookup, Program
+from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.progress import Progress, silent
 
