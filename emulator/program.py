@@ -250,7 +250,9 @@ class Segments(NamedTuple):
     def reach(self) -> int:
         """The least absolute value of a code from which on all answers are alike, those of one sign."""
         end = self.lefts[-1] + ((len(self.bases) - self.firsts[-1]) << self.shifts[-1])
-        return end + (1 if self.drops[-1] else 0)
+        places = 1 << (self.shifts[-1] - self.drops[-1])
+        last, beyond = (self.at(self.bases[-1], self.slopes[-1], p) for p in (places - 1, places))
+        return end + (1 if self.drops[-1] and last != beyond else 0)  # -end is looked up one place before
 
     def width(self) -> int:
         """Bits that hold every product and every sum."""

@@ -443,10 +443,13 @@ def synthesize_project(
 
 
 def clocks_per_step(project: Project, architecture: str, progress: Progress = silent) -> float:
-    """Clocks that a step takes: as the last verification counted them, or as a simulation of a few steps does."""
+    """Clocks that a step takes: as the last verification counted them, the target says, or a simulation counts."""
     verified = (project.hardware or {}).get(architecture, {}).get("clocks_per_step")
     if verified is not None:
         return verified
+    counted = target(architecture).clocks
+    if counted is not None:
+        return float(counted(project.program, project.design))
     steps = np.zeros((COUNTED_STEPS, sum(p.signal.size for p in project.program.inputs)), np.int64)
     files = sources(project.folder / "rtl" / architecture, project.program.name)
     return replay(files, project.program, steps, run(project.program, steps).outputs, progress=progress).clocks
