@@ -114,9 +114,12 @@ class Sums:
 
     most: adders in a row between two registers, 0 for no register inside. pipelined: a new argument may come with
     every clock, so that registers balance the ways and `en` holds them all; else arguments hold still, and nothing
-    holds the registers. told: so many low bits of a result need not be right where it saturates, because its readers
-    answer all such codes alike. clocks: from arguments to results.
+    holds the registers. held: arguments are there only for a while, so that `en` takes the result. told: so many low
+    bits of a result need not be right where it saturates, because its readers answer all such codes alike.
+    clocks: from arguments to results.
     """
+
+    held = False
 
     def __init__(
         self,
@@ -188,7 +191,7 @@ class Sums:
             f"    input  wire [{s.size * s.fix.width - 1}:0] {self.names[s.name]},  // {s.size} x {s.fix}\n"
             for s in self.arguments
         )
-        enable = "    input  wire en,\n" if self.pipelined else ""
+        enable = "    input  wire en,\n" if self.pipelined or self.held else ""
         head = f"module {self.program.name}_{self.names[out.name]} (\n    input  wire clk,\n{enable}{inputs}"
         port = f"    output reg  [{out.size * out.fix.width - 1}:0] {self.names[out.name]}  // {out.size} x {out.fix}\n"
         return module_text(comment, f"{head}{port});\n{columns}{body}{self._unread()}")
@@ -227,12 +230,14 @@ class Sums:
         return declared + text + self._registers(following, [name for _, name in rows])
 
     def _registers(self, following: Sequence[tuple[str, str, int]], rows: Sequence[str]) -> str:
-        held = "if (en) " if self.pipelined else ""
         packed = rows[0] if len(rows) == 1 else "{\n" + wrapped([f"{r}," for r in rows[:0:-1]] + [rows[0]], " " * 12)
         packed += "" if len(rows) == 1 else "\n        }"
-        lines = "".join(f"        {q} <= {d};\n" for q, d, _ in following)
-        lines += f"        {self.names[self.o.out.name]} <= {packed};\n"
-        return f"\n    always @(posedge clk) {held}begin\n{lines}    end\n"
+        inner = "".join(f"        {q} <= {d};\n" for q, d, _ in following)
+        result = f"{self.names[self.o.out.name]} <= {packed};\n"
+        if self.pipelined:
+            return f"\n    always @(posedge clk) if (en) begin\n{inner}        {result}    end\n"
+        result = f"        {'if (en) ' if self.held else ''}{result}"
+        return f"\n    always @(posedge clk) begin\n{inner}{result}    end\n"
 
     def _bits(self, operand: int, constant: int, stage: int, shift: int, low: int, width: int) -> str:
         if operand == CONSTANT:

@@ -6,6 +6,8 @@ from greygate.compiler.adder_text import Sums
 from greygate.compiler.code_ranges import code_ranges
 from greygate.compiler.targets import Design
 from greygate.compiler.verilog import (
+    TAKEN,
+    Block,
     clocks,
     input_slices,
     instance,
@@ -19,7 +21,7 @@ from greygate.compiler.verilog import (
     unused_text,
     verilog_names,
 )
-from greygate.emulator.program import Affine, Lookup, Operation, Program, Signal
+from greygate.emulator.program import Affine, Elementwise, Lookup, Operation, Program, Signal
 
 
 class Dataflow:
@@ -27,7 +29,16 @@ class Dataflow:
 
     def __init__(self, program: Program, design: Design, pipelined: bool = False):
         self.program, self.design, self.pipelined = program, design, pipelined
+        self.dsps = design.dsps  # that are left
         self.names = verilog_names(program)
+        self.taken = {*TAKEN, program.name, *self.names.values(), *(f"{name}_layer" for name in self.names.values())}
+
+    def fresh(self, name: str) -> str:
+        """That name, or one like it that the top does not have yet."""
+        while name in self.taken:
+            name += "_"
+        self.taken.add(name)
+        return name
 
     @cached_property
     def sums(self) -> dict[str, Sums]:
@@ -78,12 +89,22 @@ class Dataflow:
         y = self.names[o.out.name]
         ends = {"clk": "clk"}
         if isinstance(o, Affine):
-            ends |= {"en": enable} if self.pipelined else {}
+            sums = self.sums[o.out.name]
+            ends |= {"en": enable} if sums.pipelined or sums.held else {}
             ends |= {self.names[a]: wire for a, wire in zip(o.args, arguments, strict=True)} | {y: y}
             return instance(f"{self.program.name}_{y}", f"{y}_layer", {}, ends)
-        module, parameters, ports = small_operation(self.program, o, o.out.size)
+        module, parameters, ports = self.block(o, o.out.size)
         ends |= {"en": enable} | dict(zip(ports, arguments, strict=True)) | {"y": y}
         return instance(module, f"{y}_layer", parameters, ends)
+
+    def block(self, o: Elementwise, size: int) -> Block:
+        """As `small_operation`; tables multiply by DSPs as long as the design has any left."""
+        module, parameters, ports = small_operation(self.program, o, size)
+        if isinstance(o, Lookup):
+            used = min(size, self.dsps)
+            self.dsps -= used
+            parameters = parameters | {"MULTIPLIERS": used}
+        return module, parameters, ports
 
     def unread(self) -> str:
         """What nothing reads."""
