@@ -71,15 +71,13 @@ bench-diagnosis: $(VENV)/.ready-dev
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/concealed.py
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/measured_mismatch.py
 
-<<<<<<< HEAD
 # Adder graphs beside alkaid's, on the matrices of a file: make bench-adders MATRICES=cmvm.json PEER=python-with-alkaid
 bench-adders: $(VENV)/.ready-dev
 	$(BIN)/python benchmarks/adders.py $(MATRICES) $(if $(PEER),--peers $(PEER))
-=======
+
 # Ten minutes: whole scenarios through the port of a board, in Verilator behind a pseudo terminal; a bitstream.
 bench-board: $(VENV)/.ready-dev | tools
 	$(BIN)/python benchmarks/board.py --bitstream icebreaker
->>>>>>> board
 
 # An hour: beside other trainers, beside the thesis's minutes, and ten seeds of its benchmark systems.
 bench-training: $(VENV)/.ready-dev $(PEERS)/.ready
