@@ -6,7 +6,7 @@ OUT := demo
 PEERS := build/peers
 FOLDERS := models plants emulator compiler rtl mismatch machines recordings
 
-.PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-programs fuzz faults mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board
+.PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-programs fuzz faults mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-tables
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -50,6 +50,10 @@ bench: $(VENV)/.ready-dev | tools
 # A quarter of an hour: random programs at the limits of what is legal, beside Python integers.
 bench-programs: $(VENV)/.ready-dev | tools
 	PYTHONPATH=tests $(BIN)/python benchmarks/random_programs.py
+
+# Ten minutes: what a lookup takes on each family, for every form of table.
+bench-tables: $(VENV)/.ready-dev
+	$(BIN)/python benchmarks/tables.py
 
 # Nightly: 10,000 mutants of the files that each parser reads; every fault at every point; changes to the code that no
 # test may overlook.
