@@ -26,7 +26,7 @@ module tb;
     integer i = 0, o = 0, bad = 0, clocks = 0, seed = 7;
     wire taken, shown;
     wire [{wout}:0] answer;
-    {name} design (
+    {name} core (
         .clk(clk), .rst(rst), .s_axis_tdata(given[i]), .s_axis_tvalid(valid && i <= {last}), .s_axis_tready(taken),
         .m_axis_tdata(answer), .m_axis_tvalid(shown), .m_axis_tready(ready)
     );

@@ -20,7 +20,7 @@ def pipelined(program: Program, design: Design = Design()) -> dict[str, str]:
     return {f"{program.name}.v": core.top()} | core.modules()
 
 
-def registers(program: Program) -> list[Register]:
+def registers(program: Program, design: Design = Design()) -> list[Register]:
     """A register for each state, with the name of the state."""
     names = verilog_names(program)
     signals = [s.signal for s in program.states]
@@ -160,11 +160,11 @@ module {program.name} (
         if self.design.channels == 1 or not self.program.states:
             return ""
         turn, width, last = self.fresh("turn"), self.channel_bits, self.design.channels - 1
-        depth = max(self.stage.values())
+        depth = max(self.stage[s.source] for s in self.program.states)  # where the last state is written
         following = turn if not depth else f"{{channel[{depth * width - 1}:0], {turn}}}"
         return f"""
     reg [{width - 1}:0] {turn};  // the channel of the next sample
-    reg [{(depth + 1) * width - 1}:0] channel;  // the channel of the sample in each stage
+    reg [{(depth + 1) * width - 1}:0] channel;  // that of the sample in each stage
     always @(posedge clk)
         if (rst) {turn} <= {width}'d0;
         else if ({taken}) {turn} <= {turn} == {width}'d{last} ? {width}'d0 : {turn} + {width}'d1;
