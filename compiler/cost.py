@@ -9,17 +9,15 @@ import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from greygate.compiler.targets import Design, Memory, architecture
-from greygate.emulator.program import Affine, Lines, Lookup, Program, signed_width
+from greygate.emulator.program import Affine, Lookup, Program, Table, signed_width
 
 COEFFICIENTS = Path(__file__).with_name("cost.toml")
 LOOKUP, EDGES = 3, 2  # clocks of a lookup, and of a step beside its longest chain
-SHALLOW = 16  # words up to which a table is kept in logic, whatever the design says: a block would stand empty
 SHARED = 0.5  # part of the digits of single weights that is left when equal patterns are summed once
 
 # Shapes (words, bits) that one block of memory can have with one read port, and with two; and how many a family counts
@@ -29,6 +27,9 @@ BLOCKS: dict[str, tuple[tuple[tuple[int, int], ...], tuple[tuple[int, int], ...]
     "ice40": (((256, 16), (512, 8), (1024, 4), (2048, 2)), (), 1.0),
     "xilinx": (((512, 36), (1024, 18), (2048, 9), (4096, 4)), ((1024, 18), (2048, 9), (4096, 4)), 0.5),
 }
+WORTH = {"ecp5": 2048, "ice40": 1024, "xilinx": 7000}  # bits in each block from which Yosys 0.70 takes blocks for a ROM
+BLOCKS_ALONE = {"ice40"}  # families without memory made of LUTs
+WORD = 18  # bits of a factor of the folded architecture; longer ones are multiplied in parts
 MULTIPLIERS = {"ecp5": (18, 18), "ice40": (16, 16), "xilinx": (25, 18)}  # widths that one DSP multiplies
 
 
@@ -119,19 +120,15 @@ class Parts:
     memories: float
 
 
-def slope_bits(points: tuple[int, ...]) -> int:
-    """Width of the signed difference of two neighbouring points."""
-    return signed_width(max((abs(b - a) for a, b in pairwise(points)), default=0))
-
-
 def _word(program: Program, o: Lookup) -> tuple[int, int, int, int]:
-    """(words, bits of a word, and the widths of the two factors of the line between points) of a lookup's memory."""
+    """(words, bits of a word, and the widths of the two factors of a line) of the memory of a lookup."""
     t = program.table[o.table]
-    if isinstance(t, Lines):
-        base, slope = (signed_width(max(map(abs, part))) for part in (t.bases, t.slopes))
-        return t.entries, base + slope, slope, max(s - d for s, d in zip(t.shifts, t.drops, strict=True)) + 1
-    slope = slope_bits(t.points) if t.interpolated and t.shift else 0
-    return len(t.points), t.out.width + slope, slope, t.shift + 1 if slope else 0
+    if isinstance(t, Table) and not (t.interpolated and t.shift):
+        return len(t.points), t.out.width, 0, 0
+    found = t.segments
+    base, slope = (signed_width(max(map(abs, part))) for part in (found.bases, found.slopes))
+    place = max(shift - drop for shift, drop in zip(found.shifts, found.drops, strict=True))
+    return len(found.bases), base + slope, slope, place + 1
 
 
 def _small(program: Program) -> float:
@@ -145,70 +142,101 @@ def _ports(program: Program) -> float:
     return float(sum(p.signal.size * p.signal.fix.width for p in program.inputs + program.outputs))
 
 
+def served(program: Program, since: Mapping[str, int]) -> list[tuple[Lookup, int]]:
+    """(one of its lookups, neurons) of the units that answer lookups: those of one table take turns if they can.
+
+    since: clock at which each signal stands.
+    """
+    turns: dict[str, dict[int, int]] = {}
+    for o in program.operations:
+        if isinstance(o, Lookup):
+            at = turns.setdefault(o.table, {})
+            at[since[o.arg]] = at.get(since[o.arg], 0) + o.out.size
+    one = {o.table: o for o in program.operations if isinstance(o, Lookup)}
+    return [(one[table], max(sizes.values())) for table, sizes in turns.items()]
+
+
 def parallel(program: Program, design: Design, family: str, clocks: int) -> Parts:
-    """Every sum of adders of its own, every two lookups a memory of their own where it has two ports."""
+    """Every sum of adders of its own, every two units of a table a memory of their own where it has two ports."""
     luts = dict.fromkeys(("adders", "results", "lookups", "products", "rom"), 0.0)
     luts |= {"small": _small(program), "ports": _ports(program), "core": 1.0}
-    dsps, memories, both = 0, 0.0, bool(BLOCKS[family][1])
+    dsps, left, memories, both = 0, design.dsps, 0.0, bool(BLOCKS[family][1])
     for o in program.operations:
         if isinstance(o, Affine):
             found = sums(program, o)
             luts["adders"] += found.adders
             luts["results"] += 0.0 if trivial(program, o) else found.results
-        elif isinstance(o, Lookup):
-            words, bits, slope, rest = _word(program, o)
-            luts["lookups"] += o.out.size * (program.signals[o.arg].fix.width + 2 * o.out.fix.width)
-            in_dsps = min(o.out.size, max(0, design.dsps - dsps)) if slope else 0
-            dsps += in_dsps * (tiles(family, slope, rest) if slope else 0)
-            luts["products"] += (o.out.size - in_dsps) * slope * rest
-            if design.memory is Memory.BLOCK and words > SHALLOW:
-                one = blocks(family, words, bits)
-                memories += min(o.out.size * one, math.ceil(o.out.size / 2) * blocks(family, words, bits, 2)
-                                if both else math.inf)  # fmt: skip
-            else:
-                luts["rom"] += o.out.size * words * bits
+    for o, units in served(program, standing(program, design)):
+        words, bits, slope, rest = _word(program, o)
+        luts["lookups"] += units * (program.signals[o.arg].fix.width + 2 * o.out.fix.width)
+        if slope:
+            in_dsps = min(units, left)
+            left -= in_dsps
+            dsps += in_dsps * tiles(family, slope, rest)
+            luts["products"] += (units - in_dsps) * slope * rest
+        if design.memory is Memory.BLOCK:
+            one = blocks(family, words, bits)
+            memories += min(units * one, math.ceil(units / 2) * blocks(family, words, bits, 2)) if both else units * one
+        else:
+            luts["rom"] += units * words * bits
     return Parts(luts, dsps, memories)
 
 
+def kept(program: Program) -> set[str]:
+    """Signals that stand in the memory of the folded architecture: all but sums that only tables read."""
+    shown = {p.signal.name for p in program.outputs} | {s.source for s in program.states}
+    shown |= {a for o in program.operations if not isinstance(o, Lookup) for a in o.args}
+    return shown | {s.signal.name for s in program.states}
+
+
 def folded(program: Program, design: Design, family: str, clocks: int) -> Parts:
-    """Some multipliers, a memory of codes, a schedule in a memory; lookups in equal tables share one."""
+    """Some multipliers, a memory of codes, a schedule and biases in ROM; lookups in equal tables share one."""
     affine = [o for o in program.operations if isinstance(o, Affine)]
     m = design.multipliers
-    code = max(s.fix.width for s in program.signals.values())
+    code = max(program.signals[name].fix.width for name in kept(program))
     acc = max([2, *(program.accumulator_width(o) for o in affine)])
     weight = 1 + max([1, *(int(odd_bits(o.weights).max(initial=0)) for o in affine)])
     shifts = {int(f) - o.out.fix.frac for o in affine for f in o.frac}
-    words = sum(s.size for s in program.signals.values())
-    line = m * weight + 2 * math.ceil(math.log2(words + 1)) + 16
-    luts = {"multipliers": float(m * acc), "drain": float(acc * math.ceil(math.log2(len(shifts) + 1)))}
-    luts |= {"codes": float(words * code), "code": float(code * (2 + m)), "small": _small(program) / 8}
-    luts |= {"lookups": 0.0, "rom": 0.0, "ports": _ports(program), "core": 1.0}
-    dsps, memories = m * tiles(family, code, weight), 0.0
-    stored = [(clocks, line), (sum(math.ceil(o.out.size / m) for o in affine), m * acc)]
+    words = 1 << max(1, (sum(program.signals[name].size for name in kept(program)) - 1).bit_length())
+    line = m * (min(weight, WORD) + 2) + words.bit_length() + 3
+    luts = {"multipliers": float(m * acc), "drain": float(acc * len(shifts).bit_length())}
+    luts |= {"code": float(code), "tags": float(line), "small": _small(program) / 8}
+    luts |= {"lookups": 0.0, "rom": 0.0, "ram": 0.0, "ports": _ports(program), "core": 1.0}
+    dsps, memories = m * tiles(family, min(code, WORD), min(weight, WORD)), 0.0
+    rows = sum(o.out.size for o in affine) + sum(s.signal.size for s in program.states)
+    for count, bits, kind in ((clocks + words // 8, line, "rom"), (rows, acc, "rom"), (words, code, "ram")):
+        taken = blocks(family, count, bits)
+        least = 0 if kind == "ram" and family in BLOCKS_ALONE else WORTH[family]
+        if count * bits * BLOCKS[family][2] >= least * taken:
+            memories += taken
+        else:
+            luts[kind] += count * bits
     for table in {o.table: o for o in program.operations if isinstance(o, Lookup)}.values():
         count, bits, slope, rest = _word(program, table)
-        stored.append((count, bits))
         luts["lookups"] += program.signals[table.arg].fix.width + 2 * table.out.fix.width
         dsps += tiles(family, slope, rest) if slope else 0
-    for count, bits in stored:
-        if design.memory is Memory.BLOCK and count > SHALLOW:
+        if design.memory is Memory.BLOCK:
             memories += blocks(family, count, bits)
         else:
             luts["rom"] += count * bits
     return Parts(luts, dsps, memories)
 
 
-def parallel_clocks(program: Program, design: Design) -> int:
-    """An estimate: each sum is a tree of its digits, with a register after every few adders."""
+def standing(program: Program, design: Design) -> dict[str, int]:
+    """Signal -> clock at which it stands, an estimate: each sum is a tree with a register after every few adders."""
     since = dict.fromkeys(program.signals, 0)
     for o in program.operations:
         clocks = LOOKUP if isinstance(o, Lookup) else 1
         if isinstance(o, Affine):
             terms = int(digits(o.weights).sum(axis=1).max()) + 1
-            depth = (terms - 1).bit_length()
-            clocks = max(1, -(-depth // design.adders)) if design.adders else 1
+            clocks = max(1, -(-(terms - 1).bit_length() // design.adders)) if design.adders else 1
         since[o.out.name] = clocks + max(since[a] for a in o.args)
-    return max(since.values()) + EDGES
+    return since
+
+
+def parallel_clocks(program: Program, design: Design) -> int:
+    """An estimate of the clocks of a step."""
+    return max(standing(program, design).values()) + EDGES
 
 
 CLOCKS: dict[str, Callable[[Program, Design], int]] = {"parallel": parallel_clocks}  # where counting takes long

@@ -11,12 +11,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from greygate.compiler.cost import Cost, clocks_of, cost, explored
+from greygate.compiler.cost import Cost, clocks_of, cost, explored, served, standing
 from greygate.compiler.judge import Bound
 from greygate.compiler.quantize import Formats
+from greygate.compiler.rounding import prices
 from greygate.compiler.targets import Design, Memory
-from greygate.compiler.trail import Candidate, Maker, trail
-from greygate.emulator.program import Lookup, Program
+from greygate.compiler.trail import KEPT, Candidate, Maker, trail, with_few_digits, without_memory
+from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.progress import Progress, silent
 
@@ -25,6 +26,10 @@ FINER = (0, 2, 4)  # bits beyond them
 MULTIPLIERS = (1, 2, 4, 8, 16, 32)  # of the folded architecture
 STARTS = (0.25, 1.0 / 64)  # error of a trail's start, as a part of the largest that is of interest
 ALIKE = 1.02  # factor by which LUTs or time must be better for a point to stand on the front beside a more accurate one
+REACH = 2.0  # factor by which a design of plain words may be too large, where weights of few digits are tried
+EVERY = 4  # price of digits that is tried on a network with memory, on which rounding takes long
+LESS = 0.99  # factor by which a step of a trail must be cheaper than those before it to be looked at
+SETTLED = 1.05  # an error so near to the least of a network that signals have bits enough
 PER_BIT = 0.01  # LUTs by which a trail prefers a narrower signal where no part of the design gets smaller
 
 
@@ -135,6 +140,20 @@ def _candidates(make: Maker, request: Request, mapper: Mapper, progress: Progres
     for steps in mapper(_Walk(make, request, interest), walks):
         progress(f"{len(steps)} programs on a trail")
         yield from steps[1:]
+    if not _counting_digits(request) or not _within_reach(found, request):
+        return
+    every = 1 if without_memory(make.network) else EVERY
+    for steps in mapper(_Rounding(make, request, interest), prices()[::every]):
+        progress(f"{len(steps)} programs of weights of few digits")
+        yield from steps
+
+
+def _within_reach(found: Sequence[Candidate], request: Request) -> bool:
+    """Whether weights of few digits may make a design fit that counts digits."""
+    luts = [
+        cost(c.program, n, Design(), request.family, 1).luts for c in found for n in _counting_digits(request)
+    ]  # fmt: skip
+    return min(luts, default=math.inf) <= REACH * request.room.luts
 
 
 @dataclass(frozen=True)
@@ -147,8 +166,38 @@ class _Walk:
 
     def __call__(self, walk: tuple[str, Candidate]) -> list[Candidate]:
         name, start = walk
-        steps = trail(start, self.make, _Price(self.request, name), self.end)
-        return [replace(step, tuned=name) for step in steps]
+        price, found, least = _Price(self.request, name), [], math.inf
+        for step in trail(start, self.make, price, self.end):
+            if (now := price(step.program)) < LESS * least:
+                least = now
+                found.append(replace(step, tuned=name))
+        return found
+
+
+@dataclass(frozen=True)
+class _Rounding:
+    """Words and trails of the network with weights of few digits, at a price of a digit."""
+
+    make: Maker
+    request: Request
+    end: float
+
+    def __call__(self, price: float) -> list[Candidate]:
+        make = with_few_digits(self.make, price)
+        if make is None:
+            return []
+        found = [c for w in self.request.widths if (c := make(Formats(w, keep=KEPT))) is not None]
+        least = min((c.error for c in found), default=math.inf)
+        if least > self.end:
+            return []
+        start = next(c for c in found if c.error <= SETTLED * least)
+        walk = _Walk(make, self.request, self.end)
+        return [c for name in _counting_digits(self.request) for c in walk((name, start))]
+
+
+def _counting_digits(request: Request) -> list[str]:
+    """The architectures whose size depends on the digits of the weights; to the folded one they cost nothing."""
+    return [n for n in request.architectures or explored() if n != "folded"]
 
 
 @dataclass(frozen=True)
@@ -196,8 +245,8 @@ def designs(name: str, program: Program, request: Request) -> Iterator[Design]:
         if name == "folded":
             yield from (Design(multipliers=m, memory=memory) for m in request.multipliers if m <= request.whole.dsps)
         elif name == "parallel":
-            lookups = sum(o.out.size for o in program.operations if isinstance(o, Lookup))
-            room = int(min(request.room.dsps, lookups))
+            units = sum(n for _, n in served(program, standing(program, Design())))
+            room = int(min(request.room.dsps, units))
             yield from (Design(dsps=n, memory=memory) for n in dict.fromkeys((0, room // 2, room)))
         else:
             yield Design(memory=memory)

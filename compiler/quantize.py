@@ -48,7 +48,8 @@ class Formats:
     tables: how tables are kept.
     margin: room above the observed range (1.25 = a quarter). wide: extra fraction bits of pre-activations.
     signals: formats that the user (or a search) fixes, by signal name. weights: significant bits of the weights of a
-    sum instead of the word's, by the name of the sum's signal, which a search fixes.
+    sum instead of the word's, by the name of the sum's signal, which a search fixes. keep: significant bits in which a
+    row of weights is kept as it is, if they say it exactly, though the word is shorter: of weights rounded before.
 
     >>> Formats(18).width
     18
@@ -66,6 +67,7 @@ class Formats:
     horizon: int = 10_000
     signals: Mapping[str, Fix] = field(default_factory=dict)
     weights: Mapping[str, int] = field(default_factory=dict)
+    keep: int = 0
 
 
 def memory(loops: list[np.ndarray]) -> float:
@@ -405,7 +407,11 @@ class _Quantizer:
             reach = signal.fix.width - 1 - signal.fix.frac  # |x| <= 2^reach
             for r in range(rows):
                 largest = float(np.abs(w[r]).max())
-                fine = min(word - 1 - integer_bits(largest), out.fix.frac + GUARD + finer + reach) if largest else 0
+                shown = out.fix.frac + GUARD + finer + reach
+                fine = min(word - 1 - integer_bits(largest), shown) if largest else 0
+                kept = min(self.formats.keep - 1 - integer_bits(largest), shown) if largest else 0
+                if kept > fine and (short := _exact_bits(w[r], kept)) < kept:
+                    fine = short
                 finest[r, j] = max(_exact_bits(w[r], fine), -signal.fix.frac)
         frac = np.max(finest + [s.fix.frac for s, _ in reads], axis=1)
         frac = np.maximum(frac, max(0, out.fix.frac))  # a bias is no coarser than the result

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 
@@ -106,11 +106,15 @@ def _limits(room: Room) -> tuple[float, float, float]:
 
 @dataclass
 class Explorer:
-    """Chooses a program, an architecture and a design while a network is compiled; `found` tells of it afterwards."""
+    """Chooses a program, an architecture and a design while a network is compiled; `found` tells of it afterwards.
+
+    training: scenarios on which weights are rounded; the first if none is given.
+    """
 
     request: Request
     mapper: Callable[[Callable, Iterable], Iterable] = map
     progress: Progress = silent
+    training: Sequence[str] = ()
     found: Exploration | None = field(default=None, init=False)
 
     def choose(
@@ -119,7 +123,8 @@ class Explorer:
         """The program of the smallest design that meets the request, measured on all records. Raises Unmet."""
         judge = Judge(network, records, self.request.bound)
         judge.allowed  # noqa: B018 - a bound that means nothing is told before the work
-        self.found = explore(Maker(network, ranges, judge, period), self.request, self.mapper, self.progress)
+        training = [records[name] for name in self.training or list(records)[:1]]
+        self.found = explore(Maker(network, ranges, judge, period, training), self.request, self.mapper, self.progress)
         if self.found.chosen is None:
             raise Unmet(self.found)
         plain = self.found.chosen.candidate.program
@@ -208,6 +213,7 @@ def _facts(p: Point) -> dict:
         "table_budget": formats.table_budget,
         "signals": {name: str(fix) for name, fix in formats.signals.items()},
         "weights": dict(formats.weights),
+        "price": p.candidate.price,
     }
 
 

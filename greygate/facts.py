@@ -32,7 +32,7 @@ POINT = {
     **dict.fromkeys(("luts", "dsps", "clocks", "width", "finer"), whole(0)),
     "architecture": one_of(NAMES),
     "design": record(Design),
-    "table_budget": number,
+    **dict.fromkeys(("table_budget", "price"), number),
     "signals": named(line, check_path),
     "weights": named(whole(0), check_path),
 }

@@ -239,7 +239,8 @@ def _explorer(
     from greygate.exploring import Explorer, requested, side_by_side
 
     units = {port.name: port.unit for port in source.network().outputs}
-    return Explorer(requested(device, units, *limits, **tried), side_by_side(jobs), progress)
+    asked = requested(device, units, *limits, **tried)
+    return Explorer(asked, side_by_side(jobs), progress, source.training)
 
 
 def _steps(compiled: "Compiled") -> list[str]:
