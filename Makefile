@@ -6,7 +6,7 @@ OUT := demo
 PEERS := build/peers
 FOLDERS := models plants emulator compiler rtl mismatch machines recordings
 
-.PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-programs fuzz faults mutants train clean tools bench-accuracy bench-flow bench-growth calibrate
+.PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-programs fuzz faults mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-flow bench-growth
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -67,6 +67,16 @@ bench-diagnosis: $(VENV)/.ready-dev
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/concealed.py
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/measured_mismatch.py
 
+<<<<<<< HEAD
+# Adder graphs beside alkaid's, on the matrices of a file: make bench-adders MATRICES=cmvm.json PEER=python-with-alkaid
+bench-adders: $(VENV)/.ready-dev
+	$(BIN)/python benchmarks/adders.py $(MATRICES) $(if $(PEER),--peers $(PEER))
+=======
+# Ten minutes: whole scenarios through the port of a board, in Verilator behind a pseudo terminal; a bitstream.
+bench-board: $(VENV)/.ready-dev | tools
+	$(BIN)/python benchmarks/board.py --bitstream icebreaker
+>>>>>>> board
+
 # An hour: beside other trainers, beside the thesis's minutes, and ten seeds of its benchmark systems.
 bench-training: $(VENV)/.ready-dev $(PEERS)/.ready
 	$(BIN)/python benchmarks/training.py --peers $(PEERS)/bin/python
@@ -94,6 +104,13 @@ train: $(VENV)/.ready
 	for name in valve_cylinder asymmetric_cylinder pump_cylinder cable_drum belt_drive mts crane tanks b2; do $(BIN)/greygate train $$name || exit 1; done
 	$(BIN)/python -m greygate.machines.pruned
 
+# What the thesis's plants take on FPGAs, hours where a tool runs into its limit; and the proofs of a whole network.
+resources: $(VENV)/.ready-dev
+	$(BIN)/python benchmarks/resources.py --limit 300
+
+proofs: $(VENV)/.ready-dev | tools
+	$(BIN)/python benchmarks/proofs.py --limit 300
+
 clean:
 	rm -rf $(OUT) build *.egg-info
 
@@ -106,7 +123,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(INSTALL) -e '.[dev,synthesis,board,cluster]'
+	$(INSTALL) -e '.[dev,synthesis,proof,board,cluster]'
 	@touch $@
 
 $(VENV)/.ready-docs: $(VENV)/.ready

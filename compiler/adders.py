@@ -11,8 +11,12 @@ import numpy as np
 from greygate.compiler.adders_graph import CONSTANT, Graph, Node, Output
 from greygate.compiler.adders_search import best_sums
 from greygate.compiler.adders_shape import shape
+from greygate.errors import InputError, shown
 
 __all__ = ["CONSTANT", "Graph", "Node", "Output", "solve"]
+
+
+OBJECTIVES = ("adders", "bits")
 
 
 def solve(
@@ -21,20 +25,37 @@ def solve(
     constants: Sequence[int] | np.ndarray | None = None,
     ranges: Sequence[tuple[int, int]] | None = None,
     depth: int | None = None,
+    effort: float = 1.0,
+    objective: str = "adders",
 ) -> Graph:
-    """Find a graph with few adders for `weights` (rows, columns) of integers.
+    """Find a graph with few adders for `weights` (rows, columns) of integers. The same input gives the same graph.
 
     widths: bits of each column's signed code. constants: a number added to each row (bias and rounding constant).
-    ranges: (lo, hi) of each column where it is narrower than the width says.
+    ranges: (lo, hi) of each column where it is narrower than the width says. depth: the most adders in a row; an
+    InputError says the least that is possible. effort: work of the search, as a multiple; 0 shares pairs once.
+    objective: what the better of two graphs has less of, "adders" or "bits" (`Graph.adder_bits`).
     """
     table = np.asarray(weights)
     rows, columns = table.shape
+    if objective not in OBJECTIVES:
+        raise InputError(f"objective {shown(objective)}: unknown; use {' or '.join(OBJECTIVES)}")
     if ranges is None:
         ranges = [(-(1 << (w - 1)), (1 << (w - 1)) - 1) for w in widths]
-    constants = [0] * rows if constants is None else [int(c) for c in constants]
+    if len(ranges) != columns:
+        raise InputError(f"adder graph: {len(ranges)} ranges for {columns} columns; give one a column")
+    numbers = [0] * rows if constants is None else [int(c) for c in constants]
+    if len(numbers) != rows:
+        raise InputError(f"adder graph: {len(numbers)} constants for {rows} rows; give one a row")
     sums = [[(c, s, g) for c in range(columns) for s, g in signed_digits(int(table[r, c]))] for r in range(rows)]
-    definitions, sums = best_sums(sums, columns)
-    return shape(columns, definitions, sums, constants, ranges)
+    extra = [int(n != 0) for n in numbers]
+    least = max((len(s) + e - 1 for s, e in zip(sums, extra, strict=True) if s), default=0).bit_length()
+    if depth is not None and depth < least:
+        raise InputError(f"adder graph: depth {depth} is too little for its longest row; allow at least {least}")
+    found = best_sums(sums, columns, depth or 0, extra, effort)
+    graphs = [shape(columns, definitions, outs, numbers, ranges) for definitions, outs in found]
+    best = min(graphs, key=lambda g: (g.adder_bits, g.adders) if objective == "bits" else (g.adders, g.adder_bits))
+    assert (best.matrix() == table).all(), "the adders are not the matrix"
+    return best
 
 
 def signed_digits(number: int) -> list[tuple[int, int]]:

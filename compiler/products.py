@@ -4,20 +4,20 @@ A weight is `word << shift`; a word fits the multipliers of every FPGA. The rows
 fraction at which it is drained, `mode.shift` bits finer than its result, so that few drains serve all rows.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
-from math import comb
 from typing import NamedTuple
 
 import numpy as np
 
+from greygate.compiler.words import choose_stages, pieces, selected, width_of
 from greygate.emulator.program import Affine, Operation, Overflow, Program, Rounding, signed_width
 
 OPERANDS = (16, 18)  # widths of the multipliers that every family has: 16 x 16 on the iCE40, 18 x 18 on the others
 FEW = 1.05  # products, as a factor, that narrower multipliers may cost
-WIDER = 3  # bits that aligning a row may add to the widest sum: a drain of its own costs as many LUTs
-COMBINATIONS = 20_000  # sets of stages that are tried one by one
+DRAINS = 3  # the most different shifts of drains that are tried
+TRIED = 12  # the most shifts of rows of which every set is tried
+BIAS = 1 << 12  # makes shifts positive
 
 
 class Mode(NamedTuple):
@@ -75,69 +75,45 @@ class Products:
     count: int  # products of a step
 
 
-def laid_out(program: Program, operations: list[Operation]) -> Products:
+def laid_out(program: Program, operations: list[Operation], multipliers: int) -> Products:
     """The products of some operations, for the narrowest multipliers that do not cost many more of them."""
     affine = [o for o in operations if isinstance(o, Affine)]
-    wide = _Maker(program, affine, OPERANDS[-1])
-    narrow = _Maker(program, affine, OPERANDS[0])
-    return (narrow if narrow.count <= FEW * wide.count else wide).products()
+    wide = _Split(program, affine, OPERANDS[-1])
+    narrow = _Split(program, affine, OPERANDS[0])
+    chosen = narrow if narrow.count <= FEW * wide.count else wide
+    return chosen.products(_drains(chosen, multipliers))
 
 
-class _Maker:
+class _Split:
+    """The products before rows are aligned.
+
+    columns: operation -> element, part, words and shifts (rows, columns) of every column that some row needs. shifts:
+    of its rows, the bits that a drain drops; widths: of their sums.
+    """
+
     def __init__(self, program: Program, affine: list[Affine], operand: int):
         self.program, self.affine, self.operand = program, affine, operand
         self.parts: dict[Part, int] = {PLAIN: 0}
-        self.x_width = min(operand, max([2, *(program.signals[a].fix.width for o in self.affine for a in o.args)]))
-        self.widths = {o.out.name: _row_widths(program, o) for o in self.affine}
-        self.aligned = _alignment(self.affine, self.widths)
-        self.split = {o.out.name: self._columns(o) for o in self.affine}
-        self.count = sum(int(np.count_nonzero(words)) for _, _, words, _ in self.split.values())
-
-    def products(self) -> Products:
-        words = [words for _, _, words, _ in self.split.values()]
-        shifts = [shifts for *_, shifts in self.split.values()]
-        word_width = max([2, *(int(width_of(w).max()) for w in words)])
-        pairs = [_pairs(w, s, word_width) for w, s in zip(words, shifts, strict=True)]
-        base, stages = choose_stages({p for found in pairs for p in found})
-        modes: dict[Mode, int] = {}
-        layers, acc_width = {}, 2
-        for o in self.affine:
-            columns, parts, words_, shifts_ = self.split[o.out.name]
-            words_, selects = _selected(words_, shifts_, word_width, base, stages)
-            biases, chosen = [], []
-            for r in range(o.out.size):
-                mode, bias, width = self._row(o, r)
-                biases.append(bias)
-                chosen.append(modes.setdefault(mode, len(modes)))
-                acc_width = max(acc_width, width)
-            layers[o.out.name] = Layer(columns, parts, words_, selects, biases, chosen)
-        return Products(
-            layers, self.x_width, word_width, acc_width, base, stages, tuple(self.parts), tuple(modes), self.count
-        )
-
-    def _row(self, o: Affine, r: int) -> tuple[Mode, int, int]:
-        """The mode of a row, its bias with the rounding constant, and the width of its sum, all aligned."""
-        shift = int(o.frac[r]) - o.out.fix.frac
-        to = self.aligned[o.out.name][r]
-        half = 1 << (to - 1) if shift > 0 and o.rounding is not Rounding.TRUNCATE else 0
-        mode = Mode(to, shift > 0 and o.rounding is Rounding.HALF_EVEN, o.out.fix.width, o.overflow is Overflow.WRAP)
-        return mode, (int(o.bias[r]) << (to - shift)) + half, self.widths[o.out.name][r] + to - shift
+        self.x_width = min(operand, max([2, *(program.signals[a].fix.width for o in affine for a in o.args)]))
+        self.columns = {o.out.name: self._columns(o) for o in affine}
+        self.count = sum(int(np.count_nonzero(words)) for _, _, words, _ in self.columns.values())
+        self.word_width = max([2, *(int(width_of(words).max()) for _, _, words, _ in self.columns.values())])
+        self.shifts = {o.out.name: o.frac - o.out.fix.frac for o in affine}
+        self.widths = {o.out.name: np.array(_row_widths(program, o)) for o in affine}
 
     def _columns(self, o: Affine) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Element, part, words and aligned shifts of every column that some row needs; at least one."""
-        to = np.array(self.aligned[o.out.name]) - (o.frac - o.out.fix.frac)
         found: list[tuple[np.ndarray, int, np.ndarray, np.ndarray]] = []
-        pieces = list(_pieces(o.weights, self.operand))
+        split = list(pieces(o.weights, self.operand))
         first = 0
         for a in o.args:
             signal = self.program.signals[a]
             span = slice(first, first + signal.size)
             for part in _parts(signal.fix.width, self.x_width):
-                for words, shifts in pieces:
+                for words, shifts in split:
                     used = np.flatnonzero(np.any(words[:, span] != 0, axis=0)) + first
                     if used.size:
                         index = self.parts.setdefault(part, len(self.parts))
-                        found.append((used, index, words[:, used], shifts[:, used] + part.low + to[:, None]))
+                        found.append((used, index, words[:, used], shifts[:, used] + part.low))
             first += signal.size
         if not found:  # no weight at all
             zero = np.zeros((o.out.size, 1), np.int64)
@@ -145,8 +121,81 @@ class _Maker:
         columns = np.concatenate([used for used, *_ in found])
         parts = np.concatenate([np.full(len(used), index) for used, index, *_ in found])
         words = np.concatenate([w for *_, w, _ in found], axis=1)
-        shifts = np.concatenate([s for *_, s in found], axis=1)
-        return columns, parts, words, shifts
+        return columns, parts, words, np.concatenate([s for *_, s in found], axis=1)
+
+    def kinds(self) -> np.ndarray:
+        """The different (bits dropped, shift, room) of all products; a word has room for as many bits more."""
+        found = [np.zeros((0, 3), np.int64)]
+        for name, (_, _, words, shifts) in self.columns.items():
+            used = words != 0
+            dropped = np.broadcast_to(self.shifts[name][:, None], words.shape)[used]
+            room = self.word_width - width_of(words[used])
+            coded = np.unique((dropped + BIAS) << 32 | shifts[used] << 16 | room)
+            found.append(np.stack([(coded >> 32) - BIAS, (coded >> 16) & 0xFFFF, coded & 0xFFFF], axis=1))
+        return np.unique(np.concatenate(found), axis=0)
+
+    def products(self, drains: tuple[int, ...]) -> Products:
+        """The products whose rows are drained with these shifts."""
+        base, stages = choose_stages(_ranges(self.kinds(), drains))
+        modes: dict[Mode, int] = {}
+        layers, acc_width = {}, 2
+        for o in self.affine:
+            name = o.out.name
+            columns, parts, words, shifts = self.columns[name]
+            more = _aligned(self.shifts[name], drains) - self.shifts[name]
+            words, selects = selected(words, shifts + more[:, None], self.word_width, base, stages)
+            biases, chosen = [], []
+            for r, (shift, up) in enumerate(zip(self.shifts[name].tolist(), more.tolist(), strict=True)):
+                half = 1 << (shift - 1) if shift > 0 and o.rounding is not Rounding.TRUNCATE else 0
+                biases.append((int(o.bias[r]) + half) << up)
+                even = shift > 0 and o.rounding is Rounding.HALF_EVEN
+                mode = Mode(shift + up, even, o.out.fix.width, o.overflow is Overflow.WRAP)
+                chosen.append(modes.setdefault(mode, len(modes)))
+            acc_width = max(acc_width, int((self.widths[name] + more).max()))
+            layers[name] = Layer(columns, parts, words, selects, biases, chosen)
+        return Products(
+            layers, self.x_width, self.word_width, acc_width, base, stages, tuple(self.parts), tuple(modes), self.count
+        )
+
+
+def _aligned(shifts: np.ndarray, drains: tuple[int, ...]) -> np.ndarray:
+    """The least of the drains that drops at least as many bits as each row does."""
+    return np.array(drains)[np.searchsorted(drains, shifts)]
+
+
+def _ranges(kinds: np.ndarray, drains: tuple[int, ...]) -> frozenset[tuple[int, int]]:
+    """(least, greatest) shift with which each product may be made: a word with room may itself be shifted."""
+    greatest = kinds[:, 1] + _aligned(kinds[:, 0], drains) - kinds[:, 0]
+    return frozenset(zip(np.maximum(0, greatest - kinds[:, 2]).tolist(), greatest.tolist(), strict=True))
+
+
+def _drains(split: _Split, multipliers: int) -> tuple[int, ...]:
+    """The shifts of drains, in rising order, with which the sums, the stages and the drains take the fewest LUTs."""
+    rows = {
+        row
+        for name, shifts in split.shifts.items()
+        for row in zip(shifts.tolist(), split.widths[name].tolist(), strict=True)
+    }
+    wanted = sorted({s for s, _ in rows})
+    if not wanted:
+        return (0,)
+    last, kinds = max(0, wanted[-1]), split.kinds()
+    least = [s for s in wanted if 0 <= s < last]
+    if len(least) > TRIED:
+        least = sorted({least[i * len(least) // TRIED] for i in range(TRIED)})
+    width = max(o.out.fix.width for o in split.affine)
+    best: tuple[int, tuple[int, ...]] | None = None
+    for count in range(DRAINS):
+        for more in combinations(least, count):
+            drains = (*more, last)
+            acc = max(w + drains[np.searchsorted(drains, s)] - s for s, w in rows)
+            cost = multipliers * acc * 2 + width * count
+            if best is None or cost < best[0]:
+                cost += multipliers * acc * len(choose_stages(_ranges(kinds, drains))[1])
+                if best is None or cost < best[0]:
+                    best = cost, drains
+    assert best is not None
+    return best[1]
 
 
 def _parts(width: int, x_width: int) -> list[Part]:
@@ -166,119 +215,3 @@ def _row_widths(program: Program, o: Affine) -> list[int]:
     shift = [int(s) for s in o.frac - o.out.fix.frac]
     rounding = [1 << (s - 1) if s > 0 else 0 for s in shift]
     return [signed_width(int(m) + abs(int(b)) + h) for m, b, h in zip(magnitude, o.bias, rounding, strict=True)]
-
-
-def _alignment(affine: list[Affine], widths: dict[str, list[int]]) -> dict[str, list[int]]:
-    """The bits that the drain of each row drops; equal for as many rows as the widest sum allows."""
-    rows = [
-        (int(s), width, o.out.name, r)
-        for o in affine
-        for r, (s, width) in enumerate(zip(o.frac - o.out.fix.frac, widths[o.out.name], strict=True))
-    ]
-    widest = max([width - min(0, s) for s, width, *_ in rows], default=2) + WIDER
-    chosen: list[int] = []
-    aligned: dict[str, list[int]] = {o.out.name: [0] * o.out.size for o in affine}
-    for s, width, name, r in sorted(rows, reverse=True):
-        fitting = [c for c in chosen if width + c - s <= widest]
-        if not fitting:
-            chosen.append(max(0, s))
-            fitting = chosen[-1:]
-        aligned[name][r] = fitting[0]
-    return aligned
-
-
-# -- words and shifts ------------------------------------------------------------------------------------------------
-
-
-def width_of(values: np.ndarray) -> np.ndarray:
-    """The least width in two's complement of each integer of 64 bits."""
-    rest = np.where(values < 0, ~values, values)
-    width = np.ones(values.shape, np.int64)
-    for step in (32, 16, 8, 4, 2, 1):
-        above = rest >> step != 0
-        width += np.where(above, step, 0)
-        rest = np.where(above, rest >> step, rest)
-    return width + (rest != 0)
-
-
-def odd_part(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(odd, shift) with values = odd << shift; (0, 0) for 0."""
-    odd, shift = values.copy(), np.zeros(values.shape, np.int64)
-    for step in (32, 16, 8, 4, 2, 1):
-        even = (odd & ((1 << step) - 1) == 0) & (odd != 0)
-        shift += np.where(even, step, 0)
-        odd = np.where(even, odd >> step, odd)
-    return odd, shift
-
-
-def _pieces(weights: np.ndarray, width: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """(words, shifts) of which the weights are the sums; every word is odd or 0 and has at most `width` bits."""
-    rest, above = odd_part(weights)
-    while np.any(rest):
-        low = ((rest + (1 << (width - 1))) & ((1 << width) - 1)) - (1 << (width - 1))
-        words = np.where(width_of(rest) > width, low, rest)
-        yield words, above
-        rest, more = odd_part((rest - words) >> width)
-        above = above + more + width
-
-
-def _pairs(words: np.ndarray, shifts: np.ndarray, width: int) -> set[tuple[int, int]]:
-    """(least, greatest) shift with which each product may be made: a narrow word may itself be shifted."""
-    used = words != 0
-    greatest = shifts[used]
-    least = np.maximum(0, greatest - (width - width_of(words[used])))
-    return set(map(tuple, np.unique(np.stack([least, greatest], axis=1), axis=0).tolist()))
-
-
-def sums_of(stages: tuple[int, ...]) -> dict[int, int]:
-    """Shift -> select of every shift that the stages make."""
-    found = {0: 0}
-    for i, amount in enumerate(stages):
-        found |= {shift + amount: select | 1 << i for shift, select in found.items() if shift + amount not in found}
-    return found
-
-
-def choose_stages(ranges: set[tuple[int, int]]) -> tuple[int, tuple[int, ...]]:
-    """The least shift of all, and the fewest stages beyond it that reach into each range (least, greatest)."""
-    if not ranges:
-        return 0, ()
-    base = min(greatest for _, greatest in ranges)
-    needed = {(max(0, least - base), greatest - base) for least, greatest in ranges}
-    masks = {(2 << hi) - (1 << lo) for lo, hi in needed}
-    top = max(hi for _, hi in needed)
-
-    def reaches(stages: tuple[int, ...]) -> bool:
-        reached = 1
-        for amount in stages:
-            reached |= reached << amount
-        return all(reached & mask for mask in masks)
-
-    for count in range(top.bit_length() + 1):
-        if comb(top, count) <= COMBINATIONS:
-            candidates = combinations(range(1, top + 1), count)
-        else:
-            candidates = (
-                tuple(sorted([*(unit << i for i in range(count - 1)), last]))
-                for unit in range(1, 9)
-                for last in range(1, top + 1)
-            )
-        for stages in candidates:
-            if reaches(stages):
-                return base, stages
-    return base, tuple(1 << i for i in range(top.bit_length()))
-
-
-def _selected(
-    words: np.ndarray, shifts: np.ndarray, width: int, base: int, stages: tuple[int, ...]
-) -> tuple[np.ndarray, np.ndarray]:
-    """The words and selects with which the stages make `words << shifts`."""
-    reached = sums_of(stages)
-    available = np.array(sorted(reached))
-    selects = np.array([reached[shift] for shift in available.tolist()])
-    nearest = np.maximum(np.searchsorted(available, shifts - base, side="right") - 1, 0)
-    used = words != 0
-    left = np.where(used, shifts - base - available[nearest], 0)
-    moved = words << left
-    assert (left >= 0).all(), "a product needs a smaller shift than the stages make"
-    assert int(width_of(moved).max(initial=2)) <= width, "a word is wider than the multiplier"
-    return moved, np.where(used, selects[nearest], 0)

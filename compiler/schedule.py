@@ -14,7 +14,7 @@ import numpy as np
 
 from greygate.compiler.jobs import Job, live_operations, measure, planned
 from greygate.compiler.products import Mode, Products, laid_out
-from greygate.compiler.verilog import LOOKUP_CLOCKS, shared_tables
+from greygate.compiler.verilog import LATE_CLOCKS, shared_tables
 from greygate.emulator.program import Affine, Elementwise, Lookup, Program, signed_width
 
 # Clocks from the read of a code to ...
@@ -143,7 +143,7 @@ class _Folder:
         self.program, self.multipliers = program, multipliers
         self.levels = levels_of(multipliers)
         self.operations = live_operations(program)
-        self.products = laid_out(program, self.operations)
+        self.products = laid_out(program, self.operations, multipliers)
         self.plan = planned(program, multipliers)
         self.inside = {o.out.name for o in self.plan.answers.values()}
         self.outputs = {p.signal.name for p in program.outputs}
@@ -190,7 +190,7 @@ class _Folder:
         boot = self._boot()
         self._samples()
         reads = {key: self._cost(job) for key, job in self.plan.jobs.items()}
-        measure(self.plan.jobs, reads, CODE + self.levels + LOOKUP_CLOCKS)
+        measure(self.plan.jobs, reads, CODE + self.levels + LATE_CLOCKS)
         left = dict(self.plan.jobs)
         while left:
             job, start = self._chosen(left)
@@ -256,14 +256,14 @@ class _Folder:
     def _row_writes(self, name: str) -> list[int]:
         """Clocks from the code of a row to what it causes: its own write, and that of the lookup which it asks."""
         own = [0] if name in self.plan.kept or name in self.outputs else []
-        return own + ([LOOKUP_CLOCKS] if name in self.plan.answers else [])
+        return own + ([LATE_CLOCKS] if name in self.plan.answers else [])
 
     def _latency(self, job: Job) -> int:
         """Clocks from the first read of an element to the write of its result."""
         o = job.operation
         if o is None:
             return WORD
-        return len(job.reads) - 1 + ARGUMENT + (LOOKUP_CLOCKS if isinstance(o, Lookup) else UNIT)
+        return len(job.reads) - 1 + ARGUMENT + (LATE_CLOCKS if isinstance(o, Lookup) else UNIT)
 
     # -- one piece of a job ------------------------------------------------------------------------------------------
 
@@ -355,7 +355,7 @@ class _Folder:
                 self._write(clock, name, row + m, DRAINED)
             if name in self.plan.answers:
                 answer = self.plan.answers[name].out.name
-                self._write(clock + LOOKUP_CLOCKS, answer, row + m, self._source(answer))
+                self._write(clock + LATE_CLOCKS, answer, row + m, self._source(answer))
         self.now, self.begins, self.ends = last + 1, start + rows, last + rows
         job.next += rows
 

@@ -25,6 +25,7 @@ class Add(IntFlag):
 
 
 PLAIN = Add(0)
+TAKE = Add.INVERT | Add.CARRY  # takes the accumulator from the code
 
 
 class Word(IntEnum):
@@ -67,10 +68,12 @@ class Line:
 class Writer:
     """Writes words one after the other, with the range of the accumulator and of each word of memory.
 
-    width: of the accumulator, where it must be known beforehand (`wrap`). acc_width, data_width: what was found.
+    width: of the accumulator, where it must be known beforehand (`wrap`). scaled: the codes that memory holds a second
+    time, `doubled` this often. acc_width, data_width: what was found.
     """
 
     width: int = 2
+    scaled: dict[Key, int] = field(default_factory=dict)
     lines: list[Line] = field(default_factory=list)
     range: Range = ZERO
     memory: dict[Key, Range] = field(default_factory=dict)
@@ -126,6 +129,13 @@ class Writer:
         self.word(Word.RISE, None, note)
         self.set((max(0, self.range[0]), max(0, self.range[1])))
 
+    def look(self, found: Range) -> None:
+        """acc = the word of memory at the address in the accumulator, of that range."""
+        self.word(Word.LOOK)
+        self.set(ZERO)
+        self.memory["point"] = found
+        self.add("point")
+
     def write(self, key: Key, note: str = "") -> None:
         self.word(Word.WRITE, key, note)
         self.memory[key] = self.range
@@ -140,17 +150,16 @@ class Writer:
     def limit(self, lo: int, hi: int) -> None:
         """Bring the accumulator to the nearest value in [lo, hi]."""
         over, under = self.range[1] > hi, self.range[0] < lo
-        take = Add.INVERT | Add.CARRY
         if over and under:
-            self.add(Constant(hi), take, f"at most {hi}")
+            self.add(Constant(hi), TAKE, f"at most {hi}")
             self.rise()
-            self.add(Constant(hi - lo), take, f"at least {lo}")
+            self.add(Constant(hi - lo), TAKE, f"at least {lo}")
             self.rise()
             self.add(Constant(lo))
         elif over:
-            self.add(Constant(hi), take, f"at most {hi}")
+            self.add(Constant(hi), TAKE, f"at most {hi}")
             self.rise()
-            self.add(Constant(hi), take)
+            self.add(Constant(hi), TAKE)
         elif under:
             self.add(Constant(-lo), note=f"at least {lo}")
             self.rise()
@@ -175,6 +184,15 @@ class Writer:
         self.write("twice", "twice")
         self.load("twice")
         self.add("twice", Add.CARRY if carry else PLAIN)
+
+    def scale(self, key: Key, times: int) -> None:
+        """Keep a code times 2^times beside the code itself, for the sums that follow."""
+        if self.scaled.get(key) != times:
+            self.load(key, f"{key} * 2^{times}")
+            for _ in range(times):
+                self.double(carry=False)
+            self.write(doubled(key))
+            self.scaled[key] = times
 
     def fit(self, fix: Fix, overflow: Overflow) -> None:
         if overflow is Overflow.SATURATE:
@@ -215,7 +233,7 @@ class Writer:
             self.write("half")
             self.load("half")
             self.add("half")
-            self.add("quotient", Add.INVERT | Add.CARRY)
+            self.add("quotient", TAKE)
             self.set((0, 1))
             self.write("odd")
             keys, weights, half = [*keys, "odd"], [*weights, 1], half - 1
@@ -228,6 +246,10 @@ class Writer:
         shift = min(shift, width_of(self.range_of(key)) + 2)
         self.rounded([key], [1], 0, shift, rounding, note)
         self.limit(fix.lo, fix.hi)
+
+
+def doubled(key: Key) -> str:
+    return f"{key}, scaled"
 
 
 def width_of(found: Range) -> int:
@@ -265,8 +287,12 @@ class _Sum:
         self.writer, self.constant, self.shift, self.note = writer, constant, shift, note
         self.places: dict[int, list[tuple[Key, int]]] = {}
         for key, weight in terms:
+            times = writer.scaled.get(key, 0)
             for place, digit in signed_digits(weight):
-                self.places.setdefault(place, []).append((key, digit))
+                if shift < place <= shift + times and place >= times:
+                    self.places.setdefault(place - times, []).append((doubled(key), digit))
+                else:
+                    self.places.setdefault(place, []).append((key, digit))
         self.inverted = False
 
     def write(self) -> None:

@@ -7,13 +7,14 @@ a step begins at an address behind that. compiler/serial.py makes the words.
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from greygate.compiler.schedule import ordered
+from greygate.compiler.jobs import ordered
 from greygate.compiler.serial import (
     ACCEPT,
     NOTHING,
     PLAIN,
     PUSH,
     SAMPLE,
+    TAKE,
     ZERO,
     Add,
     Constant,
@@ -23,33 +24,32 @@ from greygate.compiler.serial import (
     Word,
     Writer,
     name_of,
+    signed_digits,
     width_of,
 )
+from greygate.compiler.serial_tables import Answer, Kept, kept_tables
 from greygate.compiler.verilog import input_slices, shared_tables
 from greygate.emulator.program import (
     Affine,
     Clamp,
     Fix,
     Lookup,
+    Operation,
     Overflow,
     Program,
     Select,
     Signal,
-    Symmetry,
-    Table,
     Threshold,
 )
 
 PAIRS = (("zero", "slope"), ("above", "below"))  # words beside each other, of which one is chosen
-NAMED = ("twice", "upper", "quotient", "half", "odd", "argument", "index", "base", "value", "shown")
-TAKE = Add.INVERT | Add.CARRY  # how the accumulator is subtracted from a code
 
 
 @dataclass
 class Routine:
     """Words that several places of the main code use. given: the range of the accumulator at their begin."""
 
-    table: Table | None  # None: chooses between the words `above` and `below` by the accumulator's sign
+    table: Kept | None  # None: chooses between the words `above` and `below` by the accumulator's sign
     given: Range = ZERO
     lines: list[Line] = field(default_factory=list)
 
@@ -62,19 +62,14 @@ class Compiler:
         self.writer = Writer(width)
         self.main = self.writer.lines
         self.tables = shared_tables(program)
-        self.points = {t.name: kept_points(t) for t in self.tables.values()}
-        self.first_point: dict[str, int] = {}
-        start = 0
-        for name, points in self.points.items():
-            self.first_point[name], start = start, start + len(points)
         self.routines: dict[str, Routine] = {}
         self.bits: dict[int, int] = {}  # place in the main code -> bit of the sample that its choice takes
         self.boot: list[Line] = []
         self.fused: set[str] = set()
 
     def compile(self, origin: int) -> None:
-        """Write everything. origin: address of the points in memory."""
-        self.origin = origin
+        """Write everything. origin: address of the tables in memory."""
+        self.kept = kept_tables(list({t.name: t for t in self.tables.values()}.values()), origin)
         self.states()
         self.boot = self.writer.lines
         self.writer.lines = self.main = []
@@ -87,12 +82,16 @@ class Compiler:
                 if lookup:
                     self.fused.add(lookup.out.name)
             elif o.out.name not in self.fused:
-                {Lookup: self.lookup, Clamp: self.clamp, Threshold: self.threshold, Select: self.select}[type(o)](o)
+                self.elements(o)
         self.end()
         for routine in self.routines.values():
             self.writer.lines = routine.lines
             self.writer.set(routine.given)
-            self.choose() if routine.table is None else self.answer(routine.table)
+            if routine.table is None:
+                self.choose()
+            else:
+                Answer(self.writer, routine.table, self.rest).write()
+            self.leave()
         self.writer.lines = self.main
 
     # -- parts of a step ---------------------------------------------------------------------------------------------
@@ -126,17 +125,42 @@ class Compiler:
 
     def affine(self, o: Affine, lookup: Lookup | None) -> None:
         columns = [element(self.program.signals[a], k) for a in o.args for k in range(self.program.signals[a].size)]
+        self.scale(o, columns)
         for r in range(o.out.size):
             shift = int(o.frac[r]) - o.out.fix.frac
             self.writer.rounded(columns, o.weights[r].tolist(), int(o.bias[r]), shift, o.rounding, f"{o.out.name}[{r}]")
-            if lookup and o.overflow is Overflow.SATURATE and self.flat(lookup) <= o.out.fix.hi:
-                pass  # beyond its last point the table answers the same
-            else:
+            flat = self.kept[self.tables[lookup.table].name].flat if lookup else None
+            if (
+                flat is None or flat > o.out.fix.hi or o.overflow is not Overflow.SATURATE
+            ):  # else the answer is the same
                 self.writer.fit(o.out.fix, o.overflow)
             if lookup:
                 self.call(lookup, r)
             else:
                 self.writer.write(element(o.out, r))
+
+    def elements(self, o: Operation) -> None:
+        """Write any other operation."""
+        if isinstance(o, Lookup):
+            self.lookup(o)
+        elif isinstance(o, Clamp):
+            self.clamp(o)
+        elif isinstance(o, Threshold):
+            self.threshold(o)
+        else:
+            assert isinstance(o, Select)
+            self.select(o)
+
+    def scale(self, o: Affine, columns: list[str]) -> None:
+        """Keep codes scaled whose weights reach beyond the shift in more rows than one, as far as words are wide."""
+        widest = max(s.fix.width for s in self.program.signals.values())
+        shifts = (o.frac - o.out.fix.frac).tolist()
+        for key, weights in zip(columns, o.weights.T.tolist(), strict=True):
+            beyond = [signed_digits(w)[-1][0] - s for w, s in zip(weights, shifts, strict=True) if w]
+            beyond = [b for b in beyond if b > 0]
+            room = widest - width_of(self.writer.memory[key])
+            if len(beyond) > 1 and room > 0:
+                self.writer.scale(key, min(room, max(beyond)))
 
     def lookup(self, o: Lookup) -> None:
         for k in range(o.out.size):
@@ -220,12 +244,7 @@ class Compiler:
         found = readers.get(o.out.name, [])
         return lookups.get(found[0]) if len(found) == 1 else None
 
-    def flat(self, lookup: Lookup) -> int:
-        """The least code from which a table answers the same."""
-        table = self.tables[lookup.table]
-        return last_point(table) << table.shift
-
-    def called(self, name: str, table: Table | None, note: str) -> None:
+    def called(self, name: str, table: Kept | None, note: str) -> None:
         w = self.writer
         routine = self.routines.setdefault(name, Routine(table, w.range))
         routine.given = min(routine.given[0], w.range[0]), max(routine.given[1], w.range[1])
@@ -233,8 +252,8 @@ class Compiler:
 
     def call(self, o: Lookup, k: int) -> None:
         """Write the answer to the accumulator into an element."""
-        table = self.tables[o.table]
-        self.called(table.name, table, f"{o.out.name}[{k}] = {o.table}")
+        kept = self.kept[self.tables[o.table].name]
+        self.called(kept.table.name, kept, f"{o.out.name}[{k}] = {o.table}")
         self.writer.write("argument")
         self.writer.set(range_of(o.out.fix))
         self.writer.write(element(o.out, k))
@@ -251,116 +270,15 @@ class Compiler:
         w.clear()
         w.add(NOTHING, choose=True)
         w.add("above")
-        self.leave()
 
     def leave(self) -> None:
         self.writer.word(Word.CALL, NOTHING, "end")
         self.writer.hold()
 
-    def answer(self, table: Table) -> None:
-        """acc = the table's answer to the word `argument`."""
-        w, shift, last = self.writer, table.shift, last_point(table)
-        w.memory["argument"] = w.range
-        w.load("argument", f"table {table.name}")
-        w.add("argument")
-        w.rise("twice the argument, or 0")
-        w.add("argument", Add.INVERT)
-        line = table.interpolated and shift > 0
-        nearest = -1 if line else shift - 1  # the place at which half a step is added
-        w.add(NOTHING, Add.INVERT | (Add.CARRY if nearest == 0 else PLAIN), "the absolute value")
-        w.set((0, 1 + max(map(abs, w.memory["argument"]))))
-        for place in range(1, shift + 1):
-            w.add(NOTHING, Add.SHIFT | (Add.CARRY if nearest == place else PLAIN), "the index")
-        first = self.origin + self.first_point[table.name]
-        w.add(Constant(last), TAKE)
-        w.rise("at most the last")
-        w.add(Constant(first + last), TAKE)
-        w.set((first, first + last))
-        points = range_of_points(self.points[table.name])
-        if line:
-            self.between(table, points)
-        else:
-            self.look(points)
-        if table.symmetry is not Symmetry.EVEN:
-            self.mirror(table)
-        self.leave()
-
-    def look(self, points: Range) -> None:
-        self.writer.word(Word.LOOK)
-        self.writer.memory["point"] = points
-        self.writer.set(ZERO)
-        self.writer.add("point")
-
-    def between(self, table: Table, points: Range) -> None:
-        """acc = the value between two points: that of the index, and the next."""
-        w, shift = self.writer, table.shift
-        index = w.range
-        w.write("index")
-        more = self.rest - shift - 1
-        if more:
-            w.hold()
-            for _ in range(more):
-                w.add(NOTHING, Add.SHIFT, "bring the rest of the argument to its place")
-            w.load("index")
-        self.look(points)
-        w.write("base")
-        w.load("index")
-        w.add(NOTHING, Add.CARRY, "the next point")
-        w.set((index[0] + 1, index[1] + 1))
-        self.look(points)
-        w.add("base", Add.INVERT)
-        w.add(NOTHING, Add.INVERT, "the slope")
-        w.write("slope")
-        slope = w.memory["slope"]
-        w.clear()
-        w.add(NOTHING, Add.SHIFT)
-        w.memory["zero"] = min(0, slope[0]), max(0, slope[1])
-        w.add(NOTHING, choose=True)
-        for _ in range(shift - 1):
-            w.add("zero", choose=True, note="its part")
-        w.add("zero", Add.SHIFT | Add.CARRY)
-        w.add("base", Add.SHIFT, "the value")
-        w.memory["zero"] = ZERO
-        w.set(points)
-
-    def mirror(self, table: Table) -> None:
-        """acc = the answer to a negative argument where it is negative."""
-        w, found = self.writer, self.writer.range
-        one = 1 << table.out.frac if table.symmetry is Symmetry.COMPLEMENT else 0
-        w.write("above")
-        w.load("above")
-        w.add(Constant(one), TAKE)
-        w.write("below")
-        both = min(found[0], w.range[0]), max(found[1], w.range[1])
-        w.load("argument")
-        w.memory["above"] = both
-        self.writer.clear("its sign chooses")
-        w.add(NOTHING, choose=True)
-        w.add("above")
-
     @cached_property
     def rest(self) -> int:
         """Bits of an argument that are kept for the way between two points, and the place of a sign."""
-        return 1 + max([0, *(t.shift for t in self.tables.values() if t.interpolated)])
-
-
-def last_point(table: Table) -> int:
-    """The first point that is as all after it."""
-    points = table.points
-    last = len(points) - 1
-    while last and points[last - 1] == points[-1]:
-        last -= 1
-    return last
-
-
-def kept_points(table: Table) -> list[int]:
-    """The points that memory holds; a line needs one more behind the last."""
-    points = list(table.points[: last_point(table) + 1])
-    return [*points, points[-1]] if table.interpolated and table.shift else points
-
-
-def range_of_points(points: list[int]) -> Range:
-    return min(points), max(points)
+        return 1 + max([0, *(kept.place_bits for kept in self.kept.values())])
 
 
 def range_of(fix: Fix) -> Range:
@@ -369,133 +287,3 @@ def range_of(fix: Fix) -> Range:
 
 def element(signal: Signal, k: int) -> str:
     return f"{signal.name}[{k}]"
-
-
-@dataclass(frozen=True)
-class Code:
-    """A program laid out for the machine.
-
-    words: (operation, field, note), by address. memory: what each word of memory holds at first, with a note, by
-    address. bits: place in the main code -> bit of the sample.
-    """
-
-    words: list[tuple[int, int, str]]
-    memory: dict[int, tuple[int, str]]
-    bits: dict[int, int]
-    widths: dict[str, int]  # acc, data, read, field, code, entry, count, rest
-    boot: int
-    start: int
-    pushes: int
-
-
-def compiled(program: Program) -> Code:
-    """The code of a program: compiled anew until every width that the words depend on is known."""
-    width, field_width = 2, 2
-    while True:
-        compiler = Compiler(program, width)
-        compiler.compile(1 << field_width)
-        layout = _Layout(compiler)
-        if layout.field_width <= field_width and compiler.writer.acc_width <= width:
-            return layout.code()
-        width, field_width = max(width, compiler.writer.acc_width), max(field_width, layout.field_width)
-
-
-class _Layout:
-    """Gives every named word an address of memory, and every word of code its place."""
-
-    def __init__(self, compiler: Compiler):
-        self.compiler, self.program = compiler, compiler.program
-        routines = compiler.routines.values()
-        self.lines = [*compiler.boot, *compiler.main, *(line for r in routines for line in r.lines)]
-        self.address: dict[Key, int] = {}
-        writable = self._writable()
-        constants = self._constants()
-        half = max(bits(writable - 1), bits(len(constants) - 1))
-        self.field_width = half + 1
-        self.constants = constants
-
-    def _writable(self) -> int:
-        """Place what is written: states first, then pairs and words of the routines, then elements while they live."""
-        elements = [element(s.signal, k) for s in self.program.states for k in range(s.signal.size)]
-        fixed = [*elements, *([""] if len(elements) % 2 else []), *(k for pair in PAIRS for k in pair), *NAMED]
-        self.address |= {key: n for n, key in enumerate(fixed)}
-        end, free = len(fixed), []
-        last = {}
-        for n, line in enumerate(self.compiler.main):
-            if isinstance(line.field, str):
-                last[line.field] = n
-        dying: dict[int, list[str]] = {}
-        for key, n in last.items():
-            dying.setdefault(n, []).append(key)
-        for n, line in enumerate(self.compiler.main):
-            if isinstance(line.field, str) and line.field not in self.address and line.operation != Word.LOOK:
-                if not free:
-                    free, end = [end], end + 1
-                self.address[line.field] = free.pop()
-            free += [self.address[k] for k in dying.get(n, ()) if self.address[k] >= len(fixed)]
-        return end
-
-    def _constants(self) -> list[int]:
-        """The words that are never written: pairs first, each at an even place."""
-        found = dict.fromkeys(line.field for line in self.lines if isinstance(line.field, Constant))
-        values: list[int] = []
-        for c in found:
-            if c.second is not None:
-                values += [c.value, c.second]
-        known = set(values)
-        for value in dict.fromkeys(c.value for c in [NOTHING, *found] if c.second is None):
-            values += [] if value in known else [value]
-        return values
-
-    def code(self) -> Code:
-        compiler, program = self.compiler, self.program
-        count = bits(max([1, *(len(r.lines) - 1 for r in compiler.routines.values())]))
-        entry = bits(len(compiler.routines) - 1) if len(compiler.routines) > 1 else 0
-        block, boot = 1 << count, 1 << (count + entry)
-        start = 1 << bits(boot + len(compiler.boot) - 1)
-        words = [(int(Word.CLEAR), 0, "")] * (start + len(compiler.main))
-        places = [(n * block, r.lines) for n, r in enumerate(compiler.routines.values())]
-        for place, lines in [*places, (boot, compiler.boot), (start, compiler.main)]:
-            for n, line in enumerate(lines):
-                words[place + n] = (int(line.operation), self.field(line), line.note)
-        half = 1 << (self.field_width - 1)
-        memory = {half + n: (v, "") for n, v in enumerate(self.constants)}
-        for name, points in compiler.points.items():
-            first = compiler.origin + compiler.first_point[name]
-            memory |= {first + n: (v, f"{name}[{n}]") for n, v in enumerate(points)}
-        data = max(compiler.writer.data_width, *(width_of((v, v)) for v, _ in memory.values()))
-        read = bits(max(memory))
-        outputs = sum(p.signal.size for p in program.outputs)
-        widths = {
-            "acc": max(compiler.writer.acc_width, data, read),
-            "data": data,
-            "read": max(read, self.field_width),
-            "field": self.field_width,
-            "code": bits(len(words) - 1),
-            "entry": entry,
-            "count": count,
-            "rest": compiler.rest,
-        }
-        sample = {start + n + 1: bit for n, bit in compiler.bits.items()}
-        return Code(words, memory, sample, widths, boot, start, max(0, outputs - 2))
-
-    def field(self, line: Line) -> int:
-        """The number in a word's field."""
-        key, half = line.field, 1 << (self.field_width - 1)
-        if line.operation == Word.LOOK:
-            return 0
-        if isinstance(key, int):
-            return key
-        if isinstance(key, str):
-            return self.address[key]
-        constant = NOTHING if key is None else key
-        assert isinstance(constant, Constant)
-        if constant.second is None:
-            return half + self.constants.index(constant.value)
-        pairs = zip(self.constants[::2], self.constants[1::2], strict=False)
-        return half + 2 * next(n for n, pair in enumerate(pairs) if pair == (constant.value, constant.second))
-
-
-def bits(largest: int) -> int:
-    """Width of an unsigned number up to `largest`."""
-    return max(1, int(largest).bit_length())

@@ -25,6 +25,7 @@ from greygate.errors import InputError, one_line
 
 ROUNDING = {Rounding.TRUNCATE: 0, Rounding.HALF_UP: 1, Rounding.HALF_EVEN: 2}
 LOOKUP_CLOCKS = 3  # clocks from a code to the answer of a table: word, product, sum
+LATE_CLOCKS = 4  # the same with a register behind the memory
 MEMORIES = {"block": '(* rom_style = "block" *) ', "logic": '(* rom_style = "logic" *) '}  # and how a tool is told
 SYMMETRY = {Symmetry.ODD: 0, Symmetry.EVEN: 1, Symmetry.COMPLEMENT: 2}
 PORTS = (
@@ -50,6 +51,13 @@ tranif1 tri tri0 tri1 triand trior trireg unsigned use uwire vectored wait wand 
 bit byte logic int shortint longint do return break continue class new this super package import export interface
 modport program property sequence assert assume cover final unique priority static void string enum struct union
 type typedef virtual local protected pure rand ref var with within checker let global soft strong weak
+accept_on alias always_comb always_ff always_latch before bind bins binsof chandle clocking constraint context
+covergroup coverpoint cross dist endchecker endclass endclocking endgroup endinterface endpackage endprogram
+endproperty endsequence eventually expect extends extern first_match foreach forkjoin iff ignore_bins illegal_bins
+implements implies inside interconnect intersect join_any join_none matches nettype nexttime null packed randc
+randcase randsequence reject_on restrict s_always s_eventually s_nexttime s_until s_until_with shortreal solve
+sync_accept_on sync_reject_on tagged this throughout timeprecision timeunit unique0 until until_with untyped
+wait_order wildcard
 """
 KEYWORDS = frozenset(WORDS.split())  # of Verilog-2005, and those of SystemVerilog that tools trip over
 TOOLS = "verilator synopsys synthesis pragma ambit cadence synplify altera xilinx vcs coverage lint translate"
@@ -312,12 +320,13 @@ def table_kind(table: Table | Lines) -> str:
     return f"{len(table.points)} points, {'a line between two' if table.interpolated else 'the nearest'}"
 
 
-def table_text(program: Program, table: Table | Lines, memory: str = "block") -> str:
+def table_text(program: Program, table: Table | Lines, memory: str = "block", late: bool = False) -> str:
     """A module that answers SIZE neurons from the table, whose words it holds in a memory for every two neurons.
 
-    memory: where the words are kept, a key of MEMORIES.
+    memory: where the words are kept, a key of MEMORIES. late: with a register behind the memory, for a higher clock
+    rate; an answer takes LATE_CLOCKS.
     """
-    parameters = table_parameters(table)
+    parameters = table_parameters(table) | ({"LATE": 1} if late else {})
     arg, out, address, base, slope = (parameters[k] for k in ("ARG_W", "OUT_W", "ADDRESS_W", "BASE_W", "SLOPE_W"))
     last = len(table_layout(table).words) - 1
 
@@ -325,17 +334,17 @@ def table_text(program: Program, table: Table | Lines, memory: str = "block") ->
         ends = {"clk": "clk", "en": "en", "x": f"x[{n}*{arg}+:{arg}]", "address": f"address_{side}"}
         ends |= {"base": f"word_{side}[{base - 1}:0]", "slope": f"word_{side}[{base + slope - 1}:{base}]"}
         multiplier = {"MULTIPLIER": f"{n} < MULTIPLIERS ? 1 : 0"}
+        read, width = f"word_{side}", f"[{base + slope - 1}:0]"
+        behind = ""
+        if late:
+            read = f"early_{side}"
+            behind = f"{indent}reg {width} {read};\n{indent}always @(posedge clk) if (en) word_{side} <= {read};\n"
+        ends |= {"y": f"y[{n}*{out}+:{out}]"}
         return (
             f"{indent}wire [{address - 1}:0] address_{side};\n"
-            f"{indent}reg [{base + slope - 1}:0] word_{side};\n"
-            f"{indent}always @(posedge clk) if (en) word_{side} <= rom[address_{side}];\n"
-            + instance(
-                "greygate_lookup",
-                f"lookup_{side}",
-                parameters | multiplier,
-                ends | {"y": f"y[{n}*{out}+:{out}]"},
-                indent,
-            )
+            f"{indent}reg {width} word_{side};\n{behind}"
+            f"{indent}always @(posedge clk) if (en) {read} <= rom[address_{side}];\n"
+            + instance("greygate_lookup", f"lookup_{side}", parameters | multiplier, ends, indent)
         )
 
     return module_text(
@@ -358,9 +367,10 @@ def table_text(program: Program, table: Table | Lines, memory: str = "block") ->
     )
 
 
-def table_texts(program: Program, memory: str = "block") -> dict[str, str]:
+def table_texts(program: Program, memory: str = "block", late: bool = False) -> dict[str, str]:
     """File name -> text of the module of every table that is used."""
-    return {f"{table_module(program, t)}.v": table_text(program, t, memory) for t in shared_tables(program).values()}
+    tables = shared_tables(program).values()
+    return {f"{table_module(program, t)}.v": table_text(program, t, memory, late) for t in tables}
 
 
 def clocks(o: Operation) -> int:

@@ -5,6 +5,7 @@ network.toml, .safetensors   the generic float network it was quantized from
 compile.json           the source, the passes, the architectures
 manifest.json          SHA-256 of each file above and below; a file that it does not list is never replaced
 rtl/parallel, rtl/folded     the Verilog of each architecture, and <program>.f, its list of files
+bench/                 a bench in plain Verilog for any of them, and the scenario that it plays
 verify.json            results of the last verification; results-*.xml beside it are JUnit
 resources.json         resources that synthesis found, by architecture and target
 simulation/            results and logs of the last verification, by architecture
@@ -46,6 +47,7 @@ from greygate.files import (
     settle_folder,
     writing,
 )
+from greygate.hardware.board.benches import core_bench
 from greygate.hardware.replay import replay
 from greygate.hardware.synthesis import synthesize
 from greygate.hardware.verify import Case, Scenario, Verification, stop_tools, verify_many
@@ -121,6 +123,8 @@ def compile_project(
             formats, architectures, design = explorer.formats, (explorer.architecture,), explorer.design
             facts = {"explored": explorer.facts}
         _write(new, source, compiled, formats, architectures, design, facts)
+        if any(isinstance(target(a), Architecture) for a in architectures):
+            _write_bench(new, compiled.program, records[(source.scenarios or source.training)[0]])
     return compiled
 
 
@@ -176,6 +180,15 @@ def _write(
     compiled.program.save(folder / "program.json")
     compiled.network.save(folder / "network")
     _write_json(folder / FACTS, facts)
+
+
+def _write_bench(folder: Path, program: Program, record: Record) -> None:
+    """Write the bench of the cores in plain Verilog; it reads a file beside it that holds a scenario."""
+    listing = "bench/scenario.hex"
+    text, words = core_bench(program, program.encode(record.inputs), listing)
+    (folder / "bench").mkdir()
+    (folder / "bench" / f"{program.name}__bench.v").write_text(text, encoding="utf-8")
+    (folder / listing).write_text(words, encoding="utf-8")
 
 
 def fixed_and_float(compiled: Compiled, record: Record, before: Network | None = None) -> dict[str, dict]:
@@ -430,10 +443,13 @@ def synthesize_project(
 
 
 def clocks_per_step(project: Project, architecture: str, progress: Progress = silent) -> float:
-    """Clocks that a step takes: as the last verification counted them, or as a simulation of a few steps does."""
+    """Clocks that a step takes: as the last verification counted them, the target says, or a simulation counts."""
     verified = (project.hardware or {}).get(architecture, {}).get("clocks_per_step")
     if verified is not None:
         return verified
+    counted = target(architecture).clocks
+    if counted is not None:
+        return float(counted(project.program, project.design))
     steps = np.zeros((COUNTED_STEPS, sum(p.signal.size for p in project.program.inputs)), np.int64)
     files = sources(project.folder / "rtl" / architecture, project.program.name)
     return replay(files, project.program, steps, run(project.program, steps).outputs, progress=progress).clocks

@@ -24,13 +24,14 @@ module greygate_lookup #(
     parameter BASE_SIGNED = 1,   // 1: a base has a sign; 0: it is not negative
     parameter SLOPE_W = 16,      // width of a slope
     parameter SLOPE_SIGNED = 1,  // the same for slopes
-    parameter MULTIPLIER = 1     // 1: a multiplier, which may be a DSP; 0: adders
+    parameter MULTIPLIER = 1,    // 1: a multiplier, which may be a DSP; 0: adders
+    parameter LATE = 0           // 1: words come one clock later, from a register behind the memory; four clocks in all
 ) (
     input  wire                 clk,
     input  wire                 en,
     input  wire [    ARG_W-1:0] x,
     output wire [ADDRESS_W-1:0] address,  // of the word that the next clock brings
-    input  wire [   BASE_W-1:0] base,     // of the word that the last clock brought
+    input  wire [   BASE_W-1:0] base,     // of the word that the last clock brought, or the last but one
     input  wire [  SLOPE_W-1:0] slope,
     output reg  [    OUT_W-1:0] y
 );
@@ -107,8 +108,28 @@ module greygate_lookup #(
     end
     assign address = segment_here[ADDRESS_W-1:0];
 
+    // beside the register of a late word
+    wire negative_0;
+    wire [T-1:0] place_0;
+    generate
+        if (LATE == 1) begin : late
+            reg negative_late;
+            reg [PLACE_W:0] place_late;
+            always @(posedge clk)
+                if (en) begin
+                    negative_late <= negative;
+                    place_late <= place_here[PLACE_W:0];
+                end
+            assign negative_0 = negative_late;
+            assign place_0 = {{T - 1 - PLACE_W{1'b0}}, place_late};
+        end else begin : prompt
+            assign negative_0 = negative;
+            assign place_0 = place_here;
+        end
+    endgenerate
+
     reg negative_1;
-    always @(posedge clk) if (en) negative_1 <= negative;
+    always @(posedge clk) if (en) negative_1 <= negative_0;
 
     // the second clock: the base with the sign of the answer
     wire flip = negative_1 && SYMMETRY != 1;
@@ -121,7 +142,7 @@ module greygate_lookup #(
     generate
         if (INTERPOLATED == 1) begin : line
             reg [PLACE_W:0] place_1;
-            always @(posedge clk) if (en) place_1 <= place_here[PLACE_W:0];
+            always @(posedge clk) if (en) place_1 <= place_0[PLACE_W:0];
 
             wire [P-1:0] product;
             if (MULTIPLIER == 1) begin : multiplied
@@ -161,10 +182,10 @@ module greygate_lookup #(
             end
             wire [S:0] sum = {base_2, 1'b1} + ({wide[BELOW+:S], carry} ^ {S + 1{flip_2}});
             always @(posedge clk) if (en) y <= sum[GUARD+1+:OUT_W];
-            wire unused = &{1'b0, sum, wide, place_here, segment_here, extended[S]};
+            wire unused = &{1'b0, sum, wide, place_0, place_here, segment_here, extended[S]};
         end else begin : point
             always @(posedge clk) if (en) y <= base_2[GUARD+:OUT_W];
-            wire unused = &{1'b0, slope, place_here, segment_here, extended[S]};
+            wire unused = &{1'b0, slope, place_0, place_here, segment_here, extended[S]};
         end
 
         if (ARG_W < 2 || OUT_W < 2 || OCTAVES < 1 || COUNT < 1 || SYMMETRY < 0 || SYMMETRY > 2 || BELOW < 0 || GUARD < 0

@@ -7,8 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from greygate.compiler.adders import CONSTANT, Graph, solve
+from greygate.compiler.adders import CONSTANT, Graph, signed_digits, solve
 from greygate.compiler.adders_graph import signed_width
+from greygate.errors import InputError
+
+EFFORT = 0.2  # of the solver where any graph will do
 
 
 @st.composite
@@ -51,7 +54,7 @@ def values(graph: Graph, x: np.ndarray) -> list[int]:
 @given(problems())
 def test_a_graph_is_its_matrix(problem):
     weights, widths, constants = problem
-    graph = solve(weights, widths, constants)
+    graph = solve(weights, widths, constants, effort=EFFORT)
     assert (graph.matrix() == weights).all()
     assert (graph.constants() == constants).all()
     x = np.random.default_rng(1).integers(
@@ -64,7 +67,7 @@ def test_a_graph_is_its_matrix(problem):
 @given(problems())
 def test_ranges_are_exact(problem):
     weights, widths, constants = problem
-    graph = solve(weights, widths, constants)
+    graph = solve(weights, widths, constants, effort=EFFORT)
     x = corners(graph)
     for k, node in enumerate(graph.nodes):
         low, high = values(graph, x[k])[k], values(graph, x[len(graph.nodes) + k])[k]
@@ -83,7 +86,7 @@ def test_every_input_of_a_small_graph_stays_within_its_ranges():
 @given(problems())
 def test_operands_stand_before_their_users_and_shifts_are_plain(problem):
     weights, widths, constants = problem
-    graph = solve(weights, widths, constants)
+    graph = solve(weights, widths, constants, effort=EFFORT)
     for k, n in enumerate(graph.nodes):
         assert CONSTANT <= n.left < graph.columns + k
         assert CONSTANT <= n.right < graph.columns + k
@@ -96,9 +99,42 @@ def test_operands_stand_before_their_users_and_shifts_are_plain(problem):
         assert graph.negations == 0  # a constant can always be added so that the sign comes out
 
 
+@settings(max_examples=40, deadline=None)
+@given(problems(), st.integers(0, 2))
+def test_a_bound_on_the_depth_is_kept(problem, more):
+    weights, widths, constants = problem
+    digits = [sum(len(signed_digits(int(w))) for w in row) for row in weights]
+    least = max((n + (c != 0) - 1).bit_length() if n else 0 for n, c in zip(digits, constants, strict=True))
+    graph = solve(weights, widths, constants, depth=least + more, effort=EFFORT)
+    assert graph.depth <= least + more
+    assert (graph.matrix() == weights).all()
+    if least:
+        with pytest.raises(InputError, match=f"allow at least {least}"):
+            solve(weights, widths, constants, depth=least - 1)
+
+
+def test_a_bound_costs_adders_and_a_search_saves_them():
+    weights = np.random.default_rng(3).integers(-(1 << 11), 1 << 11, (6, 6))
+    free, bound, quick = solve(weights, [12] * 6), solve(weights, [12] * 6, depth=5), solve(weights, [12] * 6, effort=0)
+    assert bound.depth == 5 < free.depth
+    assert free.adders < bound.adders
+    assert free.adders < quick.adders < sum(len(signed_digits(int(w))) for w in weights.ravel()) - 6
+
+
+def test_a_column_of_constants_is_a_graph_of_multiples():
+    """5, 45 = 9 * 5 and 225 = 5 * 45: an adder each, where the digits of each alone take six."""
+    assert solve(np.array([[5], [45], [225]]), [8]).adders == 3
+
+
+def test_wrong_arguments_say_what_to_do():
+    for arguments in ({"ranges": [(0, 1)]}, {"constants": [1]}, {"objective": "area"}):
+        with pytest.raises(InputError, match=r"give|use"):
+            solve(np.eye(2, dtype=np.int64), [8, 8], **arguments)
+
+
 def test_the_same_matrix_gives_the_same_graph():
     weights = np.random.default_rng(5).integers(-500, 500, (6, 6))
-    assert solve(weights, [12] * 6, [3] * 6) == solve(weights.copy(), [12] * 6, [3] * 6)
+    assert solve(weights, [12] * 6, [3] * 6, effort=EFFORT) == solve(weights.copy(), [12] * 6, [3] * 6, effort=EFFORT)
 
 
 def test_what_is_shared_is_built_once():

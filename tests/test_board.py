@@ -5,6 +5,7 @@ import os
 import re
 import shutil
 import subprocess
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -24,6 +25,7 @@ from greygate.project import Project
 
 CLOCKS = 8  # of a bit in simulation
 STEPS = 300
+TICK = 50  # clocks: far fewer than a frame takes, so that ticks find no sample
 QUICK = ("OPT_FAST=-O0", "OPT_SLOW=-O0", "OPT_GLOBAL=-O0")  # for the compiler of a simulation that runs a moment
 
 
@@ -34,13 +36,14 @@ def packages(compiled, tmp_path_factory):
     for board in BOARDS:
         for port in PORTS:
             architecture = "folded" if port == "uart" else "parallel"
-            make(project, board, folder / f"{board}-{port}", architecture=architecture, port=port, tick=port == "spi")
+            tick = (board, port) == ("ulx3s", "spi")
+            make(project, board, folder / f"{board}-{port}", architecture=architecture, port=port, tick=tick)
     return folder
 
 
 @pytest.fixture(scope="module")
 def built(packages, tmp_path_factory):
-    return simulated.build(packages / "icebreaker-uart", tmp_path_factory.mktemp("simulated"), CLOCKS)
+    return simulated.build(packages / "icebreaker-uart", tmp_path_factory.mktemp("simulated"), CLOCKS, TICK)
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +138,7 @@ def test_the_benches_pass_in_icarus_and_fail_where_a_bit_differs(packages, port,
 
 def test_a_bench_passes_in_verilator(packages, tmp_path):
     """That of the port, which runs on delays."""
-    folder = shutil.copytree(packages / "icebreaker-spi", tmp_path / "p")
+    folder = shutil.copytree(packages / "icebreaker-uart", tmp_path / "p")
     command = ["make", "-s", "verilator-line__port_bench", "CFG_CXXFLAGS_PCH_I=-include", *QUICK]
     done = subprocess.run(command, cwd=folder, env=verify.simulator_environment(), capture_output=True, text=True)
     assert "PASS: 22 frames, 20 steps, every bit equal" in done.stdout, done.stdout + done.stderr
@@ -217,7 +220,7 @@ def tools(monkeypatch):
     """Tools that leave what nextpnr would, at `rate` MHz."""
     called = []
 
-    def run(module, function, arguments, folder, limit=None):
+    def run(module, function, arguments, folder, limit=None, progress=None):
         called.append(function)
         (folder / "line.json").touch()
         (folder / "line.asc").touch()
@@ -226,19 +229,35 @@ def tools(monkeypatch):
 
     run.rate = 25.0
     monkeypatch.setattr(making, "run_tool", run)
+    monkeypatch.setattr(making, "yosys", lambda script, folder, progress: called.append(script.split("; ")[1]))
     run.called = called
     return run
 
 
 def test_a_bitstream_is_made_only_if_the_clock_is_reached(compiled, tmp_path, tools):
     facts = make(Project.open(compiled), "icebreaker", tmp_path / "out", bitstream=True)
-    assert tools.called == ["run_yosys", "run_nextpnr_ice40", "run_icepack"]
+    assert tools.called == ["synth_ice40 -dsp -top line__top -json line.json", "run_nextpnr_ice40", "run_icepack"]
     assert (facts["reached_mhz"], facts["cells"]) == (25.0, {"ICESTORM_LC": 7})
     assert json.loads((tmp_path / "out" / "board.json").read_text()) == facts
     tools.rate = 23.9
     with pytest.raises(InputError, match=r"reaches 23.9 MHz on this board, not 24; give --mhz 23 or less"):
         make(Project.open(compiled), "icebreaker", tmp_path / "new", bitstream=True)
     assert not (tmp_path / "new").exists()
+
+
+def test_a_design_that_is_too_large_is_told_with_what_to_do(compiled, tmp_path, tools, monkeypatch):
+    def full(module, function, arguments, folder, limit=None, progress=None):
+        if "nextpnr" in function:
+            raise InputError(
+                "nextpnr failed: ERROR: no BELs remaining to implement cell type 'ICESTORM_DSP'; try another"
+            )
+
+    monkeypatch.setattr(making, "run_tool", full)
+    with pytest.raises(
+        InputError, match=r"does not fit 1BitSquared iCEBreaker, iCE40UP5K, too few ICESTORM_DSP; compile"
+    ):
+        make(Project.open(compiled), "icebreaker", tmp_path / "out", bitstream=True)
+    assert list(tmp_path.iterdir()) == []
 
 
 # Playing
@@ -248,7 +267,8 @@ def test_every_bit_of_a_recording_comes_back_equal(greygate, compiled, terminal)
     code, out, _ = greygate("play", compiled, "a", "--port", terminal, "--json")
     found = json.loads(out)
     assert code == 0
-    assert (found["samples"], found["differing_bits"], found["resent"]) == (20, 0, 0)
+    assert (found["samples"], found["differing_bits"]) == (20, 0)
+    assert found["overruns"] == 20
     code, out, _ = greygate("play", compiled, compiled.parent / "a.csv", "--port", terminal)
     assert code == 0
     assert out.startswith("20 samples, differing bits 0: every bit equal to the emulator\n")
@@ -280,10 +300,60 @@ def test_a_command_that_finds_a_differing_bit_exits_with_1(greygate, compiled, t
 
 def test_noise_on_the_line_costs_time_and_no_bit(scenario, built):
     program, codes, right = scenario
-    with simulated.running(built, CLOCKS, flip=401) as path, opened(path, 1_000_000) as line:
+    with simulated.running(built, CLOCKS, flip=1201) as path, opened(path, 1_000_000) as line:
         played = play(program, codes, right, line)
     assert (played.samples, played.differing_bits) == (STEPS, 0)
     assert played.resent > 0
+
+
+class Board:
+    """A board without hardware, whose result is the sample and how many were stepped since the restart.
+
+    late: step whose answer comes half a second after the others. lost: step whose answer is lost the first time.
+    """
+
+    baudrate = 1_000_000
+
+    def __init__(self, frames, late=-1, lost=-1):
+        self.frames, self.late, self.lost = frames, late, lost
+        self.heard, self.said, self.at = bytearray(), bytearray(), 0.0
+        self.next, self.stepped, self.result = 0, 0, bytes(frames.result)
+
+    def write(self, data):
+        self.heard += data
+        while (at := self.heard.find(0x55)) >= 0 and len(self.heard) - at >= self.frames.request_size:
+            body = bytes(self.heard[at + 1 : at + self.frames.request_size])
+            del self.heard[: at + self.frames.request_size]
+            self.step(body[0], body[1:-2], check_sum(body[:-2], self.frames.seed) == body[-2:])
+
+    def step(self, tag, sample, right):
+        restart, number = tag >> 7, tag % 32
+        if refused := not (right and (restart or number == self.next)):
+            self.said += self.frames.answer(self.result, self.next, refused=True)
+            return
+        self.stepped = 1 if restart else self.stepped + 1
+        self.next, self.result = (number + 1) % 32, sample + bytes([self.stepped % 256])
+        if self.stepped == self.late:
+            self.at, self.late = time.monotonic() + 0.5, -1
+        if self.stepped == self.lost:
+            self.lost = -1
+        else:
+            self.said += self.frames.answer(self.result, self.next, refused)
+
+    def read(self, size=1):
+        data = self.said[:size] if time.monotonic() > self.at else b""
+        del self.said[: len(data)]
+        return bytes(data)
+
+
+@pytest.mark.parametrize(("trouble", "restarts"), [({}, 0), ({"late": 20}, 0), ({"lost": 20}, 1), ({"lost": 100}, 0)])
+def test_a_late_answer_is_waited_for_and_a_lost_one_is_asked_for_or_played_again(trouble, restarts):
+    frames = Frames(sample=2, result=3, seed=5)
+    samples = [k.to_bytes(2, "little") for k in range(100)]
+    session = Session(Board(frames, **trouble), frames, samples)
+    session.run()
+    assert session.results == [sample + bytes([k + 1]) for k, sample in enumerate(samples)]
+    assert session.restarts == restarts
 
 
 def test_outputs_at_the_end_of_their_format_are_flagged(scenario, terminal):

@@ -350,7 +350,7 @@ def test_a_failure_while_writing_leaves_the_earlier_folder_as_it_was(tmp_path):
 
 def test_help_names_every_command():
     text = CliRunner().invoke(app, ["--help"]).stdout
-    for command in ("train", "compile", "emulate", "verify", "synthesize", "report", "validate"):
+    for command in ("train", "compile", "emulate", "verify", "prove", "synthesize", "report", "validate"):
         assert command in text
     assert cli.__doc__
 

@@ -17,6 +17,7 @@ from greygate.emulator.program import (
     Clamp,
     Clipped,
     Fix,
+    Lines,
     Lookup,
     Operation,
     Program,
@@ -64,6 +65,14 @@ def table(shift: int, points: tuple[int, ...], arg: Fix, to: Fix, interpolated=T
     return program_of(Lookup(Signal("x", 1, to), "u0", "t"), inputs=(arg,), tables=(made,))
 
 
+def lines(arg=WIDE, to=WIDE, **changes) -> Program:
+    """Two octaves of two segments each."""
+    parts = {"start": 4, "shifts": (3, 3), "drops": (0, 1), "slope_frac": 2, "guard": 1}
+    parts |= {"bases": (0, 6, 9, -9), "slopes": (1, 2, -3, 0)} | changes
+    made = Lines("t", "any", Symmetry.ODD, **parts, arg=arg, out=to, worst_error=0.0)
+    return program_of(Lookup(Signal("x", 1, to), "u0", "t"), inputs=(arg,), tables=(made,))
+
+
 def state(initial: int) -> Program:
     fix = Fix(8, 0)
     return program_of(sign(out(8)), inputs=(fix,), states=[State(Signal("z", 1, fix), "u0", (initial,))])
@@ -101,6 +110,21 @@ LIMITS = {
     "a table's complement": lambda beyond: table(
         3, (1 - beyond, 127), Fix(8, 0), Fix(8, 7), symmetry=Symmetry.COMPLEMENT
     ),
+    "the first octave": lambda beyond: lines(Fix(4, 0), start=4 + beyond),
+    "segments longer than their octave": lambda beyond: lines(shifts=(4 + beyond, 3), bases=(0,) * 3, slopes=(1,) * 3),
+    "no octave": lambda beyond: lines(shifts=(3, 3)[beyond * 2 :], drops=(0, 1)[beyond * 2 :]),
+    "a drop beyond a segment": lambda beyond: lines(drops=(0, 3 + beyond)),
+    "a guard beyond the slope": lambda beyond: lines(guard=2 + beyond),
+    "segments beyond the last octave": lambda beyond: lines(bases=(0,) * (4 + beyond), slopes=(1,) * (4 + beyond)),
+    "no segment of the last octave": lambda beyond: lines(bases=(0,) * (3 - beyond), slopes=(1,) * (3 - beyond)),
+    "a base without a slope": lambda beyond: lines(slopes=(1, 2, -3, 0)[beyond:]),
+    "the steepest line": lambda beyond: lines(
+        start=48, shifts=(3,), drops=(0,), slope_frac=15, guard=1, bases=(0,), slopes=((1 << 58) - (not beyond),)
+    ),
+    "the finest slope": lambda beyond: lines(slope_frac=61 + beyond, guard=0, slopes=(0,) * 4),
+    "the end of a line": lambda beyond: lines(to=Fix(4, 0), bases=(0, 6, 9, 13 + 2 * beyond), slopes=(1, 2, -3, 0)),
+    "minus the end of a line": lambda beyond: lines(to=Fix(4, 0), bases=(0, 6, 9, -15 - beyond)),
+    "a line's fraction": lambda beyond: lines(to=Fix(48, 0 - beyond)),
     "an initial state": lambda beyond: state(-128 - beyond),
 }
 
@@ -144,8 +168,12 @@ def test_the_random_programs_reach_every_limit_of_the_text():
     clamps = {p.signals[o.arg].fix.frac - o.out.fix.frac for p, o in pairs if isinstance(o, Clamp)}
     assert {shift > 64 for shift in clamps} == {True, False}
     tables = [t for p in programs for t in p.tables]
-    assert {t.shift for t in tables} >= {0, 48}
-    assert {t.shift == t.arg.width for t in tables} == {True, False}
+    points, lines = ([t for t in tables if isinstance(t, kind)] for kind in (Table, Lines))
+    assert {t.shift for t in points} >= {0, 48}
+    assert {t.shift == t.arg.width for t in points} == {True, False}
+    assert {len(t.shifts) for t in lines} >= {1, 2, 3, 48}
+    assert {(any(t.drops), t.guard > 0, any(t.slopes)) for t in lines} >= {(d, g, True) for d in (0, 1) for g in (0, 1)}
+    assert {s for t in lines for s in t.shifts} >= {0, 1, 48}
     assert {(t.symmetry, t.interpolated) for t in tables} == {(s, i) for s in Symmetry for i in (True, False)}
 
 

@@ -1,7 +1,11 @@
 """Synthesis beside its tools: their limit of processor time, and figures that are kept in the package."""
 
 import json
+import subprocess
+import sys
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from networks import delay_line
@@ -10,7 +14,9 @@ from greygate import project
 from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.hardware import synthesis
-from greygate.hardware.synthesis import run_tool
+from greygate.hardware.families import DEVICES, chosen, placing
+from greygate.hardware.synthesis import lacking
+from greygate.hardware.tools import run_tool
 from greygate.pages.report.study import size
 from greygate.project import Project, compile_project, synthesize_project
 from greygate.source import Source
@@ -30,6 +36,61 @@ def test_a_tool_is_stopped_after_its_processor_time(module):
     run_tool("tool", "idle", [], module, limit=1)
 
 
+def test_a_tool_tells_its_passes_and_ends_with_the_process_that_called_it(module):
+    (module / "teller.py").write_text(
+        "import time\n"
+        "def talk(words):\n    print('2.1. Executing PROC pass (convert processes).', flush=True)\n    return 0\n"
+        "def sleep(words):\n    print(__import__('os').getpid(), flush=True)\n    time.sleep(600)\n"
+    )
+    told: list[str] = []
+    assert "PROC" in run_tool("teller", "talk", [], module, progress=told.append)
+    assert told == ["teller: PROC pass (convert processes)"]
+    caller = subprocess.Popen(
+        [sys.executable, "-c", CALL.format(folder=str(module))], stdout=subprocess.PIPE, text=True
+    )
+    tool = int(caller.stdout.readline())
+    caller.kill()
+    caller.wait()
+    caller.stdout.close()
+    for _ in range(100):
+        if not running(tool):
+            return
+        time.sleep(0.1)
+    raise AssertionError("the tool outlives its caller")
+
+
+CALL = """
+import os, sys
+sys.path.insert(0, {folder!r})
+os.environ["PYTHONPATH"] = {folder!r}
+from pathlib import Path
+from greygate.hardware import tools
+tools.STEP = tools.re.compile(r"(\\d+)")
+tools.run_tool("teller", "sleep", [], Path({folder!r}), progress=lambda line: print(line.split()[-1], flush=True))
+"""
+
+
+def running(process: int) -> bool:
+    """Whether it is there, and no zombie."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+@pytest.mark.parametrize(("target", "lacks"), [("up5k", ["luts: 9000 of 5280", "dsps: 9 of 8"]), ("ecp5-25k", [])])
+def test_a_device_says_what_it_has_too_few_of(target, lacks):
+    _, device = chosen(target)
+    assert lacking(device, {"luts": 9000, "flip_flops": 100, "dsps": 9, "block_rams": 3.0}) == lacks
+
+
+def test_the_clock_rate_of_a_family_is_that_of_its_largest_device():
+    assert placing("ecp5") is DEVICES["ecp5-85k"]
+    assert placing("up5k") is DEVICES["up5k"]
+    with pytest.raises(InputError, match="the clock rate is known for target"):
+        placing("xc7a35t")
+
+
 @pytest.fixture
 def compiled(tmp_path, monkeypatch) -> Project:
     """A small network that takes a name of the catalogue; synthesis counts 42 LUTs, of the parallel design none."""
@@ -38,7 +99,7 @@ def compiled(tmp_path, monkeypatch) -> Project:
     compile_project(Source(str(tmp_path / "b2.toml"), {"u": str(tmp_path / "u.csv")}), tmp_path / "hw", Formats())
     monkeypatch.setattr(project, "TRAINED", tmp_path)
 
-    def counted(folder, top, target, clock_rate, limit):
+    def counted(folder, top, target, clock_rate, limit, mhz, progress):
         return {"luts": 42} if folder.name == "folded" else {"stopped_after_s": limit}
 
     monkeypatch.setattr(project, "synthesize", counted)
@@ -61,6 +122,6 @@ def test_a_design_whose_tool_was_stopped_has_no_counts_but_says_so(compiled, mon
     def endless(*arguments):
         raise TimeoutError("not done")
 
-    monkeypatch.setattr(synthesis, "run_tool", endless)
+    monkeypatch.setattr(synthesis, "yosys", endless)
     folder = compiled.folder / "rtl" / "folded"
     assert synthesis.synthesize(folder, compiled.program.name, limit=7.0) == {"stopped_after_s": 7.0}

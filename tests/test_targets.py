@@ -87,7 +87,7 @@ def test_cells_are_counted_as_the_row_of_the_family_says():
 
 
 def test_a_family_that_is_not_known_and_a_clock_rate_that_is_not_are_refused(tmp_path):
-    with pytest.raises(InputError, match="target 'apex' does not exist; choose ecp5, ice40, xilinx or gowin"):
+    with pytest.raises(InputError, match=r"target 'apex' does not exist; choose ecp5, ice40, .* or xc7a100t"):
         synthesize(tmp_path, "top", "apex")
-    with pytest.raises(InputError, match="the clock rate is known for target ecp5 only"):
+    with pytest.raises(InputError, match=r"the clock rate is known for target ecp5, ice40, up5k, .* only"):
         synthesize(tmp_path, "top", "gowin", clock_rate=True)

@@ -19,6 +19,7 @@ from greygate.compiler.products import PLAIN, Mode
 from greygate.compiler.schedule import COPIED, FIELDS, NEAR, SAMPLED, UNITS, Folding, fold
 from greygate.compiler.targets import MULTIPLIERS, Architecture, Design, Register
 from greygate.compiler.verilog import (
+    MEMORIES,
     header,
     input_slices,
     instance,
@@ -38,6 +39,7 @@ from greygate.compiler.verilog import (
 from greygate.emulator.program import Program, Select
 from greygate.errors import InputError
 
+DEEP = 16  # lines from which a ROM is kept in block RAM
 REMARKED = 4096  # lines of a ROM up to which each says what it does
 
 
@@ -52,7 +54,7 @@ def folded(program: Program, design: Design) -> dict[str, str]:
         f"{program.name}.v": core.top(),
         f"{program.name}__schedule.v": core.schedule_rom(),
         f"{program.name}__biases.v": core.biases_rom(),
-    } | table_texts(program, design.memory)
+    } | table_texts(program, design.memory, late=True)
 
 
 def registers(program: Program, design: Design) -> list[Register]:
@@ -110,8 +112,11 @@ class _Core:
     @cached_property
     def codes(self) -> tuple[np.ndarray, np.ndarray]:
         """The different values of the control, idle first, and the number of the one in each line."""
-        values, codes = np.unique(self.folding.controls, axis=0, return_inverse=True)
-        return values, codes.reshape(-1)
+        packed = np.zeros(len(self.folding.controls), np.int64)
+        for column in self.folding.controls.T:
+            packed = packed << bits(column.max()) | column
+        _, first, codes = np.unique(packed, return_index=True, return_inverse=True)
+        return self.folding.controls[first], codes
 
     def constant(self, what: str, value: int) -> str:
         """An unsigned constant of that width."""
@@ -521,10 +526,11 @@ def rom_rows(columns: list[tuple[np.ndarray, int, bool]], notes: dict[int, list[
 def rom_text(comment: list[str], name: str, ports: str, width: int, rows: list[str], index: str, out: str) -> str:
     """A synchronous ROM with lines that a person can read."""
     listed = "\n".join(f"        rom[{n}] = {row}" for n, row in enumerate(rows))
+    style = MEMORIES["block"] if len(rows) >= DEEP else ""
     return module_text(
         comment,
         f"module {name} (\n{ports}\n);\n\n"
-        f"    reg [{width - 1}:0] rom[0:{len(rows) - 1}];\n"
+        f"    {style}reg [{width - 1}:0] rom[0:{len(rows) - 1}];\n"
         f"    reg [{width - 1}:0] line;\n"
         f"    always @(posedge clk) line <= rom[{index}];\n{out}\n"
         f"    initial begin\n{listed}\n    end\n",

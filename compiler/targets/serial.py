@@ -4,7 +4,7 @@ compiler/serial_code.py writes the words; rtl/greygate_serial.v performs them. A
 each signed digit of its weight, so that no multiplier is needed.
 """
 
-from greygate.compiler.serial_code import Code, compiled
+from greygate.compiler.serial_layout import Code, compiled
 from greygate.compiler.targets import Architecture, Design, Register
 from greygate.compiler.verilog import (
     header,
@@ -27,7 +27,7 @@ from greygate.errors import InputError
 BLANK = "1'bx"  # no bit of the sample
 
 
-def serial(program: Program) -> dict[str, str]:
+def serial(program: Program, design: Design = Design()) -> dict[str, str]:
     """File name -> text of the serial architecture, without the building blocks."""
     verilog_names(program)
     for t in program.tables:
@@ -46,7 +46,12 @@ def registers(program: Program, design: Design) -> list[Register]:
     return [Register(f"memory.words[{k}]", alone=True) for k in range(sum(s.signal.size for s in program.states))]
 
 
-TARGET = Architecture(lambda program, design: serial(program), registers)
+def clocks(program: Program, design: Design) -> int:
+    """Clocks of a step."""
+    return compiled(program).clocks
+
+
+TARGET = Architecture(serial, registers, clocks)
 
 
 def _top(program: Program, code: Code) -> str:

@@ -45,9 +45,19 @@ def board(
     from greygate.hardware.board.make import make
     from greygate.project import Project
 
-    how = {"architecture": architecture, "port": port.value, "mhz": mhz, "baud": baud}
     with following(f"{folder} on {name.value}") as progress:
-        facts = make(Project.open(folder), name.value, out, **how, tick=tick, bitstream=bitstream, progress=progress)
+        facts = make(
+            Project.open(folder),
+            name.value,
+            out,
+            architecture=architecture,
+            port=port.value,
+            mhz=mhz,
+            baud=baud,
+            tick=tick,
+            bitstream=bitstream,
+            progress=progress,
+        )
     lines = [f"{key.replace('_', ' ')}: {value}" for key, value in facts.items() if key != "cells"]
     lines += [f"  {cell}: {used}" for cell, used in facts.get("cells", {}).items()]
     give({"folder": str(out)} | facts, as_json, [*lines, f"written to {out}"])

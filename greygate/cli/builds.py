@@ -88,6 +88,7 @@ def prove(
     folder: Folder,
     only: Annotated[list[str], typer.Option(help="Only this proof: primitives, sums, bound, netlist or drift.")] = [],
     target: Annotated[Device, typer.Option(help="Device or family of the netlist.")] = ICE40,
+    architecture: Annotated[list[str], typer.Option(help="Only this architecture of the build.")] = [],
     steps: Annotated[int, typer.Option(callback=options.COUNT, help="Steps of the long run.")] = 1_000_000,
     limit: Annotated[
         float | None, typer.Option(callback=options.SECONDS, help="Stop each tool after this many CPU seconds.")
@@ -103,7 +104,7 @@ def prove(
 
     project = Project.open(folder)
     with following(f"proving {project.program.name}") as progress:
-        proofs = run(project, tuple(only), target.value, steps, limit, progress)
+        proofs = run(project, tuple(only), target.value, tuple(architecture), steps, limit, progress)
     holds = all(proof.holds is not False for proof in proofs)
     give({"holds": holds, "proofs": [asdict(proof) for proof in proofs]}, as_json, [proof.line() for proof in proofs])
     if not holds:
@@ -127,17 +128,26 @@ def synthesize(
     keep: Annotated[bool, typer.Option(help="Keep the figures in the package, for `report --all`.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Count LUTs, flip-flops, DSPs and block RAM with Yosys; with a clock rate also microseconds a step. Slow: minutes."""
+    """Count LUTs, flip-flops, DSPs and block RAM with Yosys; with a clock rate also the time of a step. Slow."""
     from greygate.project import Project, synthesize_project
 
     project = Project.open(folder)
     with following(f"synthesizing {project.program.name} for {target.value}") as progress:
         found = synthesize_project(project, target.value, clock_rate, limit, keep, mhz, progress)
-    lines = [f"{name}: " + ", ".join(f"{k} {v}" for k, v in figures.items()) for name, figures in found.items()]
-    give(found, as_json, lines)
+    give(found, as_json, [f"{name}: {_counted(figures)}" for name, figures in found.items()])
     met = [figures.get("meets") for name, figures in found.items() if name.endswith(f", {target.value}")]
     if mhz is not None and not all(met):
         raise typer.Exit(1)
+
+
+def _counted(figures: dict[str, float | None]) -> str:
+    """The figures of a design on a target; a condition as a word."""
+    words = {0.0: "no", 1.0: "yes"}
+    found = {
+        k: words.get(v, "no") if k in ("fits", "meets") else "none" if v is None else f"{v:.6g}"
+        for k, v in figures.items()
+    }
+    return ", ".join(f"{name} {value}" for name, value in found.items())
 
 
 def report(

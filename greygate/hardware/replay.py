@@ -170,7 +170,8 @@ module bench (input clk);
         if (taken == {steps} || idle > {PATIENCE}) begin
             file = $fopen("result.json", "w");
             $fwrite(file, "{{\\"steps\\": %0d, \\"differing\\": %0d, \\"first\\": %0d, ", taken, differing, first);
-            $fwrite(file, "\\"given\\": \\"%0x\\", \\"wanted\\": \\"%0x\\", \\"clocks\\": %0d}}", given, right, ended - began);
+            $fwrite(file, "\\"given\\": \\"%0x\\", \\"wanted\\": \\"%0x\\", ", given, right);
+            $fwrite(file, "\\"clocks\\": %0d}}", ended - began);
             $fclose(file);
             $finish;
         end

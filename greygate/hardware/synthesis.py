@@ -118,11 +118,12 @@ def stream_widths(text: str, top: str) -> tuple[int, int]:
 
 
 def few_pins(top: str, width_in: int, width_out: int) -> str:
-    """A module `greygate_pins` of eight pins: the ports of the design behind two shift registers; a stub of the design."""
+    """A module `greygate_pins` of eight pins, the design behind two shift registers, and a stub of the design."""
     return f"""\
 (* blackbox *)
 module {top} (
-    input wire clk, rst, input wire [{width_in - 1}:0] s_axis_tdata, input wire s_axis_tvalid, output wire s_axis_tready,
+    input wire clk, rst,
+    input wire [{width_in - 1}:0] s_axis_tdata, input wire s_axis_tvalid, output wire s_axis_tready,
     output wire [{width_out - 1}:0] m_axis_tdata, output wire m_axis_tvalid, input wire m_axis_tready
 );
 endmodule

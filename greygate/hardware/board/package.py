@@ -5,43 +5,25 @@ Names that come from a network are those of `emit`, which Verilog holds; nothing
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+import numpy as np
 
 from greygate import rtl
-from greygate.compiler.verilog import lane_width, remark
-from greygate.emulator.program import Fix, Program
+from greygate.emulator.program import Program
 from greygate.errors import InputError
+from greygate.hardware.board.benches import core_bench, output_codes, port_bench
 from greygate.hardware.board.boards import BAUD, BOARDS, FLAGS, PORTS, Board
 from greygate.hardware.board.clocks import PLLS
-from greygate.hardware.board.frames import Frames, seed, width
-from greygate.hardware.verify import Scenario, lanes
+from greygate.hardware.board.frames import seed, width
+from greygate.hardware.board.texts import render
+from greygate.hardware.families import FAMILIES
 from greygate.names import check_file_name
 
-BAUD_ERROR = (
-    0.02  # relative: a receiver that samples in the middle of a bit bears 5 % over ten bits, both ends together
-)
 SCENARIO, FRAMES = "scenario.hex", "frames.hex"  # what the benches read
-BENCH_FRAMES = 20  # of the scenario, in the bench of the port
-BENCH_STEPS = 1000  # of the scenario, in the bench
-PATIENCE = 100_000  # clocks that a step of the bench may take; a folded core of 10,000 weights takes a few thousand
-
-
-@cache
-def environment() -> Environment:
-    """The templates; a value that is missing is an error."""
-    found = Environment(
-        loader=PackageLoader(__package__, "templates"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    found.filters["remark"] = remark
-    return found
+BAUD_ERROR = 0.02  # relative: sampled in its middle, the tenth bit of a byte bears 5 % of both ends together
 
 
 @dataclass(frozen=True)
@@ -49,6 +31,7 @@ class Package:
     """One program on one board.
 
     core: file name -> text, as `emit` made it. mhz: of the core. tick: clocks between two steps, or 0.
+    codes: inputs (N, columns) of a scenario, for the benches.
     """
 
     program: Program
@@ -58,7 +41,7 @@ class Package:
     mhz: float
     baud: int
     tick: int
-    scenario: Scenario
+    codes: np.ndarray
 
     @property
     def name(self) -> str:
@@ -107,8 +90,8 @@ class Package:
         """What Yosys does, from the folder of the package."""
         assert self.board.toolchain is not None
         files = " ".join(f"rtl/{name}" for name in self.sources)
-        synth = self.board.toolchain.synth.format(top=f"{self.name}__top", json=f"{self.name}.json")
-        return f"read_verilog {files}; {synth}"
+        synth = FAMILIES[self.board.toolchain.family].synth.format(top=f"{self.name}__top")
+        return f"read_verilog {files}; {synth} -json {self.name}.json"
 
     @property
     def place(self) -> list[str]:
@@ -153,8 +136,6 @@ class Package:
             f"rtl/{name}__port.v": "port.v",
             f"rtl/{name}__axis.v": "axis.v",
             f"rtl/{name}__axis_last.v": "axis_last.v",
-            f"bench/{name}__bench.v": "bench.v",
-            f"bench/{name}__port_bench.v": "port_bench.v",
             f"{name}.{self.constraints}": f"pins.{self.constraints}",
             f"{name}.core": "fusesoc.core",
             "Makefile": "Makefile",
@@ -162,7 +143,7 @@ class Package:
         }
         if self.board.toolchain is None:
             texts["build.tcl"] = "build.tcl"
-        found = {path: environment().get_template(f"{t}.j2").render(context) for path, t in texts.items()}
+        found = {path: render(t, context) for path, t in texts.items()}
         copied = {file: text for file, text in self.core.items() if file.endswith(".v")} | self.blocks
         for file, text in copied.items():
             check_file_name(file, f"program {name}: file")
@@ -170,15 +151,16 @@ class Package:
                 raise InputError(f"{name}: two modules would be called {file[:-2]}; rename an operation or a table")
             found[f"rtl/{file}"] = text
         found[f"rtl/{name}.f"] = "\n".join(self.sources) + "\n"
-        found[SCENARIO] = scenario_hex(self.program, self.scenario)
-        found[FRAMES] = "".join((request + answer)[::-1].hex() + "\n" for request, answer in context["frames"])
-        return found
+        bits = self.clocks_per_bit if self.port == "uart" else 0
+        bench, found[SCENARIO] = core_bench(self.program, self.codes, SCENARIO)
+        line, found[FRAMES] = port_bench(self.program, self.codes, self.port, bits, FRAMES)
+        return found | {f"bench/{name}__bench.v": bench, f"bench/{name}__port_bench.v": line}
 
     def context(self) -> dict[str, Any]:
         """What the templates read."""
         board, (inputs, outputs) = self.board, PORTS[self.port]
         wires = {flag: f"{flag}_high" if flag in board.inverted else flag for flag in FLAGS}
-        chain, frames = board.toolchain, Frames.of(self.program)
+        chain = board.toolchain
         return {
             "name": self.name,
             "title": board.title,
@@ -208,69 +190,16 @@ class Package:
             "place": " ".join(self.place) if chain else "",
             "script": self.script if chain else "",
             "nextpnr_options": quoted([*board.part, "--freq", f"{self.mhz:g}"]),
-            "yosys_options": quoted(["-dsp"] if chain and "-dsp" in chain.synth else []),
+            "yosys_options": quoted(["-dsp"] if chain and "-dsp" in self.script else []),
             "load": board.load,
             "sources": self.sources,
-            "hex": SCENARIO,
-            "frames_hex": FRAMES,
-            "frames": bench_frames(self.program, self.scenario),
-            "request_size": frames.request_size,
-            "answer_size": frames.answer_size,
-            "steps": min(BENCH_STEPS, len(self.scenario.inputs)),
-            "patience": PATIENCE,
+            "listings": (SCENARIO, FRAMES),
         }
 
 
 def quoted(words: Sequence[str]) -> str:
     """A list in YAML."""
     return "[" + ", ".join(f'"{word}"' for word in words) + "]"
-
-
-def output_codes(program: Program) -> list[dict[str, Any]]:
-    """Where each code of an output stands in the result, and the ends of its format in Verilog."""
-    found, start = [], 0
-    for port in program.outputs:
-        for _ in range(port.signal.size):
-            fix: Fix = port.signal.fix
-            whole = {"mask": (1 << fix.width) - 1, "most": fix.hi}
-            ends = {"hi": f"{fix.width}'h{fix.hi:x}", "lo": f"{fix.width}'h{fix.hi + 1:x}"}
-            found.append({"low": start, "high": start + fix.width - 1} | ends | whole)
-            start += lane_width(port.signal)
-    return found
-
-
-def scenario_hex(program: Program, scenario: Scenario) -> str:
-    """{result, sample} of each step of the bench, a line each, for $readmemh."""
-    return "".join((sample + result)[::-1].hex() + "\n" for sample, result in steps(program, scenario, BENCH_STEPS))
-
-
-def steps(program: Program, scenario: Scenario, count: int) -> list[tuple[bytes, bytes]]:
-    """(sample, result) of the first steps of a scenario, as bytes of AXI4-Stream."""
-    sides = ((program.inputs, scenario.inputs), (program.outputs, scenario.outputs))
-    samples, results = (lanes([p.signal for p in ports], codes[:count]) for ports, codes in sides)
-    return [(s.tobytes(), r.tobytes()) for s, r in zip(samples, results, strict=True)]
-
-
-def bench_frames(program: Program, scenario: Scenario) -> list[tuple[bytes, bytes]]:
-    """(request, answer) on the line: the second request is damaged, the third is sent twice."""
-    frames, ends = Frames.of(program), output_codes(program)
-
-    def limited(result: bytes) -> bool:
-        word = int.from_bytes(result, "little")
-        return any((word >> e["low"]) & e["mask"] in (e["most"], e["most"] + 1) for e in ends)
-
-    found = []
-    for n, (sample, result) in enumerate(steps(program, scenario, BENCH_FRAMES)):
-        request = frames.request(sample, n, restart=n == 0)
-        answer = frames.answer(result, n + 1, limited=limited(result))
-        if n == 1:
-            damaged = request[:-1] + bytes([request[-1] ^ 1])
-            _, before = found[0]
-            found.append((damaged, frames.answer(before[2:-2], n, refused=True, limited=limited(before[2:-2]))))
-        found.append((request, answer))
-        if n == 1:
-            found.append((request, frames.answer(result, n + 1, refused=True, limited=limited(result))))
-    return found
 
 
 def board(name: str) -> Board:

@@ -67,7 +67,7 @@ class Session:
     overruns: int = 0
     limited: int = 0
     received: bytearray = field(default_factory=bytearray)
-    heard: bool = False  # any byte at all
+    heard: int = 0  # bytes
     spare: int = SPARE
     ahead: int = AHEAD
 
@@ -108,8 +108,10 @@ class Session:
     def restore(self) -> None:
         """Bring the next sample alone, as often as needed; begin again where a result is lost."""
         for _ in range(TRIES):
-            number = len(self.results)
             self.settle()
+            number = len(self.results)
+            if number == len(self.samples):
+                return
             self.resent += number > 0
             self.line.write(self.frames.request(self.samples[number], number, restart=number == 0))
             answer = self.wait()
@@ -151,7 +153,7 @@ class Session:
     def answers(self) -> list[Answer]:
         """Those that have come."""
         data = self.line.read(max(1, self.frames.answer_size))
-        self.heard |= bool(data)
+        self.heard += len(data)
         self.received += data
         found = []
         while (answer := self.frames.parse(self.received)) is not None:
@@ -167,21 +169,29 @@ class Session:
         return None
 
     def settle(self) -> None:
-        """Fill up whatever the board believes to be a frame, and drop what it says until it is silent."""
+        """Fill up whatever the board believes to be a frame, and wait until it is silent.
+
+        Answers that were only late are kept; before the first sample they belong to an earlier session.
+        """
         self.line.write(bytes([IDLE]) * (self.frames.request_size + self.frames.answer_size))
-        until = time.monotonic() + QUIET + self.transit
+        quiet = (QUIET if self.results else PATIENCE / 2) + self.transit
+        until = time.monotonic() + quiet
         while time.monotonic() < until:
-            if self.line.read(LINE):
-                until = time.monotonic() + QUIET + self.transit
+            before = self.heard
+            found = self.answers()
+            if self.heard > before:
+                until = time.monotonic() + quiet
+            if self.results:
+                all(self.taken(answer, len(self.results)) for answer in found)
         self.received.clear()
 
     def silence(self) -> str:
         """Why there is no answer, as far as one can tell."""
         if self.results:
-            return f"sample {len(self.results)}: no answer after {TRIES} tries; check the cable and play again"
+            return f"sample {len(self.results)}: no answer after {TRIES} tries; check the plug and play again"
         if self.heard:
             return "what answers is no board with this build: compare the build, its bitstream and --baud"
-        return "nothing answers: load the bitstream of this build, check the cable, and --baud"
+        return "nothing answers: load the bitstream of this build, check the plug, and --baud"
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,11 @@ from greygate.hardware.verify import OPTIONS, run_logged, runtime_cache, simulat
 DRIVER = Path(__file__).with_name("simulated.cpp")
 
 
-def build(package: Path | str, folder: Path | str, clocks_per_bit: int) -> Path:
+def build(package: Path | str, folder: Path | str, clocks_per_bit: int, tick: int | None = None) -> Path:
     """Build the simulation of a package with a UART, in `folder`; return the program. Raises InputError if that fails.
 
     clocks_per_bit: of the line, instead of those that its baud rate has on the board: few of them simulate faster.
+    tick: clocks between two steps, instead of those of the package.
     """
     package, folder = Path(package).resolve(), Path(folder).resolve()
     names = [path.stem for path in (package / "rtl").glob("*.f")]
@@ -28,9 +29,10 @@ def build(package: Path | str, folder: Path | str, clocks_per_bit: int) -> Path:
     files = (package / "rtl" / f"{name}.f").read_text(encoding="utf-8").split()
     sources = [str(package / "rtl" / file) for file in files if file != f"{name}__top.v"]
     environment = simulator_environment()
+    ticks = [] if tick is None else [f"-GTICK={tick}"]
     command = [
         *("verilator", "--cc", "--exe", "--quiet", "--prefix", "Vport", "--top-module", f"{name}__port", "-Mdir", "."),
-        *("-o", "simulated", f"-GCLOCKS_PER_BIT={clocks_per_bit}", "-O3", "--x-assign", "fast", "-Wno-lint"),
+        *("-o", "simulated", f"-GCLOCKS_PER_BIT={clocks_per_bit}", *ticks, "-O3", "--x-assign", "fast", "-Wno-lint"),
         *(str(DRIVER), *sources),
     ]
     run_logged(command, folder / "verilator.log", environment, folder)

@@ -1,6 +1,6 @@
 """Reads a module of Yosys's JSON word by word: which vectors are sums of the inputs, with which weights and ranges.
 
-A vector of bits is followed to the cells that drive it. Sums, differences, shifts, sign extensions, slices and registers
+A vector of bits is followed to the cells that drive it. Sums, differences, shifts, sign extensions, slices, registers
 keep it an affine function of the elements of the inputs. A register counts as a wire: when a value comes is another
 matter. Bits that are dropped become unknowns of their own, `Rest` and `Some`, which vanish again where a sum of two
 slices is exact.
@@ -114,7 +114,7 @@ def _nearest(value: Value, width: int) -> Value:
 class Module:
     """A module after `proc` and `flatten`.
 
-    json: as Yosys wrote it. elements: name of each element of an input -> (port, lowest bit, width), all of them signed.
+    json: as Yosys wrote it. elements: name of each element of an input -> (port, lowest bit, width); all are signed.
     ranges: what is known of an element; else it takes every code of its width.
     """
 

@@ -27,6 +27,12 @@ class Block:
         bits = self.parameters[parameter]
         return int(bits, 2) - (1 << len(bits) if bits[0] == "1" else 0)
 
+    def field(self, parameter: str, width: int) -> list[int]:
+        """The unsigned numbers of `width` bits that stand side by side in a parameter, the lowest first."""
+        bits = self.parameters[parameter]
+        whole = bits.zfill(-(-len(bits) // width) * width)
+        return [int(whole[k - width : k], 2) for k in range(len(whole), 0, -width)]
+
     def instance(self, name: str) -> str:
         """An instance with these parameters; a port is connected to what has its name."""
         given = ", ".join(f".{k}({len(bits)}'sb{bits})" for k, bits in self.parameters.items())

@@ -49,7 +49,7 @@ def _proof(files: Sequence[Path], block: Block, seconds: int) -> Proof:
             shutil.copy(path, work)
         check, clocks = REFERENCES[block.name](block)
         (work / "check.v").write_text(check)
-        prepared = "hierarchy -top check; proc; flatten; opt -full; memory; opt"
+        prepared = "hierarchy -top check; proc; flatten; opt -full -share_all; memory; opt -share_all"
         sat = f"sat -seq {clocks + 1} -prove-skip {clocks} -prove ok 1 -show-inputs -show ok -timeout {seconds}"
         log = yosys(f"{reading([*files, Path('check.v')])}; {prepared}; {sat}", work)
     if "no model found: SUCCESS" in log:
@@ -169,9 +169,69 @@ def _select(block: Block) -> tuple[str, int]:
     return _check(block, ("condition", "above", "below"), *_each(n("SIZE"), element, "f"))
 
 
+def _drain(block: Block) -> tuple[str, int]:
+    """Each mode is a format. The sum holds the rounding constant; a tie that goes to even is judged without it."""
+    n, field = block.number, block.field
+    wide = n("IN_W") + n("OUT_W") + max(field("SHIFTS", 8)) + SPARE
+    body, answer = f"    wire signed [{wide - 1}:0] v = $signed(a_1);\n", ""
+    for k in range(n("MODES")):
+        shift, width, even = field("SHIFTS", 8)[k], field("WIDTHS", 8)[k], field("EVEN", 1)[k] and field("SHIFTS", 8)[k]
+        less = f"{wide}'sd{1 << (shift - 1)}" if even else f"{wide}'sd0"
+        body += f"    wire signed [{wide - 1}:0] v_{k} = v - {less};\n"
+        body += requantized(f"v_{k}", f"f_{k}", shift, 2 if even else 0, width, wide, not field("WRAPS", 1)[k])
+        body += f"    wire [{n('OUT_W') - 1}:0] s_{k} = {{{{{n('OUT_W')}{{f_{k}[{width - 1}]}}}}, f_{k}}};\n"
+        answer += f"mode_1 == {k} ? s_{k} : " if k else ""
+    return _registered(block, ("a", "mode"), body, f"y == ({answer}s_0)"), 1
+
+
+def _mac(block: Block) -> tuple[str, int]:
+    """Products that are equal by their operands are one; what is proved is everything about them."""
+    n = block.number
+    x, word, acc, stages = (n(name) for name in ("X_W", "WORD_W", "ACC_W", "STAGES"))
+    wide = x + word + n("BASE") + sum(block.field("AMOUNTS", 8)) + acc
+    more = "".join(f" + (select_1[{k}] ? 16'd{amount} : 16'd0)" for k, amount in enumerate(block.field("AMOUNTS", 8)))
+    body = f"""\
+    reg signed [{x - 1}:0] x_2;
+    reg signed [{word - 1}:0] word_2;
+    reg signed [{x + word - 1}:0] product;
+    reg [{stages - 1}:0] select_2;
+    wire [15:0] shift = 16'd{n("BASE")}{more.replace("select_1", "select_2")};
+    wire signed [{wide - 1}:0] whole = product;
+    reg signed [{wide - 1}:0] term, term_1;
+    always @(posedge clk) begin
+        x_2 <= x;
+        word_2 <= word;
+        product <= x_2 * word_2;
+        select_2 <= select;
+        term <= whole <<< shift;
+        term_1 <= term;
+    end
+    wire [{acc - 1}:0] sum = (first_1 ? bias_1 : acc_1) + term_1[{acc - 1}:0];
+"""
+    return _registered(block, ("x", "word", "select", "first", "bias"), body, "acc == sum && x_reg == x_1"), 4
+
+
+def _registered(block: Block, inputs: Sequence[str], body: str, ok: str) -> str:
+    """A module `check` for a block without an enable. <port>_1: a port in the clock before."""
+    outputs = [name for name in block.ports if name not in (*inputs, "clk")]
+    ports = "".join(f", input [{block.ports[n] - 1}:0] {n}" for n in inputs)
+    wires = "".join(f"    wire [{block.ports[n] - 1}:0] {n};\n" for n in outputs)
+    past = "".join(f"    reg [{block.ports[n] - 1}:0] {n}_1;\n" for n in (*inputs, *outputs))
+    kept = " ".join(f"{n}_1 <= {n};" for n in (*inputs, *outputs))
+    return f"""\
+module check (input clk{ports}, output ok);
+{wires}    {block.instance("block")}
+{past}    always @(posedge clk) begin {kept} end
+{body}    assign ok = {ok};
+endmodule
+"""
+
+
 REFERENCES: dict[str, Callable[[Block], tuple[str, int]]] = {
     "greygate_requantize": _requantize,
     "greygate_clamp": _clamp,
     "greygate_threshold": _threshold,
     "greygate_select": _select,
+    "greygate_drain": _drain,
+    "greygate_mac": _mac,
 }

@@ -22,7 +22,7 @@ def tables(
 ) -> list[Proof]:
     """A proof for each table module of the design, all in one simulation. modules: of `elaborate`.
 
-    A module has the ports clk, en, x and y, and SIZE neurons; each of them sees every code, and no two the same at once.
+    A module has the ports clk, en, x and y, and SIZE neurons; each sees every code, and no two the same one at once.
     Its answer comes a fixed number of clocks later, which the simulation finds.
     """
     found = list(_instances(program, modules))
