@@ -6,7 +6,9 @@ OUT := demo
 PEERS := build/peers
 FOLDERS := models plants emulator compiler rtl mismatch machines recordings
 
-.PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-programs fuzz faults mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-tables
+.PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-programs fuzz faults \
+    mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-tables \
+    bench-flow bench-growth
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -88,6 +90,14 @@ bench-training: $(VENV)/.ready-dev $(PEERS)/.ready
 # Five minutes: RMS of the flow network at 8 to 20 bits, beside da4ml and alkaid.
 bench-accuracy: $(VENV)/.ready-dev $(PEERS)/.ready
 	$(BIN)/python benchmarks/accuracy_per_bit.py --peers $(PEERS)/bin/python
+
+# The flow network as parallel designs of two accuracies, by Yosys.
+bench-flow: $(VENV)/.ready-dev | tools
+	$(BIN)/python benchmarks/flow_designs.py
+
+# Compiling, synthesizing and emulating 10 to 10,000 weights, and writing 100,000.
+bench-growth: $(VENV)/.ready-dev | tools
+	$(BIN)/python benchmarks/growth.py
 
 # Half an hour: what the parts of a design take on each family, by Yosys and nextpnr; writes compiler/cost.toml.
 calibrate: $(VENV)/.ready-dev | tools

@@ -27,7 +27,8 @@ BLOCKS: dict[str, tuple[tuple[tuple[int, int], ...], tuple[tuple[int, int], ...]
     "ice40": (((256, 16), (512, 8), (1024, 4), (2048, 2)), (), 1.0),
     "xilinx": (((512, 36), (1024, 18), (2048, 9), (4096, 4)), ((1024, 18), (2048, 9), (4096, 4)), 0.5),
 }
-WORTH = {"ecp5": 2048, "ice40": 1024, "xilinx": 7000}  # bits in each block from which Yosys 0.70 takes blocks for a ROM
+WORTH = {"ecp5": 2048, "ice40": 1024, "xilinx": 7000}  # bits in each block from which Yosys 0.70 takes blocks
+DEEP = 16  # lines from which the folded architecture keeps a ROM in blocks
 BLOCKS_ALONE = {"ice40"}  # families without memory made of LUTs
 WORD = 18  # bits of a factor of the folded architecture; longer ones are multiplied in parts
 MULTIPLIERS = {"ecp5": (18, 18), "ice40": (16, 16), "xilinx": (25, 18)}  # widths that one DSP multiplies
@@ -206,8 +207,8 @@ def folded(program: Program, design: Design, family: str, clocks: int) -> Parts:
     rows = sum(o.out.size for o in affine) + sum(s.signal.size for s in program.states)
     for count, bits, kind in ((clocks + words // 8, line, "rom"), (rows, acc, "rom"), (words, code, "ram")):
         taken = blocks(family, count, bits)
-        least = 0 if kind == "ram" and family in BLOCKS_ALONE else WORTH[family]
-        if count * bits * BLOCKS[family][2] >= least * taken:
+        worth = family in BLOCKS_ALONE or count * bits * BLOCKS[family][2] >= WORTH[family] * taken
+        if count >= DEEP if kind == "rom" else worth:
             memories += taken
         else:
             luts[kind] += count * bits

@@ -1,0 +1,81 @@
+"""Parallel designs of the flow network: the smallest in LUTs, by the cost model, that keep an RMS against float.
+
+Weights have few signed digits, each signal a word that is searched; Yosys says what that takes, and on ECP5 nextpnr
+how fast it is.
+Usage: python benchmarks/flow_designs.py [--families xilinx ecp5] [--limit SECONDS] [--only NAME...]
+"""
+
+import argparse
+import json
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+from flow import flow
+
+from greygate.compiler.cost import cost
+from greygate.compiler.emit import emit
+from greygate.compiler.judge import Bound, Judge, Scale
+from greygate.compiler.pipeline import compile_network
+from greygate.compiler.quantize import Formats
+from greygate.compiler.targets import Design, architecture
+from greygate.compiler.trail import KEPT, Candidate, Maker, coarser, with_few_digits
+from greygate.hardware.synthesis import synthesize
+
+DESIGNS = {  # name -> RMS against float, prices of a digit that are tried, design
+    "fine": (1e-4, (3e-9,), Design(dsps=10, adders=5)),
+    "fine, no DSP": (1e-4, (3e-9,), Design(dsps=0, adders=5)),
+    "coarse": (2.5e-3, (3e-8, 1e-6), Design(dsps=0, adders=4)),
+}
+WIDTHS = range(10, 19)
+CUTS = range(3)  # bits that the inputs may have less than the word
+RESULTS = Path(__file__).parent / "results/flow_designs.json"
+
+
+def smallest(rms: float, prices: tuple[float, ...], design: Design) -> Candidate:
+    """The program of least LUTs on Xilinx whose RMS is at most that."""
+    network, record = flow()
+    compiled = compile_network(network, {"grid": record})
+    judge = Judge(compiled.network, {"grid": record}, Bound(rms, Scale.UNIT, "", {"y": 1.0}))
+    make = Maker(compiled.network, compiled.ranges, judge, compiled.program.period, [record])
+    found = []
+    for rounded in filter(None, (with_few_digits(make, price) for price in prices)):
+        for width in WIDTHS:
+            one = rounded(Formats(width, keep=KEPT))
+            for _ in CUTS:
+                if one is None:
+                    break
+                found.append(one)
+                formats = one.formats
+                for port in one.program.inputs:
+                    formats = coarser(replace(one, formats=formats), ("signal", port.signal.name)) or formats
+                one = rounded(formats)
+    met = [one for one in found if one.error <= rms]
+    return min(met, key=lambda one: (cost(one.program, "parallel", design, "xilinx").luts, one.error))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--families", nargs="*", default=["xilinx", "ecp5"])
+    parser.add_argument("--limit", type=float, default=300.0, help="seconds of processor time for each tool")
+    parser.add_argument("--only", nargs="*", default=DESIGNS)
+    given = parser.parse_args()
+    rows = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+    clocks = architecture("parallel").clocks
+    assert clocks is not None
+    for name in given.only:
+        rms, prices, design = DESIGNS[name]
+        one = smallest(rms, prices, design)
+        row = rows.setdefault(name, {}) | {"rms": one.error, "clocks": clocks(one.program, design), "dsps": design.dsps}
+        row["foretold_luts"] = cost(one.program, "parallel", design, "xilinx").luts
+        for family in given.families:
+            with tempfile.TemporaryDirectory() as folder:
+                emit(one.program, folder, "parallel", design)
+                row[family] = synthesize(folder, one.program.name, family, family == "ecp5", given.limit)
+            rows[name] = row
+            RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
+        print(name, row, flush=True)
+
+
+if __name__ == "__main__":
+    main()
