@@ -17,6 +17,7 @@ __all__ = ["CONSTANT", "Graph", "Node", "Output", "solve"]
 
 
 OBJECTIVES = ("adders", "bits")
+WIDEST = 24  # places of a weight up to which patterns are shared; the search tells sums apart by 61 bits
 
 
 def solve(
@@ -51,7 +52,8 @@ def solve(
     least = max((len(s) + e - 1 for s, e in zip(sums, extra, strict=True) if s), default=0).bit_length()
     if depth is not None and depth < least:
         raise InputError(f"adder graph: depth {depth} is too little for its longest row; allow at least {least}")
-    found = best_sums(sums, columns, depth or 0, extra, effort)
+    widest = max((shift for s in sums for _, shift, _ in s), default=0)
+    found = best_sums(sums, columns, depth or 0, extra, effort) if widest <= WIDEST else [([], sums)]
     graphs = [shape(columns, definitions, outs, numbers, ranges) for definitions, outs in found]
     best = min(graphs, key=lambda g: (g.adder_bits, g.adders) if objective == "bits" else (g.adders, g.adder_bits))
     assert (best.matrix() == table).all(), "the adders are not the matrix"

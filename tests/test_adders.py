@@ -146,3 +146,9 @@ def test_what_is_shared_is_built_once():
 @pytest.mark.parametrize(("lo", "hi", "width"), [(0, 0, 1), (-1, 0, 1), (0, 1, 2), (-128, 127, 8), (-129, 0, 9)])
 def test_width_of_a_range(lo, hi, width):
     assert signed_width(lo, hi) == width
+
+
+def test_weights_of_as_many_places_as_a_program_may_have_are_kept():
+    weights = np.array([[(1 << 61) - 1, 3], [-(1 << 60) - 5, (1 << 61) + 1]], dtype=object)
+    graph = solve(weights, [2, 2])
+    assert (graph.matrix() == weights).all()
