@@ -6,7 +6,9 @@ OUT := demo
 PEERS := build/peers
 FOLDERS := models plants emulator compiler rtl mismatch machines recordings
 
-.PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-programs fuzz faults mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-flow bench-growth
+.PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-programs fuzz faults \
+    mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-tables \
+    bench-flow bench-growth
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -51,6 +53,10 @@ bench: $(VENV)/.ready-dev | tools
 bench-programs: $(VENV)/.ready-dev | tools
 	PYTHONPATH=tests $(BIN)/python benchmarks/random_programs.py
 
+# Ten minutes: what a lookup takes on each family, for every form of table.
+bench-tables: $(VENV)/.ready-dev
+	$(BIN)/python benchmarks/tables.py
+
 # Nightly: 10,000 mutants of the files that each parser reads; every fault at every point; changes to the code that no
 # test may overlook.
 fuzz: $(VENV)/.ready-dev
@@ -67,15 +73,13 @@ bench-diagnosis: $(VENV)/.ready-dev
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/concealed.py
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/measured_mismatch.py
 
-<<<<<<< HEAD
 # Adder graphs beside alkaid's, on the matrices of a file: make bench-adders MATRICES=cmvm.json PEER=python-with-alkaid
 bench-adders: $(VENV)/.ready-dev
 	$(BIN)/python benchmarks/adders.py $(MATRICES) $(if $(PEER),--peers $(PEER))
-=======
+
 # Ten minutes: whole scenarios through the port of a board, in Verilator behind a pseudo terminal; a bitstream.
 bench-board: $(VENV)/.ready-dev | tools
 	$(BIN)/python benchmarks/board.py --bitstream icebreaker
->>>>>>> board
 
 # An hour: beside other trainers, beside the thesis's minutes, and ten seeds of its benchmark systems.
 bench-training: $(VENV)/.ready-dev $(PEERS)/.ready

@@ -21,6 +21,7 @@ from greygate.compiler.adders import Graph, solve
 RESULTS = Path(__file__).parent / "results" / "adders.json"
 WIDTH = 16  # bits of every input code
 SIZES = ((8, 8), (16, 16), (32, 32), (100, 100))  # random matrices for growth: 64 to 10,000 weights
+LARGE = 2000  # weights above which only effort 0 is tried
 GROWTH_BITS = 12
 
 PEER = """
@@ -48,13 +49,20 @@ def main() -> None:
     parser.add_argument("--efforts", type=float, nargs="*", default=[0.0, 1.0])
     arguments = parser.parse_args()
     solve(np.array([[5], [45], [225]]), [WIDTH])  # numba compiles, or reads what it compiled
-    result: dict = {"width": WIDTH, "cases": [], "sums": [], "growth": growth(arguments.efforts)}
+    result: dict = {"width": WIDTH, "cases": [], "sums": [], "growth": []}
     if arguments.matrices:
         given = json.loads(arguments.matrices.read_text(encoding="utf-8"))["cases"]
         cases = [c for c in given if c["bits"] in arguments.bits]
         peers = beside(arguments.peers, [c["matrix"] for c in cases]) if arguments.peers else [None] * len(cases)
         result["cases"] = [measured(c, arguments.efforts, p) for c, p in zip(cases, peers, strict=True)]
         result["sums"] = sums(result["cases"], arguments.efforts)
+    save(result)
+    for size in SIZES:
+        result["growth"].append(growth(*size, arguments.efforts))
+        save(result)
+
+
+def save(result: dict) -> None:
     RESULTS.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
@@ -109,17 +117,14 @@ def beside(interpreter: str, matrices: list) -> list[dict]:
     return json.loads(answer.stdout)
 
 
-def growth(efforts: list[float]) -> list[dict]:
-    """Seconds and adders for random matrices of rising size."""
-    found = []
-    for rows, columns in SIZES:
-        draw = np.random.default_rng(rows)
-        weights = draw.integers(-(1 << (GROWTH_BITS - 1)), 1 << (GROWTH_BITS - 1), (rows, columns))
-        row = {"weights": rows * columns, "bits": GROWTH_BITS}
-        row |= {f"effort {e:g}": figures(weights, e) for e in efforts}
-        print(row, flush=True)
-        found.append(row)
-    return found
+def growth(rows: int, columns: int, efforts: list[float]) -> dict:
+    """Seconds and adders of a random matrix."""
+    draw = np.random.default_rng(rows)
+    weights = draw.integers(-(1 << (GROWTH_BITS - 1)), 1 << (GROWTH_BITS - 1), (rows, columns))
+    row = {"weights": rows * columns, "bits": GROWTH_BITS}
+    row |= {f"effort {e:g}": figures(weights, e) for e in efforts if e == 0 or rows * columns <= LARGE}
+    print(row, flush=True)
+    return row
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from flow import flow
-
 from greygate.compiler.cost import cost
 from greygate.compiler.emit import emit
 from greygate.compiler.judge import Bound, Judge, Scale

@@ -13,11 +13,12 @@ from greygate.compiler.emit import emit
 from greygate.compiler.serial_layout import compiled
 from greygate.emulator.program import Program
 from greygate.hardware.synthesis import synthesize
-from greygate.project import Formats, Source, compile_project
+from greygate.project import Source, compile_project
 
 PLANTS = ("valve_cylinder", "asymmetric_cylinder", "pump_cylinder", "cable_drum", "belt_drive")
 TARGETS = ("up5k", "ecp5-25k", "xc7a35t")
 PLACED = ("up5k",)
+WIDTH = 16
 MHZ = 12.0  # of the clock that a UP5K has inside
 RESULTS = Path(__file__).parent / "results/serial.json"
 
@@ -44,7 +45,9 @@ def main() -> None:
     rows = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}  # of other plants and targets
     for name in given.plants:
         with tempfile.TemporaryDirectory() as folder:
-            compile_project(Source(name), Path(folder) / name, Formats(), architectures=("listing",))
+            source = Source(name)
+            formats = source.formats(WIDTH, None)  # the catalogue chooses how many bits finer
+            compile_project(source, Path(folder) / name, formats, architectures=("listing",))
             program = Program.load(Path(folder) / name / "program.json")
         print(name, flush=True)
         rows[name] = rows.get(name, {}) | measured(program, given.targets, given.limit)

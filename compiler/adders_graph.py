@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -162,7 +162,7 @@ class Graph:
     def evaluate(self, x: np.ndarray | Sequence[int]) -> np.ndarray:
         """What the adders give for codes `x` (..., columns): Python integers (..., rows) in an array of objects."""
         x = np.asarray(x)
-        values = [x[..., c].astype(object) for c in range(self.columns)]
+        values: list[Any] = [x[..., c].astype(object) for c in range(self.columns)]
         for n in self.nodes:
             left = n.constant if n.left == CONSTANT else values[n.left] << n.left_shift
             right = n.constant if n.right == CONSTANT else values[n.right] << n.right_shift

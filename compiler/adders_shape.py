@@ -21,7 +21,7 @@ class _Value(NamedTuple):
     vector: np.ndarray
     size: int  # sum of |coefficient| times the greatest magnitude of the column
     level: int
-    index: int  # in the list of what is built
+    place: int  # in the list of what is built
 
 
 class _Part(NamedTuple):
@@ -33,7 +33,7 @@ class _Part(NamedTuple):
 
 
 class _Built(NamedTuple):
-    """One adder before its sign is chosen: sum of two parts by their indices, and the low bits that it drops."""
+    """One adder before its sign is chosen: sum of two parts by their places, and the low bits that it drops."""
 
     left: int
     left_shift: int
@@ -107,7 +107,7 @@ class _Shaper:
         self.sizes = [max(abs(lo), abs(hi), 1) for lo, hi in self.ranges]
         self.values: list[_Value] = []
         self.adders: list[_Built | None] = []
-        self.numbers: dict[int, int] = {}  # index -> the number that a constant stands for
+        self.numbers: dict[int, int] = {}  # place -> the number that a constant stands for
         for c in range(columns):
             vector = np.zeros(columns + 1, dtype=object)
             vector[c] = 1
@@ -137,7 +137,7 @@ class _Shaper:
         vector = np.zeros(self.columns + 1, dtype=object)
         vector[-1] = odd
         value = self._keep(vector, odd, 0, None)
-        self.numbers[value.index] = odd
+        self.numbers[value.place] = odd
         return _Part(value, shift, 1 if number > 0 else -1)
 
     def _tree(self, parts: list[_Part]) -> _Part:
@@ -164,7 +164,7 @@ class _Shaper:
         drop = min(_trailing(int(v)) for v in vector if v)
         vector = vector // (1 << drop)
         size = sum(abs(int(v)) * s for v, s in zip(vector, [*self.sizes, 1], strict=True))
-        adder = _Built(a.value.index, left, a.sign, b.value.index, right, b.sign, drop)
+        adder = _Built(a.value.place, left, a.sign, b.value.place, right, b.sign, drop)
         level = 1 + max(a.value.level, b.value.level)
         return _Part(self._keep(vector, size, level, adder), base + drop, 1)
 
@@ -183,7 +183,7 @@ class _Shaper:
             if part is None:
                 rows.append(Output(CONSTANT, 0, False, constant))
             else:
-                i = part.value.index
+                i = part.value.place
                 rows.append(Output(number[i], part.shift, part.sign * signs[i] < 0, 0))
         return Graph(tuple(self.ranges), tuple(nodes), tuple(rows))
 
@@ -221,7 +221,7 @@ class _Signs:
                     self.users[o].append(i)
         for part in outputs:
             if part is not None:
-                i = part.value.index
+                i = part.value.place
                 self.wanted[i] = part.sign if self.wanted.get(i, part.sign) == part.sign else 0
 
     def chosen(self) -> list[int]:

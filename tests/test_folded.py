@@ -10,7 +10,8 @@ from programs import cylinder_program, random_program
 from greygate.compiler.emit import emitted
 from greygate.compiler.jobs import is_ordered, planned
 from greygate.compiler.products import Products, laid_out
-from greygate.compiler.schedule import FIELDS, fold
+from greygate.compiler.schedule import fold
+from greygate.compiler.schedule_lines import FIELDS
 from greygate.compiler.targets import Design
 from greygate.compiler.words import choose_stages, odd_part, pieces, sums_of, width_of
 from greygate.emulator.program import Affine, Program

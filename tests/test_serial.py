@@ -18,13 +18,14 @@ from greygate.hardware.verify import Case, verify_many
 
 
 def performed(program, codes):
-    """(outputs, states after each step) of the code."""
+    """(outputs, states after each step) of the code, which takes the clocks that it says."""
     machine = Machine(program, compiled(program))
     states = sum(s.signal.size for s in program.states)
     outputs, after = [], []
     for row in codes.tolist():
         sample = sum((v % (1 << s.fix.width)) << low for v, (s, _, low) in zip(row, input_slices(program), strict=True))
         outputs.append(machine.step(sample))
+        assert not after or machine.clocks == machine.code.clocks  # the first step begins with the initial states
         after.append([machine.memory[k] for k in range(states)])
     return outputs, after
 

@@ -3,6 +3,9 @@
 A signal has a stage, the clocks after its sample was taken; whoever reads it later reads it behind registers. One
 enable holds everything while a result waits. A state is written in the stage of its source, and read so early that the
 sample before has written it: without feedback that is the next clock; a feedback loop spaces the samples by its length.
+
+With `Design.channels` the samples belong to so many channels in turn. Each channel has its own states, so that the
+samples of one stand further apart, and a loop that is no longer than the channels are many costs no clock.
 """
 
 from greygate.compiler.dataflow import Dataflow
@@ -17,7 +20,7 @@ def pipelined(program: Program, design: Design = Design()) -> dict[str, str]:
     return {f"{program.name}.v": core.top()} | core.modules()
 
 
-def registers(program: Program) -> list[Register]:
+def registers(program: Program, design: Design = Design()) -> list[Register]:
     """A register for each state, with the name of the state."""
     names = verilog_names(program)
     signals = [s.signal for s in program.states]
@@ -33,6 +36,8 @@ class _Pipelined(Dataflow):
     def __init__(self, program: Program, design: Design):
         super().__init__(program, design, pipelined=True)
         self.interval, self.stage = self._scheduled()
+        self.taken.add("channel")
+        self.stored: dict[str, str] = {}  # state -> the registers of its channels
         self.chains: dict[str, list[str]] = {}  # signal -> it one clock later, two clocks later, ...
 
     def _scheduled(self) -> tuple[int, dict[str, int]]:
@@ -50,7 +55,7 @@ class _Pipelined(Dataflow):
             for o in self.program.operations:
                 stage[o.out.name] = self.clocks(o) + max(stage[a] for a in o.args)
             for s in self.program.states:
-                stage[s.signal.name] = max(0, stage[s.source] + 1 - interval)
+                stage[s.signal.name] = max(0, stage[s.source] + 1 - interval * self.design.channels)
             if stage == before:
                 return stage
         return None
@@ -125,13 +130,46 @@ module {program.name} (
             sample <= s_axis_tdata;
             {answer} <= result;
         end
-"""
+{self.turns(taken)}"""
 
     def states(self) -> str:
+        """A register for each state, or one a channel, read for the channel whose sample is in the state's stage."""
         if not self.program.states:
             return ""
         head = "\n    // states: what their sources held for the sample before\n"
-        return head + "".join(self.vector("reg", s.signal) for s in self.program.states)
+        if self.design.channels == 1:
+            return head + "".join(self.vector("reg", s.signal) for s in self.program.states)
+        for s in self.program.states:
+            name = self.stored[s.signal.name] = self.fresh(f"{self.names[s.signal.name]}_of")
+            width = s.signal.size * s.signal.fix.width
+            head += f"    reg [{width - 1}:0] {name} [0:{self.design.channels - 1}];\n"
+            head += self.vector("wire", s.signal, f" = {name}[{self.channel(self.stage[s.signal.name])}]")
+        return head
+
+    def channel(self, stage: int) -> str:
+        """The channel of the sample in a stage."""
+        width = self.channel_bits
+        return f"channel[{(stage + 1) * width - 1}:{stage * width}]"
+
+    @property
+    def channel_bits(self) -> int:
+        return (self.design.channels - 1).bit_length()
+
+    def turns(self, taken: str) -> str:
+        """The channel of the next sample, and that of the sample in each stage."""
+        if self.design.channels == 1 or not self.program.states:
+            return ""
+        turn, width, last = self.fresh("turn"), self.channel_bits, self.design.channels - 1
+        depth = max(self.stage[s.source] for s in self.program.states)  # where the last state is written
+        following = turn if not depth else f"{{channel[{depth * width - 1}:0], {turn}}}"
+        return f"""
+    reg [{width - 1}:0] {turn};  // the channel of the next sample
+    reg [{(depth + 1) * width - 1}:0] channel;  // that of the sample in each stage
+    always @(posedge clk)
+        if (rst) {turn} <= {width}'d0;
+        else if ({taken}) {turn} <= {turn} == {width}'d{last} ? {width}'d0 : {turn} + {width}'d1;
+    always @(posedge clk) if (en) channel <= {following};
+"""
 
     def wires(self) -> str:
         return "\n    // layers\n" + "".join(self.vector("wire", o.out) for o in self.program.operations)
@@ -166,6 +204,13 @@ module {program.name} (
         for s in self.program.states:
             y, source = self.names[s.signal.name], self.names[s.source]
             stage = self.stage[s.source]
-            text += f"        if (rst) {y} <= {self.initial()[s.signal.name]};\n"
+            initial = self.initial()[s.signal.name]
+            if s.signal.name in self.stored:
+                y = self.stored[s.signal.name]
+                text += "        if (rst) begin\n"
+                text += "".join(f"            {y}[{k}] <= {initial};\n" for k in range(self.design.channels))
+                text += f"        end else if (en && stage[{stage}]) {y}[{self.channel(stage)}] <= {source};\n"
+                continue
+            text += f"        if (rst) {y} <= {initial};\n"
             text += f"        else if (en && stage[{stage}]) {y} <= {source};\n"
         return f"\n    always @(posedge clk) begin\n{text}    end\n" if text else ""

@@ -37,7 +37,7 @@ def netlist_equals_emulator(
     """
     family, _ = chosen(target)
     if family.models is None:
-        raise InputError(f"{target}: Yosys has no models of its cells; choose ice40, ecp5 or xilinx")
+        raise InputError(f"{target}: Yosys has no models of its cells; choose ice40 or xilinx, or a device of theirs")
     what = f"netlist for {target} equals the emulator"
     how = "simulation of the mapped cells in Verilator"
     with timed() as seconds, tempfile.TemporaryDirectory(prefix="greygate-") as temporary:
