@@ -53,6 +53,8 @@ TEXTS = {
     "name": NO_NETWORK, "network": NO_NETWORK, "folder": NO_BUILD, "folders": NO_BUILD, "rig": NO_RIG, "rigs": NO_RIG,
     "out": NO_PLACE, "html": NO_PLACE, "scenario": ["v9", ""], "weights": ["guess", ""], "kind": ["none", ""],
     "effect": ["none", ""], "plant": ["none", ""], "scheduler": ["x", "tcp://127.0.0.1:1"], "ranges": RANGES,
+    "device": ["zx81", "ecp5", ""], "max_error": ["", "%", "-1%", "nan", "1m"], "max_latency": ["", "2", "x", "inf us"],
+    "only": ["luck", ""], "architecture": ["none", ""],
 }  # fmt: skip
 """Wrong texts by the name of the option or argument."""
 
