@@ -28,6 +28,8 @@ GOOD = {
     "prove": ["build"],
     "synthesize": ["build"],
     "report": ["build", "--out", "new.html"],
+    "board": ["icebreaker", "build", "--out", "new"],
+    "play": ["build", "a.csv", "--port", "none"],
     "validate": ["line.toml", "--record", "a.csv", "--lags", "5", "--out", "new.html"],
     "diagnose": ["rig", "--out", "new.json"],
     "isolability": ["rig"],
@@ -55,6 +57,7 @@ TEXTS = {
     "effect": ["none", ""], "plant": ["none", ""], "scheduler": ["x", "tcp://127.0.0.1:1"], "ranges": RANGES,
     "device": ["zx81", "ecp5", ""], "max_error": ["", "%", "-1%", "nan", "1m"], "max_latency": ["", "2", "x", "inf us"],
     "only": ["luck", ""], "architecture": ["none", ""],
+    "port": ["none", "a.csv", ""], "source": NO_TABLE,
 }  # fmt: skip
 """Wrong texts by the name of the option or argument."""
 

@@ -21,8 +21,7 @@ from greygate.compiler.verilog import (
     verilog_names,
     wrapped,
 )
-from greygate.emulator.program import Lines, Program
-from greygate.errors import InputError
+from greygate.emulator.program import Program
 
 BLANK = "1'bx"  # no bit of the sample
 
@@ -30,9 +29,6 @@ BLANK = "1'bx"  # no bit of the sample
 def serial(program: Program, design: Design = Design()) -> dict[str, str]:
     """File name -> text of the serial architecture, without the building blocks."""
     verilog_names(program)
-    for t in program.tables:
-        if isinstance(t, Lines):
-            raise InputError(f"table {t.name}: the serial architecture has tables of points; compile without lines")
     code = compiled(program)
     return {
         f"{program.name}.v": _top(program, code),
