@@ -99,7 +99,7 @@ bench-flow: $(VENV)/.ready-dev | tools
 bench-growth: $(VENV)/.ready-dev | tools
 	$(BIN)/python benchmarks/growth.py
 
-# Half an hour: what the parts of a design take on each family, by Yosys and nextpnr; writes compiler/cost.toml.
+# Half an hour: what the parts of a design take on each family, by Yosys and nextpnr; writes compiler/explore/cost.toml.
 calibrate: $(VENV)/.ready-dev | tools
 	$(BIN)/python benchmarks/calibrate.py
 

@@ -13,9 +13,9 @@ import time
 from pathlib import Path
 
 import numpy as np
-from flow import flow
 
-from greygate.compiler.judge import agreed
+from flow import flow
+from greygate.compiler.explore.judge import agreed
 from greygate.compiler.pipeline import fixed_error, quantize_centred
 from greygate.compiler.quantize import Formats
 from greygate.compiler.ranges import ranges

@@ -1,4 +1,4 @@
-"""Fit compiler/cost.toml: what the parts of a design take on each family, by Yosys, and the error of that on others.
+"""Fit compiler/explore/cost.toml: what the parts of a design take on each family, by Yosys, and the error on others.
 
 Every design is synthesized once for each family; results stay in build/calibrate, so a run that was stopped goes on.
 The fit minimises relative errors, with no negative size of a part. Designs that are not fitted on judge it. Clock
@@ -17,11 +17,11 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
-from flow import flow
 from scipy.optimize import nnls
 
-from greygate.compiler.cost import COEFFICIENTS, COUNTS, Parts, coefficients, explored
+from flow import flow
 from greygate.compiler.emit import emit, emitted
+from greygate.compiler.explore.cost import COEFFICIENTS, COUNTS, Parts, coefficients, explored
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
 from greygate.compiler.targets import Design, Memory, architecture
@@ -152,9 +152,7 @@ def main() -> None:
             before = table.get(family, {}).get(name, {}).get("period", 10.0)
             table.setdefault(family, {})[name] = {"period": clock or before, "luts": luts, "error": told}
             print(family, name, luts, told, clock, flush=True)
-    head = (
-        "# LUTs of a part of each kind (compiler/cost.py), and the shortest clock in ns: written by `make calibrate`.\n"
-    )
+    head = "# LUTs of a part of each kind (cost.py beside it), and the shortest clock in ns: written by `make calibrate`.\n"
     COEFFICIENTS.write_text(f"{head}\n{tomli_w.dumps(table)}", encoding="utf-8")
 
 

@@ -12,13 +12,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from flow import flow
-from greygate.compiler.cost import cost
 from greygate.compiler.emit import emit
-from greygate.compiler.judge import Bound, Judge, Scale
+from greygate.compiler.explore.cost import cost
+from greygate.compiler.explore.judge import Bound, Judge, Scale
+from greygate.compiler.explore.trail import KEPT, Candidate, Maker, coarser, with_few_digits
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
 from greygate.compiler.targets import Design, architecture
-from greygate.compiler.trail import KEPT, Candidate, Maker, coarser, with_few_digits
 from greygate.hardware.synthesis import synthesize
 
 DESIGNS = {  # name -> RMS against float, prices of a digit that are tried, design

@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 
 from greygate.compiler.emit import emit
-from greygate.compiler.serial_layout import compiled
+from greygate.compiler.serial.layout import compiled
 from greygate.emulator.program import Program
 from greygate.hardware.synthesis import synthesize
 from greygate.project import Source, compile_project

@@ -8,11 +8,11 @@ from functools import partial
 
 from greygate.compiler.centre import centre_biases
 from greygate.compiler.explore import Exploration, Point, Request, Room, Unmet, explore, told
-from greygate.compiler.judge import Bound, Judge, Scale
+from greygate.compiler.explore.judge import Bound, Judge, Scale
+from greygate.compiler.explore.trail import Maker
 from greygate.compiler.quantize import Formats
 from greygate.compiler.ranges import Range
 from greygate.compiler.targets import Design
-from greygate.compiler.trail import Maker
 from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.hardware.families import DEVICES

@@ -1,5 +1,5 @@
 // Serial: a machine of one adder that performs a program of additions and single-bit shifts, one word a clock.
-// docs/hardware.md, "The least design"; compiler/serial.py writes its words.
+// docs/hardware.md, "The least design"; compiler/serial/writer.py writes its words.
 //
 // A word is {operation, field}. It acts on the accumulator with the code x, which the word before it has read:
 //   0sic  add        acc = (s ? acc >> 1 : acc), its complement if i, + x + c           reads memory[field]

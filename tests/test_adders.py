@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from greygate.compiler.adders import CONSTANT, Graph, signed_digits, solve
-from greygate.compiler.adders_graph import signed_width
+from greygate.compiler.adders.graph import signed_width
 from greygate.errors import InputError
 
 EFFORT = 0.2  # of the solver where any graph will do

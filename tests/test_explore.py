@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from greygate.compiler.adders import solve
-from greygate.compiler.cost import blocks, clocks_of, cost, digits, explored, sums, tiles
 from greygate.compiler.explore import Point, Request, Room, explore, misses, pareto
-from greygate.compiler.judge import Bound, Judge, Scale, agreed
+from greygate.compiler.explore.cost import blocks, clocks_of, cost, digits, explored, sums, tiles
+from greygate.compiler.explore.judge import Bound, Judge, Scale, agreed
+from greygate.compiler.explore.trail import Candidate, Maker, coarser, knobs, trail
 from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.targets import Design, Memory
-from greygate.compiler.trail import Candidate, Maker, coarser, knobs, trail
 from greygate.emulator.program import Affine
 from greygate.errors import InputError
 from greygate.exploring import Explorer, bounded, converted, facts, microseconds, requested, side_by_side

@@ -8,12 +8,12 @@ from legal_programs import legal_program
 from programs import cylinder_program, random_program
 
 from greygate.compiler.emit import emitted
-from greygate.compiler.jobs import is_ordered, planned
-from greygate.compiler.products import Products, laid_out
-from greygate.compiler.schedule import fold
-from greygate.compiler.schedule_lines import FIELDS
+from greygate.compiler.folding.jobs import is_ordered, planned
+from greygate.compiler.folding.products import Products, laid_out
+from greygate.compiler.folding.schedule import fold
+from greygate.compiler.folding.schedule_lines import FIELDS
+from greygate.compiler.folding.words import choose_stages, odd_part, pieces, sums_of, width_of
 from greygate.compiler.targets import Design
-from greygate.compiler.words import choose_stages, odd_part, pieces, sums_of, width_of
 from greygate.emulator.program import Affine, Program
 
 PROGRAMS = [cylinder_program(), *map(random_program, range(6)), *map(legal_program, range(6))]

@@ -10,8 +10,8 @@ from serial_machine import Machine
 from test_rtl import hand_worked, lint, ring, scenario
 
 from greygate.compiler.emit import emit
-from greygate.compiler.serial import Writer, signed_digits
-from greygate.compiler.serial_layout import compiled
+from greygate.compiler.serial.layout import compiled
+from greygate.compiler.serial.writer import Writer, signed_digits
 from greygate.compiler.verilog import input_slices
 from greygate.emulator.interpreter import interpret
 from greygate.hardware.verify import Case, verify_many

@@ -7,7 +7,7 @@ The datapath is drawn from left to right:
                   │         (words, selects, biases)       └─ tables ─────┤
                   └─ clamps, thresholds, selects, tables, copies ─────────┘
 
-compiler/schedule.py makes the schedule; this module writes the datapath and its ROMs.
+compiler/folding/schedule.py makes the schedule; this module writes the datapath and its ROMs.
 """
 
 from dataclasses import dataclass
@@ -15,10 +15,10 @@ from functools import cached_property
 
 import numpy as np
 
-from greygate.compiler.products import PLAIN, Mode
-from greygate.compiler.roms import bits, flags, rom_rows, rom_text, vector
-from greygate.compiler.schedule import Folding, fold
-from greygate.compiler.schedule_lines import COPIED, FIELDS, NEAR, SAMPLED, UNITS
+from greygate.compiler.folding.products import PLAIN, Mode
+from greygate.compiler.folding.roms import bits, flags, rom_rows, rom_text, vector
+from greygate.compiler.folding.schedule import Folding, fold
+from greygate.compiler.folding.schedule_lines import COPIED, FIELDS, NEAR, SAMPLED, UNITS
 from greygate.compiler.targets import MULTIPLIERS, Architecture, Design, Register
 from greygate.compiler.verilog import (
     header,

@@ -7,7 +7,7 @@ targets/folded.py shares multipliers, targets/pipelined.py takes a sample with e
 """
 
 from greygate.compiler.dataflow import Dataflow
-from greygate.compiler.sharing import readers, units
+from greygate.compiler.dataflow.sharing import readers, units
 from greygate.compiler.targets import Architecture, Design, Register
 from greygate.compiler.verilog import (
     header,

@@ -1,10 +1,10 @@
 """The serial architecture: the least design. One adder and one memory perform a program of words, one a clock.
 
-compiler/serial_code.py writes the words; rtl/greygate_serial.v performs them. A product is a few additions, one for
+compiler/serial/code.py writes the words; rtl/greygate_serial.v performs them. A product is a few additions, one for
 each signed digit of its weight, so that no multiplier is needed.
 """
 
-from greygate.compiler.serial_layout import Code, compiled
+from greygate.compiler.serial.layout import Code, compiled
 from greygate.compiler.targets import Architecture, Design, Register
 from greygate.compiler.verilog import (
     header,

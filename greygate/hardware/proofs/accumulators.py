@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from greygate.compiler.schedule import fold
+from greygate.compiler.folding.schedule import fold
 from greygate.emulator.program import Affine, Overflow, Program, Rounding
 from greygate.hardware.proofs.affine import signed_bits
 from greygate.hardware.proofs.elaborated import Block

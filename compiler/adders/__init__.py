@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from greygate.compiler.adders_graph import CONSTANT, Graph, Node, Output
-from greygate.compiler.adders_search import best_sums
-from greygate.compiler.adders_shape import shape
+from greygate.compiler.adders.graph import CONSTANT, Graph, Node, Output
+from greygate.compiler.adders.search import best_sums
+from greygate.compiler.adders.shape import shape
 from greygate.errors import InputError, shown
 
 __all__ = ["CONSTANT", "Graph", "Node", "Output", "solve"]

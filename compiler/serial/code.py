@@ -1,14 +1,15 @@
 """A program as code of the serial architecture: the words of a step, its routines, and what the memory holds.
 
 The code begins with the routines, each in a block of its own. After a reset the main code writes the initial states;
-a step begins at an address behind that. compiler/serial.py makes the words.
+a step begins at an address behind that. compiler/serial/writer.py makes the words.
 """
 
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from greygate.compiler.jobs import ordered
-from greygate.compiler.serial import (
+from greygate.compiler.folding.jobs import ordered
+from greygate.compiler.serial.tables import Answer, Kept, kept_tables
+from greygate.compiler.serial.writer import (
     ACCEPT,
     NOTHING,
     PLAIN,
@@ -27,7 +28,6 @@ from greygate.compiler.serial import (
     signed_digits,
     width_of,
 )
-from greygate.compiler.serial_tables import Answer, Kept, kept_tables
 from greygate.compiler.verilog import input_slices, shared_tables
 from greygate.emulator.program import (
     Affine,

@@ -3,8 +3,8 @@
 import numpy as np
 from numba import njit
 
-from greygate.compiler.adders_moves import inline, redigit, settle, tidy
-from greygate.compiler.adders_table import (
+from greygate.compiler.adders.moves import inline, redigit, settle, tidy
+from greygate.compiler.adders.table import (
     CHANGED,
     COST,
     COUNT,
@@ -22,7 +22,7 @@ from greygate.compiler.adders_table import (
     rebuild,
     undo,
 )
-from greygate.compiler.adders_values import index, rewrite
+from greygate.compiler.adders.values import index, rewrite
 
 
 @kernel

@@ -2,8 +2,8 @@
 
 from functools import cached_property
 
-from greygate.compiler.adder_text import Sums
 from greygate.compiler.code_ranges import code_ranges
+from greygate.compiler.dataflow.sums import Sums
 from greygate.compiler.targets import Design
 from greygate.compiler.verilog import (
     TAKEN,

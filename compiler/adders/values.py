@@ -6,8 +6,8 @@ have equal values; unequal ones differ but once in 10^18 looks, and the solver c
 
 import numpy as np
 
-from greygate.compiler.adders_moves import free_slot, insert, weight
-from greygate.compiler.adders_table import (
+from greygate.compiler.adders.moves import free_slot, insert, weight
+from greygate.compiler.adders.table import (
     BOUNDED,
     COLUMNS,
     EXTRA,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from greygate.compiler.adders_table import (
+from greygate.compiler.adders.table import (
     BOUNDED,
     COLUMNS,
     COUNT,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greygate.compiler.adders_graph import CONSTANT, Graph, Node, Output
+from greygate.compiler.adders.graph import CONSTANT, Graph, Node, Output
 
 Term = tuple[int, int, int]  # operand, shift, sign
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from greygate.compiler.adders import CONSTANT, Graph, solve
-from greygate.compiler.adders_graph import signed_width
+from greygate.compiler.adders.graph import signed_width
 from greygate.compiler.code_ranges import Interval, rounding_constant
 from greygate.compiler.verilog import module_text, number, remark, unused_text, wrapped
 from greygate.emulator.interpreter import fit, round_shift

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greygate.compiler.jobs import Job, live_operations, measure, planned
-from greygate.compiler.products import Mode, Products, laid_out
-from greygate.compiler.schedule_lines import (
+from greygate.compiler.folding.jobs import Job, live_operations, measure, planned
+from greygate.compiler.folding.products import Mode, Products, laid_out
+from greygate.compiler.folding.schedule_lines import (
     ARGUMENT,
     CLOSING,
     CODE,

@@ -11,12 +11,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from greygate.compiler.cost import Cost, clocks_of, cost, explored, served, standing
-from greygate.compiler.judge import Bound
+from greygate.compiler.explore.cost import Cost, clocks_of, cost, explored, served, standing
+from greygate.compiler.explore.judge import Bound
+from greygate.compiler.explore.trail import KEPT, Candidate, Maker, trail, with_few_digits, without_memory
 from greygate.compiler.quantize import Formats
 from greygate.compiler.rounding import prices
 from greygate.compiler.targets import Design, Memory
-from greygate.compiler.trail import KEPT, Candidate, Maker, trail, with_few_digits, without_memory
 from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.progress import Progress, silent

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greygate.compiler.judge import Judge, agreed
+from greygate.compiler.explore.judge import Judge, agreed
 from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.ranges import Range, ranges
 from greygate.compiler.rounding import BITS, round_jointly

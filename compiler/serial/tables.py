@@ -7,7 +7,7 @@ accumulator. It has no branches: every octave is visited, and gives 0 where the 
 from dataclasses import dataclass
 from functools import cached_property
 
-from greygate.compiler.serial import NOTHING, PLAIN, TAKE, ZERO, Add, Constant, Key, Range, Writer
+from greygate.compiler.serial.writer import NOTHING, PLAIN, TAKE, ZERO, Add, Constant, Key, Range, Writer
 from greygate.emulator.program import Lines, Segments, Symmetry, Table
 
 

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from greygate.compiler.serial import NOTHING, Constant, Key, Line, Word, width_of
-from greygate.compiler.serial_code import PAIRS, Compiler, element
+from greygate.compiler.serial.code import PAIRS, Compiler, element
+from greygate.compiler.serial.writer import NOTHING, Constant, Key, Line, Word, width_of
 from greygate.emulator.program import Program
 
 

@@ -4,9 +4,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from greygate.compiler.adders_rounds import begin, search, transpose
-from greygate.compiler.adders_shape import Term
-from greygate.compiler.adders_table import (
+from greygate.compiler.adders.rounds import begin, search, transpose
+from greygate.compiler.adders.shape import Term
+from greygate.compiler.adders.table import (
     BOUNDED,
     COLUMNS,
     EXTRA,

@@ -1,4 +1,4 @@
-"""What the folded architecture does in a step, as jobs that wait for each other; compiler/schedule.py places them.
+"""What the folded architecture does in a step, as jobs that wait for each other; schedule.py places them.
 
 A job is an operation, the copy of a signal to a state, or a state that is shown. A lookup that reads the rows of an
 affine operation is no job: it answers each row as it is drained. A result takes the word of the state that it becomes

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greygate.compiler.words import choose_stages, pieces, selected, width_of
+from greygate.compiler.folding.words import choose_stages, pieces, selected, width_of
 from greygate.emulator.program import Affine, Operation, Overflow, Program, Rounding, signed_width
 
 OPERANDS = (16, 18)  # widths of the multipliers that every family has: 16 x 16 on the iCE40, 18 x 18 on the others
