@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from greygate.compiler.folding.products import laid_out
 from greygate.compiler.targets import Design, Memory, architecture
 from greygate.emulator.program import Affine, Lookup, Program, Table, signed_width
 
@@ -203,7 +204,8 @@ def folded(program: Program, design: Design, family: str, clocks: int) -> Parts:
     luts = {"multipliers": float(m * acc), "drain": float(acc * len(shifts).bit_length())}
     luts |= {"code": float(code), "tags": float(line), "small": _small(program) / 8}
     luts |= {"lookups": 0.0, "rom": 0.0, "ram": 0.0, "ports": _ports(program), "core": 1.0}
-    dsps, memories = m * tiles(family, min(code, WORD), min(weight, WORD)), 0.0
+    products = laid_out(program, list(program.operations), m)
+    dsps, memories = m * tiles(family, products.x_width, products.word_width), 0.0
     rows = sum(o.out.size for o in affine) + sum(s.signal.size for s in program.states)
     for count, bits, kind in ((clocks + words // 8, line, "rom"), (rows, acc, "rom"), (words, code, "ram")):
         taken = blocks(family, count, bits)
