@@ -152,7 +152,7 @@ def main() -> None:
             before = table.get(family, {}).get(name, {}).get("period", 10.0)
             table.setdefault(family, {})[name] = {"period": clock or before, "luts": luts, "error": told}
             print(family, name, luts, told, clock, flush=True)
-    head = "# LUTs of a part of each kind (cost.py beside it), and the shortest clock in ns: written by make calibrate.\n"
+    head = "# LUTs of a part of each kind (cost.py beside it), shortest clock in ns: written by make calibrate.\n"
     COEFFICIENTS.write_text(f"{head}\n{tomli_w.dumps(table)}", encoding="utf-8")
 
 

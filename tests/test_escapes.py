@@ -18,6 +18,7 @@ from test_validation import linear, record
 import greygate
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
+from greygate.compiler.targets import Design
 from greygate.compiler.targets.folded import folded
 from greygate.compiler.targets.parallel import parallel
 from greygate.compiler.verilog import remark
@@ -67,7 +68,7 @@ def statements(texts: dict[str, str]) -> dict[str, str]:
 
 
 def emitted(program: Program, architecture: str) -> dict[str, str]:
-    return parallel(program) if architecture == "parallel" else folded(program, 2)
+    return parallel(program) if architecture == "parallel" else folded(program, Design(multipliers=2))
 
 
 @pytest.mark.parametrize("architecture", ["parallel", "folded"])
@@ -119,7 +120,7 @@ def test_a_name_that_verilog_cannot_hold_is_refused_where_it_leaves_too(text):
         replace(program, tables=tuple(replace(t, name=text) for t in program.tables)),
         replace(program, operations=(*program.operations[:-1], renamed)),
     ):
-        for emitter in (parallel, lambda p: folded(p, 2)):
+        for emitter in (parallel, lambda p: folded(p, Design(multipliers=2))):
             with pytest.raises(InputError, match="not a name that Verilog can hold") as refused:
                 emitter(wrong)
             assert one_line(refused.value)

@@ -9,7 +9,7 @@ import joblib
 import pytest
 from joblib._parallel_backends import ThreadingBackend
 
-from greygate.cli import rigs
+from greygate.cli import backends
 from greygate.errors import InputError
 from greygate.explain import explain, explain_all
 from greygate.mismatch.concealed.conceal import conceal
@@ -160,7 +160,7 @@ def test_without_a_cluster_one_line_says_so(options, problem, drums, monkeypatch
 @pytest.mark.parametrize("address", [[], ["--scheduler", "somewhere"], ["--scheduler", "tcp://127.0.0.1:1"]])
 def test_a_cluster_that_is_not_there_is_named(address, drums, monkeypatch, greygate):
     pytest.importorskip("distributed", reason=WITHOUT)
-    monkeypatch.setattr(rigs, "REACHED", 0.2)
+    monkeypatch.setattr(backends, "REACHED", 0.2)
     code, printed, err = greygate("diagnose", *drums, "--backend", "dask", *address)
     assert (code, printed) == (2, "")
     assert "--scheduler" in err

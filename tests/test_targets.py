@@ -13,7 +13,7 @@ from greygate.compiler import targets
 from greygate.compiler.emit import emit, emitted
 from greygate.compiler.targets import BOTH, NAMES, Architecture, Design, Target, target
 from greygate.errors import InputError
-from greygate.hardware.families import FAMILIES
+from greygate.hardware.families import FAMILIES, TARGETS
 from greygate.hardware.synthesis import counted, synthesize
 
 
@@ -50,7 +50,7 @@ def test_an_architecture_has_a_register_for_each_code_of_the_states(name):
 
 def test_the_command_line_offers_what_the_registries_hold():
     assert [*networks.Architecture] == [*NAMES, "both"]
-    assert [*builds.Family] == [*FAMILIES]
+    assert [*builds.Device] == [*TARGETS]
 
 
 def test_a_listing_has_a_line_for_every_row_and_names_every_signal():

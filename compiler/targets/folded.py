@@ -246,7 +246,7 @@ module {self.program.name} (
         else pc <= pc + {one};
 
 {instance(f"{self.program.name}__schedule", "schedule", {}, ends)}
-    // results are written to one word after the other, initial states where `read` says
+    // results are written to one word after the other, initial states where the line says
     reg [{w["address"] - 1}:0] written;
     always @(posedge clk)
         if (go) written <= {self.constant("address", 0)};

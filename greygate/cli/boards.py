@@ -28,7 +28,7 @@ def board(
     name: Annotated[Board, typer.Argument(help="; ".join(f"{name}: {b.title}" for name, b in BOARDS.items()))],
     folder: Folder,
     out: Annotated[Path, typer.Option(help="Folder to write.")],
-    architecture: Annotated[str, typer.Option(help="Of the build; folded if it has that.")] = "",
+    architecture: Annotated[str | None, typer.Option(help="Of the build; folded if it has that.")] = None,
     port: Annotated[Line, typer.Option(help="How samples come to the board.")] = UART,
     mhz: Annotated[
         float | None, typer.Option(callback=options.MEGAHERTZ, help="Clock of the core; the board's own if not given.")

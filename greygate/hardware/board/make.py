@@ -32,7 +32,7 @@ def make(
     name: str,
     out: Path | str,
     *,
-    architecture: str = "",
+    architecture: str | None = None,
     port: str = "uart",
     mhz: float | None = None,
     baud: int = BAUD,
@@ -54,7 +54,8 @@ def make(
         raise InputError(
             f"{name}: its bitstream is made by its vendor's tool alone; leave out --bitstream, then `make`"
         )
-    architecture = architecture or (ARCHITECTURE if ARCHITECTURE in project.designs else project.designs[0])
+    if architecture is None:
+        architecture = ARCHITECTURE if ARCHITECTURE in project.designs else project.designs[0]
     if architecture not in project.designs:
         raise InputError(f"{project.folder}: has no architecture {architecture!r}; it has {', '.join(project.designs)}")
     if edited := project.edited():
