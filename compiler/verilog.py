@@ -221,12 +221,14 @@ def table_layout(table: Table | Lines) -> Layout:
 
     Plain points have slope 0.
     """
-    if not table.interpolated:
+    if isinstance(table, Table) and not table.interpolated:
         return Layout([(p, 0) for p in table.points], [0], [k << table.shift for k in range(len(table.points))])
     s = table.segments
     ends = [*s.firsts[1:], len(s.bases)]
     counts = [end - first for first, end in zip(s.firsts, ends, strict=True)]
-    firsts, words, lefts = [0] * len(counts), [], []
+    firsts = [0] * len(counts)
+    words: list[tuple[int, int]] = []
+    lefts: list[int] = []
     for o in sorted(range(len(counts)), key=lambda o: -(counts[o] - 1).bit_length()):
         room = 1 << (counts[o] - 1).bit_length()
         idle = -len(words) % room  # only after an octave that is not full
@@ -253,9 +255,8 @@ def table_parameters(table: Table | Lines) -> dict:
     bases, slopes = zip(*words, strict=True)
     (base, base_signed), (slope, slope_signed) = least_width(bases), least_width(slopes)
     one = 1 << max(0, table.out.frac) if table.symmetry is Symmetry.COMPLEMENT else 0
-    if table.interpolated:
-        s = table.segments
-    else:
+    s = table.segments
+    if isinstance(table, Table) and not table.interpolated:
         s = Segments(table.arg.width, (table.shift,), (table.shift,), 0, 0, table.points, ())
     return {
         "ARG_W": table.arg.width,

@@ -64,7 +64,7 @@ def fit(a: np.ndarray, fix: Fix, overflow: Overflow) -> np.ndarray:
 
 def lookup(table: Table | Lines, x: np.ndarray) -> np.ndarray:
     """The table's answer to every code of x."""
-    y = _on_lines(table.segments, x) if table.interpolated else _nearest(table, x)
+    y = _nearest(table, x) if isinstance(table, Table) and not table.interpolated else _on_lines(table.segments, x)
     negative = {Symmetry.ODD: -y, Symmetry.EVEN: y, Symmetry.COMPLEMENT: (1 << table.out.frac) - y}
     return np.where(x < 0, negative[table.symmetry], y)
 

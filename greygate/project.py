@@ -115,7 +115,7 @@ def compile_project(
             budget=budget,
             prune=_pruning(source, records, prune, weights, held, progress),
             generic=generic,
-            choose=explorer and partial(explorer.choose, records, source.period),
+            choose=partial(explorer.choose, records, source.period) if explorer else None,
             period=source.period,
         )
         facts = {}
@@ -432,9 +432,9 @@ def synthesize_project(
         for architecture in reversed(project.designs):
             folder, told = project.folder / "rtl" / architecture, titled(progress, architecture)
             counts = synthesize(folder, project.program.name, target, clock_rate, limit, mhz, told)
-            if counts.get("clock_mhz"):
+            if mhz_reached := counts.get("clock_mhz"):
                 clocks = clocks_per_step(project, architecture, told)
-                counts |= {"clocks": clocks, "us_per_step": clocks / counts["clock_mhz"]}
+                counts |= {"clocks": clocks, "us_per_step": clocks / mhz_reached}
             found[f"{architecture}, {target}"] = counts
         _write_json(project.folder / "resources.json", found)
     if keep:
@@ -447,7 +447,8 @@ def clocks_per_step(project: Project, architecture: str, progress: Progress = si
     verified = (project.hardware or {}).get(architecture, {}).get("clocks_per_step")
     if verified is not None:
         return verified
-    counted = target(architecture).clocks
+    found = target(architecture)
+    counted = found.clocks if isinstance(found, Architecture) else None
     if counted is not None:
         return float(counted(project.program, project.design))
     steps = np.zeros((COUNTED_STEPS, sum(p.signal.size for p in project.program.inputs)), np.int64)

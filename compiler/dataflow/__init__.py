@@ -139,7 +139,8 @@ def told_alike(program: Program, o: Affine) -> int:
     if name in {p.signal.name for p in program.outputs} | {s.source for s in program.states}:
         return 0
     readers = [other for other in program.operations if name in other.args]
-    if not all(isinstance(other, Lookup) for other in readers):
+    tables = [program.table[other.table] for other in readers if isinstance(other, Lookup)]
+    if len(tables) < len(readers):
         return 0
-    bits = max(((program.table[other.table].reach - 1).bit_length() for other in readers), default=0)
+    bits = max(((t.reach - 1).bit_length() for t in tables), default=0)
     return bits if bits <= o.out.fix.width - 2 else 0

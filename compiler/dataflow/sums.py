@@ -44,10 +44,11 @@ def stages(graph: Graph, most: int) -> Stages:
     if not most or graph.depth <= most:
         return Stages((0,) * (graph.columns + len(graph.nodes)), 1)
     count = -(-graph.depth // most)
-    early = [0] * graph.columns + [(level - 1) // most for level in graph.levels]
+    early: list[int] = [0] * graph.columns + [(level - 1) // most for level in graph.levels]
     above = _heights(graph)
     late = [0] * graph.columns + [count - 1 - h // most for h in above[graph.columns :]]
-    return Stages(tuple(min((early, late), key=lambda of: _crossing(graph, of))), count)
+    chosen = min((early, late), key=lambda of: _crossing(graph, list(of)))
+    return Stages(tuple(chosen), count)
 
 
 def _heights(graph: Graph) -> list[int]:
@@ -269,9 +270,9 @@ class Sums:
         row, text = self._fresh(f"row_{r}"), self._formula(r) + adders
         shift, width = int(o.frac[r]) - o.out.fix.frac, o.out.fix.width
         if p.operand == CONSTANT:
-            exact = round_shift(np.int64(o.bias[r]), np.int64(shift), o.rounding)
-            code = int(fit(exact, o.out.fix, o.overflow))
-            return text + f"    wire signed [{width - 1}:0] {row} = {number(code, width)};\n", row
+            exact = round_shift(o.bias[r : r + 1], np.array([shift]), o.rounding)
+            constant = int(fit(exact, o.out.fix, o.overflow)[0])
+            return text + f"    wire signed [{width - 1}:0] {row} = {number(constant, width)};\n", row
         value = self.at(p.operand, self.clocks - 1 if self.pipelined else self.stages.of[p.operand])
         lo, hi = self.graph.range(p.operand)
         if p.negate:

@@ -53,8 +53,9 @@ class Cost:
 
 def blocks(family: str, words: int, bits: int, ports: int = 1) -> float:
     """Blocks of memory that hold `words` of `bits`, each block read through that many ports."""
-    shapes = BLOCKS[family][ports - 1]
-    return BLOCKS[family][2] * min(math.ceil(words / w) * math.ceil(bits / b) for w, b in shapes)
+    one, two, worth = BLOCKS[family]
+    shapes = (one, two)[ports - 1]
+    return worth * min(math.ceil(words / w) * math.ceil(bits / b) for w, b in shapes)
 
 
 def tiles(family: str, a: int, b: int) -> int:

@@ -119,8 +119,8 @@ class _Layout:
         }
         sample = {start + n + 1: bit for n, bit in compiler.bits.items()}
         lengths = [len(r.lines) + 1 for r in compiler.routines.values()]  # the word after a call is performed twice
-        calls = [n for line in compiler.main if line.operation == Word.CALL and isinstance(n := line.field, int)]
-        clocks = len(compiler.main) + sum(lengths[n] for n in calls)
+        called = [line.field for line in compiler.main if line.operation == Word.CALL]
+        clocks = len(compiler.main) + sum(lengths[at] for at in called if isinstance(at, int))
         return Code(words, memory, sample, widths, boot, start, max(0, outputs - 2), clocks)
 
     def field(self, line: Line) -> int:

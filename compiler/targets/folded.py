@@ -318,14 +318,25 @@ module {self.program.name} (
         f, w = self.folding, self.widths
         x, acc, count = w["x"], w["acc"], f.multipliers
         stages = f.products.stages or (0,)
-        parameters = {"X_W": x, "WORD_W": w["word"], "ACC_W": acc, "BASE": f.products.base, "STAGES": len(stages)}
+        parameters: dict[str, int | str] = {
+            "X_W": x,
+            "WORD_W": w["word"],
+            "ACC_W": acc,
+            "BASE": f.products.base,
+            "STAGES": len(stages),
+        }
         parameters |= {"AMOUNTS": vector(stages)}
         text = "\n    // the multipliers: each takes the code of the one before, one clock later\n" + self.part()
         text += "    reg first_0;\n    always @(posedge clk) first_0 <= row;\n" if count == 1 else ""
         text += "".join(self.one_multiplier(m, parameters) for m in range(count))
         text += f"    wire unused_x = &{{1'b0, x_{count}}};\n"
         modes = f.modes or (Mode(0, False, 2, False),)
-        drain = {"IN_W": acc, "OUT_W": w["drained"], "MODES": len(modes), "MODE_W": self.controls["mode"]}
+        drain: dict[str, int | str] = {
+            "IN_W": acc,
+            "OUT_W": w["drained"],
+            "MODES": len(modes),
+            "MODE_W": self.controls["mode"],
+        }
         drain |= {"SHIFTS": vector([m.shift for m in modes]), "WIDTHS": vector([m.width for m in modes])}
         drain |= {"EVEN": flags([m.even for m in modes]), "WRAPS": flags([m.wraps for m in modes])}
         picked, picks = self.picks()

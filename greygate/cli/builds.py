@@ -144,7 +144,7 @@ def _counted(figures: dict[str, float | None]) -> str:
     """The figures of a design on a target; a condition as a word."""
     words = {0.0: "no", 1.0: "yes"}
     found = {
-        k: words.get(v, "no") if k in ("fits", "meets") else "none" if v is None else f"{v:.6g}"
+        k: words.get(v or 0.0, "no") if k in ("fits", "meets") else "none" if v is None else f"{v:.6g}"
         for k, v in figures.items()
     }
     return ", ".join(f"{name} {value}" for name, value in found.items())

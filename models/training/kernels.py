@@ -349,5 +349,5 @@ def sensitivities(
             jacobian[k - start, j, n_theta:] = carried[k % ring, shown[j], n_theta:]
 
 
-portable_sensitivities = kernel()(sensitivities.py_func)
+portable_sensitivities = kernel()(sensitivities.py_func)  # type: ignore[attr-defined]  # numba keeps it
 """`sensitivities` to the same bits on every processor, more slowly: no term is contracted or added in another order."""
