@@ -92,8 +92,8 @@ bench-accuracy: $(VENV)/.ready-dev $(PEERS)/.ready
 	$(BIN)/python benchmarks/accuracy_per_bit.py --peers $(PEERS)/bin/python
 
 # The flow network as parallel designs of two accuracies, by Yosys.
-bench-flow: $(VENV)/.ready-dev | tools
-	$(BIN)/python benchmarks/flow_designs.py
+bench-flow: $(VENV)/.ready-dev $(PEERS)/.ready
+	$(BIN)/python benchmarks/flow_designs.py --peers $(PEERS)/bin/python
 
 # Compiling, synthesizing and emulating 10 to 10,000 weights, and writing 100,000.
 bench-growth: $(VENV)/.ready-dev | tools

