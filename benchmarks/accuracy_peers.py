@@ -24,14 +24,14 @@ def rounded(weights: np.ndarray, width: int) -> np.ndarray:
     return np.floor(weights * scale + 0.5) / scale
 
 
-def network(array, trace, data, width: int):
-    """The logic: inputs, sums that fit their range, tables of every code, an output of the same width."""
+def network(array, trace, data, width: int, index: int):
+    """The logic: inputs, sums, tables with arguments of `index` bits, an output as wide as the inputs."""
     x = array.from_kif(np.array([1, 1]), np.array([0, 0]), np.array([width - 1, width - 1]))
     h = x
     for n in (1, 2):
         w, b = rounded(data[f"w{n}"], width), rounded(data[f"b{n}"], width)
         whole = min(int(np.frexp(float(data[f"reach{n}"]))[1]), FLAT)
-        z = (h @ w.T + b).quantize(k=1, i=whole, f=width - 1 - whole, overflow_mode="SAT", round_mode="RND")
+        z = (h @ w.T + b).quantize(k=1, i=whole, f=index - 1 - whole, overflow_mode="SAT", round_mode="RND")
         h = z.apply(np.tanh).quantize(k=1, i=0, f=width - 1, overflow_mode="SAT", round_mode="RND")
     y = h @ rounded(data["w3"], width).T + rounded(data["b3"], width)
     return trace(x, y.quantize(k=1, i=0, f=width - 1, overflow_mode="SAT", round_mode="RND"))
@@ -43,7 +43,7 @@ def main() -> None:
     data, found = dict(np.load(path)), {}
     for width in map(int, widths):
         start = time.monotonic()
-        logic = network(array, trace, data, width)
+        logic = network(array, trace, data, width, width)
         lsb = 2.0 ** (1 - width)
         x = np.clip(np.floor(data["x"] / lsb + 0.5) * lsb, -1, 1 - lsb)
         y = np.asarray(logic.predict(x)).reshape(-1)

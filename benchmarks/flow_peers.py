@@ -10,29 +10,16 @@ from importlib import import_module
 from pathlib import Path
 
 import numpy as np
-from accuracy_peers import FLAT, PACKAGES, rounded
+from accuracy_peers import PACKAGES, network
 
 CUTOFF = 5  # of the peers' measure of depth, between two registers
-
-
-def logic(array, trace, data, width: int, index: int):
-    """As `network` of accuracy_peers.py, but arguments of tables have `index` bits."""
-    x = array.from_kif(np.array([1, 1]), np.array([0, 0]), np.array([width - 1, width - 1]))
-    h = x
-    for n in (1, 2):
-        w, b = rounded(data[f"w{n}"], width), rounded(data[f"b{n}"], width)
-        whole = min(int(np.frexp(float(data[f"reach{n}"]))[1]), FLAT)
-        z = (h @ w.T + b).quantize(k=1, i=whole, f=index - 1 - whole, overflow_mode="SAT", round_mode="RND")
-        h = z.apply(np.tanh).quantize(k=1, i=0, f=width - 1, overflow_mode="SAT", round_mode="RND")
-    y = h @ rounded(data["w3"], width).T + rounded(data["b3"], width)
-    return trace(x, y.quantize(k=1, i=0, f=width - 1, overflow_mode="SAT", round_mode="RND"))
 
 
 def main() -> None:
     package, path, width, index = sys.argv[1], sys.argv[2], *map(int, sys.argv[3:])
     array, trace = (getattr(import_module(module), name) for module, name in PACKAGES[package])
     data = dict(np.load(path))
-    made = logic(array, trace, data, width, index)
+    made = network(array, trace, data, width, index)
     lsb = 2.0 ** (1 - width)
     x = np.clip(np.floor(data["x"] / lsb + 0.5) * lsb, -1, 1 - lsb)
     y = np.asarray(made.predict(x)).reshape(-1)
