@@ -29,7 +29,8 @@ module greygate_product #(
                 assign sums[W*k+:W] = addend;
             end else begin : next
                 // kept apart: a tool that merges the additions of a product needs more logic
-                (* keep *) wire [W-1:0] sum = {SIGNED == 1 && sums[W*k-1], sums[W*k-1-:W-1]} + addend;
+                (* keep *) wire [W-1:0] sum;
+                assign sum = {SIGNED == 1 && sums[W*k-1], sums[W*k-1-:W-1]} + addend;
                 assign sums[W*k+:W] = sum;
             end
         end
@@ -46,8 +47,8 @@ module greygate_product #(
                 assign upper[k] = sums[W*(LOWER+k)];
             end
             assign upper[A_W+UPPER-1:UPPER-1] = sums[W*(B_W-1)+:W];
-            (* keep *) wire [A_W+UPPER-1:0] sum =
-                upper + {{UPPER{SIGNED == 1 && lower[A_W+LOWER-1]}}, lower[A_W+LOWER-1:LOWER]};
+            (* keep *) wire [A_W+UPPER-1:0] sum;
+            assign sum = upper + {{UPPER{SIGNED == 1 && lower[A_W+LOWER-1]}}, lower[A_W+LOWER-1:LOWER]};
             assign y = {sum, lower[LOWER-1:0]};
         end else begin : whole
             assign y = lower;
