@@ -13,8 +13,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-
 from flow import arrays, flow
+
 from greygate.compiler.explore.judge import agreed
 from greygate.compiler.pipeline import fixed_error, quantize_centred
 from greygate.compiler.quantize import Formats

@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 import tomli_w
+from flow import flow
 from scipy.optimize import nnls
 
-from flow import flow
 from greygate.compiler.emit import emit, emitted
 from greygate.compiler.explore.cost import COEFFICIENTS, COUNTS, Parts, coefficients, explored
 from greygate.compiler.pipeline import compile_network

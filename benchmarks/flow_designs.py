@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 from accuracy_per_bit import PEERS
-
 from flow import arrays, flow
+
 from greygate.compiler.emit import emit
 from greygate.compiler.explore.cost import cost
 from greygate.compiler.explore.judge import Bound, Judge, Scale
