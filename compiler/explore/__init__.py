@@ -32,7 +32,7 @@ from greygate.progress import Progress, silent
 
 WIDTHS = range(8, 25)  # words that are tried everywhere
 FINER = (0, 1, 2, 4)  # bits beyond them
-TABLES = (Form.POINTS, Form.OCTAVES)
+OCTAVES = 18  # bits of a word and beyond up to which tables by octaves are tried: wider ones take seconds to make
 MULTIPLIERS = (1, 2, 4, 8, 16, 32)  # of the folded architecture
 STARTS = (0.25, 1.0 / 64)  # error of a trail's start, as a part of the largest that is of interest
 ALIKE = 1.02  # factor by which LUTs or time must be better for a point to stand on the front beside a more accurate one
@@ -133,7 +133,8 @@ def explore(make: Maker, request: Request, mapper: Mapper = map, progress: Progr
 
 def _candidates(make: Maker, request: Request, mapper: Mapper, progress: Progress) -> Iterator[Candidate]:
     """Words first, then trails from fine ones of them."""
-    words = [Formats(w, f, tables=t) for w in request.widths for f in request.finer for t in TABLES if w + f <= 32]
+    plain = [Formats(w, f) for w in request.widths for f in request.finer if w + f <= 32]
+    words = plain + [replace(f, tables=Form.OCTAVES) for f in plain if f.width + f.finer <= OCTAVES]
     if request.single:
         words = [Formats(request.widths[0], request.finer[0])]
     found = [c for some in mapper(_Words(make, not request.single), words) for c in some]
