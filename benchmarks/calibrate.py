@@ -109,12 +109,12 @@ def errors(luts: dict[str, float], rows: list[tuple[Parts, float]]) -> dict[str,
 
 
 def period(chosen: list[Case], family: str, limit: float) -> float | None:
-    """The median shortest clock of the smallest fitted designs, in ns; None where nextpnr tells none."""
+    """The shortest clock of the slowest of some designs, in ns; None where nextpnr tells none."""
     if family not in PLACED:
         return None
     rates = [measured(case, family, limit, clock=True).get("clock_mhz") for case in chosen]
     known = [1e3 / rate for rate in rates if rate]
-    return round(statistics.median(known), 1) if known else None
+    return round(max(known), 1) if known else None
 
 
 def main() -> None:
@@ -149,7 +149,7 @@ def main() -> None:
                 f"{what}_off": sum(getattr(p, what) != cells[key] for _, p, cells in rows)
                 for what, key in (("dsps", "dsps"), ("memories", "block_rams"))
             }
-            clock = period([c for c in chosen if c.fitted][:2], family, given.limit)
+            clock = period([c for c in chosen if c.fitted and c.design.memory is Memory.BLOCK], family, given.limit)
             before = table.get(family, {}).get(name, {}).get("period", 10.0)
             table.setdefault(family, {})[name] = {"period": clock or before, "luts": luts, "error": told}
             print(family, name, luts, told, clock, flush=True)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from greygate.compiler.explore.cost import Cost, clocks_of, cost, explored, factor, served, standing
+from greygate.compiler.explore.cost import COUNTS, Cost, clocks_of, cost, explored, factor, served, standing
 from greygate.compiler.explore.judge import Bound
 from greygate.compiler.explore.trail import (
     KEPT,
@@ -178,9 +178,7 @@ class _Words:
 
 def _within_reach(found: Sequence[Candidate], request: Request) -> bool:
     """Whether weights of few digits may make a design fit that counts digits."""
-    luts = [
-        cost(c.program, n, Design(), request.family, 1).luts for c in found for n in _counting_digits(request)
-    ]  # fmt: skip
+    luts = [cost(c.program, n, Design(), request.family, 1).luts for c in found for n in _counting_digits(request)]
     return min(luts, default=math.inf) <= REACH * request.room.luts
 
 
@@ -235,17 +233,21 @@ def _walked(request: Request) -> list[str]:
 
 @dataclass(frozen=True)
 class _Price:
-    """What a program costs as a plain design, in LUTs: a block of memory counts as its share of the device."""
+    """What a program costs as a plain design, in LUTs: a block of memory counts as its share of the device.
+
+    Half of what the blocks count is what of them is filled, so that a step counts that only together with others saves
+    a block.
+    """
 
     request: Request
     architecture: str
 
     def __call__(self, program: Program) -> float:
         whole, family = self.request.whole, self.request.family
-        point = cost(program, self.architecture, Design(multipliers=1, factor=factor(family)), family, 1)
+        parts = COUNTS[self.architecture](program, Design(multipliers=1, factor=factor(family)), family)
         block = whole.luts / whole.memories if whole.memories else whole.luts
         bits = sum(s.size * s.fix.width for s in program.signals.values())
-        return point.luts + block * point.memories + PER_BIT * bits
+        return parts.sized(family, self.architecture) + block * (parts.memories + parts.filled) / 2 + PER_BIT * bits
 
 
 # -- designs ---------------------------------------------------------------------------------------------------------
