@@ -28,7 +28,7 @@ def told(*words: str) -> tuple[dict, float]:
     """What a command prints as JSON, and its seconds."""
     begun = time.perf_counter()
     command = [sys.executable, "-c", "from greygate.cli import run; run()", *words, "--json"]
-    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    done = subprocess.run(command, capture_output=True, text=True)
     if not done.stdout:
         raise SystemExit(done.stderr)
     return json.loads(done.stdout), round(time.perf_counter() - begun, 1)
