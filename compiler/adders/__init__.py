@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from greygate.compiler.adders.graph import CONSTANT, Graph, Node, Output
-from greygate.compiler.adders.search import best_sums
+from greygate.compiler.adders.search import best_sums, paired_sums
 from greygate.compiler.adders.shape import shape
 from greygate.errors import InputError, shown
 
@@ -17,7 +17,8 @@ __all__ = ["CONSTANT", "Graph", "Node", "Output", "solve"]
 
 
 OBJECTIVES = ("adders", "bits")
-WIDEST = 24  # places of a weight up to which patterns are shared; the search tells sums apart by 61 bits
+WIDEST = 24  # places of a weight up to which there is a search; it tells sums apart by 61 bits
+PAIRED = 64  # places of a weight up to which pairs are shared
 
 
 def solve(
@@ -53,7 +54,10 @@ def solve(
     if depth is not None and depth < least:
         raise InputError(f"adder graph: depth {depth} is too little for its longest row; allow at least {least}")
     widest = max((shift for s in sums for _, shift, _ in s), default=0)
-    found = best_sums(sums, columns, depth or 0, extra, effort) if widest <= WIDEST else [([], sums)]
+    if widest <= WIDEST:
+        found = best_sums(sums, columns, depth or 0, extra, effort)
+    else:
+        found = paired_sums(sums, columns) if widest <= PAIRED and not depth else [([], sums)]
     graphs = [shape(columns, definitions, outs, numbers, ranges) for definitions, outs in found]
     best = min(graphs, key=lambda g: (g.adder_bits, g.adders) if objective == "bits" else (g.adders, g.adder_bits))
     assert (best.matrix() == table).all(), "the adders are not the matrix"

@@ -1,9 +1,8 @@
-"""The search for shared sums from several starts, in the matrix and in its transpose."""
-
-from itertools import pairwise
+"""The search for shared sums from several starts, in the matrix and in its transpose; less of it for a large matrix."""
 
 import numpy as np
 
+from greygate.compiler.adders.flat import Flat
 from greygate.compiler.adders.rounds import begin, search, transpose
 from greygate.compiler.adders.shape import Term
 from greygate.compiler.adders.table import (
@@ -25,7 +24,16 @@ DESTROYED, DIGITS, REWRITES = 4, 2, 90  # a round: definitions and digits at mos
 ROUNDS, PER_TERM = 1500, 20  # rounds of one turn at effort 1: so many, and for a small matrix so many a term
 WORK = 1_500_000  # rounds times terms of one turn at most
 TURNS = (9, 8)  # from the matrix and from its transpose, so that both end at the matrix
-PAIRS = 1 << 21  # patterns that are counted at once: columns beyond them are first shared in blocks
+
+
+# What follows counts pairs of terms in one sum. Every limit is one of size, never of time, so that any machine finds
+# the same graph.
+MANY = 1 << 16  # beyond them pairs are shared first (flat.py), and rounds only mend what that finds
+MOST = 1 << 29  # counted at once: columns of more are shared in blocks
+DIFFERENT = 1 << 22  # different ones counted at once: they take 100 bytes each
+LARGE_ROUNDS, LARGE_WORK = 2000, 100_000_000  # rounds of one turn at effort 1: so many, or work as `_work` tells it
+TALLIES = 16  # times that a round counts the pairs of a sum
+SEARCHED = 1 << 16  # terms up to which there are rounds: their arrays take a few 100 MB there
 
 Sums = list[list[Term]]
 
@@ -37,11 +45,70 @@ def best_sums(
 
     depth: the most adders in a row, 0 for no bound. extra: how many terms to leave room for in each row.
     """
-    definitions, sums = _blocks(rows, columns, depth, extra)
-    first = _packed(definitions, sums, columns)
+    pairs = sum(len(r) * (len(r) - 1) // 2 for r in rows)
+    if pairs > MANY and not depth:
+        return [_large(_flat(rows, columns), effort)]
+    if pairs > DIFFERENT:
+        return [([], rows)]
+    first = _flat(rows, columns).packed()
     if effort <= 0 or depth:
         return [_run(first, columns, len(rows), 0, max(1, TURNS[0]) if effort > 0 else 0, effort, depth, extra)]
     return [_run(first, columns, len(rows), start, TURNS[start], effort, 0, extra) for start in (0, 1)]
+
+
+def paired_sums(rows: Sums, columns: int) -> list[tuple[Sums, Sums]]:
+    """Share pairs and nothing else, which weights of any number of places allow."""
+    return [_large(_flat(rows, columns), 0)]
+
+
+def _large(flat: Flat, effort: float) -> tuple[Sums, Sums]:
+    """Pairs shared in the matrix and in its transpose, and the better of the two mended in turns."""
+    turned = flat.transposed()
+    ways = [_shared(flat), _shared(turned).transposed()]
+    found = min(ways, key=lambda f: f.adders)
+    turns = TURNS[0] if effort > 0 and len(found.terms) <= SEARCHED else 0
+    body, length = found.packed()
+    if turns:
+        return _mended(body, length, flat.columns, flat.rows, turns, effort)
+    return _unpacked(body, length, flat.columns, flat.rows)
+
+
+def _mended(
+    body: np.ndarray, length: np.ndarray, columns: int, rows: int, turns: int, effort: float
+) -> tuple[Sums, Sums]:
+    """An odd number of turns, the first and the last in the matrix itself."""
+    c, r = columns, rows
+    for turn in range(turns):
+        if turn:
+            body, length = transpose(body, length, c, r)
+            c, r = r, c
+        st = state(body, length, c, r, 1 + turn)
+        fits = begin(st)
+        assert fits, "a sum outgrew its place"
+        search(st, int(effort * min(LARGE_ROUNDS, LARGE_WORK // _work(length))), DESTROYED, DIGITS, REWRITES)
+        body, length = st.terms[0], st.slot[:, LENGTH]
+    return _unpacked(body, length, columns, rows)
+
+
+def _work(length: np.ndarray) -> int:
+    """Steps of one round, about: it looks at every term, and counts the pairs of a few sums, long ones more often."""
+    total = max(1, int(length.sum()))
+    return total + TALLIES * int((length.astype(float) ** 3).sum() / total)
+
+
+def _shared(flat: Flat) -> Flat:
+    """The pairs shared; of very many first within blocks of columns, and then the rest if it is not too much."""
+    parts = _parts(flat)
+    if parts > 1:
+        flat = flat.cut(parts).shared().joined(flat.rows)
+    return flat.shared() if _parts(flat) == 1 else flat
+
+
+def _parts(flat: Flat) -> int:
+    """Blocks of columns in which few enough pairs stand."""
+    pairs = flat.pairs
+    different = min(pairs, flat.columns**2 * flat.places)
+    return min(flat.columns, max(1, -(-pairs // MOST), -(-different // DIFFERENT)))
 
 
 def _run(
@@ -72,34 +139,11 @@ def _run(
     return _unpacked(body, length, columns, rows)
 
 
-def _blocks(rows: Sums, columns: int, depth: int, extra: list[int] | None) -> tuple[Sums, Sums]:
-    """For a matrix with very many patterns: share within blocks of columns first."""
-    pairs = sum(len(r) * (len(r) - 1) // 2 for r in rows)
-    parts = int(np.ceil(np.sqrt(pairs / PAIRS))) if pairs else 1
-    if parts < 2 or depth:
-        return [], rows
-    edges = [columns * i // parts for i in range(parts + 1)]
-    definitions: Sums = []
-    sums: Sums = [[] for _ in rows]
-    for first, last in pairwise(edges):
-        block = [[t for t in row if first <= t[0] < last] for row in rows]
-        found, left = _run(_packed([], block, columns), columns, len(rows), 0, 0, 0.0, 0, None)
-        shift = len(definitions)
-        definitions += [[(o + shift if o >= columns else o, s, g) for o, s, g in d] for d in found]
-        for row, more in zip(sums, left, strict=True):
-            row += [(o + shift if o >= columns else o, s, g) for o, s, g in more]
-    return definitions, sums
-
-
-def _packed(definitions: Sums, rows: Sums, columns: int) -> tuple[np.ndarray, np.ndarray]:
-    sums = [*rows, *definitions]
-    length = np.array([len(s) for s in sums], np.int64)
-    body = np.zeros((len(sums), int(length.max(initial=0))), np.int32)
-    for k, terms in enumerate(sums):
-        for i, (o, s, g) in enumerate(terms):
-            op = o + len(rows) if o >= columns else o
-            body[k, i] = (op << 9) | ((s + ZERO) << 1) | (g < 0)
-    return body, length
+def _flat(rows: Sums, columns: int) -> Flat:
+    """The rows as flat arrays."""
+    of_sum = np.repeat(np.arange(len(rows)), [len(r) for r in rows])
+    terms = [(o << 9) | ((s + ZERO) << 1) | (g < 0) for r in rows for o, s, g in r]
+    return Flat(columns, len(rows), len(rows), of_sum, np.array(terms, np.int64))
 
 
 def _unpacked(body: np.ndarray, length: np.ndarray, columns: int, rows: int) -> tuple[Sums, Sums]:
