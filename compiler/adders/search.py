@@ -31,8 +31,8 @@ TURNS = (9, 8)  # from the matrix and from its transpose, so that both end at th
 MANY = 1 << 16  # beyond them pairs are shared first (flat.py), and rounds only mend what that finds
 MOST = 1 << 29  # counted at once: columns of more are shared in blocks
 DIFFERENT = 1 << 22  # different ones counted at once: they take 100 bytes each
-LARGE_ROUNDS, LARGE_WORK = 2000, 100_000_000  # rounds of one turn at effort 1: so many, or work as `_work` tells it
-TALLIES = 16  # times that a round counts the pairs of a sum
+LARGE_ROUNDS, LARGE_WORK = 2000, 200_000_000  # rounds of one turn at effort 1: so many, or work as `_work` tells it
+TALLIES = 64  # how much more than a look at a term the counting of a pair of a sum weighs
 SEARCHED = 1 << 16  # terms up to which there are rounds: their arrays take a few 100 MB there
 
 Sums = list[list[Term]]
