@@ -5,6 +5,7 @@ graph.adders, graph.depth, graph.adder_bits
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -19,6 +20,7 @@ __all__ = ["CONSTANT", "Graph", "Node", "Output", "solve"]
 OBJECTIVES = ("adders", "bits")
 WIDEST = 24  # places of a weight up to which there is a search; it tells sums apart by 61 bits
 PAIRED = 64  # places of a weight up to which pairs are shared
+KEPT = 64  # graphs that a process remembers
 
 
 def solve(
@@ -48,8 +50,24 @@ def solve(
     numbers = [0] * rows if constants is None else [int(c) for c in constants]
     if len(numbers) != rows:
         raise InputError(f"adder graph: {len(numbers)} constants for {rows} rows; give one a row")
-    sums = [[(c, s, g) for c in range(columns) for s, g in signed_digits(int(table[r, c]))] for r in range(rows)]
-    extra = [int(n != 0) for n in numbers]
+    entries = tuple(tuple(int(w) for w in row) for row in table)
+    bounds = tuple((int(lo), int(hi)) for lo, hi in ranges)
+    return _solved(entries, columns, tuple(numbers), bounds, depth, effort, objective)
+
+
+@lru_cache(maxsize=KEPT)
+def _solved(
+    entries: tuple[tuple[int, ...], ...],
+    columns: int,
+    constants: tuple[int, ...],
+    ranges: tuple[tuple[int, int], ...],
+    depth: int | None,
+    effort: float,
+    objective: str,
+) -> Graph:
+    """As `solve`. A program's clocks, registers and text are asked for one by one, and each needs the same graphs."""
+    sums = [[(c, s, g) for c, w in enumerate(row) for s, g in signed_digits(w)] for row in entries]
+    extra = [int(n != 0) for n in constants]
     least = max((len(s) + e - 1 for s, e in zip(sums, extra, strict=True) if s), default=0).bit_length()
     if depth is not None and depth < least:
         raise InputError(f"adder graph: depth {depth} is too little for its longest row; allow at least {least}")
@@ -58,9 +76,9 @@ def solve(
         found = best_sums(sums, columns, depth or 0, extra, effort)
     else:
         found = paired_sums(sums, columns) if widest <= PAIRED and not depth else [([], sums)]
-    graphs = [shape(columns, definitions, outs, numbers, ranges) for definitions, outs in found]
+    graphs = [shape(columns, definitions, outs, constants, ranges) for definitions, outs in found]
     best = min(graphs, key=lambda g: (g.adder_bits, g.adders) if objective == "bits" else (g.adders, g.adder_bits))
-    assert (best.matrix() == table).all(), "the adders are not the matrix"
+    assert best.matrix().tolist() == [list(row) for row in entries], "the adders are not the matrix"
     return best
 
 

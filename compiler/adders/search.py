@@ -45,12 +45,13 @@ def best_sums(
 
     depth: the most adders in a row, 0 for no bound. extra: how many terms to leave room for in each row.
     """
-    pairs = sum(len(r) * (len(r) - 1) // 2 for r in rows)
+    flat = _flat(rows, columns)
+    pairs = max(flat.pairs, flat.transposed().pairs)
     if pairs > MANY and not depth:
-        return [_large(_flat(rows, columns), effort)]
+        return [_large(flat, effort)]
     if pairs > DIFFERENT:
         return [([], rows)]
-    first = _flat(rows, columns).packed()
+    first = flat.packed()
     if effort <= 0 or depth:
         return [_run(first, columns, len(rows), 0, max(1, TURNS[0]) if effort > 0 else 0, effort, depth, extra)]
     return [_run(first, columns, len(rows), start, TURNS[start], effort, 0, extra) for start in (0, 1)]
