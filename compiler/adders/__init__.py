@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from greygate.compiler.adders.graph import CONSTANT, Graph, Node, Output
-from greygate.compiler.adders.search import best_sums, paired_sums
+from greygate.compiler.adders.search import REWRITES, best_sums, looked
 from greygate.compiler.adders.shape import shape
 from greygate.errors import InputError, shown
 
@@ -18,8 +18,8 @@ __all__ = ["CONSTANT", "Graph", "Node", "Output", "solve"]
 
 
 OBJECTIVES = ("adders", "bits")
-WIDEST = 24  # places of a weight up to which there is a search; it tells sums apart by 61 bits
-PAIRED = 64  # places of a weight up to which pairs are shared
+WIDEST = 24  # places of a weight up to which the search tells sums apart by their values, of 61 bits
+SHARED = 60  # places of a weight up to which patterns are shared
 KEPT = 64  # graphs that a process remembers
 
 
@@ -72,11 +72,12 @@ def _solved(
     if depth is not None and depth < least:
         raise InputError(f"adder graph: depth {depth} is too little for its longest row; allow at least {least}")
     widest = max((shift for s in sums for _, shift, _ in s), default=0)
-    if widest <= WIDEST:
-        found = best_sums(sums, columns, depth or 0, extra, effort)
-    else:
-        found = paired_sums(sums, columns) if widest <= PAIRED and not depth else [([], sums)]
-    graphs = [shape(columns, definitions, outs, constants, ranges) for definitions, outs in found]
+    rewrites = REWRITES if widest <= WIDEST else 0
+    found = best_sums(sums, columns, depth or 0, extra, effort, rewrites) if widest <= SHARED else [([], sums)]
+    wanted = looked(columns, [], sums)
+    right = [f for f in found if looked(columns, *f) == wanted]  # but for a search that took unequal sums for equal
+    right = right or best_sums(sums, columns, depth or 0, extra, 0, 0)
+    graphs = [shape(columns, definitions, outs, constants, ranges) for definitions, outs in right]
     best = min(graphs, key=lambda g: (g.adder_bits, g.adders) if objective == "bits" else (g.adders, g.adder_bits))
     assert best.matrix().tolist() == [list(row) for row in entries], "the adders are not the matrix"
     return best

@@ -266,8 +266,11 @@ def paired(groups, sums, terms, keys):
             terms[s] -= 1
             room += terms[s]
         if 2 * room > own.shape[0]:
-            own = np.full((1 << (int(np.log2(room)) + 3), 2), FREE, np.int64)
-            touched = np.zeros(own.shape[0], np.int64)
+            places = own.shape[0]
+            while places < 4 * room:
+                places *= 2
+            own = np.full((places, 2), FREE, np.int64)
+            touched = np.zeros(places, np.int64)
         if 2 * (counts.ints[TAKEN] + room) > counts.key.shape[0]:
             counts = frequent(counts, room)
         first = defined(groups, counts, hits, n, operands + made)

@@ -34,35 +34,48 @@ DIFFERENT = 1 << 22  # different ones counted at once: they take 100 bytes each
 LARGE_ROUNDS, LARGE_WORK = 2000, 200_000_000  # rounds of one turn at effort 1: so many, or work as `_work` tells it
 TALLIES = 64  # how much more than a look at a term the counting of a pair of a sum weighs
 SEARCHED = 1 << 16  # terms up to which there are rounds: their arrays take a few 100 MB there
+PRIME, GENERATOR = (1 << 255) - 19, 3**100  # of numbers as which sums are compared; no power of 2 below 2^200 is 1
 
 Sums = list[list[Term]]
 
 
 def best_sums(
-    rows: Sums, columns: int, depth: int = 0, extra: list[int] | None = None, effort: float = 1.0
+    rows: Sums,
+    columns: int,
+    depth: int = 0,
+    extra: list[int] | None = None,
+    effort: float = 1.0,
+    rewrites: int = REWRITES,
 ) -> list[tuple[Sums, Sums]]:
     """Share what the sums of the rows have in common, from several starts: (definitions, rows) of each.
 
     depth: the most adders in a row, 0 for no bound. extra: how many terms to leave room for in each row.
+    rewrites: in how many rounds of 100 sums are told apart by their values; 0 for weights of more than WIDEST places.
     """
     flat = _flat(rows, columns)
     pairs = max(flat.pairs, flat.transposed().pairs)
     if pairs > MANY and not depth:
-        return [_large(flat, effort)]
+        return [_large(flat, effort, rewrites)]
     if pairs > DIFFERENT:
         return [([], rows)]
     first = flat.packed()
     if effort <= 0 or depth:
-        return [_run(first, columns, len(rows), 0, max(1, TURNS[0]) if effort > 0 else 0, effort, depth, extra)]
-    return [_run(first, columns, len(rows), start, TURNS[start], effort, 0, extra) for start in (0, 1)]
+        turns = TURNS[0] if effort > 0 else 0
+        return [_run(first, columns, len(rows), 0, turns, effort, depth, extra, rewrites)]
+    starts = enumerate(TURNS)
+    return [_run(first, columns, len(rows), start, turns, effort, 0, extra, rewrites) for start, turns in starts]
 
 
-def paired_sums(rows: Sums, columns: int) -> list[tuple[Sums, Sums]]:
-    """Share pairs and nothing else, which weights of any number of places allow."""
-    return [_large(_flat(rows, columns), 0)]
+def looked(columns: int, definitions: Sums, rows: Sums) -> list[int]:
+    """The rows' linear forms at columns that are powers of a number, modulo a prime: equal rows give equal numbers."""
+    found = [pow(GENERATOR, c + 1, PRIME) for c in range(columns)]
+    turned = {s: pow(2, s, PRIME) for s in {s for terms in (*definitions, *rows) for _, s, _ in terms}}
+    for terms in definitions:
+        found.append(sum(g * found[o] * turned[s] for o, s, g in terms) % PRIME)
+    return [sum(g * found[o] * turned[s] for o, s, g in terms) % PRIME for terms in rows]
 
 
-def _large(flat: Flat, effort: float) -> tuple[Sums, Sums]:
+def _large(flat: Flat, effort: float, rewrites: int) -> tuple[Sums, Sums]:
     """Pairs shared in the matrix and in its transpose, and the better of the two mended in turns."""
     turned = flat.transposed()
     ways = [_shared(flat), _shared(turned).transposed()]
@@ -70,12 +83,12 @@ def _large(flat: Flat, effort: float) -> tuple[Sums, Sums]:
     turns = TURNS[0] if effort > 0 and len(found.terms) <= SEARCHED else 0
     body, length = found.packed()
     if turns:
-        return _mended(body, length, flat.columns, flat.rows, turns, effort)
+        return _mended(body, length, flat.columns, flat.rows, turns, effort, rewrites)
     return _unpacked(body, length, flat.columns, flat.rows)
 
 
 def _mended(
-    body: np.ndarray, length: np.ndarray, columns: int, rows: int, turns: int, effort: float
+    body: np.ndarray, length: np.ndarray, columns: int, rows: int, turns: int, effort: float, rewrites: int
 ) -> tuple[Sums, Sums]:
     """An odd number of turns, the first and the last in the matrix itself."""
     c, r = columns, rows
@@ -86,7 +99,7 @@ def _mended(
         st = state(body, length, c, r, 1 + turn)
         fits = begin(st)
         assert fits, "a sum outgrew its place"
-        search(st, int(effort * min(LARGE_ROUNDS, LARGE_WORK // _work(length))), DESTROYED, DIGITS, REWRITES)
+        search(st, int(effort * min(LARGE_ROUNDS, LARGE_WORK // _work(length))), DESTROYED, DIGITS, rewrites)
         body, length = st.terms[0], st.slot[:, LENGTH]
     return _unpacked(body, length, columns, rows)
 
@@ -94,7 +107,7 @@ def _mended(
 def _work(length: np.ndarray) -> int:
     """Steps of one round, about: it looks at every term, and counts the pairs of a few sums, long ones more often."""
     total = max(1, int(length.sum()))
-    return total + TALLIES * int((length.astype(float) ** 3).sum() / total)
+    return total + TALLIES * int((length**3).sum()) // total
 
 
 def _shared(flat: Flat) -> Flat:
@@ -121,6 +134,7 @@ def _run(
     effort: float,
     depth: int,
     extra: list[int] | None,
+    rewrites: int,
 ) -> tuple[Sums, Sums]:
     """One start: turns of search, each in the transpose of what the one before it found."""
     body, length = first
@@ -135,7 +149,7 @@ def _run(
         fits = begin(st)
         assert fits, "a sum outgrew its place"
         if turns:
-            search(st, rounds, DESTROYED, DIGITS, REWRITES)
+            search(st, rounds, DESTROYED, DIGITS, rewrites)
         body, length = st.terms[0], st.slot[:, LENGTH]
     return _unpacked(body, length, columns, rows)
 
@@ -195,6 +209,7 @@ def state(body: np.ndarray, length: np.ndarray, columns: int, rows: int, seed: i
         np.stack([packed, np.zeros_like(packed), np.zeros_like(packed)]),
         slot,
         np.zeros((columns + slots, 5), np.int64),
+        np.zeros(columns + slots),
         np.zeros((size, 2), np.int64),
         np.zeros((size, 2), np.int64),
         np.zeros((index, 2), np.int64),
