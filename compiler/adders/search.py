@@ -30,10 +30,11 @@ TURNS = (9, 8)  # from the matrix and from its transpose, so that both end at th
 # the same graph.
 MANY = 1 << 16  # beyond them pairs are shared first (flat.py), and rounds only mend what that finds
 MOST = 1 << 29  # counted at once: columns of more are shared in blocks
-DIFFERENT = 1 << 22  # different ones counted at once: they take 100 bytes each
+DIFFERENT = 1 << 21  # different ones counted at once: they take 200 bytes each
 LARGE_ROUNDS, LARGE_WORK = 2000, 200_000_000  # rounds of one turn at effort 1: so many, or work as `_work` tells it
 TALLIES = 64  # how much more than a look at a term the counting of a pair of a sum weighs
-SEARCHED = 1 << 16  # terms up to which there are rounds: their arrays take a few 100 MB there
+SEARCHED = 1 << 16  # terms up to which there are rounds at all
+COUNTED, ROOMS = 1 << 21, 1 << 25  # pairs, and places for terms, up to which there are rounds: 100 and 12 bytes each
 PRIME, GENERATOR = (1 << 255) - 19, 3**100  # of numbers as which sums are compared; no power of 2 below 2^200 is 1
 
 Sums = list[list[Term]]
@@ -96,12 +97,20 @@ def _mended(
         if turn:
             body, length = transpose(body, length, c, r)
             c, r = r, c
+        if not _fits(length):
+            continue
         st = state(body, length, c, r, 1 + turn)
         fits = begin(st)
         assert fits, "a sum outgrew its place"
         search(st, int(effort * min(LARGE_ROUNDS, LARGE_WORK // _work(length))), DESTROYED, DIGITS, rewrites)
         body, length = st.terms[0], st.slot[:, LENGTH]
     return _unpacked(body, length, columns, rows)
+
+
+def _fits(length: np.ndarray) -> bool:
+    """Whether the arrays of a search are not too large."""
+    places = (len(length) + int(length.sum()) // 2) * (int(length.max(initial=0)) + ROOM)
+    return places <= ROOMS and int((length * (length - 1) // 2).sum()) <= COUNTED
 
 
 def _work(length: np.ndarray) -> int:
