@@ -128,7 +128,7 @@ class Graph:
 
         It is computed from the adders alone, and asserts that no dropped bit was ever anything but 0.
         """
-        table = np.zeros((self.columns + len(self.nodes), self.columns + 1), dtype=self._exact())
+        table: np.ndarray = np.zeros((self.columns + len(self.nodes), self.columns + 1), dtype=self._exact())
         for c in range(self.columns):
             table[c, c] = 1
         one = np.zeros(self.columns + 1, dtype=table.dtype)

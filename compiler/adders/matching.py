@@ -16,9 +16,9 @@ def paired(sizes: Sequence[int], shifts: Sequence[int]) -> tuple[list[tuple[int,
     sizes: the greatest magnitude of each part, which counts `shift` places higher.
     """
     low = min(shifts)
-    groups = [range(len(sizes))]
+    groups = [list(range(len(sizes)))]
     if len(sizes) > AT_ONCE:
-        order = sorted(groups[0], key=lambda i: (sizes[i] << (shifts[i] - low), i))
+        order = sorted(range(len(sizes)), key=lambda i: (sizes[i] << (shifts[i] - low), i))
         groups = [sorted(order[i : i + AT_ONCE]) for i in range(0, len(order), AT_ONCE)]
     pairs, over = [], []
     for group in groups:
