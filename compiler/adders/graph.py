@@ -3,10 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
+AT_ONCE = 512  # columns of which every node's coefficients are kept at once
 CONSTANT = -1  # as an operand: the number in the field `constant`, not a signal
 
 
@@ -128,10 +130,14 @@ class Graph:
 
         It is computed from the adders alone, and asserts that no dropped bit was ever anything but 0.
         """
-        table: np.ndarray = np.zeros((self.columns + len(self.nodes), self.columns + 1), dtype=self._exact())
-        for c in range(self.columns):
-            table[c, c] = 1
-        one = np.zeros(self.columns + 1, dtype=table.dtype)
+        return self._vectors(0, self.columns)
+
+    def _vectors(self, first: int, last: int) -> np.ndarray:
+        """Those of `vectors` that belong to the columns from first to last - 1, and the constant."""
+        table: np.ndarray = np.zeros((self.columns + len(self.nodes), last - first + 1), dtype=self._exact())
+        for c in range(first, last):
+            table[c, c - first] = 1
+        one = np.zeros(last - first + 1, dtype=table.dtype)
         one[-1] = 1
         for k, n in enumerate(self.nodes, self.columns):
             left = one * n.constant if n.left == CONSTANT else table[n.left] << n.left_shift
@@ -152,9 +158,9 @@ class Graph:
             most.append((left + right >> n.drop) + 1)
         return np.int64
 
-    def _rows(self) -> np.ndarray:
-        table = self.vectors()
-        found = np.zeros((len(self.outputs), self.columns + 1), dtype=object)
+    def _rows(self, first: int, last: int) -> np.ndarray:
+        table = self._vectors(first, last)
+        found = np.zeros((len(self.outputs), last - first + 1), dtype=object)
         for r, o in enumerate(self.outputs):
             if o.operand == CONSTANT:
                 found[r, -1] = o.constant
@@ -164,11 +170,12 @@ class Graph:
 
     def matrix(self) -> np.ndarray:
         """The matrix that the graph computes, (rows, columns), as Python integers in an array of objects."""
-        return self._rows()[:, :-1]
+        edges = [0, *range(AT_ONCE, self.columns, AT_ONCE), self.columns]
+        return np.concatenate([self._rows(a, b)[:, :-1] for a, b in pairwise(edges)], axis=1)
 
     def constants(self) -> np.ndarray:
         """The constant that the graph adds to each row, as Python integers in an array of objects."""
-        return self._rows()[:, -1]
+        return self._rows(0, 0)[:, -1]
 
     def evaluate(self, x: np.ndarray | Sequence[int]) -> np.ndarray:
         """What the adders give for codes `x` (..., columns): Python integers (..., rows) in an array of objects."""

@@ -100,7 +100,7 @@ def inlined(
 
 
 class _Shaper:
-    """Builds values one by one: `values[i]` with `adders[i]` (None for a column or a constant)."""
+    """Builds values one by one: the range `reached[i]` with `adders[i]` (None for a column or a constant)."""
 
     def __init__(self, columns: int, constants: Sequence[int], ranges: Sequence[tuple[int, int]]):
         self.columns = columns
@@ -110,31 +110,38 @@ class _Shaper:
         exact = np.int64 if max(self.sizes, default=0) < SAFE else object
         self.most = np.array([*self.sizes, 1], dtype=exact)  # the last one stands for the constant
         self.lo, self.hi = np.array([*self.ranges, (1, 1)], dtype=exact).T
-        self.values: list[_Value] = []
+        self.reached: list[tuple[int, int]] = []  # the least and the greatest number
         self.adders: list[_Built | None] = []
         self.numbers: dict[int, int] = {}  # place -> the number that a constant stands for
-        for c in range(columns):
-            vector = np.zeros(columns + 1, dtype=exact)
-            vector[c] = 1
-            self._keep(vector, self.sizes[c], 0, None)
+        self.defined: list[_Part] = []
+        for span in self.ranges:
+            self.reached.append(span)
+            self.adders.append(None)
 
     def _keep(self, vector: np.ndarray, size: int, level: int, adder: _Built | None) -> _Value:
-        value = _Value(vector, size, level, len(self.values))
-        self.values.append(value)
+        """A value with what will be asked of it; its vector lives as long as something adds to it."""
+        self.reached.append(self._range(vector))
         self.adders.append(adder)
-        return value
+        return _Value(vector, size, level, len(self.adders) - 1)
 
     def graph(self, definitions: list[list[Term]], rows: list[list[Term]]) -> Graph:
-        defined: list[_Part] = [_Part(v, 0, 1) for v in self.values]
         for terms in definitions:
-            defined.append(self._tree([_moved(defined[o], shift, sign) for o, shift, sign in terms]))
+            self.defined.append(self._tree([self._part(*term) for term in terms]))
         outputs: list[_Part | None] = []
         for terms, constant in zip(rows, self.constants, strict=True):
-            parts = [_moved(defined[o], shift, sign) for o, shift, sign in terms]
+            parts = [self._part(*term) for term in terms]
             if constant and parts:
                 parts.append(self._constant(constant))
             outputs.append(self._tree(parts) if parts else None)
         return self._signed(outputs)
+
+    def _part(self, operand: int, shift: int, sign: int) -> _Part:
+        if operand >= self.columns:
+            part = self.defined[operand - self.columns]
+            return _Part(part.value, part.shift + shift, part.sign * sign)
+        vector = np.zeros(self.columns + 1, dtype=self.most.dtype)
+        vector[operand] = 1
+        return _Part(_Value(vector, self.sizes[operand], 0, operand), shift, sign)
 
     def _constant(self, number: int) -> _Part:
         shift = _trailing(number)
@@ -204,7 +211,7 @@ class _Shaper:
         (positive, a, a_shift, a_constant), (other, b, b_shift, b_constant) = sides
         assert positive > 0, "an adder negates both operands"
         a_shift, b_shift = (0 if a == CONSTANT else a_shift), (0 if b == CONSTANT else b_shift)
-        lo, hi = self._range(self.values[i].vector * signs[i])
+        lo, hi = self.reached[i] if signs[i] > 0 else (-self.reached[i][1], -self.reached[i][0])
         return Node(a, a_shift, b, b_shift, other < 0, adder.drop, a_constant or b_constant, lo, hi)
 
     def _range(self, vector: np.ndarray) -> tuple[int, int]:
@@ -283,10 +290,6 @@ class _Signs:
                 self.signs[j] = -self.signs[j]
             del trail[mark:]
         return False
-
-
-def _moved(part: _Part, shift: int, sign: int) -> _Part:
-    return _Part(part.value, part.shift + shift, part.sign * sign)
 
 
 def _bits(a: _Part, b: _Part) -> int:
