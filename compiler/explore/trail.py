@@ -15,7 +15,7 @@ from greygate.compiler.explore.judge import Judge, agreed
 from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.ranges import Range, ranges
 from greygate.compiler.rounding import BITS, round_jointly
-from greygate.emulator.program import Affine, Fix, Program
+from greygate.emulator.program import Affine, Fix, Lookup, Program
 from greygate.errors import InputError
 from greygate.models.network import Network
 from greygate.models.training.record import Record
@@ -92,6 +92,15 @@ def with_few_digits(make: Maker, price: float) -> Maker | None:
         return None
 
 
+def short_neurons(candidate: Candidate) -> Formats:
+    """The formats in which the outputs of neurons have no bits beyond the word."""
+    formats, signals = candidate.formats, candidate.program.signals
+    outs = [o.out.name for o in candidate.program.operations if isinstance(o, Lookup)]
+    less = {n: formats.width - f.width for n in outs if (f := signals[n].fix).width > formats.width}
+    short = {n: Fix(formats.width, signals[n].fix.frac + bits) for n, bits in less.items()}
+    return replace(formats, signals={**formats.signals, **short})
+
+
 def knobs(program: Program, weights: bool = True) -> list[tuple[str, str]]:
     """(kind, name) of everything that can be made coarser by a step. weights: whether these can."""
     inputs = {p.signal.name for p in program.inputs}
@@ -112,7 +121,7 @@ def coarser(candidate: Candidate, knob: tuple[str, str]) -> Formats | None:
             return None
         return replace(formats, signals={**formats.signals, name: Fix(fix.width - 1, fix.frac - 1)})
     if kind == "weights":
-        bits = formats.weights.get(name, formats.width + formats.finer) - 1
+        bits = formats.weights.get(name, formats.width) - 1
         return replace(formats, weights={**formats.weights, name: bits}) if bits >= LEAST_WEIGHT else None
     budget = formats.table_budget * 2
     return replace(formats, table_budget=budget) if budget <= COARSEST else None
