@@ -13,7 +13,7 @@ from greygate.compiler.targets import Design, target
 from greygate.emulator.interpreter import interpret
 from greygate.hardware.verify import Case, Scenario, verify_many
 
-SEEDS = (1, 2)  # one program without feedback, one with
+SEEDS = (0, 4)  # two programs with deep sums and states
 ROWS = (0, 1, 2, 3)  # adders between two registers; 0: no register
 STEPS = 30
 
