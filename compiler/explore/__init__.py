@@ -369,6 +369,7 @@ def told(p: Point, request: Request) -> str:
     """A point in a line of words."""
     c = p.cost
     how = f", {p.design.multipliers} multipliers" if p.architecture == "folded" else ""
+    how += ", tables in LUTs" if p.design.memory is Memory.LOGIC else ""
     return (
         f"{p.architecture}{how}: {c.luts} LUTs, {c.dsps} DSPs, {c.memories:g} memories, {c.clocks} clocks, "
         f"{c.microseconds:.3g} us, error {request.bound.text(p.candidate.error)}"
