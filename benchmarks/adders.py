@@ -21,7 +21,6 @@ from greygate.compiler.adders import Graph, solve
 RESULTS = Path(__file__).parent / "results" / "adders.json"
 WIDTH = 16  # bits of every input code
 SIZES = ((8, 8), (16, 16), (32, 32), (100, 100))  # random matrices for growth: 64 to 10,000 weights
-LARGE = 2000  # weights above which only effort 0 is tried
 GROWTH_BITS = 12
 
 PEER = """
@@ -122,7 +121,7 @@ def growth(rows: int, columns: int, efforts: list[float]) -> dict:
     draw = np.random.default_rng(rows)
     weights = draw.integers(-(1 << (GROWTH_BITS - 1)), 1 << (GROWTH_BITS - 1), (rows, columns))
     row = {"weights": rows * columns, "bits": GROWTH_BITS}
-    row |= {f"effort {e:g}": figures(weights, e) for e in efforts if e == 0 or rows * columns <= LARGE}
+    row |= {f"effort {e:g}": figures(weights, e) for e in efforts}
     print(row, flush=True)
     return row
 

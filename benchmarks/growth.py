@@ -1,7 +1,8 @@
-"""How the time grows with the network: compiling, writing and synthesizing the folded design, and emulating.
+"""How the time grows with the network: compiling, writing both designs, synthesizing the folded one, and emulating.
 
-Networks of two layers of tanh with 10 to 10,000 weights are compiled, written, synthesized on ECP5 and emulated; one of
-100,000 weights is compiled and written. Seconds of the wall clock, and steps a second of the emulator.
+Networks of two layers of tanh with 10 to 10,000 weights are compiled, written folded and parallel (with the adders that
+its sums take), synthesized folded on ECP5 and emulated; one of 100,000 weights is compiled and written folded. Seconds
+of the wall clock, and steps a second of the emulator.
 Usage: python benchmarks/growth.py [--weights N...] [--limit SECONDS]
 """
 
@@ -13,10 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
+from greygate.compiler.adders import solve
+from greygate.compiler.dataflow import Dataflow
 from greygate.compiler.emit import emit
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.targets import Design
 from greygate.emulator.engine import run
+from greygate.emulator.program import Program
 from greygate.hardware.synthesis import synthesize
 from greygate.models.layer import Layer, Port
 from greygate.models.network import Network
@@ -50,6 +54,16 @@ def network(weights: int) -> tuple[Network, Record]:
     return made, Record(inputs, made.run(inputs))
 
 
+def parallel(program: Program) -> dict[str, float]:
+    """Seconds in which the parallel design is written, and its adders."""
+    with tempfile.TemporaryDirectory() as folder:
+        start = time.perf_counter()
+        emit(program, folder, "parallel")
+        seconds = round(time.perf_counter() - start, 2)
+    adders = sum(sums.graph.adders for sums in Dataflow(program, Design()).sums.values())
+    return {"parallel_emit_s": seconds, "adders": adders}
+
+
 def grown(weights: int, limit: float) -> dict[str, float]:
     """Figures of one size."""
     made, record = network(weights)
@@ -63,6 +77,7 @@ def grown(weights: int, limit: float) -> dict[str, float]:
         found["emit_s"] = round(time.perf_counter() - start, 2)
         if weights > SYNTHESIZED:
             return found
+        found |= parallel(program)
         found |= {f"yosys_{k}": v for k, v in synthesize(folder, program.name, "ecp5", limit=limit).items()}
     codes = program.encode(record.inputs)
     many = np.tile(codes, (max(1, EMULATED // found["weights"] // STEPS), 1))
@@ -78,6 +93,7 @@ def main() -> None:
     parser.add_argument("--weights", nargs="*", type=int, default=WEIGHTS)
     parser.add_argument("--limit", type=float, default=300.0, help="seconds of processor time for Yosys")
     given = parser.parse_args()
+    solve(np.array([[5], [45], [225]]), [8])  # numba compiles, or reads what it compiled
     rows = []
     for weights in given.weights:
         rows.append(grown(weights, given.limit))

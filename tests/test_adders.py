@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from greygate.compiler.adders import CONSTANT, Graph, signed_digits, solve
+from greygate.compiler import adders
+from greygate.compiler.adders import CONSTANT, Graph, matching, search, signed_digits, solve
 from greygate.compiler.adders.graph import signed_width
 from greygate.errors import InputError
 
@@ -152,3 +153,72 @@ def test_weights_of_as_many_places_as_a_program_may_have_are_kept():
     weights = np.array([[(1 << 61) - 1, 3], [-(1 << 60) - 5, (1 << 61) + 1]], dtype=object)
     graph = solve(weights, [2, 2])
     assert (graph.matrix() == weights).all()
+
+
+def plain(weights: np.ndarray) -> int:
+    """Adders of canonical digits where nothing is shared."""
+    return sum(max(0, sum(len(signed_digits(int(w))) for w in row) - 1) for row in weights)
+
+
+@pytest.mark.parametrize("shape", [(30, 20), (4, 90), (90, 4)])
+def test_a_large_matrix_shares_pairs_and_mends_that(shape, monkeypatch):
+    weights = np.random.default_rng(7).integers(-(1 << 11), 1 << 11, shape)
+    weights[1] = weights[0]  # equal rows, and a row and a column of zeros
+    weights[2], weights[:, 3] = 0, 0
+    monkeypatch.setattr(search, "MANY", 1 << 13)
+    adders._solved.cache_clear()
+    quick, mended = solve(weights, [12] * shape[1], effort=0), solve(weights, [12] * shape[1], effort=EFFORT)
+    for graph in (quick, mended):
+        assert (graph.matrix() == weights).all()
+    assert mended.adders < quick.adders < 0.7 * plain(weights)
+    adders._solved.cache_clear()
+    assert solve(weights, [12] * shape[1], effort=EFFORT) == mended
+
+
+@pytest.mark.parametrize("shape", [(6, 40), (1, 60), (40, 3)])
+def test_a_very_large_matrix_is_shared_in_blocks(shape, monkeypatch):
+    weights = np.random.default_rng(8).integers(-(1 << 15), 1 << 15, shape)
+    monkeypatch.setattr(search, "MANY", 0)
+    monkeypatch.setattr(search, "DIFFERENT", 1 << 10)
+    adders._solved.cache_clear()
+    graph = solve(weights, [16] * shape[1], effort=0)
+    assert (graph.matrix() == weights).all()
+    assert graph.adders < 0.9 * plain(weights)
+    adders._solved.cache_clear()
+
+
+def test_weights_of_many_places_are_shared_too():
+    weights = np.random.default_rng(9).integers(1 << 30, 1 << 40, (3, 3))
+    graph = solve(weights, [16] * 3)
+    assert (graph.matrix() == weights).all()
+    assert graph.adders < 0.8 * plain(weights)
+
+
+def test_a_wrong_search_is_noticed_and_not_used(monkeypatch):
+    weights = np.array([[45, 77], [25, 13]])
+    right = adders.best_sums
+
+    def wrong(sums, columns, depth, extra, effort, rewrites):
+        found = right(sums, columns, depth, extra, effort, rewrites)
+        return [(d, [r[1:] for r in rows]) for d, rows in found] if effort else found
+
+    monkeypatch.setattr(adders, "best_sums", wrong)
+    adders._solved.cache_clear()
+    assert (solve(weights, [8, 8]).matrix() == weights).all()
+    adders._solved.cache_clear()
+
+
+@given(st.lists(st.tuples(st.integers(1, 1 << 20), st.integers(-9, 9)), min_size=2, max_size=12))
+def test_parts_pair_alike_in_numbers_of_either_kind(parts):
+    sizes, shifts = [s for s, _ in parts], [f for _, f in parts]
+    pairs, over = matching.paired(sizes, shifts)
+    assert sorted([i for pair in pairs for i in pair] + over) == list(range(len(parts)))
+    assert len(over) == len(parts) % 2
+    assert pairs == matching._plain(sizes, [f - min(shifts) for f in shifts])
+
+
+def test_many_parts_are_paired_in_groups_of_like_size():
+    sizes = np.random.default_rng(10).integers(1, 1 << 30, 2 * matching.AT_ONCE + 77).tolist()
+    pairs, over = matching.paired(sizes, [0] * len(sizes))
+    assert sorted([i for pair in pairs for i in pair] + over) == list(range(len(sizes)))
+    assert len(over) == len(sizes) % 2

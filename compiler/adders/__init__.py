@@ -5,11 +5,12 @@ graph.adders, graph.depth, graph.adder_bits
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from greygate.compiler.adders.graph import CONSTANT, Graph, Node, Output
-from greygate.compiler.adders.search import best_sums
+from greygate.compiler.adders.search import REWRITES, best_sums, looked
 from greygate.compiler.adders.shape import shape
 from greygate.errors import InputError, shown
 
@@ -17,7 +18,9 @@ __all__ = ["CONSTANT", "Graph", "Node", "Output", "solve"]
 
 
 OBJECTIVES = ("adders", "bits")
-WIDEST = 24  # places of a weight up to which patterns are shared; the search tells sums apart by 61 bits
+WIDEST = 24  # places of a weight up to which the search tells sums apart by their values, of 61 bits
+SHARED = 60  # places of a weight up to which patterns are shared
+KEPT = 64  # graphs that a process remembers
 
 
 def solve(
@@ -47,16 +50,36 @@ def solve(
     numbers = [0] * rows if constants is None else [int(c) for c in constants]
     if len(numbers) != rows:
         raise InputError(f"adder graph: {len(numbers)} constants for {rows} rows; give one a row")
-    sums = [[(c, s, g) for c in range(columns) for s, g in signed_digits(int(table[r, c]))] for r in range(rows)]
-    extra = [int(n != 0) for n in numbers]
+    entries = tuple(tuple(int(w) for w in row) for row in table)
+    bounds = tuple((int(lo), int(hi)) for lo, hi in ranges)
+    return _solved(entries, columns, tuple(numbers), bounds, depth, effort, objective)
+
+
+@lru_cache(maxsize=KEPT)
+def _solved(
+    entries: tuple[tuple[int, ...], ...],
+    columns: int,
+    constants: tuple[int, ...],
+    ranges: tuple[tuple[int, int], ...],
+    depth: int | None,
+    effort: float,
+    objective: str,
+) -> Graph:
+    """As `solve`. A program's clocks, registers and text are asked for one by one, and each needs the same graphs."""
+    sums = [[(c, s, g) for c, w in enumerate(row) for s, g in signed_digits(w)] for row in entries]
+    extra = [int(n != 0) for n in constants]
     least = max((len(s) + e - 1 for s, e in zip(sums, extra, strict=True) if s), default=0).bit_length()
     if depth is not None and depth < least:
         raise InputError(f"adder graph: depth {depth} is too little for its longest row; allow at least {least}")
     widest = max((shift for s in sums for _, shift, _ in s), default=0)
-    found = best_sums(sums, columns, depth or 0, extra, effort) if widest <= WIDEST else [([], sums)]
-    graphs = [shape(columns, definitions, outs, numbers, ranges) for definitions, outs in found]
+    rewrites = REWRITES if widest <= WIDEST else 0
+    found = best_sums(sums, columns, depth or 0, extra, effort, rewrites) if widest <= SHARED else [([], sums)]
+    wanted = looked(columns, [], sums)
+    right = [f for f in found if looked(columns, *f) == wanted]  # but for a search that took unequal sums for equal
+    right = right or best_sums(sums, columns, depth or 0, extra, 0, 0)
+    graphs = [shape(columns, definitions, outs, constants, ranges) for definitions, outs in right]
     best = min(graphs, key=lambda g: (g.adder_bits, g.adders) if objective == "bits" else (g.adders, g.adder_bits))
-    assert (best.matrix() == table).all(), "the adders are not the matrix"
+    assert best.matrix().tolist() == [list(row) for row in entries], "the adders are not the matrix"
     return best
 
 

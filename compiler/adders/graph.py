@@ -3,10 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
+AT_ONCE = 512  # columns of which every node's coefficients are kept at once
 CONSTANT = -1  # as an operand: the number in the field `constant`, not a signal
 
 
@@ -124,40 +126,56 @@ class Graph:
         return tuple(tuple(f) for f in found)
 
     def vectors(self) -> np.ndarray:
-        """What every operand is, as integers of any size: (columns + nodes, columns + 1), the last column a constant.
+        """What every operand is, in integers that never overflow: (columns + nodes, columns + 1), the last a constant.
 
         It is computed from the adders alone, and asserts that no dropped bit was ever anything but 0.
         """
-        table = np.zeros((self.columns + len(self.nodes), self.columns + 1), dtype=object)
-        for c in range(self.columns):
-            table[c, c] = 1
-        one = np.zeros(self.columns + 1, dtype=object)
+        return self._vectors(0, self.columns)
+
+    def _vectors(self, first: int, last: int) -> np.ndarray:
+        """Those of `vectors` that belong to the columns from first to last - 1, and the constant."""
+        table: np.ndarray = np.zeros((self.columns + len(self.nodes), last - first + 1), dtype=self._exact())
+        for c in range(first, last):
+            table[c, c - first] = 1
+        one = np.zeros(last - first + 1, dtype=table.dtype)
         one[-1] = 1
         for k, n in enumerate(self.nodes, self.columns):
-            left = one * n.constant if n.left == CONSTANT else table[n.left] * (1 << n.left_shift)
-            right = one * n.constant if n.right == CONSTANT else table[n.right] * (1 << n.right_shift)
+            left = one * n.constant if n.left == CONSTANT else table[n.left] << n.left_shift
+            right = one * n.constant if n.right == CONSTANT else table[n.right] << n.right_shift
             total = left - right if n.subtract else left + right
-            assert not any(int(v) & ((1 << n.drop) - 1) for v in total), f"node {k - self.columns} drops bits"
-            table[k] = total // (1 << n.drop)
+            assert not int(np.bitwise_or.reduce(total)) & ((1 << n.drop) - 1), f"node {k - self.columns} drops bits"
+            table[k] = total >> n.drop
         return table
 
-    def _rows(self) -> np.ndarray:
-        table = self.vectors()
-        found = np.zeros((len(self.outputs), self.columns + 1), dtype=object)
+    def _exact(self) -> type:
+        """The type of number that holds every coefficient: a bound of each operand's follows from those it reads."""
+        most = [1] * self.columns
+        for n in self.nodes:
+            left = abs(n.constant) if n.left == CONSTANT else most[n.left] << n.left_shift
+            right = abs(n.constant) if n.right == CONSTANT else most[n.right] << n.right_shift
+            if left + right > np.iinfo(np.int64).max:
+                return object
+            most.append((left + right >> n.drop) + 1)
+        return np.int64
+
+    def _rows(self, first: int, last: int) -> np.ndarray:
+        table = self._vectors(first, last)
+        found = np.zeros((len(self.outputs), last - first + 1), dtype=object)
         for r, o in enumerate(self.outputs):
             if o.operand == CONSTANT:
                 found[r, -1] = o.constant
             else:
-                found[r] = table[o.operand] * ((1 << o.shift) * (-1 if o.negate else 1))
+                found[r] = table[o.operand].astype(object) * ((1 << o.shift) * (-1 if o.negate else 1))
         return found
 
     def matrix(self) -> np.ndarray:
         """The matrix that the graph computes, (rows, columns), as Python integers in an array of objects."""
-        return self._rows()[:, :-1]
+        edges = [0, *range(AT_ONCE, self.columns, AT_ONCE), self.columns]
+        return np.concatenate([self._rows(a, b)[:, :-1] for a, b in pairwise(edges)], axis=1)
 
     def constants(self) -> np.ndarray:
         """The constant that the graph adds to each row, as Python integers in an array of objects."""
-        return self._rows()[:, -1]
+        return self._rows(0, 0)[:, -1]
 
     def evaluate(self, x: np.ndarray | Sequence[int]) -> np.ndarray:
         """What the adders give for codes `x` (..., columns): Python integers (..., rows) in an array of objects."""

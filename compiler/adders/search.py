@@ -1,9 +1,8 @@
-"""The search for shared sums from several starts, in the matrix and in its transpose."""
-
-from itertools import pairwise
+"""The search for shared sums from several starts, in the matrix and in its transpose; less of it for a large matrix."""
 
 import numpy as np
 
+from greygate.compiler.adders.flat import Flat
 from greygate.compiler.adders.rounds import begin, search, transpose
 from greygate.compiler.adders.shape import Term
 from greygate.compiler.adders.table import (
@@ -25,23 +24,114 @@ DESTROYED, DIGITS, REWRITES = 4, 2, 90  # a round: definitions and digits at mos
 ROUNDS, PER_TERM = 1500, 20  # rounds of one turn at effort 1: so many, and for a small matrix so many a term
 WORK = 1_500_000  # rounds times terms of one turn at most
 TURNS = (9, 8)  # from the matrix and from its transpose, so that both end at the matrix
-PAIRS = 1 << 21  # patterns that are counted at once: columns beyond them are first shared in blocks
+
+
+# What follows counts pairs of terms in one sum. Every limit is one of size, never of time, so that any machine finds
+# the same graph.
+MANY = 1 << 16  # beyond them pairs are shared first (flat.py), and rounds only mend what that finds
+MOST = 1 << 29  # counted at once: columns of more are shared in blocks
+DIFFERENT = 1 << 21  # different ones counted at once: they take 200 bytes each
+LARGE_ROUNDS, LARGE_WORK = 2000, 200_000_000  # rounds of one turn at effort 1: so many, or work as `_work` tells it
+TALLIES = 64  # how much more than a look at a term the counting of a pair of a sum weighs
+SEARCHED = 1 << 16  # terms up to which there are rounds at all
+COUNTED, ROOMS = 1 << 21, 1 << 25  # pairs, and places for terms, up to which there are rounds: 100 and 12 bytes each
+PRIME, GENERATOR = (1 << 255) - 19, 3**100  # of numbers as which sums are compared; no power of 2 below 2^200 is 1
 
 Sums = list[list[Term]]
 
 
 def best_sums(
-    rows: Sums, columns: int, depth: int = 0, extra: list[int] | None = None, effort: float = 1.0
+    rows: Sums,
+    columns: int,
+    depth: int = 0,
+    extra: list[int] | None = None,
+    effort: float = 1.0,
+    rewrites: int = REWRITES,
 ) -> list[tuple[Sums, Sums]]:
     """Share what the sums of the rows have in common, from several starts: (definitions, rows) of each.
 
     depth: the most adders in a row, 0 for no bound. extra: how many terms to leave room for in each row.
+    rewrites: in how many rounds of 100 sums are told apart by their values; 0 for weights of more than WIDEST places.
     """
-    definitions, sums = _blocks(rows, columns, depth, extra)
-    first = _packed(definitions, sums, columns)
+    flat = _flat(rows, columns)
+    pairs = max(flat.pairs, flat.transposed().pairs)
+    if pairs > MANY and not depth:
+        return [_large(flat, effort, rewrites)]
+    if pairs > DIFFERENT:
+        return [([], rows)]
+    first = flat.packed()
     if effort <= 0 or depth:
-        return [_run(first, columns, len(rows), 0, max(1, TURNS[0]) if effort > 0 else 0, effort, depth, extra)]
-    return [_run(first, columns, len(rows), start, TURNS[start], effort, 0, extra) for start in (0, 1)]
+        turns = TURNS[0] if effort > 0 else 0
+        return [_run(first, columns, len(rows), 0, turns, effort, depth, extra, rewrites)]
+    starts = enumerate(TURNS)
+    return [_run(first, columns, len(rows), start, turns, effort, 0, extra, rewrites) for start, turns in starts]
+
+
+def looked(columns: int, definitions: Sums, rows: Sums) -> list[int]:
+    """The rows' linear forms at columns that are powers of a number, modulo a prime: equal rows give equal numbers."""
+    found = [pow(GENERATOR, c + 1, PRIME) for c in range(columns)]
+    turned = {s: pow(2, s, PRIME) for s in {s for terms in (*definitions, *rows) for _, s, _ in terms}}
+    for terms in definitions:
+        found.append(sum(g * found[o] * turned[s] for o, s, g in terms) % PRIME)
+    return [sum(g * found[o] * turned[s] for o, s, g in terms) % PRIME for terms in rows]
+
+
+def _large(flat: Flat, effort: float, rewrites: int) -> tuple[Sums, Sums]:
+    """Pairs shared in the matrix and in its transpose, and the better of the two mended in turns."""
+    turned = flat.transposed()
+    ways = [_shared(flat), _shared(turned).transposed()]
+    found = min(ways, key=lambda f: f.adders)
+    turns = TURNS[0] if effort > 0 and len(found.terms) <= SEARCHED else 0
+    body, length = found.packed()
+    if turns:
+        return _mended(body, length, flat.columns, flat.rows, turns, effort, rewrites)
+    return _unpacked(body, length, flat.columns, flat.rows)
+
+
+def _mended(
+    body: np.ndarray, length: np.ndarray, columns: int, rows: int, turns: int, effort: float, rewrites: int
+) -> tuple[Sums, Sums]:
+    """An odd number of turns, the first and the last in the matrix itself."""
+    c, r = columns, rows
+    for turn in range(turns):
+        if turn:
+            body, length = transpose(body, length, c, r)
+            c, r = r, c
+        if not _fits(length):
+            continue
+        st = state(body, length, c, r, 1 + turn)
+        fits = begin(st)
+        assert fits, "a sum outgrew its place"
+        search(st, int(effort * min(LARGE_ROUNDS, LARGE_WORK // _work(length))), DESTROYED, DIGITS, rewrites)
+        body, length = st.terms[0], st.slot[:, LENGTH]
+    return _unpacked(body, length, columns, rows)
+
+
+def _fits(length: np.ndarray) -> bool:
+    """Whether the arrays of a search are not too large."""
+    places = (len(length) + int(length.sum()) // 2) * (int(length.max(initial=0)) + ROOM)
+    return places <= ROOMS and int((length * (length - 1) // 2).sum()) <= COUNTED
+
+
+def _work(length: np.ndarray) -> int:
+    """Steps of one round, about: it looks at every term, and counts the pairs of a few sums, long ones more often."""
+    total = max(1, int(length.sum()))
+    return total + TALLIES * int((length**3).sum()) // total
+
+
+def _shared(flat: Flat) -> Flat:
+    """The pairs shared; of very many first within blocks of columns, and then the rest if it is not too much."""
+    parts = _parts(flat)
+    if parts > 1:
+        flat = flat.cut(parts).shared().joined(flat.rows)
+    return flat.shared() if _parts(flat) == 1 else flat
+
+
+def _parts(flat: Flat) -> int:
+    """Blocks of columns in which few enough pairs stand."""
+    pairs = flat.pairs
+    different = min(pairs, flat.columns**2 * flat.places)
+    return min(flat.columns, max(1, -(-pairs // MOST), -(-different // DIFFERENT)))
 
 
 def _run(
@@ -53,6 +143,7 @@ def _run(
     effort: float,
     depth: int,
     extra: list[int] | None,
+    rewrites: int,
 ) -> tuple[Sums, Sums]:
     """One start: turns of search, each in the transpose of what the one before it found."""
     body, length = first
@@ -67,39 +158,16 @@ def _run(
         fits = begin(st)
         assert fits, "a sum outgrew its place"
         if turns:
-            search(st, rounds, DESTROYED, DIGITS, REWRITES)
+            search(st, rounds, DESTROYED, DIGITS, rewrites)
         body, length = st.terms[0], st.slot[:, LENGTH]
     return _unpacked(body, length, columns, rows)
 
 
-def _blocks(rows: Sums, columns: int, depth: int, extra: list[int] | None) -> tuple[Sums, Sums]:
-    """For a matrix with very many patterns: share within blocks of columns first."""
-    pairs = sum(len(r) * (len(r) - 1) // 2 for r in rows)
-    parts = int(np.ceil(np.sqrt(pairs / PAIRS))) if pairs else 1
-    if parts < 2 or depth:
-        return [], rows
-    edges = [columns * i // parts for i in range(parts + 1)]
-    definitions: Sums = []
-    sums: Sums = [[] for _ in rows]
-    for first, last in pairwise(edges):
-        block = [[t for t in row if first <= t[0] < last] for row in rows]
-        found, left = _run(_packed([], block, columns), columns, len(rows), 0, 0, 0.0, 0, None)
-        shift = len(definitions)
-        definitions += [[(o + shift if o >= columns else o, s, g) for o, s, g in d] for d in found]
-        for row, more in zip(sums, left, strict=True):
-            row += [(o + shift if o >= columns else o, s, g) for o, s, g in more]
-    return definitions, sums
-
-
-def _packed(definitions: Sums, rows: Sums, columns: int) -> tuple[np.ndarray, np.ndarray]:
-    sums = [*rows, *definitions]
-    length = np.array([len(s) for s in sums], np.int64)
-    body = np.zeros((len(sums), int(length.max(initial=0))), np.int32)
-    for k, terms in enumerate(sums):
-        for i, (o, s, g) in enumerate(terms):
-            op = o + len(rows) if o >= columns else o
-            body[k, i] = (op << 9) | ((s + ZERO) << 1) | (g < 0)
-    return body, length
+def _flat(rows: Sums, columns: int) -> Flat:
+    """The rows as flat arrays."""
+    of_sum = np.repeat(np.arange(len(rows)), [len(r) for r in rows])
+    terms = [(o << 9) | ((s + ZERO) << 1) | (g < 0) for r in rows for o, s, g in r]
+    return Flat(columns, len(rows), len(rows), of_sum, np.array(terms, np.int64))
 
 
 def _unpacked(body: np.ndarray, length: np.ndarray, columns: int, rows: int) -> tuple[Sums, Sums]:
@@ -150,6 +218,7 @@ def state(body: np.ndarray, length: np.ndarray, columns: int, rows: int, seed: i
         np.stack([packed, np.zeros_like(packed), np.zeros_like(packed)]),
         slot,
         np.zeros((columns + slots, 5), np.int64),
+        np.zeros(columns + slots),
         np.zeros((size, 2), np.int64),
         np.zeros((size, 2), np.int64),
         np.zeros((index, 2), np.int64),

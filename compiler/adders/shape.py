@@ -11,8 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from greygate.compiler.adders.graph import CONSTANT, Graph, Node, Output
+from greygate.compiler.adders.matching import paired
 
 Term = tuple[int, int, int]  # operand, shift, sign
+SAFE = 1 << 62  # a sum of magnitudes below it fits an int64 whatever the signs
 
 
 class _Value(NamedTuple):
@@ -98,72 +100,85 @@ def inlined(
 
 
 class _Shaper:
-    """Builds values one by one: `values[i]` with `adders[i]` (None for a column or a constant)."""
+    """Builds values one by one: the range `reached[i]` with `adders[i]` (None for a column or a constant)."""
 
     def __init__(self, columns: int, constants: Sequence[int], ranges: Sequence[tuple[int, int]]):
         self.columns = columns
         self.constants = [int(c) for c in constants]
         self.ranges = [(int(lo), int(hi)) for lo, hi in ranges]
         self.sizes = [max(abs(lo), abs(hi), 1) for lo, hi in self.ranges]
-        self.values: list[_Value] = []
+        exact = np.int64 if max(self.sizes, default=0) < SAFE else object
+        self.most = np.array([*self.sizes, 1], dtype=exact)  # the last one stands for the constant
+        self.lo, self.hi = np.array([*self.ranges, (1, 1)], dtype=exact).T
+        self.reached: list[tuple[int, int]] = []  # the least and the greatest number
         self.adders: list[_Built | None] = []
         self.numbers: dict[int, int] = {}  # place -> the number that a constant stands for
-        for c in range(columns):
-            vector = np.zeros(columns + 1, dtype=object)
-            vector[c] = 1
-            self._keep(vector, self.sizes[c], 0, None)
+        self.defined: list[_Part] = []
+        for span in self.ranges:
+            self.reached.append(span)
+            self.adders.append(None)
 
     def _keep(self, vector: np.ndarray, size: int, level: int, adder: _Built | None) -> _Value:
-        value = _Value(vector, size, level, len(self.values))
-        self.values.append(value)
+        """A value with what will be asked of it; its vector lives as long as something adds to it."""
+        self.reached.append(self._range(vector))
         self.adders.append(adder)
-        return value
+        return _Value(vector, size, level, len(self.adders) - 1)
 
     def graph(self, definitions: list[list[Term]], rows: list[list[Term]]) -> Graph:
-        defined: list[_Part] = [_Part(v, 0, 1) for v in self.values]
         for terms in definitions:
-            defined.append(self._tree([_moved(defined[o], shift, sign) for o, shift, sign in terms]))
+            self.defined.append(self._tree([self._part(*term) for term in terms]))
         outputs: list[_Part | None] = []
         for terms, constant in zip(rows, self.constants, strict=True):
-            parts = [_moved(defined[o], shift, sign) for o, shift, sign in terms]
+            parts = [self._part(*term) for term in terms]
             if constant and parts:
                 parts.append(self._constant(constant))
             outputs.append(self._tree(parts) if parts else None)
         return self._signed(outputs)
 
+    def _part(self, operand: int, shift: int, sign: int) -> _Part:
+        if operand >= self.columns:
+            part = self.defined[operand - self.columns]
+            return _Part(part.value, part.shift + shift, part.sign * sign)
+        vector = np.zeros(self.columns + 1, dtype=self.most.dtype)
+        vector[operand] = 1
+        return _Part(_Value(vector, self.sizes[operand], 0, operand), shift, sign)
+
     def _constant(self, number: int) -> _Part:
         shift = _trailing(number)
         odd = abs(number) >> shift
-        vector = np.zeros(self.columns + 1, dtype=object)
+        vector = np.zeros(self.columns + 1, dtype=np.int64 if odd < SAFE else object)
         vector[-1] = odd
         value = self._keep(vector, odd, 0, None)
         self.numbers[value.place] = odd
         return _Part(value, shift, 1 if number > 0 else -1)
 
     def _tree(self, parts: list[_Part]) -> _Part:
-        """Sum the parts: always two of the lowest levels, among those the pair that needs the narrowest adder."""
+        """Sum the parts: always two of the lowest level, of all such pairs that which needs the narrowest adder."""
         parts = list(parts)
         while len(parts) > 1:
-            levels = sorted({p.value.level for p in parts})
-            low = [i for i, p in enumerate(parts) if p.value.level == levels[0]]
+            level = min(p.value.level for p in parts)
+            low = [p for p in parts if p.value.level == level]
+            parts = [p for p in parts if p.value.level != level]
             if len(low) == 1:
-                others = [i for i, p in enumerate(parts) if p.value.level == levels[1]]
-                pairs = [(low[0], i) for i in others]
-            else:
-                pairs = [(a, b) for n, a in enumerate(low) for b in low[n + 1 :]]
-            a, b = min(pairs, key=lambda ab: (_bits(parts[ab[0]], parts[ab[1]]), ab))
-            joined = self._add(parts[a], parts[b])
-            parts = [p for i, p in enumerate(parts) if i not in (a, b)]
-            parts.append(joined)
+                above = min(p.value.level for p in parts)
+                others = [i for i, p in enumerate(parts) if p.value.level == above]
+                best = min(others, key=lambda i: _bits(low[0], parts[i]))
+                parts.append(self._add(low[0], parts.pop(best)))
+                continue
+            pairs, over = paired([p.value.size for p in low], [p.shift for p in low])
+            parts = [low[i] for i in over] + parts + [self._add(low[a], low[b]) for a, b in pairs]
         return parts[0]
 
     def _add(self, a: _Part, b: _Part) -> _Part:
         base = min(a.shift, b.shift)
         left, right = a.shift - base, b.shift - base
-        vector = a.value.vector * (a.sign << left) + b.value.vector * (b.sign << right)
-        drop = min(_trailing(int(v)) for v in vector if v)
-        vector = vector // (1 << drop)
-        size = sum(abs(int(v)) * s for v, s in zip(vector, [*self.sizes, 1], strict=True))
+        x, y = a.value.vector, b.value.vector
+        if (a.value.size << left) + (b.value.size << right) >= SAFE:
+            x, y = x.astype(object), y.astype(object)
+        vector = x * (a.sign << left) + y * (b.sign << right)
+        drop = _trailing(int(np.bitwise_or.reduce(vector)))
+        vector = vector >> drop
+        size = int(abs(vector) @ self.most)
         adder = _Built(a.value.place, left, a.sign, b.value.place, right, b.sign, drop)
         level = 1 + max(a.value.level, b.value.level)
         return _Part(self._keep(vector, size, level, adder), base + drop, 1)
@@ -196,15 +211,12 @@ class _Shaper:
         (positive, a, a_shift, a_constant), (other, b, b_shift, b_constant) = sides
         assert positive > 0, "an adder negates both operands"
         a_shift, b_shift = (0 if a == CONSTANT else a_shift), (0 if b == CONSTANT else b_shift)
-        lo, hi = self._range(self.values[i].vector * signs[i])
+        lo, hi = self.reached[i] if signs[i] > 0 else (-self.reached[i][1], -self.reached[i][0])
         return Node(a, a_shift, b, b_shift, other < 0, adder.drop, a_constant or b_constant, lo, hi)
 
     def _range(self, vector: np.ndarray) -> tuple[int, int]:
-        lo = hi = int(vector[-1])
-        for v, (least, most) in zip(vector[:-1].tolist(), self.ranges, strict=True):
-            lo += min(v * least, v * most)
-            hi += max(v * least, v * most)
-        return lo, hi
+        lo, hi = self.lo, self.hi
+        return int(np.where(vector < 0, hi, lo) @ vector), int(np.where(vector < 0, lo, hi) @ vector)
 
 
 class _Signs:
@@ -278,10 +290,6 @@ class _Signs:
                 self.signs[j] = -self.signs[j]
             del trail[mark:]
         return False
-
-
-def _moved(part: _Part, shift: int, sign: int) -> _Part:
-    return _Part(part.value, part.shift + shift, part.sign * sign)
 
 
 def _bits(a: _Part, b: _Part) -> int:

@@ -20,9 +20,10 @@ ROTATIONS = 61  # values are modulo 2^61 - 1, where a factor of 2 turns the bits
 MODULUS = (1 << ROTATIONS) - 1
 
 # terms[0]: the terms of each slot; terms[1]: those of slots that changed in this round, before; terms[2]: marks.
-# slot: the fields below of each slot. form: what is known of each operand as a linear form of the columns.
+# slot: the fields below of each slot. form: what is known of each operand as a linear form of the columns; real: what
+# it is at columns of ordinary numbers.
 # table: the patterns with their counts. index: where a linear form stands.
-State = namedtuple("State", "terms slot form table heap index ints")
+State = namedtuple("State", "terms slot form real table heap index ints")
 LENGTH, LEVEL, EXTRA, USES, STAMP, SAVED, SAVED_LENGTH, SAVED_LEVEL, SAVED_VALUE = range(9)  # of slot
 VALUE, LOW, HIGH, SUPPORT, MARK = range(5)  # of form
 KEY, COUNT = range(2)  # of table

@@ -1,8 +1,11 @@
 """Sums by their value: one or two terms for two or three others, found by looking values up.
 
 The value of an operand is its linear form at random columns, modulo 2^61 - 1, where a shift turns the bits. Equal forms
-have equal values; unequal ones differ but once in 10^18 looks, and the solver compares the graph with its matrix.
+have equal values; unequal ones differ but once in 10^18 looks, or by a factor of 2^61, which numbers of a floating
+point tell apart. The solver compares the sums with the matrix all the same.
 """
+
+import math
 
 import numpy as np
 
@@ -60,7 +63,7 @@ def worth(st, term):
 def evaluate(st, s):
     """Give operand columns + s its value and its extent; its own operands first."""
     columns = st.ints[COLUMNS]
-    value, low, high, support = np.int64(0), 1000, -1000, np.int64(0)
+    value, about, low, high, support = np.int64(0), 0.0, 1000, -1000, np.int64(0)
     for i in range(st.slot[s, LENGTH]):
         term = st.terms[0, s, i]
         op = term >> 9
@@ -68,11 +71,12 @@ def evaluate(st, s):
             evaluate(st, op - columns)
         shift = ((term >> 1) & 255) - ZERO
         value = plus(value, worth(st, term))
+        about += size(st, term)
         low, high = min(low, st.form[op, LOW] + shift), max(high, st.form[op, HIGH] + shift)
         support |= st.form[op, SUPPORT]
     op = columns + s
     st.form[op, VALUE], st.form[op, LOW], st.form[op, HIGH], st.form[op, SUPPORT] = value, low, high + 1, support
-    st.form[op, MARK] = st.ints[MARKS]
+    st.form[op, MARK], st.real[op] = st.ints[MARKS], about
 
 
 @kernel
@@ -95,6 +99,7 @@ def index(st):
         while st.form[c, VALUE] == 0:
             st.form[c, VALUE] = (draw(st, 1 << 30) << 31) | draw(st, 1 << 30)
         st.form[c, LOW], st.form[c, HIGH], st.form[c, SUPPORT] = 0, 0, np.int64(1) << (c % 62)
+        st.real[c] = 1 + st.form[c, VALUE] / MODULUS
     for h in range(st.index.shape[0]):
         st.index[h, KEY] = 0
     for k in range(-columns, st.ints[TOP]):
@@ -129,6 +134,19 @@ def looked_up(st, value):
         return np.int32(-1)
     there = ZERO + (shift if shift <= 30 else shift - ROTATIONS)
     return np.int32((op << 9) | (there << 1) | (0 if found == value else 1))
+
+
+@kernel
+def size(st, term):
+    """The linear form of a term at columns of ordinary numbers, about."""
+    found = math.ldexp(st.real[term >> 9], ((term >> 1) & 255) - ZERO)
+    return -found if term & 1 else found
+
+
+@kernel
+def agrees(st, term, wanted):
+    """Whether a term is about `wanted`: a look knows its shift only up to 61, a factor that this tells apart."""
+    return abs(size(st, term) - wanted) <= 0.5 * abs(wanted)
 
 
 @kernel
@@ -210,20 +228,21 @@ def rewrite(st):
                 ):
                     j = other
         st.terms[0, s, i], st.terms[0, s, j] = st.terms[0, s, j], st.terms[0, s, i]
-    target, low, high = np.int64(0), 1000, -1000
+    target, about, low, high = np.int64(0), 0.0, 1000, -1000
     known = True
     for i in range(take):
         term = st.terms[0, s, i]
         op = term >> 9
         known &= st.form[op, VALUE] != 0
         target = plus(target, worth(st, term))
+        about += size(st, term)
         shift = ((term >> 1) & 255) - ZERO
         low, high = min(low, st.form[op, LOW] + shift), max(high, st.form[op, HIGH] + shift)
     if not known or target == 0:
         tally(st, s, 1, True)
         return True
     first, second = looked_up(st, target), np.int32(-1)
-    if first >= 0 and not independent(st, first >> 9, s):
+    if first >= 0 and not (agrees(st, first, about) and independent(st, first >> 9, s)):
         first = np.int32(-1)
     if first < 0:
         hits = 0
@@ -241,6 +260,8 @@ def rewrite(st):
                     if rest < 0:
                         continue
                     mine = np.int32((op << 9) | ((ZERO + shift) << 1) | sign)
+                    if not agrees(st, rest, about - size(st, mine)):
+                        continue
                     if take == 2 and (mine == st.terms[0, s, 0] or mine == st.terms[0, s, 1]):
                         continue
                     if not independent(st, op, s) or not independent(st, rest >> 9, s):
