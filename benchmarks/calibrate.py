@@ -12,7 +12,7 @@ import json
 import statistics
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,8 @@ from greygate.compiler.emit import emit, emitted
 from greygate.compiler.explore.cost import COEFFICIENTS, COUNTS, Parts, coefficients, explored
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
-from greygate.compiler.targets import Design, Memory, architecture
+from greygate.compiler.tables import Form
+from greygate.compiler.targets import Design, Memory
 from greygate.emulator.program import Program
 from greygate.hardware.synthesis import synthesize
 from greygate.source import Source
@@ -33,6 +34,7 @@ FAMILIES = ("ecp5", "ice40", "xilinx")
 PLACED = {"ecp5": "ecp5-85k", "ice40": "up5k"}  # the device that tells the clock period of a family
 CACHE = Path(__file__).parents[1] / "build/calibrate"
 FITTED_WIDTHS, JUDGED_WIDTHS = (8, 12, 16), (10, 14)
+OCTAVES = (10, 12)  # widths at which tables are kept by octaves
 PLANTS = {"valve_cylinder": True, "pump_cylinder": False, "mts": False}  # plant -> whether the fit sees it
 
 
@@ -48,24 +50,25 @@ class Case:
 
 
 def cases() -> Iterator[Case]:
-    """Designs of the flow network in several formats, and of plants."""
+    """Designs of the flow network in several formats, and of plants; some with tables by octaves."""
     network, record = flow()
     for width in sorted(FITTED_WIDTHS + JUDGED_WIDTHS):
-        program = compile_network(network, {"grid": record}, Formats(width)).program
+        program = compile_network(
+            network, {"grid": record}, Formats(width, tables=Form.OCTAVES if width in OCTAVES else Form.POINTS)
+        ).program
         judged = width in JUDGED_WIDTHS
         for design in (Design(), Design(dsps=20), Design(memory=Memory.LOGIC)):
             if width < 12 or not judged:
                 yield Case(f"flow {width}", program, "parallel", design, not judged)
-        for design in (Design(multipliers=1), Design(multipliers=4), Design(multipliers=2, memory=Memory.LOGIC)):
+        for design in (Design(1), Design(4), Design(2, memory=Memory.LOGIC), Design(2, factor=16)):
             yield Case(f"flow {width}", program, "folded", design, not judged)
         yield Case(f"flow {width}", program, "serial", Design(), not judged)
     for name, fitted in PLANTS.items():
         source = Source(name)
-        program = compile_network(
-            source.network(), source.records(), source.formats(), ranged_on=source.training
-        ).program
-        for m in (1, 4):
-            yield Case(name, program, "folded", Design(multipliers=m), fitted)
+        formats = replace(source.formats(), tables=Form.OCTAVES)
+        program = compile_network(source.network(), source.records(), formats, ranged_on=source.training).program
+        for design in (Design(1), Design(4), Design(1, factor=16), Design(2, factor=16)):
+            yield Case(name, program, "folded", design, fitted)
         yield Case(name, program, "parallel", Design(), fitted)
         yield Case(name, program, "serial", Design(), fitted)
 
@@ -85,9 +88,7 @@ def measured(case: Case, family: str, limit: float, clock: bool = False) -> dict
 
 
 def parts(case: Case, family: str) -> Parts:
-    clocks = architecture(case.architecture).clocks
-    assert clocks is not None
-    return COUNTS[case.architecture](case.program, case.design, family, clocks(case.program, case.design))
+    return COUNTS[case.architecture](case.program, case.design, family)
 
 
 def fit(rows: list[tuple[Parts, float]]) -> dict[str, float]:

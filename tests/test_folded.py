@@ -13,7 +13,7 @@ from greygate.compiler.folding.products import Products, laid_out
 from greygate.compiler.folding.schedule import fold
 from greygate.compiler.folding.schedule_lines import FIELDS
 from greygate.compiler.folding.words import choose_stages, odd_part, pieces, sums_of, width_of
-from greygate.compiler.targets import Design
+from greygate.compiler.targets import FACTORS, Design
 from greygate.emulator.program import Affine, Program
 
 PROGRAMS = [cylinder_program(), *map(random_program, range(6)), *map(legal_program, range(6))]
@@ -48,9 +48,10 @@ def rounded(o: Affine, row: int, total: int) -> int:
     return (total + ((1 << shift - 1) - 1 + (total >> shift & 1) if half is None else half)) >> shift
 
 
+@pytest.mark.parametrize("factor", [9, 16, 18])
 @pytest.mark.parametrize("program", PROGRAMS, ids=lambda p: p.name)
-def test_words_and_drains_give_every_row_of_a_program(program: Program):
-    products = laid_out(program, list(program.operations), 2)
+def test_words_and_drains_give_every_row_of_a_program(program: Program, factor: int):
+    products = laid_out(program, list(program.operations), 2, factor)
     rng = np.random.default_rng(0)
     for o in program.operations:
         if not isinstance(o, Affine):
@@ -98,7 +99,7 @@ def test_every_element_is_written_before_it_is_read_and_a_state_after_its_last_r
     for program in PROGRAMS:
         plan = planned(program, multipliers)
         assert is_ordered(plan.jobs.values())
-        folding = fold(program, multipliers)
+        folding = fold(program, multipliers, FACTORS[-1])
         words = [
             w for name, found in folding.address.items() if name not in plan.home for w in found.tolist() if w >= 0
         ]
@@ -120,7 +121,7 @@ def test_a_large_layer_keeps_its_multipliers_busy():
     shown = replace(program.outputs[0], signal=wide.out)
     made = Program("wide", (replace(program.inputs[0], signal=u),), (), (wide,), (shown,)).check()
     for multipliers in (1, 4):
-        folding = fold(made, multipliers)
+        folding = fold(made, multipliers, FACTORS[-1])
         assert folding.utilisation > 0.9 if multipliers == 1 else folding.utilisation > 0.85
         done = folding.controls[:, FIELDS.index("done")]
         assert done.sum() == 2  # of the reset and of the step

@@ -22,7 +22,7 @@ def edited(build: Path, name: str, **entries) -> None:
     write_manifest(build, "compile")
 
 
-DESIGN = {"multipliers": 4, "memory": "block", "dsps": 0, "adders": 3, "channels": 1}
+DESIGN = {"multipliers": 4, "factor": 18, "memory": "block", "dsps": 0, "adders": 3, "channels": 1}
 PASS = {"name": "p", "layers": 1, "parameters": 1, "multiplications": 1, "change": 0.0, "remarks": []}
 
 

@@ -11,18 +11,28 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from greygate.compiler.explore.cost import Cost, clocks_of, cost, explored, served, standing
+from greygate.compiler.explore.cost import Cost, clocks_of, cost, explored, factor, served, standing
 from greygate.compiler.explore.judge import Bound
-from greygate.compiler.explore.trail import KEPT, Candidate, Maker, trail, with_few_digits, without_memory
+from greygate.compiler.explore.trail import (
+    KEPT,
+    Candidate,
+    Maker,
+    short_neurons,
+    trail,
+    with_few_digits,
+    without_memory,
+)
 from greygate.compiler.quantize import Formats
 from greygate.compiler.rounding import prices
+from greygate.compiler.tables import Form
 from greygate.compiler.targets import Design, Memory
 from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.progress import Progress, silent
 
 WIDTHS = range(8, 25)  # words that are tried everywhere
-FINER = (0, 2, 4)  # bits beyond them
+FINER = (0, 1, 2, 4)  # bits beyond them
+TABLES = (Form.POINTS, Form.OCTAVES)
 MULTIPLIERS = (1, 2, 4, 8, 16, 32)  # of the folded architecture
 STARTS = (0.25, 1.0 / 64)  # error of a trail's start, as a part of the largest that is of interest
 ALIKE = 1.02  # factor by which LUTs or time must be better for a point to stand on the front beside a more accurate one
@@ -46,7 +56,8 @@ class Room:
 class Request:
     """What is asked for. room: of the device, and no more than the request allows. whole: of the device alone.
 
-    latency: us, of a step. widths, finer, architectures, multipliers: what is tried.
+    latency: us, of a step. widths, finer, architectures, multipliers, factors: what is tried; without factors, the
+    widest that a DSP takes.
     """
 
     device: str
@@ -59,6 +70,7 @@ class Request:
     finer: Sequence[int] = FINER
     architectures: Sequence[str] = ()
     multipliers: Sequence[int] = MULTIPLIERS
+    factors: Sequence[int] = ()
 
     @property
     def single(self) -> bool:
@@ -121,22 +133,23 @@ def explore(make: Maker, request: Request, mapper: Mapper = map, progress: Progr
 
 def _candidates(make: Maker, request: Request, mapper: Mapper, progress: Progress) -> Iterator[Candidate]:
     """Words first, then trails from fine ones of them."""
-    words = [Formats(w, f) for w in request.widths for f in request.finer if w + f <= 32]
+    words = [Formats(w, f, tables=t) for w in request.widths for f in request.finer for t in TABLES if w + f <= 32]
     if request.single:
         words = [Formats(request.widths[0], request.finer[0])]
-    found = [c for c in mapper(make, words) if c is not None]
+    found = [c for some in mapper(_Words(make, not request.single), words) for c in some]
     progress(f"{len(found)} words measured")
     yield from found
     if request.single:
         return
     interest = request.bound.interest
-    starts: dict[tuple[int, int], Candidate] = {}
-    for part in STARTS:
-        fine = [c for c in found if c.error <= part * interest]
-        if fine:
-            start = min(fine, key=lambda c: (c.formats.width + c.formats.finer, c.formats.finer))
-            starts[start.formats.width, start.formats.finer] = start
-    walks = [(name, start) for name in request.architectures or explored() for start in starts.values()]
+    walks = []
+    for name in _walked(request):
+        price, starts = _Price(request, name), []
+        for part in STARTS:
+            fine = [c for c in found if c.error <= part * interest]
+            start = min(fine, key=lambda c: (price(c.program), c.error), default=None)
+            starts += [start] if start is not None and all(start is not s for s in starts) else []
+        walks += [(name, start) for start in starts]
     for steps in mapper(_Walk(make, request, interest), walks):
         progress(f"{len(steps)} programs on a trail")
         yield from steps[1:]
@@ -146,6 +159,20 @@ def _candidates(make: Maker, request: Request, mapper: Mapper, progress: Progres
     for steps in mapper(_Rounding(make, request, interest), prices()[::every]):
         progress(f"{len(steps)} programs of weights of few digits")
         yield from steps
+
+
+@dataclass(frozen=True)
+class _Words:
+    """The program of some formats; short: and the one whose neurons have no bits beyond the word."""
+
+    make: Maker
+    short: bool
+
+    def __call__(self, formats: Formats) -> list[Candidate]:
+        found = [c for c in (self.make(formats),) if c is not None]
+        if found and self.short and formats.finer:
+            found += [c for c in (self.make(short_neurons(found[0])),) if c is not None]
+        return found
 
 
 def _within_reach(found: Sequence[Candidate], request: Request) -> bool:
@@ -196,8 +223,13 @@ class _Rounding:
 
 
 def _counting_digits(request: Request) -> list[str]:
-    """The architectures whose size depends on the digits of the weights; to the folded one they cost nothing."""
-    return [n for n in request.architectures or explored() if n != "folded"]
+    """Those of them whose size depends on the digits of the weights; to the folded one they cost nothing."""
+    return [n for n in _walked(request) if n != "folded"]
+
+
+def _walked(request: Request) -> list[str]:
+    """The architectures for which trails are walked. The serial one has the same few LUTs whatever the formats are."""
+    return [n for n in request.architectures or explored() if n != "serial"]
 
 
 @dataclass(frozen=True)
@@ -208,8 +240,8 @@ class _Price:
     architecture: str
 
     def __call__(self, program: Program) -> float:
-        whole = self.request.whole
-        point = cost(program, self.architecture, Design(multipliers=1), self.request.family, 1)
+        whole, family = self.request.whole, self.request.family
+        point = cost(program, self.architecture, Design(multipliers=1, factor=factor(family)), family, 1)
         block = whole.luts / whole.memories if whole.memories else whole.luts
         bits = sum(s.size * s.fix.width for s in program.signals.values())
         return point.luts + block * point.memories + PER_BIT * bits
@@ -227,9 +259,9 @@ class _Coster:
     def __call__(self, candidate: Candidate) -> list[Point]:
         found = []
         for name in (candidate.tuned,) if candidate.tuned else self.request.architectures or explored():
-            clocks: dict[tuple[int, int], int] = {}  # of designs that differ in nothing that counts
+            clocks: dict[tuple[int, int, int], int] = {}  # of designs that differ in nothing that counts
             for design in designs(name, candidate.program, self.request):
-                key = design.multipliers, design.adders
+                key = design.multipliers, design.factor, design.adders
                 if key not in clocks:
                     clocks[key] = clocks_of(candidate.program, name, design)
                 one = cost(candidate.program, name, design, self.request.family, clocks[key])
@@ -239,17 +271,17 @@ class _Coster:
 
 def designs(name: str, program: Program, request: Request) -> Iterator[Design]:
     """The designs of an architecture that are worth a try."""
-    for memory in Memory:
-        if memory is Memory.BLOCK and not request.room.memories:
-            continue
-        if name == "folded":
-            yield from (Design(multipliers=m, memory=memory) for m in request.multipliers if m <= request.whole.dsps)
-        elif name == "parallel":
-            units = sum(n for _, n in served(program, standing(program, Design())))
-            room = int(min(request.room.dsps, units))
-            yield from (Design(dsps=n, memory=memory) for n in dict.fromkeys((0, room // 2, room)))
-        else:
-            yield Design(memory=memory)
+    kept = [m for m in Memory if m is not Memory.BLOCK or request.room.memories]
+    if name == "folded":
+        factors = request.factors or (factor(request.family),)
+        numbers = [m for m in request.multipliers if m <= request.whole.dsps]
+        yield from (Design(m, f, memory) for m in numbers for f in factors for memory in kept)
+    elif name == "parallel":
+        units = sum(n for _, n in served(program, standing(program, Design())))
+        room = int(min(request.room.dsps, units))
+        yield from (Design(dsps=n, memory=memory) for memory in kept for n in dict.fromkeys((0, room // 2, room)))
+    else:
+        yield from (Design(memory=memory) for memory in kept)
 
 
 # -- choice ----------------------------------------------------------------------------------------------------------

@@ -13,9 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.compiler.folding.products import laid_out
-from greygate.compiler.targets import Design, Memory, architecture
-from greygate.emulator.program import Affine, Lookup, Program, Table, signed_width
+from greygate.compiler.folding.roms import DEEP
+from greygate.compiler.folding.schedule import fold
+from greygate.compiler.serial.layout import compiled
+from greygate.compiler.targets import FACTORS, Design, Memory, architecture
+from greygate.compiler.targets.folded import memories as folded_memories
+from greygate.emulator.program import Affine, Lines, Lookup, Program, Table, signed_width
 
 COEFFICIENTS = Path(__file__).with_name("cost.toml")
 LOOKUP, EDGES = 3, 2  # clocks of a lookup, and of a step beside its longest chain
@@ -29,10 +32,10 @@ BLOCKS: dict[str, tuple[tuple[tuple[int, int], ...], tuple[tuple[int, int], ...]
     "xilinx": (((512, 36), (1024, 18), (2048, 9), (4096, 4)), ((1024, 18), (2048, 9), (4096, 4)), 0.5),
 }
 WORTH = {"ecp5": 2048, "ice40": 1024, "xilinx": 7000}  # bits in each block from which Yosys 0.70 takes blocks
-DEEP = 16  # lines from which the folded architecture keeps a ROM in blocks
+OPERATION = 4  # bits of a word of the serial architecture beside its field
 BLOCKS_ALONE = {"ice40"}  # families without memory made of LUTs
-WORD = 18  # bits of a factor of the folded architecture; longer ones are multiplied in parts
 MULTIPLIERS = {"ecp5": (18, 18), "ice40": (16, 16), "xilinx": (25, 18)}  # widths that one DSP multiplies
+SMALL = {"ecp5": 0, "ice40": 11, "xilinx": 9}  # bits of a product up to which Yosys 0.70 takes LUTs
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,8 @@ def blocks(family: str, words: int, bits: int, ports: int = 1) -> float:
 def tiles(family: str, a: int, b: int) -> int:
     """DSPs that a signed product of that many by that many bits takes."""
     wide, narrow = MULTIPLIERS[family]
+    if a + b < SMALL[family]:
+        return 0
     return min(math.ceil(x / wide) * math.ceil(y / narrow) for x, y in ((a, b), (b, a)))
 
 
@@ -134,6 +139,13 @@ def _word(program: Program, o: Lookup) -> tuple[int, int, int, int]:
     return len(found.bases), base + slope, slope, place + 1
 
 
+def _octaves(program: Program, o: Lookup) -> float:
+    """What chooses the part of a table in which its segments are equal: the argument's bits, for each such part."""
+    t = program.table[o.table]
+    parts = len(t.segments.shifts) if isinstance(t, Lines) else 1
+    return float((parts - 1) * program.signals[o.arg].fix.width)
+
+
 def _small(program: Program) -> float:
     """Bits that the clamps, thresholds and selects take in and give."""
     other = (o for o in program.operations if not isinstance(o, Affine | Lookup))
@@ -159,9 +171,9 @@ def served(program: Program, since: Mapping[str, int]) -> list[tuple[Lookup, int
     return [(one[table], max(sizes.values())) for table, sizes in turns.items()]
 
 
-def parallel(program: Program, design: Design, family: str, clocks: int) -> Parts:
+def parallel(program: Program, design: Design, family: str) -> Parts:
     """Every sum of adders of its own, every two units of a table a memory of their own where it has two ports."""
-    luts = dict.fromkeys(("adders", "results", "lookups", "products", "rom"), 0.0)
+    luts = dict.fromkeys(("adders", "results", "lookups", "octaves", "products", "rom"), 0.0)
     luts |= {"small": _small(program), "ports": _ports(program), "core": 1.0}
     dsps, left, memories, both = 0, design.dsps, 0.0, bool(BLOCKS[family][1])
     for o in program.operations:
@@ -172,6 +184,7 @@ def parallel(program: Program, design: Design, family: str, clocks: int) -> Part
     for o, units in served(program, standing(program, design)):
         words, bits, slope, rest = _word(program, o)
         luts["lookups"] += units * (program.signals[o.arg].fix.width + 2 * o.out.fix.width)
+        luts["octaves"] += units * _octaves(program, o)
         if slope:
             in_dsps = min(units, left)
             left -= in_dsps
@@ -185,45 +198,38 @@ def parallel(program: Program, design: Design, family: str, clocks: int) -> Part
     return Parts(luts, dsps, memories)
 
 
-def kept(program: Program) -> set[str]:
-    """Signals that stand in the memory of the folded architecture: all but sums that only tables read."""
-    shown = {p.signal.name for p in program.outputs} | {s.source for s in program.states}
-    shown |= {a for o in program.operations if not isinstance(o, Lookup) for a in o.args}
-    return shown | {s.signal.name for s in program.states}
+def factor(family: str) -> int:
+    """Bits of the widest factor that one DSP of a family takes on either side."""
+    return min(*MULTIPLIERS[family], FACTORS[-1])
 
 
-def folded(program: Program, design: Design, family: str, clocks: int) -> Parts:
+def folded(program: Program, design: Design, family: str) -> Parts:
     """Some multipliers, a memory of codes, a schedule and biases in ROM; lookups in equal tables share one."""
-    affine = [o for o in program.operations if isinstance(o, Affine)]
-    m = design.multipliers
-    code = max(program.signals[name].fix.width for name in kept(program))
-    acc = max([2, *(program.accumulator_width(o) for o in affine)])
-    weight = 1 + max([1, *(int(odd_bits(o.weights).max(initial=0)) for o in affine)])
-    shifts = {int(f) - o.out.fix.frac for o in affine for f in o.frac}
-    words = 1 << max(1, (sum(program.signals[name].size for name in kept(program)) - 1).bit_length())
-    line = m * (min(weight, WORD) + 2) + words.bit_length() + 3
-    luts = {"multipliers": float(m * acc), "drain": float(acc * len(shifts).bit_length())}
-    luts |= {"code": float(code), "tags": float(line), "small": _small(program) / 8}
-    luts |= {"lookups": 0.0, "rom": 0.0, "ram": 0.0, "ports": _ports(program), "core": 1.0}
-    products = laid_out(program, list(program.operations), m)
-    dsps, memories = m * tiles(family, products.x_width, products.word_width), 0.0
-    rows = sum(o.out.size for o in affine) + sum(s.signal.size for s in program.states)
-    for count, bits, kind in ((clocks + words // 8, line, "rom"), (rows, acc, "rom"), (words, code, "ram")):
-        taken = blocks(family, count, bits)
-        worth = family in BLOCKS_ALONE or count * bits * BLOCKS[family][2] >= WORTH[family] * taken
-        if count >= DEEP if kind == "rom" else worth:
-            memories += taken
+    folding, m = fold(program, design.multipliers, design.factor), design.multipliers
+    products, acc = folding.products, folding.acc_width
+    schedule, biases, ram = folded_memories(program, design)
+    luts = {"multipliers": float(m * acc), "stages": float(m * acc * len(products.stages))}
+    luts |= {"drain": float(acc * len(folding.modes)), "code": float(ram[1]), "line": float(schedule[1])}
+    luts |= {"small": _small(program), "ports": _ports(program), "core": 1.0}
+    luts |= dict.fromkeys(("lookups", "octaves", "rom", "ram"), 0.0)
+    dsps, taken = m * tiles(family, products.x_width, products.word_width), 0.0
+    for (words, bits), kind in ((schedule, "rom"), (biases, "rom"), (ram, "ram")):
+        need = blocks(family, words, bits)
+        worth = family in BLOCKS_ALONE or words * bits * BLOCKS[family][2] >= WORTH[family] * need
+        if words >= DEEP if kind == "rom" else worth:
+            taken += need
         else:
-            luts[kind] += count * bits
-    for table in {o.table: o for o in program.operations if isinstance(o, Lookup)}.values():
-        count, bits, slope, rest = _word(program, table)
-        luts["lookups"] += program.signals[table.arg].fix.width + 2 * table.out.fix.width
+            luts[kind] += words * bits
+    for o in {o.table: o for o in program.operations if isinstance(o, Lookup)}.values():
+        words, bits, slope, rest = _word(program, o)
+        luts["lookups"] += program.signals[o.arg].fix.width + 2 * o.out.fix.width
+        luts["octaves"] += _octaves(program, o)
         dsps += tiles(family, slope, rest) if slope else 0
         if design.memory is Memory.BLOCK:
-            memories += blocks(family, count, bits)
+            taken += blocks(family, words, bits)
         else:
-            luts["rom"] += count * bits
-    return Parts(luts, dsps, memories)
+            luts["rom"] += words * bits
+    return Parts(luts, dsps, taken)
 
 
 def standing(program: Program, design: Design) -> dict[str, int]:
@@ -243,8 +249,17 @@ def parallel_clocks(program: Program, design: Design) -> int:
     return max(standing(program, design).values()) + EDGES
 
 
+def serial(program: Program, design: Design, family: str) -> Parts:
+    """One adder with an accumulator, a memory of code and one of numbers."""
+    code = compiled(program)
+    w, deep = code.widths, max(code.memory) + 1
+    luts = {"acc": float(w["acc"]), "address": float(w["code"] + w["field"] + w["read"]), "core": 1.0}
+    taken = blocks(family, len(code.words), w["field"] + OPERATION) + blocks(family, deep, w["data"])
+    return Parts(luts, 0, taken)
+
+
 CLOCKS: dict[str, Callable[[Program, Design], int]] = {"parallel": parallel_clocks}  # where counting takes long
-COUNTS: dict[str, Callable[[Program, Design, str, int], Parts]] = {"parallel": parallel, "folded": folded}
+COUNTS: dict[str, Callable[[Program, Design, str], Parts]] = {"parallel": parallel, "folded": folded, "serial": serial}
 
 
 def explored() -> tuple[str, ...]:
@@ -263,6 +278,6 @@ def cost(program: Program, name: str, design: Design, family: str, clocks: int |
     """What the program costs as that architecture. clocks: of a step, if they are known."""
     if clocks is None:
         clocks = clocks_of(program, name, design)
-    parts, table = COUNTS[name](program, design, family, clocks), coefficients()[family][name]
+    parts, table = COUNTS[name](program, design, family), coefficients()[family][name]
     luts = sum(table["luts"].get(kind, 0.0) * number for kind, number in parts.luts.items())
     return Cost(math.ceil(luts), parts.dsps, parts.memories, clocks, table["period"])

@@ -15,7 +15,7 @@ from greygate.compiler.explore.judge import Judge, agreed
 from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.ranges import Range, ranges
 from greygate.compiler.rounding import BITS, round_jointly
-from greygate.emulator.program import Affine, Fix, Program
+from greygate.emulator.program import Affine, Fix, Lookup, Program
 from greygate.errors import InputError
 from greygate.models.network import Network
 from greygate.models.training.record import Record
@@ -90,6 +90,15 @@ def with_few_digits(make: Maker, price: float) -> Maker | None:
         return replace(make, network=network, found=ranges(network, list(make.records)), price=price)
     except InputError:
         return None
+
+
+def short_neurons(candidate: Candidate) -> Formats:
+    """The formats in which the outputs of neurons have no bits beyond the word."""
+    formats, signals = candidate.formats, candidate.program.signals
+    outs = [o.out.name for o in candidate.program.operations if isinstance(o, Lookup)]
+    less = {n: formats.width - f.width for n in outs if (f := signals[n].fix).width > formats.width}
+    short = {n: Fix(formats.width, signals[n].fix.frac + bits) for n, bits in less.items()}
+    return replace(formats, signals={**formats.signals, **short})
 
 
 def knobs(program: Program, weights: bool = True) -> list[tuple[str, str]]:

@@ -13,7 +13,7 @@ import numpy as np
 from greygate.compiler.folding.words import choose_stages, pieces, selected, width_of
 from greygate.emulator.program import Affine, Operation, Overflow, Program, Rounding, signed_width
 
-OPERANDS = (16, 18)  # widths of the multipliers that every family has: 16 x 16 on the iCE40, 18 x 18 on the others
+NARROW = 16  # bits of the factors that every family multiplies in one DSP
 FEW = 1.05  # products, as a factor, that narrower multipliers may cost
 DRAINS = 3  # the most different shifts of drains that are tried
 TRIED = 12  # the most shifts of rows of which every set is tried
@@ -75,12 +75,16 @@ class Products:
     count: int  # products of a step
 
 
-def laid_out(program: Program, operations: list[Operation], multipliers: int) -> Products:
-    """The products of some operations, for the narrowest multipliers that do not cost many more of them."""
+def laid_out(program: Program, operations: list[Operation], multipliers: int, factor: int) -> Products:
+    """The products of some operations, for the narrowest multipliers that do not cost many more of them.
+
+    factor: bits of the widest factor that is multiplied whole.
+    """
     affine = [o for o in operations if isinstance(o, Affine)]
-    wide = _Split(program, affine, OPERANDS[-1])
-    narrow = _Split(program, affine, OPERANDS[0])
-    chosen = narrow if narrow.count <= FEW * wide.count else wide
+    chosen = _Split(program, affine, factor)
+    if factor > NARROW:
+        narrow = _Split(program, affine, NARROW)
+        chosen = narrow if narrow.count <= FEW * chosen.count else chosen
     return chosen.products(_drains(chosen, multipliers))
 
 
@@ -91,10 +95,10 @@ class _Split:
     of its rows, the bits that a drain drops; widths: of their sums.
     """
 
-    def __init__(self, program: Program, affine: list[Affine], operand: int):
-        self.program, self.affine, self.operand = program, affine, operand
+    def __init__(self, program: Program, affine: list[Affine], factor: int):
+        self.program, self.affine, self.factor = program, affine, factor
         self.parts: dict[Part, int] = {PLAIN: 0}
-        self.x_width = min(operand, max([2, *(program.signals[a].fix.width for o in affine for a in o.args)]))
+        self.x_width = min(factor, max([2, *(program.signals[a].fix.width for o in affine for a in o.args)]))
         self.columns = {o.out.name: self._columns(o) for o in affine}
         self.count = sum(int(np.count_nonzero(words)) for _, _, words, _ in self.columns.values())
         self.word_width = max([2, *(int(width_of(words).max()) for _, _, words, _ in self.columns.values())])
@@ -103,7 +107,7 @@ class _Split:
 
     def _columns(self, o: Affine) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         found: list[tuple[np.ndarray, int, np.ndarray, np.ndarray]] = []
-        split = list(pieces(o.weights, self.operand))
+        split = list(pieces(o.weights, self.factor))
         first = 0
         for a in o.args:
             signal = self.program.signals[a]

@@ -27,6 +27,7 @@ from greygate.compiler.folding.schedule_lines import (
     Lines,
     levels_of,
 )
+from greygate.compiler.lately import lately
 from greygate.compiler.verilog import LATE_CLOCKS, shared_tables
 from greygate.emulator.program import Affine, Elementwise, Lookup, Program, signed_width
 
@@ -75,9 +76,10 @@ class Folding:
         return self.products.count / (self.clocks * self.multipliers)
 
 
-def fold(program: Program, multipliers: int) -> Folding:
-    """Place every read, product, sum, drain and write of one step."""
-    return _Folder(program, multipliers).folding()
+@lately
+def fold(program: Program, multipliers: int, factor: int) -> Folding:
+    """Place every read, product, sum, drain and write of one step. factor: as in `Design`."""
+    return _Folder(program, multipliers, factor).folding()
 
 
 class _Folder:
@@ -87,11 +89,11 @@ class _Folder:
     writes. order: elements in the order in which they take words.
     """
 
-    def __init__(self, program: Program, multipliers: int):
+    def __init__(self, program: Program, multipliers: int, factor: int):
         self.program, self.multipliers = program, multipliers
         self.levels = levels_of(multipliers)
         self.operations = live_operations(program)
-        self.products = laid_out(program, self.operations, multipliers)
+        self.products = laid_out(program, self.operations, multipliers, factor)
         self.plan = planned(program, multipliers)
         self.inside = {o.out.name for o in self.plan.answers.values()}
         self.outputs = {p.signal.name for p in program.outputs}

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from greygate.compiler.lately import lately
 from greygate.compiler.serial.code import PAIRS, Compiler, element
 from greygate.compiler.serial.writer import NOTHING, Constant, Key, Line, Word, width_of
 from greygate.emulator.program import Program
@@ -25,6 +26,7 @@ class Code:
     clocks: int  # of a step in which neither side waits
 
 
+@lately
 def compiled(program: Program) -> Code:
     """The code of a program: compiled anew until every width that the words depend on is known."""
     width, field_width = 2, 2

@@ -19,6 +19,7 @@ if TYPE_CHECKING:  # the command line needs the names at its start, and numpy on
 
 BOTH = ("parallel", "folded")  # the default targets, in the order in which they are reported
 MULTIPLIERS = range(1, 257)  # the numbers of multipliers that a target which shares them accepts
+FACTORS = range(9, 19)  # widths of their widest factor
 LARGEST = 1 << 16  # of any other number of a design
 
 
@@ -33,16 +34,18 @@ class Memory(StrEnum):
 class Design:
     """How a program is built: every choice that changes no bit of any answer. A target reads those that concern it.
 
-    multipliers: of the folded target. memory: where tables are kept. dsps: the most multipliers that the parallel
-    target may use for products; it builds the others of adders. adders: the most adders in a row between two registers
-    of the parallel target, 0 for no register between them. channels: independent copies of the states that one
-    pipelined core serves in turn.
+    multipliers: of the folded target. factor: bits of their widest factor, for a longer one is multiplied in parts; an
+    iCE40 multiplies 16 by 16 bits in one DSP, the others 18 by 18. memory: where tables are kept. dsps: the most
+    multipliers that the parallel target may use for products; it builds the others of adders. adders: the most adders
+    in a row between two registers of the parallel target, 0 for no register between them. channels: independent copies
+    of the states that one pipelined core serves in turn.
 
     >>> Design(multipliers=2).memory
     <Memory.BLOCK: 'block'>
     """
 
     multipliers: Annotated[int, whole(MULTIPLIERS[0], MULTIPLIERS[-1])] = 4
+    factor: Annotated[int, whole(FACTORS[0], FACTORS[-1])] = FACTORS[-1]
     memory: Annotated[Memory, one_of(Memory)] = Memory.BLOCK
     dsps: Annotated[int, whole(0, LARGEST)] = 0
     adders: Annotated[int, whole(0, LARGEST)] = 3

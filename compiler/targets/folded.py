@@ -47,7 +47,7 @@ def folded(program: Program, design: Design) -> dict[str, str]:
     if multipliers not in MULTIPLIERS:
         raise InputError(f"{multipliers} multipliers are not in {MULTIPLIERS.start}..{MULTIPLIERS.stop - 1}")
     verilog_names(program)
-    core = _Core(program, fold(program, multipliers))
+    core = _Core(program, fold(program, multipliers, design.factor))
     return {
         f"{program.name}.v": core.top(),
         f"{program.name}__schedule.v": core.schedule_rom(),
@@ -57,13 +57,22 @@ def folded(program: Program, design: Design) -> dict[str, str]:
 
 def registers(program: Program, design: Design) -> list[Register]:
     """States stand in words of the memory."""
-    address = fold(program, design.multipliers).address
+    address = fold(program, design.multipliers, design.factor).address
     return [Register(f"memory[{word}]", alone=True) for s in program.states for word in address[s.signal.name].tolist()]
 
 
 def clocks(program: Program, design: Design) -> int:
     """Clocks of a step: the lines of the schedule, and the one in which the next sample is taken."""
-    return fold(program, design.multipliers).clocks + 1
+    return fold(program, design.multipliers, design.factor).clocks + 1
+
+
+def memories(program: Program, design: Design) -> tuple[tuple[int, int], tuple[int, int], tuple[int, int]]:
+    """(words, bits) of the schedule, of the biases, and of the memory of codes."""
+    folding = fold(program, design.multipliers, design.factor)
+    core = _Core(program, folding)
+    line = sum(width for _, width, _ in core.fields)
+    return (len(folding.reads), line), (max(1, len(folding.biases)), core.widths["acc"]), (
+        1 << core.widths["address"], core.widths["code"])  # fmt: skip
 
 
 TARGET = Architecture(folded, registers, clocks)

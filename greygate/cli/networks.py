@@ -137,6 +137,9 @@ def compile(
     generic: Annotated[bool, typer.Option(help="Merge linear layers even where that costs multipliers.")] = False,
     architecture: Annotated[Architecture, typer.Option()] = EVERY,
     macs: Annotated[int, typer.Option(callback=options.MACS, help="Multipliers of the folded architecture.")] = 4,
+    factor: Annotated[
+        int, typer.Option(callback=options.FACTOR, help="Bits of their widest factor; an iCE40 has 16 in one DSP.")
+    ] = 18,
     device: Annotated[
         str | None, typer.Option(help="FPGA such as up5k: explore, and write the smallest design that meets --max-...")
     ] = None,
@@ -159,8 +162,8 @@ def compile(
     """Simplify, prune and quantize a network, and write it as Verilog.
 
     With --device it tries formats, tables and architectures, and writes the smallest design that meets the request; if
-    there is none it says what binds and what is nearest, and exits with 1. A width, a number of multipliers or an
-    architecture that is given is not varied.
+    there is none it says what binds and what is nearest, and exits with 1. A width, a number of multipliers,
+    their factor or an architecture that is given is not varied.
     """
     from greygate.exploring import Unmet, facts, lines
     from greygate.project import compile_project, fixed_and_float
@@ -181,6 +184,8 @@ def compile(
         tried |= {"widths": (formats.width,), "finer": (formats.finer,)}
     if "macs" in given:
         tried["multipliers"] = (macs,)
+    if "factor" in given:
+        tried["factors"] = (factor,)
     limits = (max_error, max_latency, max_luts, max_dsps, max_memories)
     with joblib_on(backend, scheduler), following(f"compiling {network}") as progress:
         explorer = _explorer(source, device, limits, tried, jobs if backend is Backend.LOKY else -1, progress)
@@ -195,7 +200,7 @@ def compile(
                 held=tuple(judges),
                 generic=generic,
                 architectures=chosen,
-                design=Design(multipliers=macs),
+                design=Design(multipliers=macs, factor=factor),
                 explorer=explorer,
                 progress=progress,
             )

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import typer
 
 from greygate import limits
-from greygate.compiler.targets import MULTIPLIERS
+from greygate.compiler.targets import FACTORS, MULTIPLIERS
 from greygate.errors import InputError
 from greygate.limits import NARROWEST, WIDEST
 
@@ -35,6 +35,7 @@ JOBS = _within(1, 1024, "a whole number from 1 to 1024")
 WIDTH = _within(NARROWEST, WIDEST, f"{NARROWEST} to {WIDEST} bits")
 FINER = _within(0, limits.FINER, f"0 to {limits.FINER} bits; with the width they make at most {WIDEST}")
 MACS = _within(MULTIPLIERS[0], MULTIPLIERS[-1], f"{MULTIPLIERS[0]} to {MULTIPLIERS[-1]} multipliers")
+FACTOR = _within(FACTORS[0], FACTORS[-1], f"{FACTORS[0]} to {FACTORS[-1]} bits")
 LUTS = _within(1, MOST, "a whole number of LUTs of at least 1")
 DSPS = _within(0, MOST, "a whole number of DSPs of at least 0")
 MEMORIES = _within(0, MOST, "a number of blocks of memory of at least 0")

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from greygate.compiler.folding.schedule import fold
+from greygate.compiler.targets import Design
 from greygate.emulator.program import Affine, Overflow, Program, Rounding
 from greygate.hardware.proofs.affine import signed_bits
 from greygate.hardware.proofs.elaborated import Block
@@ -12,7 +13,7 @@ from greygate.hardware.proofs.reach import reachable
 HOW = "interval arithmetic over all orders of the terms, with the widths of the emitted accumulator"
 
 
-def accumulators(program: Program, multipliers: int, found: Sequence[Block]) -> list[Proof]:
+def accumulators(program: Program, design: Design, found: Sequence[Block]) -> list[Proof]:
     """A proof if the design has the accumulator and the drain of the folded architecture, with a row for each sum.
 
     The schedule says with which mode of the drain a row is taken, and so at which fraction it is summed. A weight or a
@@ -27,7 +28,7 @@ def accumulators(program: Program, multipliers: int, found: Sequence[Block]) -> 
     with timed() as seconds:
         width = min(block.number("ACC_W") for block in macs)
         reach, rows, why = reachable(program), [], None
-        layers = fold(program, multipliers).products.layers
+        layers = fold(program, design.multipliers, design.factor).products.layers
         shifts = drains[0].field("SHIFTS", 8)
         for o in program.operations:
             if not isinstance(o, Affine):

@@ -72,7 +72,7 @@ def _primitives(project: Project, chosen: dict, progress: Progress) -> Iterator[
         for proof in (*primitives(own, found, progress=told), *unknown(found, ELSEWHERE)):
             yield _of(proof, architecture)
         for proof in (
-            *accumulators(program, project.design.multipliers, blocks(modules)),
+            *accumulators(program, project.design, blocks(modules)),
             *tables(files, program, modules, told),
         ):
             yield _of(proof, architecture)
