@@ -12,18 +12,9 @@ from greygate.compiler.emit import emit
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
 from greygate.emulator.engine import run
-from greygate.emulator.program import (
-    Affine,
-    Fix,
-    Lookup,
-    Overflow,
-    Program,
-    Rounding,
-    Signal,
-    State,
-    Symmetry,
-    Terminal,
-)
+from greygate.emulator.numbers import Fix, Overflow, Rounding
+from greygate.emulator.program import Affine, Lookup, Program, Signal, State, Terminal
+from greygate.emulator.tables import Symmetry
 from greygate.hardware.proofs.accumulators import accumulators
 from greygate.hardware.proofs.affine import Module
 from greygate.hardware.proofs.bound import bounded, contraction

@@ -121,7 +121,9 @@ def simulate(
         options = ["--cc", "--exe", "--prefix", "Vbench", "--top-module", "bench", "-Mdir", ".", "-o", "bench"]
         options += ["--timescale", "1ns/1ns", "--x-initial", "unique", "-O3", "--output-split", "20000", *LINT]
         options += [f"-I{path}" for path in include]
-        named = [work / name for name in ("main.cpp", "bench.v", *(p.name for p in files))]  # -I comes before its folder
+        named = [
+            work / name for name in ("main.cpp", "bench.v", *(p.name for p in files))
+        ]  # -I comes before its folder
         tool("verilator", *options, *map(str, named))
         progress("compiling the simulation")
         tool("make", "-j", str(os.cpu_count() or 1), "-f", "Vbench.mk", "OPT_FAST=-O1", "OPT_SLOW=-O0")
