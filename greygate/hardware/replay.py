@@ -22,6 +22,7 @@ from greygate.hardware.verify import lanes, run_logged, runtime_cache, simulator
 from greygate.progress import Progress, silent
 
 PATIENCE = 100_000  # clocks without an answer before the design is said to hang
+FEW = 10_000  # steps, for which no compiler's optimisation is worth its time
 RUNTIME = ("verilated.o", "verilated_threads.o")  # of Verilator, the same for every design
 LINT = ("-Wno-lint", "-Wno-style", "-Wno-fatal", "-Wno-MULTIDRIVEN", "-Wno-SPECIFYIGN", "-Wno-TIMESCALEMOD")
 MAIN = """\
@@ -80,7 +81,7 @@ def replay(
         for name, rows in zip(("samples", "wanted"), words, strict=True)
     }
     text = bench(program.name, len(inputs), *(8 * rows.shape[1] for rows in words))
-    found = simulate(files, text, data, include, progress)
+    found = simulate(files, text, data, include, progress, optimised=len(inputs) > FEW)
     first = None if found["first"] < 0 else (found["first"], int(found["given"], 16), int(found["wanted"], 16))
     clocks = found["clocks"] / (found["steps"] - 1) if found["steps"] > 1 else float("nan")
     return Replay(found["steps"], found["differing"], first, clocks, found["steps"] < len(inputs))
@@ -92,10 +93,12 @@ def simulate(
     data: Mapping[str, str],
     include: Sequence[Path] = (),
     progress: Progress = silent,
+    optimised: bool = True,
 ) -> Any:
     """Build and run a Verilog module `bench` with the one input `clk`; return what it writes to result.json.
 
-    data: files that it reads, by name. Raises InputError where a tool is missing, or Verilator cannot build it.
+    data: files that it reads, by name. optimised: False for a large design and few clocks, which takes longer to build
+    than to run. Raises InputError where a tool is missing, or Verilator cannot build it.
     """
     environment = simulator_environment()
     with tempfile.TemporaryDirectory(prefix="greygate-") as temporary:
@@ -121,12 +124,11 @@ def simulate(
         options = ["--cc", "--exe", "--prefix", "Vbench", "--top-module", "bench", "-Mdir", ".", "-o", "bench"]
         options += ["--timescale", "1ns/1ns", "--x-initial", "unique", "-O3", "--output-split", "20000", *LINT]
         options += [f"-I{path}" for path in include]
-        named = [
-            work / name for name in ("main.cpp", "bench.v", *(p.name for p in files))
-        ]  # -I comes before its folder
-        tool("verilator", *options, *map(str, named))
+        sources = [str(work / p.name) for p in files]  # whole paths: a bare name is looked for in -I first
+        tool("verilator", *options, "main.cpp", "bench.v", *sources)
         progress("compiling the simulation")
-        tool("make", "-j", str(os.cpu_count() or 1), "-f", "Vbench.mk", "OPT_FAST=-O1", "OPT_SLOW=-O0")
+        level = "-O1" if optimised else "-O0"
+        tool("make", "-j", str(os.cpu_count() or 1), "-f", "Vbench.mk", f"OPT_FAST={level}", "OPT_SLOW=-O0")
         progress("simulating")
         tool(str(work / "bench"))
         if not (work / "result.json").exists():

@@ -20,7 +20,8 @@ from greygate.hardware.proofs.tables import tables
 from greygate.progress import Progress, silent, titled
 from greygate.project import Project
 
-ELSEWHERE = ("greygate_lookup", "greygate_stream")  # part of a table, every code of which is tried; computes nothing
+# a table, every code of which is tried, or what computes nothing
+ELSEWHERE = ("greygate_lookup", "greygate_product", "greygate_stream")
 LONGEST = 5000  # steps of a scenario that a netlist plays
 
 
