@@ -18,7 +18,14 @@ import numpy as np
 
 from greygate.emulator.program import Program
 from greygate.errors import InputError
-from greygate.hardware.verify import lanes, run_logged, runtime_cache, simulator_environment
+from greygate.hardware.verify import (
+    borrow_runtime,
+    keep_runtime,
+    lanes,
+    run_logged,
+    runtime_cache,
+    simulator_environment,
+)
 from greygate.progress import Progress, silent
 
 PATIENCE = 100_000  # clocks without an answer before the design is said to hang
@@ -107,10 +114,6 @@ def simulate(
             (work / name).write_text(text)
         for path in files:
             shutil.copy(path, work)
-        cache = runtime_cache(environment, False)
-        for name in RUNTIME:
-            if (cache / name).exists():
-                shutil.copy(cache / name, work / name)
 
         def tool(*command: str) -> None:
             try:
@@ -127,8 +130,11 @@ def simulate(
         sources = [str(work / p.name) for p in files]  # whole paths: a bare name is looked for in -I first
         tool("verilator", *options, "main.cpp", "bench.v", *sources)
         progress("compiling the simulation")
-        level = "-O1" if optimised else "-O0"
-        tool("make", "-j", str(os.cpu_count() or 1), "-f", "Vbench.mk", f"OPT_FAST={level}", "OPT_SLOW=-O0")
+        cache, level = runtime_cache(environment, False), "-O1" if optimised else "-O0"
+        borrow_runtime(cache, work, RUNTIME)
+        make = ["make", "-j", str(os.cpu_count() or 1), "-f", "Vbench.mk"]
+        tool(*make, f"OPT_FAST={level}", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1")
+        keep_runtime(cache, work)
         progress("simulating")
         tool(str(work / "bench"))
         if not (work / "result.json").exists():
