@@ -8,7 +8,7 @@ FOLDERS := models plants emulator compiler rtl mismatch machines recordings
 
 .PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-programs fuzz faults \
     mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-tables \
-    bench-flow bench-growth
+    bench-flow bench-growth bench-exploring
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -98,6 +98,10 @@ bench-flow: $(VENV)/.ready-dev $(PEERS)/.ready
 # Compiling, synthesizing and emulating 10 to 10,000 weights, and writing 100,000.
 bench-growth: $(VENV)/.ready-dev | tools
 	$(BIN)/python benchmarks/growth.py
+
+# Ten minutes: fronts of designs on two FPGAs, and the chosen ones placed, routed and verified.
+bench-exploring: $(VENV)/.ready-dev | tools
+	$(BIN)/python benchmarks/exploring.py
 
 # Half an hour: what the parts of a design take on each family, by Yosys and nextpnr; writes compiler/explore/cost.toml.
 calibrate: $(VENV)/.ready-dev | tools

@@ -2,7 +2,8 @@
 
 Usage: python benchmarks/board.py [--bitstream BOARD]... [--design NAME]... [--json FILE]
 
-The network is that of the valve cylinder, pruned. The port is the one that the bitstream holds, in Verilator behind a
+The network is that of the valve cylinder: as the explorer builds it for the board's FPGA, and as the least design,
+serial. The port is the one that the bitstream holds, in Verilator behind a
 pseudo terminal, with as many clocks a bit as on the board. The port's own cells are those of Yosys for a core that is
 not there; with --bitstream nextpnr places the whole board.
 """
@@ -18,6 +19,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from greygate import rtl
+from greygate.compiler.targets import architecture
 from greygate.emulator.program import Program
 from greygate.hardware.board.frames import width
 from greygate.hardware.board.make import make
@@ -27,9 +29,10 @@ from greygate.hardware.tools import yosys
 from greygate.project import Project
 
 BOARD = "icebreaker"
-NETWORK = "valve_cylinder --prune 1.0"
+NETWORK = "valve_cylinder"
+REQUEST = "--max-error 1.05x --max-latency 20us --max-luts 1300 --max-dsps 3 --max-memories 12"  # 200 LUTs for a port
 DESIGNS = {  # name -> options of greygate compile, scenarios that are played
-    "folded": ("--architecture folded --macs 1", ("training", "v1", "v2")),
+    "folded": (f"--device up5k --architecture folded {REQUEST} --jobs 2", ("training", "v1", "v2")),
     "serial": ("--architecture serial", ("v2",)),
 }
 CLOCKS_PER_BIT = 24  # of 1,000,000 baud at 24 MHz
@@ -84,18 +87,26 @@ def measured(options: str, names: tuple[str, ...], boards: list[str]) -> dict:
     with tempfile.TemporaryDirectory() as folder:
         build, package = Path(folder, "build"), Path(folder, "package")
         words = [*NETWORK.split(), *options.split(), "--out", str(build)]
-        command = [sys.executable, "-c", "from greygate.cli import run; run()", "compile", *words]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        command = [sys.executable, "-c", "from greygate.cli import run; run()", "compile", *words, "--json"]
+        told = subprocess.run(command, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL).stdout
+        errors = [e for outputs in json.loads(told)["rmse"].values() for e in outputs.values()]
         project = Project.open(build)
         make(project, BOARD, package)
+        clocks = architecture(project.designs[0]).clocks
         found: dict = {"compile": f"{NETWORK} {options}", "port": port_alone(project.program)}
+        found["error"] = round(max(e["fixed"] / e["float"] for e in errors), 4)  # times that of float
+        if clocks is not None:
+            found["clocks"] = clocks(project.program, project.design)
+        print(f"error {found['error']} of float, {found.get('clocks')} clocks a step")
         print(f"port alone: {found['port']}")
         found |= {"played": played(project, package, names), "boards": {}}
         for board in boards:
             begun = time.perf_counter()
             facts = make(project, board, Path(folder, board), bitstream=True)
             found["boards"][board] = facts | {"seconds": round(time.perf_counter() - begun, 1)}
-            print(f"{board}: {facts['cells']}, {facts['reached_mhz']} MHz")
+            if "clocks" in found:
+                found["boards"][board]["us_per_step"] = round(found["clocks"] / facts["clock_mhz"], 2)
+            print(f"{board}: {found['boards'][board]}")
     return found
 
 

@@ -32,6 +32,7 @@ from greygate.source import Source
 
 FAMILIES = ("ecp5", "ice40", "xilinx")
 PLACED = {"ecp5": "ecp5-85k", "ice40": "up5k"}  # the device that tells the clock period of a family
+PLACEABLE = 6_000  # LUTs up to which a design is placed and routed for its clock
 CACHE = Path(__file__).parents[1] / "build/calibrate"
 FITTED_WIDTHS, JUDGED_WIDTHS = (8, 12, 16), (10, 14)
 OCTAVES = (10, 12)  # widths at which tables are kept by octaves
@@ -109,12 +110,12 @@ def errors(luts: dict[str, float], rows: list[tuple[Parts, float]]) -> dict[str,
 
 
 def period(chosen: list[Case], family: str, limit: float) -> float | None:
-    """The median shortest clock of the smallest fitted designs, in ns; None where nextpnr tells none."""
+    """The shortest clock of the slowest of some designs, in ns; None where nextpnr tells none."""
     if family not in PLACED:
         return None
     rates = [measured(case, family, limit, clock=True).get("clock_mhz") for case in chosen]
     known = [1e3 / rate for rate in rates if rate]
-    return round(statistics.median(known), 1) if known else None
+    return round(max(known), 1) if known else None
 
 
 def main() -> None:
@@ -149,7 +150,8 @@ def main() -> None:
                 f"{what}_off": sum(getattr(p, what) != cells[key] for _, p, cells in rows)
                 for what, key in (("dsps", "dsps"), ("memories", "block_rams"))
             }
-            clock = period([c for c in chosen if c.fitted][:2], family, given.limit)
+            small = [case for case, _, cells in rows if case.fitted and cells["luts"] < PLACEABLE]
+            clock = period([c for c in small if c.design.memory is Memory.BLOCK], family, given.limit)
             before = table.get(family, {}).get(name, {}).get("period", 10.0)
             table.setdefault(family, {})[name] = {"period": clock or before, "luts": luts, "error": told}
             print(family, name, luts, told, clock, flush=True)

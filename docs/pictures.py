@@ -20,7 +20,7 @@ from greygate.mismatch.rig import load
 from greygate.mismatch.simulation import simulate
 from greygate.models.accuracy import float_error
 from greygate.models.training.record import Record
-from greygate.pages.figures import Curve, chart, envelope
+from greygate.pages.figures import Curve, chart, envelope, span
 from greygate.plants import Recording, read_csv
 from greygate.reading import read_json
 
@@ -29,12 +29,14 @@ FOLDER = ROOT / "docs" / "pictures"
 KEPT = ROOT / "benchmarks" / "results" / "measured_mismatch"
 WIDTH, HEIGHT, HEAD, LINE = 440, 230, 26, 16  # px of a panel, of the title above it, of a further line of the title
 SHOWN = 900  # points of a curve
+DOT = 1.015  # half the length of the stroke that is a point of a logarithmic axis, as a factor
 STYLE = """
 text { font: 11px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; fill: #1b2228; }
 .page { fill: #fff; } .tick { fill: #5b6770; font-size: 10.5px; } .label { fill: #5b6770; text-anchor: middle; }
 .grid { stroke: #e9ecef; fill: none; } .level { stroke: #b3261e; stroke-dasharray: 4 3; fill: none; }
 .line { fill: none; stroke-width: 1.2; stroke-linejoin: round; }
 .reference { stroke: #b4bcc4; stroke-width: 3.5; } .fixed { stroke: #d55e00; } .cost { stroke: #009e73; }
+.dot { stroke-width: 6; stroke-linecap: round; } .mark { stroke: #b3261e; stroke-dasharray: 4 3; fill: none; }
 @media (prefers-color-scheme: dark) {
   text { fill: #e6eaed; } .page { fill: #1c2227; } .tick, .label { fill: #9ba7b0; } .grid { stroke: #2a3137; }
   .reference { stroke: #707a83; } .fixed { stroke: #f08a3c; } .cost { stroke: #2fc79b; }
@@ -204,6 +206,35 @@ def _panel_of(curves: Mapping[str, np.ndarray], part: slice, period: float, x: s
     return panel([over_time(values, part, period, kind) for kind, values in curves.items()], x, y)
 
 
+def explore() -> str:
+    """Designs worth having on a small FPGA: LUTs over error and over time, the chosen one marked."""
+    found = read_json(ROOT / "benchmarks" / "results" / "exploring.json", "run make bench-exploring")["up5k"][
+        "explored"
+    ]
+    front, chosen = found["front"], found["chosen"]
+    kinds = {"folded": "fixed", "serial": "cost", "parallel": "reference"}
+
+    def seen(x: str, title: str) -> Markup:
+        points = [Curve([p[x] / DOT, p[x] * DOT], [p["luts"]] * 2, f"{kinds[p['architecture']]} dot") for p in front]
+        return panel(
+            points,
+            title,
+            "LUTs",
+            x_log=True,
+            y_log=True,
+            x_limits=span([p[x] for p in front], log=True),
+            levels=[(chosen["luts"], "chosen")],
+            marks=[chosen[x]],
+        )
+
+    panels = [
+        ("LUTs over error", seen("error", "error, times that of float")),
+        ("LUTs over time", seen("microseconds", "a step [µs]")),
+    ]
+    drawn = [name for name in kinds if any(p["architecture"] == name for p in front)]
+    return picture(panels, [(kinds[name], name) for name in drawn])
+
+
 PICTURES: dict[str, Callable[[], str]] = {
     "greygate": greygate,
     "belt_drive": belt_drive,
@@ -211,6 +242,7 @@ PICTURES: dict[str, Callable[[], str]] = {
     "asymmetric_cylinder": second_cylinder,
     "pump_cylinder": pump_cylinder,
     "cable_drum": drum,
+    "explore": explore,
 }
 
 

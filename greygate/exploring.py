@@ -210,6 +210,7 @@ def _facts(p: Point) -> dict:
         "design": asdict(p.design),
         "width": formats.width,
         "finer": formats.finer,
+        "tables": str(formats.tables),
         "table_budget": formats.table_budget,
         "signals": {name: str(fix) for name, fix in formats.signals.items()},
         "weights": dict(formats.weights),

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from greygate.compiler.explore.cost import Cost, clocks_of, cost, explored, factor, served, standing
+from greygate.compiler.explore.cost import COUNTS, Cost, clocks_of, cost, explored, factor, served, standing
 from greygate.compiler.explore.judge import Bound
 from greygate.compiler.explore.trail import (
     KEPT,
@@ -32,7 +32,7 @@ from greygate.progress import Progress, silent
 
 WIDTHS = range(8, 25)  # words that are tried everywhere
 FINER = (0, 1, 2, 4)  # bits beyond them
-TABLES = (Form.POINTS, Form.OCTAVES)
+OCTAVES = 18  # bits of a word and beyond up to which tables by octaves are tried: wider ones take seconds to make
 MULTIPLIERS = (1, 2, 4, 8, 16, 32)  # of the folded architecture
 STARTS = (0.25, 1.0 / 64)  # error of a trail's start, as a part of the largest that is of interest
 ALIKE = 1.02  # factor by which LUTs or time must be better for a point to stand on the front beside a more accurate one
@@ -133,7 +133,8 @@ def explore(make: Maker, request: Request, mapper: Mapper = map, progress: Progr
 
 def _candidates(make: Maker, request: Request, mapper: Mapper, progress: Progress) -> Iterator[Candidate]:
     """Words first, then trails from fine ones of them."""
-    words = [Formats(w, f, tables=t) for w in request.widths for f in request.finer for t in TABLES if w + f <= 32]
+    plain = [Formats(w, f) for w in request.widths for f in request.finer if w + f <= 32]
+    words = plain + [replace(f, tables=Form.OCTAVES) for f in plain if f.width + f.finer <= OCTAVES]
     if request.single:
         words = [Formats(request.widths[0], request.finer[0])]
     found = [c for some in mapper(_Words(make, not request.single), words) for c in some]
@@ -177,9 +178,7 @@ class _Words:
 
 def _within_reach(found: Sequence[Candidate], request: Request) -> bool:
     """Whether weights of few digits may make a design fit that counts digits."""
-    luts = [
-        cost(c.program, n, Design(), request.family, 1).luts for c in found for n in _counting_digits(request)
-    ]  # fmt: skip
+    luts = [cost(c.program, n, Design(), request.family, 1).luts for c in found for n in _counting_digits(request)]
     return min(luts, default=math.inf) <= REACH * request.room.luts
 
 
@@ -234,17 +233,21 @@ def _walked(request: Request) -> list[str]:
 
 @dataclass(frozen=True)
 class _Price:
-    """What a program costs as a plain design, in LUTs: a block of memory counts as its share of the device."""
+    """What a program costs as a plain design, in LUTs: a block of memory counts as its share of the device.
+
+    Half of what the blocks count is what of them is filled, so that a step counts that only together with others saves
+    a block.
+    """
 
     request: Request
     architecture: str
 
     def __call__(self, program: Program) -> float:
         whole, family = self.request.whole, self.request.family
-        point = cost(program, self.architecture, Design(multipliers=1, factor=factor(family)), family, 1)
+        parts = COUNTS[self.architecture](program, Design(multipliers=1, factor=factor(family)), family)
         block = whole.luts / whole.memories if whole.memories else whole.luts
         bits = sum(s.size * s.fix.width for s in program.signals.values())
-        return point.luts + block * point.memories + PER_BIT * bits
+        return parts.sized(family, self.architecture) + block * (parts.memories + parts.filled) / 2 + PER_BIT * bits
 
 
 # -- designs ---------------------------------------------------------------------------------------------------------
@@ -366,6 +369,7 @@ def told(p: Point, request: Request) -> str:
     """A point in a line of words."""
     c = p.cost
     how = f", {p.design.multipliers} multipliers" if p.architecture == "folded" else ""
+    how += ", tables in LUTs" if p.design.memory is Memory.LOGIC else ""
     return (
         f"{p.architecture}{how}: {c.luts} LUTs, {c.dsps} DSPs, {c.memories:g} memories, {c.clocks} clocks, "
         f"{c.microseconds:.3g} us, error {request.bound.text(p.candidate.error)}"

@@ -63,6 +63,12 @@ def blocks(family: str, words: int, bits: int, ports: int = 1) -> float:
     return worth * min(math.ceil(words / w) * math.ceil(bits / b) for w, b in shapes)
 
 
+def filled(family: str, words: int, bits: int) -> float:
+    """Blocks of memory that `words` of `bits` would take if a block could have any shape."""
+    (deep, wide), *_ = BLOCKS[family][0]
+    return BLOCKS[family][2] * words * bits / (deep * wide)
+
+
 def tiles(family: str, a: int, b: int) -> int:
     """DSPs that a signed product of that many by that many bits takes."""
     wide, narrow = MULTIPLIERS[family]
@@ -123,11 +129,20 @@ def trivial(program: Program, o: Affine) -> bool:
 
 @dataclass(frozen=True)
 class Parts:
-    """What a design is made of. luts: parts by kind, whose size `cost.toml` knows. dsps, memories: counted."""
+    """What a design is made of. luts: parts by kind, whose size `cost.toml` knows. dsps, memories: counted.
+
+    filled: memories if blocks could be filled to the last bit.
+    """
 
     luts: Mapping[str, float]
     dsps: int
     memories: float
+    filled: float
+
+    def sized(self, family: str, name: str) -> float:
+        """The LUTs of all parts of that architecture."""
+        table = coefficients()[family][name]["luts"]
+        return sum(table.get(kind, 0.0) * number for kind, number in self.luts.items())
 
 
 def _word(program: Program, o: Lookup) -> tuple[int, int, int, int]:
@@ -146,6 +161,11 @@ def _octaves(program: Program, o: Lookup) -> float:
     t = program.table[o.table]
     parts = len(t.segments.shifts) if isinstance(t, Lines) else 1
     return float((parts - 1) * program.signals[o.arg].fix.width)
+
+
+def _rom(program: Program, o: Lookup) -> str:
+    """The kind of part that the words of a table are in LUTs: those of unequal segments have less in common."""
+    return "segments" if isinstance(program.table[o.table], Lines) else "rom"
 
 
 def _small(program: Program) -> float:
@@ -175,9 +195,9 @@ def served(program: Program, since: Mapping[str, int]) -> list[tuple[Lookup, int
 
 def parallel(program: Program, design: Design, family: str) -> Parts:
     """Every sum of adders of its own, every two units of a table a memory of their own where it has two ports."""
-    luts = dict.fromkeys(("adders", "results", "lookups", "octaves", "products", "rom"), 0.0)
+    luts = dict.fromkeys(("adders", "results", "lookups", "octaves", "products", "rom", "segments"), 0.0)
     luts |= {"small": _small(program), "ports": _ports(program), "core": 1.0}
-    dsps, left, memories, both = 0, design.dsps, 0.0, bool(BLOCKS[family][1])
+    dsps, left, memories, full, both = 0, design.dsps, 0.0, 0.0, bool(BLOCKS[family][1])
     for o in program.operations:
         if isinstance(o, Affine):
             found = sums(program, o)
@@ -195,9 +215,10 @@ def parallel(program: Program, design: Design, family: str) -> Parts:
         if design.memory is Memory.BLOCK:
             one = blocks(family, words, bits)
             memories += min(units * one, math.ceil(units / 2) * blocks(family, words, bits, 2)) if both else units * one
+            full += units / (2 if both else 1) * filled(family, words, bits)
         else:
-            luts["rom"] += units * words * bits
-    return Parts(luts, dsps, memories)
+            luts[_rom(program, o)] += units * words * bits
+    return Parts(luts, dsps, memories, full)
 
 
 def factor(family: str) -> int:
@@ -213,13 +234,14 @@ def folded(program: Program, design: Design, family: str) -> Parts:
     luts = {"multipliers": float(m * acc), "stages": float(m * acc * len(products.stages))}
     luts |= {"drain": float(acc * len(folding.modes)), "code": float(ram[1]), "line": float(schedule[1])}
     luts |= {"small": _small(program), "ports": _ports(program), "core": 1.0}
-    luts |= dict.fromkeys(("lookups", "octaves", "rom", "ram"), 0.0)
+    luts |= dict.fromkeys(("lookups", "octaves", "rom", "segments", "ram"), 0.0)
     dsps, taken = m * tiles(family, products.x_width, products.word_width), 0.0
+    full = 0.0
     for (words, bits), kind in ((schedule, "rom"), (biases, "rom"), (ram, "ram")):
         need = blocks(family, words, bits)
         worth = family in BLOCKS_ALONE or words * bits * BLOCKS[family][2] >= WORTH[family] * need
         if words >= DEEP if kind == "rom" else worth:
-            taken += need
+            taken, full = taken + need, full + filled(family, words, bits)
         else:
             luts[kind] += words * bits
     for o in {o.table: o for o in program.operations if isinstance(o, Lookup)}.values():
@@ -228,10 +250,10 @@ def folded(program: Program, design: Design, family: str) -> Parts:
         luts["octaves"] += _octaves(program, o)
         dsps += tiles(family, slope, rest) if slope else 0
         if design.memory is Memory.BLOCK:
-            taken += blocks(family, words, bits)
+            taken, full = taken + blocks(family, words, bits), full + filled(family, words, bits)
         else:
-            luts["rom"] += words * bits
-    return Parts(luts, dsps, taken)
+            luts[_rom(program, o)] += words * bits
+    return Parts(luts, dsps, taken, full)
 
 
 def standing(program: Program, design: Design) -> dict[str, int]:
@@ -256,8 +278,8 @@ def serial(program: Program, design: Design, family: str) -> Parts:
     code = compiled(program)
     w, deep = code.widths, max(code.memory) + 1
     luts = {"acc": float(w["acc"]), "address": float(w["code"] + w["field"] + w["read"]), "core": 1.0}
-    taken = blocks(family, len(code.words), w["field"] + OPERATION) + blocks(family, deep, w["data"])
-    return Parts(luts, 0, taken)
+    kept = (len(code.words), w["field"] + OPERATION), (deep, w["data"])
+    return Parts(luts, 0, *(sum(count(family, *shape) for shape in kept) for count in (blocks, filled)))
 
 
 CLOCKS: dict[str, Callable[[Program, Design], int]] = {"parallel": parallel_clocks}  # where counting takes long
@@ -280,6 +302,6 @@ def cost(program: Program, name: str, design: Design, family: str, clocks: int |
     """What the program costs as that architecture. clocks: of a step, if they are known."""
     if clocks is None:
         clocks = clocks_of(program, name, design)
-    parts, table = COUNTS[name](program, design, family), coefficients()[family][name]
-    luts = sum(table["luts"].get(kind, 0.0) * number for kind, number in parts.luts.items())
-    return Cost(math.ceil(luts), parts.dsps, parts.memories, clocks, table["period"])
+    parts = COUNTS[name](program, design, family)
+    period = coefficients()[family][name]["period"]
+    return Cost(math.ceil(parts.sized(family, name)), parts.dsps, parts.memories, clocks, period)

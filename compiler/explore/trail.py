@@ -122,7 +122,7 @@ def coarser(candidate: Candidate, knob: tuple[str, str]) -> Formats | None:
             return None
         return replace(formats, signals={**formats.signals, name: Fix(fix.width - 1, fix.frac - 1)})
     if kind == "weights":
-        bits = formats.weights.get(name, formats.width + formats.finer) - 1
+        bits = formats.weights.get(name, formats.width) - 1
         return replace(formats, weights={**formats.weights, name: bits}) if bits >= LEAST_WEIGHT else None
     budget = formats.table_budget * 2
     return replace(formats, table_budget=budget) if budget <= COARSEST else None

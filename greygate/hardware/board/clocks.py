@@ -13,7 +13,7 @@ CLOSE = 1e-4  # relative: a UART does not notice it
 def sb_pll40(given: float, wanted: float) -> dict[str, int] | None:
     """iCE40: given / (DIVR + 1) * (DIVF + 1) / 2^DIVQ, the feedback simple."""
     filters = ((17, 1), (26, 2), (44, 3), (66, 4), (101, 5), (133, 6))  # phase detector below, MHz -> FILTER_RANGE
-    for r, q, f in product(range(16), range(1, 7), range(64)):
+    for r, q, f in product(range(16), range(1, 7), range(128)):
         detector = given / (r + 1)
         oscillator = detector * (f + 1)
         if 10 <= detector <= 133 and 533 <= oscillator <= 1066 and _close(oscillator / 2**q, wanted):

@@ -1,7 +1,7 @@
 """What the least design costs: the catalogue's plants in the serial architecture, as default formats make them.
 
 Words of code and of memory, clocks and microseconds of a step, and what Yosys counts; on the UP5K nextpnr places and
-routes. Usage: python benchmarks/serial.py [--plants NAME...] [--targets NAME...] [--limit SECONDS]
+routes. Usage: python benchmarks/least.py [--plants NAME...] [--targets NAME...] [--limit SECONDS]
 """
 
 import argparse
@@ -20,7 +20,7 @@ TARGETS = ("up5k", "ecp5-25k", "xc7a35t")
 PLACED = ("up5k",)
 WIDTH = 16
 MHZ = 12.0  # of the clock that a UP5K has inside
-RESULTS = Path(__file__).parent / "results/serial.json"
+RESULTS = Path(__file__).parent / "results/least.json"
 
 
 def measured(program: Program, targets: list[str], limit: float) -> dict[str, object]:
