@@ -12,7 +12,9 @@ from pathlib import Path
 from greygate import rtl
 from greygate.compiler.tables import Form, make_table
 from greygate.compiler.verilog import instance, module_text, table_module, table_text
-from greygate.emulator.program import Fix, Lines, Lookup, Program, Signal, Table, Terminal
+from greygate.emulator.numbers import Fix
+from greygate.emulator.program import Lookup, Program, Signal, Terminal
+from greygate.emulator.tables import Lines, Table
 from greygate.hardware.families import FAMILIES
 from greygate.hardware.synthesis import synthesize
 

@@ -6,18 +6,8 @@ are set to.
 
 from collections.abc import Callable
 
-from greygate.emulator.program import (
-    Affine,
-    Clamp,
-    Fix,
-    Lookup,
-    Op,
-    Overflow,
-    Program,
-    Rounding,
-    Select,
-    Threshold,
-)
+from greygate.emulator.numbers import Fix, Overflow, Rounding
+from greygate.emulator.program import Affine, Clamp, Lookup, Op, Program, Select, Threshold
 
 Interval = tuple[int, int]  # (lo, hi), both possible
 

@@ -11,7 +11,8 @@ from itertools import product
 
 import numpy as np
 
-from greygate.emulator.program import Fix, Segments, Symmetry, signed_width
+from greygate.emulator.numbers import Fix, signed_width
+from greygate.emulator.tables import Segments, Symmetry
 
 SAMPLES = 32  # pairs of codes in a segment by which its line is chosen
 GUARDS = range(4)  # fraction bits of a base that are tried

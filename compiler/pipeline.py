@@ -12,7 +12,8 @@ from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.ranges import Range, ranges
 from greygate.compiler.simplify import SIMPLIFICATIONS, merge_linear, multiplications, parameter_count
 from greygate.emulator.engine import run
-from greygate.emulator.program import Fix, Program
+from greygate.emulator.numbers import Fix
+from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.models.accuracy import float_error, pooled_rms, portable_rms
 from greygate.models.network import Network

@@ -10,25 +10,21 @@ import numpy as np
 
 from greygate.compiler.ranges import Range, sums
 from greygate.compiler.tables import Form, flat_from, integer_bits, make_table, output_fix
+from greygate.emulator.numbers import ACCUMULATOR_BITS, Fix, Overflow, Rounding
 from greygate.emulator.program import (
-    ACCUMULATOR_BITS,
     Affine,
     Clamp,
-    Fix,
-    Lines,
     Lookup,
     Op,
     Operation,
-    Overflow,
     Program,
-    Rounding,
     Select,
     Signal,
     State,
-    Table,
     Terminal,
     Threshold,
 )
+from greygate.emulator.tables import Lines, Table
 from greygate.errors import InputError
 from greygate.models.arithmetic import product
 from greygate.models.network import Layer, Network

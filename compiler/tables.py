@@ -13,7 +13,8 @@ import numpy as np
 
 from greygate.compiler.lines import Goal, fit_lines
 from greygate.emulator.interpreter import lookup
-from greygate.emulator.program import Fix, Lines, Symmetry, Table
+from greygate.emulator.numbers import Fix
+from greygate.emulator.tables import Lines, Symmetry, Table
 from greygate.models.activations import ACTIVATIONS
 from greygate.models.arithmetic import xp
 

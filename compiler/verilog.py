@@ -5,22 +5,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields as dataclass_fields
 from typing import NamedTuple
 
-from greygate.emulator.program import (
-    Clamp,
-    Elementwise,
-    Lines,
-    Lookup,
-    Op,
-    Operation,
-    Program,
-    Rounding,
-    Segments,
-    Select,
-    Signal,
-    Symmetry,
-    Table,
-    Threshold,
-)
+from greygate.emulator.numbers import Rounding
+from greygate.emulator.program import Clamp, Elementwise, Lookup, Op, Operation, Program, Select, Signal, Threshold
+from greygate.emulator.tables import Lines, Segments, Symmetry, Table
 from greygate.errors import InputError, one_line
 
 ROUNDING = {Rounding.TRUNCATE: 0, Rounding.HALF_UP: 1, Rounding.HALF_EVEN: 2}

@@ -17,20 +17,9 @@ import numpy as np
 
 from greygate.emulator import specialised as kernels
 from greygate.emulator.interpreter import Run
-from greygate.emulator.program import (
-    Affine,
-    Clamp,
-    Lines,
-    Lookup,
-    Op,
-    Overflow,
-    Program,
-    Rounding,
-    Select,
-    Symmetry,
-    Table,
-    Threshold,
-)
+from greygate.emulator.numbers import Overflow, Rounding
+from greygate.emulator.program import Affine, Clamp, Lookup, Op, Program, Select, Threshold
+from greygate.emulator.tables import Lines, Symmetry, Table
 
 WORTH_COMPILING = 20_000_000  # steps of all sequences
 AFFINE, AFFINE_WIDE, TABLE, CLAMP, THRESHOLD, SELECT, LINES = range(7)

@@ -8,24 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greygate.emulator.program import (
-    ACCUMULATOR_BITS,
-    Affine,
-    Clamp,
-    Fix,
-    Lines,
-    Lookup,
-    Op,
-    Overflow,
-    Program,
-    Rounding,
-    Segments,
-    Select,
-    Signal,
-    Symmetry,
-    Table,
-    Threshold,
-)
+from greygate.emulator.numbers import ACCUMULATOR_BITS, Fix, Overflow, Rounding
+from greygate.emulator.program import Affine, Clamp, Lookup, Op, Program, Select, Signal, Threshold
+from greygate.emulator.tables import Lines, Segments, Symmetry, Table
 
 
 @dataclass(frozen=True)

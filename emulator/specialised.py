@@ -9,22 +9,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from greygate.emulator.program import (
-    ACCUMULATOR_BITS,
-    Affine,
-    Clamp,
-    Fix,
-    Lines,
-    Lookup,
-    Op,
-    Overflow,
-    Program,
-    Rounding,
-    Select,
-    Symmetry,
-    Table,
-    Threshold,
-)
+from greygate.emulator.numbers import ACCUMULATOR_BITS, Fix, Overflow, Rounding
+from greygate.emulator.program import Affine, Clamp, Lookup, Op, Program, Select, Threshold
+from greygate.emulator.tables import Lines, Symmetry, Table
 from greygate.generated import load
 
 EXACT_BITS = 53  # integers up to 2^53 are exact in float64

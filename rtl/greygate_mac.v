@@ -26,7 +26,7 @@ module greygate_mac #(
 
     reg signed [WORD_W-1:0] word_reg;
     reg        [STAGES-1:0] select_reg;
-    reg signed [     P-1:0] product_reg;
+    wire signed [    P-1:0] product_reg;
     reg signed [ ACC_W-1:0] shifted_reg;
 
     function automatic signed [W-1:0] shifted(input signed [P-1:0] product, input [STAGES-1:0] stages);
@@ -42,13 +42,22 @@ module greygate_mac #(
     always @(posedge clk) begin
         x_reg <= x;
         word_reg <= word;
-        product_reg <= x_reg * word_reg;
         select_reg <= select;
         shifted_reg <= wide[ACC_W-1:0];
         acc <= (first ? bias : acc) + shifted_reg;
     end
 
     generate
+        if (BASE > 0 && AMOUNTS == 0) begin : always_shifted
+            // kept: Yosys, which would pack this register and the next into an iCE40's DSP, loses the wires between them
+            (* keep *) reg signed [P-1:0] product;
+            always @(posedge clk) product <= x_reg * word_reg;
+            assign product_reg = product;
+        end else begin : shifted_by_mode
+            reg signed [P-1:0] product;
+            always @(posedge clk) product <= x_reg * word_reg;
+            assign product_reg = product;
+        end
         if (W > ACC_W) begin : wider
             wire unused = &{1'b0, wide[W-1:ACC_W]};  // copies of the sign
         end

@@ -5,28 +5,20 @@ from dataclasses import replace
 
 import numpy as np
 
+from greygate.emulator.numbers import ACCUMULATOR_BITS, FRACTIONS, WIDTHS, Fix, Overflow, Rounding
 from greygate.emulator.program import (
-    ACCUMULATOR_BITS,
-    FRACTIONS,
-    WIDTHS,
     Affine,
     Clamp,
-    Fix,
-    Lines,
     Lookup,
     Operation,
-    Overflow,
     Program,
-    Rounding,
-    Segments,
     Select,
     Signal,
     State,
-    Symmetry,
-    Table,
     Terminal,
     Threshold,
 )
+from greygate.emulator.tables import Lines, Segments, Symmetry, Table
 
 LOWEST, HIGHEST = FRACTIONS[0], FRACTIONS[-1]
 SIZES = (1, 1, 2, 3, 4, 5, 7)

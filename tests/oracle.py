@@ -5,20 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from greygate.emulator.interpreter import Run
-from greygate.emulator.program import (
-    Affine,
-    Clamp,
-    Fix,
-    Lines,
-    Lookup,
-    Overflow,
-    Program,
-    Rounding,
-    Select,
-    Symmetry,
-    Table,
-    Threshold,
-)
+from greygate.emulator.numbers import Fix, Overflow, Rounding
+from greygate.emulator.program import Affine, Clamp, Lookup, Program, Select, Threshold
+from greygate.emulator.tables import Lines, Symmetry, Table
 
 
 class Answer(NamedTuple):

@@ -4,22 +4,9 @@ import math
 
 import numpy as np
 
-from greygate.emulator.program import (
-    Affine,
-    Clamp,
-    Fix,
-    Lookup,
-    Overflow,
-    Program,
-    Rounding,
-    Select,
-    Signal,
-    State,
-    Symmetry,
-    Table,
-    Terminal,
-    Threshold,
-)
+from greygate.emulator.numbers import Fix, Overflow, Rounding
+from greygate.emulator.program import Affine, Clamp, Lookup, Program, Select, Signal, State, Terminal, Threshold
+from greygate.emulator.tables import Symmetry, Table
 
 FUNCTIONS = {
     Symmetry.ODD: ("tansig", math.tanh),

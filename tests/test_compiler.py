@@ -17,7 +17,8 @@ from greygate.compiler.simplify import merge_linear, multiplications, simplify
 from greygate.compiler.tables import make_table
 from greygate.emulator.engine import run
 from greygate.emulator.interpreter import fit, interpret, lookup, round_shift
-from greygate.emulator.program import Affine, Fix, Overflow, Program, Rounding, Signal, Terminal
+from greygate.emulator.numbers import Fix, Overflow, Rounding
+from greygate.emulator.program import Affine, Program, Signal, Terminal
 from greygate.errors import InputError
 from greygate.models.accuracy import float_error
 from greygate.models.activations import ACTIVATIONS

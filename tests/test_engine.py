@@ -11,7 +11,9 @@ from programs import cylinder_program, random_codes, random_program
 from greygate.emulator import engine
 from greygate.emulator.engine import run
 from greygate.emulator.interpreter import interpret
-from greygate.emulator.program import Affine, Fix, Lookup, Program, Rounding, Signal, Symmetry, Table, Terminal
+from greygate.emulator.numbers import Fix, Rounding
+from greygate.emulator.program import Affine, Lookup, Program, Signal, Terminal
+from greygate.emulator.tables import Symmetry, Table
 
 
 @pytest.fixture(scope="module", autouse=True)

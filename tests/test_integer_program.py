@@ -10,26 +10,22 @@ from oracle import differing_bits, perform
 
 from greygate.emulator.engine import run
 from greygate.emulator.interpreter import interpret
+from greygate.emulator.numbers import ACCUMULATOR_BITS, Fix, Rounding
 from greygate.emulator.program import (
-    ACCUMULATOR_BITS,
     SIZES,
     Affine,
     Clamp,
     Clipped,
-    Fix,
-    Lines,
     Lookup,
     Operation,
     Program,
-    Rounding,
     Select,
     Signal,
     State,
-    Symmetry,
-    Table,
     Terminal,
     Threshold,
 )
+from greygate.emulator.tables import Lines, Symmetry, Table
 from greygate.errors import InputError
 
 SEEDS = range(300)

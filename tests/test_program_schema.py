@@ -8,7 +8,8 @@ import pytest
 from legal_programs import legal_program
 from programs import cylinder_program
 
-from greygate.emulator.program import Lines, Program
+from greygate.emulator.program import Program
+from greygate.emulator.tables import Lines
 from greygate.errors import InputError
 
 jsonschema = pytest.importorskip("jsonschema")

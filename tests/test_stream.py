@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from greygate.compiler.emit import emit, sources
-from greygate.emulator.program import Affine, Fix, Program, Signal, State, Terminal
+from greygate.emulator.numbers import Fix
+from greygate.emulator.program import Affine, Program, Signal, State, Terminal
 from greygate.hardware.replay import simulate
 
 FIX = Fix(9, 0)  # in a lane of 16 bits

@@ -7,7 +7,9 @@ from greygate import rtl
 from greygate.compiler.tables import Form, make_table
 from greygate.compiler.verilog import LOOKUP_CLOCKS, table_layout, table_module, table_text
 from greygate.emulator.interpreter import lookup
-from greygate.emulator.program import Fix, Lines, Lookup, Program, Signal, Symmetry, Table, Terminal
+from greygate.emulator.numbers import Fix
+from greygate.emulator.program import Lookup, Program, Signal, Terminal
+from greygate.emulator.tables import Lines, Symmetry, Table
 from greygate.hardware.replay import simulate
 from greygate.models.activations import ACTIVATIONS
 from greygate.models.arithmetic import xp

@@ -13,7 +13,8 @@ from greygate.compiler.adders.graph import signed_width
 from greygate.compiler.code_ranges import Interval, rounding_constant
 from greygate.compiler.verilog import module_text, number, remark, unused_text, wrapped
 from greygate.emulator.interpreter import fit, round_shift
-from greygate.emulator.program import Affine, Overflow, Program, Rounding
+from greygate.emulator.numbers import Overflow, Rounding
+from greygate.emulator.program import Affine, Program
 
 
 def solved(program: Program, o: Affine, ranges: Mapping[str, list[Interval]]) -> Graph:

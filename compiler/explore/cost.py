@@ -18,7 +18,9 @@ from greygate.compiler.folding.schedule import fold
 from greygate.compiler.serial.layout import compiled
 from greygate.compiler.targets import FACTORS, Design, Memory, architecture
 from greygate.compiler.targets.folded import memories as folded_memories
-from greygate.emulator.program import Affine, Lines, Lookup, Program, Table, signed_width
+from greygate.emulator.numbers import signed_width
+from greygate.emulator.program import Affine, Lookup, Program
+from greygate.emulator.tables import Lines, Table
 
 COEFFICIENTS = Path(__file__).with_name("cost.toml")
 LOOKUP, EDGES = 3, 2  # clocks of a lookup, and of a step beside its longest chain

@@ -15,7 +15,8 @@ from greygate.compiler.explore.judge import Judge, agreed
 from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.ranges import Range, ranges
 from greygate.compiler.rounding import BITS, round_jointly
-from greygate.emulator.program import Affine, Fix, Lookup, Program
+from greygate.emulator.numbers import Fix
+from greygate.emulator.program import Affine, Lookup, Program
 from greygate.errors import InputError
 from greygate.models.network import Network
 from greygate.models.training.record import Record

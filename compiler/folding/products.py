@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from greygate.compiler.folding.words import choose_stages, pieces, selected, width_of
-from greygate.emulator.program import Affine, Operation, Overflow, Program, Rounding, signed_width
+from greygate.emulator.numbers import Overflow, Rounding, signed_width
+from greygate.emulator.program import Affine, Operation, Program
 
 NARROW = 16  # bits of the factors that every family multiplies in one DSP
 FEW = 1.05  # products, as a factor, that narrower multipliers may cost

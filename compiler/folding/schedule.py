@@ -29,7 +29,8 @@ from greygate.compiler.folding.schedule_lines import (
 )
 from greygate.compiler.lately import lately
 from greygate.compiler.verilog import LATE_CLOCKS, shared_tables
-from greygate.emulator.program import Affine, Elementwise, Lookup, Program, signed_width
+from greygate.emulator.numbers import signed_width
+from greygate.emulator.program import Affine, Elementwise, Lookup, Program
 
 
 @dataclass(frozen=True)

@@ -29,18 +29,8 @@ from greygate.compiler.serial.writer import (
     width_of,
 )
 from greygate.compiler.verilog import input_slices, shared_tables
-from greygate.emulator.program import (
-    Affine,
-    Clamp,
-    Fix,
-    Lookup,
-    Operation,
-    Overflow,
-    Program,
-    Select,
-    Signal,
-    Threshold,
-)
+from greygate.emulator.numbers import Fix, Overflow
+from greygate.emulator.program import Affine, Clamp, Lookup, Operation, Program, Select, Signal, Threshold
 
 PAIRS = (("zero", "slope"), ("above", "below"))  # words beside each other, of which one is chosen
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from greygate.compiler.serial.writer import NOTHING, PLAIN, TAKE, ZERO, Add, Constant, Key, Range, Writer
-from greygate.emulator.program import Lines, Segments, Symmetry, Table
+from greygate.emulator.tables import Lines, Segments, Symmetry, Table
 
 
 @dataclass(frozen=True)

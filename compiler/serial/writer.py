@@ -9,7 +9,7 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
 
-from greygate.emulator.program import Fix, Overflow, Rounding, signed_width
+from greygate.emulator.numbers import Fix, Overflow, Rounding, signed_width
 
 Key = Hashable  # names a word of memory: Constant, or a string
 Range = tuple[int, int]  # the least and the greatest value

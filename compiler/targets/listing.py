@@ -6,19 +6,8 @@ Numbers are codes. The word behind a shift names its rounding (docs/integer-prog
 from collections.abc import Callable, Iterator
 
 from greygate.compiler.targets import Target
-from greygate.emulator.program import (
-    Affine,
-    Clamp,
-    Lines,
-    Lookup,
-    Op,
-    Program,
-    Select,
-    Signal,
-    Table,
-    Terminal,
-    Threshold,
-)
+from greygate.emulator.program import Affine, Clamp, Lookup, Op, Program, Select, Signal, Terminal, Threshold
+from greygate.emulator.tables import Lines, Table
 
 LONGEST = 8  # initial codes that are shown
 

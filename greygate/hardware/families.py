@@ -63,6 +63,7 @@ FAMILIES = {
         dsps={"MULT18X18D": 1},
         block_rams={"DP16KD": 1.0, "PDPW16KD": 1.0},  # of 18 kbit
         lut_rams={"TRELLIS_DPR16X4": 1},
+        models="ecp5/cells_sim.v",
     ),
     "ice40": Family(
         "Lattice iCE40",

@@ -18,10 +18,18 @@ import numpy as np
 
 from greygate.emulator.program import Program
 from greygate.errors import InputError
-from greygate.hardware.verify import lanes, run_logged, runtime_cache, simulator_environment
+from greygate.hardware.verify import (
+    borrow_runtime,
+    keep_runtime,
+    lanes,
+    run_logged,
+    runtime_cache,
+    simulator_environment,
+)
 from greygate.progress import Progress, silent
 
 PATIENCE = 100_000  # clocks without an answer before the design is said to hang
+FEW = 10_000  # steps, for which no compiler's optimisation is worth its time
 RUNTIME = ("verilated.o", "verilated_threads.o")  # of Verilator, the same for every design
 LINT = ("-Wno-lint", "-Wno-style", "-Wno-fatal", "-Wno-MULTIDRIVEN", "-Wno-SPECIFYIGN", "-Wno-TIMESCALEMOD")
 MAIN = """\
@@ -80,7 +88,7 @@ def replay(
         for name, rows in zip(("samples", "wanted"), words, strict=True)
     }
     text = bench(program.name, len(inputs), *(8 * rows.shape[1] for rows in words))
-    found = simulate(files, text, data, include, progress)
+    found = simulate(files, text, data, include, progress, optimised=len(inputs) > FEW)
     first = None if found["first"] < 0 else (found["first"], int(found["given"], 16), int(found["wanted"], 16))
     clocks = found["clocks"] / (found["steps"] - 1) if found["steps"] > 1 else float("nan")
     return Replay(found["steps"], found["differing"], first, clocks, found["steps"] < len(inputs))
@@ -92,10 +100,12 @@ def simulate(
     data: Mapping[str, str],
     include: Sequence[Path] = (),
     progress: Progress = silent,
+    optimised: bool = True,
 ) -> Any:
     """Build and run a Verilog module `bench` with the one input `clk`; return what it writes to result.json.
 
-    data: files that it reads, by name. Raises InputError where a tool is missing, or Verilator cannot build it.
+    data: files that it reads, by name. optimised: False for a large design and few clocks, which takes longer to build
+    than to run. Raises InputError where a tool is missing, or Verilator cannot build it.
     """
     environment = simulator_environment()
     with tempfile.TemporaryDirectory(prefix="greygate-") as temporary:
@@ -104,10 +114,6 @@ def simulate(
             (work / name).write_text(text)
         for path in files:
             shutil.copy(path, work)
-        cache = runtime_cache(environment, False)
-        for name in RUNTIME:
-            if (cache / name).exists():
-                shutil.copy(cache / name, work / name)
 
         def tool(*command: str) -> None:
             try:
@@ -121,9 +127,14 @@ def simulate(
         options = ["--cc", "--exe", "--prefix", "Vbench", "--top-module", "bench", "-Mdir", ".", "-o", "bench"]
         options += ["--timescale", "1ns/1ns", "--x-initial", "unique", "-O3", "--output-split", "20000", *LINT]
         options += [f"-I{path}" for path in include]
-        tool("verilator", *options, "main.cpp", "bench.v", *(p.name for p in files))
+        sources = [str(work / p.name) for p in files]  # whole paths: a bare name is looked for in -I first
+        tool("verilator", *options, "main.cpp", "bench.v", *sources)
         progress("compiling the simulation")
-        tool("make", "-j", str(os.cpu_count() or 1), "-f", "Vbench.mk", "OPT_FAST=-O1", "OPT_SLOW=-O0")
+        cache, level = runtime_cache(environment, False), "-O1" if optimised else "-O0"
+        borrow_runtime(cache, work, RUNTIME)
+        make = ["make", "-j", str(os.cpu_count() or 1), "-f", "Vbench.mk"]
+        tool(*make, f"OPT_FAST={level}", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1")
+        keep_runtime(cache, work)
         progress("simulating")
         tool(str(work / "bench"))
         if not (work / "result.json").exists():

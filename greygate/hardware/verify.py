@@ -326,12 +326,22 @@ def build(files: Sequence[str], work: Path, folder: Path, environment: dict[str,
         work,
     )
     cache = runtime_cache(environment, waves)
-    for name in RUNTIME:
-        if (cache / name).exists():
-            shutil.copy(cache / name, work / name)
+    borrow_runtime(cache, work)
     jobs = str(os.cpu_count() or 1)
     make = ["make", "-j", jobs, "-f", "Vtop.mk", f"VM_TRACE={int(waves)}", *OPTIONS]
     run_logged(make, folder / "make.log", environment, work)
+    keep_runtime(cache, work)
+
+
+def borrow_runtime(cache: Path, work: Path, names: Sequence[str] = RUNTIME) -> None:
+    """Copy the runtime's objects to where make will look for them; after Verilator, whose makefile must be older."""
+    for name in names:
+        if (cache / name).exists():
+            shutil.copy(cache / name, work / name)
+
+
+def keep_runtime(cache: Path, work: Path) -> None:
+    """Copy the runtime's objects that make built to the cache."""
     for name in RUNTIME:
         if (work / name).exists() and not (cache / name).exists():
             with suppress(OSError, InputError):  # a cache that cannot be written only costs time

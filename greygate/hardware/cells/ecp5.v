@@ -47,70 +47,15 @@ module DP16KD (
     parameter GSR = "AUTO";
     parameter INIT_DATA = "STATIC";
     parameter WID = 0;
-    parameter [319:0] INITVAL_00 = 0;
-    parameter [319:0] INITVAL_01 = 0;
-    parameter [319:0] INITVAL_02 = 0;
-    parameter [319:0] INITVAL_03 = 0;
-    parameter [319:0] INITVAL_04 = 0;
-    parameter [319:0] INITVAL_05 = 0;
-    parameter [319:0] INITVAL_06 = 0;
-    parameter [319:0] INITVAL_07 = 0;
-    parameter [319:0] INITVAL_08 = 0;
-    parameter [319:0] INITVAL_09 = 0;
-    parameter [319:0] INITVAL_0A = 0;
-    parameter [319:0] INITVAL_0B = 0;
-    parameter [319:0] INITVAL_0C = 0;
-    parameter [319:0] INITVAL_0D = 0;
-    parameter [319:0] INITVAL_0E = 0;
-    parameter [319:0] INITVAL_0F = 0;
-    parameter [319:0] INITVAL_10 = 0;
-    parameter [319:0] INITVAL_11 = 0;
-    parameter [319:0] INITVAL_12 = 0;
-    parameter [319:0] INITVAL_13 = 0;
-    parameter [319:0] INITVAL_14 = 0;
-    parameter [319:0] INITVAL_15 = 0;
-    parameter [319:0] INITVAL_16 = 0;
-    parameter [319:0] INITVAL_17 = 0;
-    parameter [319:0] INITVAL_18 = 0;
-    parameter [319:0] INITVAL_19 = 0;
-    parameter [319:0] INITVAL_1A = 0;
-    parameter [319:0] INITVAL_1B = 0;
-    parameter [319:0] INITVAL_1C = 0;
-    parameter [319:0] INITVAL_1D = 0;
-    parameter [319:0] INITVAL_1E = 0;
-    parameter [319:0] INITVAL_1F = 0;
-    parameter [319:0] INITVAL_20 = 0;
-    parameter [319:0] INITVAL_21 = 0;
-    parameter [319:0] INITVAL_22 = 0;
-    parameter [319:0] INITVAL_23 = 0;
-    parameter [319:0] INITVAL_24 = 0;
-    parameter [319:0] INITVAL_25 = 0;
-    parameter [319:0] INITVAL_26 = 0;
-    parameter [319:0] INITVAL_27 = 0;
-    parameter [319:0] INITVAL_28 = 0;
-    parameter [319:0] INITVAL_29 = 0;
-    parameter [319:0] INITVAL_2A = 0;
-    parameter [319:0] INITVAL_2B = 0;
-    parameter [319:0] INITVAL_2C = 0;
-    parameter [319:0] INITVAL_2D = 0;
-    parameter [319:0] INITVAL_2E = 0;
-    parameter [319:0] INITVAL_2F = 0;
-    parameter [319:0] INITVAL_30 = 0;
-    parameter [319:0] INITVAL_31 = 0;
-    parameter [319:0] INITVAL_32 = 0;
-    parameter [319:0] INITVAL_33 = 0;
-    parameter [319:0] INITVAL_34 = 0;
-    parameter [319:0] INITVAL_35 = 0;
-    parameter [319:0] INITVAL_36 = 0;
-    parameter [319:0] INITVAL_37 = 0;
-    parameter [319:0] INITVAL_38 = 0;
-    parameter [319:0] INITVAL_39 = 0;
-    parameter [319:0] INITVAL_3A = 0;
-    parameter [319:0] INITVAL_3B = 0;
-    parameter [319:0] INITVAL_3C = 0;
-    parameter [319:0] INITVAL_3D = 0;
-    parameter [319:0] INITVAL_3E = 0;
-    parameter [319:0] INITVAL_3F = 0;
+    parameter [319:0]
+        INITVAL_00 = 0, INITVAL_01 = 0, INITVAL_02 = 0, INITVAL_03 = 0, INITVAL_04 = 0, INITVAL_05 = 0, INITVAL_06 = 0, INITVAL_07 = 0,
+        INITVAL_08 = 0, INITVAL_09 = 0, INITVAL_0A = 0, INITVAL_0B = 0, INITVAL_0C = 0, INITVAL_0D = 0, INITVAL_0E = 0, INITVAL_0F = 0,
+        INITVAL_10 = 0, INITVAL_11 = 0, INITVAL_12 = 0, INITVAL_13 = 0, INITVAL_14 = 0, INITVAL_15 = 0, INITVAL_16 = 0, INITVAL_17 = 0,
+        INITVAL_18 = 0, INITVAL_19 = 0, INITVAL_1A = 0, INITVAL_1B = 0, INITVAL_1C = 0, INITVAL_1D = 0, INITVAL_1E = 0, INITVAL_1F = 0,
+        INITVAL_20 = 0, INITVAL_21 = 0, INITVAL_22 = 0, INITVAL_23 = 0, INITVAL_24 = 0, INITVAL_25 = 0, INITVAL_26 = 0, INITVAL_27 = 0,
+        INITVAL_28 = 0, INITVAL_29 = 0, INITVAL_2A = 0, INITVAL_2B = 0, INITVAL_2C = 0, INITVAL_2D = 0, INITVAL_2E = 0, INITVAL_2F = 0,
+        INITVAL_30 = 0, INITVAL_31 = 0, INITVAL_32 = 0, INITVAL_33 = 0, INITVAL_34 = 0, INITVAL_35 = 0, INITVAL_36 = 0, INITVAL_37 = 0,
+        INITVAL_38 = 0, INITVAL_39 = 0, INITVAL_3A = 0, INITVAL_3B = 0, INITVAL_3C = 0, INITVAL_3D = 0, INITVAL_3E = 0, INITVAL_3F = 0;
 
     localparam [20479:0] INIT = {
         INITVAL_3F, INITVAL_3E, INITVAL_3D, INITVAL_3C, INITVAL_3B, INITVAL_3A, INITVAL_39, INITVAL_38,

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 from greygate.compiler.folding.schedule import fold
 from greygate.compiler.targets import Design
-from greygate.emulator.program import Affine, Overflow, Program, Rounding
+from greygate.emulator.numbers import Overflow, Rounding
+from greygate.emulator.program import Affine, Program
 from greygate.hardware.proofs.affine import signed_bits
 from greygate.hardware.proofs.elaborated import Block
 from greygate.hardware.proofs.proof import Proof, timed

@@ -13,7 +13,8 @@ import numpy as np
 
 from greygate.emulator.engine import run
 from greygate.emulator.interpreter import lookup
-from greygate.emulator.program import Affine, Clamp, Lookup, Overflow, Program, Rounding
+from greygate.emulator.numbers import Overflow, Rounding
+from greygate.emulator.program import Affine, Clamp, Lookup, Program
 from greygate.hardware.proofs.proof import Proof, timed
 from greygate.models.accuracy import float_error
 from greygate.models.activations import ACTIVATIONS

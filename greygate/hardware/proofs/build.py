@@ -20,7 +20,9 @@ from greygate.hardware.proofs.tables import tables
 from greygate.progress import Progress, silent, titled
 from greygate.project import Project
 
-ELSEWHERE = ("greygate_lookup", "greygate_stream")  # part of a table, every code of which is tried; computes nothing
+# a table, every code of which is tried, or what computes nothing
+ELSEWHERE = ("greygate_lookup", "greygate_product", "greygate_stream")
+NOTHING = "it has nothing that this concerns"
 LONGEST = 5000  # steps of a scenario that a netlist plays
 
 
@@ -51,7 +53,9 @@ def prove(
     found: list[Proof] = []
     for name in PROOFS:
         if not only or name in only:
-            found += PROOFS[name](project, chosen, progress)
+            proofs = list(PROOFS[name](project, chosen, progress))
+            nothing = Proof(f"{name} of {' and '.join(designs)}", "reading the build", None, counterexample=NOTHING)
+            found += proofs or [nothing]
     return found
 
 

@@ -1,5 +1,6 @@
 """The netlist after synthesis, of the cells of a device, equals the emulator over a scenario."""
 
+import json
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ from greygate.errors import InputError
 from greygate.hardware.families import chosen
 from greygate.hardware.proofs.proof import Proof, timed
 from greygate.hardware.replay import Replay, replay
-from greygate.hardware.synthesis import reading
+from greygate.hardware.synthesis import STAT, counted, reading
 from greygate.hardware.tools import yosys
 from greygate.progress import Progress, silent
 
@@ -33,20 +34,24 @@ def netlist_equals_emulator(
     """Map the design to the cells of `target` by Yosys, simulate the cells, and compare every output bit.
 
     inputs, outputs: codes (N, columns) of a scenario, as the emulator takes and gives them. limit: seconds of
-    processor time for Yosys. Raises InputError for a target without models of its cells.
+    processor time for Yosys. The figures also count the cells, as `synthesize` does. Raises InputError for a target
+    without models of its cells.
     """
     family, _ = chosen(target)
     if family.models is None:
-        raise InputError(f"{target}: Yosys has no models of its cells; choose ice40 or xilinx, or a device of theirs")
+        raise InputError(
+            f"{target}: there are no models of its cells; choose ice40, ecp5 or xilinx, or a device of theirs"
+        )
     what = f"netlist for {target} equals the emulator"
     how = "simulation of the mapped cells in Verilator"
     with timed() as seconds, tempfile.TemporaryDirectory(prefix="greygate-") as temporary:
         work = Path(temporary)
         for path in files:
             shutil.copy(path, work)
-        script = f"{reading(list(files))}; {family.synth.format(top=program.name)}; write_verilog -noattr {NETLIST}"
+        script = f"{reading(list(files))}; {family.synth.format(top=program.name)}"
         try:
-            yosys(script, work, limit, progress)
+            yosys(f"{script}; tee -q -o {STAT} stat -json; write_verilog -noattr {NETLIST}", work, limit, progress)
+            cells = counted(family, json.loads((work / STAT).read_text())["design"]["num_cells_by_type"])
             models = _models(family.models, work)
             share = _share()
             include = [share, (share / family.models).parent]
@@ -55,7 +60,7 @@ def netlist_equals_emulator(
             found = None
     if found is None:
         return Proof(what, how, None, seconds[0], f"Yosys was stopped after {limit:g} s")
-    figures = {"steps": found.steps, "differing bits": found.differing_bits, "clocks a step": found.clocks}
+    figures = {"steps": found.steps, "differing bits": found.differing_bits, "clocks a step": found.clocks, **cells}
     return Proof(what, how, found.differing_bits == 0 and not found.hung, seconds[0], difference(found), figures)
 
 

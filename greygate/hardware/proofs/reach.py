@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from greygate.emulator.interpreter import lookup
-from greygate.emulator.program import Affine, Clamp, Fix, Lookup, Overflow, Program, Rounding, Select, Threshold
+from greygate.emulator.numbers import Fix, Overflow, Rounding
+from greygate.emulator.program import Affine, Clamp, Lookup, Program, Select, Threshold
 
 Interval = tuple[int, int]
 

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from greygate.emulator.interpreter import lookup
+from greygate.emulator.numbers import Overflow, Rounding
 from greygate.emulator.program import Affine as Operation
-from greygate.emulator.program import Lookup, Overflow, Program, Rounding
+from greygate.emulator.program import Lookup, Program
 from greygate.errors import InputError
 from greygate.hardware.proofs.affine import Affine, Module, Value, Vector, signed_bits
 from greygate.hardware.proofs.elaborated import elaborate

@@ -10,7 +10,8 @@ import numpy as np
 from greygate.compiler.pipeline import Compiled, quantize_centred
 from greygate.compiler.quantize import Formats
 from greygate.emulator.engine import run
-from greygate.emulator.program import Affine, Lines, Lookup, Program, Table, Terminal
+from greygate.emulator.program import Affine, Lookup, Program, Terminal
+from greygate.emulator.tables import Lines, Table
 from greygate.errors import InputError
 from greygate.models.accuracy import float_error, rms
 from greygate.models.network import Network
