@@ -145,7 +145,8 @@ def _candidates(make: Maker, request: Request, mapper: Mapper, progress: Progres
     interest = request.bound.interest
     walks = []
     for name in _walked(request):
-        price, starts = _Price(request, name), []
+        price = _Price(request, name)
+        starts: list[Candidate] = []
         for part in STARTS:
             fine = [c for c in found if c.error <= part * interest]
             start = min(fine, key=lambda c: (price(c.program), c.error), default=None)

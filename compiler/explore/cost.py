@@ -277,7 +277,8 @@ def serial(program: Program, design: Design, family: str) -> Parts:
     """One adder with an accumulator, a memory of code and one of numbers."""
     code = compiled(program)
     w, deep = code.widths, max(code.memory) + 1
-    luts = {"acc": float(w["acc"]), "address": float(w["code"] + w["field"] + w["read"]), "core": 1.0}
+    luts = {"acc": float(w["acc"]), "address": float(w["code"] + w["field"] + w["read"])}
+    luts |= {"ports": _ports(program), "core": 1.0}
     kept = (len(code.words), w["field"] + OPERATION), (deep, w["data"])
     return Parts(luts, 0, *(sum(count(family, *shape) for shape in kept) for count in (blocks, filled)))
 

@@ -140,6 +140,9 @@ def compile(
     factor: Annotated[
         int, typer.Option(callback=options.FACTOR, help="Bits of their widest factor; an iCE40 has 16 in one DSP.")
     ] = 18,
+    dsps: Annotated[
+        int, typer.Option(callback=options.DSPS, help="Products of the parallel one in DSPs; others are adders.")
+    ] = 0,
     device: Annotated[
         str | None, typer.Option(help="FPGA such as up5k: explore, and write the smallest design that meets --max-...")
     ] = None,
@@ -200,7 +203,7 @@ def compile(
                 held=tuple(judges),
                 generic=generic,
                 architectures=chosen,
-                design=Design(multipliers=macs, factor=factor),
+                design=Design(multipliers=macs, factor=factor, dsps=dsps),
                 explorer=explorer,
                 progress=progress,
             )
