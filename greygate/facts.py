@@ -7,6 +7,7 @@ read as CSV, and the architectures, which must be names of targets.
 import os
 from pathlib import Path
 
+from greygate.compiler.tables import Form
 from greygate.compiler.targets import NAMES, Design
 from greygate.emulator.fields import record
 from greygate.errors import InputError
@@ -33,6 +34,7 @@ POINT = {
     "architecture": one_of(NAMES),
     "design": record(Design),
     **dict.fromkeys(("table_budget", "price"), number),
+    "tables": one_of(Form),
     "signals": named(line, check_path),
     "weights": named(whole(0), check_path),
 }

@@ -180,6 +180,7 @@ def test_the_vivado_script_runs_its_commands_on_the_files_that_are_there(package
     ("pll", "given", "wanted", "made"),
     [
         ("sb_pll40", 12, 24, lambda p: 12 / (p["DIVR"] + 1) * (p["DIVF"] + 1) / 2 ** p["DIVQ"]),
+        ("sb_pll40", 12, 30, lambda p: 12 / (p["DIVR"] + 1) * (p["DIVF"] + 1) / 2 ** p["DIVQ"]),
         ("sb_pll40", 12, 20.25, lambda p: 12 / (p["DIVR"] + 1) * (p["DIVF"] + 1) / 2 ** p["DIVQ"]),
         ("ehxplll", 25, 60, lambda p: 25 / p["CLKI_DIV"] * p["CLKFB_DIV"]),
         ("plle2", 100, 50, lambda p: 100 / p["DIVCLK_DIVIDE"] * p["CLKFBOUT_MULT"] / p["CLKOUT0_DIVIDE"]),

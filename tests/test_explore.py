@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from functools import cache
 from itertools import pairwise
 
@@ -9,14 +10,17 @@ import numpy as np
 import pytest
 
 from greygate.compiler.adders import solve
-from greygate.compiler.explore import Point, Request, Room, explore, misses, pareto
-from greygate.compiler.explore.cost import blocks, clocks_of, cost, digits, explored, sums, tiles
+from greygate.compiler.emit import emitted
+from greygate.compiler.explore import Point, Request, Room, designs, explore, misses, pareto
+from greygate.compiler.explore.cost import COUNTS, blocks, clocks_of, cost, digits, explored, sums, tiles
 from greygate.compiler.explore.judge import Bound, Judge, Scale, agreed
-from greygate.compiler.explore.trail import Candidate, Maker, coarser, knobs, trail
+from greygate.compiler.explore.trail import Candidate, Maker, coarser, knobs, short_neurons, trail
+from greygate.compiler.folding.roms import DEEP
 from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.targets import Design, Memory
-from greygate.emulator.program import Affine
+from greygate.emulator.numbers import Fix
+from greygate.emulator.program import Affine, Program
 from greygate.errors import InputError
 from greygate.exploring import Explorer, bounded, converted, facts, microseconds, requested, side_by_side
 from greygate.hardware.families import DEVICES
@@ -163,17 +167,49 @@ def test_each_step_of_a_trail_makes_one_thing_coarser():
     assert steps[-1].error > steps[0].error
 
 
-def test_fewer_bits_of_weights_are_fewer_bits():
+@pytest.mark.parametrize("finer", [0, 2])
+def test_fewer_bits_of_weights_are_fewer_bits(finer):
     make = maker()
-    made = make(Formats(14))
+    made = make(Formats(14, finer))
     knob = next(k for k in knobs(made.program) if k == ("weights", "neurons.n"))
     formats = coarser(made, knob)
+    assert digits(weights_of(make(formats).program)).sum() < digits(weights_of(made.program)).sum()
     for _ in range(6):
         formats = coarser(make(formats), knob)
     program = quantize(make.network, make.found, formats)
-    coarse = next(o for o in program.operations if o.out.name == "neurons.n")
-    fine = next(o for o in made.program.operations if o.out.name == "neurons.n")
-    assert digits(coarse.weights).sum() < digits(fine.weights).sum()
+    assert digits(weights_of(program)).sum() < digits(weights_of(made.program)).sum() / 1.2
+
+
+def weights_of(program: Program) -> np.ndarray:
+    return next(o.weights for o in program.operations if o.out.name == "neurons.n")
+
+
+def test_neurons_are_as_short_as_the_word_where_that_is_tried():
+    make = maker()
+    fine = make(Formats(14, 2))
+    short = make(short_neurons(fine))
+    assert (fine.program.signals["neurons"].fix, short.program.signals["neurons"].fix) == (Fix(16, 15), Fix(14, 13))
+    narrow = make(Formats(14))
+    assert short_neurons(narrow) == narrow.formats
+
+
+def test_an_ice40_multiplies_by_its_own_width_and_rom_is_counted_as_it_is_written():
+    program = maker()(Formats(16, 2)).program
+    asked = Request("up5k", "ice40", Room(5280, 8, 30), Room(5280, 8, 30))
+    assert {d.factor for d in designs("folded", program, asked)} == {16}
+    assert {d.factor for d in designs("folded", program, request())} == {18}
+    design = Design(1, 16)
+    counted = COUNTS["folded"](program, design, "ice40")
+    text = emitted(program, "folded", design)
+    shapes = [
+        (int(rom[2]) + 1, int(rom[1]) + 1)
+        for name in text
+        for rom in [re.search(r"reg (?:signed )?\[(\d+):0\] (?:rom|memory)\[0:(\d+)\]", text[name])]
+        if rom
+    ]
+    assert len(shapes) == 4  # schedule, biases, table, codes
+    assert counted.memories == sum(blocks("ice40", words, bits) for words, bits in shapes if words >= DEEP)
+    assert counted.dsps == 2
 
 
 # -- the choice ------------------------------------------------------------------------------------------------------
