@@ -20,6 +20,7 @@ from greygate.models.network import Network
 from greygate.models.training.record import Record
 from greygate.progress import Progress, silent
 
+FILLED = 0.9  # part of the LUTs of a device that place and route can fill
 MEASURE = re.compile(r"\s*([+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*(.*?)\s*")
 
 
@@ -94,7 +95,7 @@ def requested(
         *others, last = DEVICES
         raise InputError(f"--device {device}: not known; choose {', '.join(others)} or {last}")
     chip = DEVICES[device]
-    whole = Room(chip.luts, chip.dsps, chip.block_rams)
+    whole = Room(math.floor(FILLED * chip.luts), chip.dsps, chip.block_rams)
     asked = (luts, dsps, memories)
     room = Room(*(most if less is None else min(less, most) for less, most in zip(asked, _limits(whole), strict=True)))
     return Request(device, chip.family, whole, room, bounded(error, units), microseconds(latency), **tried)

@@ -37,7 +37,9 @@ MULTIPLIERS = (1, 2, 4, 8, 16, 32)  # of the folded architecture
 STARTS = (0.25, 1.0 / 64)  # error of a trail's start, as a part of the largest that is of interest
 ALIKE = 1.02  # factor by which LUTs or time must be better for a point to stand on the front beside a more accurate one
 REACH = 2.0  # factor by which a design of plain words may be too large, where weights of few digits are tried
-EVERY = 4  # price of digits that is tried on a network with memory, on which rounding takes long
+REMEMBERED = (1e-12, 1e-11)
+"""Prices of a digit for a network with memory: it feeds its error back, so that those which others bear spoil it; and
+rounding it takes long."""
 LESS = 0.99  # factor by which a step of a trail must be cheaper than those before it to be looked at
 SETTLED = 1.05  # an error so near to the least of a network that signals have bits enough
 PER_BIT = 0.01  # LUTs by which a trail prefers a narrower signal where no part of the design gets smaller
@@ -157,8 +159,8 @@ def _candidates(make: Maker, request: Request, mapper: Mapper, progress: Progres
         yield from steps[1:]
     if not _counting_digits(request) or not _within_reach(found, request):
         return
-    every = 1 if without_memory(make.network) else EVERY
-    for steps in mapper(_Rounding(make, request, interest), prices()[::every]):
+    paid = prices() if without_memory(make.network) else REMEMBERED
+    for steps in mapper(_Rounding(make, request, interest), paid):
         progress(f"{len(steps)} programs of weights of few digits")
         yield from steps
 
@@ -219,7 +221,9 @@ class _Rounding:
             return []
         start = next(c for c in found if c.error <= SETTLED * least)
         walk = _Walk(make, self.request, self.end)
-        return [c for name in _counting_digits(self.request) for c in walk((name, start))]
+        names = _counting_digits(self.request)
+        words = [replace(c, tuned=name) for name in names for c in found if c.error <= self.end]
+        return words + [c for name in names for c in walk((name, start))[1:]]
 
 
 def _counting_digits(request: Request) -> list[str]:
