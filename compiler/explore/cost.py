@@ -145,13 +145,18 @@ class Parts:
         return sum(table.get(kind, 0.0) * number for kind, number in self.luts.items())
 
 
+def _kept_width(value: int) -> int:
+    """Bits of a number in a table, where only a negative one needs a sign."""
+    return signed_width(value) if value < 0 else max(1, value.bit_length())
+
+
 def _word(program: Program, o: Lookup) -> tuple[int, int, int, int]:
     """(words, bits of a word, and the widths of the two factors of a line) of the memory of a lookup."""
     t = program.table[o.table]
     if isinstance(t, Table) and not (t.interpolated and t.shift):
         return len(t.points), t.out.width, 0, 0
     found = t.segments
-    base, slope = (signed_width(max(map(abs, part))) for part in (found.bases, found.slopes))
+    base, slope = (max(map(_kept_width, part)) for part in (found.bases, found.slopes))
     place = max(shift - drop for shift, drop in zip(found.shifts, found.drops, strict=True))
     return len(found.bases), base + slope, slope, place + 1
 
