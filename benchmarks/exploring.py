@@ -1,4 +1,4 @@
-"""What exploring finds and how long it takes: fronts of the valve cylinder on two FPGAs, and the choice by the tools.
+"""What exploring finds and how long it takes: fronts of networks on FPGAs, and the tools' word on each choice.
 
 Each request is one `greygate compile`; the chosen design is then verified, and placed and routed.
 Usage: python benchmarks/exploring.py [--request NAME...] [--jobs N]
@@ -12,13 +12,20 @@ import tempfile
 import time
 from pathlib import Path
 
+from greygate.machines.catalog import REPORTED
+
 ROOM = "--max-error 1.05x --max-latency 20us --max-luts 1300 --max-dsps 3 --max-memories 12"  # 200 LUTs for a port
 REQUESTS = {  # name -> (target, options of greygate compile)
     "up5k": ("up5k", f"valve_cylinder --device up5k {ROOM}"),
     "ecp5-25k": (
         "ecp5-25k",
-        "valve_cylinder --prune 1.0 --device ecp5-25k --architecture parallel --max-error 1.05x --max-latency 0.5us",
+        "valve_cylinder --prune 1.02 --weights obs --device ecp5-25k --architecture parallel --max-error 1.05x "
+        "--max-latency 0.5us",
     ),
+    **{
+        f"{plant}, parallel": ("ecp5-85k", f"{plant} --device ecp5-85k --architecture parallel --max-error 1.05x")
+        for plant in REPORTED
+    },
     "point": ("up5k", "valve_cylinder --device up5k --width 16 --finer 2 --architecture folded"),
 }
 RESULTS = Path(__file__).parent / "results/exploring.json"
@@ -53,10 +60,10 @@ def main() -> None:
     parser.add_argument("--request", nargs="*", choices=REQUESTS, default=list(REQUESTS))
     parser.add_argument("--jobs", type=int, default=2)
     given = parser.parse_args()
-    rows = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     for name in given.request:
-        rows[name] = measured(*REQUESTS[name], given.jobs)
-        explored = rows[name]["explored"]
+        row = measured(*REQUESTS[name], given.jobs)
+        rows = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+        rows[name], explored = row, row["explored"]
         print(f"{name}: {rows[name]['seconds']} s, {explored['programs']} programs, {explored['points']} designs")
         print(f"  {explored['why'] or explored['chosen']}\n  {rows[name].get('built')}", flush=True)
         RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
