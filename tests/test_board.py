@@ -241,9 +241,18 @@ def test_a_bitstream_is_made_only_if_the_clock_is_reached(compiled, tmp_path, to
     assert (facts["reached_mhz"], facts["cells"]) == (25.0, {"ICESTORM_LC": 7})
     assert json.loads((tmp_path / "out" / "board.json").read_text()) == facts
     tools.rate = 23.9
-    with pytest.raises(InputError, match=r"reaches 23.9 MHz on this board, not 24; give --mhz 23 or less"):
-        make(Project.open(compiled), "icebreaker", tmp_path / "new", bitstream=True)
-    assert not (tmp_path / "new").exists()
+    facts = make(Project.open(compiled), "icebreaker", tmp_path / "new", bitstream=True)
+    assert (facts["meets"], facts["bitstream"], facts["reached_mhz"]) == (False, None, 23.9)
+    assert (tmp_path / "new" / "Makefile").exists()
+    assert not list((tmp_path / "new").glob("*.bin"))
+
+
+def test_a_missed_clock_is_a_no(greygate, compiled, tmp_path, tools):
+    tools.rate = 23.9
+    code, out, err = greygate("board", "icebreaker", compiled, "--out", tmp_path / "out", "--bitstream", "--json")
+    assert code == 1
+    assert json.loads(out)["meets"] is False
+    assert "no bitstream: reaches 23.9 MHz on this board, not 24; give --mhz 23 or less" in err
 
 
 def test_a_design_that_is_too_large_is_told_with_what_to_do(compiled, tmp_path, tools, monkeypatch):

@@ -373,7 +373,7 @@ def needs(p: Point, name: str, request: Request) -> str:
 def told(p: Point, request: Request) -> str:
     """A point in a line of words."""
     c = p.cost
-    how = f", {p.design.multipliers} multipliers" if p.architecture == "folded" else ""
+    how = f", {p.design.multipliers} multiplier{'s' * (p.design.multipliers > 1)}" if p.architecture == "folded" else ""
     how += ", tables in LUTs" if p.design.memory is Memory.LOGIC else ""
     return (
         f"{p.architecture}{how}: {c.luts} LUTs, {c.dsps} DSPs, {c.memories:g} memories, {c.clocks} clocks, "

@@ -48,7 +48,7 @@ class Bound:
     def text(self, value: float) -> str:
         """An error in words, such as 0.31 % or 0.2 bar."""
         if self.scale is Scale.GROWTH:
-            return f"{value:.4g} times the error of float"
+            return f"{value:.5g} times the error of float"
         return f"{value:.3g} {'%' if self.scale is Scale.RANGE else self.unit}".rstrip()
 
 

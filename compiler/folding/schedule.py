@@ -12,6 +12,7 @@ import numpy as np
 
 from greygate.compiler.folding.jobs import Job, live_operations, measure, planned
 from greygate.compiler.folding.products import Mode, Products, laid_out
+from greygate.compiler.folding.roms import REMARKED
 from greygate.compiler.folding.schedule_lines import (
     ARGUMENT,
     CLOSING,
@@ -298,6 +299,10 @@ class _Folder:
             self.lines.control(start + i + WORD, part=int(layer.parts[columns[i]]))
         last = start + len(elements) - 1
         self.lines.notes[start].append(f"sum {name}[{row}]" + (f"..[{row + rows - 1}]" if rows > 1 else ""))
+        if self.products.count <= REMARKED:
+            read = [f"{a}[{k}]" for a in o.args for k in range(self.sizes[a])]
+            for i, column in enumerate(layer.columns[columns].tolist()):
+                self.lines.notes[start + i].append(f"times {read[column]}")
         self._sum(start, last, layer.biases[span])
         for m in range(rows):
             clock = last + CODE + self.levels + m

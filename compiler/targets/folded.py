@@ -163,8 +163,8 @@ class _Core:
         ports += [f"    output wire {'signed ' if s else ''}[{k - 1}:0] {n}" for n, k, s in self.fields]
         comment = [
             f"Schedule of {self.program.name}: {f.idle} lines that write the initial states, and those of a step.",
-            f"Its multipliers make {f.products.count} products in {f.clocks} clocks: {f.utilisation:.0%} of what they"
-            " could.",
+            f"They make {f.products.count} products from the sample to the result, in {f.clocks} clocks:"
+            f" {f.utilisation:.0%} of what {f.multipliers} multiplier{'s' * (f.multipliers > 1)} could.",
             "Fields of a line from left to right: " + ", ".join(n for n, _, _ in self.fields) + ".",
         ]
         out = f"    assign {{{', '.join(n for n, _, _ in self.fields)}}} = line;\n"
@@ -193,8 +193,8 @@ module {self.program.name} (
 );
 {"".join(part() for part in parts)}"""
         f = self.folding
-        head = header(self.program, f"folded ({f.multipliers} multipliers, {f.clocks} clocks a step)")
-        return module_text(head, body)
+        kind = f"folded ({f.multipliers} multiplier{'s' * (f.multipliers > 1)}, a sample in {f.clocks + 1} clocks)"
+        return module_text(header(self.program, kind), body)
 
     def edge(self) -> str:
         """The handshakes, and the sample: element by element it moves down to bit 0, from where it is written."""

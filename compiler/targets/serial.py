@@ -77,11 +77,11 @@ module {program.name} (
     wire [{width_in - 1}:0] sample = s_axis_tdata;
     wire [{width_out - 1}:0] result;
     assign m_axis_tdata = result;
-
+{_sample(program, code)}
 {instance("greygate_serial", "machine", parameters, ends)}
 {instance(f"{program.name}__code", "code", {}, rom)}
 {instance(f"{program.name}__memory", "memory", {}, memory)}
-{_sample(program, code)}{_outputs(program, code)}"""
+{_outputs(program, code)}"""
     return module_text(header(program, "serial"), body)
 
 

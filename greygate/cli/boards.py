@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from greygate.cli import options
-from greygate.cli.terminal import Json, counting, following, give
+from greygate.cli.terminal import Json, counting, following, give, say
 from greygate.errors import InputError
 from greygate.hardware.board.boards import BAUD, BOARDS, PORTS
 
@@ -61,6 +61,10 @@ def board(
     lines = [f"{key.replace('_', ' ')}: {value}" for key, value in facts.items() if key != "cells"]
     lines += [f"  {cell}: {used}" for cell, used in facts.get("cells", {}).items()]
     give({"folder": str(out)} | facts, as_json, [*lines, f"written to {out}"])
+    if not facts.get("meets", True):
+        reached, wanted = facts["reached_mhz"], facts["clock_mhz"]
+        say(f"no bitstream: reaches {reached:.1f} MHz on this board, not {wanted:g}; give --mhz {int(reached)} or less")
+        raise typer.Exit(1)
 
 
 def play(

@@ -141,7 +141,8 @@ def compile(
         int, typer.Option(callback=options.FACTOR, help="Bits of their widest factor; an iCE40 has 16 in one DSP.")
     ] = 18,
     dsps: Annotated[
-        int, typer.Option(callback=options.DSPS, help="Products of the parallel one in DSPs; others are adders.")
+        int,
+        typer.Option(callback=options.DSPS, help="Tables of the parallel one that multiply in a DSP."),
     ] = 0,
     device: Annotated[
         str | None, typer.Option(help="FPGA such as up5k: explore, and write the smallest design that meets --max-...")
@@ -175,6 +176,7 @@ def compile(
     found = None
     given = {n for n in context.params if getattr(context.get_parameter_source(n), "name", "") == "COMMANDLINE"}
     _check_exploring(given)
+    _check_design(given, architecture)
     pruned = prune is not None or weights is not None
     if held and not pruned:
         raise InputError("--held: it only bounds pruning; give --prune or --weights, or give the file as --record")
@@ -227,6 +229,15 @@ def compile(
         result["explored"] = explorer.facts
         told += explorer.lines
     give(result, as_json, [*told, f"written to {out}, top module {top}"])
+
+
+def _check_design(given: set[str], architecture: Architecture) -> None:
+    """Raise InputError for an option of an architecture that is not written."""
+    concerns = {"macs": ("folded",), "factor": ("folded",), "dsps": ("parallel", "pipelined")}
+    for name, those in concerns.items():
+        if name in given and architecture is not EVERY and architecture.value not in those:
+            meant = " and ".join(those)
+            raise InputError(f"--{name}: means nothing for {architecture.value}, but for {meant}; leave it out")
 
 
 def _check_exploring(given: set[str]) -> None:
