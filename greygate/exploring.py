@@ -229,4 +229,6 @@ def side_by_side(jobs: int) -> Callable[[Callable, Iterable], Iterable]:
 def _mapped(jobs: int, function: Callable, items: Iterable) -> Iterable:
     import joblib
 
-    return joblib.Parallel(n_jobs=jobs)(joblib.delayed(function)(item) for item in items)
+    told = getattr(joblib.parallel.get_active_backend()[0], "supports_return_generator", False)
+    kind = "generator" if told else "list"  # one after the other, so that progress can be told
+    return joblib.Parallel(n_jobs=jobs, return_as=kind)(joblib.delayed(function)(item) for item in items)

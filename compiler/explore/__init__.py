@@ -121,8 +121,8 @@ Mapper = Callable[[Callable, Iterable], Iterable]  # `map`, or one that works si
 def explore(make: Maker, request: Request, mapper: Mapper = map, progress: Progress = silent) -> Exploration:
     """Try formats and designs, and choose."""
     candidates = list(_candidates(make, request, mapper, progress))
-    progress(f"{len(candidates)} programs measured; costing designs")
-    points = [p for found in mapper(_Coster(request), candidates) for p in found]
+    costed = _counted(mapper(_Coster(request), candidates), f"of {len(candidates)} programs costed", progress)
+    points = [p for found in costed for p in found]
     fitting = [p for p in points if _fits(p, request.whole)]
     chosen = _smallest([p for p in fitting if not misses(p, request)], request)
     front = pareto([p for p in fitting if p.candidate.error <= request.bound.interest])
@@ -139,8 +139,8 @@ def _candidates(make: Maker, request: Request, mapper: Mapper, progress: Progres
     words = plain + [replace(f, tables=Form.OCTAVES) for f in plain if f.width + f.finer <= OCTAVES]
     if request.single:
         words = [Formats(request.widths[0], request.finer[0])]
-    found = [c for some in mapper(_Words(make, not request.single), words) for c in some]
-    progress(f"{len(found)} words measured")
+    measured = _counted(mapper(_Words(make, not request.single), words), f"of {len(words)} words measured", progress)
+    found = [c for some in measured for c in some]
     yield from found
     if request.single:
         return
@@ -154,15 +154,23 @@ def _candidates(make: Maker, request: Request, mapper: Mapper, progress: Progres
             start = min(fine, key=lambda c: (price(c.program), c.error), default=None)
             starts += [start] if start is not None and all(start is not s for s in starts) else []
         walks += [(name, start) for start in starts]
-    for steps in mapper(_Walk(make, request, interest), walks):
-        progress(f"{len(steps)} programs on a trail")
+    trails = mapper(_Walk(make, request, interest), walks)
+    for steps in _counted(trails, f"of {len(walks)} trails walked", progress):
         yield from steps[1:]
     if not _counting_digits(request) or not _within_reach(found, request):
         return
     paid = prices() if without_memory(make.network) else REMEMBERED
-    for steps in mapper(_Rounding(make, request, interest), paid):
-        progress(f"{len(steps)} programs of weights of few digits")
+    rounded = mapper(_Rounding(make, request, interest), paid)
+    for steps in _counted(rounded, f"of {len(paid)} prices of a digit tried", progress):
         yield from steps
+
+
+def _counted(items: Iterable, what: str, progress: Progress) -> Iterator:
+    """The items, each told as it comes; before the first one, that none has come."""
+    progress(f"0 {what}")
+    for n, item in enumerate(items, 1):
+        progress(f"{n} {what}")
+        yield item
 
 
 @dataclass(frozen=True)
