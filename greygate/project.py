@@ -58,9 +58,10 @@ from greygate.models.network import Network
 from greygate.models.training.record import Record
 from greygate.pages.report.study import size
 from greygate.plain import json_text
+from greygate.plants.recording import read_csv
 from greygate.progress import Progress, silent, titled
 from greygate.reading import read_json
-from greygate.source import Source
+from greygate.source import Source, read_record
 
 LATER = (  # the files that verify and synthesize add to a build; nothing else writes there
     rf"verify\.json|resources\.json|results-({'|'.join(NAMES)})\.xml|"
@@ -272,6 +273,17 @@ class Project:
             answer = run(self.program, codes)
             found[name] = Scenario(codes, answer.outputs, answer.states)
         return found
+
+    def inputs(self, recording: str) -> tuple[Mapping[str, np.ndarray], float]:
+        """The inputs of a file, or else of a scenario of that name, and the sample time in s.
+
+        Raises InputError for a file that cannot be read, and for a name that is neither.
+        """
+        if Path(recording).exists() or recording.endswith(".csv"):
+            return read_record(self.network, recording, targets=False).inputs, read_csv(recording).dt
+        if recording not in (records := self.source.records()):
+            raise InputError(f"{recording}: no such file, and no scenario of this build; it has {', '.join(records)}")
+        return records[recording].inputs, self.program.period
 
     def case(self, architecture: str, names: tuple[str, ...] = ()) -> Case:
         """One emitted design with the answers that it must give."""

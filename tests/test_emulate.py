@@ -74,3 +74,16 @@ def test_an_input_that_is_no_number_is_refused_and_nothing_is_written(greygate, 
     assert out == ""
     assert len(error.splitlines()) == 1
     assert not (tmp_path / "p.csv").exists()
+
+
+def test_a_scenario_of_the_build_is_its_recording(greygate, built, tmp_path):
+    answers = []
+    for given in (tmp_path / "a.csv", "a"):
+        code, _, error = greygate("emulate", built, given, "--out", tmp_path / "p.csv")
+        assert code == 0, error
+        answers.append((tmp_path / "p.csv").read_bytes())
+    assert answers[0] == answers[1]
+    code, _, error = greygate("emulate", built, "b", "--out", tmp_path / "q.csv")
+    assert code == 2
+    assert "b: no such file, and no scenario of this build; it has a" in error
+    assert not (tmp_path / "q.csv").exists()

@@ -352,3 +352,12 @@ def test_a_request_that_no_design_meets_writes_nothing(greygate, line, tmp_path)
 
 def test_an_explorer_that_has_not_explored_says_nothing():
     assert Explorer(request()).lines == []
+
+
+@pytest.mark.parametrize(
+    ("option", "architecture"), [("--macs", "serial"), ("--factor", "parallel"), ("--dsps", "folded")]
+)
+def test_an_option_of_another_architecture_is_refused(greygate, line, tmp_path, option, architecture):
+    code, out, err = greygate("compile", *line, "--architecture", architecture, option, "16", "--out", tmp_path / "b")
+    assert (code, out) == (2, "")
+    assert f"{option}: means nothing for {architecture}" in err

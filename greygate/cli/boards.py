@@ -9,7 +9,6 @@ import typer
 
 from greygate.cli import options
 from greygate.cli.terminal import Json, counting, following, give, say
-from greygate.errors import InputError
 from greygate.hardware.board.boards import BAUD, BOARDS, PORTS
 
 if TYPE_CHECKING:
@@ -96,15 +95,8 @@ def play(
 
 
 def _inputs(project: "Project", recording: str) -> tuple["np.ndarray", dict[str, int]]:
-    """Input codes of a file, or else of a scenario of that name; and how many values were clipped, by input."""
-    from greygate.source import read_record
-
-    if Path(recording).exists() or recording.endswith(".csv"):
-        values = read_record(project.network, recording, targets=False).inputs
-    elif recording in (records := project.source.records()):
-        values = records[recording].inputs
-    else:
-        raise InputError(f"{recording}: no such file, and no scenario of this build; it has {', '.join(records)}")
+    """Input codes of a recording, and how many values were clipped, by input."""
+    values, _ = project.inputs(recording)
     clipped = {name: found.count for name, found in project.program.clipped(values).items()}
     return project.program.encode(values), clipped
 

@@ -24,20 +24,20 @@ Folder = Annotated[Path, typer.Argument(help="A folder that `greygate compile` w
 
 def emulate(
     folder: Folder,
-    recording: Annotated[Path, typer.Argument(help="CSV with a column `name_unit` for every input.")],
+    recording: Annotated[str, typer.Argument(help="CSV with a column `name_unit` for every input, or a scenario.")],
     out: Annotated[Path, typer.Option(help="CSV to write the predicted outputs to.")],
     as_json: Json = False,
 ) -> None:
-    """Run the compiled network, bit for bit as the hardware does, over a recording."""
+    """Run the compiled network, bit for bit as the hardware does, over a recording or a scenario of the build."""
     from greygate.emulation import emulate as run
-    from greygate.plants.recording import Recording, read_csv
+    from greygate.plants.recording import Recording
     from greygate.project import Project
-    from greygate.source import read_record
 
     project = Project.open(folder)
-    answer = run(project.program, read_record(project.network, recording, targets=False).inputs)
+    inputs, dt = project.inputs(recording)
+    answer = run(project.program, inputs)
     units = {p.name: p.unit for p in project.program.outputs}
-    Recording(read_csv(recording).dt, answer.outputs, units).write_csv(out)
+    Recording(dt, answer.outputs, units).write_csv(out)
     counted = f"saturations {answer.saturations or 'none'}, clipped inputs {len(answer.clipped) or 'none'}"
     lines = [f"{answer.steps} steps, {counted}"]
     lines += [_clipping(p, answer.clipped[p.name]) for p in project.program.inputs if p.name in answer.clipped]
