@@ -1,6 +1,6 @@
 """What the thesis's plants take on FPGAs: every architecture, cells, clock rate and microseconds a step.
 
-    python benchmarks/resources.py [--plant NAME ...] [--target DEVICE ...] [--limit 300] [--keep]
+    python benchmarks/resources.py [--plant NAME ...] [--target DEVICE ...] [--limit 300] [--keep] [--count]
 
 Each tool of each design is stopped after the limit, in seconds of processor time. Writes results/resources.json and
 prints its table. --keep writes the figures for the ECP5 into the package, where `greygate report --all` finds them.
@@ -33,6 +33,7 @@ def main() -> None:
     options.add_argument("--architecture", action="append")
     options.add_argument("--limit", type=float, default=300.0)
     options.add_argument("--keep", action="store_true")
+    options.add_argument("--count", action="store_true", help="count cells only, do not place")
     given = options.parse_args()
     found = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     for name in given.plant or REPORTED:
@@ -58,7 +59,7 @@ def _plant(name: str, given: argparse.Namespace) -> dict:
             (where / "resources.json").write_text("{}")  # those of the package are of an earlier design
             for target in given.target or TARGETS:
                 start = time.perf_counter()
-                clock = not target.startswith(("xc", "xilinx", "gowin"))
+                clock = not given.count and not target.startswith(("xc", "xilinx", "gowin"))
                 synthesize_project(project, target, clock, given.limit, given.keep, progress=_told(name, start))
                 print(
                     f"{name}, {architecture}: {(project.resources or {}).get(f'{architecture}, {target}')}", flush=True
