@@ -37,12 +37,18 @@ def main() -> None:
     given = options.parse_args()
     found = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     for name in given.plant or REPORTED:
-        found.setdefault(name, {}).update(_plant(name, given))
+        found.setdefault(name, {}).update(_plant(name, given, found.get(name, {})))
         RESULTS.write_text(json.dumps(found, indent=1) + "\n")
     print("\n".join(_table(found)))
 
 
-def _plant(name: str, given: argparse.Namespace) -> dict:
+def _belongs(design: str, architecture: str, given: argparse.Namespace) -> bool:
+    """Whether figures of an earlier run stay in the package beside those of this architecture."""
+    other, _, target = design.partition(", ")
+    return target in (given.target or TARGETS) and other != architecture
+
+
+def _plant(name: str, given: argparse.Namespace, before: dict) -> dict:
     source = Source(name)
     found: dict = {}
     for architecture in given.architecture or ARCHITECTURES:
@@ -56,7 +62,9 @@ def _plant(name: str, given: argparse.Namespace) -> dict:
                 found[architecture] = {"not built": str(error)}
                 continue
             project = Project.open(where)
-            (where / "resources.json").write_text("{}")  # those of the package are of an earlier design
+            known = (before | found).items() if given.keep else ()
+            beside = {d: figures for d, figures in known if _belongs(d, architecture, given)}
+            (where / "resources.json").write_text(json.dumps(beside))  # those of the package are of an earlier design
             for target in given.target or TARGETS:
                 start = time.perf_counter()
                 clock = not given.count and not target.startswith(("xc", "xilinx", "gowin"))
