@@ -50,7 +50,8 @@ def measured(target: str, options: str, jobs: int) -> dict:
         row |= {"explored": found.get("explored", found)}
         if "explored" not in found:  # no design meets the request
             return row
-        row["built"] = told("synthesize", build, "--target", target, "--clock-rate")[0]
+        figures = told("synthesize", build, "--target", target, "--clock-rate")[0]
+        row["built"] = {design: found for design, found in figures.items() if design.endswith(f", {target}")}
         row["verified"] = told("verify", build)[0]
     return row
 
