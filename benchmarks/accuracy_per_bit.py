@@ -7,6 +7,7 @@ Usage: python benchmarks/accuracy_per_bit.py [--peers PYTHON]
 
 import argparse
 import json
+import os
 import subprocess
 import tempfile
 import time
@@ -50,7 +51,7 @@ def theirs(python: str, package: str) -> dict[int, list[float]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--peers", help="interpreter that has da4ml and alkaid")
+    parser.add_argument("--peers", type=os.path.abspath, help="path of an interpreter that has da4ml and alkaid")
     peers = parser.parse_args().peers
     found = {"greygate": ours()} | ({package: theirs(peers, package) for package in PEERS} if peers else {})
     print(f"{'bits':>5}" + "".join(f"{name:>12}" for name in found))

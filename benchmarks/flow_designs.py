@@ -9,6 +9,7 @@ Usage: python benchmarks/flow_designs.py [--families xilinx ecp5] [--limit SECON
 
 import argparse
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -98,7 +99,7 @@ def main() -> None:
     parser.add_argument("--families", nargs="*", default=["xilinx", "ecp5"])
     parser.add_argument("--limit", type=float, default=300.0, help="seconds of processor time for each tool")
     parser.add_argument("--only", nargs="*", default=DESIGNS)
-    parser.add_argument("--peers", help="interpreter that has da4ml and alkaid")
+    parser.add_argument("--peers", type=os.path.abspath, help="path of an interpreter that has da4ml and alkaid")
     given = parser.parse_args()
     rows = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     clocks = architecture("parallel").clocks
