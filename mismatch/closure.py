@@ -135,9 +135,8 @@ class _Halves:
 def _sensors(search: Search, base: Fit) -> dict[tuple[str, str], np.ndarray]:
     """(place, function) -> what a sensor at fault would add to the errors, (samples, channels)."""
     likelihood, rig = base.likelihood, search.rig
-    predicted = likelihood.model.target - np.where(np.isfinite(likelihood.sigma), base.errors, 0.0) * np.where(
-        np.isfinite(likelihood.sigma), likelihood.sigma, 0.0
-    )
+    values = {**likelihood.model.values, **base.values}
+    predicted = likelihood.model.predict(values, base.shifts * likelihood.local_scale)
     out = {}
     for i, channel in enumerate(rig.predict):
         signal = predicted[:, i]
@@ -152,8 +151,8 @@ def _sensors(search: Search, base: Fit) -> dict[tuple[str, str], np.ndarray]:
         for name, shape in shapes.items():
             column = np.zeros_like(base.errors)
             size = max(float(np.std(shape)), FLAT * float(np.abs(shape).max()) + TINY)
-            column[:, i] = -shape / size / likelihood.sigma[:, i]
-            out[f"sensor_{channel}", name] = column
+            column[:, i] = -shape / size
+            out[f"sensor_{channel}", name] = likelihood.white(column)
     return out
 
 
@@ -181,7 +180,7 @@ class _Unknowns:
         effects = _effects(rig, bases(search, signals))
         limits = tuple(Free(symbol, value, shape=True) for symbol, value in seen.items())
         joined = {**search.effects, **effects, "seen": Effect("seen", "", (rig.plant.name,), (), (), limits)}
-        again = Search(rig, search.final.model.recording, joined)
+        again = Search(rig, search.final.model.recording, joined, noise=search.noise)
         again.effects = joined
         likelihood = again.final
         base = again.base(likelihood)
@@ -255,7 +254,7 @@ def closure(search: Search) -> tuple[dict, Fit | None]:
         }
     regime = f"a term of {', '.join(depends) or 'constant size'}, which takes {share:.0%} of the misfit"
     where = [{"equation": reported, "depends_on": depends, "regime": regime}]
-    return {"where": where, "effect": effect}, fit
+    return {"where": where, "effect": effect, "share": share}, fit
 
 
 def _signals(search: Search) -> dict[str, np.ndarray]:

@@ -4,10 +4,11 @@ A diagnosis claims an effect only where its evidence is strong and little is lef
 the errors that no effect of the table explains, the verdict is `unexplained`.
 """
 
+import copy
 import json
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from greygate.mismatch.effects import Effect
 from greygate.mismatch.fit import NORMAL, Fit, Likelihood
 from greygate.mismatch.locate import located
 from greygate.mismatch.model import TINY, Model, begun
+from greygate.mismatch.noise import PLACES, Noise, learnt
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.mismatch.selection import STRUCTURE, Selection, complete, inflation, structure
@@ -42,7 +44,8 @@ class Diagnosis:
     """Everything that was found; `as_dict` gives the content of diagnosis.json.
 
     calibrated, corrected: the fits of the plant without effects, and of `best`. rivals: cost of every hypothesis that
-    was fitted. structure: by channel, what slow errors are left. explained: the share of what can be explained.
+    was fitted. structure: by channel, what slow errors are left. explained: the share of what can be explained. noise:
+    what `corrected` leaves, in units of what rig.toml tells, if it tells it.
     """
 
     rig: Rig
@@ -58,6 +61,7 @@ class Diagnosis:
     fits: dict = field(default_factory=dict)
     seconds: float = 0.0
     left: str = ""
+    noise: Noise | None = None
 
     # -- the file ----------------------------------------------------------------------------------------------------
 
@@ -72,6 +76,7 @@ class Diagnosis:
             "parameters": self._parameters(),
             "fit": self.fits,
             "remaining": self._remaining(),
+            **({"noise": self._noise()} if self.noise else {}),
             "seconds": round(self.seconds, 2),
         }
 
@@ -143,6 +148,20 @@ class Diagnosis:
 
     def _confidence(self, rivals: Mapping[str, float]) -> float:
         return float(1.0 / (1.0 + sum(np.exp(-min(max(gap, 0.0), FARTHEST) / 2) for gap in rivals.values())))
+
+    def _noise(self) -> dict:
+        """By channel, in its unit, the noise that rig.toml tells and that the recording shows; samples it remembers."""
+        rig, told = self.rig, self.corrected.likelihood.sigma
+        usual = np.sqrt(np.mean(told[np.isfinite(told).all(axis=1)] ** 2, axis=0))
+        return {
+            name: {
+                "told": rig.channels[name].sigma,
+                "found": float(f"{size:.{PLACES}g}"),
+                "unit": rig.channels[name].unit,
+                "memory": len(ar),
+            }
+            for name, size, ar in zip(rig.predict, self.noise.size * usual, self.noise.ar, strict=True)
+        }
 
     def _parameters(self) -> dict:
         out = {}
@@ -256,6 +275,24 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
 
 
 def _of_stated_noise(search: Search, progress: Progress) -> Diagnosis:
+    """Explain with the noise that was told, and once more where the recording shows another."""
+    found = _explained(search, progress)
+    noise = shown_noise(found.corrected)
+    if noise.as_told:
+        return replace(found, noise=noise)
+    progress("searching again: the noise is not as rig.toml tells it")
+    again = _explained(search.under(noise), progress)
+    return replace(again, noise=shown_noise(again.corrected))
+
+
+def shown_noise(fit: Fit) -> Noise:
+    """The noise, in units of what rig.toml tells, that a fit leaves."""
+    likelihood = copy.copy(fit.likelihood)
+    likelihood.noise = Noise.told(len(likelihood.model.rig.predict))
+    return learnt(likelihood.errors(fit.values, fit.shifts), likelihood.model.window or len(likelihood.sigma))
+
+
+def _explained(search: Search, progress: Progress) -> Diagnosis:
     base = search.base(search.screen)
     short = Selection(search, search.screen, base, progress)
     best, current = short.forward(Hypothesis(), short.plain, base)

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from greygate.mismatch.model import TINY, Model
-from greygate.mismatch.noise import deviation
+from greygate.mismatch.noise import Noise, deviation
 from greygate.models.training.gauss_newton import Decades, bounded, search
 
 WARM = 0.25  # s at the beginning of a recording that do not count where states are not measured: these die away
@@ -163,11 +163,12 @@ class Likelihood:
 
     sigma: standard deviation of what the sensors make of the truth, inf where a sample does not count.
     count: of samples that count, all channels together. windows, block: number of stretches within which errors may
-    depend on each other, and their samples.
+    depend on each other, and their samples. noise: what it is beside that of sigma.
     """
 
     def __init__(self, model: Model):
         self.model = model
+        self.noise = Noise.told(len(model.rig.predict))
         rig, samples = model.rig, len(model.target)
         self.sigma = deviation(model)
         scale = {name: rig.channels[name].sigma for name in model.measured}
@@ -188,8 +189,9 @@ class Likelihood:
         return self.white(self.model.target - predicted)
 
     def white(self, what: np.ndarray) -> np.ndarray:
-        """`what` (samples, channels, ...) in units of the noise."""
-        return what / self.sigma[(..., *(None,) * (what.ndim - 2))]
+        """`what` (samples, channels, ...) in units of the noise, less what the noise before makes expected."""
+        restarting = self.model.window or len(what)
+        return self.noise.white(what / self.sigma[(..., *(None,) * (what.ndim - 2))], restarting)
 
     def nothing(self) -> np.ndarray:
         """No shifts: every window begins as recorded."""

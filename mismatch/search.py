@@ -14,6 +14,7 @@ from scipy.optimize import lsq_linear
 from greygate.mismatch.effects import Effect, Free, fitting
 from greygate.mismatch.fit import Fit, Likelihood, Unknown
 from greygate.mismatch.model import BLUR, TIMING, TINY, Model
+from greygate.mismatch.noise import Noise
 from greygate.mismatch.rig import FEWEST, Rig
 from greygate.plants.expressions import names
 from greygate.plants.recording import Recording
@@ -71,10 +72,18 @@ class Score:
 
 
 class Search:
-    """All hypotheses on one recording of one rig. free_run: the likelihood of a rig without windows."""
+    """All hypotheses on one recording of one rig.
+
+    free_run: the likelihood of a rig without windows. noise: of every likelihood; by default as rig.toml tells it.
+    """
 
     def __init__(
-        self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], free_run: type[Likelihood] = Likelihood
+        self,
+        rig: Rig,
+        recording: Recording,
+        effects: Mapping[str, Effect],
+        free_run: type[Likelihood] = Likelihood,
+        noise: Noise | None = None,
     ):
         self.rig = rig
         self.effects = fitting(rig.plant, rig.datasheet, effects)
@@ -89,6 +98,17 @@ class Search:
         self.final = over(LONG_WINDOW) if rig.window else free_run(Model(rig, recording, self.effects))
         self.screen = over(SHORT) if rig.window else self.final
         self.fits: dict[Hypothesis, Fit] = {}  # of rivals, kept for experiments that tell them apart
+        if noise is not None:
+            self.under(noise)
+
+    @property
+    def noise(self) -> Noise:
+        return self.final.noise
+
+    def under(self, noise: Noise) -> "Search":
+        """This search with another noise; fits of the one before are no longer comparable."""
+        self.final.noise = self.screen.noise = noise
+        return self
 
     # -- unknowns ----------------------------------------------------------------------------------------------------
 
