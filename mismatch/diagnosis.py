@@ -152,7 +152,7 @@ class Diagnosis:
     def _noise(self) -> dict:
         """By channel, in its unit, the noise that rig.toml tells and that the recording shows; samples it remembers."""
         rig, told = self.rig, self.corrected.likelihood.sigma
-        usual = np.sqrt(np.mean(told[np.isfinite(told).all(axis=1)] ** 2, axis=0))
+        usual = np.median(told[np.isfinite(told).all(axis=1)], axis=0)
         return {
             name: {
                 "told": rig.channels[name].sigma,
