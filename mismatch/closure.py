@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from greygate.mismatch.effects import Effect, Free
-from greygate.mismatch.fit import NORMAL, Fit
+from greygate.mismatch.fit import HELD, NORMAL, Fit
 from greygate.mismatch.libraries import Basis, Candidate, declared
 from greygate.mismatch.model import TINY, lagged
 from greygate.mismatch.rig import Rig
@@ -21,8 +21,7 @@ from greygate.plants.closure import SEEN, Place
 from greygate.plants.expressions import names, replaced
 from greygate.plants.plant import Values
 
-STRETCH = 1.0  # s of recording that are learnt from, then judged on, by turns
-LAGS = {"lag_2_ms": 0.002, "lag_5_ms": 0.005, "lag_15_ms": 0.015}  # s, of a sensor that answers late
+LAGS = {"lag_2": 2, "lag_5": 5, "lag_15": 15}  # samples, of a sensor that answers late
 TERMS = 4  # basis functions in a closure, at most
 SURE = 5.0  # standard deviations of a coefficient, below which its function goes again
 WORTH = 0.03  # of the misfit that a further function must remove
@@ -88,11 +87,9 @@ class _Halves:
 
     @classmethod
     def of(cls, base: Fit, columns: np.ndarray) -> "_Halves":
-        k, windows = len(base.unknowns), len(base.slopes)
+        k = len(base.unknowns)
         both = np.concatenate([base.slopes, columns], axis=2)
-        likelihood = base.likelihood
-        stretch = max(round(STRETCH / (likelihood.block * likelihood.model.rig.dt)), 1)
-        even = (np.arange(windows) // stretch) % 2 == 0
+        even = base.likelihood.alternate(HELD)
         gram, pull = [], []
         for half in (even, ~even):
             flat, e = both[half].reshape(-1, both.shape[2]), base.projected[half].reshape(-1)
@@ -148,7 +145,7 @@ def _sensors(search: Search, base: Fit) -> dict[tuple[str, str], np.ndarray]:
             "rate": rate,
             "t": likelihood.model.recording.time,
         }
-        shapes |= {name: lagged(signal, lag, rig.dt) - signal for name, lag in LAGS.items()}
+        shapes |= {name: lagged(signal, lag * rig.dt, rig.dt) - signal for name, lag in LAGS.items()}
         for name, shape in shapes.items():
             column = np.zeros_like(base.errors)
             size = max(float(np.std(shape)), FLAT * float(np.abs(shape).max()) + TINY)

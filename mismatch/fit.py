@@ -15,13 +15,16 @@ from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.noise import deviation
 from greygate.models.training.gauss_newton import Decades, bounded, search
 
-WARM = 0.25  # s at the beginning of a recording that do not count where states are not measured: these die away
-LOOSE = 0.05  # m/s by which a smoothed velocity may be off where a window begins, RMS
-SHIFT = 1e-3  # m/s, scale of the shift of a velocity; a measured state's is its sensor's noise
+WARM = 250  # samples at the beginning that do not count where states are not measured: these die away;
+WARM_PART = 8  # but no more than such a part of a recording
+LOOSE = 50.0  # shifts of one scale by which a smoothed rate may be off where a window begins, RMS: all of its size
 FREE = 1e-6  # weight of a measured state's shift in the cost: a thousand times the noise before it counts
 STEP = 1e-3  # of a parameter's scale, for differences
 SHIFTED = 0.1  # of a shift's scale, for differences
-BLOCK = 0.25  # s within which errors may depend on each other, for intervals where there are no windows
+BLOCK = 250  # samples within which errors may depend on each other, for intervals where there are no windows;
+BLOCK_PART = 16  # but no more than such a part of a recording
+HELD = 1000  # samples that are learnt from, then judged on, by turns;
+HELD_PART = 5  # but no more than such a part of a recording
 SINGULAR, BREAD_SINGULAR = 1e-13, 1e-14  # of the largest singular value, below which numbers cannot be told apart
 ITERATIONS = 15  # of a fit, at most: near its end each gains more digits than the one before
 NORMAL = 1.96  # standard deviations on either side that hold 95 % of a normal distribution
@@ -129,13 +132,13 @@ class Fit:
         white = bread * max(1.0, float(np.mean(self.projected**2)))
         return _larger(robust, white)
 
-    def held_out(self, stretch: float = 1.0) -> float:
+    def held_out(self, stretch: int = HELD) -> float:
         """Cost of the errors on each half of the recording, with the parameters that the other half alone gives.
 
-        The halves are every other `stretch` s. A half's parameters come from one linearised step from those of both.
+        The halves are every other `stretch` samples. A half's parameters come from one linearised step from those of
+        both.
         """
-        block = self.likelihood.block * self.likelihood.model.rig.dt
-        even = (np.arange(len(self.slopes)) // max(round(stretch / block), 1)) % 2 == 0
+        even = self.likelihood.alternate(stretch)
         low, high = _bounds(self.unknowns)
         total = 0.0
         for learn in (even, ~even):
@@ -171,14 +174,14 @@ class Likelihood:
         rig, samples = model.rig, len(model.target)
         self.sigma = deviation(model)
         scale = {name: rig.channels[name].sigma for name in model.measured}
-        self.local_scale = np.array([scale.get(s, SHIFT) for s in model.locals])
-        self.heavy = np.array([FREE if s in scale else (SHIFT / LOOSE) ** 2 for s in model.locals])
-        block = model.window or round(BLOCK / rig.dt)
+        self.local_scale = np.array([scale.get(s) or model.pace(s) / LOOSE for s in model.locals])
+        self.heavy = np.array([FREE if s in scale else LOOSE**-2 for s in model.locals])
+        block = model.window or min(BLOCK, samples // BLOCK_PART)
         self.windows, self.block = samples // block, block
         counted = np.zeros(samples, bool)
         counted[: self.windows * block] = True
         if model.window is not None and not all(model.reset):
-            counted[: max(model.window, round(WARM / rig.dt))] = False
+            counted[: max(model.window, min(WARM, samples // WARM_PART))] = False
         self.sigma[~counted] = np.inf
         self.count = int(counted.sum()) * self.sigma.shape[1]
 
@@ -190,6 +193,11 @@ class Likelihood:
     def white(self, what: np.ndarray) -> np.ndarray:
         """`what` (samples, channels, ...) in units of the noise."""
         return what / self.sigma[(..., *(None,) * (what.ndim - 2))]
+
+    def alternate(self, stretch: int) -> np.ndarray:
+        """Whether each window is in the first half, where stretches of so many samples are in one half by turns."""
+        stretch = min(stretch, self.windows * self.block // HELD_PART)
+        return (np.arange(self.windows) // max(round(stretch / self.block), 1)) % 2 == 0
 
     def nothing(self) -> np.ndarray:
         """No shifts: every window begins as recorded."""

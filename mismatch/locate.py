@@ -17,7 +17,7 @@ from scipy.signal import savgol_filter
 
 from greygate.mismatch.effects import SENSOR
 from greygate.mismatch.fit import Fit
-from greygate.mismatch.model import FEWEST_BESIDE, PARABOLA, SMOOTH, TINY, Model
+from greygate.mismatch.model import PARABOLA, SMOOTH, TINY, Model, reach
 from greygate.plants.plant import Values
 
 CELLS = 1000  # of a recording, in each of which energy and variables are averaged
@@ -148,19 +148,19 @@ def signals(model: Model) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """(name -> signal, name -> unit): position, velocity and acceleration, the other channels, time."""
     rig, recording, plant = model.rig, model.recording, model.plant
     found, units = {}, {}
-    half = max(round(SMOOTH / rig.dt), FEWEST_BESIDE)
     moved = next((x for x, s in plant.states.items() if s.rate and x in rig.channels), None)
     moved = moved or next((n for n in (*rig.inputs, *rig.channels) if rig.channels[n].unit == "m"), None)
     if moved is not None:
         x = recording[moved]
         found["x"], units["x"] = x, "m"
         for order, (name, unit) in enumerate((("v", "m/s"), ("a", "m/s^2")), start=1):
-            found[name] = savgol_filter(x, 2 * half + 1, order + 1, deriv=order, delta=rig.dt)
+            found[name] = savgol_filter(x, 2 * reach(x, SMOOTH) + 1, order + 1, deriv=order, delta=rig.dt)
             units[name] = unit
     for name, channel in rig.channels.items():
         if name != moved and (channel.role == "input" or channel.unit != "m"):
             signal = recording[name]  # an output is smoothed, for its noise is in the residual, too
-            found[name] = savgol_filter(signal, 2 * half + 1, PARABOLA) if channel.role == "output" else signal
+            smooth = channel.role == "output"
+            found[name] = savgol_filter(signal, 2 * reach(signal, SMOOTH) + 1, PARABOLA) if smooth else signal
             units[name] = channel.unit
     found["t"], units["t"] = recording.time, "s"
     return found, units

@@ -13,7 +13,7 @@ import numpy as np
 
 KINDS = ("network", "chain", "static", "decay", "imposed", "defined")
 TOLD = ("noise", "resolution", "both", "none", "some")
-SHORT = 30  # samples of the shortest recordings
+SHORT = 40  # samples of the shortest recordings
 FUNCTIONS = {"sqrt": np.sqrt, "tanh": np.tanh, "sin": np.sin, "exp": np.exp, "abs": abs, "max": max, "min": min}
 UNITS = ("K", "V", "m", "Pa", "kg", "1", "rad")
 
@@ -71,7 +71,11 @@ def make(seed: int, folder: Path) -> dict:
         (folder / "effects.toml").write_text(effects)
     signals = {name: _signal(rig, name) for name in rig.inputs if name not in rig.derived and name != "t"}
     recorded = _recorded(rig, signals)
-    rig.size = {name: max(float(np.ptp(v)), float(np.abs(v).max()), 1e-12) for name, v in recorded.items()}
+    if not all(np.isfinite(v).all() for v in recorded.values()):  # what is concealed has made it unstable
+        rig.truth.clear()
+        rig.traits.append("unstable, so nothing concealed")
+        recorded = _recorded(rig, signals)
+    rig.size = {name: max(float(np.abs(v).max()), 1e-12) for name, v in recorded.items()}
     sheet, noise = _sheet(rig, recorded)
     (folder / "rig.toml").write_text(sheet)
     _write(folder / "identify.csv", rig, recorded, noise)
@@ -119,9 +123,9 @@ def _chain(rig: Rig) -> None:
 def _masses(rig: Rig, size: float, first: dict, anchor: str = "0.0", speed: str = "0.0") -> None:
     """Masses in a row; the spring and the damper of the first end at `anchor`, which moves with `speed`."""
     rng, slow = rig.rng, rig.dt * rig.rng.uniform(3, 10)
-    unit = str(rng.choice(["m", "rad"]))
+    unit, mass = str(rng.choice(["m", "rad"])), 10 ** rng.uniform(-2, 2)
     for i in range(int(rng.integers(1, 3))):
-        x, v, m = f"x{i}", f"v{i}", 10 ** rng.uniform(-2, 2)
+        x, v, m = f"x{i}", f"v{i}", mass * rng.uniform(0.7, 1.5)
         rig.states |= {x: {"unit": unit, "rate": v}, v: {"unit": f"{unit}/s"}}
         rig.parameter(f"m{i}", m, "kg", 0.1)
         rig.parameter(f"k{i}", m / slow**2, "N/m", 0.6)
@@ -357,7 +361,7 @@ def _sheet(rig: Rig, recorded: dict) -> tuple[str, dict]:
     rng, told = rig.rng, str(rig.rng.choice(TOLD))
     rig.traits.append(f"told {told}")
     lines = ['plant = "plant.toml"', f"sample_time_s = {rig.dt!r}", f"predict = {json.dumps(rig.predict)}"]
-    if rig.samples > 100 and rig.chance(0.5, "window"):
+    if rig.samples > 100 and told not in ("none", "some") and rig.chance(0.6, "window"):
         lines.append(f"window_s = {rig.dt * int(rng.integers(10, 40))!r}")
     elif rig.chance(0.15, "settle"):
         lines.append(f"settle_s = {10 * rig.dt!r}")
