@@ -53,11 +53,12 @@ def bases(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]
 
 def _powers(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]:
     """For every balance but that of a position, powers of each signal, as large as the largest term that is there."""
-    model = search.final.model
-    plant = model.plant
+    model, plant = search.final.model, search.rig.plant  # without effects: their terms are 0, their states unknown
     rates = {state.rate for state in plant.states.values() if state.rate}
-    scope = Values(plant, dict(signals))
-    scope.update(model.values)
+    states, inputs = model.states(model.values)
+    simulated = dict(zip(model.plant.states, states.T, strict=True))
+    scope = Values(plant, {**{s: simulated[s] for s in plant.states}, **inputs, **signals})
+    scope.update({s: model.values[s] for s in plant.parameters})
     out: dict[str, Basis] = {}
     for name, equation in plant.equations.items():
         if plant.states[equation.state].rate:

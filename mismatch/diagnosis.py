@@ -27,6 +27,7 @@ from greygate.mismatch.rig import Rig
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.mismatch.selection import STRUCTURE, Selection, complete, inflation, structure
 from greygate.mismatch.verdict import Verdict
+from greygate.plain import plain
 from greygate.progress import Progress, silent
 
 SCHEMA = "diagnosis/1"
@@ -62,8 +63,8 @@ class Diagnosis:
     # -- the file ----------------------------------------------------------------------------------------------------
 
     def as_dict(self) -> dict:
-        """Content of diagnosis.json, keys as in docs/diagnosis.md."""
-        return {
+        """Content of diagnosis.json, keys as in docs/diagnosis.md; None stands for what is not finite."""
+        return plain({
             "schema": SCHEMA,
             "plant": self.rig.plant.name,
             "verdict": self.verdict,
@@ -73,7 +74,7 @@ class Diagnosis:
             "fit": self.fits,
             "remaining": self._remaining(),
             "seconds": round(self.seconds, 2),
-        }
+        })
 
     def write(self, path: Path | str) -> None:
         """Write diagnosis.json, whole or not at all."""

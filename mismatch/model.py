@@ -197,9 +197,13 @@ class Model:
         key = (tuple(values[s] for s in self.moving), None if shifts is None else shifts.tobytes())
         if key != self._last[0]:
             self.runs += 1
-            inputs = np.ascontiguousarray(np.stack([signals[name] for name in self.plant.inputs], axis=1))
-            self._last = key, self._compiled.run(inputs, self.restarts, starts, self.reset, values)
+            self._last = key, self._compiled.run(self._columns(signals), self.restarts, starts, self.reset, values)
         return self._last[1], signals
+
+    def _columns(self, signals: Mapping[str, np.ndarray]) -> np.ndarray:
+        """The plant's inputs (samples, inputs), in its order; there may be none."""
+        columns = [signals[name] for name in self.plant.inputs]
+        return np.ascontiguousarray(np.stack(columns, axis=1)) if columns else np.empty((self.recording.samples, 0))
 
     @np.errstate(over="ignore", invalid="ignore")  # a run may diverge
     def predict(self, values: Mapping[str, float], shifts: np.ndarray | None = None) -> np.ndarray:
