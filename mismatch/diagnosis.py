@@ -244,7 +244,7 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
     ('parameter_error', ['viscous'])
     """
     began = time.perf_counter()
-    recording = rig.recording(rig.folder / "identify.csv")
+    recording = rig.to_explain()
     effects = table.known(rig, recording) if effects is None else effects
     progress("compiling the plant")
     search = Search(rig, recording, effects, free_run=Likelihood if rig.stated else Coloured)
@@ -310,8 +310,8 @@ def fits(result: Diagnosis, identify) -> dict:
     """RMS error of every predicted channel by the comparison rule: of the data sheet's plant, calibrated, corrected."""
     rig = result.rig
     recordings = {"identify": identify}
-    if (rig.folder / "holdout.csv").exists():
-        recordings["holdout"] = rig.recording(rig.folder / "holdout.csv")
+    if held_out := rig.held_out():
+        recordings["holdout"] = held_out
     out = {}
     for name, recording in recordings.items():
         model = Model(rig, recording, result.corrected.likelihood.model.effects)

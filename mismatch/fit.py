@@ -16,17 +16,18 @@ from greygate.mismatch.noise import deviation
 from greygate.models.training.gauss_newton import Decades, bounded, search
 
 WARM = 250  # samples at the beginning that do not count where states are not measured: these die away;
-WARM_PART = 8  # but no more than such a part of a recording
+WARM_PART = 12  # but no more than such a part of a recording
 LOOSE = 50.0  # shifts of one scale by which a smoothed rate may be off where a window begins, RMS: all of its size
 FREE = 1e-6  # weight of a measured state's shift in the cost: a thousand times the noise before it counts
 STEP = 1e-3  # of a parameter's scale, for differences
 SHIFTED = 0.1  # of a shift's scale, for differences
 BLOCK = 250  # samples within which errors may depend on each other, for intervals where there are no windows;
-BLOCK_PART = 16  # but no more than such a part of a recording
+BLOCK_PART = 12  # but no more than such a part of a recording
 HELD = 1000  # samples that are learnt from, then judged on, by turns;
-HELD_PART = 5  # but no more than such a part of a recording
+HELD_PART = 20  # but no more than such a part of a recording
 SINGULAR, BREAD_SINGULAR = 1e-13, 1e-14  # of the largest singular value, below which numbers cannot be told apart
 ITERATIONS = 15  # of a fit, at most: near its end each gains more digits than the one before
+DIVERGED = 1e100  # standard deviations of noise: what is farther away comes from a run that diverges
 NORMAL = 1.96  # standard deviations on either side that hold 95 % of a normal distribution
 HALVINGS = 6  # of the way from the unknowns' origins to a start from which the run diverges
 ENOUGH = 0.05  # of cost, a twentieth of what noise alone makes of one parameter: a further step tells nothing more
@@ -155,6 +156,21 @@ class Fit:
         return float(np.sqrt(self.covariance[j, j]) * abs(self.unknowns[j].scale))
 
 
+def tame(change: np.ndarray) -> np.ndarray:
+    """A change of errors, 0 where a run diverges: there it says nothing, and its square would be no number."""
+    return np.where(np.abs(change) < DIVERGED, change, 0.0)
+
+
+def _solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The step that a normal matrix asks for; the shortest of all where it is singular, none where it is no number."""
+    if not (len(right) and np.isfinite(normal).all() and np.isfinite(right).all()):
+        return np.zeros(len(right))
+    try:
+        return np.linalg.solve(normal, right)
+    except np.linalg.LinAlgError:
+        return np.linalg.lstsq(normal, right, rcond=SINGULAR)[0]
+
+
 def _larger(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """`one` stretched so that no variance is below that of `other`."""
     stretch = np.sqrt(np.maximum(np.diag(other) / np.maximum(np.diag(one), TINY), 1.0))
@@ -223,7 +239,7 @@ class Likelihood:
         for j in range(count):
             moved = shifts.copy()
             moved[:, j] += SHIFTED
-            columns.append(self.rows(np.nan_to_num(self.errors(values, moved) - errors) / SHIFTED, temper))
+            columns.append(self.rows(tame(self.errors(values, moved) - errors) / SHIFTED, temper))
         local = np.stack(columns, axis=2)
         prior = np.broadcast_to(np.diag(np.sqrt(self.heavy)), (self.windows, count, count))
         return np.linalg.qr(np.concatenate([local, prior], axis=1))
@@ -246,7 +262,7 @@ class Likelihood:
             value = values[u.symbol]
             size = STEP * u.scale * (-1 if value + STEP * u.scale > u.high else 1)
             moved = self.errors({**values, u.symbol: value + size}, shifts)
-            columns.append(self.rows(np.nan_to_num(moved - errors) / (size / u.scale), temper))
+            columns.append(self.rows(tame(moved - errors) / (size / u.scale), temper))
         if not columns:
             return np.zeros((self.windows, self.block * errors.shape[1], 0))
         return np.stack(columns, axis=2)
@@ -389,7 +405,7 @@ class _Descent:
             normal = linear.curvature + np.diag(self.weight + value * diagonal + RIDGE)
 
             def solved(moving: np.ndarray) -> np.ndarray:
-                return np.linalg.solve(normal[np.ix_(moving, moving)], -gradient[moving]) if len(moving) else moving
+                return _solved(normal[np.ix_(moving, moving)], -gradient[moving])
 
             numbers = bounded(at.numbers, gradient, self.low, self.high, solved)
             step = numbers - at.numbers

@@ -29,11 +29,13 @@ SMOOTH_START = 10  # likewise, for the velocity at a restart: it may lag a chang
 SMOOTHED = (0.005, 0.5)  # of a signal's memory, between which smoothing stays: it takes noise and leaves motion
 PART = 8  # a smoothing reaches no further than such a part of a recording
 FEWEST_BESIDE = 2  # samples on either side, at least: a cubic needs four, and five leave one to smooth
+FEWEST_SMOOTHED = 2 * FEWEST_BESIDE + 1  # samples
 PARABOLA, CUBIC = 2, 3  # degrees of the polynomials whose derivatives are smoothed rates
 READINGS = 3  # rounds in which a sensor's error, a small function of the true value, is taken off its reading
 TINY = 1e-300  # instead of a size that is 0, by which something is divided
 START_SIZE = 1e-3  # of the largest reading: the least size of a starting value, by which its steps are scaled
 START_STEP = 1e-4  # of that size, for a difference
+FARTHEST = 1e6  # spreads of a channel: a run that diverges is said to be so far off
 START_TRIALS = 60  # runs in which starting values are fitted, at most
 
 
@@ -90,6 +92,9 @@ class Model:
         self.locals = [*self.measured, *self.rates]
         self.reset = np.array([s in self.locals for s in states])
         sources = {how.partition(" ")[2] for how in self.plant.derived.values()}
+        if recording.samples < FEWEST_SMOOTHED and (sources or self.rates):
+            few = f"{recording.samples} samples; a rate is smoothed over {FEWEST_SMOOTHED}"
+            raise InputError(f"{recording.source}: {few}, record at least so many")
         self._smooth = {source: reach(recording[source], SMOOTH) for source in sources}
         self._inputs = {name: self._input(name, recording.channels) for name in self.plant.inputs}
         self._finer = {name: self._input(name, recording.channels, FINER) - self._inputs[name] for name in self.finer}
@@ -324,11 +329,13 @@ def begun(model: Model, values: Mapping[str, float], samples: int) -> dict[str, 
     symbols = beginnings(model)
     if not symbols or not samples:
         return values
-    scale = np.std(model.target, axis=0) + TINY
+    scale = np.std(model.target, axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
 
     def errors(at):
         given = {**values, **dict(zip(symbols, at, strict=True))}
-        return ((model.target - model.predict(given))[:samples] / scale).ravel()
+        left = ((model.target - model.predict(given))[:samples] / scale).ravel()
+        return np.clip(np.nan_to_num(left, nan=FARTHEST), -FARTHEST, FARTHEST)
 
     start = np.array([values[s] for s in symbols])
     size = np.maximum(np.abs(start), START_SIZE * float(np.abs(model.target).max()) + TINY)

@@ -20,6 +20,7 @@ from greygate.table import read_table
 
 PLANTS = Path(__file__).parent.parent / "machines"  # NAME.toml in one of its folders is the plant NAME
 SHORTEST = 40  # samples: a shorter recording leaves nothing to judge a fit by; it is held out in twenty blocks
+READABLE = 2  # samples, from which a sample time follows
 JITTER = 1e-3  # of a sample interval, by which one interval may differ from the next
 TIME_ROUNDING = 1e-12  # of the last time, by which the difference of two written times may be off
 FEWEST = 10  # samples: a shorter window is mostly its own beginning
@@ -84,8 +85,23 @@ class Rig:
         """
         return self.timed(path)[0]
 
-    def timed(self, path: Path | str) -> tuple[Recording, list[str]]:
-        """The recording, and the column `t` as the file writes it."""
+    def to_explain(self) -> Recording:
+        """identify.csv. Raises InputError where it cannot be read, or is too short to be explained."""
+        return self.timed(self.folder / "identify.csv", SHORTEST)[0]
+
+    def held_out(self) -> Recording | None:
+        """holdout.csv, None where there is none. Raises InputError where it is no longer than the rig settles."""
+        path = self.folder / "holdout.csv"
+        if not path.exists():
+            return None
+        recording = self.recording(path)
+        if recording.samples <= self.settle:
+            problem = f"{recording.samples} samples, of which settle_s leaves none"
+            raise InputError(f"{path}: {problem}; record more, or settle for less")
+        return recording
+
+    def timed(self, path: Path | str, least: int = READABLE) -> tuple[Recording, list[str]]:
+        """The recording of `least` samples or more, and the column `t` as the file writes it."""
         table = read_table(path)
         path, header = table.path, table.header
         if header[0] != "t":
@@ -94,7 +110,7 @@ class Rig:
             raise InputError(f"{path}: no column {', '.join(missing)}; rig.toml names these channels")
         if unknown := [name for name in header[1:] if name not in self.channels]:
             raise InputError(f"{path}: column {', '.join(unknown)} is no channel of rig.toml; declare or drop it")
-        samples, shortest = len(table.cells), max(SHORTEST, self.window or 0)
+        samples, shortest = len(table.cells), max(least, self.window or 0)
         if samples < shortest:
             wish = f"record at least {shortest} samples, {shortest * self.dt:g} s"
             raise InputError(f"{path}: {samples} samples, {samples * self.dt:g} s; {wish}")

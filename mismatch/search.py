@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from greygate.mismatch.effects import Effect, Free, fitting
-from greygate.mismatch.fit import Fit, Likelihood, Unknown
+from greygate.mismatch.fit import Fit, Likelihood, Unknown, tame
 from greygate.mismatch.model import BLUR, TIMING, TINY, Model
 from greygate.mismatch.rig import FEWEST, Rig
 from greygate.mismatch.scales import memory, span
@@ -249,7 +249,7 @@ class Search:
             for point in self._points(effect):
                 if point:
                     moved = likelihood.errors({**values, **point}, fit.shifts)
-                    columns = likelihood.rows(np.nan_to_num(moved - fit.errors), fit.temper)[:, :, None]
+                    columns = likelihood.rows(tame(moved - fit.errors), fit.temper)[:, :, None]
                 elif add is not None:
                     null = {f.symbol: 0.0 for f in effect.strengths}
                     made = [add({**shape, **null, f.symbol: f.typical}) for f in effect.strengths]

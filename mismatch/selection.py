@@ -295,6 +295,9 @@ def structure(fit: Fit) -> dict[str, float]:
     for i, name in enumerate(channels):
         e = projected[:, :, i]
         e = e[np.abs(e).sum(axis=1) > 0]
+        if not len(e):  # a channel that is predicted exactly, as one that rests
+            out[name] = -1.0
+            continue
         pieces = e[:, : e.shape[1] // size * size].reshape(-1, size)
         out[name] = float(np.mean(pieces.mean(axis=1) ** 2) * size / max(1.0, _fast(e))) - 1.0
     return out

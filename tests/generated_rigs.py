@@ -380,6 +380,10 @@ def _sheet(rig: Rig, recorded: dict) -> tuple[str, dict]:
             continue
         sigma = float(f"{rig.size[name] * 10 ** rng.uniform(-4, -1.5):.3g}")
         kind = str(rng.choice(TOLD[:4])) if told == "some" else told
+        if name == "still" and rng.random() < 0.5:
+            sigma, noise[name] = 1e-3, (0.0, 0.0)
+            lines += ["noise_rms = 1e-3"] if kind != "none" else []
+            continue
         noise[name] = (0.0 if kind == "resolution" else sigma, sigma if kind in ("resolution", "both") else 0.0)
         lines += [f"noise_rms = {noise[name][0]!r}"] if kind in ("noise", "both") else []
         lines += [f"resolution = {noise[name][1]!r}"] if kind in ("resolution", "both") else []
