@@ -34,6 +34,10 @@ LEAST = 1e-9  # cost, in place of a misfit of 0
 FLAT = 1e-12  # of a signal's size, below which its spread is rounding
 
 
+class NowhereError(Exception):
+    """The plant has no place in which a term may be missing."""
+
+
 def bases(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]:
     """Place -> functions that may be missing there, as the plant's file declares them, or of every signal.
 
@@ -52,7 +56,10 @@ def bases(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]
 
 
 def _powers(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]:
-    """For every balance but that of a position, powers of each signal, as large as the largest term that is there."""
+    """For every balance but that of a position, and every law that gives a predicted channel: powers of each signal.
+
+    They are as large as the largest term that is there.
+    """
     model, plant = search.final.model, search.rig.plant  # without effects: their terms are 0, their states unknown
     rates = {state.rate for state in plant.states.values() if state.rate}
     states, inputs = model.states(model.values)
@@ -60,10 +67,11 @@ def _powers(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basi
     scope = Values(plant, {**{s: simulated[s] for s in plant.states}, **inputs, **signals})
     scope.update({s: model.values[s] for s in plant.parameters})
     out: dict[str, Basis] = {}
-    for name, equation in plant.equations.items():
-        if plant.states[equation.state].rate:
-            continue
-        size = max(float(np.sqrt(np.mean(np.square(scope.evaluate(term))))) for term in equation.terms.values())
+    terms = {name: e.terms for name, e in plant.equations.items() if not plant.states[e.state].rate}
+    terms |= {name: d.terms for name, d in plant.definitions.items() if d.symbol in search.rig.predict}
+    for name, there in terms.items():
+        sizes = [float(np.sqrt(np.mean(np.square(scope.evaluate(term))))) for term in there.values()]
+        size = max((size for size in sizes if np.isfinite(size)), default=0.0) or 1.0
         decade = round(np.log10(max(size, TINY)))
         scale = repr(float(f"1e{decade}"))
         basis = {"one": Candidate(f"{scale} * (1.0)", ())}
@@ -193,6 +201,8 @@ class _Unknowns:
             for place, column in _sensors(search=again, base=base).items():
                 keys.append(place)
                 columns.append(likelihood.rows(column[:, :, None], base.temper))
+        if not columns:
+            raise NowhereError
         columns = likelihood.eliminate(np.concatenate(columns, axis=2), None, base.basis)[0]
         return cls(again, effects, seen, base, keys, columns)
 
@@ -233,8 +243,14 @@ def _effects(rig: Rig, found: Mapping[str, Basis]) -> dict[str, Effect]:
 
 
 def closure(search: Search) -> tuple[dict, Fit | None]:
-    """(where and effect for the diagnosis, fit with the unknown term; None where a sensor is at fault)."""
-    unknowns = _Unknowns.of(search)
+    """(where and effect for the diagnosis, fit with the unknown term; None where a sensor is at fault).
+
+    Both are empty for a plant that has no place in which a term may be missing.
+    """
+    try:
+        unknowns = _Unknowns.of(search)
+    except NowhereError:
+        return {"where": [], "effect": None}, None
     place, chosen, share = unknowns.chosen()
     declared = search.rig.plant.closure.places.get(place)
     reported = (declared and declared.reported) or place

@@ -64,17 +64,19 @@ class Diagnosis:
 
     def as_dict(self) -> dict:
         """Content of diagnosis.json, keys as in docs/diagnosis.md; None stands for what is not finite."""
-        return plain({
-            "schema": SCHEMA,
-            "plant": self.rig.plant.name,
-            "verdict": self.verdict,
-            "where": [dict(place) for place in self._where],
-            "effects": self._effects(),
-            "parameters": self._parameters(),
-            "fit": self.fits,
-            "remaining": self._remaining(),
-            "seconds": round(self.seconds, 2),
-        })
+        return plain(
+            {
+                "schema": SCHEMA,
+                "plant": self.rig.plant.name,
+                "verdict": self.verdict,
+                "where": [dict(place) for place in self._where],
+                "effects": self._effects(),
+                "parameters": self._parameters(),
+                "fit": self.fits,
+                "remaining": self._remaining(),
+                "seconds": round(self.seconds, 2),
+            }
+        )
 
     def write(self, path: Path | str) -> None:
         """Write diagnosis.json, whole or not at all."""

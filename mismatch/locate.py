@@ -277,6 +277,8 @@ def _regime(energy: Energy, seen: Mapping[str, np.ndarray], units: Mapping[str, 
     if not _rare(distances[name], drawn):
         return ""
     part = Region.densest(energy, seen[name])
+    if part.whole:
+        return ""
     shares = PERCENT * energy.cells[part.inside].sum(), PERCENT * part.inside.mean()
     words = part.words(name, *display_unit(units[name], float(np.abs(seen[name]).max())))
     return f"{words} ({shares[0]:.0f} % of it, in {shares[1]:.0f} % of the time)"
@@ -289,6 +291,8 @@ def _when(energy: Energy, clock: np.ndarray) -> str:
     if distance < CLEAR:
         return ""
     part = Region.densest(energy, clock)
+    if part.whole:
+        return ""
     ramp, jump = (_correlation(np.sqrt(energy.cells), shape) for shape in (clock, part.inside))
     if part.open and abs(ramp) >= jump:
         steady = _rare(abs(ramp), np.abs(_correlation(np.sqrt(energy.shuffled), clock)))
@@ -314,17 +318,32 @@ class Region:
     inside: np.ndarray
 
     @property
+    def whole(self) -> bool:
+        """Whether the region has no end: then it tells nothing."""
+        return self.low is None and self.high is None
+
+    @property
     def open(self) -> bool:
         """Whether the region reaches to one end of all values."""
         return self.low is None or self.high is None
 
     @classmethod
     def densest(cls, energy: Energy, variable: np.ndarray) -> "Region":
-        """The region in which the share of energy exceeds the share of time by most."""
+        """The region in which the share of energy exceeds the share of time by most.
+
+        A burst near one end is between two values as well as beyond them, and then told as what has an end.
+        """
         order = np.argsort(variable, kind="stable")
-        excess, count = _excess(energy.cells, order), len(variable)
+        excess = _excess(energy.cells, order)
         rise, fall = excess - np.minimum.accumulate(excess), np.maximum.accumulate(excess) - excess
         beyond = bool(fall.max() > rise.max())
+        found = cls._between(variable, order, excess, rise, fall, beyond)
+        return cls._between(variable, order, excess, rise, fall, not beyond) if found.whole else found
+
+    @classmethod
+    def _between(cls, variable, order, excess, rise, fall, beyond: bool) -> "Region":
+        """The region between two values, or beyond them, by the curves of `densest`."""
+        count = len(variable)
         last = int(np.argmax(fall if beyond else rise))
         first = int((np.argmax if beyond else np.argmin)(excess[: last + 1]))
         first = 0 if first < EDGE * count else first

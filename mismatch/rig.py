@@ -116,9 +116,7 @@ class Rig:
             raise InputError(f"{path}: {samples} samples, {samples * self.dt:g} s; {wish}")
         clock = table.values[:, 0]
         steps, rounding = np.diff(clock), TIME_ROUNDING * float(np.abs(clock).max())
-        table.require_steps(
-            steps, np.abs(steps - self.dt) > JITTER * self.dt + rounding, self.dt, "stands in rig.toml"
-        )
+        table.require_steps(steps, np.abs(steps - self.dt) > JITTER * self.dt + rounding, self.dt, "stands in rig.toml")
         channels = {name: table.values[:, header.index(name)] for name in self.channels}
         recording = Recording(self.dt, channels, {n: c.unit for n, c in self.channels.items()}, source=str(path))
         return recording, [row[0] for row in table.cells]
@@ -200,7 +198,7 @@ Mistakes = Iterator[tuple[str, str]]
 
 def _wrong_times(found: Mapping, plant: Plant) -> Mistakes:
     dt, window = found["sample_time_s"], found.get("window_s")
-    if not dt <= MOST * plant.step:
+    if plant.states and not dt <= MOST * plant.step:
         yield "sample_time_s", f"{dt:g} s, {plant.name} takes steps of {plant.step:g} s; take {MOST} a sample at most"
     if window is not None and window < FEWEST * dt:
         yield "window_s", f"{window:g}; give at least {FEWEST} samples, in s"

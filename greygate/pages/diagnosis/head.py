@@ -20,7 +20,7 @@ def context(case: Diagnosed) -> dict:
         "plant": case.found["plant"],
         "sentence": Verdict(case.found["verdict"]).words,
         "facts": facts(case),
-        "rivals": len(case.result.rivals) > 1,
+        "rivals": sum(map(math.isfinite, case.result.rivals.values())) > 1,
     }
 
 
