@@ -116,8 +116,8 @@ def summary(found: list[dict]) -> dict:
         "hangs": sum(c["seconds"] > HANG for _, _, c in ran),
         "not_json": sum(bool(c.get("json")) for _, _, c in ran),
         "exit_codes": {
-            name: dict(Counter(str(c["code"]) for _, n, c in ran if n == name))
-            for name in dict.fromkeys(n for _, n, _ in ran)
+            command: dict(Counter(str(c["code"]) for _, name, c in ran if name == command))
+            for command in dict.fromkeys(name for _, name, _ in ran)
         },
         "verdicts": dict(Counter(c.get("verdict", "none") for _, name, c in ran if name == "diagnose")),
         "diagnose_seconds": {"median": round(seconds[len(seconds) // 2], 1), "worst": round(seconds[-1], 1)},

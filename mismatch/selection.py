@@ -288,7 +288,7 @@ def carried(effect: Effect, form: Effect, values: Mapping[str, float]) -> dict[s
 def structure(fit: Fit) -> dict[str, float]:
     """Channel -> the variance of its slow errors over that of the slow part of white noise, less one."""
     likelihood = fit.likelihood
-    model, channels = likelihood.model, likelihood.model.rig.predict
+    channels = likelihood.model.rig.predict
     projected = fit.projected[:, : likelihood.block * len(channels)].reshape(-1, likelihood.block, len(channels))
     size = max(min(BLURRED if blurred(fit) else SLOW, likelihood.block // MEANS), 2)
     out = {}

@@ -131,4 +131,4 @@ def test_a_rate_is_smoothed_alike_at_every_sample_time():
     """Twenty samples of a machine that is sampled well, fewer of one that is sampled coarsely or recorded shortly."""
     assert reach(moving(20_000, 400), SMOOTH) == 20
     assert reach(moving(20_000, 6), SMOOTH) < 6
-    assert reach(np.sin(np.arange(40) / 20), SMOOTH) == 40 // 8
+    assert reach(np.sin(np.arange(40) / 20), SMOOTH) <= 40 // 8

@@ -151,7 +151,7 @@ RIGS = {
     "a negative resolution": (put("resolution = ", "resolution = -"), "resolution -"),
     "a misspelt entry": (put("resolution", "resolutoin"), "'resolutoin': there is no such entry; write resolution"),
     "a window of one sample": (put("predict", "window_s = 0.001\npredict"), "window_s: 0.001; give at least 10"),
-    "a window beyond the recording": (put("predict", "window_s = 100\npredict"), "record at least 100000 samples, 100 s"),
+    "a window beyond the recording": (put("predict", "window_s = 100\npredict"), "record at least 100000 samples"),
     "nothing to predict": (put('["x_load"]', "[]"), "predict: []"),
     "an input to predict": (put('["x_load"]', '["x_drum"]'), "predict: 'x_drum' is no output channel"),
     "no plant": (put('plant = "cable_drum"', ""), "plant is missing"),

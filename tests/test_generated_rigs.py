@@ -44,7 +44,7 @@ def test_every_command_answers(seed, tmp_path, greygate):
             "simulate", folder, "--recording", folder / "identify.csv", "--out", tmp_path / "s.csv", *given
         )
         assert code == 0, err
-    code, out, err = greygate("isolability", folder, "--json")
+    code, _, err = greygate("isolability", folder, "--json")
     assert code == 0 or "no table has an effect of this plant" in err, err
 
 

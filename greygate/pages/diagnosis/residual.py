@@ -27,8 +27,8 @@ class Residual:
     """Recorded minus simulated for every predicted channel, with the variables on which it may depend.
 
     errors: name -> (points,), SI; the name gives channel and kind. units: of errors and variables. variables: name ->
-    (points,), SI. Points are samples. If the rig restarts, they are windows of `PIECE` samples: for a position the growth
-    rate of its error, for any other channel its mean error.
+    (points,), SI. Points are samples. If the rig restarts, they are windows of `PIECE` samples: for a position the
+    growth rate of its error, for any other channel its mean error.
     """
 
     errors: Mapping[str, np.ndarray]
