@@ -40,7 +40,7 @@ def test_every_command_answers(seed, tmp_path, greygate):
     assert strictly(file)["verdict"] in list(Verdict)
     assert "</html>" in page.read_text(encoding="utf-8")
     for given in ((), ("--diagnosis", file)):
-        code, out, err = greygate(
+        code, _, err = greygate(
             "simulate", folder, "--recording", folder / "identify.csv", "--out", tmp_path / "s.csv", *given
         )
         assert code == 0, err
