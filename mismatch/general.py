@@ -86,7 +86,7 @@ def _timed(entry: Mapping) -> bool:
 
 
 def _sized(entry: dict, seen: Seen, every: bool) -> dict | None:
-    """`entry` with numbers and units; None where the recording gives a strength no size, or the plant has it already."""
+    """`entry` with numbers and units; None where the recording gives a strength no size, or the plant has it."""
     parameters = {s: _numbers(p, seen) for s, p in entry["parameters"].items()}
     if any(p.get("guess") == [] for p in parameters.values()):
         if not every:

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter, savgol_filter
 
 from greygate.errors import InputError
-from greygate.mismatch import filters as more
+from greygate.mismatch import filters as of
 from greygate.mismatch.entries import SENSOR, TIME, Effect
 from greygate.mismatch.joining import join
 from greygate.mismatch.rig import Rig
@@ -56,7 +56,7 @@ class Model:
         for effect in effects.values():
             for name, text in effect.filters.items():
                 kind, *symbols = text.split()
-                known = more.SENSOR if name.startswith(SENSOR) else FILTERS
+                known = of.SENSOR if name.startswith(SENSOR) else FILTERS
                 if kind not in known:
                     raise InputError(f"effect {effect.key}: filters.{name}: {kind!r}; give one of {', '.join(known)}")
                 self._filters.setdefault(name, []).append((kind, tuple(symbols)))
@@ -188,7 +188,7 @@ class Model:
         """The channel as recorded, less what filters of its sensor make of it."""
         read = self.recording[channel]
         for kind, given in self._acting(SENSOR + channel, values):
-            read = more.unfiltered(kind, read, given, self.rig.dt)
+            read = of.unfiltered(kind, read, given, self.rig.dt)
         return read
 
     def _reading(self, channel: str, state: np.ndarray, values: Mapping[str, float], at=slice(None)) -> np.ndarray:
@@ -226,7 +226,7 @@ class Model:
                     scope.update(values)
                 column = np.broadcast_to(scope[channel], len(states))
             for kind, given in self._acting(SENSOR + channel, values):
-                column = more.SENSOR[kind](column, *given, self.rig.dt)
+                column = of.SENSOR[kind](column, *given, self.rig.dt)
             if any(True for _ in self._shown(channel, values)):
                 column = column + self._reading(channel, column, values)
             columns.append(column)
@@ -311,7 +311,7 @@ FILTERS = {
     "dead_zone": dead_band,
     "play": backlash,
     "skew": lambda signal, by, dt: signal + by * np.abs(signal),
-    **more.INPUT,
+    **of.INPUT,
 }
 
 

@@ -14,12 +14,13 @@ from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.places import rates
 from greygate.mismatch.rig import Rig
 from greygate.plants.expressions import names
-from greygate.plants.plant import Definition, Values
+from greygate.plants.plant import Values
 from greygate.plants.recording import Recording
 
 NOISY = 3.0  # times the RMS of its sensor: a signal that stays within does not move
-SOME = 0.02  # of the samples: where fewer show something, the recording does not
-SLOW = 0.02  # of a signal's size, below which it is near zero
+SOME = 0.01  # of the samples: where fewer show something, the recording does not
+SLOW = 0.02  # of a velocity's largest magnitude, below which it rests
+NEAR = 0.1  # of an input's largest magnitude, below which it is near zero
 SPECK = 1e-6  # of a signal's size: practically nothing
 END = 0.01  # of a signal's range, nearer than which to its extreme a sample may be at the sensor's end
 NEGATIVE = 0.05  # of a signal's size: noise alone takes a magnitude that far below zero
@@ -166,7 +167,7 @@ class Seen:
             "moves": self._moves,
             "turns": lambda s: _often(s, s > 0, s < 0) or (_often(s, _slow(s)) and not _slow(s).all()),
             "both_signs": lambda s: _often(s, s > SLOW * np.max(np.abs(s)), s < -SLOW * np.max(np.abs(s))),
-            "near_zero": lambda s: _often(s, np.abs(s) < 2 * SLOW * np.max(np.abs(s))) or _often(s, s > 0, s < 0),
+            "near_zero": lambda s: _often(s, np.abs(s) < NEAR * np.max(np.abs(s))) or _often(s, s > 0, s < 0),
             "often_high": lambda s: np.sum(s >= s.max() - END * np.ptp(s)) > LEVELS and np.ptp(s) > 0,
             "often_low": lambda s: np.sum(s <= s.min() + END * np.ptp(s)) > LEVELS and np.ptp(s) > 0,
             "never_negative": lambda s: s.min() > -NEGATIVE * np.max(np.abs(s)) and s.min() < np.max(s) / 2,
