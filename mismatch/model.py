@@ -5,7 +5,7 @@ runs free in between. Where the rig has no window, it runs free from the first s
 """
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +13,9 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter, savgol_filter
 
 from greygate.errors import InputError
-from greygate.mismatch.effects import Effect, join
+from greygate.mismatch import filters as of
+from greygate.mismatch.entries import SENSOR, TIME, Effect
+from greygate.mismatch.joining import join
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.scales import memory, span
 from greygate.plants.expressions import names
@@ -58,12 +60,13 @@ class Model:
         self._filters = {}
         for effect in effects.values():
             for name, text in effect.filters.items():
-                kind, symbol = text.split()
-                if kind not in FILTERS:
-                    raise InputError(f"effect {effect.key}: filters.{name}: {kind!r}; give one of {', '.join(FILTERS)}")
-                self._filters.setdefault(name, []).append((kind, symbol))
+                kind, *symbols = text.split()
+                known = of.SENSOR if name.startswith(SENSOR) else FILTERS
+                if kind not in known:
+                    raise InputError(f"effect {effect.key}: filters.{name}: {kind!r}; give one of {', '.join(known)}")
+                self._filters.setdefault(name, []).append((kind, tuple(symbols)))
         for name in rig.inputs if rig.window else ():
-            self._filters.setdefault(name, []).append(("delay", TIMING))
+            self._filters.setdefault(name, []).append(("delay", (TIMING,)))
         self._compiled = Restarted(self.plant, rig.dt, self.plant.step)
         self._take(recording, rig.window if window is None else window)
         self.moving = self._moving()
@@ -74,6 +77,11 @@ class Model:
         if nuisance in self.plant.symbols:
             raise InputError(f"plant {self.plant.name}: {nuisance}: is the simulation's own name; rename it")
         self.plant = replace(self.plant, parameters={**self.plant.parameters, nuisance: Parameter(0.0, unit)})
+
+    @property
+    def inputs(self) -> dict[str, np.ndarray]:
+        """The plant's inputs along the recording (samples,), the derived ones too."""
+        return dict(self._inputs)
 
     def over(self, recording: Recording) -> "Model":
         """The same model over another recording of its rig."""
@@ -109,7 +117,8 @@ class Model:
         texts += [text for e in plant.equations.values() for text in (e.storage, *e.terms.values())]
         bounds = (b for s in plant.states.values() for b in (s.initial, s.start, s.low, s.high))
         texts += [b for b in bounds if isinstance(b, str)]
-        filters = {symbol for kinds in self._filters.values() for _, symbol in kinds}
+        moved = [*plant.inputs, *(SENSOR + channel for channel in self.measured)]
+        filters = {symbol for name in moved for _, symbols in self._filters.get(name, ()) for symbol in symbols}
         texts += [text for channel in self.measured for text in self.readings.get(channel, {}).values()]
         used = names(texts) | filters | {BLUR}
         return [s for s in plant.parameters if s in used]
@@ -135,10 +144,9 @@ class Model:
 
     def _signals(self, values: Mapping[str, float]) -> dict[str, np.ndarray]:
         signals = dict(self._inputs)
-        for name, filters in self._filters.items():
-            for kind, symbol in filters:
-                if values[symbol] != 0.0:
-                    signals[name] = FILTERS[kind](signals[name], values[symbol], self.rig.dt)
+        for name in self.plant.inputs:
+            for kind, given in self._acting(name, values):
+                signals[name] = FILTERS[kind](signals[name], *given, self.rig.dt)
         for name, how in self.plant.derived.items():
             source = how.partition(" ")[2]
             if signals.get(source) is not self._inputs.get(source):
@@ -148,13 +156,18 @@ class Model:
                 signals[name] = signals[name] + values[BLUR] * more
         return signals
 
+    def _acting(self, name: str, values: Mapping[str, float]) -> list[tuple[str, tuple[float, ...]]]:
+        """The filters of an input or a sensor whose strength is not 0, with their parameters."""
+        filters = self._filters.get(name, ())
+        return [(kind, tuple(values[s] for s in symbols)) for kind, symbols in filters if values[symbols[0]] != 0.0]
+
     def starts(self, values: Mapping[str, float], signals: Mapping[str, np.ndarray]) -> np.ndarray:
         """Where each state begins at each restart, (restarts, states), by the comparison rule of the rigs."""
         at = self.restarts
         scope = Values(self.plant, {name: signal[at] for name, signal in signals.items()})
         scope.update(values)
         for state in self.measured:
-            scope[state] = self._unread(state, self.recording[state][at], values)
+            scope[state] = self._unread(state, self._unfiltered(state, values)[at], values, at)
         for rate, state in self.rates.items():
             scope[rate] = self.smooth_rate(state)[at]
         out = np.empty((len(at), len(self.plant.states)))
@@ -179,18 +192,25 @@ class Model:
         return size or self.rig.channels[self.rates[rate]].sigma / self.rig.dt
 
     @np.errstate(over="ignore", invalid="ignore")  # a reading may be infinite
-    def _unread(self, channel: str, read: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
+    def _unread(self, channel: str, read: np.ndarray, values: Mapping[str, float], at: np.ndarray) -> np.ndarray:
         """The state that a channel shows as `read`: what its sensor adds is taken off, round after round."""
         state = read
         for _ in range(READINGS if channel in self.readings else 0):
-            state = read - self._reading(channel, state, values)
+            state = read - self._reading(channel, state, values, at)
         return state
 
-    def _reading(self, channel: str, state: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
-        """What the channel's sensor adds to the state."""
-        scope = Values(self.plant, {channel: state})
+    def _unfiltered(self, channel: str, values: Mapping[str, float]) -> np.ndarray:
+        """The channel as recorded, less what filters of its sensor make of it."""
+        read = self.recording[channel]
+        for kind, given in self._acting(SENSOR + channel, values):
+            read = of.unfiltered(kind, read, given, self.rig.dt)
+        return read
+
+    def _reading(self, channel: str, state: np.ndarray, values: Mapping[str, float], at=slice(None)) -> np.ndarray:
+        """What the channel's sensor adds to the state, at the samples `at`."""
+        scope = Values(self.plant, {channel: state, TIME: self.recording.time[at]})
         scope.update(values)
-        return sum(scope.evaluate(text) for text in self.readings[channel].values())
+        return sum((scope.evaluate(text) for text in self._shown(channel, values)), start=0.0)
 
     def states(self, values: Mapping[str, float], shifts: np.ndarray | None = None) -> tuple[np.ndarray, dict]:
         """(states (samples, states), input signals). shifts: (restarts, locals) added to where the locals begin."""
@@ -219,13 +239,15 @@ class Model:
         for channel in self.rig.predict:
             if channel in self.plant.states:
                 column = states[:, list(self.plant.states).index(channel)]
-                if any(values[s] for s in self._sensor_parameters(channel)):
-                    column = column + self._reading(channel, column, values)
             else:
                 if scope is None:
                     scope = Values(self.plant, {**signals, **dict(zip(self.plant.states, states.T, strict=True))})
                     scope.update(values)
                 column = np.broadcast_to(scope[channel], len(states))
+            for kind, given in self._acting(SENSOR + channel, values):
+                column = of.SENSOR[kind](column, *given, self.rig.dt)
+            if any(True for _ in self._shown(channel, values)):
+                column = column + self._reading(channel, column, values)
             columns.append(column)
         return np.stack(columns, axis=1)
 
@@ -253,9 +275,12 @@ class Model:
 
         return give
 
-    def _sensor_parameters(self, channel: str) -> list[str]:
-        used = names(self.readings.get(channel, {}).values())
-        return [s for s in self.plant.parameters if s in used]
+    def _shown(self, channel: str, values: Mapping[str, float]) -> Iterator[str]:
+        """What a sensor's effects add to its channel, without those whose strengths are all 0."""
+        for path, text in self.readings.get(channel, {}).items():
+            effect = self.effects[path.rpartition(".")[0]]
+            if any(values[f.symbol] for f in effect.strengths):
+                yield text
 
 
 def reach(signal: np.ndarray, samples: int) -> int:
@@ -311,6 +336,7 @@ FILTERS = {
     "dead_zone": dead_band,
     "play": backlash,
     "skew": lambda signal, by, dt: signal + by * np.abs(signal),
+    **of.INPUT,
 }
 
 

@@ -175,25 +175,13 @@ def _sum(place: Equation | Definition) -> str:
     return " + ".join(f"({parse(expression).source()})" for expression in place.terms.values()) or "0.0"
 
 
-def _combination(weights: Iterable[str]) -> str:
-    return " + ".join(f"({w}) * k[{i}, j]" for i, w in enumerate(weights) if w != "0")
+def _rows() -> str:
+    """The weights of the stages and of the solution, a row each, as source."""
+    rows = ([*weights, *["0"] * (len(_SOLUTION) - len(weights))] for weights in (*_STAGES, _SOLUTION))
+    return ", ".join(f"[{', '.join(row)}]" for row in rows)
 
 
-def _stage(number: int) -> str:
-    weights = _STAGES[number]
-    if not weights:
-        return (
-            "            derivative(x, inputs[sample], parameters, k[0])\n"
-            "            hold(x, k[0], low, high, rate, bounded)"
-        )
-    return (
-        "            for j in range(n):\n"
-        f"                y[j] = x[j] + h * ({_combination(weights)})\n"
-        f"            derivative(y, inputs[sample], parameters, k[{number}])\n"
-        f"            hold(y, k[{number}], low, high, rate, bounded)"
-    )
-
-
+# Loops in place of array operations, and one call of `derivative`: numba compiles that in a third of the time.
 _RUN = f'''
 
 @jit
@@ -205,19 +193,38 @@ def hold(x, dx, low, high, rate, bounded):
             dx[moved] = 0.0
 
 
+WEIGHTS = np.array([{_rows()}])
+
+
 @jit
 def run(x, inputs, parameters, low, high, rate, h, substeps, out):
     """Fill out[sample] with the state at each sample; return the first sample that is not finite, or -1."""
     n = len(x)
     k = np.empty((6, n))
     y = np.empty(n)
-    bounded = np.flatnonzero((low > -np.inf) | (high < np.inf))
-    out[0] = x
+    bounded = np.empty(n, np.int64)
+    count = 0
+    for j in range(n):
+        out[0, j] = x[j]
+        if low[j] > -np.inf or high[j] < np.inf:
+            bounded[count] = j
+            count += 1
+    bounded = bounded[:count]
     for sample in range(len(inputs) - 1):
         for _ in range(substeps):
-{chr(10).join(_stage(number) for number in range(6))}
+            for stage in range(6):
+                for j in range(n):
+                    move = 0.0
+                    for i in range(stage):
+                        move += WEIGHTS[stage, i] * k[i, j]
+                    y[j] = x[j] + h * move
+                derivative(y, inputs[sample], parameters, k[stage])
+                hold(y, k[stage], low, high, rate, bounded)
             for j in range(n):
-                x[j] += h * ({_combination(_SOLUTION)})
+                move = 0.0
+                for i in range(6):
+                    move += WEIGHTS[6, i] * k[i, j]
+                x[j] += h * move
             for j in bounded:
                 if x[j] < low[j]:
                     x[j] = low[j]
@@ -227,24 +234,23 @@ def run(x, inputs, parameters, low, high, rate, h, substeps, out):
                     x[j] = high[j]
                     if rate[j] >= 0:
                         x[rate[j]] = min(x[rate[j]], 0.0)
-        out[sample + 1] = x
-        if not np.isfinite(x).all():
-            return sample + 1
+        for j in range(n):
+            out[sample + 1, j] = x[j]
+        for j in range(n):
+            if not np.isfinite(x[j]):
+                return sample + 1
     return -1
 
 
 @jit
 def restarted(starts, restarts, reset, inputs, parameters, low, high, rate, h, substeps, out):
     """`run` piece by piece: at restarts[i] the states in `reset` become starts[i]; the others go on."""
-    x = starts[0].copy()
+    x = np.empty(starts.shape[1])
     for piece in range(len(restarts)):
         first = restarts[piece]
         last = restarts[piece + 1] + 1 if piece + 1 < len(restarts) else len(inputs)
-        if piece > 0:
-            x = out[first].copy()
         for j in range(len(x)):
-            if reset[j]:
-                x[j] = starts[piece, j]
+            x[j] = starts[piece, j] if piece == 0 or reset[j] else out[first, j]
         failed = run(x, inputs[first:last], parameters, low, high, rate, h, substeps, out[first:last])
         if failed >= 0:
             return first + failed
