@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greygate.mismatch.fit import Fit, Likelihood
-from greygate.mismatch.model import Model
+from greygate.mismatch.model import TINY, Model
 
 FOLDS, ROUNDS = 5, 2  # blocks, and pieces of each: spread, so that no regime of the plant is held out entirely
 PARTS = 8  # of a piece, each of them one draw of the difference of the squared errors
@@ -88,13 +88,13 @@ class Judge:
                 out.append(Loss(channel, rig.channels[channel].unit, spans, *rms))
         return out
 
-    def total(self, fit: Fit | None) -> float:
-        """Mean over blocks and channels of the squared error beyond the data sheet's; None is the data sheet itself."""
-        sheet = np.mean(self.errors({}) ** 2, axis=0)
-        if fit is None:
-            return 1.0
+    def total(self, fit: Fit) -> float:
+        """Squared error of a fit over that of the data sheet's plant, in the mean over channels, not learnt from."""
+        sheet = self.errors({})
+        if not np.isfinite(sheet).all():
+            return 0.0
         error = np.concatenate([self.unseen(fit, k) for k in range(FOLDS)])
-        return float(np.mean(np.mean(error**2, axis=0) / sheet))
+        return float(np.mean(np.mean(error**2, axis=0) / (np.mean(sheet**2, axis=0) + TINY)))
 
 
 def _worse(before: np.ndarray, after: np.ndarray) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 
 from greygate.mismatch.claims import WIDER
 from greygate.mismatch.effects import Effect
-from greygate.mismatch.experiments.excitation import SEEN, signals
+from greygate.mismatch.experiments.excitation import signals
 from greygate.mismatch.fit import NORMAL, Fit
 from greygate.mismatch.locate import display_unit
 from greygate.mismatch.model import TINY
@@ -22,6 +22,8 @@ from greygate.plants.recording import Recording
 
 SHAPES = 12  # of an effect's grid that are looked at, at most; the largest bound of them counts
 RIDGE = 1e-10  # of a unit diagonal
+NOTHING = 1e-6  # of squared change, in units of noise: an effect that does no more does nothing
+LITTLE = 0.1  # of its level, by which a signal moves that is said to be why an effect does not show
 BEYOND = 30.0  # times its typical size: what is only ruled out from there on is not ruled out in practice
 
 
@@ -51,7 +53,7 @@ def _bound(search: Search, fit: Fit, effect: Effect) -> dict[str, dict]:
     most: dict[str, float] = {}
     units = {f.symbol: f.unit or fit.likelihood.model.plant.parameters[f.symbol].unit for f in effect.free}
     for _, point, columns in found:
-        if not np.sum(columns**2) > SEEN:
+        if not np.sum(columns**2) > NOTHING:
             return {}
         reach = _reach(fit, columns)
         if point:
@@ -106,9 +108,13 @@ def why(effect: Effect, rig: Rig, recording: Recording) -> str:
     names = [name for name in effect.depends_on if name in given] or list(rig.inputs)
     units = {name: rig.channels[name].unit for name in names if name in rig.channels}
     for one, other in combinations([n for n in names if n in units], 2):
-        if units[one] == units[other]:
-            return f"{one} and {other} never differ by more than {_size(given[one] - given[other], units[one])}"
-    return "; ".join(f"{n} moves by no more than {_size(np.ptp(given[n]), units.get(n, ''))}" for n in names)
+        apart = given[one] - given[other]
+        if units[one] == units[other] and np.max(np.abs(apart)) < LITTLE * np.max(np.abs(given[one])):
+            return f"{one} and {other} never differ by more than {_size(apart, units[one])}"
+    for n in names:
+        if np.ptp(given[n]) < LITTLE * np.max(np.abs(given[n])):
+            return f"{n} moves by no more than {_size(np.ptp(given[n]), units.get(n, ''))}"
+    return "it changes the readings too little beside what the parameters can do"
 
 
 def _size(signal: np.ndarray | float, unit: str) -> str:
