@@ -18,8 +18,8 @@ SHIFTS = 99  # of the errors in time: with none of them 100, so that one in a hu
 CHANCE = 0.01  # of so good a prediction where there is none
 NOTABLE = 0.1  # of the variance, that is predicted where nothing was learnt: less is not worth a verdict
 POINTS = 2000  # of the recording, at most; a longer one is averaged
-KNEES = (0.05, 0.3)  # of a rate's RMS, at which a sign sets in
-MEMORIES = (3, 12)  # points over which a signal is remembered
+KNEE = 0.1  # of a rate's RMS, at which its sign sets in
+MEMORIES = (4, 16, 64)  # points over which a signal is remembered
 RIDGE = 1e-2  # of a unit diagonal: features are many and alike
 
 
@@ -56,19 +56,17 @@ def _mean(signal: np.ndarray, size: int) -> np.ndarray:
 
 def _features(predicted: np.ndarray, recording, rig) -> Iterator[np.ndarray]:
     """Functions of the signals (samples,): powers, signs, and what they were a while ago."""
-    channels = [*predicted.T, *(recording[name] for name in rig.inputs)]
-    for signal in channels:
+    size = max(len(predicted) // POINTS, 1)
+    for signal in [*predicted.T, *(recording[name] for name in rig.inputs)]:
         away = signal - signal.mean()
         away = away / (away.std() + TINY)
         rate = np.gradient(away)
-        rate = rate / (rate.std() + TINY)
-        yield from (away, away**2, away**3, np.abs(away), np.sign(signal), rate)
-        yield from (np.tanh(rate / knee) for knee in KNEES)
-        size = max(len(signal) // POINTS, 1)
-        for points in MEMORIES:
-            decay = np.exp(-1.0 / (points * size))
-            yield lfilter([1.0 - decay], [1.0, -decay], away)
-            yield lfilter([1.0 - decay], [1.0, -decay], np.tanh(rate / KNEES[1]))
+        turning = np.tanh(rate / (KNEE * rate.std() + TINY))
+        for base in (away, away**2, away**3, np.abs(signal), np.sign(signal), turning):
+            yield base
+            for points in MEMORIES:
+                decay = np.exp(-1.0 / (points * size))
+                yield lfilter([1.0 - decay], [1.0, -decay], base - base[0])
 
 
 def _predictor(features: np.ndarray):

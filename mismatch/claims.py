@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from greygate.mismatch.blocks import Judge, Loss
+from greygate.mismatch.blocks import MORE, Judge, Loss
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.experiments.excitation import SEEN, unexcited
 from greygate.mismatch.fit import NORMAL, Fit, Likelihood
@@ -183,7 +183,7 @@ def _dropped(search: Search, claims: Claims, refit: Callable, losses: list[Loss]
 def _calibrated(search: Search, judge: Judge, claims: Claims) -> None:
     """Fit a calibrated plant again that is worse than its data sheet, all blocks together; or take the data sheet."""
     before = judge.total(claims.calibrated)
-    if before <= 1.0:
+    if before <= (1.0 + MORE) ** 2:
         return
     again, why = by_rule(search, Hypothesis(), claims.calibrated), f"{100 * (before - 1):.2g} % more squared error"
     if again is not None and judge.total(again) <= 1.0:

@@ -358,7 +358,7 @@ def _goes_on(fit: Fit) -> str:
         return remaining(replace(fit, likelihood=learnt, errors=learnt.errors(fit.values, fit.shifts))) or dependent(
             fit
         )
-    return remaining(fit) or dependent(fit)
+    return dependent(fit) or remaining(fit)
 
 
 def removed(calibrated: Fit, corrected: Fit) -> float:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 INNER = 20  # steps of integration in a sample
-SAMPLES = 1200
+SAMPLES = 900
 
 
 def steps(seed: int, low: float, high: float, hold: int, samples: int = SAMPLES) -> np.ndarray:

@@ -25,6 +25,7 @@ SEEN = 10.0  # of cost that an effect of its typical size must cause to be seen
 NAMED = 4  # effects in a message
 BENT = 0.01  # of the variance of what an effect does, that no gain and offset make: less has no name
 FEWEST = 5  # samples at which that shows, at least
+ROUNDING = 1e-6  # of the largest change, below which what is left of it is rounding
 SHOWS = 0.1  # of its largest value, from which it counts there
 REACHES = (0.03, 0.1, 0.3)  # of a signal's largest size: widths and ends at which an effect is tried beforehand
 LATE = 5.0  # samples: a delay or a lag that is tried
@@ -92,6 +93,8 @@ class Action:
         affine = np.column_stack([np.ones(len(self.change)), *self.moved.values()])
         affine = affine / (np.max(np.abs(affine), axis=0) + TINY)
         left = self.change - affine @ np.linalg.lstsq(affine, self.change, rcond=None)[0]
+        if not np.std(left) > ROUNDING * np.max(np.abs(self.change)):
+            return False
         shows = np.abs(left) > SHOWS * np.max(np.abs(left))
         return bool(np.var(left) > BENT * np.var(self.change) and np.sum(shows) >= FEWEST)
 
