@@ -175,8 +175,8 @@ def test_an_input_that_is_never_negative_has_no_asymmetry(tmp_path):
 @pytest.mark.parametrize(
     ("key", "values", "why"),
     [
-        ("sensor_saturation", {"w_clipped": 1.0, "w_top": 40.0}, ""),
-        ("sensor_saturation", {"w_clipped": 1.0, "w_top": -200.0}, "a gain or an offset of w does the same"),
+        ("sensor_saturation", {"w_clipped": 1.0, "w_top": 15.0}, ""),
+        ("sensor_saturation", {"w_clipped": 1.0, "w_top": -100.0}, "a gain or an offset of w does the same"),
         ("input_offset", {"u_offset": 1.0}, ""),
         ("input_offset", {"u_offset": 1.6e10}, "it would be more than 10 times as large as u itself"),
         ("input_dead_zone", {"u_dead": 1.0}, ""),

@@ -28,6 +28,7 @@ FEWEST = 5  # samples at which that shows, at least
 ROUNDING = 1e-6  # of the largest change, below which what is left of it is rounding
 SHOWS = 0.1  # of its largest value, from which it counts there
 REACHES = (0.03, 0.1, 0.3)  # of a signal's largest size: widths and ends at which an effect is tried beforehand
+TAKEN_UP = 0.999  # of its width: where a play stands before that, nobody knows
 LATE = 5.0  # samples: a delay or a lag that is tried
 FARTHEST = 10.0  # times a signal's largest size, beyond which nothing offsets it
 ROUND = (-1.0, 1.0, 801)  # first and last level and samples of a signal that passes every level and turns
@@ -140,7 +141,7 @@ def _reason(effect: Effect, rig: Rig, given: Mapping[str, np.ndarray], values: M
     if effect.table != str(GENERAL):
         return ""
     turning = np.concatenate([np.linspace(*ROUND), np.linspace(*ROUND)[::-1]] * 2)
-    ideal = {name: turning * max(float(np.max(np.abs(s))), TINY) for name, s in given.items()}
+    ideal = {name: turning * FARTHEST * max(float(np.max(np.abs(s))), TINY) for name, s in given.items()}
     found = ""
     pairs = zip(_actions(effect, rig, given, values), _actions(effect, rig, ideal, values), strict=True)
     for here, there in pairs:
@@ -170,7 +171,9 @@ def _actions(effect: Effect, rig: Rig, given: Mapping[str, np.ndarray], values: 
         if kind not in FILTERS or name not in given:
             return []
         made = FILTERS[kind](given[name], values[symbol], rig.dt) if values[symbol] else given[name]
-        out.append(Action(name, {name: given[name]}, made - given[name]))
+        change = made - given[name]
+        first = int(np.argmax(np.abs(change) >= TAKEN_UP * np.max(np.abs(change)))) if kind == "play" else 0
+        out.append(Action(name, {name: given[name][first:]}, change[first:]))
     for path, text in effect.terms.items():
         scope = Values(rig.plant, given)
         scope.update(values)
