@@ -138,7 +138,7 @@ class Diagnosis:
     def _effects(self) -> list[dict]:
         if self.verdict == Verdict.UNEXPLAINED:
             return [self.unknown["effect"]] if self.unknown.get("effect") else []
-        if self.verdict not in (Verdict.MISSING_PHYSICS, Verdict.PARTLY_EXPLAINED):
+        if self.verdict not in (Verdict.MISSING_PHYSICS, Verdict.PARTLY_EXPLAINED, Verdict.RECORDING_FAULT):
             return []
         out = []
         for key in self.best.effects:
@@ -258,6 +258,8 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
     progress("calibrating")
     result = (_of_stated_noise if rig.stated else _of_coloured_noise)(search, progress)
     result.not_shown = not_shown
+    if result.verdict == Verdict.MISSING_PHYSICS and all(_fault(search.effects[key]) for key in result.best.effects):
+        result.verdict = Verdict.RECORDING_FAULT
     if result.verdict == Verdict.CONSISTENT:
         progress("bounding what is not there")
         result.not_larger_than = ruled_out(search, result.corrected, not_shown)
@@ -265,6 +267,11 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
     result.fits = fits(result, recording)
     result.seconds = time.perf_counter() - began
     return result
+
+
+def _fault(effect: Effect) -> bool:
+    """Whether an effect is one of the recording, not of the plant."""
+    return getattr(effect, "fault", False)
 
 
 def _of_stated_noise(search: Search, progress: Progress) -> Diagnosis:

@@ -72,6 +72,8 @@ def lines(result: Diagnosis) -> list[str]:
         for name, p in entry["parameters"].items():
             name = name.removeprefix(f"unknown_{p.get('place')}_")  # the file holds the full name with the place
             out.append(row("", f"{name:<14} {amount(p['value'], p['ci95'], p['unit'])}"))
+    if "explained" in found:
+        out.append(row("explains", f"{found['explained']:.1%} of the squared error that can be removed"))
     for i, (name, p) in enumerate(found["parameters"].items()):
         out.append(row("" if i else "parameters", parameter(result, name, p)))
     out += fit_table(found["fit"])

@@ -167,10 +167,11 @@ def _actions(effect: Effect, rig: Rig, given: Mapping[str, np.ndarray], values: 
     """What the effect does; none where it depends on what is not recorded."""
     out = []
     for name, text in effect.filters.items():
-        kind, symbol = text.split()
+        kind, *symbols = text.split()
         if kind not in FILTERS or name not in given:
             return []
-        made = FILTERS[kind](given[name], values[symbol], rig.dt) if values[symbol] else given[name]
+        acts = values[symbols[0]] != 0.0
+        made = FILTERS[kind](given[name], *(values[s] for s in symbols), rig.dt) if acts else given[name]
         change = made - given[name]
         first = int(np.argmax(np.abs(change) >= TAKEN_UP * np.max(np.abs(change)))) if kind == "play" else 0
         out.append(Action(name, {name: given[name][first:]}, change[first:]))
@@ -192,16 +193,18 @@ def _tried(effect: Effect, given: Mapping[str, np.ndarray], dt: float) -> list[d
     """Values of a general effect's parameters, by the size of what it acts on, at which it is looked at beforehand."""
     if effect.table != str(GENERAL):
         return []
-    filtered = {text.split()[1]: name for name, text in effect.filters.items()}
+    filtered = {symbol: name for name, text in effect.filters.items() for symbol in text.split()[1:]}
     out = []
     for k, reach in enumerate(REACHES):
         values = dict(effect.set)
         for f in effect.free:
             guesses = f.guess or (f.typical,)
             values[f.symbol] = guesses[min(k, len(guesses) - 1)]
-            if f.symbol in filtered and f.unit == "s":
+            if f.guess or f.symbol not in filtered:
+                continue
+            if f.unit == "s":
                 values[f.symbol] = LATE * dt
-            elif f.symbol in filtered and f.unit != "1":
+            elif f.unit != "1":
                 values[f.symbol] = reach * float(np.max(np.abs(given.get(filtered[f.symbol], np.ones(1)))))
         out.append(values)
     return out
