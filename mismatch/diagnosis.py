@@ -40,7 +40,7 @@ SCHEMA = "diagnosis/2"
 READ = (SCHEMA, "diagnosis/1")  # that can be simulated: the second adds to the first
 APART = 12.0  # of cost: two hypotheses that differ by less are not told apart
 SHARE = 0.99  # of what can be explained: an effect that explains so much is all that is missing,
-ADEQUATE = 10.0  # where slow errors are at most so many times those of white noise
+ADEQUATE = 4.0  # where the squared errors are at most so many times those that the told noise makes
 PART = 0.9  # of what can be explained: an effect that explains so much is named beside what is left
 MOST = 0.5  # of the squared error in free run, likewise where no noise is told
 OPEN = 0.9  # confidence in a name beside which structure is left, at most: it may be a part of something else
@@ -298,7 +298,7 @@ def _of_stated_noise(search: Search, progress: Progress) -> Diagnosis:
     best, corrected = claims.best, claims.fit
     left, explained = structure(corrected), selection.explained(current)
     open_ = max(left.values()) > STRUCTURE and not complete(current)
-    verdict = _verdict(best, open_, explained, max(left.values()))
+    verdict = _verdict(best, open_, explained, corrected.cost / corrected.likelihood.count)
     unknown: dict = {}
     if verdict == Verdict.UNEXPLAINED:
         progress("looking for the equation")
@@ -333,7 +333,7 @@ def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
 
 
 def _verdict(best: Hypothesis, open_: bool, explained: float, left: float, part: float = PART) -> Verdict:
-    """open_: whether structure is left; left: its size, by which it is more than white noise makes."""
+    """open_: whether structure is left. left: the squared errors over those of the noise, infinite where none is told."""
     if open_ and (explained < SHARE or left > ADEQUATE):
         return Verdict.PARTLY_EXPLAINED if best.effects and explained >= part else Verdict.UNEXPLAINED
     if best.effects:

@@ -196,7 +196,7 @@ def test_what_is_found_must_be_excited_at_its_found_size(key, values, why, tmp_p
     ("effects", "open_", "explained", "left", "verdict"),
     [
         (("a",), False, 1.0, 0.1, Verdict.MISSING_PHYSICS),
-        (("a",), True, 0.995, 5.0, Verdict.MISSING_PHYSICS),
+        (("a",), True, 0.995, 2.0, Verdict.MISSING_PHYSICS),
         (("a",), True, 0.995, 570.0, Verdict.PARTLY_EXPLAINED),  # a share of the signal is not enough
         (("a",), True, 0.93, 5.0, Verdict.PARTLY_EXPLAINED),
         (("a",), True, 0.5, 5.0, Verdict.UNEXPLAINED),
