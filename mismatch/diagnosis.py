@@ -17,25 +17,37 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.files import replacing
 from greygate.mismatch import effects as table
+from greygate.mismatch.adequacy import dependent
+from greygate.mismatch.blocks import Judge
+from greygate.mismatch.claims import Claims, earned, interval, reported
 from greygate.mismatch.closure import closure
 from greygate.mismatch.coloured import Coloured, remaining
 from greygate.mismatch.coloured_selection import ColouredSelection
-from greygate.mismatch.effects import Effect
-from greygate.mismatch.fit import NORMAL, Fit, Likelihood
+from greygate.mismatch.effects import SENSOR, Effect
+from greygate.mismatch.experiments.excitation import excited, unseen
+from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.locate import located
 from greygate.mismatch.model import TINY, Model, begun
 from greygate.mismatch.noise import PLACES, Noise, learnt
 from greygate.mismatch.rig import Rig
+from greygate.mismatch.ruled_out import ruled_out, why
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.mismatch.selection import STRUCTURE, Selection, complete, inflation, structure
 from greygate.mismatch.verdict import Verdict
 from greygate.plain import plain
+from greygate.plants.expressions import names
+from greygate.plants.plant import Plant
 from greygate.progress import Progress, silent
 
-SCHEMA = "diagnosis/1"
+SCHEMA = "diagnosis/2"
+READ = (SCHEMA, "diagnosis/1")  # that can be simulated: the second adds to the first
 APART = 12.0  # of cost: two hypotheses that differ by less are not told apart
-SHARE = 0.99  # of what can be explained: an effect that explains so much is named, though structure is left
-WIDER = 1.25  # by which intervals are widened: then 95 % of the true values of concealed cases are inside
+SHARE = 0.99  # of what can be explained: an effect that explains so much is all that is missing,
+ADEQUATE = 4.0  # where the squared errors are at most so many times those that the told noise makes
+PART = 0.9  # of what can be explained: an effect that explains so much is named beside what is left
+MOST = 0.5  # of the squared error in free run, likewise where no noise is told
+OPEN = 0.9  # confidence in a name beside which structure is left, at most: it may be a part of something else
+CLOSED = 0.05  # of the misfit, that a fitted term must take: less is not applied, and only located
 FARTHEST = 1400.0  # of cost: a rival this far away has a likelihood of exp(-700), the least that a float can hold
 DIGITS = 4  # after the point, of a confidence
 
@@ -46,7 +58,9 @@ class Diagnosis:
 
     calibrated, corrected: the fits of the plant without effects, and of `best`. rivals: cost of every hypothesis that
     was fitted. structure: by channel, what slow errors are left. explained: the share of what can be explained. noise:
-    what `corrected` leaves, in units of what rig.toml tells, if it tells it.
+    what `corrected` leaves, in units of what rig.toml tells, if it tells it. refused: claims that were dropped, one
+    sentence each. not_shown: key of an effect that the recording cannot show, and that was therefore not tried -> why.
+    not_larger_than: of a consistent recording, what it rules out.
     """
 
     rig: Rig
@@ -63,6 +77,9 @@ class Diagnosis:
     seconds: float = 0.0
     left: str = ""
     noise: Noise | None = None
+    refused: list[str] = field(default_factory=list)
+    not_shown: dict[str, str] = field(default_factory=dict)
+    not_larger_than: list[dict] = field(default_factory=list)
 
     # -- the file ----------------------------------------------------------------------------------------------------
 
@@ -78,6 +95,9 @@ class Diagnosis:
                 "parameters": self._parameters(),
                 "fit": self.fits,
                 "remaining": self._remaining(),
+                **({"explained": round(self.explained, DIGITS)} if self.verdict == Verdict.PARTLY_EXPLAINED else {}),
+                **({"refused": self.refused} if self.refused else {}),
+                **({"not_larger_than": self.not_larger_than} if self.not_larger_than else {}),
                 **({"noise": self._noise()} if self.noise else {}),
                 "seconds": round(self.seconds, 2),
             }
@@ -112,10 +132,20 @@ class Diagnosis:
                 acts(equation, effect.means, effect.depends_on, (*(f.symbol for f in effect.free), *effect.set))
         return [located(self.corrected, place, acting[equation]) for equation, place in places.items()]
 
+    @cached_property
+    def cannot_show(self) -> dict[str, str]:
+        """Name of an effect that this recording cannot show -> why; none that the diagnosis claims."""
+        if self.not_larger_than:
+            return {entry["id"]: entry["why"] for entry in self.not_larger_than if "why" in entry}
+        claimed, recording = {e["id"] for e in self._effects()}, self.calibrated.likelihood.model.recording
+        offered = {effect.id: effect for effect in self.search.effects.values()}
+        hidden = [name for name in unseen(self.calibrated, self.search.effects.values()) if name not in claimed]
+        return {**self.not_shown, **{name: why(offered[name], self.rig, recording) for name in hidden}}
+
     def _effects(self) -> list[dict]:
         if self.verdict == Verdict.UNEXPLAINED:
             return [self.unknown["effect"]] if self.unknown.get("effect") else []
-        if self.verdict != Verdict.MISSING_PHYSICS:
+        if self.verdict not in (Verdict.MISSING_PHYSICS, Verdict.PARTLY_EXPLAINED, Verdict.RECORDING_FAULT):
             return []
         out = []
         for key in self.best.effects:
@@ -150,7 +180,10 @@ class Diagnosis:
         return out
 
     def _confidence(self, rivals: Mapping[str, float]) -> float:
-        return float(1.0 / (1.0 + sum(np.exp(-min(max(gap, 0.0), FARTHEST) / 2) for gap in rivals.values())))
+        sure = float(1.0 / (1.0 + sum(np.exp(-min(max(gap, 0.0), FARTHEST) / 2) for gap in rivals.values())))
+        if self.verdict != Verdict.PARTLY_EXPLAINED:
+            return sure
+        return sure * min(max(self.explained, 0.0), OPEN)
 
     def _noise(self) -> dict:
         """By channel, in its unit, the noise that rig.toml tells and that the recording shows; samples it remembers."""
@@ -175,7 +208,7 @@ class Diagnosis:
             if p is None or not p.tolerance or u.symbol in named:
                 continue
             value, deviation = fit.values[u.symbol], fit.deviation(u.symbol)
-            out[u.symbol] = {"value": value, "ci95": _interval(value, deviation), "unit": p.unit}
+            out[u.symbol] = {"value": value, "ci95": interval(value, deviation), "unit": p.unit}
             if u.symbol in self.best.released:
                 out[u.symbol]["outside_tolerance"] = True
         return out
@@ -185,42 +218,15 @@ class Diagnosis:
             return self.left
         left = {name: ratio for name, ratio in self.structure.items() if ratio > STRUCTURE}
         return "; ".join(
-            f"{name}: slow errors {1 + ratio:.2g} times those of white noise" for name, ratio in left.items()
+            f"{name}: slow errors {1 + ratio:.2g} times those of white noise{self._when(name)}"
+            for name, ratio in left.items()
         )
 
-
-def _interval(value: float, deviation: float) -> list[float]:
-    reach = NORMAL * WIDER * deviation
-    return [value - reach, value + reach]
-
-
-def reported(effect: Effect, fit: Fit) -> dict:
-    """An effect's parameters as the diagnosis names them -> value, ci95, unit."""
-    symbols = [u.symbol for u in fit.unknowns]
-    scales = np.array([abs(u.scale) for u in fit.unknowns])
-    covariance = fit.covariance * np.outer(scales, scales)
-    waves = {s for pair in effect.wave.values() for s in pair}
-    out = {}
-    for name, (sine, cosine) in effect.wave.items():
-        s, c = fit.values[sine], fit.values[cosine]
-        at = [symbols.index(sine), symbols.index(cosine)]
-        size = max(float(np.hypot(s, c)), TINY)
-        inner = covariance[np.ix_(at, at)]
-        along, across = np.array([s, c]) / size, np.array([-c, s]) / size**2
-        unit = next(f.unit for f in effect.free if f.symbol == sine)
-        out[name] = {"value": size, "ci95": _interval(size, float(np.sqrt(along @ inner @ along))), "unit": unit}
-        phase = float(np.arctan2(c, s))
-        out[f"{name}_phase"] = {
-            "value": phase, "ci95": _interval(phase, float(np.sqrt(across @ inner @ across))), "unit": "rad",
-        }  # fmt: skip
-    for f in effect.free:
-        if f.symbol in waves:
-            continue
-        value = fit.values[f.symbol]
-        deviation = 0.0 if f.whole else fit.deviation(f.symbol)
-        unit = f.unit or fit.likelihood.model.plant.parameters[f.symbol].unit
-        out[f.reported] = {"value": value, "ci95": _interval(value, deviation), "unit": unit}
-    return out
+    def _when(self, channel: str) -> str:
+        """Where, when and at which frequencies a channel still errs."""
+        place = {"equation": SENSOR + channel, "depends_on": [], "regime": ""}
+        found = located(self.corrected, place, [])
+        return f" ({found['regime']}, {found['time']}, {found['band']})" if "time" in found else ""
 
 
 def recovered(effect: Effect, found: Mapping[str, Mapping]) -> dict[str, float]:
@@ -267,10 +273,17 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
     began = time.perf_counter()
     recording = rig.to_explain()
     effects = table.known(rig, recording) if effects is None else effects
+    effects, not_shown = excited(rig, recording, effects)
     progress("compiling the plant")
     search = Search(rig, recording, effects, free_run=Likelihood if rig.stated else Coloured)
     progress("calibrating")
     result = (_of_stated_noise if rig.stated else _of_coloured_noise)(search, progress)
+    result.not_shown = not_shown
+    if result.verdict == Verdict.MISSING_PHYSICS and all(search.effects[key].fault for key in result.best.effects):
+        result.verdict = Verdict.RECORDING_FAULT
+    if result.verdict == Verdict.CONSISTENT:
+        progress("bounding what is not there")
+        result.not_larger_than = ruled_out(search, result.corrected, not_shown)
     progress("predicting the recordings")
     result.fits = fits(result, recording)
     result.seconds = time.perf_counter() - began
@@ -312,37 +325,111 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
                 selection, best, current, corrected = longer, more, fit, fit
     else:
         corrected = search.fit(search.final, best, current.values)
+    claims = earned(search, short.plain, best, corrected, progress=progress)
+    if claims.best != best:
+        selection, current = short, search.fit(search.screen, claims.best, claims.fit.values)
+        costs = {**costs, claims.best: current.cost}
+    best, corrected = claims.best, claims.fit
     left, explained = structure(corrected), selection.explained(current)
     open_ = max(left.values()) > STRUCTURE and not complete(current)
-    verdict = _verdict(best, open_ and explained < SHARE)
+    verdict = _verdict(best, open_, explained, corrected.cost / corrected.likelihood.count)
     unknown: dict = {}
     if verdict == Verdict.UNEXPLAINED:
         progress("looking for the equation")
-        unknown, closed = closure(search)
-        corrected = closed or search.fit(search.final, Hypothesis(), short.plain.values)
+        unknown, corrected = _unknown(search, claims)
         best, left = Hypothesis(), structure(corrected)
     rivals = {hypothesis: cost / inflation(current) for hypothesis, cost in costs.items()}
-    return Diagnosis(search.rig, verdict, best, short.plain, corrected, rivals, left, explained, search, unknown)
+    return Diagnosis(
+        search.rig, verdict, best, claims.calibrated, corrected, rivals, left, explained, search, unknown,
+        refused=claims.refused,
+    )  # fmt: skip
 
 
 def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
     selection = ColouredSelection(search, progress)
     best, fit = selection.backward(*selection.forward(Hypothesis(), selection.plain, selection.plain))
-    left = remaining(fit)
-    verdict = _verdict(best, not best.size and bool(left))
-    unexplained = {"where": [{"equation": "", "depends_on": [], "regime": left}]}
+    claims = earned(search, selection.plain, best, fit, progress=progress)
+    if claims.best not in selection.fits:
+        selection.fits[claims.best] = claims.fit
+    best, fit = claims.best, claims.fit
+    left = _goes_on(fit)
+    explained = removed(claims.calibrated, fit)
+    verdict = _verdict(best, bool(left), explained, np.inf, MOST)
+    unexplained = {}
+    if verdict == Verdict.UNEXPLAINED:
+        best, fit = Hypothesis(), claims.calibrated
+        left = _goes_on(fit) or left
+        unexplained = {"where": [_likeliest(search, selection.fits, left)]}
     return Diagnosis(
-        search.rig, verdict, best, selection.plain, fit, {h: f.cost for h, f in selection.fits.items()}, {},
-        1.0, search, unexplained if verdict == Verdict.UNEXPLAINED else {}, left=left,
+        search.rig, verdict, best, claims.calibrated, fit, {h: f.cost for h, f in selection.fits.items()}, {},
+        explained, search, unexplained, left=left, refused=claims.refused,
     )  # fmt: skip
 
 
-def _verdict(best: Hypothesis, unexplained: bool) -> Verdict:
-    if unexplained:
-        return Verdict.UNEXPLAINED
+def _verdict(best: Hypothesis, open_: bool, explained: float, left: float, part: float = PART) -> Verdict:
+    """open_: whether structure is left. left: squared errors over those of the noise, infinite where none is told."""
+    if open_ and (explained < SHARE or left > ADEQUATE):
+        return Verdict.PARTLY_EXPLAINED if best.effects and explained >= part else Verdict.UNEXPLAINED
     if best.effects:
         return Verdict.MISSING_PHYSICS
     return Verdict.PARAMETER_ERROR if best.size else Verdict.CONSISTENT
+
+
+def _unknown(search: Search, claims: Claims) -> tuple[dict, Fit]:
+    """(where and effect of what no effect explains; the fit with a term for it, if one is worth it)."""
+    unknown, closed = closure(search)
+    share = (unknown.get("effect") or {}).get("confidence", 0.0)
+    if closed is not None:
+        losses = Judge(closed.likelihood).losses(claims.calibrated, closed) if share >= CLOSED else []
+        if share >= CLOSED and not losses:
+            return unknown, closed
+        why = f"with it {losses[0]}" if losses else f"it takes {share:.0%} of the misfit"
+        claims.refused.append(f"no term is fitted: {why}")
+    for place in unknown["where"]:
+        if closed is not None:
+            place["regime"] = "no function of the signals that was tried takes what is left"
+    return {**unknown, "effect": None}, search.fit(search.final, Hypothesis(), claims.calibrated.values)
+
+
+def _goes_on(fit: Fit) -> str:
+    """What the innovations of a free run go with; where they go with nothing, what its errors go with."""
+    likelihood = fit.likelihood
+    if not likelihood.order:
+        learnt = likelihood.ordered(likelihood.residual(fit.values))
+        return remaining(replace(fit, likelihood=learnt, errors=learnt.errors(fit.values, fit.shifts))) or dependent(
+            fit
+        )
+    return dependent(fit) or remaining(fit)
+
+
+def removed(calibrated: Fit, corrected: Fit) -> float:
+    """The share of the squared error in free run that a correction removes, in the mean over channels."""
+    before, after = (np.mean(f.likelihood.residual(f.values) ** 2, axis=0) for f in (calibrated, corrected))
+    return float(np.mean(1.0 - after / np.maximum(before, TINY)))
+
+
+def _likeliest(search: Search, fitted: Mapping[Hypothesis, Fit], left: str) -> dict:
+    """The equation of what is unexplained: where the single effect acts that comes nearest, else of a channel."""
+    tried = sorted((h for h in fitted if h.size == 1 and h.effects), key=lambda h: fitted[h].cost)
+    nearest = [(search.effects[h.effects[0]].equations, search.effects[h.effects[0]].depends_on) for h in tried]
+    plant, whole = search.rig.plant, [(search.rig.predict, ())]
+    for places, depends_on in (*nearest, *whole):
+        for place in places:
+            if equation := _equation(plant, place):
+                return {"equation": equation, "depends_on": list(depends_on), "regime": left}
+    return {"equation": search.rig.predict[0], "depends_on": [], "regime": left}
+
+
+def _equation(plant: Plant, place: str) -> str:
+    """The equation or definition of that name, or that makes a channel of that name, or that uses such an input."""
+    made = {**{e.state: name for name, e in plant.equations.items()},
+            **{d.symbol: name for name, d in plant.definitions.items()}}  # fmt: skip
+    if place in plant.equations or place in plant.definitions:
+        return place
+    using = (
+        name for name, e in (*plant.equations.items(), *plant.definitions.items()) if place in names(e.terms.values())
+    )
+    return made.get(place) or next(using, "")
 
 
 def fits(result: Diagnosis, identify) -> dict:

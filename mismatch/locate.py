@@ -152,10 +152,10 @@ def signals(model: Model) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     moved = moved or next((n for n in (*rig.inputs, *rig.channels) if rig.channels[n].unit == "m"), None)
     if moved is not None:
         x = recording[moved]
-        found["x"], units["x"] = x, "m"
-        for order, (name, unit) in enumerate((("v", "m/s"), ("a", "m/s^2")), start=1):
+        found["x"], units["x"] = x, rig.channels[moved].unit
+        for order, (name, per) in enumerate((("v", "/s"), ("a", "/s^2")), start=1):
             found[name] = savgol_filter(x, 2 * reach(x, SMOOTH) + 1, order + 1, deriv=order, delta=rig.dt)
-            units[name] = unit
+            units[name] = units["x"] + per
     for name, channel in rig.channels.items():
         if name != moved and (channel.role == "input" or channel.unit != "m"):
             signal = recording[name]  # an output is smoothed, for its noise is in the residual, too

@@ -213,6 +213,8 @@ class Search:
             if self.joined(Hypothesis((one.key,)), other):
                 mine, others = (np.flatnonzero([b[0] is e for b in blocks]) for e in (one, other))
                 part = gains[np.ix_(mine, others)]
+                if not part.size:
+                    continue  # one of them has no shape that this travel could show
                 i, j = np.unravel_index(np.argmax(part), part.shape)
                 found.append((part[i, j], mine[i], others[j]))
         out, plain = [], _plain(fit)

@@ -7,7 +7,7 @@ import numpy as np
 
 from greygate.errors import InputError, shown
 from greygate.mismatch import effects as effect_table
-from greygate.mismatch.diagnosis import SCHEMA, recovered
+from greygate.mismatch.diagnosis import READ, recovered
 from greygate.mismatch.effects import Effect, Free, fitting
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import Rig
@@ -68,7 +68,7 @@ def _effect(value: object, where: str) -> dict:
     return table(value, where, needed, {"form": line, "equations": listed(line)}, others=True)
 
 
-HEAD = {"schema": one_of((SCHEMA,))}
+HEAD = {"schema": one_of(READ)}
 ENTRIES = {"plant": line, "effects": listed(_effect), "parameters": PARAMETERS}
 
 

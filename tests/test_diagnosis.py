@@ -280,7 +280,7 @@ def test_a_plant_file_of_ones_own_is_refused_that_has(case, clean, tmp_path, gre
 DIAGNOSES = {
     "no JSON": ("{", "is not JSON"),
     "a list": ("[]", "[] is not a table; give schema"),
-    "another schema": ('{"schema": "x"}', "schema 'x' does not exist; choose diagnosis/1"),
+    "another schema": ('{"schema": "x"}', "schema 'x' does not exist; choose diagnosis/2, diagnosis/1"),
     "another plant": ('{"schema": "diagnosis/1", "plant": "belt_drive", "effects": [], "parameters": {}}',
                       "is of belt_drive, the rig is cable_drum"),
     "no parameters": ('{"schema": "diagnosis/1", "plant": "cable_drum", "effects": []}', "parameters is missing"),

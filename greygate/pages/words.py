@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from greygate.mismatch.diagnosis import APART, Diagnosis
-from greygate.mismatch.experiments.excitation import unseen
 from greygate.mismatch.experiments.separation import separations
 from greygate.mismatch.locate import display_unit
 from greygate.mismatch.verdict import Verdict
@@ -75,15 +74,45 @@ def lines(result: Diagnosis) -> list[str]:
         for name, p in entry["parameters"].items():
             name = name.removeprefix(f"unknown_{p.get('place')}_")  # the file holds the full name with the place
             out.append(row("", f"{name:<14} {amount(p['value'], p['ci95'], p['unit'])}"))
+    if "explained" in found:
+        out.append(row("explains", f"{found['explained']:.1%} of the squared error that can be removed"))
     for i, (name, p) in enumerate(found["parameters"].items()):
         out.append(row("" if i else "parameters", parameter(result, name, p)))
     out += fit_table(found["fit"])
     for i, text in enumerate(alike(result, found)):
         out.append(row("" if i else "alternatives", text))
-    if hidden := unseen(result.calibrated):
-        out.append(row("cannot show", ", ".join(hidden)))
-    out.append(row("remains", found["remaining"] or "nothing above what the sensors' noise makes"))
+    for i, text in enumerate(found.get("refused", ())):
+        out.append(row("" if i else "refused", text))
+    for i, text in enumerate(bounds(found)):
+        out.append(row("" if i else "not there", text))
+    for i, text in enumerate(hidden(result)):
+        out.append(row("" if i else "cannot show", text))
+    out.append(row("remains", found["remaining"] or nothing_left(result)))
     return [*out, f"{found['seconds']:.1f} s"]
+
+
+def nothing_left(result: Diagnosis) -> str:
+    """What is said where nothing remains: a sensor's noise is only spoken of where somebody told it."""
+    if result.rig.stated:
+        return "nothing above what the sensors' noise makes"
+    return "nothing that goes with the machine's signals; whether it is noise, nobody told"
+
+
+def bounds(found: Mapping) -> list[str]:
+    """Each effect that is not there with the size that the recording rules out."""
+    out = []
+    for entry in found.get("not_larger_than", ()):
+        sizes = [f"{n} {amount(p['value'], None, p['unit'])}" for n, p in entry.get("parameters", {}).items()]
+        out += [f"{entry['id']}: not larger than {', '.join(sizes)}"] if sizes else []
+    return out
+
+
+def hidden(result: Diagnosis) -> list[str]:
+    """Effects that the recording cannot show, those of one reason together."""
+    reasons: dict[str, list[str]] = {}
+    for name, reason in result.cannot_show.items():
+        reasons.setdefault(reason, []).append(name)
+    return [", ".join(those) + (f": {reason}" if reason else "") for reason, those in reasons.items()]
 
 
 def row(head: str, text: str) -> str:

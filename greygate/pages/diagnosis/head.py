@@ -38,6 +38,8 @@ def facts(case: Diagnosed) -> list[tuple[str, str, bool | None]]:
             known = amount(p["value"], p["ci95"], p["unit"])
             size = f", {name} {known.value} {known.unit}"
         lines.append((entry["id"], f"{means(case.result, entry)}{size}", None))
+    if "explained" in found:
+        lines.append((f"{found['explained']:.0%}", "of the squared error that can be removed, by what is named", None))
     for name, p in found["parameters"].items():
         if p.get("outside_tolerance"):
             lines.append((name, parameter(case.result, name, p), None))

@@ -1,0 +1,138 @@
+"""Whether a fit simulates worse than a plainer one, on blocks of identify.csv that neither of them learnt from.
+
+The recording is cut into pieces; every `FOLDS`-th of them is one block. The parameters of both fits are fitted again
+to the other pieces, and both simulations run by the rule of the rig, free or with its restarts. A fit loses on a
+channel of a block where its error is larger, and by more than chance makes of it.
+"""
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from greygate.mismatch.fit import Fit, Likelihood
+from greygate.mismatch.model import TINY, Model
+
+FOLDS, ROUNDS = 5, 2  # blocks, and pieces of each: spread, so that no regime of the plant is held out entirely
+PARTS = 8  # of a piece, each of them one draw of the difference of the squared errors
+MORE = 0.01  # of the plainer fit's RMS error, by which another fit may be worse
+SURE = 3.0  # standard errors of the difference of the squared errors, below which it may be chance
+REFIT = 4  # iterations of a fit to the other pieces, which begins at that of the whole recording
+SINGULAR = 1e-13  # of the largest singular value, below which numbers cannot be told apart
+RIDGE = 1e-9  # of curvature, for an unknown that does not act outside the block
+
+
+@dataclass(frozen=True)
+class Loss:
+    """A channel of a block on which a fit is worse. spans: (from, to) of its pieces in s. before, after: RMS errors."""
+
+    channel: str
+    unit: str
+    spans: tuple[tuple[float, float], ...]
+    before: float
+    after: float
+
+    def __str__(self) -> str:
+        when = " and ".join(f"{low:.3g} to {high:.3g} s" for low, high in self.spans)
+        if not np.isfinite(self.after):
+            return f"the run diverges at {when}, which it did not learn from"
+        return f"{self.channel} is {100 * (self.after / self.before - 1):.2g} % worse at {when}, not learnt from"
+
+
+class Judge:
+    """The rule of a rig over identify.csv, by which fits are compared.
+
+    fold: number of the block in which each sample lies (samples,).
+    """
+
+    def __init__(self, likelihood: Likelihood):
+        model = likelihood.model
+        self.model = model if model.window == model.rig.window else Model(model.rig, model.recording, model.effects)
+        samples = len(self.model.target)
+        self.piece = np.arange(samples) * FOLDS * ROUNDS // samples
+        self.fold = self.piece % FOLDS
+
+    @np.errstate(over="ignore", invalid="ignore")  # a run may diverge
+    def errors(self, values: Mapping[str, float]) -> np.ndarray:
+        """Recorded less simulated by the rule of the rig (samples, channels), in the channels' units."""
+        known = {s: v for s, v in values.items() if s in self.model.values}
+        return self.model.target - self.model.predict({**self.model.values, **known})
+
+    def unseen(self, fit: Fit, fold: int) -> np.ndarray:
+        """Errors of a fit that did not learn from a block, on that block (samples of it, channels)."""
+        return self.errors(_without(fit, self.fold == fold, exact=False))[self.fold == fold]
+
+    def losses(self, plain: Fit, fit: Fit) -> list[Loss]:
+        """Every channel of every block on which `fit` is worse than `plain`.
+
+        What the linearised fits show is fitted again before it counts.
+        """
+        found = []
+        for k in range(FOLDS):
+            held = self.fold == k
+            if not self._lost(self.unseen(plain, k), self.unseen(fit, k), k):
+                continue
+            exact = [self.errors(_without(f, held, exact=True))[held] for f in (plain, fit)]
+            found += self._lost(*exact, k)
+        return found
+
+    def _lost(self, before: np.ndarray, after: np.ndarray, fold: int) -> list[Loss]:
+        rig, held = self.model.rig, np.flatnonzero(self.fold == fold)
+        runs = np.split(held, np.flatnonzero(np.diff(held) > 1) + 1)
+        spans = tuple((float(run[0] * rig.dt), float((run[-1] + 1) * rig.dt)) for run in runs)
+        out = []
+        for i, channel in enumerate(rig.predict):
+            rms = [float(np.sqrt(np.mean(e[:, i] ** 2))) for e in (before, after)]
+            if np.isfinite(rms[0]) and _worse(before[:, i], after[:, i]):
+                out.append(Loss(channel, rig.channels[channel].unit, spans, *rms))
+        return out
+
+    def total(self, fit: Fit) -> float:
+        """Squared error of a fit over that of the data sheet's plant, in the mean over channels, not learnt from."""
+        sheet = self.errors({})
+        if not np.isfinite(sheet).all():
+            return 0.0
+        error = np.concatenate([self.unseen(fit, k) for k in range(FOLDS)])
+        return float(np.mean(np.mean(error**2, axis=0) / (np.mean(sheet**2, axis=0) + TINY)))
+
+
+def _worse(before: np.ndarray, after: np.ndarray) -> bool:
+    """Whether errors (samples,) are larger than others, by more than MORE and than chance."""
+    if not np.isfinite(after).all():
+        return True
+    if not np.mean(after**2) > (1.0 + MORE) ** 2 * np.mean(before**2):
+        return False
+    parts = [np.mean(p) for p in np.array_split(after**2 - before**2, ROUNDS * PARTS)]
+    return bool(np.mean(parts) > SURE * np.std(parts, ddof=1) / np.sqrt(len(parts)))
+
+
+def _without(fit: Fit, held: np.ndarray, exact: bool) -> dict[str, float]:
+    """Values of a fit to all samples but those `held` (samples,): in full, or by one linearised step."""
+    if not fit.unknowns:
+        return fit.values
+    if exact:
+        other = _blind(fit.likelihood, held)
+        again = Likelihood.fit(other, fit.unknowns, fit.values, fit.shifts, iterations=REFIT)
+        return again.values
+    likelihood = fit.likelihood
+    ends = np.arange(1, likelihood.windows + 1) * likelihood.block - 1
+    learn = ~held[np.minimum(ends - likelihood.block // 2, len(held) - 1)]
+    flat, errors = fit.slopes[learn].reshape(-1, len(fit.numbers)), fit.projected[learn].reshape(-1)
+    normal = flat.T @ flat + np.diag(fit.weight + RIDGE)
+    step = np.linalg.lstsq(normal, -(flat.T @ errors) - fit.weight * fit.numbers, rcond=SINGULAR)[0]
+    numbers = np.clip(
+        fit.numbers + step, *np.array([sorted((u.number(u.low), u.number(u.high))) for u in fit.unknowns]).T
+    )
+    return {**fit.values, **{u.symbol: float(u.value(n)) for u, n in zip(fit.unknowns, numbers, strict=True)}}
+
+
+def _blind(likelihood: Likelihood, held: np.ndarray) -> Likelihood:
+    """The likelihood without the samples that are `held`."""
+    other = copy.copy(likelihood)
+    if hasattr(likelihood, "mask"):
+        other.mask = likelihood.mask & ~held
+    else:
+        other.sigma = np.where(held[:, None], np.inf, likelihood.sigma)
+        other.count = int(np.isfinite(other.sigma).sum())
+    return other

@@ -1,0 +1,206 @@
+"""The gates that a claim passes before a diagnosis makes it; what fails is dropped, and the diagnosis says why.
+
+1. The interval of an effect's size holds no zero, and a parameter outside its tolerance lies outside it.
+2. The recording excites the effect: at its found size it does more than a gain, an offset or nothing would do.
+3. The corrected simulation is on no block worse than the calibrated one, nor that than the data sheet (`blocks`).
+
+A fit that fails the third gate is fitted again to what the simulation is judged by: its error in the run of the rig's
+rule, as it is. If that fails too, the effect goes whose loss costs least.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from greygate.mismatch.blocks import MORE, Judge, Loss
+from greygate.mismatch.effects import Effect
+from greygate.mismatch.experiments.excitation import SEEN, unexcited
+from greygate.mismatch.fit import NORMAL, Fit, Likelihood
+from greygate.mismatch.model import TINY, Model
+from greygate.mismatch.search import Hypothesis, Search
+from greygate.progress import Progress, silent
+
+WIDER = 1.25  # by which intervals are widened: then 95 % of the true values of concealed cases are inside
+WORST = 3  # losses that are named in a refusal
+
+
+@dataclass
+class Claims:
+    """What is left after the gates.
+
+    best, fit: the hypothesis and its fit. calibrated: the fit without effects. refused: one sentence for each claim
+    that was dropped or fitted again.
+    """
+
+    best: Hypothesis
+    fit: Fit
+    calibrated: Fit
+    refused: list[str] = field(default_factory=list)
+
+
+def interval(value: float, deviation: float) -> list[float]:
+    """The 95 % interval of a value."""
+    reach = NORMAL * WIDER * deviation
+    return [value - reach, value + reach]
+
+
+def reported(effect: Effect, fit: Fit) -> dict:
+    """An effect's parameters as the diagnosis names them -> value, ci95, unit."""
+    symbols = [u.symbol for u in fit.unknowns]
+    scales = np.array([abs(u.scale) for u in fit.unknowns])
+    covariance = fit.covariance * np.outer(scales, scales)
+    waves = {s for pair in effect.wave.values() for s in pair}
+    out = {}
+    for name, (sine, cosine) in effect.wave.items():
+        s, c = fit.values[sine], fit.values[cosine]
+        at = [symbols.index(sine), symbols.index(cosine)]
+        size = max(float(np.hypot(s, c)), TINY)
+        inner = covariance[np.ix_(at, at)]
+        along, across = np.array([s, c]) / size, np.array([-c, s]) / size**2
+        unit = next(f.unit for f in effect.free if f.symbol == sine)
+        out[name] = {"value": size, "ci95": interval(size, float(np.sqrt(along @ inner @ along))), "unit": unit}
+        phase = float(np.arctan2(c, s))
+        out[f"{name}_phase"] = {
+            "value": phase, "ci95": interval(phase, float(np.sqrt(across @ inner @ across))), "unit": "rad",
+        }  # fmt: skip
+    for f in effect.free:
+        if f.symbol in waves:
+            continue
+        value = fit.values[f.symbol]
+        deviation = 0.0 if f.whole else fit.deviation(f.symbol)
+        unit = f.unit or fit.likelihood.model.plant.parameters[f.symbol].unit
+        out[f.reported] = {"value": value, "ci95": interval(value, deviation), "unit": unit}
+    return out
+
+
+# -- the first two gates ---------------------------------------------------------------------------------------------
+
+
+def off_zero(effect: Effect, fit: Fit) -> bool:
+    """Whether the interval of one of the effect's sizes holds no zero."""
+    found = reported(effect, fit)
+    sizes = [*effect.wave, *(f.reported for f in effect.strengths if f.reported in found)]
+    return any(low > 0.0 or high < 0.0 for low, high in (found[name]["ci95"] for name in sizes))
+
+
+def unborne(search: Search, hypothesis: Hypothesis, fit: Fit) -> dict[str, str]:
+    """Key of an effect or symbol of a parameter -> why it is no claim."""
+    out = {}
+    for key in hypothesis.effects:
+        effect = search.effects[key]
+        if not off_zero(effect, fit):
+            out[key] = "the interval of its size holds 0"
+        elif why := unexcited(effect, search.rig, fit.likelihood.model.recording, fit.values):
+            out[key] = why
+        elif not _influence(effect, fit) > SEEN:
+            out[key] = "at the size that fits, it changes nothing that the sensors show"
+    for symbol in hypothesis.released:
+        sheet = search.rig.plant.parameters[symbol]
+        value, (low, high) = fit.values[symbol], interval(fit.values[symbol], fit.deviation(symbol))
+        if abs(value - sheet.value) <= sheet.tolerance * abs(sheet.value) or low <= sheet.value <= high:
+            out[symbol] = "it does not lie outside its tolerance for certain"
+    return out
+
+
+def _influence(effect: Effect, fit: Fit) -> float:
+    """The squared change of the errors, in units of noise, that the effect makes at its found size."""
+    nothing = {f.symbol: 0.0 for f in effect.strengths}
+    if effect.frees:
+        nothing = {f.symbol: fit.likelihood.model.values[f.symbol] for f in effect.free}
+    change = fit.likelihood.errors({**fit.values, **nothing}, fit.shifts) - fit.errors
+    return float(np.sum(np.square(np.nan_to_num(change, nan=np.inf))))
+
+
+# -- the third -------------------------------------------------------------------------------------------------------
+
+
+def by_rule(search: Search, hypothesis: Hypothesis, fit: Fit) -> Fit | None:
+    """The hypothesis fitted to the error of the run by the rig's rule, as it is; None where `fit` is that already.
+
+    An autoregression weighs fast errors most, and short windows forget slow ones; this weighs them as they are.
+    """
+    likelihood = fit.likelihood
+    if getattr(likelihood, "order", 0):
+        white = likelihood.learnt(likelihood.residual(fit.values), 0)
+        again = Likelihood.fit(white, search.unknowns(hypothesis), fit.values)
+        return again if np.isfinite(again.cost) else None
+    if likelihood.model.window != search.rig.window:
+        model = Model(search.rig, likelihood.model.recording, likelihood.model.effects)
+        again = Likelihood(model).fit(search.unknowns(hypothesis), fit.values)
+        return again if np.isfinite(again.cost) else None
+    return None
+
+
+def earned(
+    search: Search,
+    calibrated: Fit,
+    best: Hypothesis,
+    fit: Fit,
+    refit: Callable[[Hypothesis, Fit], Fit] | None = None,
+    progress: Progress = silent,
+) -> Claims:
+    """The part of `best` that passes every gate, and the calibrated plant, no worse than its data sheet.
+
+    refit: gives the fit of a smaller hypothesis, from that of a larger one; by default on the likelihood of `fit`.
+    """
+    refit = refit or (lambda less, from_: search.fit(from_.likelihood, less, from_.values))
+    judge = Judge(fit.likelihood)
+    claims = Claims(best, fit, calibrated)
+    progress("holding the calibrated plant against its data sheet")
+    _calibrated(search, judge, claims)
+    while claims.best.size:
+        if failed := unborne(search, claims.best, claims.fit):
+            name, why = next(iter(failed.items()))
+            claims.refused.append(f"{_name(search, name)} is not claimed: {why}")
+            progress(f"dropping {name}")
+            claims.best = claims.best.without(name)
+            claims.fit = refit(claims.best, claims.fit)
+            continue
+        progress(f"holding blocks out of {claims.best}")
+        losses = judge.losses(claims.calibrated, claims.fit)
+        if not losses:
+            break
+        again = by_rule(search, claims.best, claims.fit)
+        sound = again is not None and not unborne(search, claims.best, again)
+        if sound and not judge.losses(claims.calibrated, again):
+            claims.refused.append(f"{claims.best} is fitted again to the run itself: before, {_worst(losses)}")
+            claims.fit = again
+            break
+        _dropped(search, claims, refit, losses)
+    return claims
+
+
+def _dropped(search: Search, claims: Claims, refit: Callable, losses: list[Loss]) -> None:
+    """Drop the effect or parameter whose loss costs least."""
+    names = (*claims.best.effects, *claims.best.released)
+    fits = {name: refit(claims.best.without(name), claims.fit) for name in names}
+    name = min(fits, key=lambda n: fits[n].cost)
+    claims.refused.append(f"{_name(search, name)} is not claimed: with it, {_worst(losses)}")
+    claims.best, claims.fit = claims.best.without(name), fits[name]
+
+
+def _calibrated(search: Search, judge: Judge, claims: Claims) -> None:
+    """Fit a calibrated plant again that is worse than its data sheet, all blocks together; or take the data sheet."""
+    before = judge.total(claims.calibrated)
+    if before <= (1.0 + MORE) ** 2:
+        return
+    again, why = by_rule(search, Hypothesis(), claims.calibrated), f"{100 * (before - 1):.2g} % more squared error"
+    if again is not None and judge.total(again) <= 1.0:
+        claims.refused.append(f"the parameters are fitted again to the run itself: before, {why} than the data sheet")
+    else:
+        again = claims.calibrated.likelihood.fit(claims.calibrated.unknowns, iterations=0)
+        claims.refused.append(f"the parameters are left as on the data sheet: fitted, {why} where not learnt from")
+    if not claims.best.size:
+        claims.fit = again
+    claims.calibrated = again
+
+
+def _name(search: Search, key: str) -> str:
+    return search.effects[key].id if key in search.effects else f"{key} outside its tolerance"
+
+
+def _worst(losses: list[Loss]) -> str:
+    ranked = sorted(losses, key=lambda loss: -loss.after / max(loss.before, TINY))
+    more = f" ({len(losses)} such blocks and channels)" if len(losses) > 1 else ""
+    return f"{ranked[0]}{more}"
