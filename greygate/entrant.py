@@ -9,8 +9,9 @@ from pathlib import Path
 
 from greygate.errors import InputError
 
-NAMES = {  # of our table -> of the benchmark
-    "valve_overlap": "valve_overlap",
+NAMES = {  # of our table -> of the benchmark, where they differ
+    "friction_between": "dry_friction",
+    "cubic_spring_between": "hardening_spring",
 }
 KEPT = "diagnosis.json"
 

@@ -85,15 +85,15 @@ def conceal(
     """Write a campaign on `plant` with something concealed to the folder `out`, and the sealed answer; return `out`.
 
     `rig.toml`, `identify.csv` and `holdout.csv` (and PLANT.toml of a small machine) are what a diagnosis may read;
-    `third.csv` is kept back for `reveal`. `sealed.json` is the answer, `sealed.json.sha256` its seal. The same arguments give the same
-    bytes.
+    `third.csv` is kept back for `reveal`. `sealed.json` is the answer, `sealed.json.sha256` its seal. The same
+    arguments give the same bytes.
 
     kind: "clean", "parameter" (one parameter 3 to 6 tolerances off), "one" or "two" effects of the vocabulary,
         "foreign" (one outside it), "any": drawn with the shares of `KINDS`; "both": a parameter and one effect.
     effect: the name of the (first) effect; drawn if None. under: the condition of `stress.CONDITIONS`.
 
-    Raises InputError for an unknown plant, kind, effect or condition, a pair of them that excludes itself, or an `out` that is
-    not a folder of this kind.
+    Raises InputError for an unknown plant, kind, effect or condition, a pair of them that excludes itself, or an `out`
+    that is not a folder of this kind.
     """
     rig, stress = _rig(plant), condition(under)
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
@@ -219,7 +219,7 @@ def _score(answer: dict, claim: dict) -> dict:
         "false_effects": sorted(set(claimed) - set(true)),
         "in_set": bool(set(true) & ({*claimed} | alike)) if true else None,
         "right_equation": bool(equations & set(answer["equation"])) if answer["equation"] else None,
-        "right_place": bool({*map(_place, equations)} & {*map(_place, answer["equation"])})
+        "right_place": bool({*map(place, equations)} & {*map(place, answer["equation"])})
         if answer["equation"]
         else None,
         "depends_on": len(variables & set(answer["depends_on"])) / len(answer["depends_on"])
@@ -352,7 +352,7 @@ def _verdict(kind: str) -> str:
     )
 
 
-def _place(equation: str) -> str:
+def place(equation: str) -> str:
     """A flow and the continuity equation that it enters are one place; a sensor goes by its channel."""
     return equation.replace("flow_", "continuity_").removeprefix("sensor_")
 

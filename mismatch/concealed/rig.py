@@ -88,8 +88,9 @@ class ConcealedRig:
     `record(parameters, effects, form, seconds, rng)` gives the true signals of a campaign, `predict(columns,
     parameters, effects, form)` the predicted channels by the comparison rule of the rigs. `form` is 0 for the standard
     form of every effect and 1 for its variant. `places` is the equation of each parameter with a tolerance, `same` the
-    effects that are one claim, `optional` the parameters of something that one rig in ten has not got. `seconds` are
-    those of its recordings; with `own` its plant is the file domains/PLANT.toml, which lies beside its rig.toml.
+    effects that are one claim, `alike` those that no recording of it tells apart, `optional` the parameters of
+    something that one rig in ten has not got. `seconds` are those of its recordings; with `own` its plant is the file
+    domains/PLANT.toml, which lies beside its rig.toml.
     """
 
     plant: str
@@ -104,6 +105,7 @@ class ConcealedRig:
     predict: Callable[..., Columns]
     same: tuple[frozenset[str], ...] = ()
     optional: tuple[str, ...] = ()
+    alike: tuple[frozenset[str], ...] = ()
     sample_time: float = SAMPLE_TIME
     seconds: dict[str, float] = field(default_factory=RECORDINGS.copy)
     own: bool = False

@@ -122,10 +122,10 @@ class Recorder:
             return replace(rig, channels=tuple(bare))
         if every == 1:
             return rig
-        return replace(rig, sample_time=every * rig.sample_time, predict=_between(rig, every))
+        return replace(rig, sample_time=every * rig.sample_time, predict=between(rig, every))
 
 
-def _between(rig: ConcealedRig, every: int) -> Callable[..., Columns]:
+def between(rig: ConcealedRig, every: int) -> Callable[..., Columns]:
     """The rig's prediction on records of each `every`-th sample: commands are held, all else is interpolated."""
     held = {c.name for c in rig.channels if c.role == "input" and (rig.own or c.unit not in ("m", "Pa"))}
 

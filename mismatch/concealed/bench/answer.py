@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from greygate.errors import InputError
-from greygate.reading import listed, maybe, named, number, one_of, read_json, table, truth, within
 from greygate.reading import line as text
+from greygate.reading import listed, maybe, named, number, one_of, read_json, table, truth, within
 
 SCHEMA = "concealed-answer/1"
 VERDICTS = (

@@ -136,7 +136,7 @@ def committed(bench: Path, sealed: bool) -> dict[str, Path]:
     part = "sealed" if sealed else "cases"
     if sealed and not (bench / part).is_dir():
         raise InputError(f"{bench}: holds no answers; put the folder `sealed` there that its maker published")
-    for name, seals in found["cases"].items():
+    for seals in found["cases"].values():
         for file, seal in seals.items():
             if file.startswith(f"{part}/") and hashlib.sha256(contents(bench / file)).hexdigest() != seal:
                 raise InputError(f"{bench / file}: is not what was committed to (SHA-256 differs); fetch it again")

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 from ..conceal import EVERY_RIG
 
-LATE, PICKUP = "late_channel", "pickup"  # names of what a recording may have
+LATE, PICKUP = "late_channel", "line_pickup"  # names of what a recording may have
 FAULTS = {
     LATE: "one recorded channel comes later than the others",
     PICKUP: "one recorded channel picks up a wave of constant frequency, such as that of the mains",
@@ -58,4 +58,10 @@ MEANS = {
 
 def vocabulary() -> Mapping[str, Mapping[str, str]]:
     """Plant -> name -> meaning; "any" has what every recording may have."""
-    return {plant: {name: MEANS[name] for name in rig.effects} for plant, rig in EVERY_RIG.items()} | {"any": FAULTS}
+    names = {plant: {*rig.effects}.union(*rig.alike) for plant, rig in EVERY_RIG.items()}
+    return {plant: {name: MEANS[name] for name in sorted(found)} for plant, found in names.items()} | {"any": FAULTS}
+
+
+def right(plant: str, claimed: str, concealed: str) -> bool:
+    """Whether a claimed name says what is concealed, or what no recording of that plant tells from it."""
+    return claimed == concealed or any({claimed, concealed} <= alike for alike in EVERY_RIG[plant].alike)

@@ -74,4 +74,5 @@ MOTOR = domain(
     },
     foreign={"iron_saturation": hidden("motion coil", "omega u", saturating=(0.01, 0.15))},
     same=(frozenset({"dry_friction", "input_dead_zone"}),),
+    alike=(frozenset({"constant_load", "input_offset"}),),
 )

@@ -74,4 +74,5 @@ PENDULUM = domain(
         "magnet": hidden("motion", "theta", {"magnet_at": (-0.3, 0.3)}, magnet=(0.5, 8.0)),
         "sticky_side": hidden("motion", "theta v", sticky=(0.02, 0.4)),
     },
+    alike=(frozenset({"constant_load", "input_offset"}),),
 )
