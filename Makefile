@@ -8,7 +8,7 @@ FOLDERS := models plants emulator compiler rtl mismatch machines recordings
 
 .PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-rigs bench-programs fuzz faults \
     mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-tables \
-    bench-flow bench-growth bench-exploring
+    bench-flow bench-growth bench-exploring bench-blind
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -76,6 +76,11 @@ bench-diagnosis: $(VENV)/.ready-dev
 # Half an hour: every command of diagnosis on 200 random valid rigs.
 bench-rigs: $(VENV)/.ready-dev
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/generated_rigs.py --rigs 200 --jobs 2
+
+# Hours: the blind benchmark's development split, ours and the baselines. TOOLS=greygate for ours alone.
+bench-blind: $(VENV)/.ready-dev
+	$(INSTALL) -e '.[bench]'
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/blind.py $(TOOLS)
 
 # Adder graphs beside alkaid's, on the matrices of a file: make bench-adders MATRICES=cmvm.json PEER=python-with-alkaid
 bench-adders: $(VENV)/.ready-dev

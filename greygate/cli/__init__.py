@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from greygate import __version__
-from greygate.cli import boards, builds, networks, rigs
+from greygate.cli import bench, boards, builds, networks, rigs
 from greygate.cli.terminal import say
 from greygate.errors import InputError
 
@@ -34,6 +34,7 @@ app = typer.Typer(
 )
 for command in COMMANDS:
     app.command()(command)
+app.add_typer(bench.app, name="bench-concealed")
 
 
 def _version(wanted: bool) -> None:

@@ -145,15 +145,16 @@ def conceal(
     plant: Annotated[str, typer.Argument(help="Name of a plant; an unknown name lists the plants.")],
     seed: Annotated[int, typer.Option(callback=options.SEED, help="Seed from which the whole case is drawn.")],
     out: Annotated[Path, typer.Option(help="Folder to write; an earlier case is replaced.")],
-    kind: Annotated[str, typer.Option(help="What is concealed: clean, parameter, one, two, foreign, or any.")] = "any",
+    kind: Annotated[str, typer.Option(help="clean, parameter, one, two, both, foreign, or any.")] = "any",
     effect: Annotated[str | None, typer.Option(help="Name of the (first) effect; drawn if not given.")] = None,
+    condition: Annotated[str, typer.Option(help="How it is recorded; an unknown name lists the ways.")] = "white",
     as_json: Json = False,
 ) -> None:
     """Write recordings of a rig with a concealed effect, and the sealed answer."""
     from greygate.mismatch.concealed.conceal import conceal as write
 
     with following(f"recording {plant}"):
-        write(plant, seed, out, kind=kind, effect=effect)
+        write(plant, seed, out, kind=kind, effect=effect, under=condition)
     seal = (out / "sealed.json.sha256").read_text(encoding="utf-8").split()[0]
     give({"out": str(out), "sha256": seal}, as_json, [f"written to {out}", f"answer sealed with SHA-256 {seal}"])
 

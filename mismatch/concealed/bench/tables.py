@@ -1,0 +1,156 @@
+"""The figures of a tool over all cases: tables, rows, and how far its confidence can be believed."""
+
+import csv
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from ..stress import CONDITIONS
+from .score import NAMED, SURE, Score
+
+HALF = 0.5  # of the error: an effect that removes so much of it is to be found
+WORSE = 1.01  # times the calibrated simulation's error in one channel: a correction beyond it does harm
+QUIET = ("clean", "parameter")
+BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)  # of confidence
+
+
+def _share(rows: Sequence, test: Callable[[object], object]) -> dict:
+    return {"of": len(rows), "count": sum(bool(test(row)) for row in rows)}
+
+
+def summary(scores: Sequence[Score]) -> dict:
+    """Every figure of the table, of all cases and under each condition: {"of", "count"} or a number."""
+    return {"all": figures(scores)} | {
+        name: figures(part) for name in CONDITIONS if (part := [s for s in scores if s.condition == name])
+    }
+
+
+def figures(scores: Sequence[Score]) -> dict:
+    """The figures of some cases."""
+    ran = [s for s in scores if not s.error]
+    named = [s for s in ran if s.kind in NAMED]
+    strong = [s for s in named if s.kind == "one" and s.removable >= HALF]
+    foreign = [s for s in ran if s.kind == "foreign"]
+    removed = [s.removed for s in ran if s.removed is not None]
+    predicted = [s for s in ran if s.worse is not None and s.verdict != "consistent"]
+    typical = np.median(removed) if removed else np.nan
+    return {
+        "cases": len(scores),
+        "errors": _share(scores, lambda s: s.error),
+        "wrong names": _share([c for s in ran for c in s.claims], lambda c: not c[2]),
+        "surely wrong names": _share([c for s in ran for c in s.claims], lambda c: not c[2] and (c[1] or 0.0) >= SURE),
+        "cases with a surely wrong name": _share(ran, lambda s: s.surely_wrong),
+        "clean rigs with a claim": _share([s for s in ran if s.kind in QUIET], lambda s: s.wrong),
+        "right first, strong single effects": _share(strong, lambda s: s.first),
+        "right first, single effects": _share([s for s in named if s.kind == "one"], lambda s: s.first),
+        "all named, two effects": _share([s for s in named if s.kind == "two"], lambda s: s.all),
+        "effect and parameter": _share([s for s in named if s.kind == "both"], lambda s: s.all and s.parameter),
+        "parameter found": _share([s for s in ran if s.kind == "parameter"], lambda s: s.parameter),
+        "fault of the recording named": _share([s for s in ran if s.fault is not None], lambda s: s.fault),
+        "foreign, not explained": _share(foreign, lambda s: s.verdict in ("unexplained", "partly_explained")),
+        "foreign, and right equation": _share(
+            foreign, lambda s: s.verdict in ("unexplained", "partly_explained") and s.where
+        ),
+        "inside 95 % intervals": _share([i for s in ran for i in s.inside], bool),
+        "corrections worse than calibrated": _share(predicted, lambda s: s.worse > WORSE),
+        "median removed": float(typical) if np.isfinite(typical) else None,
+        "median seconds": float(np.median([s.seconds for s in ran])) if ran else None,
+        "worst seconds": max((s.seconds for s in scores), default=None),
+    }
+
+
+def reliability(scores: Sequence[Score]) -> list[dict]:
+    """By confidence: how many claims, how many of them right."""
+    claims = [(c, right) for s in scores if not s.error for _, c, right in s.claims if c is not None]
+    return [
+        {"from": low, "to": high, "claims": len(part), "right": sum(part)}
+        for low, high in pairwise(BINS)
+        for part in [[right for c, right in claims if low <= c < high or (high == 1.0 and c == 1.0)]]
+    ]
+
+
+def show(value: object) -> str:
+    """A figure in words: "12 of 13, 92 %"."""
+    if isinstance(value, dict):
+        return f"{value['count']} of {value['of']}, {value['count'] / value['of']:.0%}" if value["of"] else "-"
+    return "-" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+BY_CONDITION = (
+    "errors", "surely wrong names", "clean rigs with a claim", "right first, strong single effects",
+    "inside 95 % intervals", "corrections worse than calibrated",
+)  # fmt: skip
+
+
+def lines(tools: Mapping[str, Mapping[str, Mapping]]) -> list[str]:
+    """The table as text, a column for each tool: all cases first, then what differs most by condition.
+
+    tools: name -> its `summary`.
+    """
+
+    def row(label: str, cells: Sequence[object]) -> str:
+        return f"{label:36}" + "".join(f"{show(cell):>20}" for cell in cells)
+
+    first = next(iter(tools.values()))
+    out = [" " * 36 + "".join(f"{name[-18:]:>20}" for name in tools)]
+    out += [row(name, [found["all"][name] for found in tools.values()]) for name in first["all"]]
+    for name in BY_CONDITION:
+        out += ["", f"{name}, by condition"]
+        for condition in CONDITIONS:
+            cells = [found.get(condition, {}).get(name) for found in tools.values()]
+            out += [row(f"  {condition}", cells)] if any(cells) else []
+    return [line.rstrip() for line in out]
+
+
+def draw(scores: Sequence[Score], path: Path) -> None:
+    """Write the reliability diagram as SVG: the confidence that was claimed across, the share of right claims up."""
+    bins = reliability(scores)
+    wide, high, left, top = 70, 200, 50, 20
+    parts = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {left + wide * len(bins) + 20} {high + 70}" '
+        'font-family="sans-serif" font-size="11">',
+        '<rect width="100%" height="100%" fill="#ffffff"/>',
+    ]
+    for share in (0.0, 0.5, 1.0):
+        y = top + high * (1 - share)
+        parts.append(f'<path d="M{left} {y}h{wide * len(bins)}" stroke="#dddddd"/>')
+        parts.append(f'<text x="{left - 6}" y="{y + 4}" text-anchor="end" fill="#333333">{share:.0%}</text>')
+    for number, entry in enumerate(bins):
+        x, said = left + wide * number, (entry["from"] + entry["to"]) / 2
+        if entry["claims"]:
+            tall = high * entry["right"] / entry["claims"]
+            parts.append(
+                f'<rect x="{x + 8}" y="{top + high - tall:.1f}" width="{wide - 16}" height="{tall:.1f}" '
+                'fill="#4878b0"/>'
+            )
+            parts.append(
+                f'<text x="{x + wide / 2}" y="{top + high - 6}" text-anchor="middle" fill="#333333" '
+                f'stroke="#ffffff" stroke-width="3" paint-order="stroke">{entry["right"]} of {entry["claims"]}</text>'
+            )
+        y = top + high * (1 - said)
+        parts.append(f'<path d="M{x + 4} {y:.1f}h{wide - 8}" stroke="#e08030" stroke-width="2"/>')
+        middle = f'x="{x + wide / 2}" text-anchor="middle" fill="#333333"'
+        parts.append(f'<text {middle} y="{top + high + 16}">{entry["from"]:g} to {entry["to"]:g}</text>')
+    parts.append(
+        f'<text x="{left}" y="{top + high + 38}" fill="#333333">'
+        "confidence claimed (orange), share of claims that are right (blue)</text>"
+    )
+    path.write_text("\n".join([*parts, "</svg>", ""]))
+
+
+def write_rows(scores: Sequence[Score], path: Path) -> None:
+    """One line a case."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(asdict(scores[0]))
+        for s in scores:
+            claims = (f"{n} {'-' if c is None else c}{'' if right else ' WRONG'}" for n, c, right in s.claims)
+            row = asdict(s) | {
+                "concealed": "+".join(s.concealed),
+                "claims": "; ".join(claims),
+                "inside": f"{sum(s.inside)} of {len(s.inside)}",
+            }
+            writer.writerow(f"{v:.4g}" if isinstance(v, float) else v for v in row.values())
