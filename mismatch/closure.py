@@ -134,7 +134,8 @@ class _Halves:
             if most - gain < WORTH * total:
                 break
             # of those nearly as good the ones declared first: plain powers before waves and bumps
-            gain, chosen = min(((g, use) for g, use in saved if g >= most - ALIKE * max(total, 0.0)), key=lambda t: sum(t[1]))
+            least = most - ALIKE * max(total, 0.0)
+            gain, chosen = min(((g, use) for g, use in saved if g >= least), key=lambda t: sum(t[1]))
         return gain, chosen
 
 
