@@ -35,7 +35,7 @@ def test_every_command_answers(seed, tmp_path, greygate):
     folder = tmp_path / "rig"
     make(seed, folder)
     page, file = tmp_path / "page.html", tmp_path / "d.json"
-    code, out, err = greygate("diagnose", folder, "--out", file, "--html", page)
+    code, _, err = greygate("diagnose", folder, "--out", file, "--html", page)
     assert (code, "Warning" in err) == (0, False), err
     assert strictly(file)["verdict"] in list(Verdict)
     assert "</html>" in page.read_text(encoding="utf-8")
