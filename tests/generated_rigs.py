@@ -3,6 +3,9 @@
 `make(seed, folder)` writes `plant.toml`, `rig.toml`, `identify.csv`, mostly `holdout.csv` and `effects.toml`, and
 returns what was drawn. The recordings are small (a few hundred samples), so that a diagnosis takes seconds. They come
 from an integrator of their own (Runge-Kutta 4 in plain Python), not from the product's.
+
+Equations and effects are drawn by the remainder of the seed, all else (sizes, time scale, noise, what is told and what
+is concealed) by the seed: compiling equations takes longer than a diagnosis of so few samples.
 """
 
 import json
@@ -13,6 +16,7 @@ import numpy as np
 
 KINDS = ("network", "chain", "static", "decay", "imposed", "defined")
 TOLD = ("noise", "resolution", "both", "none", "some")
+STRUCTURES = 42  # sets of equations with their effects
 SHORT = 40  # samples of the shortest recordings
 FUNCTIONS = {"sqrt": np.sqrt, "tanh": np.tanh, "sin": np.sin, "exp": np.exp, "abs": abs, "max": max, "min": min}
 UNITS = ("K", "V", "m", "Pa", "kg", "1", "rad")
@@ -20,7 +24,9 @@ UNITS = ("K", "V", "m", "Pa", "kg", "1", "rad")
 
 @dataclass
 class Rig:
-    """A rig while it is drawn; `truth` are terms and values that the plant's file does not have.
+    """A rig while it is drawn: its structure by `form`, its numbers by `rng`.
+
+    truth: terms that the plant's file does not have. off: values that the data sheet does not have.
 
     parameters: symbol -> (value, unit, tolerance). equations: name -> (state, storage, terms). definitions: name ->
     (symbol, unit, terms). signals: input -> (samples,). size: channel -> its expected size.
@@ -30,6 +36,7 @@ class Rig:
     dt: float
     samples: int
     rng: np.random.Generator
+    form: np.random.Generator
     parameters: dict = field(default_factory=dict)
     states: dict = field(default_factory=dict)
     inputs: dict = field(default_factory=dict)
@@ -50,17 +57,24 @@ class Rig:
 
     def chance(self, share: float, trait: str) -> bool:
         """Whether a trait that `share` of the rigs have is drawn; then it is noted."""
-        if drawn := bool(self.rng.random() < share):
+        return self._noted(self.rng, share, trait)
+
+    def formed(self, share: float, trait: str) -> bool:
+        """The same for a trait of the structure."""
+        return self._noted(self.form, share, trait)
+
+    def _noted(self, rng: np.random.Generator, share: float, trait: str) -> bool:
+        if drawn := bool(rng.random() < share):
             self.traits.append(trait)
         return drawn
 
 
 def make(seed: int, folder: Path) -> dict:
     """Write the rig of `seed` to `folder` (made if it is missing) and return its traits."""
-    rng = np.random.default_rng(seed)
+    rng, form = np.random.default_rng(seed), np.random.default_rng(seed % STRUCTURES)
     kind = KINDS[seed % len(KINDS)]
     dt = float(f"{10 ** rng.uniform(-6, np.log10(60)):.3g}")
-    rig = Rig(kind, dt, SHORT if rng.random() < 0.1 else int(rng.integers(120, 420)), rng)
+    rig = Rig(kind, dt, SHORT if rng.random() < 0.1 else int(rng.integers(120, 420)), rng, form)
     PLANTS[kind](rig)
     _decorate(rig)
     _conceal(rig)
@@ -93,9 +107,9 @@ def make(seed: int, folder: Path) -> dict:
 
 def _network(rig: Rig) -> None:
     """Storages that leak and exchange, driven by inputs: tanks, heat, voltages."""
-    rng, unit = rig.rng, str(rig.rng.choice(UNITS))
-    count = int(rng.integers(1, 5))
-    for j in range(int(rng.integers(1, 3))):
+    rng, form, unit = rig.rng, rig.form, str(rig.rng.choice(UNITS))
+    count = int(form.integers(1, 5))
+    for j in range(int(form.integers(1, 3))):
         rig.inputs[f"u{j}"] = str(rng.choice(UNITS))
     slow, size = rig.dt * rng.uniform(6, 40), 10 ** rng.uniform(-4, 4)
     for i in range(count):
@@ -111,7 +125,7 @@ def _network(rig: Rig) -> None:
             rig.parameter(f"k{i}", c / slow, "1", 0.3)
             terms["exchange"] = f"k{i} * (x{i - 1} - {x})"
         rig.equations[f"balance{i}"] = (x, f"c{i}", terms)
-    rig.predict = [f"x{i}" for i in sorted(rng.choice(count, int(rng.integers(1, count + 1)), replace=False))]
+    rig.predict = [f"x{i}" for i in sorted(form.choice(count, int(form.integers(1, count + 1)), replace=False))]
 
 
 def _chain(rig: Rig) -> None:
@@ -122,9 +136,9 @@ def _chain(rig: Rig) -> None:
 
 def _masses(rig: Rig, size: float, first: dict, anchor: str = "0.0", speed: str = "0.0") -> None:
     """Masses in a row; the spring and the damper of the first end at `anchor`, which moves with `speed`."""
-    rng, slow = rig.rng, rig.dt * rig.rng.uniform(3, 10)
+    rng, form, slow = rig.rng, rig.form, rig.dt * rig.rng.uniform(3, 10)
     unit, mass = str(rng.choice(["m", "rad"])), 10 ** rng.uniform(-2, 2)
-    for i in range(int(rng.integers(1, 3))):
+    for i in range(int(form.integers(1, 3))):
         x, v, m = f"x{i}", f"v{i}", mass * rng.uniform(0.7, 1.5)
         rig.states |= {x: {"unit": unit, "rate": v}, v: {"unit": f"{unit}/s"}}
         rig.parameter(f"m{i}", m, "kg", 0.1)
@@ -138,23 +152,23 @@ def _masses(rig: Rig, size: float, first: dict, anchor: str = "0.0", speed: str 
         elif "drive" in first:
             rig.parameter("gain", size * m / slow**2, "1", 0.3)
             rig.equations["motion0"][2]["drive"] = f"gain * {first['drive']}"
-    rig.predict = ["x0"] if rng.random() < 0.6 else [x for x in rig.states if x.startswith("x")]
-    if rng.random() < 0.2:
+    rig.predict = ["x0"] if form.random() < 0.6 else [x for x in rig.states if x.startswith("x")]
+    if form.random() < 0.2:
         rig.predict = ["v0"]
 
 
 def _static(rig: Rig) -> None:
     """Outputs that are functions of the inputs of the same instant."""
-    rng = rig.rng
-    for j in range(int(rng.integers(1, 3))):
+    rng, form = rig.rng, rig.form
+    for j in range(int(form.integers(1, 3))):
         rig.inputs[f"u{j}"] = str(rng.choice(UNITS))
-    if rig.chance(0.3, "time"):
+    if rig.formed(0.3, "time"):
         rig.inputs["t"] = "s"
-    for i in range(int(rng.integers(1, 3))):
+    for i in range(int(form.integers(1, 3))):
         y, size = f"y{i}", 10 ** rng.uniform(-6, 6)
         rig.parameter(f"a{i}", size, "1", 0.9)
         rig.parameter(f"b{i}", 0.3 * size, "1", 0.5)
-        terms = {"line": f"a{i} * u0", "bend": f"b{i} * {rng.choice(['u0 * u0', 'tanh(u0)', 'abs(u0)'])}"}
+        terms = {"line": f"a{i} * u0", "bend": f"b{i} * {form.choice(['u0 * u0', 'tanh(u0)', 'abs(u0)'])}"}
         if "u1" in rig.inputs:
             rig.parameter(f"e{i}", size, "1", 0.5)
             terms["other"] = f"e{i} * u1"
@@ -167,7 +181,7 @@ def _static(rig: Rig) -> None:
 
 def _decay(rig: Rig) -> None:
     """A plant without inputs: it starts somewhere and comes to rest."""
-    if rig.rng.random() < 0.5:
+    if rig.form.random() < 0.5:
         _network(rig)
         rig.inputs.clear()
         for _, _, terms in rig.equations.values():
@@ -178,7 +192,7 @@ def _decay(rig: Rig) -> None:
     for x in list(rig.states):
         if not x.startswith("v"):
             size = rig.rng.choice([1.0, -1.0]) * 10 ** rig.rng.uniform(-3, 3)
-            free = rig.rng.random() < 0.4
+            free = rig.form.random() < 0.4
             if free:
                 rig.parameter(f"{x}_start", float(size), rig.states[x]["unit"], 0.7)
             rig.states[x]["initial"] = f"{x}_start" if free else float(size)
@@ -186,12 +200,12 @@ def _decay(rig: Rig) -> None:
 
 def _imposed(rig: Rig) -> None:
     """Masses whose first spring and damper hang on a recorded motion, or a follower that answers to its rate."""
-    how = str(rig.rng.choice(["rate", "smooth_rate"]))
+    how = str(rig.form.choice(["rate", "smooth_rate"]))
     rig.traits.append(f"derived {how}")
     rig.inputs |= {"base": "m", "base_rate": "m/s"}
     rig.derived["base_rate"] = f"{how} base"
     _masses(rig, 1.0, {}, "base", "base_rate")
-    if rig.chance(0.3, "derived smooth_acceleration"):
+    if rig.formed(0.3, "derived smooth_acceleration"):
         rig.inputs["base_acc"] = "m/s^2"
         rig.derived["base_acc"] = "smooth_acceleration base"
         rig.parameter("inertial", 0.1 * rig.parameters["m0"][0], "kg", 0.9)
@@ -201,13 +215,13 @@ def _imposed(rig: Rig) -> None:
 def _defined(rig: Rig) -> None:
     """A network of which not a state but what is made of it is recorded."""
     _network(rig)
-    x = str(rig.rng.choice(list(rig.states)))
+    x = str(rig.form.choice(list(rig.states)))
     scale = 10 ** rig.rng.uniform(-3, 3)
     rig.parameter("sense", scale, "1", 0.6)
-    law = str(rig.rng.choice([f"sense * {x}", f"sense * {x} * abs({x})", f"sense * {x} + sense * u0"]))
+    law = str(rig.form.choice([f"sense * {x}", f"sense * {x} * abs({x})", f"sense * {x} + sense * u0"]))
     rig.definitions["output"] = ("z", str(rig.rng.choice(UNITS)), {"law": law})
-    rig.predict = ["z", x] if rig.rng.random() < 0.4 else ["z"]
-    if rig.chance(0.3, "derived integral"):
+    rig.predict = ["z", x] if rig.form.random() < 0.4 else ["z"]
+    if rig.formed(0.3, "derived integral"):
         rig.inputs["w"], rig.derived["w"] = "1", "integral u0"
         rig.parameter("wind", scale / (rig.dt * rig.samples), "1", 0.9)
         rig.definitions["output"][2]["wound"] = "wind * w"
@@ -219,11 +233,11 @@ PLANTS = dict(zip(KINDS, (_network, _chain, _static, _decay, _imposed, _defined)
 def _decorate(rig: Rig) -> None:
     """Limits, a parameter that is 0, a storage that never moves; at least one parameter is uncertain."""
     first = next(iter(rig.parameters))
-    if rig.chance(0.25, "zero parameter with a tolerance"):
+    if rig.formed(0.25, "zero parameter with a tolerance"):
         rig.parameters["nought"] = (0.0, "1", 0.1)
         place = next(iter(rig.equations.values()))[2] if rig.equations else next(iter(rig.definitions.values()))[2]
         place["nought"] = "nought * " + (next(iter(rig.states)) if rig.states else "u0")
-    if rig.equations and rig.chance(0.15, "constant output"):
+    if rig.equations and rig.formed(0.15, "constant output"):
         rig.states["still"] = {"unit": "Pa", "initial": 5.0}
         rig.equations["tightness"] = ("still", "1", {"leak": "-tight * still"})
         rig.parameters["tight"] = (0.0, "1/s", 0.0)
@@ -392,36 +406,36 @@ def _sheet(rig: Rig, recorded: dict) -> tuple[str, dict]:
 
 def _effects(rig: Rig) -> str:
     """Content of effects.toml: one or two effects that fit the plant, of any form that an effect may have."""
-    rng, out = rig.rng, []
+    rng, form, out = rig.rng, rig.form, []
     given = [n for n in rig.inputs if n not in rig.derived and n != "t"]
     places = {n: e[0] for n, e in rig.equations.items()} | {n: d[0] for n, d in rig.definitions.items()}
     forms = ["term", "shaped", "sensor"] + (["filter"] if given else []) + (["state"] if rig.states else [])
-    for i, form in enumerate(rng.choice(forms, int(rng.integers(0, 3)), replace=False)):
-        rig.traits.append(f"effect {form}")
-        place, symbol = list(places.items())[int(rng.integers(len(places)))]
+    for i, kind in enumerate(form.choice(forms, int(form.integers(0, 3)), replace=False)):
+        rig.traits.append(f"effect {kind}")
+        place, symbol = list(places.items())[int(form.integers(len(places)))]
         x = symbol if place in rig.equations else "u0"
         typical = float(f"{10 ** rng.uniform(-3, 3):.2g}")
         where, bounds = place, rng.choice(["", ", low = 0.0"])
         body = [f"parameters.s{i} = {{ typical = {typical!r}{bounds} }}"]
-        if form == "term":
+        if kind == "term":
             body += [f'terms."{place}.t{i}" = "s{i} * {x}"']
-        elif form == "shaped":
+        elif kind == "shaped":
             body += [f"parameters.w{i} = {{ typical = 1.0, low = 1e-6, guess = [0.3, 3.0], shape = true }}"]
             body += [f'terms."{place}.t{i}" = "-s{i} * tanh({x} / w{i})"']
-        elif form == "sensor":
-            channel = str(rng.choice([y for y in rig.predict if y in rig.states] or [""]))
+        elif kind == "sensor":
+            channel = str(form.choice([y for y in rig.predict if y in rig.states] or [""]))
             if not channel:
                 continue
             where, x = channel, channel
             body += [f'terms."sensor_{channel}.t{i}" = "s{i} * {channel}"']
-        elif form == "filter":
-            where = x = str(rng.choice(given))
-            kind = str(rng.choice(["delay", "lag", "offset", "dead_zone", "play", "skew", "lag_from_rest"]))
-            body += [f'filters.{x} = "{kind} s{i}"']
+        elif kind == "filter":
+            where = x = str(form.choice(given))
+            how = str(rng.choice(["delay", "lag", "offset", "dead_zone", "play", "skew", "lag_from_rest"]))
+            body += [f'filters.{x} = "{how} s{i}"']
         else:
             body += [f'terms."{place}.t{i}" = "s{i} * extra{i}"', f'states.extra{i} = {{ unit = "1" }}']
-            own = f"{1 / (10 * rig.dt)!r}"
-            body += [f'equations_of.own{i} = {{ state = "extra{i}", terms = {{ r = "{own} * ({x} - extra{i})" }} }}']
+            body += [f"parameters.pace{i} = {{ typical = {10 * rig.dt!r}, low = {rig.dt!r}, shape = true }}"]
+            body += [f'equations_of.own{i} = {{ state = "extra{i}", terms = {{ r = "({x} - extra{i}) / pace{i}" }} }}']
         head = [f"[effect{i}]", f'means = "effect {i}"', f"equations = {json.dumps([where])}"]
         out += [*head, f"depends_on = {json.dumps([x] if x in rig.predict or x in given else [])}", *body]
     return "\n".join(out) + "\n" if out else ""
