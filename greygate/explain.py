@@ -135,9 +135,11 @@ class Explained:
     page: str | None
 
     @classmethod
+    @np.errstate(over="ignore", invalid="ignore")  # a trial may diverge
     def of(cls, folder: Path, page: bool = False, own: Sequence[Path] = (), progress: Progress = silent) -> "Explained":
         rig = _uncertain(folder)
-        recording = rig.recording(rig.folder / "identify.csv")
+        recording = rig.to_explain()
+        rig.held_out()  # a faulty file is reported before hours of fitting
         effects = table_of(own, rig, recording)
         check(rig, recording, effects)
         try:
@@ -169,6 +171,7 @@ def _uncertain(folder: Path) -> Rig:
     return rig
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a trial may diverge
 def isolable(
     folder: Path, own: Sequence[Path] = (), ranges: Mapping[str, tuple[float, float]] | None = None
 ) -> tuple[dict, list[str]]:
@@ -186,7 +189,7 @@ def isolable(
     if ranges:
         recording = nominal(rig, table_of(own, rig, None), ranges)
     else:
-        recording = rig.recording(path)
+        recording = rig.to_explain()
     effects = table_of(own, rig, recording)
     check(rig, recording, effects)
     search = Search(rig, recording, effects, free_run=Likelihood if rig.stated else Coloured)

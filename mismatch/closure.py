@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from greygate.mismatch.effects import Effect, Free
-from greygate.mismatch.fit import NORMAL, Fit
+from greygate.mismatch.fit import HELD, NORMAL, Fit
 from greygate.mismatch.libraries import Basis, Candidate, declared
 from greygate.mismatch.model import TINY, lagged
 from greygate.mismatch.rig import Rig
@@ -21,8 +21,7 @@ from greygate.plants.closure import SEEN, Place
 from greygate.plants.expressions import names, replaced
 from greygate.plants.plant import Values
 
-STRETCH = 1.0  # s of recording that are learnt from, then judged on, by turns
-LAGS = {"lag_2_ms": 0.002, "lag_5_ms": 0.005, "lag_15_ms": 0.015}  # s, of a sensor that answers late
+LAGS = {"lag_2": 2, "lag_5": 5, "lag_15": 15}  # samples, of a sensor that answers late
 TERMS = 4  # basis functions in a closure, at most
 SURE = 5.0  # standard deviations of a coefficient, below which its function goes again
 WORTH = 0.03  # of the misfit that a further function must remove
@@ -33,6 +32,10 @@ STEEP = 20.0  # of the tanh that stands for a sign: 5 % of the largest speed are
 CONFIDENCE_DIGITS = 4  # behind the point, of a share in diagnosis.json
 LEAST = 1e-9  # cost, in place of a misfit of 0
 FLAT = 1e-12  # of a signal's size, below which its spread is rounding
+
+
+class NowhereError(Exception):
+    """The plant has no place in which a term may be missing."""
 
 
 def bases(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]:
@@ -53,17 +56,22 @@ def bases(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]
 
 
 def _powers(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]:
-    """For every balance but that of a position, powers of each signal, as large as the largest term that is there."""
-    model = search.final.model
-    plant = model.plant
+    """For every balance but that of a position, and every law that gives a predicted channel: powers of each signal.
+
+    They are as large as the largest term that is there.
+    """
+    model, plant = search.final.model, search.rig.plant  # without effects: their terms are 0, their states unknown
     rates = {state.rate for state in plant.states.values() if state.rate}
-    scope = Values(plant, dict(signals))
-    scope.update(model.values)
+    states, inputs = model.states(model.values)
+    simulated = dict(zip(model.plant.states, states.T, strict=True))
+    scope = Values(plant, {**{s: simulated[s] for s in plant.states}, **inputs, **signals})
+    scope.update({s: model.values[s] for s in plant.parameters})
     out: dict[str, Basis] = {}
-    for name, equation in plant.equations.items():
-        if plant.states[equation.state].rate:
-            continue
-        size = max(float(np.sqrt(np.mean(np.square(scope.evaluate(term))))) for term in equation.terms.values())
+    terms = {name: e.terms for name, e in plant.equations.items() if not plant.states[e.state].rate}
+    terms |= {name: d.terms for name, d in plant.definitions.items() if d.symbol in search.rig.predict}
+    for name, there in terms.items():
+        sizes = [float(np.sqrt(np.mean(np.square(scope.evaluate(term))))) for term in there.values()]
+        size = max((size for size in sizes if np.isfinite(size)), default=0.0) or 1.0
         decade = round(np.log10(max(size, TINY)))
         scale = repr(float(f"1e{decade}"))
         basis = {"one": Candidate(f"{scale} * (1.0)", ())}
@@ -88,11 +96,9 @@ class _Halves:
 
     @classmethod
     def of(cls, base: Fit, columns: np.ndarray) -> "_Halves":
-        k, windows = len(base.unknowns), len(base.slopes)
+        k = len(base.unknowns)
         both = np.concatenate([base.slopes, columns], axis=2)
-        likelihood = base.likelihood
-        stretch = max(round(STRETCH / (likelihood.block * likelihood.model.rig.dt)), 1)
-        even = (np.arange(windows) // stretch) % 2 == 0
+        even = base.likelihood.alternate(HELD)
         gram, pull = [], []
         for half in (even, ~even):
             flat, e = both[half].reshape(-1, both.shape[2]), base.projected[half].reshape(-1)
@@ -148,7 +154,7 @@ def _sensors(search: Search, base: Fit) -> dict[tuple[str, str], np.ndarray]:
             "rate": rate,
             "t": likelihood.model.recording.time,
         }
-        shapes |= {name: lagged(signal, lag, rig.dt) - signal for name, lag in LAGS.items()}
+        shapes |= {name: lagged(signal, lag * rig.dt, rig.dt) - signal for name, lag in LAGS.items()}
         for name, shape in shapes.items():
             column = np.zeros_like(base.errors)
             size = max(float(np.std(shape)), FLAT * float(np.abs(shape).max()) + TINY)
@@ -195,6 +201,8 @@ class _Unknowns:
             for place, column in _sensors(search=again, base=base).items():
                 keys.append(place)
                 columns.append(likelihood.rows(column[:, :, None], base.temper))
+        if not columns:
+            raise NowhereError
         columns = likelihood.eliminate(np.concatenate(columns, axis=2), None, base.basis)[0]
         return cls(again, effects, seen, base, keys, columns)
 
@@ -235,8 +243,14 @@ def _effects(rig: Rig, found: Mapping[str, Basis]) -> dict[str, Effect]:
 
 
 def closure(search: Search) -> tuple[dict, Fit | None]:
-    """(where and effect for the diagnosis, fit with the unknown term; None where a sensor is at fault)."""
-    unknowns = _Unknowns.of(search)
+    """(where and effect for the diagnosis, fit with the unknown term; None where a sensor is at fault).
+
+    Both are empty for a plant that has no place in which a term may be missing.
+    """
+    try:
+        unknowns = _Unknowns.of(search)
+    except NowhereError:
+        return {"where": [], "effect": None}, None
     place, chosen, share = unknowns.chosen()
     declared = search.rig.plant.closure.places.get(place)
     reported = (declared and declared.reported) or place

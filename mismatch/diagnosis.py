@@ -27,6 +27,7 @@ from greygate.mismatch.rig import Rig
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.mismatch.selection import STRUCTURE, Selection, complete, inflation, structure
 from greygate.mismatch.verdict import Verdict
+from greygate.plain import plain
 from greygate.progress import Progress, silent
 
 SCHEMA = "diagnosis/1"
@@ -62,18 +63,20 @@ class Diagnosis:
     # -- the file ----------------------------------------------------------------------------------------------------
 
     def as_dict(self) -> dict:
-        """Content of diagnosis.json, keys as in docs/diagnosis.md."""
-        return {
-            "schema": SCHEMA,
-            "plant": self.rig.plant.name,
-            "verdict": self.verdict,
-            "where": [dict(place) for place in self._where],
-            "effects": self._effects(),
-            "parameters": self._parameters(),
-            "fit": self.fits,
-            "remaining": self._remaining(),
-            "seconds": round(self.seconds, 2),
-        }
+        """Content of diagnosis.json, keys as in docs/diagnosis.md; None stands for what is not finite."""
+        return plain(
+            {
+                "schema": SCHEMA,
+                "plant": self.rig.plant.name,
+                "verdict": self.verdict,
+                "where": [dict(place) for place in self._where],
+                "effects": self._effects(),
+                "parameters": self._parameters(),
+                "fit": self.fits,
+                "remaining": self._remaining(),
+                "seconds": round(self.seconds, 2),
+            }
+        )
 
     def write(self, path: Path | str) -> None:
         """Write diagnosis.json, whole or not at all."""
@@ -243,7 +246,7 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
     ('parameter_error', ['viscous'])
     """
     began = time.perf_counter()
-    recording = rig.recording(rig.folder / "identify.csv")
+    recording = rig.to_explain()
     effects = table.known(rig, recording) if effects is None else effects
     progress("compiling the plant")
     search = Search(rig, recording, effects, free_run=Likelihood if rig.stated else Coloured)
@@ -309,8 +312,8 @@ def fits(result: Diagnosis, identify) -> dict:
     """RMS error of every predicted channel by the comparison rule: of the data sheet's plant, calibrated, corrected."""
     rig = result.rig
     recordings = {"identify": identify}
-    if (rig.folder / "holdout.csv").exists():
-        recordings["holdout"] = rig.recording(rig.folder / "holdout.csv")
+    if held_out := rig.held_out():
+        recordings["holdout"] = held_out
     out = {}
     for name, recording in recordings.items():
         model = Model(rig, recording, result.corrected.likelihood.model.effects)

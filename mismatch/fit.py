@@ -15,15 +15,19 @@ from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.noise import deviation
 from greygate.models.training.gauss_newton import Decades, bounded, search
 
-WARM = 0.25  # s at the beginning of a recording that do not count where states are not measured: these die away
-LOOSE = 0.05  # m/s by which a smoothed velocity may be off where a window begins, RMS
-SHIFT = 1e-3  # m/s, scale of the shift of a velocity; a measured state's is its sensor's noise
+WARM = 250  # samples at the beginning that do not count where states are not measured: these die away;
+WARM_PART = 12  # but no more than such a part of a recording
+LOOSE = 50.0  # shifts of one scale by which a smoothed rate may be off where a window begins, RMS: all of its size
 FREE = 1e-6  # weight of a measured state's shift in the cost: a thousand times the noise before it counts
 STEP = 1e-3  # of a parameter's scale, for differences
 SHIFTED = 0.1  # of a shift's scale, for differences
-BLOCK = 0.25  # s within which errors may depend on each other, for intervals where there are no windows
+BLOCK = 250  # samples within which errors may depend on each other, for intervals where there are no windows;
+BLOCK_PART = 12  # but no more than such a part of a recording
+HELD = 1000  # samples that are learnt from, then judged on, by turns;
+HELD_PART = 20  # but no more than such a part of a recording
 SINGULAR, BREAD_SINGULAR = 1e-13, 1e-14  # of the largest singular value, below which numbers cannot be told apart
 ITERATIONS = 15  # of a fit, at most: near its end each gains more digits than the one before
+DIVERGED = 1e100  # standard deviations of noise: what is farther away comes from a run that diverges
 NORMAL = 1.96  # standard deviations on either side that hold 95 % of a normal distribution
 HALVINGS = 6  # of the way from the unknowns' origins to a start from which the run diverges
 ENOUGH = 0.05  # of cost, a twentieth of what noise alone makes of one parameter: a further step tells nothing more
@@ -129,13 +133,13 @@ class Fit:
         white = bread * max(1.0, float(np.mean(self.projected**2)))
         return _larger(robust, white)
 
-    def held_out(self, stretch: float = 1.0) -> float:
+    def held_out(self, stretch: int = HELD) -> float:
         """Cost of the errors on each half of the recording, with the parameters that the other half alone gives.
 
-        The halves are every other `stretch` s. A half's parameters come from one linearised step from those of both.
+        The halves are every other `stretch` samples. A half's parameters come from one linearised step from those of
+        both.
         """
-        block = self.likelihood.block * self.likelihood.model.rig.dt
-        even = (np.arange(len(self.slopes)) // max(round(stretch / block), 1)) % 2 == 0
+        even = self.likelihood.alternate(stretch)
         low, high = _bounds(self.unknowns)
         total = 0.0
         for learn in (even, ~even):
@@ -150,6 +154,21 @@ class Fit:
         """Standard deviation of a value."""
         j = [u.symbol for u in self.unknowns].index(symbol)
         return float(np.sqrt(self.covariance[j, j]) * abs(self.unknowns[j].scale))
+
+
+def tame(change: np.ndarray) -> np.ndarray:
+    """A change of errors, 0 where a run diverges: there it says nothing, and its square would be no number."""
+    return np.where(np.abs(change) < DIVERGED, change, 0.0)
+
+
+def _solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The step that a normal matrix asks for; the shortest of all where it is singular, none where it is no number."""
+    if not (len(right) and np.isfinite(normal).all() and np.isfinite(right).all()):
+        return np.zeros(len(right))
+    try:
+        return np.linalg.solve(normal, right)
+    except np.linalg.LinAlgError:
+        return np.linalg.lstsq(normal, right, rcond=SINGULAR)[0]
 
 
 def _larger(one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -171,14 +190,14 @@ class Likelihood:
         rig, samples = model.rig, len(model.target)
         self.sigma = deviation(model)
         scale = {name: rig.channels[name].sigma for name in model.measured}
-        self.local_scale = np.array([scale.get(s, SHIFT) for s in model.locals])
-        self.heavy = np.array([FREE if s in scale else (SHIFT / LOOSE) ** 2 for s in model.locals])
-        block = model.window or round(BLOCK / rig.dt)
+        self.local_scale = np.array([scale.get(s) or model.pace(s) / LOOSE for s in model.locals])
+        self.heavy = np.array([FREE if s in scale else LOOSE**-2 for s in model.locals])
+        block = model.window or min(BLOCK, samples // BLOCK_PART)
         self.windows, self.block = samples // block, block
         counted = np.zeros(samples, bool)
         counted[: self.windows * block] = True
         if model.window is not None and not all(model.reset):
-            counted[: max(model.window, round(WARM / rig.dt))] = False
+            counted[: max(model.window, min(WARM, samples // WARM_PART))] = False
         self.sigma[~counted] = np.inf
         self.count = int(counted.sum()) * self.sigma.shape[1]
 
@@ -190,6 +209,11 @@ class Likelihood:
     def white(self, what: np.ndarray) -> np.ndarray:
         """`what` (samples, channels, ...) in units of the noise."""
         return what / self.sigma[(..., *(None,) * (what.ndim - 2))]
+
+    def alternate(self, stretch: int) -> np.ndarray:
+        """Whether each window is in the first half, where stretches of so many samples are in one half by turns."""
+        stretch = min(stretch, self.windows * self.block // HELD_PART)
+        return (np.arange(self.windows) // max(round(stretch / self.block), 1)) % 2 == 0
 
     def nothing(self) -> np.ndarray:
         """No shifts: every window begins as recorded."""
@@ -215,7 +239,7 @@ class Likelihood:
         for j in range(count):
             moved = shifts.copy()
             moved[:, j] += SHIFTED
-            columns.append(self.rows(np.nan_to_num(self.errors(values, moved) - errors) / SHIFTED, temper))
+            columns.append(self.rows(tame(self.errors(values, moved) - errors) / SHIFTED, temper))
         local = np.stack(columns, axis=2)
         prior = np.broadcast_to(np.diag(np.sqrt(self.heavy)), (self.windows, count, count))
         return np.linalg.qr(np.concatenate([local, prior], axis=1))
@@ -238,7 +262,7 @@ class Likelihood:
             value = values[u.symbol]
             size = STEP * u.scale * (-1 if value + STEP * u.scale > u.high else 1)
             moved = self.errors({**values, u.symbol: value + size}, shifts)
-            columns.append(self.rows(np.nan_to_num(moved - errors) / (size / u.scale), temper))
+            columns.append(self.rows(tame(moved - errors) / (size / u.scale), temper))
         if not columns:
             return np.zeros((self.windows, self.block * errors.shape[1], 0))
         return np.stack(columns, axis=2)
@@ -381,7 +405,7 @@ class _Descent:
             normal = linear.curvature + np.diag(self.weight + value * diagonal + RIDGE)
 
             def solved(moving: np.ndarray) -> np.ndarray:
-                return np.linalg.solve(normal[np.ix_(moving, moving)], -gradient[moving]) if len(moving) else moving
+                return _solved(normal[np.ix_(moving, moving)], -gradient[moving])
 
             numbers = bounded(at.numbers, gradient, self.low, self.high, solved)
             step = numbers - at.numbers

@@ -17,7 +17,7 @@ from scipy.signal import savgol_filter
 
 from greygate.mismatch.effects import SENSOR
 from greygate.mismatch.fit import Fit
-from greygate.mismatch.model import FEWEST_BESIDE, PARABOLA, SMOOTH, TINY, Model
+from greygate.mismatch.model import PARABOLA, SMOOTH, TINY, Model, reach
 from greygate.plants.plant import Values
 
 CELLS = 1000  # of a recording, in each of which energy and variables are averaged
@@ -148,19 +148,19 @@ def signals(model: Model) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """(name -> signal, name -> unit): position, velocity and acceleration, the other channels, time."""
     rig, recording, plant = model.rig, model.recording, model.plant
     found, units = {}, {}
-    half = max(round(SMOOTH / rig.dt), FEWEST_BESIDE)
     moved = next((x for x, s in plant.states.items() if s.rate and x in rig.channels), None)
     moved = moved or next((n for n in (*rig.inputs, *rig.channels) if rig.channels[n].unit == "m"), None)
     if moved is not None:
         x = recording[moved]
         found["x"], units["x"] = x, "m"
         for order, (name, unit) in enumerate((("v", "m/s"), ("a", "m/s^2")), start=1):
-            found[name] = savgol_filter(x, 2 * half + 1, order + 1, deriv=order, delta=rig.dt)
+            found[name] = savgol_filter(x, 2 * reach(x, SMOOTH) + 1, order + 1, deriv=order, delta=rig.dt)
             units[name] = unit
     for name, channel in rig.channels.items():
         if name != moved and (channel.role == "input" or channel.unit != "m"):
             signal = recording[name]  # an output is smoothed, for its noise is in the residual, too
-            found[name] = savgol_filter(signal, 2 * half + 1, PARABOLA) if channel.role == "output" else signal
+            smooth = channel.role == "output"
+            found[name] = savgol_filter(signal, 2 * reach(signal, SMOOTH) + 1, PARABOLA) if smooth else signal
             units[name] = channel.unit
     found["t"], units["t"] = recording.time, "s"
     return found, units
@@ -277,6 +277,8 @@ def _regime(energy: Energy, seen: Mapping[str, np.ndarray], units: Mapping[str, 
     if not _rare(distances[name], drawn):
         return ""
     part = Region.densest(energy, seen[name])
+    if part.whole:
+        return ""
     shares = PERCENT * energy.cells[part.inside].sum(), PERCENT * part.inside.mean()
     words = part.words(name, *display_unit(units[name], float(np.abs(seen[name]).max())))
     return f"{words} ({shares[0]:.0f} % of it, in {shares[1]:.0f} % of the time)"
@@ -289,6 +291,8 @@ def _when(energy: Energy, clock: np.ndarray) -> str:
     if distance < CLEAR:
         return ""
     part = Region.densest(energy, clock)
+    if part.whole:
+        return ""
     ramp, jump = (_correlation(np.sqrt(energy.cells), shape) for shape in (clock, part.inside))
     if part.open and abs(ramp) >= jump:
         steady = _rare(abs(ramp), np.abs(_correlation(np.sqrt(energy.shuffled), clock)))
@@ -314,17 +318,32 @@ class Region:
     inside: np.ndarray
 
     @property
+    def whole(self) -> bool:
+        """Whether the region has no end: then it tells nothing."""
+        return self.low is None and self.high is None
+
+    @property
     def open(self) -> bool:
         """Whether the region reaches to one end of all values."""
         return self.low is None or self.high is None
 
     @classmethod
     def densest(cls, energy: Energy, variable: np.ndarray) -> "Region":
-        """The region in which the share of energy exceeds the share of time by most."""
+        """The region in which the share of energy exceeds the share of time by most.
+
+        A burst near one end is between two values as well as beyond them, and then told as what has an end.
+        """
         order = np.argsort(variable, kind="stable")
-        excess, count = _excess(energy.cells, order), len(variable)
+        excess = _excess(energy.cells, order)
         rise, fall = excess - np.minimum.accumulate(excess), np.maximum.accumulate(excess) - excess
         beyond = bool(fall.max() > rise.max())
+        found = cls._between(variable, order, excess, rise, fall, beyond)
+        return cls._between(variable, order, excess, rise, fall, not beyond) if found.whole else found
+
+    @classmethod
+    def _between(cls, variable, order, excess, rise, fall, beyond: bool) -> "Region":
+        """The region between two values, or beyond them, by the curves of `densest`."""
+        count = len(variable)
         last = int(np.argmax(fall if beyond else rise))
         first = int((np.argmax if beyond else np.argmin)(excess[: last + 1]))
         first = 0 if first < EDGE * count else first

@@ -17,6 +17,7 @@ from greygate.mismatch import filters as of
 from greygate.mismatch.entries import SENSOR, TIME, Effect
 from greygate.mismatch.joining import join
 from greygate.mismatch.rig import Rig
+from greygate.mismatch.scales import memory, span
 from greygate.plants.expressions import names
 from greygate.plants.plant import Parameter, Values
 from greygate.plants.recording import Recording
@@ -25,14 +26,18 @@ from greygate.plants.simulate import Restarted
 TIMING = "input_timing"  # s by which inputs act later than the recording says: a nuisance, known to a hundredth sample
 BLUR = "input_blur"  # a nuisance: at 0 an acceleration is smoothed over SMOOTH, at 1 over the shorter FINER * SMOOTH
 FINER = 0.6  # of SMOOTH
-SMOOTH = 0.02  # s on either side of a sample, over which a smoothed rate is taken
-SMOOTH_START = 0.01  # s likewise, for the velocity at a restart: it may lag a change of motion less than SMOOTH does
+SMOOTH = 20  # samples on either side of a sample, over which a smoothed rate is taken
+SMOOTH_START = 10  # likewise, for the velocity at a restart: it may lag a change of motion less than SMOOTH does
+SMOOTHED = (0.005, 0.5)  # of a signal's memory, between which smoothing stays: it takes noise and leaves motion
+PART = 8  # a smoothing reaches no further than such a part of a recording
 FEWEST_BESIDE = 2  # samples on either side, at least: a cubic needs four, and five leave one to smooth
+FEWEST_SMOOTHED = 2 * FEWEST_BESIDE + 1  # samples
 PARABOLA, CUBIC = 2, 3  # degrees of the polynomials whose derivatives are smoothed rates
 READINGS = 3  # rounds in which a sensor's error, a small function of the true value, is taken off its reading
 TINY = 1e-300  # instead of a size that is 0, by which something is divided
-START_SIZE = 1e-3  # in its own unit: the least size of a starting value, by which its steps are scaled
+START_SIZE = 1e-3  # of the largest reading: the least size of a starting value, by which its steps are scaled
 START_STEP = 1e-4  # of that size, for a difference
+FARTHEST = 1e6  # spreads of a channel: a run that diverges is said to be so far off
 START_TRIALS = 60  # runs in which starting values are fitted, at most
 
 
@@ -94,6 +99,11 @@ class Model:
         self.rates = {v: x for v, x in rates.items() if x in self.measured}
         self.locals = [*self.measured, *self.rates]
         self.reset = np.array([s in self.locals for s in states])
+        sources = {how.partition(" ")[2] for how in self.plant.derived.values()}
+        if recording.samples < FEWEST_SMOOTHED and (sources or self.rates):
+            few = f"{recording.samples} samples; a rate is smoothed over {FEWEST_SMOOTHED}"
+            raise InputError(f"{recording.source}: {few}, record at least so many")
+        self._smooth = {source: reach(recording[source], SMOOTH) for source in sources}
         self._inputs = {name: self._input(name, recording.channels) for name in self.plant.inputs}
         self._finer = {name: self._input(name, recording.channels, FINER) - self._inputs[name] for name in self.finer}
         self.target = np.stack([recording[name] for name in self.rig.predict], axis=1)
@@ -120,7 +130,7 @@ class Model:
             return self.recording.time
         how, _, source = self.plant.derived[name].partition(" ")
         signal, dt = recorded[source], self.rig.dt
-        half = max(round(share * SMOOTH / dt), FEWEST_BESIDE)
+        half = max(round(share * self._smooth[source]), FEWEST_BESIDE)
         match how:
             case "rate":
                 return np.append(np.diff(signal) / dt, 0.0)
@@ -173,8 +183,13 @@ class Model:
 
     def smooth_rate(self, channel: str) -> np.ndarray:
         """Velocity of a recorded channel (samples,), in its unit a second, as a restart takes it."""
-        half = max(round(SMOOTH_START / self.rig.dt), FEWEST_BESIDE)
+        half = reach(self.recording[channel], SMOOTH_START)
         return savgol_filter(self.recording[channel], 2 * half + 1, PARABOLA, deriv=1, delta=self.rig.dt)
+
+    def pace(self, rate: str) -> float:
+        """RMS of a rate as a restart takes it, in its unit; where it rests, its sensor's noise a sample."""
+        size = float(np.sqrt(np.mean(self.smooth_rate(self.rates[rate]) ** 2)))
+        return size or self.rig.channels[self.rates[rate]].sigma / self.rig.dt
 
     @np.errstate(over="ignore", invalid="ignore")  # a reading may be infinite
     def _unread(self, channel: str, read: np.ndarray, values: Mapping[str, float], at: np.ndarray) -> np.ndarray:
@@ -207,9 +222,13 @@ class Model:
         key = (tuple(values[s] for s in self.moving), None if shifts is None else shifts.tobytes())
         if key != self._last[0]:
             self.runs += 1
-            inputs = np.ascontiguousarray(np.stack([signals[name] for name in self.plant.inputs], axis=1))
-            self._last = key, self._compiled.run(inputs, self.restarts, starts, self.reset, values)
+            self._last = key, self._compiled.run(self._columns(signals), self.restarts, starts, self.reset, values)
         return self._last[1], signals
+
+    def _columns(self, signals: Mapping[str, np.ndarray]) -> np.ndarray:
+        """The plant's inputs (samples, inputs), in its order; there may be none."""
+        columns = [signals[name] for name in self.plant.inputs]
+        return np.ascontiguousarray(np.stack(columns, axis=1)) if columns else np.empty((self.recording.samples, 0))
 
     @np.errstate(over="ignore", invalid="ignore")  # a run may diverge
     def predict(self, values: Mapping[str, float], shifts: np.ndarray | None = None) -> np.ndarray:
@@ -264,12 +283,18 @@ class Model:
                 yield text
 
 
+def reach(signal: np.ndarray, samples: int) -> int:
+    """Samples on either side over which a recorded signal is smoothed: `samples`, where its own pace allows."""
+    return min(span(samples, [memory(signal)], SMOOTHED, FEWEST_BESIDE), max(len(signal) // PART, FEWEST_BESIDE))
+
+
 def delayed(signal: np.ndarray, delay: float, dt: float) -> np.ndarray:
     """An input that is constant over each sample, `delay` s late: its mean over each sample.
 
     Before the first sample the input rests at its first value.
     """
-    steps, part = divmod(delay / dt, 1.0)
+    most = float(len(signal))  # later than the whole recording it does not come at all
+    steps, part = divmod(max(min(most, delay / dt), -most), 1.0)
     k = np.arange(len(signal)) - int(steps)
     late, later = signal[np.clip(k, 0, len(k) - 1)], signal[np.clip(k - 1, 0, len(k) - 1)]
     return (1.0 - part) * late + part * later
@@ -330,13 +355,15 @@ def begun(model: Model, values: Mapping[str, float], samples: int) -> dict[str, 
     symbols = beginnings(model)
     if not symbols or not samples:
         return values
-    scale = np.std(model.target, axis=0) + TINY
+    scale = np.std(model.target, axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
 
     def errors(at):
         given = {**values, **dict(zip(symbols, at, strict=True))}
-        return ((model.target - model.predict(given))[:samples] / scale).ravel()
+        left = ((model.target - model.predict(given))[:samples] / scale).ravel()
+        return np.clip(np.nan_to_num(left, nan=FARTHEST), -FARTHEST, FARTHEST)
 
     start = np.array([values[s] for s in symbols])
-    size = np.maximum(np.abs(start), START_SIZE)
+    size = np.maximum(np.abs(start), START_SIZE * float(np.abs(model.target).max()) + TINY)
     found = least_squares(errors, start, x_scale=size, diff_step=START_STEP, max_nfev=START_TRIALS)
     return {**values, **dict(zip(symbols, map(float, found.x), strict=True))}

@@ -19,9 +19,10 @@ from greygate.reading import line, listed, named, number, one_of, read_toml, tab
 from greygate.table import read_table
 
 PLANTS = Path(__file__).parent.parent / "machines"  # NAME.toml in one of its folders is the plant NAME
-SHORTEST = 2.0  # s: a shorter recording holds too little motion for any diagnosis
+SHORTEST = 40  # samples: a shorter recording leaves nothing to judge a fit by; it is held out in twenty blocks
+READABLE = 2  # samples, from which a sample time follows
 JITTER = 1e-3  # of a sample interval, by which one interval may differ from the next
-TIME_ROUNDING = 1e-12  # s, by which the difference of two written times may be off
+TIME_ROUNDING = 1e-12  # of the last time, by which the difference of two written times may be off
 FEWEST = 10  # samples: a shorter window is mostly its own beginning
 LONGEST = 1e9  # s of a sample, a window, a settling: thirty years
 MOST = 100_000  # steps of integration in a sample; with more the simulation seems to hang
@@ -84,8 +85,23 @@ class Rig:
         """
         return self.timed(path)[0]
 
-    def timed(self, path: Path | str) -> tuple[Recording, list[str]]:
-        """The recording, and the column `t` as the file writes it."""
+    def to_explain(self) -> Recording:
+        """identify.csv. Raises InputError where it cannot be read, or is too short to be explained."""
+        return self.timed(self.folder / "identify.csv", SHORTEST)[0]
+
+    def held_out(self) -> Recording | None:
+        """holdout.csv, None where there is none. Raises InputError where it is no longer than the rig settles."""
+        path = self.folder / "holdout.csv"
+        if not path.exists():
+            return None
+        recording = self.recording(path)
+        if recording.samples <= self.settle:
+            problem = f"{recording.samples} samples, of which settle_s leaves none"
+            raise InputError(f"{path}: {problem}; record more, or settle for less")
+        return recording
+
+    def timed(self, path: Path | str, least: int = READABLE) -> tuple[Recording, list[str]]:
+        """The recording of `least` samples or more, and the column `t` as the file writes it."""
         table = read_table(path)
         path, header = table.path, table.header
         if header[0] != "t":
@@ -94,13 +110,13 @@ class Rig:
             raise InputError(f"{path}: no column {', '.join(missing)}; rig.toml names these channels")
         if unknown := [name for name in header[1:] if name not in self.channels]:
             raise InputError(f"{path}: column {', '.join(unknown)} is no channel of rig.toml; declare or drop it")
-        samples, shortest = len(table.cells), max(SHORTEST, (self.window or 0) * self.dt)
-        if samples * self.dt < shortest:
-            raise InputError(f"{path}: {samples} samples, {samples * self.dt:g} s; record at least {shortest:g} s")
-        steps = np.diff(table.values[:, 0])
-        table.require_steps(
-            steps, np.abs(steps - self.dt) > JITTER * self.dt + TIME_ROUNDING, self.dt, "stands in rig.toml"
-        )
+        samples, shortest = len(table.cells), max(least, self.window or 0)
+        if samples < shortest:
+            wish = f"record at least {shortest} samples, {shortest * self.dt:g} s"
+            raise InputError(f"{path}: {samples} samples, {samples * self.dt:g} s; {wish}")
+        clock = table.values[:, 0]
+        steps, rounding = np.diff(clock), TIME_ROUNDING * float(np.abs(clock).max())
+        table.require_steps(steps, np.abs(steps - self.dt) > JITTER * self.dt + rounding, self.dt, "stands in rig.toml")
         channels = {name: table.values[:, header.index(name)] for name in self.channels}
         recording = Recording(self.dt, channels, {n: c.unit for n, c in self.channels.items()}, source=str(path))
         return recording, [row[0] for row in table.cells]
@@ -154,12 +170,11 @@ def load(folder: Path | str) -> Rig:
     dt, window = found["sample_time_s"], found.get("window_s")
     datasheet, tolerance = found["parameters"], found.get("tolerance", {})
     switched = {on: 1.0 for on, by in plant.switches.items() if datasheet.get(by)}
-    parameters = {
-        symbol: Parameter(
-            switched.get(symbol, datasheet.get(symbol, p.value)), p.unit, tolerance.get(symbol, 0.0), p.meaning
-        )
-        for symbol, p in plant.parameters.items()
-    }
+    parameters = {}
+    for symbol, p in plant.parameters.items():
+        value = switched.get(symbol, datasheet.get(symbol, p.value))
+        uncertain = tolerance.get(symbol, 0.0) if value else 0.0  # a share of nothing is nothing
+        parameters[symbol] = Parameter(value, p.unit, uncertain, p.meaning)
     return Rig(
         replace(plant, parameters=parameters),
         datasheet,
@@ -183,7 +198,7 @@ Mistakes = Iterator[tuple[str, str]]
 
 def _wrong_times(found: Mapping, plant: Plant) -> Mistakes:
     dt, window = found["sample_time_s"], found.get("window_s")
-    if not dt <= MOST * plant.step:
+    if plant.states and not dt <= MOST * plant.step:
         yield "sample_time_s", f"{dt:g} s, {plant.name} takes steps of {plant.step:g} s; take {MOST} a sample at most"
     if window is not None and window < FEWEST * dt:
         yield "window_s", f"{window:g}; give at least {FEWEST} samples, in s"

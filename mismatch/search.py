@@ -12,14 +12,15 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from greygate.mismatch.effects import Effect, Free, fitting
-from greygate.mismatch.fit import Fit, Likelihood, Unknown
+from greygate.mismatch.fit import Fit, Likelihood, Unknown, tame
 from greygate.mismatch.model import BLUR, TIMING, TINY, Model
 from greygate.mismatch.rig import FEWEST, Rig
+from greygate.mismatch.scales import memory, span
 from greygate.plants.expressions import names
 from greygate.plants.recording import Recording
 
-SHORT = 0.04  # s of a window in the screen
-LONG_WINDOW = 0.1  # s of a window in the final fit: errors of two integrators do not add up to more than noise yet
+SHORT, SHORT_SHARES = 40, (0.1, 2.0)  # samples of a window in the screen; of the memory of the fastest channel
+LONG_WINDOW, LONG_SHARES = 100, (0.25, 5.0)  # in the final fit: two integrators' errors stay below the noise so far
 WITHIN, NEAR_SHEET = 4.0, 2.0  # standard deviations within which a toleranced parameter is fitted; in the first fit
 RELEASED = 20.0  # times or part of its value, within which a parameter whose tolerance is lifted is fitted
 EXACT = 0.01  # of a sample, RMS: the uncertainty of the instant at which an input acts
@@ -78,16 +79,17 @@ class Search:
     ):
         self.rig = rig
         self.effects = fitting(rig.plant, rig.datasheet, effects)
-        self.travel = max(float(np.ptp(recording[name])) for name in rig.inputs)
+        self.travel = max((float(np.ptp(recording[name])) for name in rig.inputs), default=0.0)
         self.toleranced = [s for s, p in rig.plant.parameters.items() if p.tolerance]
 
-        def over(seconds: float) -> Likelihood:
-            return Likelihood(
-                Model(rig, recording, self.effects, min(max(round(seconds / rig.dt), FEWEST), rig.window))
-            )
+        memories = [memory(recording[name]) for name in rig.predict]
 
-        self.final = over(LONG_WINDOW) if rig.window else free_run(Model(rig, recording, self.effects))
-        self.screen = over(SHORT) if rig.window else self.final
+        def over(samples: int, shares: tuple[float, float]) -> Likelihood:
+            window = min(span(samples, memories, shares, FEWEST), rig.window)
+            return Likelihood(Model(rig, recording, self.effects, window))
+
+        self.final = over(LONG_WINDOW, LONG_SHARES) if rig.window else free_run(Model(rig, recording, self.effects))
+        self.screen = over(SHORT, SHORT_SHARES) if rig.window else self.final
         self.fits: dict[Hypothesis, Fit] = {}  # of rivals, kept for experiments that tell them apart
 
     # -- unknowns ----------------------------------------------------------------------------------------------------
@@ -247,7 +249,7 @@ class Search:
             for point in self._points(effect):
                 if point:
                     moved = likelihood.errors({**values, **point}, fit.shifts)
-                    columns = likelihood.rows(np.nan_to_num(moved - fit.errors), fit.temper)[:, :, None]
+                    columns = likelihood.rows(tame(moved - fit.errors), fit.temper)[:, :, None]
                 elif add is not None:
                     null = {f.symbol: 0.0 for f in effect.strengths}
                     made = [add({**shape, **null, f.symbol: f.typical}) for f in effect.strengths]

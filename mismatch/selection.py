@@ -24,8 +24,9 @@ CALIBRATED = EVIDENCE / 10  # of cost: the fit without effects stops when a step
 PROMISED = EVIDENCE / 3  # of cost that a linearised fit must promise, or no full fit is worth its time
 EFFECTS = 3  # in a hypothesis, at most
 STRUCTURE = 0.3  # of slow error over white error, above which structure is left
-SLOW = 0.02  # s of a mean that tells slow errors from white ones
-BLURRED = 0.2  # s of that mean where an effect acts by acceleration, whose jumps are known to some 20 ms
+SLOW = 20  # samples of a mean that tells slow errors from white ones;
+BLURRED = 200  # of that mean where an effect acts by acceleration, whose jumps are known to some 20 samples;
+MEANS = 2  # of them in a block, at least
 FLOOR = 0.92  # of the count of readings: the cost of a complete fit, whose unknowns take up some noise, too
 FIRST, LATER = 6, 4  # hypotheses of the first round and of later ones that are fitted in full
 STALLED = 0.1  # of what the best saves: a fit that gave up within so much cost above the best is a rival, too
@@ -287,13 +288,16 @@ def carried(effect: Effect, form: Effect, values: Mapping[str, float]) -> dict[s
 def structure(fit: Fit) -> dict[str, float]:
     """Channel -> the variance of its slow errors over that of the slow part of white noise, less one."""
     likelihood = fit.likelihood
-    model, channels = likelihood.model, likelihood.model.rig.predict
+    channels = likelihood.model.rig.predict
     projected = fit.projected[:, : likelihood.block * len(channels)].reshape(-1, likelihood.block, len(channels))
-    size = max(round((BLURRED if blurred(fit) else SLOW) / model.rig.dt), 2)
+    size = max(min(BLURRED if blurred(fit) else SLOW, likelihood.block // MEANS), 2)
     out = {}
     for i, name in enumerate(channels):
         e = projected[:, :, i]
         e = e[np.abs(e).sum(axis=1) > 0]
+        if not len(e):  # a channel that is predicted exactly, as one that rests
+            out[name] = -1.0
+            continue
         pieces = e[:, : e.shape[1] // size * size].reshape(-1, size)
         out[name] = float(np.mean(pieces.mean(axis=1) ** 2) * size / max(1.0, _fast(e))) - 1.0
     return out

@@ -19,6 +19,7 @@ EXPERIMENTS = {
 }
 """Variable -> the experiment in which it alone changes, for the variables of any motion; plants add their own."""
 
+DIVERGES = "diverges"  # in place of the error of a simulation that does not stay finite
 SIMULATED = 3  # number of alternatives for which simulation finds an experiment
 
 
@@ -39,7 +40,8 @@ class Amount:
 def amount(value: float, ci95: Sequence[float] | None, unit: str) -> Amount:
     """`value` with its interval as a person reads it."""
     factor, label = display_unit(unit, abs(value))
-    value, (low, high) = value * factor, (b * factor for b in ci95 or (value, value))
+    known = ci95 if ci95 and None not in ci95 else (value, value)
+    value, (low, high) = value * factor, (b * factor for b in known)
     half = (high - low) / 2
     if not half > 0:
         return Amount(f"{value:.4g}", "", "", label)
@@ -116,8 +118,8 @@ def fit_table(fit: Mapping) -> list[str]:
     for recording, channels in fit.items():
         for channel, rms in channels.items():
             values = [rms[kind] for kind in ("simulation", "calibrated", "corrected")]
-            factor, unit = display_unit(rms["unit"], max((v for v in values if math.isfinite(v)), default=0.0))
-            texts = [f"{factor * v:.4g}" for v in values]
+            factor, unit = display_unit(rms["unit"], max((v for v in values if v is not None), default=0.0))
+            texts = [DIVERGES if v is None else f"{factor * v:.4g}" for v in values]
             out.append(row("", f"{recording:<10}{channel:<8}{unit:<4}{texts[0]:>11}{texts[1]:>12}{texts[2]:>11}"))
     return out
 

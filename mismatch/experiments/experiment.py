@@ -8,7 +8,7 @@ from scipy.signal import savgol_filter
 
 from greygate.errors import InputError
 from greygate.mismatch.effects import Effect, fitting
-from greygate.mismatch.model import FEWEST_BESIDE, SMOOTH, Model
+from greygate.mismatch.model import SMOOTH, Model, reach
 from greygate.mismatch.rig import Channel, Rig
 from greygate.plants.recording import Recording
 
@@ -118,9 +118,9 @@ def _together(recording: Recording, names: list[str]) -> dict[str, float]:
 
 def _rates(recording: Recording, name: str) -> tuple[float, float]:
     """(speed, acceleration) that a position comes to, in travels a second (squared)."""
-    half, dt = max(round(SMOOTH / recording.dt), FEWEST_BESIDE), recording.dt
+    half, dt, travel = reach(recording[name], SMOOTH), recording.dt, float(np.ptp(recording[name]))
     rates = (savgol_filter(recording[name], 2 * half + 1, n + 1, deriv=n, delta=dt) for n in (1, 2))
-    return tuple(float(np.max(np.abs(r))) / float(np.ptp(recording[name])) for r in rates)
+    return tuple(float(np.max(np.abs(r))) / travel for r in rates)
 
 
 # -- inputs by rule --------------------------------------------------------------------------------------------------

@@ -10,11 +10,12 @@ from greygate.mismatch.locate import display_unit
 from greygate.mismatch.model import Model, begun
 from greygate.pages import figures
 from greygate.pages.diagnosis.case import Diagnosed
-from greygate.pages.diagnosis.residual import known
+from greygate.pages.diagnosis.residual import known, near
 from greygate.pages.figures import BINS, Curve, envelope, shortened
 from greygate.pages.units import labelled
 
-ZOOM = 2.0  # s drawn where the misfit is largest; two windows where a rig has them
+ZOOM = 2000  # samples drawn where the misfit is largest; two windows where a rig has them;
+ZOOM_PART = 4  # but no more than such a part of a recording
 SHORTEST = 150  # samples that are drawn at least
 LOOK = {"calibrated": "before", "corrected": "after"}  # class of a line
 
@@ -39,13 +40,14 @@ def runs(case: Diagnosed) -> list[dict]:
     rows = []
     for i, channel in enumerate(rig.predict):
         target = model.target[:, i]
-        errors = {kind: np.nan_to_num(p[:, i] - target) for kind, p in predicted.items()}
+        drawn = {kind: near(p[:, i], target) for kind, p in predicted.items()}
+        errors = {kind: p - target for kind, p in drawn.items()}
         rows.append(
             {
                 "channel": channel,
                 "record": name,
                 "run": run_picture(errors, result, channel),
-                "zoom": zoom_picture(result, target, {k: p[:, i] for k, p in predicted.items()}, channel),
+                "zoom": zoom_picture(result, target, drawn, channel),
             }
         )
     return rows
@@ -75,8 +77,8 @@ def run_picture(errors: Mapping[str, np.ndarray], result: Diagnosis, channel: st
 def zoom_picture(result: Diagnosis, target: np.ndarray, predicted: Mapping[str, np.ndarray], channel: str) -> Markup:
     """Draw the calibrated simulation's residual where it is largest, and the change by the correction."""
     dt, window = result.rig.dt, result.rig.window
-    length = min(2 * window if window else max(round(ZOOM / dt), SHORTEST), len(target))
-    missed = np.nan_to_num(target - predicted["calibrated"])
+    length = min(2 * window if window else max(min(ZOOM, len(target) // ZOOM_PART), SHORTEST), len(target))
+    missed = target - predicted["calibrated"]
     power = np.concatenate(([0.0], np.cumsum(missed**2)))
     starts = np.arange(window or 0, len(target) - length + 1, window or max(length // 4, 1))
     first = int(starts[np.argmax(power[starts + length] - power[starts])]) if len(starts) else 0
@@ -85,7 +87,7 @@ def zoom_picture(result: Diagnosis, target: np.ndarray, predicted: Mapping[str, 
     times = (steps * dt).tolist()
     lines = [Curve(times, shortened(missed[steps] * factor), "reference")]
     if "corrected" in predicted:
-        added = np.nan_to_num(predicted["corrected"] - predicted["calibrated"])
+        added = predicted["corrected"] - predicted["calibrated"]
         lines.append(Curve(times, shortened(added[steps] * factor), "after"))
     marks = [k * dt for k in range(first, first + length, window)][1:] if window else []
     return figures.chart(
