@@ -36,9 +36,12 @@ from greygate.progress import Progress, silent
 SAFE_PATH = "PYTHONSAFEPATH"  # if it is set, Python imports nothing from the folder in which it is started
 
 
-def table_of(paths: Iterable[Path], rig: Rig, recording: Recording | None) -> dict[str, Effect]:
-    """The effects to try on a rig: those of greygate's table, extended by the user's own files."""
-    effects = table.known(rig, recording)
+def table_of(paths: Iterable[Path], rig: Rig, recording: Recording | None, every: bool = False) -> dict[str, Effect]:
+    """The effects to try on a rig: those of greygate's table, extended by the user's own files.
+
+    every: general effects also where this recording does not excite them.
+    """
+    effects = table.known(rig, recording, every)
     for path in paths:
         effects = {**effects, **table.read(path)}
     return effects
@@ -208,7 +211,7 @@ def predict(
     """
     rig = load(folder)
     measured, clock = rig.timed(recording)
-    effects = table_of(own, rig, measured)
+    effects = table_of(own, rig, measured, every=True)
     found = simulate(rig, measured, None if diagnosis is None else read(diagnosis), effects)
     with replacing(out) as temporary, temporary.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

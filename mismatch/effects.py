@@ -17,7 +17,8 @@ def known(rig, recording, every: bool = False) -> dict[str, Effect]:
     """The effects to be tried on a rig: those of the table, and those of `effects.toml` in its folder.
 
     Where the rig does not state its noise, also the general effects in every place of its plant that they fit and that
-    the recording can excite; every: excited or not. What the table, or the rig's own, calls by a general effect's name
+    the recording can excite (none before there is a
+    recording); every: excited or not. What the table, or the rig's own, calls by a general effect's name
     takes its place.
     """
     path = rig.folder / "effects.toml"
@@ -25,6 +26,6 @@ def known(rig, recording, every: bool = False) -> dict[str, Effect]:
     special = fitting(rig.plant, rig.datasheet, table | own)
     ids = {effect.id for effect in special.values()}
     found: dict[str, Effect] = {}
-    if not rig.stated:
+    if not rig.stated and recording is not None:
         found = {k: e for k, e in general(rig, recording, special.values(), every).items() if e.id not in ids}
     return table | found | own

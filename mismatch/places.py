@@ -64,7 +64,7 @@ def unit_of_place(plant: Plant, where: str) -> units.Powers | None:
     if isinstance(place, Definition):
         return units.powers(place.unit)
     for text in place.terms.values():
-        if (found := units.of(text, known)) is not None:
+        if names([text]) and (found := units.of(text, known)) is not None:
             return found
     storage, state = units.of(place.storage, known), units.powers(plant.unit(place.state))
     if storage is None or state is None:

@@ -24,7 +24,8 @@ def simulate(
     diagnosis: content of a diagnosis.json for this plant; None for the data sheet.
     Raises InputError when it is of another plant, or names an effect or parameter that is unknown.
     """
-    known = fitting(rig.plant, rig.datasheet, effect_table.known(rig, recording) if effects is None else effects)
+    every = effect_table.known(rig, recording, every=True) if effects is None else effects
+    known = fitting(rig.plant, rig.datasheet, every)
     values: dict[str, float] = {}
     if diagnosis is not None:
         diagnosis = check(diagnosis)

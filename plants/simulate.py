@@ -73,7 +73,7 @@ def simulate(
         np.array([parameter.value for parameter in plant.parameters.values()]),
         np.array([-np.inf if s.low is None else plant.constant(s.low) for s in plant.states.values()]),
         np.array([np.inf if s.high is None else plant.constant(s.high) for s in plant.states.values()]),
-        np.array([-1 if s.rate is None else symbols.index(s.rate) for s in plant.states.values()]),
+        np.array([-1 if s.rate is None else symbols.index(s.rate) for s in plant.states.values()], dtype=np.int64),
         sample_time / substeps,
         substeps,
         states,
@@ -98,7 +98,8 @@ class Restarted:
         self.substeps = max(round(sample_time / step), 1)
         self.step = sample_time / self.substeps
         symbols = list(plant.states)
-        self.rate = np.array([-1 if s.rate is None else symbols.index(s.rate) for s in plant.states.values()])
+        rates = (-1 if s.rate is None else symbols.index(s.rate) for s in plant.states.values())
+        self.rate = np.array([*rates], dtype=np.int64)
         self.module = _module(source(plant))
 
     def run(
