@@ -333,7 +333,7 @@ def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
 
 
 def _verdict(best: Hypothesis, open_: bool, explained: float, left: float, part: float = PART) -> Verdict:
-    """open_: whether structure is left. left: the squared errors over those of the noise, infinite where none is told."""
+    """open_: whether structure is left. left: squared errors over those of the noise, infinite where none is told."""
     if open_ and (explained < SHARE or left > ADEQUATE):
         return Verdict.PARTLY_EXPLAINED if best.effects and explained >= part else Verdict.UNEXPLAINED
     if best.effects:
