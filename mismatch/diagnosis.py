@@ -328,7 +328,7 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
     claims = earned(search, short.plain, best, corrected, progress=progress)
     if claims.best != best:
         selection, current = short, search.fit(search.screen, claims.best, claims.fit.values)
-        costs = {**costs, claims.best: current.cost}
+        costs = {**short.costs, claims.best: current.cost}
     best, corrected = claims.best, claims.fit
     left, explained = structure(corrected), selection.explained(current)
     open_ = max(left.values()) > STRUCTURE and not complete(current)
