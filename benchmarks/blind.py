@@ -32,11 +32,16 @@ def report(scores: dict[str, Sequence[Score]], name: str) -> list[str]:
     return lines
 
 
+def say(line: str) -> None:
+    print(line, flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("tools", nargs="*", default=[OURS, *BASELINES])
     parser.add_argument("--cases", type=int, default=CASES)
     parser.add_argument("--limit", type=float, default=LIMIT)
+    parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--folder", type=Path, default=Path("build/blind"), help="for the cases and the answers")
     parser.add_argument("--name", default="blind", help="of the results")
     parser.add_argument("--secret", type=Path, help="file with the secret of the sealed split")

@@ -271,7 +271,7 @@ def test_a_strangers_tool_enters_by_a_command(bench, tmp_path, greygate):
     (tmp_path / "tool.py").write_text(STRANGER)
     command = f"{sys.executable} {tmp_path / 'tool.py'}"
     code, printed, _ = greygate(
-        "bench-concealed", "run", bench, "--out", tmp_path / "a", "--tool", command, "--cases", 2
+        "bench-concealed", "run", bench, "--out", tmp_path / "a", "--tool", command, "--cases", 2, "--jobs", 2
     )
     assert code == 0, printed
     rows, picture = tmp_path / "rows.csv", tmp_path / "picture.svg"
@@ -285,6 +285,19 @@ def test_a_strangers_tool_enters_by_a_command(bench, tmp_path, greygate):
     assert len(rows.read_text().splitlines()) == 3
     assert "ghost 0.5 WRONG" in rows.read_text()
     assert picture.read_text().startswith("<svg")
+
+
+def test_what_was_kept_back_is_predicted_when_it_is_published_and_nothing_is_explained_again(bench, tmp_path):
+    early = tmp_path / "early"
+    shutil.copytree(bench, early, ignore=lambda folder, names: ["sealed"] if folder == str(bench) else [])
+    (first,) = run(early, "nominal", tmp_path / "a", 60.0, cases=1)
+    written = (tmp_path / "a" / first / "answer.json").stat().st_mtime_ns
+    assert not (tmp_path / "a" / first / "predicted.csv").exists()
+    with pytest.raises(InputError, match="holds no answers; put the folder `sealed` there"):
+        score(early, tmp_path / "a")
+    run(bench, "nominal", tmp_path / "a", 60.0, cases=1)
+    assert (tmp_path / "a" / first / "predicted.csv").exists()
+    assert (tmp_path / "a" / first / "answer.json").stat().st_mtime_ns == written
 
 
 @pytest.mark.parametrize(

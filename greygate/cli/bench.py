@@ -55,6 +55,7 @@ def run(
     ] = "greygate",
     limit: Annotated[float, typer.Option(callback=options.SECONDS, help="Seconds for an explanation.")] = LIMIT,
     cases: Annotated[int | None, typer.Option(callback=options.COUNT, help="Only so many cases.")] = None,
+    jobs: Annotated[int, typer.Option(callback=options.JOBS, help="Number of cases at a time.")] = 1,
     as_json: Json = False,
 ) -> None:
     """Let a tool explain every case, and then predict the recording that it has not seen.
@@ -64,7 +65,7 @@ def run(
     from greygate.mismatch.concealed.bench.run import run as answer
 
     with following("explaining") as progress:
-        found = answer(bench, tool, out, limit, cases, progress)
+        found = answer(bench, tool, out, limit, cases, jobs, progress)
     failed = {name: facts["error"] for name, facts in found.items() if facts["error"]}
     give({"out": str(out), "cases": len(found), "errors": failed}, as_json, [f"{len(found)} answers in {out}"])
     for name, error in failed.items():

@@ -16,6 +16,8 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
 from pathlib import Path
 
 from greygate.contents import contents
@@ -52,46 +54,65 @@ def tool_of(tool: str) -> Call:
 
 
 def run(
-    bench: Path, tool: str, out: Path, limit: float, cases: int | None = None, progress: Progress = silent
+    bench: Path,
+    tool: str,
+    out: Path,
+    limit: float,
+    cases: int | None = None,
+    jobs: int = 1,
+    progress: Progress = silent,
 ) -> dict[str, dict]:
     """Let `tool` answer the (first) `cases` of a split; what was answered before in `out` is kept.
 
-    limit: seconds for an explanation. Returns case -> content of run.json: seconds, code, error.
+    limit: seconds for an explanation. jobs: cases at a time. Returns case -> content of run.json: seconds, code, error.
     Raises InputError for a folder that is no split, a tool that is not there, or an `out` that cannot be made.
     """
     folders, call = committed(bench, sealed=False), tool_of(tool)
     done: dict[str, dict] = {}
-    chosen = list(folders.items())[:cases]
-    for number, (name, folder) in enumerate(chosen):
-        place = Path(out) / name
-        if (place / RUN).exists():
-            done[name] = json.loads(contents(place / RUN))
-            continue
-        progress(f"{number} of {len(chosen)} cases")
+    chosen = dict(list(folders.items())[:cases])
+
+    def one(name: str) -> None:
+        place = Path(out).resolve() / name
+        known = json.loads(contents(place / RUN)) if (place / RUN).exists() else None
+        found = _case(call, chosen[name], place, Path(bench) / "sealed" / name / "third.csv", limit, known)
+        (place / RUN).write_text(json.dumps(found) + "\n")
+        done[name] = found
+        progress(f"{len(done)} of {len(chosen)} cases")
+
+    for name in chosen:
         try:
-            place.mkdir(parents=True, exist_ok=True)
+            (Path(out) / name).mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(f"{place}: {error.strerror}; give a folder to write to") from None
-        done[name] = _case(call, folder.resolve(), place.resolve(), bench, limit)
-        (place / RUN).write_text(json.dumps(done[name]) + "\n")
-    return done
+            raise InputError(f"{out}: {error.strerror}; give a folder to write to") from None
+    pool = ThreadPoolExecutor(jobs)
+    try:
+        for future in as_completed([pool.submit(one, name) for name in chosen]):
+            future.result()
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in list(_running):  # where the run was interrupted: what a tool has started ends with it
+            _end(process)
+    return {name: done[name] for name in chosen}
 
 
-def _case(call: Call, folder: Path, place: Path, bench: Path, limit: float) -> dict:
-    """Explain, and then predict what was kept back."""
+def _case(call: Call, folder: Path, place: Path, unseen: Path, limit: float, found: dict | None) -> dict:
+    """Explain, and then predict what was kept back: later, if the split's maker has not published it yet.
+
+    found: what an earlier run said of the case.
+    """
     with tempfile.TemporaryDirectory() as scratch:  # a tool finds the case alone, under a name that says nothing
-        seen = Path(scratch) / "case"
+        seen, recording = Path(scratch) / "case", Path(scratch) / "unseen.csv"
         shutil.copytree(folder, seen)
-        found = call(["explain", str(seen), str(place)], limit)
-        if found["error"] or not (place / FILE).exists():
-            return found | {"error": found["error"] or f"wrote no {FILE}"}
-        unseen = Path(bench) / "sealed" / folder.name / "third.csv"
-        if not unseen.exists():  # the split's maker predicts later, with the answers collected
+        if found is None:
+            found = call(["explain", str(seen), str(place)], limit)
+            if not found["error"] and not (place / FILE).exists():
+                found["error"] = f"wrote no {FILE}"
+        if found["error"] or (place / PREDICTED).exists() or not unseen.exists():
             return found
-        shutil.copyfile(unseen, Path(scratch) / "unseen.csv")
-        after = call(["predict", str(seen), str(place), str(Path(scratch) / "unseen.csv")], limit)
+        shutil.copyfile(unseen, recording)
+        after = call(["predict", str(seen), str(place), str(recording)], limit)
         missing = "" if (place / PREDICTED).exists() else f"wrote no {PREDICTED}"
-        return found | {"error": after["error"] or missing, "seconds_predict": after["seconds"]}
+        return found | {"error": after["error"] or missing}
 
 
 def _inside(baseline: str, arguments: list[str]) -> dict:
@@ -108,12 +129,24 @@ def _call(command: Sequence[str], limit: float) -> dict:
     with subprocess.Popen(
         command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, errors="replace", start_new_session=True
     ) as process:
+        _running.add(process)
         try:
             said = process.communicate(timeout=min(limit, LONGEST))[1].strip()
         except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
+            _end(process)
             process.communicate()
             return {"seconds": limit, "code": None, "error": f"not done after {limit:g} s"}
+        finally:
+            _running.discard(process)
     seconds = round(time.perf_counter() - began, 2)
     last = said.splitlines()[-1][:SAID] if said else f"exit code {process.returncode}"
     return {"seconds": seconds, "code": process.returncode, "error": last if process.returncode else ""}
+
+
+_running: set[subprocess.Popen] = set()
+
+
+def _end(process: subprocess.Popen) -> None:
+    """End a tool and whatever it started."""
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
