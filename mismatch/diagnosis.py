@@ -195,8 +195,11 @@ class Diagnosis:
                 "found": float(f"{size:.{PLACES}g}"),
                 "unit": rig.channels[name].unit,
                 "memory": len(ar),
+                "as_told": not doubted,
             }
-            for name, size, ar in zip(rig.predict, self.noise.size * usual, self.noise.ar, strict=True)
+            for name, size, ar, doubted in zip(
+                rig.predict, self.noise.size * usual, self.noise.ar, self.noise.doubted, strict=True
+            )
         }
 
     def _parameters(self) -> dict:

@@ -96,10 +96,15 @@ class Noise:
         return (self.scale / [1.0 - np.sum(ar) for ar in self.ar]) ** 2
 
     @property
+    def doubted(self) -> np.ndarray:
+        """Whether it is of another size than the told one, or not white (channels,)."""
+        another = np.abs(np.log(self.scale)) > np.log(DOUBTED)
+        return another | (self.slow > (1.0 + COLOURED) * np.maximum(self.scale, 1.0) ** 2)
+
+    @property
     def as_told(self) -> bool:
         """Whether it is white and of the told size, in every channel."""
-        likely = np.abs(np.log(self.scale)) <= np.log(DOUBTED)
-        return bool(np.all(likely) and np.all(self.slow <= (1.0 + COLOURED) * np.maximum(self.scale, 1.0) ** 2))
+        return not np.any(self.doubted)
 
     def white(self, errors: np.ndarray, stretch: int) -> np.ndarray:
         """Innovations, in units of their RMS, of `errors` (samples, channels, ...) in units of the told noise.

@@ -87,6 +87,8 @@ def lines(result: Diagnosis) -> list[str]:
         out.append(row("" if i else "not there", text))
     for i, text in enumerate(hidden(result)):
         out.append(row("" if i else "cannot show", text))
+    for i, text in enumerate(noises(found)):
+        out.append(row("" if i else "noise", text))
     out.append(row("remains", found["remaining"] or nothing_left(result)))
     return [*out, f"{found['seconds']:.1f} s"]
 
@@ -104,6 +106,17 @@ def bounds(found: Mapping) -> list[str]:
     for entry in found.get("not_larger_than", ()):
         sizes = [f"{n} {amount(p['value'], None, p['unit'])}" for n, p in entry.get("parameters", {}).items()]
         out += [f"{entry['id']}: not larger than {', '.join(sizes)}"] if sizes else []
+    return out
+
+
+def noises(found: Mapping) -> list[str]:
+    """Each channel whose noise is not what rig.toml tells."""
+    out = []
+    for name, noise in found.get("noise", {}).items():
+        if not noise["as_told"]:
+            coloured = f", remembers {noise['memory']} samples" if noise["memory"] else ""
+            size, times = amount(noise["found"], None, noise["unit"]), noise["found"] / noise["told"]
+            out.append(f"{name}: {size}, {times:.2g} times what rig.toml tells{coloured}")
     return out
 
 

@@ -17,6 +17,7 @@ def context(case: Diagnosed) -> dict:
         "unseen": words.hidden(result),
         "refused": found.get("refused", []),
         "bounds": words.bounds(found),
+        "noises": words.noises(found),
         "remaining": found["remaining"] or words.nothing_left(result),
         "seconds": found["seconds"],
     }
