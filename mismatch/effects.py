@@ -16,16 +16,16 @@ __all__ = [
 def known(rig, recording, every: bool = False) -> dict[str, Effect]:
     """The effects to be tried on a rig: those of the table, and those of `effects.toml` in its folder.
 
-    Where the rig does not state its noise, also the general effects in every place of its plant that they fit and that
-    the recording can excite (none before there is a
-    recording); every: excited or not. What the table, or the rig's own, calls by a general effect's name
-    takes its place.
+    Where the table has none for its plant, or the rig does not state its noise, also the general effects in every place
+    of the plant that they fit and that the recording can excite (none before there is a recording); every: excited or
+    not. What the table, or the rig's own, calls by a general effect's name takes its place.
     """
     path = rig.folder / "effects.toml"
     table, own = read(), read(path) if path.exists() else {}
-    special = fitting(rig.plant, rig.datasheet, table | own)
+    ours = fitting(rig.plant, rig.datasheet, table)
+    special = ours | fitting(rig.plant, rig.datasheet, own)
     ids = {effect.id for effect in special.values()}
     found: dict[str, Effect] = {}
-    if not rig.stated and recording is not None:
+    if recording is not None and not (rig.stated and ours):
         found = {k: e for k, e in general(rig, recording, special.values(), every).items() if e.id not in ids}
     return table | found | own
