@@ -114,7 +114,7 @@ class Model:
         plant = self.plant
         outputs = {name for name, d in plant.definitions.items() if d.symbol in self.rig.predict}
         texts = [text for name, d in plant.definitions.items() if name not in outputs for text in d.terms.values()]
-        texts += [text for e in plant.equations.values() for text in (e.storage, *e.terms.values())]
+        texts += [text for e in plant.equations.values() for text in e.texts]
         bounds = (b for s in plant.states.values() for b in (s.initial, s.start, s.low, s.high))
         texts += [b for b in bounds if isinstance(b, str)]
         moved = [*plant.inputs, *(SENSOR + channel for channel in self.measured)]

@@ -25,7 +25,7 @@ PAIRS = 6  # of states, between which something may flow or act: those of the fi
 def places(rig: Rig) -> dict[str, list[Place]]:
     """By the `at` of an entry all places of a rig's plant."""
     plant = rig.plant
-    moving, stored = list(_velocities(rig)), list(_storages(plant))
+    moving, stored = list(_velocities(rig)), list(_storages(rig))
     return {
         "u": [{"u": name} for name in rig.inputs],
         "y": [{"y": name} for name in rig.predict],
@@ -93,10 +93,11 @@ def _velocities(rig: Rig) -> Iterator[Place]:
     for v, state in plant.states.items():
         if is_rate(state.unit) and v in balance and v not in (*found, *found.values()):
             yield {"v": v, "motion": balance[v]}
+    known = {balance[v] for v in plant.states if v in balance and is_rate(plant.unit(v))}
     found = _derived(plant)
     for v in (*found, *(d.symbol for d in plant.definitions.values())):
         where = _entered(rig, v) if is_rate(plant.unit(v)) and v not in rig.predict else ""
-        if where:
+        if where and where not in known:  # where a state moves, its own velocity tells more
             yield {"v": v, "motion": where} | ({"x": found[v]} if v in found else {})
 
 
@@ -120,10 +121,14 @@ def _is_length(unit: units.Powers | None) -> bool:
     return unit is not None and (unit in [{length: Fraction(1)} for length in LENGTHS])
 
 
-def _storages(plant: Plant) -> Iterator[Place]:
+def _storages(rig: Rig) -> Iterator[Place]:
+    plant = rig.plant
     found = rates(plant)
     for name, equation in plant.equations.items():
         symbol = equation.state
+        inside = _is_length(units.powers(plant.unit(symbol))) or not units.powers(plant.unit(symbol))
+        if inside and symbol not in rig.predict:
+            continue  # how far something is bent or how much of it has closed: no stock of anything
         if not (symbol in found or symbol in found.values() or is_rate(plant.unit(symbol)) or _copied(equation)):
             yield {"s": symbol, "balance": name}
 

@@ -154,7 +154,7 @@ class Search:
         for name, e in plant.equations.items():
             state = plant.states[e.state]
             bounds = [b for b in (state.low, state.high) if isinstance(b, str)]
-            texts[name] = (e.state, (e.storage, *e.terms.values(), *bounds))
+            texts[name] = (e.state, (*e.texts, *bounds))
         found, new, seen = [], [symbol], set()
         while new:
             used = new.pop()

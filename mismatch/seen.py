@@ -163,6 +163,11 @@ class Seen:
         kind, _, name = need.partition(" ")
         if kind == "several":
             return len(self.rig.predict) > 1 or len(self.rig.inputs) > 1
+        if kind == "recorded":
+            return name in self.recorded
+        state = self.rig.plant.states.get(name)
+        if kind == "never_negative" and state and isinstance(state.low, float) and state.low >= 0:
+            return False  # nor is what it measures
         tests = {
             "moves": self._moves,
             "turns": lambda s: _often(s, s > 0, s < 0) or (_often(s, _slow(s)) and not _slow(s).all()),
@@ -175,7 +180,7 @@ class Seen:
             "several_rates": lambda s: len(np.unique(np.abs(np.diff(s)).round(DIGITS))) > LEVELS,
         }  # fmt: skip
         if kind not in tests:
-            raise InputError(f"needs {need!r}: {kind!r} is unknown; give one of several, {', '.join(tests)}")
+            raise InputError(f"needs {need!r}: {kind!r} is unknown; give one of several, recorded, {', '.join(tests)}")
         self.asked = name
         return bool(tests[kind](self._some(name)))
 

@@ -39,10 +39,12 @@ def simulate(
     step: float = 1e-4,
     initial: Mapping[str, float] | None = None,
     channels: Iterable[str] | None = None,
+    samples: int | None = None,
 ) -> Recording:
     """Simulate `plant` with zero-order-hold inputs and fixed Dormand-Prince 5 steps (thesis 5.2: 0.1 ms).
 
     inputs: symbol -> (samples,), each held for `sample_time` s, which must be a whole number of `step` s.
+    samples: how many, where the plant has no input.
     initial: values of states that do not start as declared.
     channels: symbols to record, default the plant's outputs; inputs are always recorded.
 
@@ -55,7 +57,7 @@ def simulate(
     >>> round(float(simulate(axis, {"force": np.full(100, 8.0)})["x"][-1]), 6)  # m, after 99 ms
     0.001118
     """
-    held = _inputs(plant, inputs)
+    held = _inputs(plant, inputs, samples)
     substeps = round(sample_time / step) if step > 0 else 0
     if substeps < 1 or abs(substeps * step - sample_time) > 1e-9 * sample_time:
         raise InputError(f"plant {plant.name}: step {step} s does not divide the sample time {sample_time} s")
@@ -137,9 +139,13 @@ class Restarted:
         return out
 
 
-def _inputs(plant: Plant, inputs: Mapping[str, np.ndarray]) -> np.ndarray:
+def _inputs(plant: Plant, inputs: Mapping[str, np.ndarray], samples: int | None) -> np.ndarray:
     if set(inputs) != set(plant.inputs):
         raise InputError(f"plant {plant.name}: inputs are {sorted(inputs)}; give {sorted(plant.inputs)}")
+    if not plant.inputs:
+        if samples is None or samples < 1:
+            raise InputError(f"plant {plant.name} has no input; give samples, 1 or more")
+        return np.empty((samples, 0))
     arrays = [np.asarray(inputs[name], dtype=np.float64) for name in plant.inputs]
     if len({array.shape for array in arrays}) != 1 or arrays[0].ndim != 1 or arrays[0].size == 0:
         shapes = dict(zip(plant.inputs, (array.shape for array in arrays), strict=True))
@@ -163,13 +169,44 @@ def source(plant: Plant) -> str:
     lines += ["@jit", "def derivative(_x, _u, _p, _dx):"]
     for array, symbols in (("_p", plant.parameters), ("_u", plant.inputs), ("_x", plant.states)):
         lines += [f"    {symbol} = {array}[{i}]" for i, symbol in enumerate(symbols)]
-    used = names(t for equation in plant.equations.values() for t in (equation.storage, *equation.terms.values()))
+    used = names(t for equation in plant.equations.values() for t in equation.texts)
     lines += [f"    {d.symbol} = {_sum(d)}" for d in plant.needed(used)]
     states = list(plant.states)
-    for equation in plant.equations.values():
-        storage = parse(equation.storage).source()
-        lines.append(f"    _dx[{states.index(equation.state)}] = ({_sum(equation)}) / ({storage})")
+    for group in _coupled(plant):
+        if len(group) > 1:
+            lines += _solved(group, states)
+            continue
+        storage = parse(group[0].storage).source()
+        lines.append(f"    _dx[{states.index(group[0].state)}] = ({_sum(group[0])}) / ({storage})")
     return "\n".join(lines) + _RUN
+
+
+def _coupled(plant: Plant) -> list[list[Equation]]:
+    """The equations in groups whose rates are coupled; alone where they are not."""
+    groups: list[list[Equation]] = []
+    for equation in plant.equations.values():
+        rates = {equation.state, *equation.couples}
+        near = [g for g in groups if any(e.state in rates or equation.state in e.couples for e in g)]
+        groups = [g for g in groups if g not in near] + [[*(e for g in near for e in g), equation]]
+    return groups
+
+
+def _solved(group: list[Equation], states: list[str]) -> list[str]:
+    """Lines that solve the mass matrix of coupled equations for their rates, by elimination without pivots."""
+    n = len(group)
+    lines = [f"    _b{i} = {_sum(e)}" for i, e in enumerate(group)]
+    for i, e in enumerate(group):
+        rates = {e.state: e.storage, **e.couples}
+        lines += [f"    _m{i}_{j} = {parse(rates.get(o.state, '0')).source()}" for j, o in enumerate(group)]
+    for k in range(n):
+        for i in range(k + 1, n):
+            lines.append(f"    _r = _m{i}_{k} / _m{k}_{k}")
+            lines += [f"    _m{i}_{j} -= _r * _m{k}_{j}" for j in range(k + 1, n)]
+            lines.append(f"    _b{i} -= _r * _b{k}")
+    for i in reversed(range(n)):
+        known = "".join(f" - _m{i}_{j} * _dx[{states.index(group[j].state)}]" for j in range(i + 1, n))
+        lines.append(f"    _dx[{states.index(group[i].state)}] = (_b{i}{known}) / _m{i}_{i}")
+    return lines
 
 
 def _sum(place: Equation | Definition) -> str:

@@ -86,8 +86,12 @@ def steps(samples: int, seed: int = 5) -> np.ndarray:
     return np.repeat(np.random.default_rng(seed).standard_normal(-(-samples // 60)), 60)[:samples]
 
 
-def made(folder, name: str, samples: int = 1200, lift: float = 0.0, change=lambda plant: plant, after=lambda s: s):
-    """The rig of a plant in `folder`. lift: of its input. change: the real plant. after: recorded channels."""
+def made(folder, name: str, samples: int = 1200, lift: float = 0.0, change=lambda plant: plant, after=lambda s: s,
+         noise: float = 0.0):  # fmt: skip
+    """The rig of a plant in `folder`. lift: of its input. change: the real plant. after: recorded channels.
+
+    noise: RMS, told; without it that of a thousandth of the range, and not told.
+    """
     text, inputs, outputs, sheet = PLANTS[name]
     folder.mkdir(exist_ok=True)
     (folder / "plant.toml").write_text(text)
@@ -95,7 +99,8 @@ def made(folder, name: str, samples: int = 1200, lift: float = 0.0, change=lambd
     rig += "[parameters]\n" + "".join(f"{s} = {v}\n" for s, v in sheet.items())
     rig += "[tolerance]\n" + "".join(f"{s} = 0.2\n" for s in sheet)
     for role, channels in (("input", inputs), ("output", outputs)):
-        rig += "".join(f'[channels.{c}]\nunit = "{u}"\nrole = "{role}"\n' for c, u in channels.items())
+        told = f"noise_rms = {noise}\n" if noise and role == "output" else ""
+        rig += "".join(f'[channels.{c}]\nunit = "{u}"\nrole = "{role}"\n{told}' for c, u in channels.items())
     (folder / "rig.toml").write_text(rig)
     plant = change(Plant.read(folder / "plant.toml"))
     size = {"voltage": 6.0, "q": 0.01, "force": 3.0, "x": 0.1}
@@ -105,7 +110,7 @@ def made(folder, name: str, samples: int = 1200, lift: float = 0.0, change=lambd
     recorded = simulate(plant, given, sample_time=DT, step=plant.step)
     rng = np.random.default_rng(2)
     columns = {c: given[c] for c in inputs}
-    columns |= {c: recorded[c] + 1e-3 * np.ptp(recorded[c]) * rng.standard_normal(samples) for c in outputs}
+    columns |= {c: recorded[c] + (noise or 1e-3 * np.ptp(recorded[c])) * rng.standard_normal(samples) for c in outputs}
     columns = after(columns)
     csv = np.column_stack([np.arange(samples) * DT, *columns.values()])
     np.savetxt(folder / "identify.csv", csv, delimiter=",", header=",".join(["t", *columns]), comments="", fmt="%.10g")
@@ -222,6 +227,33 @@ def test_faults_of_a_recording_are_marked(rigs):
         "sensor_offset", "sensor_gain", "sensor_drift", "sensor_saturation", "sensor_lower_end", "late_channel",
         "channel_clock", "lost_samples", "line_pickup",
     }  # fmt: skip
+
+
+def _late(x, t):
+    return np.r_[x[:1], x[:1], x[:-2]]
+
+
+FAULTS = {
+    "late_channel": (_late, "omega_late", 0.01),
+    "line_pickup": (lambda x, t: x + 2.0 * np.sin(2 * np.pi * 49.93 * t + 1.0), "omega_line", 2.0),
+    "lost_samples": (lambda x, t: np.r_[x[:400], x[412:], np.full(12, x[-1])], "omega_lost", 0.06),
+    "sensor_saturation": (lambda x, t: np.minimum(x, 60.0), "omega_top", 60.0),
+    "sensor_lower_end": (lambda x, t: np.maximum(x, -60.0), "omega_bottom", -60.0),
+    "sensor_drift": (lambda x, t: x + 0.8 * t, "omega_drift", 0.8),
+    "sensor_play": (lambda x, t: filters.loose(x, 3.0, DT), "omega_play", 3.0),
+    "channel_clock": (lambda x, t: np.interp(t * 1.004, t, x), "omega_clock", 0.004),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_of_the_recording_is_named_with_its_size(fault, tmp_path):
+    change, name, size = FAULTS[fault]
+    t = np.arange(1200) * DT
+    rig = made(tmp_path / "motor", "motor", after=lambda c: c | {"omega": change(c["omega"], t)}, noise=0.5)
+    found = diagnose(rig, table.general(rig, recording(rig))).as_dict()
+    assert fault in [e["id"] for e in found["effects"]], found["effects"]
+    value = next(e for e in found["effects"] if e["id"] == fault)["parameters"][name]["value"]
+    assert value == pytest.approx(size, rel=0.1)
 
 
 # -- filters and units by hand ---------------------------------------------------------------------------------------
