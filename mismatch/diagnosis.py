@@ -18,13 +18,14 @@ from greygate.files import replacing
 from greygate.mismatch import effects as table
 from greygate.mismatch.adequacy import dependent
 from greygate.mismatch.blocks import Judge
-from greygate.mismatch.claims import Claims, earned, interval, reported
+from greygate.mismatch.claims import Claims, earned
 from greygate.mismatch.closure import closure
 from greygate.mismatch.coloured import Coloured, remaining
 from greygate.mismatch.coloured_selection import ColouredSelection
 from greygate.mismatch.effects import SENSOR, Effect
 from greygate.mismatch.experiments.excitation import excited, unseen
 from greygate.mismatch.fit import Fit, Likelihood
+from greygate.mismatch.intervals import interval, least_share, margin, reported
 from greygate.mismatch.locate import located
 from greygate.mismatch.model import TINY, Model, begun
 from greygate.mismatch.rig import Rig
@@ -150,11 +151,17 @@ class Diagnosis:
                     "equations": list(effect.equations),
                     "confidence": round(self._confidence(rivals), DIGITS),
                     "form": key,
-                    "parameters": reported(effect, self.corrected),
+                    "parameters": reported(effect, self.corrected, self._least[key]),
                     "not_told_apart_from": sorted(name for name, gap in rivals.items() if gap < APART),
                 }
             )
         return out
+
+    @cached_property
+    def _least(self) -> dict[str, float]:
+        """Key of an effect -> the share of its size that is ruled out where its interval holds 0 nevertheless."""
+        claimed, fit = {key: self.search.effects[key] for key in self.best.effects}, self.corrected
+        return {key: 0.0 if margin(e, fit) > 1.0 else least_share(e, fit) for key, e in claimed.items()}
 
     def _rivals(self, key: str) -> dict[str, float]:
         """Every other explanation in the place of effect `key` -> its cost above the best."""
@@ -252,9 +259,9 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
     began = time.perf_counter()
     recording = rig.recording(rig.folder / "identify.csv")
     effects = table.known(rig, recording) if effects is None else effects
-    effects, not_shown = excited(rig, recording, effects)
     progress("compiling the plant")
     search = Search(rig, recording, effects, free_run=Likelihood if rig.stated else Coloured)
+    search.effects, not_shown = excited(search.final.model, search.effects)
     progress("calibrating")
     result = (_of_stated_noise if rig.stated else _of_coloured_noise)(search, progress)
     result.not_shown = not_shown
