@@ -43,7 +43,7 @@ APART = 12.0  # of cost: two hypotheses that differ by less are not told apart
 SHARE = 0.99  # of what can be explained: an effect that explains so much is all that is missing,
 ADEQUATE = 4.0  # where the squared errors are at most so many times those that the told noise makes
 PART = 0.9  # of what can be explained: an effect that explains so much is named beside what is left
-MOST = 0.5  # of the squared error in free run, likewise where no noise is told
+SOME = 0.1  # of the squared error in free run, likewise where no noise is told
 OPEN = 0.9  # confidence in a name beside which structure is left, at most: it may be a part of something else
 CLOSED = 0.05  # of the misfit, that a fitted term must take: less is not applied, and only located
 FARTHEST = 1400.0  # of cost: a rival this far away has a likelihood of exp(-700), the least that a float can hold
@@ -327,7 +327,7 @@ def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
     best, fit = claims.best, claims.fit
     left = _goes_on(fit)
     explained = removed(claims.calibrated, fit)
-    verdict = _verdict(best, bool(left), explained, np.inf, MOST)
+    verdict = _verdict(best, bool(left), explained, np.inf, SOME)
     unexplained = {}
     if verdict == Verdict.UNEXPLAINED:
         best, fit = Hypothesis(), claims.calibrated
