@@ -17,6 +17,7 @@ from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.diagnosis import _verdict, diagnose
 from greygate.mismatch.experiments.excitation import excited, unexcited
 from greygate.mismatch.intervals import least_share, margin, reported
+from greygate.mismatch.locate import signals
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import load
 from greygate.mismatch.ruled_out import ruled_out
@@ -268,6 +269,12 @@ def test_noise_of_its_own_does_not_go_with_the_machine(tmp_path):
     channels = {**recording.channels, "phi": model.predict({**model.values, **fit.values})[:, 0] + slow}
     other = Search(rig, Recording(rig.dt, channels, recording.units), {}, free_run=Coloured)
     assert dependent(other.fit(other.final, Hypothesis(), {})) == ""
+
+
+def test_an_angle_is_drawn_in_its_own_unit(tmp_path):
+    rig = load(encoder(tmp_path / "rig"))
+    _, units = signals(Model(rig, rig.recording(rig.folder / "identify.csv"), {}))
+    assert {name: units[name] for name in "xva"} == {"x": "rad", "v": "rad/s", "a": "rad/s^2"}
 
 
 # -- four machines of a user -----------------------------------------------------------------------------------------
