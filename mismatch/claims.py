@@ -16,12 +16,12 @@ import numpy as np
 from greygate.mismatch.blocks import MORE, Judge, Loss
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.experiments.excitation import SEEN, unexcited
-from greygate.mismatch.fit import NORMAL, Fit, Likelihood
+from greygate.mismatch.fit import Fit, Likelihood
+from greygate.mismatch.intervals import interval, least_share, margin
 from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.progress import Progress, silent
 
-WIDER = 1.25  # by which intervals are widened: then 95 % of the true values of concealed cases are inside
 WORST = 3  # losses that are named in a refusal
 
 
@@ -39,59 +39,18 @@ class Claims:
     refused: list[str] = field(default_factory=list)
 
 
-def interval(value: float, deviation: float) -> list[float]:
-    """The 95 % interval of a value."""
-    reach = NORMAL * WIDER * deviation
-    return [value - reach, value + reach]
-
-
-def reported(effect: Effect, fit: Fit) -> dict:
-    """An effect's parameters as the diagnosis names them -> value, ci95, unit."""
-    symbols = [u.symbol for u in fit.unknowns]
-    scales = np.array([abs(u.scale) for u in fit.unknowns])
-    covariance = fit.covariance * np.outer(scales, scales)
-    waves = {s for pair in effect.wave.values() for s in pair}
-    out = {}
-    for name, (sine, cosine) in effect.wave.items():
-        s, c = fit.values[sine], fit.values[cosine]
-        at = [symbols.index(sine), symbols.index(cosine)]
-        size = max(float(np.hypot(s, c)), TINY)
-        inner = covariance[np.ix_(at, at)]
-        along, across = np.array([s, c]) / size, np.array([-c, s]) / size**2
-        unit = next(f.unit for f in effect.free if f.symbol == sine)
-        out[name] = {"value": size, "ci95": interval(size, float(np.sqrt(along @ inner @ along))), "unit": unit}
-        phase = float(np.arctan2(c, s))
-        out[f"{name}_phase"] = {
-            "value": phase, "ci95": interval(phase, float(np.sqrt(across @ inner @ across))), "unit": "rad",
-        }  # fmt: skip
-    for f in effect.free:
-        if f.symbol in waves:
-            continue
-        value = fit.values[f.symbol]
-        deviation = 0.0 if f.whole else fit.deviation(f.symbol)
-        unit = f.unit or fit.likelihood.model.plant.parameters[f.symbol].unit
-        out[f.reported] = {"value": value, "ci95": interval(value, deviation), "unit": unit}
-    return out
-
-
 # -- the first two gates ---------------------------------------------------------------------------------------------
 
 
-def off_zero(effect: Effect, fit: Fit) -> bool:
-    """Whether the interval of one of the effect's sizes holds no zero."""
-    found = reported(effect, fit)
-    sizes = [*effect.wave, *(f.reported for f in effect.strengths if f.reported in found)]
-    return any(low > 0.0 or high < 0.0 for low, high in (found[name]["ci95"] for name in sizes))
-
-
 def unborne(search: Search, hypothesis: Hypothesis, fit: Fit) -> dict[str, str]:
-    """Key of an effect or symbol of a parameter -> why it is no claim."""
+    """Key of an effect or symbol of a parameter -> why it is no claim; the least sure first."""
     out = {}
-    for key in hypothesis.effects:
+    sure = {key: margin(search.effects[key], fit) for key in hypothesis.effects}
+    for key in sorted(sure, key=sure.get):
         effect = search.effects[key]
-        if not off_zero(effect, fit):
+        if not sure[key] > 1.0 and not least_share(effect, fit):
             out[key] = "the interval of its size holds 0"
-        elif why := unexcited(effect, search.rig, fit.likelihood.model.recording, fit.values):
+        elif why := unexcited(effect, fit.likelihood.model, fit.values):
             out[key] = why
         elif not _influence(effect, fit) > SEEN:
             out[key] = "at the size that fits, it changes nothing that the sensors show"

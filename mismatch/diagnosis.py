@@ -19,13 +19,14 @@ from greygate.files import replacing
 from greygate.mismatch import effects as table
 from greygate.mismatch.adequacy import dependent
 from greygate.mismatch.blocks import Judge
-from greygate.mismatch.claims import Claims, earned, interval, reported
+from greygate.mismatch.claims import Claims, earned
 from greygate.mismatch.closure import closure
 from greygate.mismatch.coloured import Coloured, remaining
 from greygate.mismatch.coloured_selection import ColouredSelection
 from greygate.mismatch.effects import SENSOR, Effect
 from greygate.mismatch.experiments.excitation import excited, unseen
 from greygate.mismatch.fit import Fit, Likelihood
+from greygate.mismatch.intervals import interval, least_share, margin, reported
 from greygate.mismatch.locate import located
 from greygate.mismatch.model import TINY, Model, begun
 from greygate.mismatch.noise import PLACES, Noise, learnt
@@ -45,7 +46,7 @@ APART = 12.0  # of cost: two hypotheses that differ by less are not told apart
 SHARE = 0.99  # of what can be explained: an effect that explains so much is all that is missing,
 ADEQUATE = 4.0  # where the squared errors are at most so many times those that the told noise makes
 PART = 0.9  # of what can be explained: an effect that explains so much is named beside what is left
-MOST = 0.5  # of the squared error in free run, likewise where no noise is told
+SOME = 0.1  # of the squared error in free run, likewise where no noise is told
 OPEN = 0.9  # confidence in a name beside which structure is left, at most: it may be a part of something else
 CLOSED = 0.05  # of the misfit, that a fitted term must take: less is not applied, and only located
 FARTHEST = 1400.0  # of cost: a rival this far away has a likelihood of exp(-700), the least that a float can hold
@@ -157,11 +158,17 @@ class Diagnosis:
                     "equations": list(effect.equations),
                     "confidence": round(self._confidence(rivals), DIGITS),
                     "form": key,
-                    "parameters": reported(effect, self.corrected),
+                    "parameters": reported(effect, self.corrected, self._least[key]),
                     "not_told_apart_from": sorted(name for name, gap in rivals.items() if gap < APART),
                 }
             )
         return out
+
+    @cached_property
+    def _least(self) -> dict[str, float]:
+        """Key of an effect -> the share of its size that is ruled out where its interval holds 0 nevertheless."""
+        claimed, fit = {key: self.search.effects[key] for key in self.best.effects}, self.corrected
+        return {key: 0.0 if margin(e, fit) > 1.0 else least_share(e, fit) for key, e in claimed.items()}
 
     def _rivals(self, key: str) -> dict[str, float]:
         """Every other explanation in the place of effect `key` -> its cost above the best."""
@@ -276,9 +283,9 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
     began = time.perf_counter()
     recording = rig.to_explain()
     effects = table.known(rig, recording) if effects is None else effects
-    effects, not_shown = excited(rig, recording, effects)
     progress("compiling the plant")
     search = Search(rig, recording, effects, free_run=Likelihood if rig.stated else Coloured)
+    search.effects, not_shown = excited(search.final.model, search.effects)
     progress("calibrating")
     result = (_of_stated_noise if rig.stated else _of_coloured_noise)(search, progress)
     result.not_shown = not_shown
@@ -357,7 +364,7 @@ def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
     best, fit = claims.best, claims.fit
     left = _goes_on(fit)
     explained = removed(claims.calibrated, fit)
-    verdict = _verdict(best, bool(left), explained, np.inf, MOST)
+    verdict = _verdict(best, bool(left), explained, np.inf, SOME)
     unexplained = {}
     if verdict == Verdict.UNEXPLAINED:
         best, fit = Hypothesis(), claims.calibrated

@@ -10,10 +10,10 @@ from itertools import combinations
 
 import numpy as np
 
-from greygate.mismatch.claims import WIDER
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.experiments.excitation import signals
 from greygate.mismatch.fit import NORMAL, Fit
+from greygate.mismatch.intervals import WIDER
 from greygate.mismatch.locate import display_unit
 from greygate.mismatch.model import TINY
 from greygate.mismatch.rig import Rig

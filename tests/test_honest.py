@@ -11,11 +11,14 @@ from greygate.mismatch import claims, diagnosis, simulation
 from greygate.mismatch import effects as table
 from greygate.mismatch.adequacy import dependent
 from greygate.mismatch.blocks import FOLDS, Judge
-from greygate.mismatch.claims import earned, off_zero, reported, unborne
+from greygate.mismatch.claims import earned, unborne
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.diagnosis import _verdict, diagnose
 from greygate.mismatch.experiments.excitation import excited, unexcited
+from greygate.mismatch.intervals import least_share, margin, reported
+from greygate.mismatch.locate import signals
+from greygate.mismatch.model import Model
 from greygate.mismatch.rig import load
 from greygate.mismatch.ruled_out import ruled_out
 from greygate.mismatch.search import Hypothesis, Search
@@ -112,7 +115,8 @@ def test_an_effect_that_is_not_there_has_an_interval_with_zero_and_is_refused(st
     fit = search.fit(search.final, best, plain.values)
     low, high = reported(search.effects["speed_slip"], fit)["speed_slip"]["ci95"]
     assert low < 0 < high
-    assert not off_zero(search.effects["speed_slip"], fit)
+    assert margin(search.effects["speed_slip"], fit) < 1.0
+    assert least_share(search.effects["speed_slip"], fit) == 0.0
     found = earned(search, plain, best, fit)
     assert found.best == Hypothesis()
     assert found.refused == ["speed_slip is not claimed: the interval of its size holds 0"]
@@ -120,7 +124,8 @@ def test_an_effect_that_is_not_there_has_an_interval_with_zero_and_is_refused(st
 
 def test_an_effect_that_is_there_passes(slipping):
     search, _, best, fit = slipping
-    assert off_zero(search.effects["speed_slip"], fit)
+    assert margin(search.effects["speed_slip"], fit) > 1.0
+    assert least_share(search.effects["speed_slip"], fit) == 0.6
     assert unborne(search, best, fit) == {}
 
 
@@ -140,7 +145,7 @@ def offered(folder, **changed) -> tuple[set, dict]:
     recording = rig.recording(folder / "identify.csv")
     channels = {**recording.channels, **{n: change(recording[n]) for n, change in changed.items()}}
     recording = Recording(rig.dt, channels, recording.units)
-    kept, why = excited(rig, recording, table.general(rig, recording))
+    kept, why = excited(Model(rig, recording, {}), table.general(rig, recording))
     assert not set(kept) & set(why)
     return set(kept), why
 
@@ -185,8 +190,15 @@ def test_an_input_that_is_never_negative_has_no_asymmetry(tmp_path):
 def test_what_is_found_must_be_excited_at_its_found_size(key, values, why, tmp_path):
     rig = load(motor(tmp_path / "rig"))
     recording = rig.recording(rig.folder / "identify.csv")
-    assert why in unexcited(table.general(rig, recording)[key], rig, recording, values)
-    assert bool(why) == bool(unexcited(table.general(rig, recording)[key], rig, recording, values))
+    found = unexcited(table.general(rig, recording)[key], Model(rig, recording, {}), values)
+    assert why in found
+    assert bool(why) == bool(found)
+
+
+def test_a_reading_that_is_never_negative_may_be_of_a_motion_that_is(tmp_path):
+    """A sensor acts on what is there: a pulse counter shows no sign."""
+    kept, _ = offered(motor(tmp_path / "rig"), w=np.abs)
+    assert "sensor_rectified" in kept
 
 
 # -- what is left, and how much --------------------------------------------------------------------------------------
@@ -257,6 +269,12 @@ def test_noise_of_its_own_does_not_go_with_the_machine(tmp_path):
     channels = {**recording.channels, "phi": model.predict({**model.values, **fit.values})[:, 0] + slow}
     other = Search(rig, Recording(rig.dt, channels, recording.units), {}, free_run=Coloured)
     assert dependent(other.fit(other.final, Hypothesis(), {})) == ""
+
+
+def test_an_angle_is_drawn_in_its_own_unit(tmp_path):
+    rig = load(encoder(tmp_path / "rig"))
+    _, units = signals(Model(rig, rig.recording(rig.folder / "identify.csv"), {}))
+    assert {name: units[name] for name in "xva"} == {"x": "rad", "v": "rad/s", "a": "rad/s^2"}
 
 
 # -- four machines of a user -----------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.mismatch.effects import GENERAL, SENSOR, Effect, fitting
 from greygate.mismatch.fit import Fit
-from greygate.mismatch.model import FILTERS, TINY
+from greygate.mismatch.model import FILTERS, TINY, Model
 from greygate.mismatch.rig import Rig
 from greygate.plants.expressions import names
 from greygate.plants.plant import Values
@@ -104,24 +104,31 @@ class Action:
         return bool(self.name) and not np.max(np.abs(self.change)) <= FARTHEST * size
 
 
-def excited(rig: Rig, recording: Recording, effects: Mapping[str, Effect]) -> tuple[dict[str, Effect], dict[str, str]]:
-    """(the effects that the recording can show, key of each other one -> why it cannot).
+def excited(model: Model, effects: Mapping[str, Effect]) -> tuple[dict[str, Effect], dict[str, str]]:
+    """(the effects that the model's recording can show, key of each other one -> why it cannot).
 
     Only general effects are judged: what a table has of one plant, its author knows to be possible.
     """
-    given, kept, why = signals(rig, recording), {}, {}
+    rig, kept, why = model.rig, {}, {}
+    given = signals(rig, model.recording)
+    shown = [given, {**given, **_true(model, {})}]  # a sensor acts on what is there, not on what it reads of it
     for key, effect in effects.items():
-        reasons = [_reason(effect, rig, given, values) for values in _tried(effect, given, rig.dt)]
+        reasons = [_reason(effect, rig, seen, values) for seen in shown for values in _tried(effect, seen, rig.dt)]
         if reasons and all(reasons):
-            why[key] = reasons[0]
+            why[key] = reasons[-1]
         else:
             kept[key] = effect
     return kept, why
 
 
-def unexcited(effect: Effect, rig: Rig, recording: Recording, values: Mapping[str, float]) -> str:
-    """Why the recording cannot show a general effect of such `values` (symbol -> value); empty where it can."""
-    return _reason(effect, rig, signals(rig, recording), values)
+def unexcited(effect: Effect, model: Model, values: Mapping[str, float]) -> str:
+    """Why a model's recording cannot show a general effect of such `values` (symbol -> value); empty where it can."""
+    if effect.table != str(GENERAL):
+        return ""
+    given = signals(model.rig, model.recording)
+    if any(path.startswith(SENSOR) for path in effect.terms):
+        given = {**given, **_true(model, values)}
+    return _reason(effect, model.rig, given, values)
 
 
 def signals(rig: Rig, recording: Recording) -> dict[str, np.ndarray]:
@@ -135,9 +142,16 @@ def signals(rig: Rig, recording: Recording) -> dict[str, np.ndarray]:
     return found
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a run may diverge
+def _true(model: Model, values: Mapping[str, float]) -> dict[str, np.ndarray]:
+    """What is there of each predicted channel that is a state, by the simulation, (samples,)."""
+    known = {s: v for s, v in values.items() if s in model.values}
+    states, _ = model.states({**model.values, **known})
+    found = dict(zip(model.plant.states, states.T, strict=True))
+    return {name: found[name] for name in model.rig.predict if name in found and np.isfinite(found[name]).all()}
+
+
 def _reason(effect: Effect, rig: Rig, given: Mapping[str, np.ndarray], values: Mapping[str, float]) -> str:
-    if effect.table != str(GENERAL):
-        return ""
     turning = np.concatenate([np.linspace(*ROUND), np.linspace(*ROUND)[::-1]] * 2)
     ideal = {name: turning * FARTHEST * max(float(np.max(np.abs(s))), TINY) for name, s in given.items()}
     found = ""
