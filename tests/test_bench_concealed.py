@@ -2,8 +2,12 @@
 
 import hashlib
 import json
+import os
 import shutil
+import signal
+import subprocess
 import sys
+import time
 import tomllib
 
 import numpy as np
@@ -316,6 +320,26 @@ def test_a_tool_that_hangs_or_fails_is_an_error_of_that_case_alone(bench, tmp_pa
     (only,) = score(bench, tmp_path / "a")
     assert said in only.error
     assert tables.figures([only])["errors"] == {"of": 1, "count": 1}
+
+
+def test_an_interrupted_run_ends_its_tools_and_counts_no_case(bench, tmp_path):
+    (tmp_path / "tool.py").write_text(
+        "import os, pathlib, sys, time\n"
+        f"pathlib.Path({str(tmp_path / 'pid')!r}).write_text(str(os.getpid()))\n"
+        "time.sleep(60)"
+    )
+    began = "from greygate.cli import run; run()"
+    tool = f"{sys.executable} {tmp_path / 'tool.py'}"
+    arguments = ["bench-concealed", "run", str(bench), "--out", str(tmp_path / "a"), "--tool", tool, "--cases", "1"]
+    process = subprocess.Popen([sys.executable, "-c", began, *arguments], stderr=subprocess.PIPE, text=True)
+    while not (tmp_path / "pid").exists() or not (tmp_path / "pid").read_text():
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=30)[1].endswith("greygate: interrupted\n")
+    assert process.returncode == 130
+    assert not list((tmp_path / "a").rglob("run.json"))
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "pid").read_text()), 0)
 
 
 def test_an_answer_that_is_not_one_is_refused_by_name(bench, tmp_path):

@@ -19,6 +19,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from pathlib import Path
+from threading import Event
 
 from greygate.contents import contents
 from greygate.errors import InputError
@@ -69,12 +70,15 @@ def run(
     """
     folders, call = committed(bench, sealed=False), tool_of(tool)
     done: dict[str, dict] = {}
+    over = Event()
     chosen = dict(list(folders.items())[:cases])
 
     def one(name: str) -> None:
         place = Path(out).resolve() / name
         known = json.loads(contents(place / RUN)) if (place / RUN).exists() else None
         found = _case(call, chosen[name], place, Path(bench) / "sealed" / name / "third.csv", limit, known)
+        if over.is_set():  # interrupted: the case was not lost by the tool
+            return
         (place / RUN).write_text(json.dumps(found) + "\n")
         done[name] = found
         progress(f"{len(done)} of {len(chosen)} cases")
@@ -89,6 +93,7 @@ def run(
         for future in as_completed([pool.submit(one, name) for name in chosen]):
             future.result()
     finally:
+        over.set()
         pool.shutdown(wait=False, cancel_futures=True)
         for process in list(_running):  # where the run was interrupted: what a tool has started ends with it
             _end(process)
