@@ -286,6 +286,7 @@ def test_a_strangers_tool_enters_by_a_command(bench, tmp_path, greygate):
     found = json.loads(printed)["a"]
     assert found["all"]["wrong names"] == {"of": 2, "count": 2}
     assert found["all"]["surely wrong names"]["count"] == 0
+    assert [found[name]["cases"] for name in ("all", "tank", "pendulum", "white", "late")] == [2, 1, 1, 1, 1]
     assert len(rows.read_text().splitlines()) == 3
     assert "ghost 0.5 WRONG" in rows.read_text()
     assert picture.read_text().startswith("<svg")
