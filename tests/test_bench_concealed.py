@@ -242,6 +242,7 @@ def test_a_baseline_answers_every_case_and_claims_nothing(bench, tmp_path, metho
     assert [facts["error"] for facts in done.values()] == [""] * 2
     scores = score(bench, tmp_path / method)
     assert not any(s.claims for s in scores)
+    assert tables.summary(scores)["all"]["right first, single effects"]["of"] == 0
     if method == "calibrated":
         assert all(s.worse == pytest.approx(1.0, rel=1e-3) for s in scores)
         assert all(s.removed == pytest.approx(0.0, abs=1e-2) for s in scores if s.removed is not None)

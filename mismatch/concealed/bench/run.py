@@ -107,15 +107,20 @@ def _case(call: Call, folder: Path, place: Path, unseen: Path, limit: float, fou
     """
     with tempfile.TemporaryDirectory() as scratch:  # a tool finds the case alone, under a name that says nothing
         seen, recording = Path(scratch) / "case", Path(scratch) / "unseen.csv"
+
+        def asked(arguments: list[str]) -> dict:
+            said = call(arguments, limit)
+            return said | {"error": said["error"].replace(f"{scratch}/", "")}
+
         shutil.copytree(folder, seen)
         if found is None:
-            found = call(["explain", str(seen), str(place)], limit)
+            found = asked(["explain", str(seen), str(place)])
             if not found["error"] and not (place / FILE).exists():
                 found["error"] = f"wrote no {FILE}"
         if found["error"] or (place / PREDICTED).exists() or not unseen.exists():
             return found
         shutil.copyfile(unseen, recording)
-        after = call(["predict", str(seen), str(place), str(recording)], limit)
+        after = asked(["predict", str(seen), str(place), str(recording)])
         missing = "" if (place / PREDICTED).exists() else f"wrote no {PREDICTED}"
         return found | {"error": after["error"] or missing}
 

@@ -24,17 +24,21 @@ def _share(rows: Sequence, test: Callable[[object], object]) -> dict:
 
 def summary(scores: Sequence[Score]) -> dict:
     """Every figure of the table, of all cases, under each condition, of each plant: {"of", "count"} or a number."""
-    return {"all": figures(scores)} | {
-        name: figures(part)
+    naming = any(s.claims or s.verdict for s in scores)
+    return {"all": figures(scores, naming)} | {
+        name: figures(part, naming)
         for name in (*CONDITIONS, *EVERY_RIG)
         if (part := [s for s in scores if name in (s.condition, s.plant)])
     }
 
 
-def figures(scores: Sequence[Score]) -> dict:
-    """The figures of some cases. A case in which the tool failed is one that it did not explain."""
+def figures(scores: Sequence[Score], naming: bool = True) -> dict:
+    """The figures of some cases. A case in which the tool failed is one that it did not explain.
+
+    naming: whether the tool gives names or verdicts at all; without, only its predictions count.
+    """
     ran = [s for s in scores if not s.error]
-    speaking = scores if any(s.claims or s.verdict for s in scores) else []  # or the method names nothing
+    speaking = scores if naming else []
     one = [s for s in speaking if s.kind == "one"]
     foreign = [s for s in speaking if s.kind == "foreign"]
     removed = [s.removed for s in ran if s.removed is not None]
