@@ -6,12 +6,13 @@ is the sealed one that the secret stands for.
 """
 
 import argparse
+import hashlib
 import json
 from collections.abc import Sequence
 from pathlib import Path
 
 from greygate.mismatch.concealed.bench import tables
-from greygate.mismatch.concealed.bench.make import make
+from greygate.mismatch.concealed.bench.make import COMMITMENT, make
 from greygate.mismatch.concealed.bench.run import BASELINES, OURS, run
 from greygate.mismatch.concealed.bench.score import Score, score
 
@@ -19,10 +20,11 @@ RESULTS = Path(__file__).parent / "results"
 CASES, LIMIT = 180, 300.0  # each kind under each condition twice, on every plant; s for an explanation
 
 
-def report(scores: dict[str, Sequence[Score]], name: str) -> list[str]:
-    """Write the results of the tools, and return the lines of the table."""
+def report(scores: dict[str, Sequence[Score]], name: str, commitment: bytes) -> list[str]:
+    """Write the results of the tools, with the hash of what sealed the answers, and return the lines of the table."""
     found = {tool: tables.summary(part) for tool, part in scores.items()}
     content = {tool: found[tool] | {"reliability": tables.reliability(part)} for tool, part in scores.items()}
+    content["commitment_sha256"] = hashlib.sha256(commitment).hexdigest()
     first = next(iter(scores.values()))
     lines = tables.lines(found)
     (RESULTS / f"{name}.json").write_text(json.dumps(content, indent=1) + "\n")
@@ -53,14 +55,10 @@ def main() -> None:
         make(bench, options.cases, options.secret.read_text().strip() if options.secret else "")
     if not options.table:
         for tool in options.tools:
-            run(
-                bench,
-                tool,
-                answers / tool,
-                options.limit,
-                progress=lambda line, tool=tool: print(tool, line, flush=True),
-            )
-    print("\n".join(report({tool: score(bench, answers / tool) for tool in options.tools}, options.name)))
+            say(tool)
+            run(bench, tool, answers / tool, options.limit, jobs=options.jobs, progress=say)
+    scores = {tool: score(bench, answers / tool) for tool in options.tools}
+    print("\n".join(report(scores, options.name, (bench / COMMITMENT).read_bytes())))
 
 
 if __name__ == "__main__":

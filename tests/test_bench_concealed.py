@@ -2,8 +2,12 @@
 
 import hashlib
 import json
+import os
 import shutil
+import signal
+import subprocess
 import sys
+import time
 import tomllib
 
 import numpy as np
@@ -238,6 +242,7 @@ def test_a_baseline_answers_every_case_and_claims_nothing(bench, tmp_path, metho
     assert [facts["error"] for facts in done.values()] == [""] * 2
     scores = score(bench, tmp_path / method)
     assert not any(s.claims for s in scores)
+    assert tables.summary(scores)["all"]["right first, single effects"]["of"] == 0
     if method == "calibrated":
         assert all(s.worse == pytest.approx(1.0, rel=1e-3) for s in scores)
         assert all(s.removed == pytest.approx(0.0, abs=1e-2) for s in scores if s.removed is not None)
@@ -282,6 +287,7 @@ def test_a_strangers_tool_enters_by_a_command(bench, tmp_path, greygate):
     found = json.loads(printed)["a"]
     assert found["all"]["wrong names"] == {"of": 2, "count": 2}
     assert found["all"]["surely wrong names"]["count"] == 0
+    assert [found[name]["cases"] for name in ("all", "tank", "pendulum", "white", "late")] == [2, 1, 1, 1, 1]
     assert len(rows.read_text().splitlines()) == 3
     assert "ghost 0.5 WRONG" in rows.read_text()
     assert picture.read_text().startswith("<svg")
@@ -316,6 +322,26 @@ def test_a_tool_that_hangs_or_fails_is_an_error_of_that_case_alone(bench, tmp_pa
     (only,) = score(bench, tmp_path / "a")
     assert said in only.error
     assert tables.figures([only])["errors"] == {"of": 1, "count": 1}
+
+
+def test_an_interrupted_run_ends_its_tools_and_counts_no_case(bench, tmp_path):
+    (tmp_path / "tool.py").write_text(
+        "import os, pathlib, sys, time\n"
+        f"pathlib.Path({str(tmp_path / 'pid')!r}).write_text(str(os.getpid()))\n"
+        "time.sleep(60)"
+    )
+    began = "from greygate.cli import run; run()"
+    tool = f"{sys.executable} {tmp_path / 'tool.py'}"
+    arguments = ["bench-concealed", "run", str(bench), "--out", str(tmp_path / "a"), "--tool", tool, "--cases", "1"]
+    process = subprocess.Popen([sys.executable, "-c", began, *arguments], stderr=subprocess.PIPE, text=True)
+    while not (tmp_path / "pid").exists() or not (tmp_path / "pid").read_text():
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    assert process.communicate(timeout=30)[1].endswith("greygate: interrupted\n")
+    assert process.returncode == 130
+    assert not list((tmp_path / "a").rglob("run.json"))
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((tmp_path / "pid").read_text()), 0)
 
 
 def test_an_answer_that_is_not_one_is_refused_by_name(bench, tmp_path):

@@ -1,6 +1,5 @@
 """The blind benchmark of missing physics: `greygate bench-concealed make`, `run`, `score`."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -97,4 +96,4 @@ def score(
                 write(scores[names[0]], temporary)
     found = {name: tables.summary(part) for name, part in scores.items()}
     content = {name: found[name] | {"reliability": tables.reliability(part)} for name, part in scores.items()}
-    give(json.loads(json.dumps(content)), as_json, tables.lines(found))
+    give(content, as_json, tables.lines(found))

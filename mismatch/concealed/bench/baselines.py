@@ -3,17 +3,19 @@
     nominal      the simulation with the data sheet's values
     calibrated   its uncertain parameters fitted (the benchmark's own calibration)
     linear       + a ridge regression of what calibration leaves on the signals and their past
-    sparse       + a sparse regression of it over a library of functions (STLSQ of pysindy)
+    sparse       + a sparse regression of it over a library of functions (STLSQ of pysindy, two thresholds)
     gaussian     + a Gaussian process of it over the signals (scikit-learn)
 
 A residual model reads inputs and simulated outputs, never recorded outputs, so that it predicts as the simulation does.
+It corrects where, learned from the first three quarters of identify.csv, it makes the last quarter better.
 """
 
 import json
 import tomllib
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +26,7 @@ from greygate.reading import read_json
 from greygate.table import read_table
 
 from ..conceal import EVERY_RIG
-from ..rig import Columns, ConcealedRig, Sensor, calibrate
+from ..rig import Columns, ConcealedRig, Sensor, calibrate, rms
 from ..stress import between
 from .answer import PREDICTED, Answer
 
@@ -32,7 +34,8 @@ KEPT = "calibrated.json"
 EVERY = 8  # of the windows of a rig that restarts is seen by the calibration
 PAST = (1, 2, 4, 8, 16, 32)  # samples ago, of which the linear model knows the signals
 RIDGE = 1e-3  # of the samples: the penalty of a coefficient of standardised signals
-THRESHOLD = 0.02  # of the error's RMS: the least coefficient of the sparse model
+THRESHOLDS = (0.02, 0.1)  # of the error's RMS: the least coefficient of the sparse model
+TRIED = 0.75  # of identify.csv, from which a model is learned that is tried on the rest
 LEARNED = 4000  # samples, evenly spread, that the sparse model learns from
 TRAINED = 400  # samples that the Gaussian process learns from: its time grows with the third power
 CHUNK = 2000  # samples that it predicts at once
@@ -74,6 +77,7 @@ def signals_of(rig: ConcealedRig, recorded: Columns, simulated: Columns) -> np.n
 
 
 Model = Callable[[np.ndarray], np.ndarray]  # (samples, signals) -> (samples,)
+Learner = Callable[[np.ndarray, np.ndarray], Model]  # of the signals and the error
 
 
 def linear(signals: np.ndarray, error: np.ndarray) -> Model:
@@ -95,7 +99,7 @@ def library(now: np.ndarray) -> np.ndarray:
     return np.column_stack([np.ones(len(now)), now, *products, *own])
 
 
-def sparse(signals: np.ndarray, error: np.ndarray) -> Model:
+def sparse(signals: np.ndarray, error: np.ndarray, threshold: float = THRESHOLDS[0]) -> Model:
     """Sequentially thresholded least squares over `library`."""
     try:
         from pysindy import STLSQ
@@ -107,7 +111,7 @@ def sparse(signals: np.ndarray, error: np.ndarray) -> Model:
     scale[scale == 0] = 1.0
     with warnings.catch_warnings():  # that nothing is left: then nothing is corrected
         warnings.simplefilter("ignore", UserWarning)
-        model = STLSQ(threshold=THRESHOLD, alpha=RIDGE * len(known)).fit(known / scale, error[:, None])
+        model = STLSQ(threshold=threshold, alpha=RIDGE * len(known)).fit(known / scale, error[:, None])
     weights = model.coef_[0] / scale
     return lambda now: library(now) @ weights
 
@@ -131,7 +135,20 @@ def gaussian(signals: np.ndarray, error: np.ndarray) -> Model:
     return lambda now: np.concatenate([model.predict(now[k : k + CHUNK]) for k in range(0, len(now), CHUNK)])
 
 
-MODELS = {"linear": linear, "sparse": sparse, "gaussian": gaussian}
+MODELS: dict[str, list[Learner]] = {
+    "linear": [linear],
+    "sparse": [partial(sparse, threshold=threshold) for threshold in THRESHOLDS],
+    "gaussian": [gaussian],
+}
+
+
+def learned(learners: Sequence[Learner], signals: np.ndarray, error: np.ndarray) -> Model:
+    """The model of all samples, by the learner that is best on samples it did not see; zero if none helps."""
+    end = round(TRIED * len(error))
+    left = [rms(learn(signals[:end], error[:end])(signals[end:]) - error[end:]) for learn in learners]
+    if not min(left) < rms(error[end:]):
+        return lambda now: np.zeros(len(now))
+    return learners[int(np.argmin(left))](signals, error)
 
 
 def explain(method: str, case: Path, place: Path) -> None:
@@ -151,18 +168,19 @@ def predict(method: str, case: Path, place: Path, recording: Path) -> None:
     def simulated(columns: Columns) -> Columns:
         return rig.predict(columns, known, {}, 0.0, 1)
 
-    unseen, learned = columns_of(recording), columns_of(case / "identify.csv")
-    found, before = simulated(unseen), simulated(learned)
+    unseen, seen = columns_of(recording), columns_of(case / "identify.csv")
+    found, before = simulated(unseen), simulated(seen)
     if method in MODELS:
-        signals = signals_of(rig, learned, before)
+        signals = signals_of(rig, seen, before)
         centre, spread = signals.mean(axis=0), signals.std(axis=0)
         spread[spread == 0] = 1.0
         low, high = signals.min(axis=0), signals.max(axis=0)
         now = (np.clip(signals_of(rig, unseen, found), low, high) - centre) / spread
         for name, simulation in before.items():
-            error = learned[name] - simulation
+            error = seen[name] - simulation
             size = float(error.std()) or 1.0
-            found[name] = found[name] + size * MODELS[method]((signals - centre) / spread, error / size)(now)
+            model = learned(MODELS[method], (signals - centre) / spread, error / size)
+            found[name] = found[name] + size * model(now)
     table = np.column_stack([np.arange(len(next(iter(found.values())))) * rig.sample_time, *found.values()])
     header = ",".join(("t", *found))
     np.savetxt(place / PREDICTED, table, delimiter=",", header=header, comments="", fmt="%.10g")

@@ -19,6 +19,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from pathlib import Path
+from threading import Event
 
 from greygate.contents import contents
 from greygate.errors import InputError
@@ -69,12 +70,15 @@ def run(
     """
     folders, call = committed(bench, sealed=False), tool_of(tool)
     done: dict[str, dict] = {}
+    over = Event()
     chosen = dict(list(folders.items())[:cases])
 
     def one(name: str) -> None:
         place = Path(out).resolve() / name
         known = json.loads(contents(place / RUN)) if (place / RUN).exists() else None
         found = _case(call, chosen[name], place, Path(bench) / "sealed" / name / "third.csv", limit, known)
+        if over.is_set():  # interrupted: the case was not lost by the tool
+            return
         (place / RUN).write_text(json.dumps(found) + "\n")
         done[name] = found
         progress(f"{len(done)} of {len(chosen)} cases")
@@ -89,6 +93,7 @@ def run(
         for future in as_completed([pool.submit(one, name) for name in chosen]):
             future.result()
     finally:
+        over.set()
         pool.shutdown(wait=False, cancel_futures=True)
         for process in list(_running):  # where the run was interrupted: what a tool has started ends with it
             _end(process)
@@ -102,15 +107,20 @@ def _case(call: Call, folder: Path, place: Path, unseen: Path, limit: float, fou
     """
     with tempfile.TemporaryDirectory() as scratch:  # a tool finds the case alone, under a name that says nothing
         seen, recording = Path(scratch) / "case", Path(scratch) / "unseen.csv"
+
+        def asked(arguments: list[str]) -> dict:
+            said = call(arguments, limit)
+            return said | {"error": said["error"].replace(f"{scratch}/", "")}
+
         shutil.copytree(folder, seen)
         if found is None:
-            found = call(["explain", str(seen), str(place)], limit)
+            found = asked(["explain", str(seen), str(place)])
             if not found["error"] and not (place / FILE).exists():
                 found["error"] = f"wrote no {FILE}"
         if found["error"] or (place / PREDICTED).exists() or not unseen.exists():
             return found
         shutil.copyfile(unseen, recording)
-        after = call(["predict", str(seen), str(place), str(recording)], limit)
+        after = asked(["predict", str(seen), str(place), str(recording)])
         missing = "" if (place / PREDICTED).exists() else f"wrote no {PREDICTED}"
         return found | {"error": after["error"] or missing}
 

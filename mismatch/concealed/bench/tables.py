@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ..conceal import EVERY_RIG
 from ..stress import CONDITIONS
-from .score import NAMED, SURE, Score
+from .score import SURE, Score
 
 HALF = 0.5  # of the error: an effect that removes so much of it is to be found
 WORSE = 1.01  # times the calibrated simulation's error in one channel: a correction beyond it does harm
@@ -22,18 +23,24 @@ def _share(rows: Sequence, test: Callable[[object], object]) -> dict:
 
 
 def summary(scores: Sequence[Score]) -> dict:
-    """Every figure of the table, of all cases and under each condition: {"of", "count"} or a number."""
-    return {"all": figures(scores)} | {
-        name: figures(part) for name in CONDITIONS if (part := [s for s in scores if s.condition == name])
+    """Every figure of the table, of all cases, under each condition, of each plant: {"of", "count"} or a number."""
+    naming = any(s.claims or s.verdict for s in scores)
+    return {"all": figures(scores, naming)} | {
+        name: figures(part, naming)
+        for name in (*CONDITIONS, *EVERY_RIG)
+        if (part := [s for s in scores if name in (s.condition, s.plant)])
     }
 
 
-def figures(scores: Sequence[Score]) -> dict:
-    """The figures of some cases."""
+def figures(scores: Sequence[Score], naming: bool = True) -> dict:
+    """The figures of some cases. A case in which the tool failed is one that it did not explain.
+
+    naming: whether the tool gives names or verdicts at all; without, only its predictions count.
+    """
     ran = [s for s in scores if not s.error]
-    named = [s for s in ran if s.kind in NAMED]
-    strong = [s for s in named if s.kind == "one" and s.removable >= HALF]
-    foreign = [s for s in ran if s.kind == "foreign"]
+    speaking = scores if naming else []
+    one = [s for s in speaking if s.kind == "one"]
+    foreign = [s for s in speaking if s.kind == "foreign"]
     removed = [s.removed for s in ran if s.removed is not None]
     predicted = [s for s in ran if s.worse is not None and s.verdict != "consistent"]
     typical = np.median(removed) if removed else np.nan
@@ -42,14 +49,14 @@ def figures(scores: Sequence[Score]) -> dict:
         "errors": _share(scores, lambda s: s.error),
         "wrong names": _share([c for s in ran for c in s.claims], lambda c: not c[2]),
         "surely wrong names": _share([c for s in ran for c in s.claims], lambda c: not c[2] and (c[1] or 0.0) >= SURE),
-        "cases with a surely wrong name": _share(ran, lambda s: s.surely_wrong),
-        "clean rigs with a claim": _share([s for s in ran if s.kind in QUIET], lambda s: s.wrong),
-        "right first, strong single effects": _share(strong, lambda s: s.first),
-        "right first, single effects": _share([s for s in named if s.kind == "one"], lambda s: s.first),
-        "all named, two effects": _share([s for s in named if s.kind == "two"], lambda s: s.all),
-        "effect and parameter": _share([s for s in named if s.kind == "both"], lambda s: s.all and s.parameter),
-        "parameter found": _share([s for s in ran if s.kind == "parameter"], lambda s: s.parameter),
-        "fault of the recording named": _share([s for s in ran if s.fault is not None], lambda s: s.fault),
+        "cases with a surely wrong name": _share([s for s in speaking if not s.error], lambda s: s.surely_wrong),
+        "clean rigs with a claim": _share([s for s in speaking if s.kind in QUIET and not s.error], lambda s: s.wrong),
+        "right first, strong single effects": _share([s for s in one if s.removable >= HALF], lambda s: s.first),
+        "right first, single effects": _share(one, lambda s: s.first),
+        "all named, two effects": _share([s for s in speaking if s.kind == "two"], lambda s: s.all),
+        "effect and parameter": _share([s for s in speaking if s.kind == "both"], lambda s: s.all and s.parameter),
+        "parameter found": _share([s for s in speaking if s.kind == "parameter"], lambda s: s.parameter),
+        "fault of the recording named": _share([s for s in speaking if s.fault is not None], lambda s: s.fault),
         "foreign, not explained": _share(foreign, lambda s: s.verdict in ("unexplained", "partly_explained")),
         "foreign, and right equation": _share(
             foreign, lambda s: s.verdict in ("unexplained", "partly_explained") and s.where
@@ -83,10 +90,11 @@ BY_CONDITION = (
     "errors", "surely wrong names", "clean rigs with a claim", "right first, strong single effects",
     "inside 95 % intervals", "corrections worse than calibrated",
 )  # fmt: skip
+BY_PLANT = ("errors", "right first, single effects", "median removed", "median seconds")
 
 
 def lines(tools: Mapping[str, Mapping[str, Mapping]]) -> list[str]:
-    """The table as text, a column for each tool: all cases first, then what differs most by condition.
+    """The table as text, a column for each tool: all cases first, then what differs most by condition and by plant.
 
     tools: name -> its `summary`.
     """
@@ -97,11 +105,14 @@ def lines(tools: Mapping[str, Mapping[str, Mapping]]) -> list[str]:
     first = next(iter(tools.values()))
     out = [" " * 36 + "".join(f"{name[-18:]:>20}" for name in tools)]
     out += [row(name, [found["all"][name] for found in tools.values()]) for name in first["all"]]
-    for name in BY_CONDITION:
-        out += ["", f"{name}, by condition"]
-        for condition in CONDITIONS:
-            cells = [found.get(condition, {}).get(name) for found in tools.values()]
-            out += [row(f"  {condition}", cells)] if any(cells) else []
+    parts = [(name, CONDITIONS, "condition") for name in BY_CONDITION] + [
+        (name, EVERY_RIG, "plant") for name in BY_PLANT
+    ]
+    for name, groups, what in parts:
+        out += ["", f"{name}, by {what}"]
+        for group in groups:
+            cells = [found.get(group, {}).get(name) for found in tools.values()]
+            out += [row(f"  {group}", cells)] if any(cells) else []
     return [line.rstrip() for line in out]
 
 
