@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.signal import lfilter
 
+from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.model import TINY
 
@@ -26,6 +27,7 @@ RIDGE = 1e-2  # of a unit diagonal: features are many and alike
 def dependent(fit: Fit) -> str:
     """What the errors of a free run go with, in words; empty where chance predicts them as well."""
     likelihood = fit.likelihood
+    assert isinstance(likelihood, Coloured)
     model = likelihood.model
     error = likelihood.residual(fit.values)
     if not np.isfinite(error).all():

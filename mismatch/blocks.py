@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.model import TINY, Model
 
@@ -73,8 +74,8 @@ class Judge:
             held = self.fold == k
             if not self._lost(self.unseen(plain, k), self.unseen(fit, k), k):
                 continue
-            exact = [self.errors(_without(f, held, exact=True))[held] for f in (plain, fit)]
-            found += self._lost(*exact, k)
+            before, after = (self.errors(_without(f, held, exact=True))[held] for f in (plain, fit))
+            found += self._lost(before, after, k)
         return found
 
     def _lost(self, before: np.ndarray, after: np.ndarray, fold: int) -> list[Loss]:
@@ -130,8 +131,8 @@ def _without(fit: Fit, held: np.ndarray, exact: bool) -> dict[str, float]:
 def _blind(likelihood: Likelihood, held: np.ndarray) -> Likelihood:
     """The likelihood without the samples that are `held`."""
     other = copy.copy(likelihood)
-    if hasattr(likelihood, "mask"):
-        other.mask = likelihood.mask & ~held
+    if isinstance(other, Coloured):
+        other.mask = other.mask & ~held
     else:
         other.sigma = np.where(held[:, None], np.inf, likelihood.sigma)
         other.count = int(np.isfinite(other.sigma).sum())

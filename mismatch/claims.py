@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from greygate.mismatch.blocks import MORE, Judge, Loss
+from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.experiments.excitation import SEEN, unexcited
 from greygate.mismatch.fit import Fit, Likelihood
@@ -46,7 +47,7 @@ def unborne(search: Search, hypothesis: Hypothesis, fit: Fit) -> dict[str, str]:
     """Key of an effect or symbol of a parameter -> why it is no claim; the least sure first."""
     out = {}
     sure = {key: margin(search.effects[key], fit) for key in hypothesis.effects}
-    for key in sorted(sure, key=sure.get):
+    for key in sorted(sure, key=lambda key: sure[key]):
         effect = search.effects[key]
         if not sure[key] > 1.0 and not least_share(effect, fit):
             out[key] = "the interval of its size holds 0"
@@ -80,7 +81,7 @@ def by_rule(search: Search, hypothesis: Hypothesis, fit: Fit) -> Fit | None:
     An autoregression weighs fast errors most, and short windows forget slow ones; this weighs them as they are.
     """
     likelihood = fit.likelihood
-    if getattr(likelihood, "order", 0):
+    if isinstance(likelihood, Coloured) and likelihood.order:
         white = likelihood.learnt(likelihood.residual(fit.values), 0)
         again = Likelihood.fit(white, search.unknowns(hypothesis), fit.values)
         return again if np.isfinite(again.cost) else None
@@ -121,10 +122,10 @@ def earned(
         if not losses:
             break
         again = by_rule(search, claims.best, claims.fit)
-        sound = again is not None and not unborne(search, claims.best, again)
-        if sound and not judge.losses(claims.calibrated, again):
+        sound = again if again and not unborne(search, claims.best, again) else None
+        if sound and not judge.losses(claims.calibrated, sound):
             claims.refused.append(f"{claims.best} is fitted again to the run itself: before, {_worst(losses)}")
-            claims.fit = again
+            claims.fit = sound
             break
         _dropped(search, claims, refit, losses)
     return claims

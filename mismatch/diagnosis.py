@@ -99,7 +99,7 @@ class Diagnosis:
                 **({"explained": round(self.explained, DIGITS)} if self.verdict == Verdict.PARTLY_EXPLAINED else {}),
                 **({"refused": self.refused} if self.refused else {}),
                 **({"not_larger_than": self.not_larger_than} if self.not_larger_than else {}),
-                **({"noise": self._noise()} if self.noise else {}),
+                **({"noise": self._noise(self.noise)} if self.noise else {}),
                 "seconds": round(self.seconds, 2),
             }
         )
@@ -192,7 +192,7 @@ class Diagnosis:
             return sure
         return sure * min(max(self.explained, 0.0), OPEN)
 
-    def _noise(self) -> dict:
+    def _noise(self, noise: Noise) -> dict:
         """By channel, in its unit, the noise that rig.toml tells and that the recording shows; samples it remembers."""
         rig, told = self.rig, self.corrected.likelihood.sigma
         usual = np.median(told[np.isfinite(told).all(axis=1)], axis=0)
@@ -204,9 +204,7 @@ class Diagnosis:
                 "memory": len(ar),
                 "as_told": not doubted,
             }
-            for name, size, ar, doubted in zip(
-                rig.predict, self.noise.size * usual, self.noise.ar, self.noise.doubted, strict=True
-            )
+            for name, size, ar, doubted in zip(rig.predict, noise.size * usual, noise.ar, noise.doubted, strict=True)
         }
 
     def _parameters(self) -> dict:
@@ -404,17 +402,22 @@ def _unknown(search: Search, claims: Claims) -> tuple[dict, Fit]:
 def _goes_on(fit: Fit) -> str:
     """What the innovations of a free run go with; where they go with nothing, what its errors go with."""
     likelihood = fit.likelihood
+    assert isinstance(likelihood, Coloured)
     if not likelihood.order:
-        learnt = likelihood.ordered(likelihood.residual(fit.values))
-        return remaining(replace(fit, likelihood=learnt, errors=learnt.errors(fit.values, fit.shifts))) or dependent(
-            fit
-        )
+        ordered = likelihood.ordered(likelihood.residual(fit.values))
+        again = replace(fit, likelihood=ordered, errors=ordered.errors(fit.values, fit.shifts))
+        return remaining(again) or dependent(fit)
     return dependent(fit) or remaining(fit)
 
 
 def removed(calibrated: Fit, corrected: Fit) -> float:
     """The share of the squared error in free run that a correction removes, in the mean over channels."""
-    before, after = (np.mean(f.likelihood.residual(f.values) ** 2, axis=0) for f in (calibrated, corrected))
+
+    def squared(fit: Fit) -> np.ndarray:
+        assert isinstance(fit.likelihood, Coloured)
+        return np.mean(fit.likelihood.residual(fit.values) ** 2, axis=0)
+
+    before, after = squared(calibrated), squared(corrected)
     return float(np.mean(1.0 - after / np.maximum(before, TINY)))
 
 
@@ -436,9 +439,8 @@ def _equation(plant: Plant, place: str) -> str:
             **{d.symbol: name for name, d in plant.definitions.items()}}  # fmt: skip
     if place in plant.equations or place in plant.definitions:
         return place
-    using = (
-        name for name, e in (*plant.equations.items(), *plant.definitions.items()) if place in names(e.terms.values())
-    )
+    sums = {**{n: e.terms for n, e in plant.equations.items()}, **{n: d.terms for n, d in plant.definitions.items()}}
+    using = (name for name, terms in sums.items() if place in names(terms.values()))
     return made.get(place) or next(using, "")
 
 

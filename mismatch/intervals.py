@@ -28,7 +28,7 @@ def reported(effect: Effect, fit: Fit, least: float = 0.0) -> dict:
     scales = np.array([abs(u.scale) for u in fit.unknowns])
     covariance = fit.covariance * np.outer(scales, scales)
     waves = {s for pair in effect.wave.values() for s in pair}
-    out = {}
+    out: dict[str, dict] = {}
     for name, (sine, cosine) in effect.wave.items():
         s, c = fit.values[sine], fit.values[cosine]
         at = [symbols.index(sine), symbols.index(cosine)]

@@ -5,7 +5,6 @@ channel. Both are found by restricted maximum likelihood: within a stretch of sa
 leaves out, and only what stands out against every cubic as noise.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,12 +87,12 @@ class Noise:
     @property
     def size(self) -> np.ndarray:
         """RMS of the noise over the told one (channels,)."""
-        return self.scale * [np.sqrt(_variances(_partial(ar))[0]) for ar in self.ar]
+        return self.scale * np.array([np.sqrt(_variances(_partial(ar))[0]) for ar in self.ar])
 
     @property
     def slow(self) -> np.ndarray:
         """Power of its slowest part over that of white noise of the told size (channels,)."""
-        return (self.scale / [1.0 - np.sum(ar) for ar in self.ar]) ** 2
+        return (self.scale / np.array([1.0 - np.sum(ar) for ar in self.ar])) ** 2
 
     @property
     def doubted(self) -> np.ndarray:
@@ -137,7 +136,7 @@ def _innovations(rows: np.ndarray, ar: np.ndarray) -> np.ndarray:
     return out
 
 
-def _coefficients(partial: Sequence[float]) -> np.ndarray:
+def _coefficients(partial: np.ndarray) -> np.ndarray:
     """Of an autoregression, from its partial correlations (Levinson)."""
     ar = np.zeros(0)
     for p in partial:
@@ -154,9 +153,9 @@ def _partial(ar: np.ndarray) -> np.ndarray:
     return out
 
 
-def _variances(partial: Sequence[float]) -> np.ndarray:
+def _variances(partial: np.ndarray) -> np.ndarray:
     """Variance of the k-th sample given all before it, over that of the innovations (order + 1,)."""
-    return np.append(np.cumprod(1.0 / (1.0 - np.asarray(partial)[::-1] ** 2))[::-1], 1.0)
+    return np.append(np.cumprod(1.0 / (1.0 - partial[::-1] ** 2))[::-1], 1.0)
 
 
 def learnt(errors: np.ndarray, stretch: int) -> Noise:

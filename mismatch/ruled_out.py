@@ -67,7 +67,7 @@ def _bound(search: Search, fit: Fit, effect: Effect) -> dict[str, dict]:
     if not most:
         return {}
     waves = {s for pair in effect.wave.values() for s in pair}
-    out = {name: {"value": float(np.hypot(*(most[s] for s in pair))), "unit": units[pair[0]]}
+    out = {name: {"value": float(np.hypot(most[pair[0]], most[pair[1]])), "unit": units[pair[0]]}
            for name, pair in effect.wave.items()}  # fmt: skip
     for f in effect.strengths:
         if f.symbol not in waves and f.symbol in most:

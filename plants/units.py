@@ -60,9 +60,8 @@ def _unit(node: Node, known: Mapping[str, Powers]) -> Powers | None:
         case Signed(_, inner):
             return _unit(inner, known)
         case Operation("**", base, exponent):
-            inner = _unit(base, known)
-            power = _number(exponent)
-            return inner and (None if power is None else times({}, inner, power)) if inner != {} else {}
+            unit, power = _unit(base, known), _number(exponent)
+            return unit if not unit else None if power is None else times({}, unit, power)
         case Operation(sign, left, right):
             if sign in "+-" and (_zero(left) or _zero(right)):
                 return _unit(right if _zero(left) else left, known)
@@ -100,8 +99,8 @@ def _number(node: Node) -> Fraction | None:
         case Number(value):
             return Fraction(value).limit_denominator()
         case Signed(sign, inner):
-            value = _number(inner)
-            return -value if sign == "-" and value is not None else value
+            number = _number(inner)
+            return -number if sign == "-" and number is not None else number
         case Operation("/", left, right):
             one, other = _number(left), _number(right)
             return one / other if one is not None and other else None
