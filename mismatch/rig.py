@@ -11,6 +11,7 @@ import numpy as np
 
 from greygate.errors import InputError, shown
 from greygate.mismatch.libraries import declared
+from greygate.mismatch.scales import noise
 from greygate.names import check_file_name
 from greygate.plants.expressions import check_name
 from greygate.plants.plant import Parameter, Plant
@@ -175,7 +176,7 @@ def load(folder: Path | str) -> Rig:
         value = switched.get(symbol, datasheet.get(symbol, p.value))
         uncertain = tolerance.get(symbol, 0.0) if value else 0.0  # a share of nothing is nothing
         parameters[symbol] = Parameter(value, p.unit, uncertain, p.meaning)
-    return Rig(
+    rig = Rig(
         replace(plant, parameters=parameters),
         datasheet,
         {name: _channel(entry) for name, entry in found["channels"].items()},
@@ -186,6 +187,19 @@ def load(folder: Path | str) -> Rig:
         round(found.get("settle_s", 0.0) / dt),
         tuple(found.get("anew", ())),
     )
+    return rig if rig.stated or rig.window is None else _heard(rig)
+
+
+def _heard(rig: Rig) -> Rig:
+    """The rig with the noise that identify.csv shows, for every predicted channel whose noise rig.toml does not state.
+
+    A simulation in windows needs it: it says how well the state is known from which a window begins.
+    """
+    recording, channels = rig.to_explain(), dict(rig.channels)
+    for name in rig.predict:
+        if not channels[name].sigma:
+            channels[name] = replace(channels[name], noise=noise(recording[name]))
+    return replace(rig, channels=channels)
 
 
 def _channel(entry: Mapping) -> Channel:
@@ -245,8 +259,6 @@ def _wrong_predictions(found: Mapping, plant: Plant) -> Mistakes:
     for name in predict:
         if name not in channels or channels[name]["role"] != "output":
             yield "predict", f"{shown(name)} is no output channel"
-    if "window_s" in found and not all(_channel(channels[name]).sigma > 0 for name in predict):
-        yield "window_s", "needs resolution or noise_rms of every predicted channel; give these, or run free"
 
 
 def _unit(plant: Plant, name: str) -> str | None:

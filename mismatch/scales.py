@@ -7,8 +7,13 @@ samples; where a signal moves much faster or much slower than that, it is a shar
 from collections.abc import Iterable
 
 import numpy as np
+from scipy.signal import savgol_coeffs, savgol_filter
 
 FORGOTTEN = 0.5  # of a signal's autocorrelation one sample on: where it falls below, the signal has forgotten
+
+
+SMOOTHED, CUBIC = 9, 3  # samples and order of the smoothing that shows how rough a signal is
+LEAST = 1e-9  # of a signal's size: the noise of one that is smooth, or rests
 
 
 def memory(signal: np.ndarray) -> float:
@@ -36,3 +41,11 @@ def span(samples: int, memories: Iterable[float], shares: tuple[float, float], l
     if np.isfinite(shortest):
         samples = round(min(max(samples, shares[0] * shortest), shares[1] * shortest))
     return max(samples, least)
+
+
+def noise(signal: np.ndarray) -> float:
+    """RMS of the white noise in a signal (samples,), in its unit: what a cubic over nine samples leaves of it."""
+    left = signal - savgol_filter(signal, SMOOTHED, CUBIC)
+    share = 1.0 - float(savgol_coeffs(SMOOTHED, CUBIC)[SMOOTHED // 2])  # a sample's weight in its own smoothed value
+    size = float(np.abs(signal).max()) or 1.0
+    return max(float(np.sqrt(np.mean(left**2) / share)), LEAST * size)

@@ -375,7 +375,7 @@ def _sheet(rig: Rig, recorded: dict) -> tuple[str, dict]:
     rng, told = rig.rng, str(rig.rng.choice(TOLD))
     rig.traits.append(f"told {told}")
     lines = ['plant = "plant.toml"', f"sample_time_s = {rig.dt!r}", f"predict = {json.dumps(rig.predict)}"]
-    if rig.samples > 100 and told not in ("none", "some") and rig.chance(0.6, "window"):
+    if rig.samples > 100 and rig.chance(0.5, "window"):
         lines.append(f"window_s = {rig.dt * int(rng.integers(10, 40))!r}")
     elif rig.chance(0.15, "settle"):
         lines.append(f"settle_s = {10 * rig.dt!r}")

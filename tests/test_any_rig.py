@@ -9,7 +9,7 @@ from greygate.mismatch.diagnosis import diagnose
 from greygate.mismatch.fit import _solved, tame
 from greygate.mismatch.locate import Energy, Region, locate
 from greygate.mismatch.model import SMOOTH, delayed, lagged, reach
-from greygate.mismatch.scales import memory, span
+from greygate.mismatch.scales import memory, noise, span
 
 DECAY = """
 step = 0.5
@@ -98,6 +98,20 @@ def test_a_burst_at_an_end_is_told_by_its_other_end(burst, said):
     energy = Energy.of(signal[:, 0])
     assert not Region.densest(energy, energy.beside(time)).whole
     assert locate(signal, time, {}, {}).time in (said, "all the time")
+
+
+def test_windows_need_no_told_noise(tmp_path):
+    """It is read off identify.csv, for those channels alone of which rig.toml says nothing."""
+    rng = np.random.default_rng(2)
+    u = np.repeat(rng.standard_normal(40), 5)
+    columns = (60.0 * np.arange(200), u, 0.02 * np.arange(200) + 5e-3 * rng.standard_normal(200))
+    untold = LAW_RIG.replace(", noise_rms = 1e-3", "").replace("predict", "window_s = 1200.0\npredict")
+    rig = written(tmp_path, "law", LAW, untold, "t,u,y", columns)
+    assert rig.channels["y"].noise == pytest.approx(5e-3, rel=0.15)
+    assert rig.channels["u"].noise == 0.0
+    told = written(tmp_path, "law", LAW, LAW_RIG.replace("predict", "window_s = 1200.0\npredict"), "t,u,y", columns)
+    assert told.channels["y"].noise == 1e-3
+    assert noise(np.full(50, 3.0)) == pytest.approx(3e-9)
 
 
 # -- lengths -----------------------------------------------------------------------------------------------------------
