@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.diagnosis import diagnose
@@ -103,10 +104,9 @@ def test_a_burst_at_an_end_is_told_by_its_other_end(burst, said):
 
 
 def moving(samples: int, memory: float, noise: float = 0.0) -> np.ndarray:
-    rng, decay = np.random.default_rng(3), 0.5 ** (1 / memory)
-    out = np.zeros(samples)
-    for k in range(1, samples):
-        out[k] = decay * out[k - 1] + rng.standard_normal()
+    """A first-order autoregression that has half forgotten after `memory` samples, and white noise beside it."""
+    rng = np.random.default_rng(3)
+    out = lfilter([1.0], [1.0, -(0.5 ** (1 / memory))], rng.standard_normal(samples))
     return out + noise * np.std(out) * rng.standard_normal(samples)
 
 

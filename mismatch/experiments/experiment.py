@@ -12,15 +12,14 @@ from greygate.mismatch.model import SMOOTH, Model, reach
 from greygate.mismatch.rig import Channel, Rig
 from greygate.plants.recording import Recording
 
-SECONDS = 3.0  # of an experiment, or, where samples are slow,
-FEWEST = 1000  # samples of it
+SAMPLES = 3000  # of an experiment; no more than the recording has
 REST = 20.0  # lengths of an experiment that a rig rests before a move is repeated
 AMPLITUDES = (1.0, 0.5, 0.25, 0.1)  # of a swing
 MARGIN = 0.1  # of its recorded range, by which an output may leave it
 OFF_STOP = 1e-3  # of its recorded range: an output that stays so far from a stop has not touched it
 EXTREME = 0.99  # quantile of a command that counts as its largest
-NOMINAL = 2.0  # s of each motion of the simulated recording, where nothing is recorded yet
-SLOW, SOFT = 0.5, 5.0  # travels a second, travels a second squared: of moves where none is recorded
+NOMINAL = 2000  # samples of each motion of the simulated recording, where nothing is recorded yet
+SLOW, SOFT = 1.0, 20.0  # travels in the time of such a motion, and in its square: of moves where none is recorded
 HOLD = 0.25  # of an experiment's length, after which inputs at rest shall have moved nothing
 RESTS, NUDGE, TAME = 4, 0.02, 1e-4  # steps towards such inputs, their trials (of what is recorded), their damping
 FIRM = 10.0  # by which a position's place counts more than another output's mean
@@ -58,8 +57,8 @@ class Bounds:
     swing: Mapping[str, float]
     low: Mapping[str, float]
     high: Mapping[str, float]
-    speed: float = SLOW
-    acceleration: float = SOFT
+    speed: float = 0.0
+    acceleration: float = 0.0
     unit: str = "m"
 
     @property
@@ -72,7 +71,7 @@ class Bounds:
 
         Travels stay as they are, inputs keep their sign, and a limit of a state that was not touched stays untouched.
         """
-        low, high, moved = {}, {}, positions(rig)
+        low, high, moved = {}, {}, [name for name in positions(rig) if np.ptp(recording[name]) > 0]
         for name, channel in rig.channels.items():
             least, most = float(np.min(recording[name])), float(np.max(recording[name]))
             wider = 0.0 if name in moved else (reach - 1.0 + MARGIN * (channel.role == "output")) * (most - least)
@@ -234,7 +233,7 @@ class FreeRun:
         outputs = tuple(name for name, channel in rig.channels.items() if channel.role == "output")
         self.rig = replace(rig, predict=outputs)
         self.units = {name: channel.unit for name, channel in rig.channels.items()}
-        blank = {name: np.zeros(FEWEST) for name in rig.channels}
+        blank = {name: np.zeros(SAMPLES) for name in rig.channels}
         self.model = Model(self.rig, Recording(rig.dt, blank, self.units), effects, 0)
         self.values = {**self.model.values, **{s: v for s, v in values.items() if s in self.model.values}}
 
@@ -267,7 +266,7 @@ class FreeRun:
         def gone(numbers: np.ndarray) -> np.ndarray:
             shown = self.shown({n: np.full(round(seconds / rig.dt), v) for n, v in resting(numbers).rest.items()})
             away = [
-                (shown[n][-1] - (shown[n][0] if n in kept else np.mean(recording[n]))) / np.ptp(recording[n])
+                (shown[n][-1] - (shown[n][0] if n in kept else np.mean(recording[n]))) / (np.ptp(recording[n]) or 1.0)
                 for n in rig.predict
             ]
             return np.nan_to_num(away) * [FIRM if n in kept else 1.0 for n in rig.predict]
@@ -299,12 +298,13 @@ def nominal(rig: Rig, effects: Mapping[str, Effect], ranges: Mapping[str, tuple[
     swing = {n: (high - low) / 2 for n, (low, high) in ranges.items() if n not in moved}
     stops = {n: _stops(rig, n) for n, c in rig.channels.items() if c.role == "output"}
     low, high = ({n: pair[i] for n, pair in {**stops, **ranges}.items()} for i in (0, 1))
-    bounds = Bounds(rest, swing, low, high)
+    lasts = NOMINAL * rig.dt
+    bounds = Bounds(rest, swing, low, high, SLOW / lasts, SOFT / lasts**2)
     free = FreeRun(rig, fitting(rig.plant, rig.datasheet, effects), {})
     if moved:
-        tried = [_moving([m for m in MOVES if not m.rest], bounds, NOMINAL, rig.dt)]
+        tried = [_moving([m for m in MOVES if not m.rest], bounds, lasts, rig.dt)]
     else:
-        wave = np.concatenate([wave for _, wave in _waves(NOMINAL, rig.dt)])
+        wave = np.concatenate([wave for _, wave in _waves(lasts, rig.dt)])
         tried = [_commanding(amplitude * wave, bounds) for amplitude in AMPLITUDES]
     for inputs in tried:
         if (recording := free.record(inputs, bounds)) is not None:

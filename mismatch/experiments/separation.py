@@ -14,7 +14,7 @@ import numpy as np
 
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.diagnosis import Diagnosis
-from greygate.mismatch.experiments.experiment import FEWEST, HOLD, SECONDS, Bounds, Experiment, FreeRun, experiments
+from greygate.mismatch.experiments.experiment import HOLD, SAMPLES, Bounds, Experiment, FreeRun, experiments
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.locate import display_unit
 from greygate.mismatch.model import Model
@@ -159,7 +159,7 @@ class Trials:
         if reach not in self._over:
             model = self.likelihood.model
             recording = model.recording
-            seconds = min(max(SECONDS, FEWEST * recording.dt), recording.samples * recording.dt)
+            seconds = min(SAMPLES, recording.samples) * recording.dt
             bounds = self.free.at_rest(Bounds.of(model.rig, recording, reach), recording, HOLD * seconds)
             found = []
             for kind in experiments(bounds, seconds, recording.dt):
