@@ -29,10 +29,11 @@ def general(rig: Rig, recording: Recording, beside: Iterable[Effect] = (), every
 
     every: also those that this recording does not excite, as for the simulation of what another one showed. Where the
     plant, or an effect `beside` them, has one of their symbols already, they take another symbol. A diagnosis reports
-    it by the name that stands in the table.
+    it by the name that stands in the table. What one of those has, term for term, is not offered under a second name.
     """
-    plant, out, seen = rig.plant, {}, Seen(rig, recording)
+    plant, out, seen, beside = rig.plant, {}, Seen(rig, recording), list(beside)
     taken = {*plant.symbols, *(symbol for effect in beside for symbol in effect.symbols)}
+    had = [columns for effect in beside if (columns := _columns(effect, seen))]
     timed = TIME not in plant.symbols or TIME in plant.inputs
     found = places(rig)
     for key, entry in entries(GENERAL).items():
@@ -53,7 +54,9 @@ def general(rig: Rig, recording: Recording, beside: Iterable[Effect] = (), every
             if "of" in sized and len(named) > 1:
                 sized["of"] = f"{sized['of']}_{name}"
             key_here = f"{key}_{name}" if len(named) > 1 else key
-            out[key_here] = effect_of(GENERAL, key_here, {"plants": [plant.name], **sized})
+            effect = effect_of(GENERAL, key_here, {"plants": [plant.name], **sized})
+            if not any(_same(_columns(effect, seen), other) for other in had):
+                out[key_here] = effect
     return out
 
 
@@ -186,9 +189,32 @@ def _there(seen: Seen, where: str, unity: str, shapes: Mapping[str, float]) -> b
         if not any(plant.parameters[n].tolerance for n in names([text]) if n in plant.parameters):
             continue
         old = seen.of(text)
-        if len(old) == len(new) and abs(old @ new) >= (1 - ALIKE) * np.linalg.norm(old) * np.linalg.norm(new) > 0:
+        if len(old) == len(new) and _alike(old, new):
             return True
     return False
+
+
+def _columns(effect: Effect, seen: Seen) -> dict[str, np.ndarray]:
+    """Place -> what an effect of one strength adds there along the recording; empty where that is not all it does."""
+    if len(effect.strengths) != 1 or effect.frees or effect.filters or effect.states or effect.definitions:
+        return {}
+    values = {f.symbol: f.typical if f.shape else 1.0 for f in effect.free}
+    out: dict[str, np.ndarray] = {}
+    for path, text in effect.terms.items():
+        where = path.partition(".")[0]
+        out[where] = out.get(where, 0.0) + seen.of(text, values)
+    return out
+
+
+def _same(one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]) -> bool:
+    """Whether two effects add the same, up to one factor, in the same places."""
+    if not one or set(one) != set(other) or any(len(one[place]) != len(other[place]) for place in one):
+        return False
+    return _alike(*(np.concatenate([columns[place] for place in one]) for columns in (one, other)))
+
+
+def _alike(one: np.ndarray, other: np.ndarray) -> bool:
+    return bool(abs(one @ other) >= (1 - ALIKE) * np.linalg.norm(one) * np.linalg.norm(other) > 0)
 
 
 def _renamed(entry: dict, taken: Collection[str]) -> dict:

@@ -95,7 +95,8 @@ def _velocities(rig: Rig) -> Iterator[Place]:
             yield {"v": v, "motion": balance[v]}
     known = {balance[v] for v in plant.states if v in balance and is_rate(plant.unit(v))}
     found = _derived(plant)
-    for v in (*found, *(d.symbol for d in plant.definitions.values())):
+    defined = [] if known else [d.symbol for d in plant.definitions.values()]  # else made of those that move
+    for v in (*found, *defined):
         where = _entered(rig, v) if is_rate(plant.unit(v)) and v not in rig.predict else ""
         if where and where not in known:  # where a state moves, its own velocity tells more
             yield {"v": v, "motion": where} | ({"x": found[v]} if v in found else {})

@@ -174,6 +174,16 @@ def test_a_term_that_the_data_sheet_leaves_uncertain_is_not_offered_again(rigs):
     }
 
 
+def test_what_the_rigs_own_table_has_is_not_offered_under_a_second_name(rigs):
+    rig = rigs["tanks"]
+    free = (table.Free("c_pipe", 1.0),)
+    both = {"first.pipe": "-c_pipe * (a - b)", "second.pipe": "c_pipe * (a - b)"}
+    pipe = table.Effect("pipe", "", ("plant",), ("first", "second"), (), free, both)
+    one = table.Effect("one", "", ("plant",), ("first",), (), free, {"first.pipe": both["first.pipe"]})
+    assert "exchange" in table.general(rig, recording(rig), [one])
+    assert "exchange" not in table.general(rig, recording(rig), [pipe])
+
+
 def test_what_a_recording_cannot_excite_is_not_offered_and_can_still_be_simulated(tmp_path):
     rig = made(tmp_path / "motor", "motor", lift=9.0)  # the motor turns one way
     offered = table.general(rig, recording(rig))
