@@ -5,7 +5,7 @@ machine. So functions of the predicted channels, of their rates and of the input
 the recording, and judged on the rest. Chance is what they predict of the same errors, shifted in time.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from scipy.signal import lfilter
@@ -13,6 +13,8 @@ from scipy.signal import lfilter
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.model import TINY
+from greygate.mismatch.rig import Rig
+from greygate.plants.recording import Recording
 
 FOLDS = 6  # contiguous parts of the recording, held out in turn
 SHIFTS = 99  # of the errors in time: with none of them 100, so that one in a hundred can be told
@@ -56,7 +58,7 @@ def _mean(signal: np.ndarray, size: int) -> np.ndarray:
     return signal[: len(signal) // size * size].reshape(-1, size).mean(axis=1)
 
 
-def _features(predicted: np.ndarray, recording, rig) -> Iterator[np.ndarray]:
+def _features(predicted: np.ndarray, recording: Recording, rig: Rig) -> Iterator[np.ndarray]:
     """Functions of the signals (samples,): powers, signs, and what they were a while ago."""
     size = max(len(predicted) // POINTS, 1)
     for signal in [*predicted.T, *(recording[name] for name in rig.inputs)]:
@@ -71,7 +73,7 @@ def _features(predicted: np.ndarray, recording, rig) -> Iterator[np.ndarray]:
                 yield lfilter([1.0 - decay], [1.0, -decay], base - base[0])
 
 
-def _predictor(features: np.ndarray):
+def _predictor(features: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     """A function of errors (points,): what the features predict of them where they did not learn (points,)."""
     fold = np.arange(len(features)) * FOLDS // len(features)
     parts = []

@@ -342,10 +342,15 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
     open_ = max(left.values()) > STRUCTURE and not complete(current)
     verdict = _verdict(best, open_, explained, corrected.cost / corrected.likelihood.count)
     unknown: dict = {}
-    if verdict == Verdict.UNEXPLAINED:
+    if verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
         progress("looking for the equation")
-        unknown, corrected = _unknown(search, claims)
-        best, left = Hypothesis(), structure(corrected)
+        found = closure(search)
+        share = (found[0].get("effect") or {}).get("confidence", 1.0)  # a sensor has no term: it may take all
+        # what any smooth term does as well is no name, and several names that leave something are such a term
+        if verdict == Verdict.UNEXPLAINED or share >= explained or best.size > 1:
+            verdict, best = Verdict.UNEXPLAINED, Hypothesis()
+            unknown, corrected = _unknown(search, claims, *found)
+            left = structure(corrected)
     rivals = {hypothesis: cost / inflation(current) for hypothesis, cost in costs.items()}
     return Diagnosis(
         search.rig, verdict, best, claims.calibrated, corrected, rivals, left, explained, search, unknown,
@@ -383,9 +388,11 @@ def _verdict(best: Hypothesis, open_: bool, explained: float, left: float, part:
     return Verdict.PARAMETER_ERROR if best.size else Verdict.CONSISTENT
 
 
-def _unknown(search: Search, claims: Claims) -> tuple[dict, Fit]:
-    """(where and effect of what no effect explains; the fit with a term for it, if one is worth it)."""
-    unknown, closed = closure(search)
+def _unknown(search: Search, claims: Claims, unknown: dict, closed: Fit | None) -> tuple[dict, Fit]:
+    """(where and effect of what no effect explains; the fit with a term for it, if one is worth it).
+
+    unknown, closed: what `closure` found.
+    """
     share = (unknown.get("effect") or {}).get("confidence", 0.0)
     if closed is not None:
         losses = Judge(closed.likelihood).losses(claims.calibrated, closed) if share >= CLOSED else []
@@ -404,9 +411,8 @@ def _goes_on(fit: Fit) -> str:
     likelihood = fit.likelihood
     assert isinstance(likelihood, Coloured)
     if not likelihood.order:
-        ordered = likelihood.ordered(likelihood.residual(fit.values))
-        again = replace(fit, likelihood=ordered, errors=ordered.errors(fit.values, fit.shifts))
-        return remaining(again) or dependent(fit)
+        likelihood = likelihood.ordered(likelihood.residual(fit.values))
+        fit = replace(fit, likelihood=likelihood, errors=likelihood.errors(fit.values, fit.shifts))
     return dependent(fit) or remaining(fit)
 
 

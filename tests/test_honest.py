@@ -221,7 +221,7 @@ def test_the_verdict_by_what_is_explained_and_what_is_left(effects, open_, expla
 
 
 def closed(share: float):
-    """A closure that takes `share` of the misfit by a term that it does not fit."""
+    """A function of a search: a closure that takes `share` of the misfit by a term that it does not fit."""
 
     def give(search):
         effect = {"id": "unknown", "equations": ["transmission"], "confidence": share, "parameters": {},
@@ -233,11 +233,10 @@ def closed(share: float):
 
 
 @pytest.mark.parametrize(("share", "applied"), [(0.02, False), (0.5, True)])
-def test_a_term_that_takes_little_is_not_applied(share, applied, steady, monkeypatch):
+def test_a_term_that_takes_little_is_not_applied(share, applied, steady):
     search, plain = steady
-    monkeypatch.setattr(diagnosis, "closure", closed(share))
     kept = claims.Claims(Hypothesis(), plain, plain)
-    unknown, _ = diagnosis._unknown(search, kept)
+    unknown, _ = diagnosis._unknown(search, kept, *closed(share)(search))
     assert bool(unknown["effect"]) == applied
     assert unknown["where"][0]["equation"] == "transmission"
     assert kept.refused == ([] if applied else ["no term is fitted: it takes 2% of the misfit"])
