@@ -27,7 +27,7 @@ def report(scores: dict[str, Sequence[Score]], name: str, commitment: bytes) -> 
     content["commitment_sha256"] = hashlib.sha256(commitment).hexdigest()
     first = next(iter(scores.values()))
     lines = tables.lines(found)
-    (RESULTS / f"{name}.json").write_text(json.dumps(content, indent=1) + "\n")
+    (RESULTS / f"{name}.json").write_text(json.dumps(content) + "\n")
     (RESULTS / f"{name}.txt").write_text("\n".join(lines) + "\n")
     tables.write_rows(first, RESULTS / f"{name}.csv")
     tables.draw(first, RESULTS / f"{name}.svg")

@@ -83,7 +83,7 @@ def show(value: object) -> str:
     """A figure in words: "12 of 13, 92 %"."""
     if isinstance(value, dict):
         return f"{value['count']} of {value['of']}, {value['count'] / value['of']:.0%}" if value["of"] else "-"
-    return "-" if value is None else f"{value:.3g}" if isinstance(value, float) else str(value)
+    return "-" if value is None else f"{round(value, 3) + 0.0:.4g}" if isinstance(value, float) else str(value)
 
 
 BY_CONDITION = (
