@@ -89,7 +89,7 @@ class _Joining:
             if where.startswith(SENSOR):
                 self.show(effect, where.removeprefix(SENSOR), term, text)
                 continue
-            table = self.equations if where in self.equations else self.definitions
+            table: dict = self.equations if where in self.equations else self.definitions
             if where not in table:
                 names = ", ".join((*self.definitions, *self.equations))
                 self.fail(effect, f"{where}: {self.plant.name} has no such place; it has {names}")

@@ -146,7 +146,7 @@ class Seen:
         ratio = _above(power)
         sure = -np.log2(CHANCE / max(len(ratio), 1))  # of an exponential variable over its median
         slowest = SLOWEST / (self.rig.dt * self.recording.samples)
-        found = []
+        found: list[tuple[bool, float]] = []
         for i in np.argsort(-ratio):
             if ratio[i] < sure or len(found) >= LINES * (NARROW + 1):
                 break

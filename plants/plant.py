@@ -159,10 +159,10 @@ class Plant:
             if name in self.definitions:
                 self._fail(f"equation {name}", "a definition has this name too; rename one")
             self._check(f"equation {name}, storage", equation.storage, symbols)
-            for state, expression in equation.couples.items():
-                if state not in self.states or state == equation.state:
-                    self._fail(f"equation {name}, couples", f"{shown(state)} is no other state; name one")
-                self._check(f"equation {name}, couples {state}", expression, symbols)
+            for other, expression in equation.couples.items():
+                if other not in self.states or other == equation.state:
+                    self._fail(f"equation {name}, couples", f"{shown(other)} is no other state; name one")
+                self._check(f"equation {name}, couples {other}", expression, symbols)
             self._check_terms(f"equation {name}", equation.terms, symbols)
         balanced = [equation.state for equation in self.equations.values()]
         for name in (*self.states, *balanced):

@@ -58,7 +58,7 @@ def written(expression: Any) -> str:
     if expression.free_symbols and not all(isinstance(s, sympy.Symbol) for s in expression.free_symbols):
         raise InputError(f"{shown(str(expression))}: only symbols can stand for quantities")
 
-    class Printer(sympy.printing.str.StrPrinter):
+    class Printer(sympy.printing.str.StrPrinter):  # type: ignore[name-defined]
         def _print_Function(self, e: Any) -> str:
             name = _WRITTEN.get(type(e).__name__)
             if name is None:
