@@ -27,7 +27,8 @@ COPIES = ("unit", "rate", "way", "sum")  # ways to take a unit from a signal, or
 def general(rig: Rig, recording: Recording, beside: Iterable[Effect] = (), every: bool = False) -> dict[str, Effect]:
     """The general effects by key, in every place of the rig's plant that they fit and this recording can excite.
 
-    every: also those that this recording does not excite, as for the simulation of what another one showed. Where the
+    every: also those that this recording does not excite, as for the simulation of what another one showed; without it,
+    effects of time alone are offered only where the noise is told. Where the
     plant, or an effect `beside` them, has one of their symbols already, they take another symbol. A diagnosis reports
     it by the name that stands in the table. What one of those has, term for term, is not offered under a second name.
     """
@@ -38,6 +39,8 @@ def general(rig: Rig, recording: Recording, beside: Iterable[Effect] = (), every
     found = places(rig)
     for key, entry in entries(GENERAL).items():
         at = found[entry.pop("at")]
+        if entry.pop("slow", False) and not rig.stated and not every:
+            continue
         named = _named(at)
         for name, place in named.items():
             made = _filled(entry, place)

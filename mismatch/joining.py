@@ -89,18 +89,14 @@ class _Joining:
             if where.startswith(SENSOR):
                 self.show(effect, where.removeprefix(SENSOR), term, text)
                 continue
-            sums = {n: d.terms for n, d in self.definitions.items()} | {n: e.terms for n, e in self.equations.items()}
-            if where not in sums:
+            table: dict = self.equations if where in self.equations else self.definitions
+            if where not in table:
                 names = ", ".join((*self.definitions, *self.equations))
                 self.fail(effect, f"{where}: {self.plant.name} has no such place; it has {names}")
-            terms, term = sums[where], f"{effect.key}.{term}"
+            terms, term = table[where].terms, f"{effect.key}.{term}"
             if term in terms:
                 self.fail(effect, f"{where}.{term}: plant {self.plant.name} has this term too; rename one")
-            grown = {**terms, term: effect.lazily(text)}
-            if where in self.equations:
-                self.equations[where] = replace(self.equations[where], terms=grown)
-            else:
-                self.definitions[where] = replace(self.definitions[where], terms=grown)
+            table[where] = replace(table[where], terms={**terms, term: effect.lazily(text)})
         for symbol in effect.set:
             if symbol not in self.parameters:
                 self.fail(effect, f"set {symbol}: plant {self.plant.name} has no such parameter")

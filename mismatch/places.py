@@ -111,9 +111,9 @@ def _derived(plant: Plant) -> dict[str, str]:
 
 def _entered(rig: Rig, v: str) -> str:
     """The sum that a velocity enters, or which a sensor reads; empty where that is itself a position."""
-    plant = rig.plant
-    used = [name for name, d in plant.definitions.items() if v in names(d.terms.values())]
-    used += [name for name, e in plant.equations.items() if v in names(e.terms.values()) and not _copied(e)]
+    sums: dict[str, Equation | Definition] = {**rig.plant.definitions, **rig.plant.equations}
+    used = [name for name, place in sums.items() if v in names(place.terms.values())]
+    used = [name for name in used if name in rig.plant.definitions or not _copied(rig.plant.equations[name])]
     used += [name for name, d in rig.plant.definitions.items() if d.symbol in rig.predict]
     return next((name for name in used if not _is_length(unit_of_place(rig.plant, name))), "")
 

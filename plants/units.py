@@ -60,8 +60,10 @@ def _unit(node: Node, known: Mapping[str, Powers]) -> Powers | None:
         case Signed(_, inner):
             return _unit(inner, known)
         case Operation("**", base, exponent):
-            unit, power = _unit(base, known), _number(exponent)
-            return unit if not unit else None if power is None else times({}, unit, power)
+            found, power = _unit(base, known), _number(exponent)
+            if not found:
+                return found
+            return None if power is None else times({}, found, power)
         case Operation(sign, left, right):
             if sign in "+-" and (_zero(left) or _zero(right)):
                 return _unit(right if _zero(left) else left, known)
@@ -99,8 +101,8 @@ def _number(node: Node) -> Fraction | None:
         case Number(value):
             return Fraction(value).limit_denominator()
         case Signed(sign, inner):
-            number = _number(inner)
-            return -number if sign == "-" and number is not None else number
+            found = _number(inner)
+            return -found if sign == "-" and found is not None else found
         case Operation("/", left, right):
             one, other = _number(left), _number(right)
             return one / other if one is not None and other else None

@@ -151,7 +151,7 @@ OFFERED = {
               "late_channel": ("omega_late", "s"), "input_dead_zone": ("voltage_dead", "V"),
               "dry_friction_elastic": ("f_omega_yield", "rad")},
     "tanks": {"square_leak_a": ("leak2_a", "m/s"), "exchange": ("flow_a_b", "m^2/s"),
-              "growing_source_b": ("source_b_rate", "m^3/s^2")},
+              "source_b": ("source_b", "m^3/s")},
     "two": {"spring_between": ("k_x_y", "N/m"), "friction_between": ("f_v_w", "N"), "load_friction_x": ("mu_v", "1"),
             "viscous_friction_y": ("c_w", "N s/m"), "hardening_spring_x": ("k3_x", "N/m^3")},
     "imposed": {"dry_friction": ("f_v", "N"), "viscous_friction": ("c_v", "N s/m")},
@@ -162,6 +162,7 @@ OFFERED = {
 def test_effects_take_places_and_units_of_the_plant(name, rigs):
     rig = rigs[name]
     effects = table.general(rig, recording(rig))
+    assert not {"sensor_drift", "input_fading", "growing_load"} & set(effects)  # where no noise is told
     for key, (symbol, unit) in OFFERED[name].items():
         assert {f.symbol: f.unit for f in effects[key].free}[symbol] == unit
     assert all(f.unit for e in effects.values() for f in e.free)
