@@ -74,6 +74,7 @@ class Effect:
     wave: Mapping[str, tuple[str, str]] = field(default_factory=dict)
     frees: bool = False
     fault: bool = False
+    rare: bool = False
     of: str = ""
     table: str = ""
 
@@ -168,6 +169,7 @@ _ENTRIES: dict[str, Kind] = {
     "plants": _texts,
     "of": line,
     "fault": truth,
+    "rare": truth,
     "terms": named(check_expression, line),
     "definitions": named(_defined, check_name),
     "states": named(check_state, check_name),
