@@ -23,6 +23,7 @@ NOTABLE = 0.1  # of the variance, that is predicted where nothing was learnt: le
 POINTS = 2000  # of the recording, at most; a longer one is averaged
 KNEE = 0.1  # of a rate's RMS, at which its sign sets in
 MEMORIES = (4, 16, 64)  # points over which a signal is remembered
+SHIFTED = (0.05, 0.95)  # of the recording, between which what is left is shifted
 RIDGE = 1e-2  # of a unit diagonal: features are many and alike
 
 
@@ -45,7 +46,7 @@ def dependent(fit: Fit) -> str:
         share = _share(left, predict(left))
         if share < NOTABLE:
             continue
-        steps = np.linspace(0.05, 0.95, SHIFTS) * len(left)
+        steps = np.linspace(*SHIFTED, SHIFTS) * len(left)
         drawn = [_share(s, predict(s)) for s in (np.roll(left, int(step)) for step in steps)]
         if (1 + np.sum(np.array(drawn) >= share)) / (1 + len(drawn)) <= CHANCE:
             rms = float(np.sqrt(np.mean(error[:, i] ** 2)))

@@ -16,6 +16,7 @@ from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.model import TINY, Model
 
 FOLDS, ROUNDS = 5, 2  # blocks, and pieces of each: spread, so that no regime of the plant is held out entirely
+PERCENT = 100
 PARTS = 8  # of a piece, each of them one draw of the difference of the squared errors
 MORE = 0.01  # of the plainer fit's RMS error, by which another fit may be worse
 SURE = 3.0  # standard errors of the difference of the squared errors, below which it may be chance
@@ -38,7 +39,7 @@ class Loss:
         when = " and ".join(f"{low:.3g} to {high:.3g} s" for low, high in self.spans)
         if not np.isfinite(self.after):
             return f"the run diverges at {when}, which it did not learn from"
-        return f"{self.channel} is {100 * (self.after / self.before - 1):.2g} % worse at {when}, not learnt from"
+        return f"{self.channel} is {PERCENT * (self.after / self.before - 1):.2g} % worse at {when}, not learnt from"
 
 
 class Judge:

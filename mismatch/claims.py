@@ -23,6 +23,7 @@ from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.progress import Progress, silent
 
+PERCENT = 100
 WORST = 3  # losses that are named in a refusal
 
 
@@ -145,7 +146,7 @@ def _calibrated(search: Search, judge: Judge, claims: Claims) -> None:
     before = judge.total(claims.calibrated)
     if before <= (1.0 + MORE) ** 2:
         return
-    again, why = by_rule(search, Hypothesis(), claims.calibrated), f"{100 * (before - 1):.2g} % more squared error"
+    again, why = by_rule(search, Hypothesis(), claims.calibrated), f"{PERCENT * (before - 1):.2g} % more squared error"
     if again is not None and judge.total(again) <= 1.0:
         claims.refused.append(f"the parameters are fitted again to the run itself: before, {why} than the data sheet")
     else:

@@ -83,14 +83,14 @@ def score(
 ) -> None:
     """Open the sealed answers and score: names, false claims, intervals, error removed on unseen data, seconds."""
     from greygate.files import replacing
-    from greygate.mismatch.concealed.bench import tables
+    from greygate.mismatch.concealed.bench import diagram, tables
     from greygate.mismatch.concealed.bench.score import score as score_of
 
     names = [folder.resolve().name for folder in answers]
     if len(set(names)) < len(names):
         raise InputError(f"{' '.join(names)}: two tools of one name; rename the folder of one")
     scores = {name: score_of(bench, folder) for name, folder in zip(names, answers, strict=True)}
-    for path, write in ((rows, tables.write_rows), (picture, tables.draw)):
+    for path, write in ((rows, tables.write_rows), (picture, diagram.draw)):
         if path is not None:
             with replacing(path) as temporary:
                 write(scores[names[0]], temporary)

@@ -30,6 +30,7 @@ from ..rig import Columns, ConcealedRig, Sensor, calibrate, rms
 from ..stress import between
 from .answer import PREDICTED, Answer
 
+LENGTHS = (1e-1, 1e3)  # of the kernel, in standard deviations of a signal
 KEPT = "calibrated.json"
 EVERY = 8  # of the windows of a rig that restarts is seen by the calibration
 PAST = (1, 2, 4, 8, 16, 32)  # samples ago, of which the linear model knows the signals
@@ -125,7 +126,7 @@ def gaussian(signals: np.ndarray, error: np.ndarray) -> Model:
     except ImportError:
         raise InputError(f"gaussian: needs scikit-learn; {INSTALL}") from None
     some = np.random.default_rng(SEED).choice(len(error), min(TRAINED, len(error)), replace=False)
-    kernel = ConstantKernel() * RBF(np.sqrt(signals.shape[1]), (1e-1, 1e3)) + WhiteKernel()
+    kernel = ConstantKernel() * RBF(np.sqrt(signals.shape[1]), LENGTHS) + WhiteKernel()
     with (
         threadpool_limits(1),
         warnings.catch_warnings(),

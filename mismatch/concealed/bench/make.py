@@ -37,6 +37,7 @@ KINDS = ("clean", "one", "foreign", "one", "two", "clean", "one", BOTH, "paramet
 PLANTS = tuple(EVERY_RIG)
 FIRST_SEED = 500_000  # of the development split: other seeds than those of benchmarks/concealed.py
 SECRET = 16  # characters of a secret, at least
+HEX = 16
 DIGITS = 10  # of the name of a sealed case
 HIDDEN = ("sealed.json", "third.csv")
 SEALS = {"schema": line, "split": line, "secret_sha256": maybe(line), "cases": named(anything)}
@@ -78,7 +79,7 @@ def _case(number: int, secret: str, plants: Sequence[str], conditions: Sequence[
     if not secret:
         return Case(f"d{number:04}", plant, kind, conditions[condition], FIRST_SEED + number)
     digest = hmac.new(secret.encode(), str(number).encode(), hashlib.sha256).hexdigest()
-    return Case(f"s{digest[:DIGITS]}", plant, kind, conditions[condition], int(digest[DIGITS : DIGITS + 16], 16))
+    return Case(f"s{digest[:DIGITS]}", plant, kind, conditions[condition], int(digest[DIGITS : DIGITS + HEX], HEX))
 
 
 def make(

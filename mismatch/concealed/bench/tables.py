@@ -15,6 +15,8 @@ from .score import SURE, Score
 HALF = 0.5  # of the error: an effect that removes so much of it is to be found
 WORSE = 1.01  # times the calibrated simulation's error in one channel: a correction beyond it does harm
 QUIET = ("clean", "parameter")
+LABEL, CELL = 36, 20  # characters of the table's columns
+PLACES = 3  # behind the point, of a figure in it
 BINS = (0.0, 0.5, 0.8, 0.9, 0.95, 0.99, 1.0)  # of confidence
 
 
@@ -83,7 +85,7 @@ def show(value: object) -> str:
     """A figure in words: "12 of 13, 92 %"."""
     if isinstance(value, dict):
         return f"{value['count']} of {value['of']}, {value['count'] / value['of']:.0%}" if value["of"] else "-"
-    return "-" if value is None else f"{round(value, 3) + 0.0:.4g}" if isinstance(value, float) else str(value)
+    return "-" if value is None else f"{round(value, PLACES) + 0.0:.4g}" if isinstance(value, float) else str(value)
 
 
 BY_CONDITION = (
@@ -100,10 +102,10 @@ def lines(tools: Mapping[str, Mapping[str, Mapping]]) -> list[str]:
     """
 
     def row(label: str, cells: Sequence[object]) -> str:
-        return f"{label:36}" + "".join(f"{show(cell):>20}" for cell in cells)
+        return f"{label:{LABEL}}" + "".join(f"{show(cell):>{CELL}}" for cell in cells)
 
     first = next(iter(tools.values()))
-    out = [" " * 36 + "".join(f"{name[-18:]:>20}" for name in tools)]
+    out = [row("", [name[-CELL + 1 :] for name in tools])]
     out += [row(name, [found["all"][name] for found in tools.values()]) for name in first["all"]]
     parts = [(name, CONDITIONS, "condition") for name in BY_CONDITION] + [
         (name, EVERY_RIG, "plant") for name in BY_PLANT
@@ -114,42 +116,6 @@ def lines(tools: Mapping[str, Mapping[str, Mapping]]) -> list[str]:
             cells = [found.get(group, {}).get(name) for found in tools.values()]
             out += [row(f"  {group}", cells)] if any(cells) else []
     return [line.rstrip() for line in out]
-
-
-def draw(scores: Sequence[Score], path: Path) -> None:
-    """Write the reliability diagram as SVG: the confidence that was claimed across, the share of right claims up."""
-    bins = reliability(scores)
-    wide, high, left, top = 70, 200, 50, 20
-    parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {left + wide * len(bins) + 20} {high + 70}" '
-        'font-family="sans-serif" font-size="11">',
-        '<rect width="100%" height="100%" fill="#ffffff"/>',
-    ]
-    for share in (0.0, 0.5, 1.0):
-        y = top + high * (1 - share)
-        parts.append(f'<path d="M{left} {y}h{wide * len(bins)}" stroke="#dddddd"/>')
-        parts.append(f'<text x="{left - 6}" y="{y + 4}" text-anchor="end" fill="#333333">{share:.0%}</text>')
-    for number, entry in enumerate(bins):
-        x, said = left + wide * number, (entry["from"] + entry["to"]) / 2
-        if entry["claims"]:
-            tall = high * entry["right"] / entry["claims"]
-            parts.append(
-                f'<rect x="{x + 8}" y="{top + high - tall:.1f}" width="{wide - 16}" height="{tall:.1f}" '
-                'fill="#4878b0"/>'
-            )
-            parts.append(
-                f'<text x="{x + wide / 2}" y="{top + high - 6}" text-anchor="middle" fill="#333333" '
-                f'stroke="#ffffff" stroke-width="3" paint-order="stroke">{entry["right"]} of {entry["claims"]}</text>'
-            )
-        y = top + high * (1 - said)
-        parts.append(f'<path d="M{x + 4} {y:.1f}h{wide - 8}" stroke="#e08030" stroke-width="2"/>')
-        middle = f'x="{x + wide / 2}" text-anchor="middle" fill="#333333"'
-        parts.append(f'<text {middle} y="{top + high + 16}">{entry["from"]:g} to {entry["to"]:g}</text>')
-    parts.append(
-        f'<text x="{left}" y="{top + high + 38}" fill="#333333">'
-        "confidence claimed (orange), share of claims that are right (blue)</text>"
-    )
-    path.write_text("\n".join([*parts, "</svg>", ""]))
 
 
 def write_rows(scores: Sequence[Score], path: Path) -> None:

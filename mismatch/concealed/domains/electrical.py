@@ -8,6 +8,8 @@ from numba import njit
 from ..rig import Sensor
 from .integrate import FINE, Ways, acting, domain, hidden, integrate, sensor, steps
 
+HOLD = (10, 80)  # samples between steps
+LEAST = 1e-3  # the resolution of the input
 VOLTS = 5.0
 
 
@@ -52,9 +54,9 @@ ELECTRICAL = domain(
     plant="electrical",
     dt=1e-5,
     samples=1500,
-    source=Sensor("u", "V", "input", resolution=1e-3),
+    source=Sensor("u", "V", "input", resolution=LEAST),
     sensors=(sensor("v_1", "V", 2e-3), sensor("v_2", "V", 2e-3)),
-    excite=lambda rng, samples: steps(rng, samples, -VOLTS, VOLTS, (10, 80), 1e-3),
+    excite=lambda rng, samples: steps(rng, samples, -VOLTS, VOLTS, HOLD, LEAST),
     run=run,
     parameters={"r_1": 1000.0, "r_2": 2000.0, "c_1": 1e-7, "c_2": 5e-8},
     tolerance={"r_2": 0.05, "c_1": 0.1, "c_2": 0.1},

@@ -8,6 +8,8 @@ from numba import njit
 from ..rig import Sensor
 from .integrate import FINE, Ways, acting, domain, hidden, integrate, sensor, steps
 
+HOLD = (20, 150)  # samples between steps
+LEAST = 1e-3  # the resolution of the input
 SHARP = 0.2  # rad/s: below this speed dry friction is less than it is
 BREAKAWAY, CREEPING = 0.5, 6.0  # of the variant: what is added to dry friction near rest, and the speed where it ends
 VOLTS = 6.0
@@ -58,9 +60,9 @@ MOTOR = domain(
     plant="motor",
     dt=2e-3,
     samples=2400,
-    source=Sensor("u", "V", "input", resolution=1e-3),
+    source=Sensor("u", "V", "input", resolution=LEAST),
     sensors=(sensor("omega", "rad/s", 0.3),),
-    excite=lambda rng, samples: steps(rng, samples, -VOLTS, VOLTS, (20, 150), 1e-3),
+    excite=lambda rng, samples: steps(rng, samples, -VOLTS, VOLTS, HOLD, LEAST),
     run=run,
     parameters={"inertia": 2e-4, "viscous": 1e-4, "resistance": 1.2, "inductance": 3e-3, "k_motor": 0.05},
     tolerance={"inertia": 0.06, "viscous": 0.2, "k_motor": 0.03},

@@ -8,6 +8,9 @@ from numba import njit
 from ..rig import Sensor
 from .integrate import FINE, Ways, acting, domain, hidden, integrate, sensor, steps
 
+NEAR = 0.1  # rad within which the magnet pulls
+HOLD = (20, 120)  # samples between steps
+LEAST = 1e-4  # the resolution of the input
 SHARP = 0.01  # rad/s: below this speed dry friction is less than it is
 BREAKAWAY, CREEPING = 0.5, 0.3  # of the variant: what is added to dry friction near rest, and the speed where it ends
 TORQUE = 1.2  # N m
@@ -41,7 +44,7 @@ def slopes(s, u, t, p, e, d):
     if e.form:  # variant: more near rest
         friction *= 1 + BREAKAWAY * np.exp(-((speed / CREEPING) ** 2))
     friction += e.c_square * speed * abs(speed) + e.sticky * speed * max(angle, 0.0)
-    pulled = e.magnet * (angle - e.magnet_at) * np.exp(-((10 * (angle - e.magnet_at)) ** 2))
+    pulled = e.magnet * (angle - e.magnet_at) * np.exp(-(((angle - e.magnet_at) / NEAR) ** 2))
     d[0] = speed
     d[1] = (u[0] - p.weight * np.sin(angle) - p.viscous * speed - friction - e.load - pulled) / p.inertia
 
@@ -57,9 +60,9 @@ PENDULUM = domain(
     plant="pendulum",
     dt=5e-3,
     samples=1200,
-    source=Sensor("torque", "N m", "input", resolution=1e-4),
+    source=Sensor("torque", "N m", "input", resolution=LEAST),
     sensors=(sensor("theta", "rad", 5e-4),),
-    excite=lambda rng, samples: steps(rng, samples, -TORQUE, TORQUE, (20, 120), 1e-4),
+    excite=lambda rng, samples: steps(rng, samples, -TORQUE, TORQUE, HOLD, LEAST),
     run=run,
     parameters={"inertia": 0.03, "weight": 1.5, "viscous": 0.05},
     tolerance={"inertia": 0.05, "weight": 0.03, "viscous": 0.2},

@@ -8,6 +8,8 @@ from numba import njit
 from ..rig import Sensor
 from .integrate import FINE, Ways, acting, domain, hidden, integrate, lagging, sensor, smooth
 
+STATES = 4
+LEAST = 1e-5  # the resolution of the input
 SHARP = 2e-3  # m/s: below this speed dry friction is less than it is
 ROAD, LAG = 0.02, 20.0  # m RMS, and samples of the lags that make it smooth
 
@@ -49,7 +51,7 @@ def slopes(s, u, t, p, e, d):
 def run(road, dt, parameters, extra):
     e = Effects(**extra)
     fine = acting(road, dt, Ways())
-    states = integrate(slopes, fine[:, None], np.zeros(4), dt / FINE, QuarterCar(**parameters), e)[:-1]
+    states = integrate(slopes, fine[:, None], np.zeros(STATES), dt / FINE, QuarterCar(**parameters), e)[:-1]
     return {"z_body": lagging(states[:, 0], dt / FINE, e.lag)[::FINE], "z_wheel": states[::FINE, 2]}
 
 
@@ -57,9 +59,9 @@ QUARTER_CAR = domain(
     plant="quarter_car",
     dt=5e-3,
     samples=1200,
-    source=Sensor("z_road", "m", "input", resolution=1e-5),
+    source=Sensor("z_road", "m", "input", resolution=LEAST),
     sensors=(sensor("z_body", "m", 1e-4), sensor("z_wheel", "m", 1e-4)),
-    excite=lambda rng, samples: smooth(rng, samples, ROAD, LAG, 1e-5),
+    excite=lambda rng, samples: smooth(rng, samples, ROAD, LAG, LEAST),
     run=run,
     parameters={"m_body": 300.0, "m_wheel": 40.0, "k_spring": 18000.0, "c_damper": 1200.0, "k_tyre": 180000.0},
     tolerance={"m_body": 0.05, "k_spring": 0.05, "c_damper": 0.1, "k_tyre": 0.1},

@@ -8,6 +8,8 @@ from numba import njit
 from ..rig import Sensor
 from .integrate import FINE, Ways, acting, domain, hidden, integrate, sensor, steps
 
+HOLD = (20, 200)  # samples between steps
+LEAST = 1e-7  # the resolution of the input
 UPPER, LOWER = 0.3, 0.15  # m, at the beginning
 INFLOW = (1e-5, 7e-5)  # m^3/s
 
@@ -57,9 +59,9 @@ TANK = domain(
     plant="tank",
     dt=1.0,
     samples=1500,
-    source=Sensor("q_in", "m^3/s", "input", resolution=1e-7),
+    source=Sensor("q_in", "m^3/s", "input", resolution=LEAST),
     sensors=(sensor("h_1", "m", 5e-4), sensor("h_2", "m", 5e-4)),
-    excite=lambda rng, samples: steps(rng, samples, *INFLOW, (20, 200), 1e-7),
+    excite=lambda rng, samples: steps(rng, samples, *INFLOW, HOLD, LEAST),
     run=run,
     parameters={"area_1": 0.02, "area_2": 0.02, "k_1": 1e-4, "k_2": 1e-4},
     tolerance={"area_2": 0.03, "k_1": 0.06, "k_2": 0.06},

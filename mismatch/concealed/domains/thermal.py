@@ -8,6 +8,8 @@ from numba import njit
 from ..rig import Sensor
 from .integrate import FINE, Ways, acting, domain, hidden, integrate, lagging, sensor, steps
 
+HOLD = (20, 150)  # samples between steps
+LEAST = 0.1  # the resolution of the input
 WATTS = 200.0
 KELVIN = 273.15  # of 0 degC
 BOLTZMANN = 5.67e-8  # W/(m^2 K^4)
@@ -56,9 +58,9 @@ THERMAL = domain(
     plant="thermal",
     dt=10.0,
     samples=1200,
-    source=Sensor("power", "W", "input", resolution=0.1),
+    source=Sensor("power", "W", "input", resolution=LEAST),
     sensors=(sensor("t_block", "degC", 0.1), sensor("t_jacket", "degC", 0.1)),
-    excite=lambda rng, samples: steps(rng, samples, 0.0, WATTS, (20, 150), 0.1),
+    excite=lambda rng, samples: steps(rng, samples, 0.0, WATTS, HOLD, LEAST),
     run=run,
     parameters={"c_block": 800.0, "c_jacket": 1500.0, "g_between": 4.0, "g_loss": 1.5},
     tolerance={"c_jacket": 0.05, "g_between": 0.06, "g_loss": 0.06},
