@@ -14,7 +14,7 @@ from greygate import project
 from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.hardware import synthesis
-from greygate.hardware.families import DEVICES, chosen, placing
+from greygate.hardware.families import DEVICES, LARGE, QUICK, chosen, placing
 from greygate.hardware.synthesis import lacking
 from greygate.hardware.tools import run_tool
 from greygate.pages.report.study import size
@@ -125,3 +125,23 @@ def test_a_design_whose_tool_was_stopped_has_no_counts_but_says_so(compiled, mon
     monkeypatch.setattr(synthesis, "yosys", endless)
     folder = compiled.folder / "rtl" / "folded"
     assert synthesis.synthesize(folder, compiled.program.name, limit=7.0) == {"stopped_after_s": 7.0}
+
+
+@pytest.mark.parametrize(("luts", "quick"), [(LARGE, False), (LARGE + 1, True)])
+def test_a_large_design_goes_to_the_quicker_placer(luts, quick, compiled, monkeypatch):
+    def count(script: str, folder: Path, *_) -> str:
+        (folder / synthesis.STAT).write_text(json.dumps({"design": {"num_cells_by_type": {"LUT4": luts}}}))
+        return ""
+
+    def place(module: str, function: str, arguments: list[str], folder: Path, *_) -> str:
+        asked.append(arguments)
+        (folder / synthesis.REPORT).write_text(json.dumps({"fmax": {"clk": {"achieved": 50.0}}}))
+        return ""
+
+    asked: list[list[str]] = []
+    monkeypatch.setattr(synthesis, "yosys", count)
+    monkeypatch.setattr(synthesis, "run_tool", place)
+    folder = compiled.folder / "rtl" / compiled.designs[0]
+    found = synthesis.synthesize(folder, compiled.program.name, "ecp5-85k", clock_rate=True)
+    assert (found["luts"], found["clock_mhz"]) == (luts, 50.0)
+    assert (" ".join(QUICK) in " ".join(asked[0])) is quick

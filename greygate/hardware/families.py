@@ -99,8 +99,8 @@ FAMILIES = {
 }
 
 
-LARGE = 20_000  # LUTs from which the electrostatic placer has less left to anneal than it takes longer itself
-QUICK = ("--placer", "static")
+LARGE = 20_000  # LUTs: above, the electrostatic placer is quicker, for it leaves less to the annealing after it
+QUICK = ("--placer", "static")  # the clock rate is then 4 to 14 % lower
 
 
 def _ecp5(size: str, package: str) -> PlaceAndRoute:
