@@ -145,7 +145,7 @@ def offered(folder, **changed) -> tuple[set, dict]:
     recording = rig.recording(folder / "identify.csv")
     channels = {**recording.channels, **{n: change(recording[n]) for n, change in changed.items()}}
     recording = Recording(rig.dt, channels, recording.units)
-    kept, why = excited(Model(rig, recording, {}), table.general(rig, recording))
+    kept, why = excited(Model(rig, recording, {}), table.general(rig, recording, every=True))
     assert not set(kept) & set(why)
     return set(kept), why
 
@@ -190,7 +190,7 @@ def test_an_input_that_is_never_negative_has_no_asymmetry(tmp_path):
 def test_what_is_found_must_be_excited_at_its_found_size(key, values, why, tmp_path):
     rig = load(motor(tmp_path / "rig"))
     recording = rig.recording(rig.folder / "identify.csv")
-    found = unexcited(table.general(rig, recording)[key], Model(rig, recording, {}), values)
+    found = unexcited(table.general(rig, recording, every=True)[key], Model(rig, recording, {}), values)
     assert why in found
     assert bool(why) == bool(found)
 
@@ -292,7 +292,8 @@ def test_no_wrong_name_is_sure_and_what_is_left_has_a_place(name, tmp_path):
     rig = load(maker(tmp_path / "rig"))
     recording = rig.recording(rig.folder / "identify.csv")
     known = table.known(rig, recording)
-    result = diagnose(rig, {key: known[key] for key in wrong})
+    every = table.known(rig, recording, every=True)
+    result = diagnose(rig, {key: every[key] for key in wrong})
     found = json.loads(json.dumps(result.as_dict()))
     assert found["schema"] == "diagnosis/2"
     assert found["verdict"] in ("unexplained", "partly_explained")
