@@ -50,6 +50,7 @@ SOME = 0.1  # of the squared error in free run, likewise where no noise is told
 OPEN = 0.9  # confidence in a name beside which structure is left, at most: it may be a part of something else
 CLOSED = 0.05  # of the misfit, that a fitted term must take: less is not applied, and only located
 FARTHEST = 1400.0  # of cost: a rival this far away has a likelihood of exp(-700), the least that a float can hold
+BLOWN = 100.0  # times what was recorded: a run that is so far off diverges, and nothing can be read from it
 DIGITS = 4  # after the point, of a confidence
 
 
@@ -294,8 +295,17 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
         result.not_larger_than = ruled_out(search, result.corrected, not_shown)
     progress("predicting the recordings")
     result.fits = fits(result, recording)
+    if diverging := [c for c, rms in result.fits["identify"].items() if _diverges(rms["corrected"], recording[c])]:
+        raise InputError(
+            f"{rig.folder}: the simulation of {', '.join(diverging)} diverges, whatever the parameters; check the values "
+            "and units in rig.toml, or restart it in windows of window_s"
+        )
     result.seconds = time.perf_counter() - began
     return result
+
+
+def _diverges(rms: float, recorded: np.ndarray) -> bool:
+    return not rms <= BLOWN * np.max(np.abs(recorded))
 
 
 def _of_stated_noise(search: Search, progress: Progress) -> Diagnosis:
