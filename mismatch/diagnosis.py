@@ -297,8 +297,8 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
     result.fits = fits(result, recording)
     if diverging := [c for c, rms in result.fits["identify"].items() if _diverges(rms["corrected"], recording[c])]:
         raise InputError(
-            f"{rig.folder}: the simulation of {', '.join(diverging)} diverges, whatever the parameters; check the values "
-            "and units in rig.toml, or restart it in windows of window_s"
+            f"{rig.folder}: the simulation of {', '.join(diverging)} diverges, whatever the parameters; check the "
+            "values and units in rig.toml, or restart it in windows of window_s"
         )
     result.seconds = time.perf_counter() - began
     return result
