@@ -37,6 +37,7 @@ from greygate.mismatch.search import Hypothesis, Search
 from greygate.mismatch.selection import APART, STRUCTURE, Selection, complete, inflation, structure
 from greygate.mismatch.verdict import Verdict
 from greygate.plain import plain
+from greygate.plants.dimensions import clashes
 from greygate.plants.expressions import names
 from greygate.plants.plant import Plant
 from greygate.progress import Progress, silent
@@ -103,6 +104,7 @@ class Diagnosis:
                 "remaining": self._remaining(),
                 **({"explained": round(self.explained, DIGITS)} if self.verdict == Verdict.PARTLY_EXPLAINED else {}),
                 **({"refused": self.refused} if self.refused else {}),
+                **({"units": clashing} if (clashing := clashes(self.rig.plant)) else {}),
                 **({"not_larger_than": self.not_larger_than} if self.not_larger_than else {}),
                 **({"noise": self._noise(self.noise)} if self.noise else {}),
                 "seconds": round(self.seconds, 2),
