@@ -5,13 +5,11 @@ to the other pieces, and both simulations run by the rule of the rig, free or wi
 channel of a block where its error is larger, and by more than chance makes of it.
 """
 
-import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.model import TINY, Model
 
@@ -119,7 +117,7 @@ def _without(fit: Fit, held: np.ndarray, exact: bool) -> dict[str, float]:
     if not fit.unknowns:
         return fit.values
     if exact:
-        other = _blind(fit.likelihood, held)
+        other = fit.likelihood.without(held)
         again = Likelihood.fit(other, fit.unknowns, fit.values, fit.shifts, iterations=REFIT)
         return again.values
     likelihood = fit.likelihood
@@ -132,14 +130,3 @@ def _without(fit: Fit, held: np.ndarray, exact: bool) -> dict[str, float]:
         fit.numbers + step, *np.array([sorted((u.number(u.low), u.number(u.high))) for u in fit.unknowns]).T
     )
     return {**fit.values, **{u.symbol: float(u.value(n)) for u, n in zip(fit.unknowns, numbers, strict=True)}}
-
-
-def _blind(likelihood: Likelihood, held: np.ndarray) -> Likelihood:
-    """The likelihood without the samples that are `held`."""
-    other = copy.copy(likelihood)
-    if isinstance(other, Coloured):
-        other.mask = other.mask & ~held
-    else:
-        other.sigma = np.where(held[:, None], np.inf, likelihood.sigma)
-        other.count = int(np.isfinite(other.sigma).sum())
-    return other
