@@ -329,6 +329,9 @@ def _of_stated_noise(search: Search, progress: Progress) -> Diagnosis:
         return replace(found, noise=noise)
     progress("searching again: the noise is not as rig.toml tells it")
     again = _explained(search.under(noise), progress)
+    if again.verdict == Verdict.CONSISTENT and dependent(again.corrected):
+        search.under(Noise.told(len(search.rig.predict)))  # what the machine's own motion foretells is no noise
+        return replace(found, noise=noise)
     return replace(again, noise=shown_noise(again.corrected))
 
 
