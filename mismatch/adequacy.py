@@ -1,6 +1,6 @@
 """Whether what a run leaves goes with the machine's own signals: then it is no noise, however it is coloured.
 
-Where no noise is told, or another one than is found, what a fit leaves was made equal to noise before. Noise of a sensor
+Where no noise is told, or another than is found, what a fit leaves was made equal to noise before. Noise of a sensor
 knows nothing of the machine. So functions of the predicted channels, of their rates and of the inputs are fitted to
 what is left on most of the recording, and judged on the rest. Chance is what they predict of the same errors, shifted
 in time.
