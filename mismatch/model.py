@@ -38,6 +38,7 @@ TINY = 1e-300  # instead of a size that is 0, by which something is divided
 START_SIZE = 1e-3  # of the largest reading: the least size of a starting value, by which its steps are scaled
 START_STEP = 1e-4  # of that size, for a difference
 FARTHEST = 1e6  # spreads of a channel: a run that diverges is said to be so far off
+KEPT = 2  # filtered inputs that are kept beside the newest: a slope asks for two by turns
 START_TRIALS = 60  # runs in which starting values are fitted, at most
 
 
@@ -108,6 +109,8 @@ class Model:
         self._finer = {name: self._input(name, recording.channels, FINER) - self._inputs[name] for name in self.finer}
         self.target = np.stack([recording[name] for name in self.rig.predict], axis=1)
         self._last = (None, None)
+        self._made: dict[tuple, dict[str, np.ndarray]] = {}
+        self._rate: dict[str, np.ndarray] = {}
 
     def _moving(self) -> list[str]:
         """Parameters that change the states: all but those that only outputs and sensors use."""
@@ -143,6 +146,13 @@ class Model:
         raise InputError(f"plant {self.plant.name}: derived {name}: {how!r}; give rate, integral, smooth_rate or so")
 
     def _signals(self, values: Mapping[str, float]) -> dict[str, np.ndarray]:
+        """The plant's inputs, filtered; the last ones are kept, for most parameters change none of them."""
+        key = (*((name, *self._acting(name, values)) for name in self.plant.inputs), values.get(BLUR, 0.0))
+        if key not in self._made:
+            self._made = dict([*self._made.items()][-KEPT:]) | {key: self._filtered(values)}
+        return dict(self._made[key])
+
+    def _filtered(self, values: Mapping[str, float]) -> dict[str, np.ndarray]:
         signals = dict(self._inputs)
         for name in self.plant.inputs:
             for kind, given in self._acting(name, values):
@@ -183,8 +193,10 @@ class Model:
 
     def smooth_rate(self, channel: str) -> np.ndarray:
         """Velocity of a recorded channel (samples,), in its unit a second, as a restart takes it."""
-        half = reach(self.recording[channel], SMOOTH_START)
-        return savgol_filter(self.recording[channel], 2 * half + 1, PARABOLA, deriv=1, delta=self.rig.dt)
+        if channel not in self._rate:
+            half, signal = reach(self.recording[channel], SMOOTH_START), self.recording[channel]
+            self._rate[channel] = savgol_filter(signal, 2 * half + 1, PARABOLA, deriv=1, delta=self.rig.dt)
+        return self._rate[channel]
 
     def pace(self, rate: str) -> float:
         """RMS of a rate as a restart takes it, in its unit; where it rests, its sensor's noise a sample."""

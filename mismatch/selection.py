@@ -97,6 +97,7 @@ class Selection:
             if taken is None:
                 break
             best, current = self.exchanged(*taken)
+            self.progress(f"best so far: {best}")
             start = current
         return best, current
 
