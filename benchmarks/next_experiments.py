@@ -364,8 +364,9 @@ def run(case: Case, scratch: Path) -> dict:
 
         return choose
 
-    def drawn(folder: Path, make: Callable, seed: int) -> Callable[[int, dict], Inputs | None]:
-        seconds, reach = played[0]["seconds"], played[0]["reach"]
+    def drawn(make: Callable, seed: int) -> Callable[[int, dict], Inputs | None]:
+        usual = {"seconds": out["seconds"], "reach": 1.0}
+        seconds, reach = ((played or [usual])[0][key] for key in ("seconds", "reach"))
         recording = home.rig.recording(home.folder / "identify.csv")
         free = FreeRun(home.rig, {}, {})
         bounds = free.at_rest(Bounds.of(home.rig, recording, reach), recording, seconds / 4)
@@ -381,10 +382,8 @@ def run(case: Case, scratch: Path) -> dict:
     for k, way in enumerate(WAYS):
         folder = Path(shutil.copytree(home.folder, scratch / way))
         there = Machine(folder, rigs.load(folder), home.run, home.noise)
-        chooser = proposed(folder) if way == "next" else None
-        if way != "next" and played:
-            chooser = drawn(folder, random if way == "random" else sines, k)
-        out[way] = loop(there, case.effect, first, chooser or (lambda round_, found: None))
+        made = proposed(folder) if way == "next" else drawn(random if way == "random" else sines, k)
+        out[way] = loop(there, case.effect, first, made)
     return out | {"ambiguous": True, "played": played}
 
 

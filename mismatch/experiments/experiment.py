@@ -160,7 +160,7 @@ def experiments(bounds: Bounds, seconds: float, dt: float, longest: float = np.i
 def _experiments(bounds: Bounds, seconds: float, dt: float, longest: float) -> Iterable[list[Experiment]]:
     for move in MOVES if bounds.positions else ():
         length = min(seconds, longest / (RESTED if move.rest else MOVED))
-        rest = min(move.rest * length, longest - RESTED / 2 * length)
+        rest = min(move.rest * length, longest - RESTED / 2 * length) if move.rest else 0.0
         yield [Experiment(_words(move, bounds, rest), _moving([move], bounds, length, dt, rest), dt)]
     for shape, wave in _waves(seconds, dt) if bounds.swing else ():
         amplitudes = AMPLITUDES if wave.any() else (0.0,)

@@ -161,7 +161,7 @@ class Trials:
     def __init__(self, likelihood: Likelihood, values: Mapping[str, float], longest: float = np.inf):
         self.likelihood, self.longest = likelihood, longest
         self.free = FreeRun(likelihood.model.rig, likelihood.model.effects, values)
-        self._over: dict[float, list[Trial]] = {}
+        self._over: dict[tuple[float, float], list[Trial]] = {}
         self._bounds: dict[float, Bounds] = {}
 
     def apart(self, rival: Fit, here: float) -> Separation | None:
@@ -176,9 +176,10 @@ class Trials:
                 break
         return max(found, key=lambda s: s.merit, default=None)
 
-    def likeliest(self, rival: Fit, reach: float) -> list[Trial]:
-        """Those in which `rival` differs most before its parameters adapt, in a second."""
-        return sorted(self.over(reach), key=lambda t: -np.sum(t.left(rival) ** 2) / t.experiment.seconds)[:SHORTLIST]
+    def likeliest(self, rival: Fit, reach: float, times: float = 1.0) -> list[Trial]:
+        """Those in which `rival` differs most before its parameters adapt, in a second. Arguments: as for `over`."""
+        trials = self.over(reach, times)
+        return sorted(trials, key=lambda t: -np.sum(t.left(rival) ** 2) / t.experiment.seconds)[:SHORTLIST]
 
     @property
     def seconds(self) -> float:
@@ -194,15 +195,18 @@ class Trials:
             self._bounds[reach] = self.free.at_rest(bounds, recording, HOLD * self.seconds)
         return self._bounds[reach]
 
-    def over(self, reach: float) -> list[Trial]:
-        """The strongest and the mildest experiment of every kind that stay within `reach` times what was recorded."""
-        if reach not in self._over:
-            bounds, found = self.bounds(reach), []
-            for kind in experiments(bounds, self.seconds, self.likelihood.model.recording.dt, self.longest):
+    def over(self, reach: float, times: float = 1.0) -> list[Trial]:
+        """The strongest and the mildest experiment of every kind that stay within `reach` times what was recorded.
+
+        times: as long as usual.
+        """
+        if (reach, times) not in self._over:
+            bounds, found, dt = self.bounds(reach), [], self.likelihood.model.recording.dt
+            for kind in experiments(bounds, times * self.seconds, dt, self.longest):
                 stood = [(e, r) for e in kind if (r := self.free.record(e.inputs, bounds)) is not None]
                 found += [self._trial(*pair) for pair in (*stood[:1], *stood[1:][-1:])]
-            self._over[reach] = found
-        return self._over[reach]
+            self._over[reach, times] = found
+        return self._over[reach, times]
 
     def withstood(self, experiment: Experiment, left: Iterable[Rival], reach: float) -> bool:
         """Whether no channel leaves its bounds, whichever of the explanations that are `left` is true."""
