@@ -96,6 +96,7 @@ CASES = (
     Case("cable_drum", "drift", 1, 1500, STROKES, every=4),
     Case("cable_drum", "acceleration_slip", 1, 1500, STROKES, every=4),
     Case("belt_drive", "drift", 2, 1250, swing(0.05, 0.125), every=4),
+    Case("belt_drive", "scale_error", 1, 1250, swing(0.05, 0.125), every=4),
     Case("belt_drive", "scale_error", 2, 1250, swing(0.05, 0.125), every=4),
     Case("belt_drive", "rate_dependent_band", 2, 1250, swing(0.05, 0.125), every=4),
     Case("belt_drive", "inertial_stretch", 1, 1250, swing(0.05, 0.125), every=4),
@@ -110,8 +111,7 @@ CASES = (
     Case("quarter_car", "sensor_lag", 2, 600, sine(-0.01, 0.01, 0.8)),
     Case("slider", "input_lag", 1, 1200, sine(-2, 2, 0.3)),
     Case("slider", "input_delay", 2, 1200, sine(-2, 2, 0.3)),
-    Case("slider", "input_lag", 5, 1200, sine(-2, 2, 0.3), told=False),
-    Case("motor", "input_delay", 2, 600, sine(-2, 2, 0.8), told=False),
+    Case("thermal", "input_delay", 3, 300, sine(40, 160, 3e-4), told=False),
 )
 
 

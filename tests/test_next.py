@@ -198,7 +198,7 @@ def test_experiments_last_no_longer_than_they_may(rig):
     bounds = Bounds.of(loaded, recording)
     for longest in (3.0, 7.0, 20.0):
         made = [e for kind in experiments(bounds, 6.0, recording.dt, longest) for e in kind]
-        assert len(made) > 3
+        assert len(made) >= 3
         assert max(e.seconds for e in made) <= longest * (1 + 1e-9)
     assert max(e.seconds for kind in experiments(bounds, 6.0, recording.dt) for e in kind) > 100
 
