@@ -15,6 +15,7 @@ from greygate.mismatch.experiments.rivals import restored
 from greygate.mismatch.rig import SHORTEST, Rig, load
 from greygate.mismatch.simulation import read
 from greygate.mismatch.verdict import Verdict
+from greygate.plain import plain
 from greygate.progress import Progress, silent
 from greygate.reading import line, listed, one_of, table
 
@@ -49,14 +50,17 @@ def propose(
     head = f"{rig.folder.resolve().name} ({rig.plant.name})"
     if not any(entry["not_told_apart_from"] for entry in entries):
         return {"plant": rig.plant.name, **Proposal(()).as_dict({})}, [f"{head}: {_unambiguous(found)}"], False
-    made = proposal(restored(rig, recording, effects, found, progress), entries, longest, progress)
+    try:
+        made = proposal(restored(rig, recording, effects, found, progress), entries, longest, progress)
+    except np.linalg.LinAlgError as error:
+        raise InputError(f"{folder}: the fit fails numerically ({error}); check the values in rig.toml") from error
     units = {name: channel.unit for name, channel in rig.channels.items()}
     lines = [head, *(f"  {text}" for text in made.lines(units))]
     if made.experiment is None:
         lines.append(f"  {_untold(rig, made)}")
     elif out is not None:
         write(made.experiment, out)
-    return {"plant": rig.plant.name, **made.as_dict(units)}, lines, made.experiment is not None
+    return plain({"plant": rig.plant.name, **made.as_dict(units)}), lines, made.experiment is not None
 
 
 def write(experiment: Experiment, path: Path) -> None:
@@ -76,7 +80,7 @@ def _checked(found: dict, path: Path, rig: Rig) -> dict:
         raise InputError(f"{path}: is of {of}, the rig is {rig.plant.name}; give the rig's own")
     wish = "give a file that diagnose wrote"
     try:
-        table(found, f"{path}:", {"verdict": one_of(tuple(Verdict))}, others=True)
+        table(found, f"{path}:", {"verdict": one_of(Verdict)}, others=True)
         for entry in found["effects"]:
             table(entry, f"{path}: effects:", ALIKE, others=True)
     except InputError as error:
