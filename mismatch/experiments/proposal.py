@@ -37,14 +37,15 @@ LEAST = 0.1  # standard deviations: a distance below is none
 class Pair:
     """Two explanations by the names in which they differ, and what lies between them in standard deviations.
 
-    here: on the recording so far; None between two that are not claimed. then: on that of the experiment alone;
-    both: on the two recordings together. sensor: (state, distance) where a sensor would help and no experiment does.
+    here: on the recording so far; None between two that are not claimed. then: on that of the experiment alone, None
+    where there is none; both: on the two recordings together. sensor: (state, distance) of the sensor that would tell
+    them apart where the experiment does not.
     """
 
     one: str
     other: str
     here: float | None
-    then: float = 0.0
+    then: float | None = None
     both: float | None = None
     sensor: tuple[str, float] | None = None
 
@@ -54,7 +55,7 @@ class Pair:
 
     @property
     def told(self) -> bool:
-        return self.then > self.needed
+        return self.then is not None and self.then > self.needed
 
     def as_dict(self) -> dict:
         named = dict(zip(("state", "apart"), self.sensor, strict=True)) if self.sensor else None
@@ -88,7 +89,8 @@ class Proposal:
             out.append(f"{'' if i else 'tells':<9} {pair.one} from {pair.other}: {deviations(pair.then)}{here}")
         for i, pair in enumerate(left):
             of = f"; a sensor of {pair.sensor[0]} does: {deviations(pair.sensor[1])}" if pair.sensor else ""
-            out.append(f"{'' if i else 'does not':<9} {pair.one} from {pair.other}: {figure(pair.then)}{of}")
+            apart = f"here {figure(pair.here or 0.0)}" if pair.then is None else figure(pair.then)
+            out.append(f"{'' if i else 'does not':<9} {pair.one} from {pair.other}: {apart}{of}")
         return out
 
 
@@ -99,7 +101,7 @@ def proposal(
 
     entries: its `effects`. None is proposed that leaves the rig's bounds if one of the explanations is true.
     """
-    left = list(rivals(result, entries))
+    left = [rival for rival in rivals(result, entries) if np.isfinite(rival.here)]
     trials = Trials(screened(result), result.corrected.values, longest)
     best: Judged | None = None
     for reach, times in product(REACHES, LENGTHS) if result.rig.inputs else ():
@@ -113,7 +115,7 @@ def proposal(
         if best is not None and all(pair.told for pair in best.claimed):
             break
     pairs = best.pairs if best else [Pair(r.effect, r.name, r.here) for r in left]
-    tells = best is not None and any(pair.told for pair in best.claimed)
+    tells = best is not None and best.tells
     sensed = [_with_sensor(trials, pair, rival) for pair, rival in zip(pairs, left, strict=False)]
     between = pairs[len(left) :]
     return Proposal((*sensed, *between), best.trial.experiment, best.reach) if tells else Proposal((*sensed, *between))
@@ -136,12 +138,18 @@ class Judged:
         self.seen = trial.distance(nothing, alone=True)
 
     @property
-    def merit(self) -> tuple[int, int, float, float]:
-        """Pairs told apart with ease; told apart at all; what a second of it brings up to that; and what beyond."""
+    def tells(self) -> bool:
+        """Whether it tells the claimed explanation from any other."""
+        return any(pair.told for pair in self.claimed)
+
+    @property
+    def merit(self) -> tuple[bool, int, int, float, float]:
+        """Whether it tells; pairs told apart with ease, and at all; what a second brings up to that; and beyond."""
         needed = np.array([*(pair.needed for pair in self.pairs), NEEDED])
         apart = np.maximum([*(pair.then for pair in self.pairs), self.seen], LEAST) / needed
         brings = np.mean(np.log(np.minimum(apart, ENOUGH))) - np.log(self.trial.experiment.seconds) / 2
-        return int(np.sum(apart > ENOUGH)), int(np.sum(apart > 1)), float(brings), float(np.mean(np.log(apart)))
+        told = int(np.sum(apart > ENOUGH)), int(np.sum(apart > 1))
+        return self.tells, *told, float(brings), float(np.mean(np.log(apart)))
 
 
 def _with_sensor(trials: Trials, pair: Pair, rival: Rival) -> Pair:
