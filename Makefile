@@ -8,7 +8,7 @@ FOLDERS := models plants emulator compiler rtl mismatch machines recordings
 
 .PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-rigs bench-programs fuzz faults \
     mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-tables \
-    bench-flow bench-growth bench-exploring bench-blind
+    bench-flow bench-growth bench-exploring bench-blind bench-next
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -76,6 +76,10 @@ bench-diagnosis: $(VENV)/.ready-dev
 # Half an hour: every command of diagnosis on 200 random valid rigs.
 bench-rigs: $(VENV)/.ready-dev
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/generated_rigs.py --rigs 200 --jobs 2
+
+# Twenty minutes: experiments until an ambiguous diagnosis is resolved, by `greygate next`, random ones, multisines.
+bench-next: $(VENV)/.ready-dev
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/next_experiments.py
 
 # Hours: the blind benchmark's development split, ours and the baselines. TOOLS=greygate for ours alone.
 bench-blind: $(VENV)/.ready-dev

@@ -109,6 +109,7 @@ def _commands(rig: Path) -> dict[str, dict]:
         recording = held if held.exists() else rig / "identify.csv"
         options = ("--diagnosis", rig / "d.json", "--out", rig / "c.csv")
         ran["corrected"] = called("simulate", rig, "--recording", recording, *options)
+        ran["next"] = called("next", rig, "--diagnosis", rig / "d.json", "--out", rig / "next.csv")
     ran["isolability"] = called("isolability", rig)
     return ran
 

@@ -45,6 +45,8 @@ def test_every_command_answers(seed, tmp_path, greygate):
             "simulate", folder, "--recording", folder / "identify.csv", "--out", tmp_path / "s.csv", *given
         )
         assert code == 0, err
+    code, out, err = greygate("next", folder, "--diagnosis", file, "--out", tmp_path / "next.csv")
+    assert (code, (tmp_path / "next.csv").exists()) in ((0, True), (1, False)), out + err
     code, _, err = greygate("isolability", folder, "--json")
     assert code == 0 or "no table has an effect of this plant" in err, err
 

@@ -34,6 +34,7 @@ GOOD = {
     "play": ["build", "a.csv", "--port", "none"],
     "validate": ["line.toml", "--record", "a.csv", "--lags", "5", "--out", "new.html"],
     "diagnose": ["rig", "--out", "new.json"],
+    "next": ["rig", "--diagnosis", "none.json", "--out", "new.csv"],
     "isolability": ["rig"],
     "simulate": ["rig", "--recording", "rig/third.csv", "--out", "new.csv"],
     "augment": ["rig", "--diagnosis", "none.json", "--out", "new"],

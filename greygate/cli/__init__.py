@@ -23,7 +23,7 @@ COMMANDS = (
     *(builds.emulate, builds.verify, builds.prove, builds.synthesize, builds.report),
     *(boards.board, boards.play),
     networks.validate,
-    *(rigs.diagnose, rigs.isolability, rigs.simulate, rigs.augment, rigs.conceal, rigs.reveal),
+    *(rigs.diagnose, rigs.next, rigs.isolability, rigs.simulate, rigs.augment, rigs.conceal, rigs.reveal),
 )
 
 app = typer.Typer(

@@ -1,5 +1,6 @@
-"""Commands on rigs: diagnose, isolability, simulate, augment, and the concealed cases that test them."""
+"""Commands on rigs: diagnose, next, isolability, simulate, augment, and the concealed cases that test them."""
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -79,6 +80,29 @@ def isolability(
     with following("simulating"):
         found, lines = isolable(rig, effects, dict(spans))
     give(found, as_json, lines)
+
+
+def next(
+    rig: RigFolder,
+    diagnosis: Annotated[Path, typer.Option(help="diagnosis.json of this rig's identify.csv, by `greygate diagnose`.")],
+    out: Annotated[Path | None, typer.Option(help="CSV to write: t and every input, to be played.")] = None,
+    effects: Annotated[list[Path], typer.Option(help="Tables that the diagnosis had, too.")] = [],
+    longest: Annotated[
+        float, typer.Option(callback=options.SECONDS, help="Seconds that the experiment may take.")
+    ] = math.inf,
+    as_json: Json = False,
+) -> None:
+    """Find the experiment that tells apart what a diagnosis does not, within what the recording shows the rig stands.
+
+    Exit code 1 if the diagnosis leaves nothing to tell apart, or no experiment does; it then says which sensor would.
+    """
+    from greygate.proposing import propose
+
+    with following("looking for an experiment") as progress:
+        found, lines, tells = propose(rig, diagnosis, out, effects, longest, progress)
+    give(found, as_json, [*lines, f"written to {out}"] if tells and out is not None else lines)
+    if not tells:
+        raise typer.Exit(1)
 
 
 def _range(text: str) -> tuple[str, tuple[float, float]]:

@@ -15,8 +15,8 @@ from scipy.optimize import lsq_linear
 
 from greygate.mismatch.coloured import resized
 from greygate.mismatch.effects import Effect
+from greygate.mismatch.experiments.rivals import ITERATIONS
 from greygate.mismatch.experiments.separation import (
-    ITERATIONS,
     NEEDED,
     WORTH,
     Separation,
