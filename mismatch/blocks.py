@@ -98,6 +98,11 @@ class Judge:
         error = np.concatenate([self.unseen(fit, k) for k in range(FOLDS)])
         return float(np.mean(np.mean(error**2, axis=0) / (np.mean(sheet**2, axis=0) + TINY)))
 
+    def share(self, plain: Fit, without: Fit, fit: Fit) -> float:
+        """The share of the squared error of `plain` that `fit` has less than `without`, in the mean over channels."""
+        squared = [np.mean(self.errors(f.values) ** 2, axis=0) for f in (plain, without, fit)]
+        return float(np.mean((squared[1] - squared[2]) / (squared[0] + TINY)))
+
 
 def _worse(before: np.ndarray, after: np.ndarray) -> bool:
     """Whether errors (samples,) are larger than others, by more than MORE and than chance."""

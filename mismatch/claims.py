@@ -2,9 +2,10 @@
 
 1. The interval of an effect's size holds no zero, and a parameter outside its tolerance lies outside it.
 2. The recording excites the effect: at its found size it does more than a gain, an offset or nothing would do.
-3. The corrected simulation is on no block worse than the calibrated one, nor that than the data sheet (`blocks`).
+3. Its e-value, on halves of the recording that its fit did not see, bears the name among all on offer (`evidence`).
+4. The corrected simulation is on no block worse than the calibrated one, nor that than the data sheet (`blocks`).
 
-A fit that fails the third gate is fitted again to what the simulation is judged by: its error in the run of the rig's
+A fit that fails the fourth gate is fitted again to what the simulation is judged by: its error in the run of the rig's
 rule, as it is. If that fails too, the effect goes whose loss costs least.
 """
 
@@ -16,6 +17,7 @@ import numpy as np
 from greygate.mismatch.blocks import MORE, Judge, Loss
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.effects import Effect
+from greygate.mismatch.evidence import Evidence, borne_out, evidence
 from greygate.mismatch.experiments.excitation import SEEN, unexcited
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.intervals import interval, least_share, margin
@@ -32,13 +34,16 @@ class Claims:
     """What is left after the gates.
 
     best, fit: the hypothesis and its fit. calibrated: the fit without effects. refused: one sentence for each claim
-    that was dropped or fitted again.
+    that was dropped or fitted again. evidence, shares: of every effect and parameter that is left, what
+    speaks for it and the share of the calibrated plant's squared error that goes with it alone.
     """
 
     best: Hypothesis
     fit: Fit
     calibrated: Fit
     refused: list[str] = field(default_factory=list)
+    evidence: dict[str, Evidence] = field(default_factory=dict)
+    shares: dict[str, float] = field(default_factory=dict)
 
 
 # -- the first two gates ---------------------------------------------------------------------------------------------
@@ -73,7 +78,7 @@ def _influence(effect: Effect, fit: Fit) -> float:
     return float(np.sum(np.square(np.nan_to_num(change, nan=np.inf))))
 
 
-# -- the third -------------------------------------------------------------------------------------------------------
+# -- the fourth ------------------------------------------------------------------------------------------------------
 
 
 def by_rule(search: Search, hypothesis: Hypothesis, fit: Fit) -> Fit | None:
@@ -118,6 +123,8 @@ def earned(
             claims.best = claims.best.without(name)
             claims.fit = refit(claims.best, claims.fit)
             continue
+        if _unsupported(search, judge, claims, refit):
+            continue
         progress(f"holding blocks out of {claims.best}")
         losses = judge.losses(claims.calibrated, claims.fit)
         if not losses:
@@ -130,6 +137,29 @@ def earned(
             break
         _dropped(search, claims, refit, losses)
     return claims
+
+
+def _unsupported(search: Search, judge: Judge, claims: Claims, refit: Callable) -> bool:
+    """Whether the effect or parameter of least evidence was dropped, as not all that are named are borne out."""
+    names = (*claims.best.effects, *claims.best.released)
+    fits = {name: refit(claims.best.without(name), claims.fit) for name in names}
+    claims.evidence = {n: evidence(fits[n], claims.fit, claims.fit.widened(_symbols(search, n))) for n in names}
+    claims.shares = {n: judge.share(claims.calibrated, fits[n], claims.fit) for n in names}
+    candidates = len({effect.id for effect in search.effects.values()}) + len(search.toleranced)
+    if borne_out(claims.evidence, candidates) == set(names):
+        return False
+    name = min(names, key=lambda n: claims.evidence[n].log_e)
+    says = (
+        f"what its fit did not see gives it an e-value of {claims.evidence[name]}, for one of {candidates} candidates"
+    )
+    claims.refused.append(f"{_name(search, name)} is not claimed: {says}")
+    claims.best, claims.fit = claims.best.without(name), fits[name]
+    return True
+
+
+def _symbols(search: Search, name: str) -> list[str]:
+    """The unknowns of an effect, or of a parameter whose tolerance is lifted."""
+    return [f.symbol for f in search.effects[name].free] if name in search.effects else [name]
 
 
 def _dropped(search: Search, claims: Claims, refit: Callable, losses: list[Loss]) -> None:

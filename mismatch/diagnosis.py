@@ -24,6 +24,7 @@ from greygate.mismatch.closure import closure
 from greygate.mismatch.coloured import Coloured, remaining
 from greygate.mismatch.coloured_selection import ColouredSelection
 from greygate.mismatch.effects import SENSOR, Effect
+from greygate.mismatch.evidence import Evidence
 from greygate.mismatch.experiments.excitation import excited, unseen
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.intervals import interval, least_share, margin, reported
@@ -33,7 +34,7 @@ from greygate.mismatch.noise import PLACES, Noise, learnt
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.ruled_out import ruled_out, why
 from greygate.mismatch.search import Hypothesis, Search
-from greygate.mismatch.selection import STRUCTURE, Selection, complete, inflation, structure
+from greygate.mismatch.selection import APART, STRUCTURE, Selection, complete, inflation, structure
 from greygate.mismatch.verdict import Verdict
 from greygate.plain import plain
 from greygate.plants.expressions import names
@@ -42,12 +43,12 @@ from greygate.progress import Progress, silent
 
 SCHEMA = "diagnosis/2"
 READ = (SCHEMA, "diagnosis/1")  # that can be simulated: the second adds to the first
-APART = 12.0  # of cost: two hypotheses that differ by less are not told apart
 SHARE = 0.99  # of what can be explained: an effect that explains so much is all that is missing,
 ADEQUATE = 4.0  # where the squared errors are at most so many times those that the told noise makes
 PART = 0.9  # of what can be explained: an effect that explains so much is named beside what is left
 SOME = 0.1  # of the squared error in free run, likewise where no noise is told
 OPEN = 0.9  # confidence in a name beside which structure is left, at most: it may be a part of something else
+ELSE = 0.01  # weight of something that no table has, beside a name whose fit leaves nothing: machines are many
 CLOSED = 0.05  # of the misfit, that a fitted term must take: less is not applied, and only located
 FARTHEST = 1400.0  # of cost: a rival this far away has a likelihood of exp(-700), the least that a float can hold
 BLOWN = 100.0  # times what was recorded: a run that is so far off diverges, and nothing can be read from it
@@ -61,8 +62,9 @@ class Diagnosis:
     calibrated, corrected: the fits of the plant without effects, and of `best`. rivals: cost of every hypothesis that
     was fitted. structure: by channel, what slow errors are left. explained: the share of what can be explained. noise:
     what `corrected` leaves, in units of what rig.toml tells, if it tells it. refused: claims that were dropped, one
-    sentence each. not_shown: key of an effect that the recording cannot show, and that was therefore not tried -> why.
-    not_larger_than: of a consistent recording, what it rules out.
+    sentence each. evidence, shares: by key of an effect, what the recording says for it where its fit did not look, and
+    the share of the calibrated plant's squared error that it takes. not_shown: key of an effect that the recording
+    cannot show, and that was therefore not tried -> why. not_larger_than: of a consistent recording, what it rules out.
     """
 
     rig: Rig
@@ -80,6 +82,8 @@ class Diagnosis:
     left: str = ""
     noise: Noise | None = None
     refused: list[str] = field(default_factory=list)
+    evidence: dict[str, Evidence] = field(default_factory=dict)
+    shares: dict[str, float] = field(default_factory=dict)
     not_shown: dict[str, str] = field(default_factory=dict)
     not_larger_than: list[dict] = field(default_factory=list)
 
@@ -157,10 +161,12 @@ class Diagnosis:
                 {
                     "id": effect.id,
                     "equations": list(effect.equations),
-                    "confidence": round(self._confidence(rivals), DIGITS),
+                    "confidence": round(self._confidence(key, rivals), DIGITS),
                     "form": key,
                     "parameters": reported(effect, self.corrected, self._least[key]),
                     "not_told_apart_from": sorted(name for name, gap in rivals.items() if gap < APART),
+                    **({"share": round(self.shares[key], DIGITS)} if key in self.shares else {}),
+                    **({"evidence": self.evidence[key].as_dict()} if key in self.evidence else {}),
                 }
             )
         return out
@@ -187,8 +193,11 @@ class Diagnosis:
                     out[name] = min(out.get(name, np.inf), cost - best)
         return out
 
-    def _confidence(self, rivals: Mapping[str, float]) -> float:
-        sure = float(1.0 / (1.0 + sum(np.exp(-min(max(gap, 0.0), FARTHEST) / 2) for gap in rivals.values())))
+    def _confidence(self, key: str, rivals: Mapping[str, float]) -> float:
+        """The weight of effect `key` beside its rivals, nothing, and something that no table has."""
+        others = sum(np.exp(-min(max(gap, 0.0), FARTHEST) / 2) for gap in rivals.values())
+        nothing = np.exp(-min(self.evidence[key].log_e, FARTHEST)) if key in self.evidence else 0.0
+        sure = float(1.0 / (1.0 + others + nothing + ELSE))
         if self.verdict != Verdict.PARTLY_EXPLAINED:
             return sure
         return sure * min(max(self.explained, 0.0), OPEN)
@@ -332,7 +341,7 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
     best, current = short.forward(Hypothesis(), short.plain, base)
     if not complete(current):
         best, current = short.paired(best, current, base)
-    best, current = short.backward(best, current)
+    best, current = short.settled(*short.backward(best, current))
     selection, costs = short, short.costs
     if best.size and complete(current):
         longer, best, corrected = short.over(search.final, best, current)
@@ -362,9 +371,10 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
             unknown, corrected = _unknown(search, claims, *found)
             left = structure(corrected)
     rivals = {hypothesis: cost / inflation(current) for hypothesis, cost in costs.items()}
+    rivals |= {hypothesis: rivals[best] for hypothesis in short.unfitted if best in rivals and hypothesis not in rivals}
     return Diagnosis(
         search.rig, verdict, best, claims.calibrated, corrected, rivals, left, explained, search, unknown,
-        refused=claims.refused,
+        refused=claims.refused, evidence=claims.evidence, shares=claims.shares,
     )  # fmt: skip
 
 
@@ -385,7 +395,8 @@ def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
         unexplained = {"where": [_likeliest(search, selection.fits, left)]}
     return Diagnosis(
         search.rig, verdict, best, claims.calibrated, fit, {h: f.cost for h, f in selection.fits.items()}, {},
-        explained, search, unexplained, left=left, refused=claims.refused,
+        explained, search, unexplained, left=left, refused=claims.refused, evidence=claims.evidence,
+        shares=claims.shares,
     )  # fmt: skip
 
 

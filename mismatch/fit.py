@@ -5,7 +5,7 @@ them to the data sheet, and those of the effects under test. The second are the 
 pressures): as recorded, plus a shift. The shifts of a window act on that window alone and are eliminated there.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -134,22 +134,31 @@ class Fit:
         white = bread * max(1.0, float(np.mean(self.projected**2)))
         return _larger(robust, white)
 
+    def widened(self, symbols: Collection[str]) -> float:
+        """The largest factor by which errors that depend on each other widen the variance of one of `symbols`."""
+        at = [j for j, u in enumerate(self.unknowns) if u.symbol in symbols]
+        bread = np.diag(np.linalg.pinv(self.information, hermitian=True))[at]
+        return float(np.max(np.diag(self.covariance)[at] / np.maximum(bread, TINY), initial=1.0))
+
     def held_out(self, stretch: int = HELD) -> float:
         """Cost of the errors on each half of the recording, with the parameters that the other half alone gives.
 
-        The halves are every other `stretch` samples. A half's parameters come from one linearised step from those of
-        both.
+        The halves are every other `stretch` samples.
         """
         even = self.likelihood.alternate(stretch)
+        return sum(self.judged(learn, ~learn) for learn in (even, ~even))
+
+    def judged(self, learn: np.ndarray, judge: np.ndarray) -> float:
+        """Cost of the errors in the windows `judge`, with the parameters that the windows `learn` alone give.
+
+        learn, judge: (windows,) of bool. The parameters come from one linearised step from those of the fit.
+        """
         low, high = _bounds(self.unknowns)
-        total = 0.0
-        for learn in (even, ~even):
-            flat, errors = self.slopes[learn].reshape(-1, len(self.numbers)), self.projected[learn].reshape(-1)
-            normal = flat.T @ flat + np.diag(self.weight + RIDGE)
-            step = np.linalg.lstsq(normal, -(flat.T @ errors) - self.weight * self.numbers, rcond=SINGULAR)[0]
-            step = np.clip(self.numbers + step, low, high) - self.numbers
-            total += float(np.sum((self.projected[~learn] + self.slopes[~learn] @ step) ** 2))
-        return total
+        flat, errors = self.slopes[learn].reshape(-1, len(self.numbers)), self.projected[learn].reshape(-1)
+        normal = flat.T @ flat + np.diag(self.weight + RIDGE)
+        step = np.linalg.lstsq(normal, -(flat.T @ errors) - self.weight * self.numbers, rcond=SINGULAR)[0]
+        step = np.clip(self.numbers + step, low, high) - self.numbers
+        return float(np.sum((self.projected[judge] + self.slopes[judge] @ step) ** 2))
 
     def deviation(self, symbol: str) -> float:
         """Standard deviation of a value."""

@@ -74,9 +74,7 @@ def least_share(effect: Effect, fit: Fit) -> float:
     """
     strengths = {f.symbol for f in effect.strengths}
     likelihood, rest = fit.likelihood, [u for u in fit.unknowns if u.symbol not in strengths]
-    at = [j for j, u in enumerate(fit.unknowns) if u.symbol in strengths]
-    bread = np.diag(np.linalg.pinv(fit.information, hermitian=True))[at]
-    wider = float(np.max(np.diag(fit.covariance)[at] / np.maximum(bread, TINY), initial=1.0))
+    wider = fit.widened(strengths)
     even = np.ones(len(fit.temper))
     here = likelihood.cost(fit.errors, fit.shifts, even) + float(np.sum(fit.weight * fit.numbers**2))
     found = 0.0
