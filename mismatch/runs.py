@@ -3,7 +3,7 @@
 They stand one after the other. Whatever looks along time (a rate, a filter, a correlation) looks along one of them.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -33,6 +33,15 @@ class Runs(Recording):
     def time(self) -> np.ndarray:
         """Seconds from the first sample of the recording in which a sample stands, (samples,)."""
         return np.concatenate([r.time for r in self.each])
+
+
+def with_channels(recording: Recording, channels: Mapping[str, np.ndarray], units: Mapping[str, str]) -> Recording:
+    """The same recordings with these channels (samples,) in the place of theirs."""
+    parts = [
+        Recording(run.dt, {name: c[piece] for name, c in channels.items()}, units, run.source)
+        for run, piece in zip(recording.runs, pieces(recording), strict=True)
+    ]
+    return Runs.of(parts) if isinstance(recording, Runs) else parts[0]
 
 
 def pieces(recording: Recording) -> list[slice]:
