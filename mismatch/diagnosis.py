@@ -320,6 +320,8 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
     progress("compiling the plant")
     search = Search(rig, recording, effects, free_run=Likelihood if rig.stated else Coloured)
     search.effects, not_shown = excited(search.final.model, search.effects)
+    offered = {effect.id for effect in search.effects.values()}
+    not_shown |= {name: why for name, why in table.unmet(rig, recording).items() if name not in offered}
     progress("calibrating")
     result = (_of_stated_noise if rig.stated else _of_coloured_noise)(search, progress)
     result.not_shown = not_shown

@@ -6,10 +6,12 @@ then a set of parameters that become free, and nothing is compiled twice.
 
 from greygate.mismatch.entries import ANY, EXTRA, SENSOR, TABLE, Effect, Free, fitting, read
 from greygate.mismatch.general import GENERAL, general
+from greygate.mismatch.general import unmet as general_unmet
 from greygate.mismatch.joining import join
 
 __all__ = [
     "ANY", "EXTRA", "GENERAL", "SENSOR", "TABLE", "Effect", "Free", "fitting", "general", "join", "known", "read",
+    "unmet",
 ]  # fmt: skip
 
 
@@ -22,10 +24,19 @@ def known(rig, recording, every: bool = False) -> dict[str, Effect]:
     """
     path = rig.folder / "effects.toml"
     table, own = read(), read(path) if path.exists() else {}
-    ours = fitting(rig.plant, rig.datasheet, table)
-    special = ours | fitting(rig.plant, rig.datasheet, own)
+    special = fitting(rig.plant, rig.datasheet, table) | fitting(rig.plant, rig.datasheet, own)
     ids = {effect.id for effect in special.values()}
     found: dict[str, Effect] = {}
-    if recording is not None and not (rig.stated and ours):
+    if recording is not None and _any(rig):
         found = {k: e for k, e in general(rig, recording, special.values(), every).items() if e.id not in ids}
     return table | found | own
+
+
+def unmet(rig, recording) -> dict[str, str]:
+    """General effects that are on offer for the rig's plant and that this recording does not excite -> why."""
+    return general_unmet(rig, recording) if _any(rig) else {}
+
+
+def _any(rig) -> bool:
+    """Whether the general effects are on offer."""
+    return not (rig.stated and fitting(rig.plant, rig.datasheet, read()))

@@ -47,7 +47,7 @@ def general(rig: Rig, recording: Recording, beside: Iterable[Effect] = (), every
             needs = made.pop("needs", [])
             if not timed and _timed(made):
                 continue
-            if not every and not all(seen.shows(need) for need in needs):
+            if not every and seen.lacks(needs):
                 continue
             sized = _sized(made, seen, every)
             if sized is None:
@@ -60,6 +60,16 @@ def general(rig: Rig, recording: Recording, beside: Iterable[Effect] = (), every
             effect = effect_of(GENERAL, key_here, {"plants": [plant.name], **sized})
             if not any(_same(_columns(effect, seen), other) for other in had):
                 out[key_here] = effect
+    return out
+
+
+def unmet(rig: Rig, recording: Recording) -> dict[str, str]:
+    """General effects that fit the rig's plant and that this recording excites in no place -> why in the first."""
+    seen, found, out = Seen(rig, recording), places(rig), {}
+    for key, entry in entries(GENERAL).items():
+        lacking = [seen.lacks(_filled(entry.get("needs", []), place)) for place in found[entry["at"]]]
+        if lacking and all(lacking):
+            out[key] = lacking[0]
     return out
 
 

@@ -4,7 +4,7 @@ A signal that is recorded counts as recorded, the rate of a recorded position as
 that of the data sheet's plant.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 
 import numpy as np
@@ -32,6 +32,20 @@ SLOWEST = 10.0  # periods of a line in a recording, at least: a slower one is mo
 TWICE = 6.0  # variance of white noise differenced twice, over its own
 DIGITS = 12  # behind the point: rates that differ beyond are one
 LEVELS = 4  # values, or rates, that a signal must have: with fewer, a limit of it is another gain
+UNMET = {
+    "several": "there is no other channel of its kind beside {}",
+    "recorded": "{} is not recorded",
+    "moves": "{} never moves",
+    "turns": "{} never reverses",
+    "both_signs": "{} never changes its sign",
+    "near_zero": "{} is never near zero",
+    "often_high": "{} is never at rest at its highest",
+    "often_low": "{} is never at rest at its lowest",
+    "never_negative": "{} goes below zero",
+    "several_levels": "{} has few levels only",
+    "several_rates": "{} has few rates only",
+}
+"""What a need is -> why a recording does not show it, with the signal's name in its place."""
 
 
 class Seen:
@@ -205,6 +219,14 @@ class Seen:
             raise InputError(f"needs {need!r}: {kind!r} is unknown; give one of several, recorded, {', '.join(tests)}")
         self.asked = name
         return bool(tests[kind](self._some(name)))
+
+    def lacks(self, needs: Iterable[str]) -> str:
+        """The first of an effect's needs that the recording does not show, in words; empty where it shows all."""
+        for need in needs:
+            if not self.shows(need):
+                kind, _, name = need.partition(" ")
+                return UNMET[kind].format(name)
+        return ""
 
     def _moves(self, signal: np.ndarray) -> bool:
         channel = self.rig.channels.get(self.asked)

@@ -80,8 +80,9 @@ def test_a_run_that_diverges_is_worse(slipping):
     assert "the run diverges at" in str(lost[0])
 
 
-def test_a_claim_that_worsens_a_block_is_refused_and_the_diagnosis_says_so(slipping):
+def test_a_claim_that_worsens_a_block_is_refused_and_the_diagnosis_says_so(slipping, monkeypatch):
     search, plain, best, right = slipping
+    monkeypatch.setattr(claims, "_unsupported", lambda *_: False)  # the gate before this one would refuse it, too
     kept = earned(search, plain, best, right)
     assert (kept.best, kept.refused) == (best, [])
     pinned = next(u for u in right.unknowns if u.symbol == "speed_slip")
@@ -175,6 +176,12 @@ def test_an_input_that_is_never_negative_has_no_asymmetry(tmp_path):
     kept, hidden = offered(heater(tmp_path / "rig"))
     assert hidden["input_asymmetry"] == "power never changes its sign"
     assert "input_lag" in kept
+
+
+def test_an_effect_that_a_recording_cannot_excite_stands_among_those_it_cannot_show(tmp_path):
+    rig = load(heater(tmp_path / "rig"))
+    found = diagnose(rig).cannot_show
+    assert found["input_asymmetry"] == "power never changes its sign"
 
 
 @pytest.mark.parametrize(
