@@ -62,9 +62,7 @@ def _mean(signal: np.ndarray, size: int, pieces: Sequence[slice]) -> np.ndarray:
     return along(lambda part: part[: len(part) // size * size].reshape(-1, size).mean(axis=1), pieces, signal)
 
 
-def _features(
-    predicted: np.ndarray, recording: Recording, rig: Rig, pieces: Sequence[slice]
-) -> Iterator[np.ndarray]:
+def _features(predicted: np.ndarray, recording: Recording, rig: Rig, pieces: Sequence[slice]) -> Iterator[np.ndarray]:
     """Functions of the signals (samples,): powers, signs, and what they were a while ago."""
     size = max(len(predicted) // POINTS, 1)
     for signal in [*predicted.T, *(recording[name] for name in rig.inputs)]:

@@ -1,9 +1,9 @@
 """Whether a fit simulates worse than a plainer one, on blocks of identify.csv that neither of them learnt from.
 
 The recording is cut into pieces; every `FOLDS`-th of them is one block. Of several recordings each one is a block, if
-the others show what the fit has beyond the plainer one; else it is cut, as one recording is. The parameters of both fits are fitted again
-to the other pieces, and both simulations run by the rule of the rig, free or with its restarts. A fit loses on a
-channel of a block where its error is larger, and by more than chance makes of it.
+the others show what the fit has beyond the plainer one; else it is cut, as one recording is. The parameters of both
+fits are fitted again to the other pieces, and both simulations run by the rule of the rig, free or with its restarts. A
+fit loses on a channel of a block where its error is larger, and by more than chance makes of it.
 """
 
 import copy

@@ -244,7 +244,10 @@ class Diagnosis:
         out: dict[str, dict] = {}
         for run in self.corrected.likelihood.model.recording.runs:
             own = {s: self._parameter(key, self.search.sheet[key]) for s, key in self.rig.fitted_in(run.name).items()}
-            here = {**({"parameters": own} if own else {}), **({"resampled": "; ".join(run.history)} if run.history else {})}
+            here = {
+                **({"parameters": own} if own else {}),
+                **({"resampled": "; ".join(run.history)} if run.history else {}),
+            }
             out |= {run.name: here} if here else {}
         return out
 

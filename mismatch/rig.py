@@ -69,7 +69,8 @@ class Rig:
     window: samples between restarts of the simulation, None for one free run from the first sample to the last.
     anew: parameters that have another value in each recording. settle: how many first samples of holdout.csv serve
     only to fit its initial states and the parameters in `anew`; the error there does not count.
-    identify, holdout: the files to be explained, and to be held against. own: name of a recording -> what differs there.
+    identify, holdout: the files to be explained, and to be held against. own: name of a recording -> what differs
+    there.
     """
 
     plant: Plant
@@ -141,9 +142,7 @@ class Rig:
         own = {name: self.fitted_in(name) for name in names}
         kept = [{*own[name], *self.own.get(name, Own()).parameters} for name in names]
         found = {
-            s: p
-            for s, p in self.plant.parameters.items()
-            if p.tolerance and not all(s in symbols for symbols in kept)
+            s: p for s, p in self.plant.parameters.items() if p.tolerance and not all(s in symbols for symbols in kept)
         }
         for name in names:
             found |= {key: self.of(name).plant.parameters[s] for s, key in own[name].items()}
@@ -175,7 +174,7 @@ class Rig:
 
         Raises InputError where one is no longer than the rig settles.
         """
-        if self.holdout == (HOLDOUT,) and not (self.folder / HOLDOUT).exists() or not self.holdout:
+        if self.holdout == (HOLDOUT,) and not (self.folder / HOLDOUT).exists():
             return None
         found = [self.recording(self.folder / file) for file in self.holdout]
         for recording in found:
@@ -373,7 +372,7 @@ def _wrong_recordings(found: Mapping, plant: Plant) -> Mistakes:
     files = {run_name(IDENTIFY), run_name(HOLDOUT)}
     for key in ("identify", "holdout"):
         given = [run_name(file) for file in found.get(key, ())]
-        if key in found and len(set(given)) < max(len(given), key == "identify"):
+        if key in found and len(set(given)) < max(len(given), 1):
             yield key, f"{shown(given)}; list the files of the recordings, each name once"
         files |= set(given)
     for name, own in found.get("recordings", {}).items():

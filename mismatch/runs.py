@@ -5,6 +5,7 @@ They stand one after the other. Whatever looks along time (a rate, a filter, a c
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -51,13 +52,10 @@ def pieces(recording: Recording) -> list[slice]:
 
 def cut(lengths: Sequence[int]) -> list[slice]:
     """Slices of these lengths, one after the other."""
-    ends = np.cumsum([0, *lengths]).tolist()
-    return [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    return [slice(a, b) for a, b in pairwise(np.cumsum([0, *lengths]).tolist())]
 
 
-def along(
-    work: Callable[..., np.ndarray], pieces: Sequence[slice], *signals: np.ndarray
-) -> np.ndarray:
+def along(work: Callable[..., np.ndarray], pieces: Sequence[slice], *signals: np.ndarray) -> np.ndarray:
     """`work` on the signals (samples, ...) of each piece alone, its results joined end to end."""
     if len(pieces) == 1:
         return work(*signals)

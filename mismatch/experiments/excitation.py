@@ -202,7 +202,9 @@ def _actions(
             return []
         acts = values[symbols[0]] != 0.0
         by = [values[s] for s in symbols]
-        made = along(lambda part, k=kind, by=by: FILTERS[k](part, *by, rig.dt), cut, given[name]) if acts else given[name]
+        made = (
+            along(lambda part, k=kind, by=by: FILTERS[k](part, *by, rig.dt), cut, given[name]) if acts else given[name]
+        )
         change = made - given[name]
         first = int(np.argmax(np.abs(change) >= TAKEN_UP * np.max(np.abs(change)))) if kind == "play" else 0
         out.append(Action(name, {name: given[name][first:]}, change[first:]))
