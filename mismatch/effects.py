@@ -18,25 +18,27 @@ __all__ = [
 def known(rig, recording, every: bool = False) -> dict[str, Effect]:
     """The effects to be tried on a rig: those of the table, and those of `effects.toml` in its folder.
 
-    Where the table has none for its plant, or the rig does not state its noise, also the general effects in every place
-    of the plant that they fit and that the recording can excite (none before there is a recording); every: excited or
-    not. What the table, or the rig's own, calls by a general effect's name takes its place.
+    Beside them stand the general effects, in every place of the plant that they fit and that the recording can excite
+    (none before there is a recording); every: excited or not. Where the table has effects of the plant, and the rig
+    states its noise, those are the faults of a recording alone. What the table, or the rig's own, calls by a general
+    effect's name takes its place.
     """
     path = rig.folder / "effects.toml"
     table, own = read(), read(path) if path.exists() else {}
     special = fitting(rig.plant, rig.datasheet, table) | fitting(rig.plant, rig.datasheet, own)
     ids = {effect.id for effect in special.values()}
     found: dict[str, Effect] = {}
-    if recording is not None and _any(rig):
-        found = {k: e for k, e in general(rig, recording, special.values(), every).items() if e.id not in ids}
+    if recording is not None:
+        offered = general(rig, recording, special.values(), every, any_plant(rig))
+        found = {k: e for k, e in offered.items() if e.id not in ids}
     return table | found | own
 
 
 def unmet(rig, recording) -> dict[str, str]:
     """General effects that are on offer for the rig's plant and that this recording does not excite -> why."""
-    return general_unmet(rig, recording) if _any(rig) else {}
+    return general_unmet(rig, recording, any_plant(rig))
 
 
-def _any(rig) -> bool:
-    """Whether the general effects are on offer."""
+def any_plant(rig) -> bool:
+    """Whether all general effects are on offer."""
     return not (rig.stated and fitting(rig.plant, rig.datasheet, read()))

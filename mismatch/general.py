@@ -24,13 +24,16 @@ ALIKE = 1e-9  # by which the cosine of two terms along a recording may fall shor
 COPIES = ("unit", "rate", "way", "sum")  # ways to take a unit from a signal, or from a sum of terms
 
 
-def general(rig: Rig, recording: Recording, beside: Iterable[Effect] = (), every: bool = False) -> dict[str, Effect]:
+def general(
+    rig: Rig, recording: Recording, beside: Iterable[Effect] = (), every: bool = False, any_plant: bool = True
+) -> dict[str, Effect]:
     """The general effects by key, in every place of the rig's plant that they fit and this recording can excite.
 
-    every: also those that this recording does not excite, as for the simulation of what another one showed; without it,
-    effects of time alone are offered only where the noise is told. Where the
-    plant, or an effect `beside` them, has one of their symbols already, they take another symbol. A diagnosis reports
-    it by the name that stands in the table. What one of those has, term for term, is not offered under a second name.
+    any_plant: all of them; else those alone that are offered on every rig. every: also those that this recording does
+    not excite, as for the simulation of what another one showed; without it, effects of time alone are offered only
+    where the noise is told. Where the plant, or an effect `beside` them, has one of their symbols already, they take
+    another symbol. A diagnosis reports it by the name that stands in the table. What one of those has, term for term,
+    is not offered under a second name.
     """
     plant, out, seen, beside = rig.plant, {}, Seen(rig, recording), list(beside)
     taken = {*plant.symbols, *(symbol for effect in beside for symbol in effect.symbols)}
@@ -39,6 +42,8 @@ def general(rig: Rig, recording: Recording, beside: Iterable[Effect] = (), every
     found = places(rig)
     for key, entry in entries(GENERAL).items():
         at = found[entry.pop("at")]
+        if not entry.pop("always", False) and not any_plant:
+            continue
         if entry.pop("slow", False) and not rig.stated and not every:
             continue
         named = _named(at)
@@ -63,10 +68,12 @@ def general(rig: Rig, recording: Recording, beside: Iterable[Effect] = (), every
     return out
 
 
-def unmet(rig: Rig, recording: Recording) -> dict[str, str]:
+def unmet(rig: Rig, recording: Recording, any_plant: bool = True) -> dict[str, str]:
     """General effects that fit the rig's plant and that this recording excites in no place -> why in the first."""
     seen, found, out = Seen(rig, recording), places(rig), {}
     for key, entry in entries(GENERAL).items():
+        if not entry.get("always", any_plant):
+            continue
         lacking = [seen.lacks(_filled(entry.get("needs", []), place)) for place in found[entry["at"]]]
         if lacking and all(lacking):
             out[key] = lacking[0]
