@@ -33,7 +33,8 @@ RIDGE = 1e-9  # of curvature, for an unknown that does not act outside the block
 class Loss:
     """A channel of a block on which a fit is worse. spans: (from, to) of its pieces in s. before, after: RMS errors.
 
-    recording: of several the one in which it lies; all of it where there are no spans.
+    recording: of several the one in which it lies; all of it where there are no spans. learnt: whether both fits did
+    learn from it.
     """
 
     channel: str
@@ -42,13 +43,15 @@ class Loss:
     before: float
     after: float
     recording: str = ""
+    learnt: bool = False
 
     def __str__(self) -> str:
         when = " and ".join(f"{low:.3g} to {high:.3g} s" for low, high in self.spans)
         when = " ".join([*(["at", when] if when else []), *(["in", self.recording] if self.recording else [])])
         if not np.isfinite(self.after):
-            return f"the run diverges {when}, which it did not learn from"
-        return f"{self.channel} is {PERCENT * (self.after / self.before - 1):.2g} % worse {when}, not learnt from"
+            return f"the run diverges {when}" + (", which it did not learn from" if not self.learnt else "")
+        by = f"{self.channel} is {PERCENT * (self.after / self.before - 1):.2g} % worse {when}"
+        return by if self.learnt else f"{by}, not learnt from"
 
 
 class Judge:
@@ -98,9 +101,17 @@ class Judge:
     def losses(self, plain: Fit, fit: Fit) -> list[Loss]:
         """Every channel of every block on which `fit` is worse than `plain`.
 
-        What the linearised fits show is fitted again before it counts.
+        What the linearised fits show is fitted again before it counts. Of several recordings each one as a whole
+        counts, too, though both fits learnt from it: what the others have need not be there.
         """
         found = []
+        if self.several:
+            both = self.errors(plain.values), self.errors(fit.values)
+            for k in range(int(self.fold.max()) + 1):
+                lost = self._lost(*(errors[self.fold == k] for errors in both), self.fold == k)
+                found += [replace(loss, learnt=True) for loss in lost]
+        if found:
+            return found
         for held in self.blocks(plain, fit):
             if not self._lost(self.unseen(plain, held), self.unseen(fit, held), held):
                 continue

@@ -41,6 +41,7 @@ from greygate.mismatch.verdict import Verdict
 from greygate.plain import plain
 from greygate.plants.expressions import names
 from greygate.plants.plant import Parameter, Plant
+from greygate.plants.recording import run_name
 from greygate.progress import Progress, silent
 
 SCHEMA = "diagnosis/2"
@@ -67,6 +68,7 @@ class Diagnosis:
     sentence each. evidence, shares: by key of an effect, what the recording says for it where its fit did not look, and
     the share of the calibrated plant's squared error that it takes. not_shown: key of an effect that the recording
     cannot show, and that was therefore not tried -> why. not_larger_than: of a consistent recording, what it rules out.
+    alone: where several recordings are unexplained together, what each says alone (verdict, effects).
     """
 
     rig: Rig
@@ -88,6 +90,7 @@ class Diagnosis:
     shares: dict[str, float] = field(default_factory=dict)
     not_shown: dict[str, str] = field(default_factory=dict)
     not_larger_than: list[dict] = field(default_factory=list)
+    alone: dict[str, dict] = field(default_factory=dict)
 
     # -- the file ----------------------------------------------------------------------------------------------------
 
@@ -245,6 +248,7 @@ class Diagnosis:
         for run in self.corrected.likelihood.model.recording.runs:
             own = {s: self._parameter(key, self.search.sheet[key]) for s, key in self.rig.fitted_in(run.name).items()}
             here = {
+                **({"alone": self.alone[run.name]} if run.name in self.alone else {}),
                 **({"parameters": own} if own else {}),
                 **({"resampled": "; ".join(run.history)} if run.history else {}),
             }
@@ -340,8 +344,23 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
             f"{rig.folder}: the simulation of {', '.join(diverging)} diverges, whatever the parameters; check the "
             "values and units in rig.toml, or restart it in windows of window_s"
         )
+    if result.verdict == Verdict.UNEXPLAINED and len(recording.runs) > 1:
+        result.alone = _each_alone(rig, effects, progress)
     result.seconds = time.perf_counter() - began
     return result
+
+
+def _each_alone(rig: Rig, effects: Mapping[str, Effect], progress: Progress) -> dict[str, dict]:
+    """By its name, what each of several recordings says alone: one may show what the others lack."""
+    out = {}
+    for file in rig.identify:
+        progress(f"asking {file} alone")
+        try:
+            found = diagnose(replace(rig, identify=(file,), holdout=()), effects).as_dict()
+        except InputError:  # too short alone, or a run that diverges
+            continue
+        out[run_name(file)] = {key: found[key] for key in ("verdict", "effects")}
+    return out
 
 
 def _diverges(rms: float, recorded: np.ndarray) -> bool:

@@ -174,7 +174,7 @@ class Rig:
 
         Raises InputError where one is no longer than the rig settles.
         """
-        if self.holdout == (HOLDOUT,) and not (self.folder / HOLDOUT).exists():
+        if not self.holdout or (self.holdout == (HOLDOUT,) and not (self.folder / HOLDOUT).exists()):
             return None
         found = [self.recording(self.folder / file) for file in self.holdout]
         for recording in found:

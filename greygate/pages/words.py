@@ -85,6 +85,7 @@ def lines(result: Diagnosis) -> list[str]:
         for symbol, p in own.get("parameters", {}).items():
             out.append(row(name, parameter(result, symbol, p, result.rig.of(name))))
         out += [row(name, own["resampled"])] if "resampled" in own else []
+        out += [row(name, f"alone: {alone(own['alone'])}")] if "alone" in own else []
     out += fit_table(found["fit"])
     for i, text in enumerate(alike(result, found)):
         out.append(row("" if i else "alternatives", text))
@@ -98,6 +99,12 @@ def lines(result: Diagnosis) -> list[str]:
         out.append(row("" if i else "noise", text))
     out.append(row("remains", found["remaining"] or nothing_left(result)))
     return [*out, f"{found['seconds']:.1f} s"]
+
+
+def alone(found: Mapping) -> str:
+    """What one of several recordings says alone."""
+    claimed = ", ".join(entry["id"] for entry in found["effects"] if entry["id"] != "unknown")
+    return claimed or Verdict(found["verdict"]).replace("_", " ")
 
 
 def nothing_left(result: Diagnosis) -> str:
