@@ -51,7 +51,7 @@ SAMPLES = 400
 TABLE = ("spring", "input_offset", "input_dead_zone", "square_damping", "hardening_spring", "dry_friction")
 
 
-def written(folder, entries: str, noise: float, names=tuple(SEEDS), clock=None, **each) -> rigs.Rig:
+def written(folder, entries: str, noise: float, names=tuple(SEEDS), **each) -> rigs.Rig:
     """A rig of recordings `names`. each: mass, spring (N/m) or size of the force of one, or by name of a recording."""
     (folder / "axis.toml").write_text(AXIS)
     (folder / "rig.toml").write_text(SHEET.replace("ENTRIES", entries).replace("NOISE", repr(noise)))
@@ -308,39 +308,41 @@ def test_a_missing_file_is_named(three):
 # -- uneven time -------------------------------------------------------------------------------------------------------
 
 
-def uneven(rig: rigs.Rig, name: str, spread: float, gap: float = 0.0) -> None:
-    """Write a recording again, read at instants that vary: positions there, and the force, held until the next."""
+def uneven(rig: rigs.Rig, name: str, noise: float, gap: int = 0) -> np.ndarray:
+    """Record run NAME again, with a spring, at instants 2.5 to 7.5 ms apart at which the force changes, too.
+
+    Returns the noiseless position every 5 ms. gap: ms at half time in which nothing is recorded.
+    """
+    rng, fine = np.random.default_rng(5), 5e-4
+    at = np.cumsum(np.append(0, rng.integers(5, 16, SAMPLES)))
     table = np.loadtxt(rig.folder / f"{name}.csv", delimiter=",", skiprows=1)
-    rng = np.random.default_rng(5)
-    t = np.cumsum(rig.dt * (1.0 + spread * rng.uniform(-1, 1, len(table))))
-    t = np.concatenate(([0.0], t[t < table[-1, 0] - gap]))
-    t[len(t) // 2 :] += gap
-    last = np.minimum((t / rig.dt + 1e-9).astype(int), len(table) - 1)
-    columns = np.column_stack([t, table[last, 1], np.interp(t, table[:, 0], table[:, 2])])
+    force = table[np.minimum(at // 10, SAMPLES - 1), 1]
+    held = np.repeat(force, np.diff(at, append=at[-1] + 10))
+    plant = Plant.read(rig.folder / "axis.toml").with_parameters(mass=20.5)
+    plant = plant.with_term("motion", "hidden", "-20.0 * x", {})
+    x = simulate(plant, {"force": held}, sample_time=fine, step=fine)["x"]
+    seen = x[at] + noise * rng.standard_normal(len(at))
+    kept = (at < at[-1] // 2) | (at > at[-1] // 2 + 2 * gap)
+    columns = np.column_stack([at * fine, force, seen])[kept]
     np.savetxt(rig.folder / f"{name}.csv", columns, "%.9g", delimiter=",", header="t,force,x", comments="")
+    return x[::10]
 
 
 def test_uneven_time_is_made_even_and_said(tmp_path):
-    rig = written(tmp_path, THREE, 2e-5, spring=20.0)
-    even = rig.recording(rig.folder / "run2.csv")
-    uneven(rig, "run2", 0.5)
+    rig = written(tmp_path, THREE, 3e-4, spring=20.0)
+    true = uneven(rig, "run2", 3e-4)
     made = rig.recording(rig.folder / "run2.csv")
-    assert made.samples >= SAMPLES - 10
-    assert "resampled to 5 ms" in made.history[0]
-    assert "x is uncertain by" in made.history[0]
-    n = made.samples
-    assert np.sqrt(np.mean((made["x"] - even["x"][:n]) ** 2)) < 1e-4
-    held = made["force"][1:-1]  # a force that is held lies between the two readings
-    assert np.mean(np.isclose(held, even["force"][1 : n - 1])) > 0.9
+    assert made.history[0].startswith("time steps of 2.5 to 7.5 ms, resampled to 5 ms; between two readings x is unc")
+    assert np.sqrt(np.mean((made["x"] - true[: made.samples]) ** 2)) < 3e-4  # of the noise a straight line takes a part
     found = diagnose(rig, few(rig)).as_dict()
-    assert found["recordings"]["run2"]["resampled"] == made.history[0]
-    assert "run1" not in found["recordings"]
+    assert [effect["id"] for effect in found["effects"]] == ["spring"]
+    assert found["recordings"] == {"run2": {"resampled": made.history[0]}}
 
 
 def test_a_gap_is_still_refused_and_a_slip_of_one_clock(tmp_path):
     rig = written(tmp_path, THREE, 2e-5)
-    uneven(rig, "run2", 0.5, gap=0.2)
-    with pytest.raises(InputError, match=r"run2\.csv: row .*, column t: step 0\.20"):
+    uneven(rig, "run2", 2e-5, gap=200)
+    with pytest.raises(InputError, match=r"run2\.csv: row .*, column t: step 0\.2"):
         rig.recording(rig.folder / "run2.csv")
     rows = (rig.folder / "run1.csv").read_text().splitlines()
     (rig.folder / "run1.csv").write_text("\n".join(rows[:49] + rows[50:]))
