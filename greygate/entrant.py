@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 
 from greygate.errors import InputError
+from greygate.mismatch.entries import entries, read
+from greygate.mismatch.general import GENERAL
 
 NAMES = {  # of our table -> of the benchmark, where they differ
     "friction_between": "dry_friction",
@@ -16,11 +18,19 @@ NAMES = {  # of our table -> of the benchmark, where they differ
 KEPT = "diagnosis.json"
 
 
+def _name(effect: str) -> str:
+    """The benchmark's name of an effect: a general one goes there without the place that it has here."""
+    if effect in read():
+        return effect
+    general = max((n for n in entries(GENERAL) if f"{effect}_".startswith(f"{n}_")), key=len, default=effect)
+    return NAMES.get(general, general)
+
+
 def answer(diagnosis: dict) -> dict:
     """The benchmark's answer (docs/benchmark.md) that a diagnosis.json gives."""
     claims = [
         {
-            "name": NAMES.get(effect["id"], effect["id"]),
+            "name": _name(effect["id"]),
             "confidence": effect.get("confidence"),
             "parameters": effect.get("parameters", {}),
         }

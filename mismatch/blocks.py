@@ -6,13 +6,11 @@ fits are fitted again to the other pieces, and both simulations run by the rule 
 fit loses on a channel of a block where its error is larger, and by more than chance makes of it.
 """
 
-import copy
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.model import TINY
 from greygate.mismatch.rig import IN
@@ -178,7 +176,7 @@ def _without(fit: Fit, held: np.ndarray, exact: bool) -> dict[str, float]:
         vars(less).update(slopes=fit.slopes[:, :, shared], projected=fit.projected, basis=fit.basis)
         return _without(less, held, exact) if shared else fit.values
     if exact:
-        other = _blind(fit.likelihood, held)
+        other = fit.likelihood.without(held)
         again = Likelihood.fit(other, fit.unknowns, fit.values, fit.shifts, iterations=REFIT)
         return again.values
     likelihood = fit.likelihood
@@ -204,14 +202,3 @@ def _own(fit: Fit, held: np.ndarray) -> dict[str, float]:
 def _turns(samples: int) -> np.ndarray:
     """The number of the block in which each sample lies (samples,): blocks are spread, by turns."""
     return np.arange(samples) * FOLDS * ROUNDS // samples % FOLDS
-
-
-def _blind(likelihood: Likelihood, held: np.ndarray) -> Likelihood:
-    """The likelihood without the samples that are `held`."""
-    other = copy.copy(likelihood)
-    if isinstance(other, Coloured):
-        other.mask = other.mask & ~held
-    else:
-        other.sigma = np.where(held[:, None], np.inf, likelihood.sigma)
-        other.count = int(np.isfinite(other.sigma).sum())
-    return other

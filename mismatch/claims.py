@@ -144,11 +144,16 @@ def _unsupported(search: Search, judge: Judge, claims: Claims, refit: Callable) 
     """Whether the effect or parameter of least evidence was dropped, as not all that are named are borne out."""
     names = (*claims.best.effects, *claims.best.released)
     fits = {name: refit(claims.best.without(name), claims.fit) for name in names}
-    claims.evidence = {n: evidence(fits[n], claims.fit, claims.fit.widened(_symbols(search, n))) for n in names}
+    if len(names) == 1 and claims.calibrated.likelihood.model is claims.fit.likelihood.model:
+        fits = {name: min(fit, claims.calibrated, key=lambda f: f.cost) for name, fit in fits.items()}
     claims.shares = {n: judge.share(claims.calibrated, fits[n], claims.fit) for n in names}
     candidates = len({effect.id for effect in search.effects.values()}) + len(search.toleranced)
-    if borne_out(claims.evidence, candidates) == set(names):
-        return False
+    for exact in (False, True):  # what a linearised fit does not bear out is fitted in full before it counts
+        claims.evidence = {
+            n: evidence(fits[n], claims.fit, claims.fit.widened(_symbols(search, n)), exact) for n in names
+        }
+        if borne_out(claims.evidence, candidates) == set(names):
+            return False
     name = min(names, key=lambda n: claims.evidence[n].log_e)
     says = (
         f"what its fit did not see gives it an e-value of {claims.evidence[name]}, for one of {candidates} candidates"

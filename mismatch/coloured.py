@@ -85,6 +85,11 @@ class Coloured(Likelihood):
         other.scale = np.sqrt(np.mean(other.white(residual)[self.mask] ** 2, axis=0)) + TINY
         return other
 
+    def without(self, held: np.ndarray) -> "Coloured":
+        other = copy.copy(self)
+        other.mask = self.mask & ~held
+        return other
+
     def deviance(self) -> float:
         """-2 log likelihood of the innovations beyond their sum of squares, less a constant."""
         return float(np.sum(2.0 * np.log(self.scale)) * self.mask.sum())

@@ -39,6 +39,7 @@ from greygate.mismatch.several import by_rule, modelled
 from greygate.mismatch.shown_by import Shown, shown_by
 from greygate.mismatch.verdict import Verdict
 from greygate.plain import plain
+from greygate.plants.dimensions import clashes
 from greygate.plants.expressions import names
 from greygate.plants.plant import Parameter, Plant
 from greygate.plants.recording import run_name
@@ -109,6 +110,7 @@ class Diagnosis:
                 **({"recordings": own} if (own := self._recordings()) else {}),
                 **({"explained": round(self.explained, DIGITS)} if self.verdict == Verdict.PARTLY_EXPLAINED else {}),
                 **({"refused": self.refused} if self.refused else {}),
+                **({"units": clashing} if (clashing := clashes(self.rig.plant)) else {}),
                 **({"not_larger_than": self.not_larger_than} if self.not_larger_than else {}),
                 **({"noise": self._noise(self.noise)} if self.noise else {}),
                 "seconds": round(self.seconds, 2),

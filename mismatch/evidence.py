@@ -1,23 +1,24 @@
-"""What a recording says for an effect where its fit did not look: a split e-value, and how many names it bears.
+"""What a recording says for an effect where its fit did not look: an e-value, and how many names it bears.
 
 The recording is cut into stretches, by turns in one half or the other. The hypothesis learns from one half and is
-judged on the other. The same without the effect is judged there too, with what parameters serve it best on that very
-half. Where the effect is not there, the ratio of the two likelihoods is 1 on average at most, whatever was learnt: an
-e-value (Wasserman, Ramdas, Balakrishnan: Universal inference, 2020). That of the recording is the mean of both halves'.
+judged on the other, against the same without the effect, which has learnt from all. Where the effect is not there, the
+ratio of the two likelihoods is 1 on average at most, whatever was learnt: an e-value (Wasserman, Ramdas, Balakrishnan:
+Universal inference, 2020). That of the recording is the mean of both halves'.
 
 Of m candidates K may be named whose e-values are all m / (K FALSE) or more: then at most a share FALSE of all names is
 wrong in the long run, however the candidates depend on each other (e-BH, Wang and Ramdas, 2022).
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from greygate.mismatch.coloured import Coloured
-from greygate.mismatch.fit import HELD, Fit
+from greygate.mismatch.fit import HELD, Fit, Likelihood
 
 FALSE = 0.02  # of all names may be wrong
+REFIT = 8  # iterations of a fit to one half, which begins at that to both
 LARGEST = 1e300  # of an e-value that a file shows
 
 
@@ -36,23 +37,42 @@ class Evidence:
         return {"e_value": e_value, "held_out_gain": self.gain}
 
 
-def evidence(without: Fit, fit: Fit, wider: float = 1.0) -> Evidence:
+def evidence(without: Fit, fit: Fit, wider: float = 1.0, exact: bool = False) -> Evidence:
     """The evidence of `fit` for what `without` has not.
 
-    wider: the factor by which errors that depend on each other widen the variance of what is found.
+    wider: the factor by which errors that depend on each other widen the variance of what is found. exact: the
+    hypothesis is fitted to each half in full, else by one linearised step from its fit to both.
     """
-    half = fit.likelihood.alternate(HELD)
-    gains = []
-    for learn in (half, ~half):
-        gains.append(without.judged(~learn, ~learn) - fit.judged(learn, ~learn))
-        if isinstance(fit.likelihood, Coloured) and isinstance(without.likelihood, Coloured):
-            more = without.likelihood.deviance() - fit.likelihood.deviance()
-            gains[-1] += more * float(np.mean(~learn))
-    halves = np.array(gains) / 2 / wider
-    top = float(halves.max())
+    likelihood = fit.likelihood
+    half = likelihood.alternate(HELD)
+    gains = np.array([_before(without, judge) - _after(fit, ~judge, judge, exact) for judge in (half, ~half)])
+    logs = gains / 2 / wider
+    top = float(logs.max())
     if not np.isfinite(top):
-        return Evidence(-np.inf if top < 0 or np.isnan(top) else np.inf, float(np.sum(gains)))
-    return Evidence(top + float(np.log(np.mean(np.exp(halves - top)))), float(np.sum(gains)))
+        return Evidence(np.inf if top > 0 else -np.inf, float(np.sum(gains)))
+    return Evidence(top + float(np.log(np.mean(np.exp(logs - top)))), float(np.sum(gains)))
+
+
+def _before(fit: Fit, judge: np.ndarray) -> float:
+    """-2 log likelihood of the windows `judge` (windows,) of bool, with the parameters of the fit to all."""
+    return float(np.sum(fit.projected[judge] ** 2)) + _deviance(fit, judge)
+
+
+def _after(fit: Fit, learn: np.ndarray, judge: np.ndarray, exact: bool) -> float:
+    """The same with the parameters that the windows `learn` alone give."""
+    if not exact:
+        return fit.judged(learn, judge) + _deviance(fit, judge)
+    likelihood = fit.likelihood
+    held = np.zeros(len(likelihood.sigma), bool)
+    held[likelihood.kept] = np.repeat(judge, likelihood.block)
+    learnt = Likelihood.fit(likelihood.without(held), fit.unknowns, fit.values, fit.shifts, iterations=REFIT)
+    errors = likelihood.errors(learnt.values, fit.shifts)
+    return _before(replace(fit, numbers=learnt.numbers, errors=errors), judge)
+
+
+def _deviance(fit: Fit, judge: np.ndarray) -> float:
+    likelihood = fit.likelihood
+    return likelihood.deviance() * float(np.mean(judge)) if isinstance(likelihood, Coloured) else 0.0
 
 
 def borne_out(found: Mapping[str, Evidence], candidates: int) -> set[str]:

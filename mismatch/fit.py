@@ -5,6 +5,7 @@ them to the data sheet, and those of the effects under test. The second are the 
 pressures): as recorded, plus a shift. The shifts of a window act on that window alone and are eliminated there.
 """
 
+import copy
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -229,6 +230,13 @@ class Likelihood:
         """Whether each window is in the first half, where stretches of so many samples are in one half by turns."""
         stretch = min(stretch, self.windows * self.block // HELD_PART)
         return (np.arange(self.windows) // max(round(stretch / self.block), 1)) % 2 == 0
+
+    def without(self, held: np.ndarray) -> "Likelihood":
+        """This likelihood without the samples that are `held` (samples,) of bool."""
+        other = copy.copy(self)
+        other.sigma = np.where(held[:, None], np.inf, self.sigma)
+        other.count = int(np.isfinite(other.sigma).sum())
+        return other
 
     def nothing(self) -> np.ndarray:
         """No shifts: every window begins as recorded."""

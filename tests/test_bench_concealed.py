@@ -351,6 +351,22 @@ def test_an_answer_that_is_not_one_is_refused_by_name(bench, tmp_path):
         score(bench, folder)
 
 
+@pytest.mark.parametrize(
+    ("ours", "theirs"),
+    [
+        ("sensor_lag_z_body", "sensor_lag"),
+        ("late_channel", "late_channel"),
+        ("friction_between_a_b", "dry_friction"),
+        ("sensor_offset_p_a", "sensor_offset_p_a"),  # of the machine's own table
+        ("speed_slip", "speed_slip"),
+        ("of_my_own", "of_my_own"),
+    ],
+)
+def test_a_general_effect_goes_without_its_place(ours, theirs):
+    diagnosis = {"verdict": "missing_physics", "effects": [{"id": ours}], "where": [], "parameters": {}}
+    assert [claim["name"] for claim in our_answer(diagnosis)["claims"]] == [theirs]
+
+
 def test_our_own_answer_has_the_names_of_the_benchmark():
     interval = {"value": 1.0, "ci95": [0.5, 1.5], "unit": "N"}
     diagnosis = {

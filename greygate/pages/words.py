@@ -91,6 +91,10 @@ def lines(result: Diagnosis) -> list[str]:
         out.append(row("" if i else "alternatives", text))
     for i, text in enumerate(found.get("refused", ())):
         out.append(row("" if i else "refused", text))
+    for i, text in enumerate(found.get("units", ())):
+        out.append(
+            row("" if i else "units", f"{text}: correct the units, or do not trust those of what is found there")
+        )
     for i, text in enumerate(bounds(found)):
         out.append(row("" if i else "not there", text))
     for i, text in enumerate(hidden(result)):
