@@ -1,8 +1,9 @@
-"""Whether what a free run leaves goes with the machine's own signals: then it is no noise, however it is coloured.
+"""Whether what a run leaves goes with the machine's own signals: then it is no noise, however it is coloured.
 
-Where no noise is told, what a fit leaves was made equal to noise before. Noise of a sensor knows nothing of the
-machine. So functions of the predicted channels, of their rates and of the inputs are fitted to what is left on most of
-the recording, and judged on the rest. Chance is what they predict of the same errors, shifted in time.
+Where no noise is told, or another than is found, what a fit leaves was made equal to noise before. Noise of a sensor
+knows nothing of the machine. So functions of the predicted channels, of their rates and of the inputs are fitted to
+what is left on most of the recording, and judged on the rest. Chance is what they predict of the same errors, shifted
+in time.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -10,7 +11,6 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from scipy.signal import lfilter
 
-from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.model import TINY
 from greygate.mismatch.rig import Rig
@@ -29,11 +29,9 @@ RIDGE = 1e-2  # of a unit diagonal: features are many and alike
 
 
 def dependent(fit: Fit) -> str:
-    """What the errors of a free run go with, in words; empty where chance predicts them as well."""
-    likelihood = fit.likelihood
-    assert isinstance(likelihood, Coloured)
-    model = likelihood.model
-    error = likelihood.residual(fit.values)
+    """What the errors of a run go with, in words; empty where chance predicts them as well."""
+    model = fit.likelihood.model
+    error = model.target - model.predict({**model.values, **fit.values})
     if not np.isfinite(error).all():
         return ""
     size, pieces = max(len(error) // POINTS, 1), model.pieces

@@ -2,14 +2,15 @@
 
 1. The interval of an effect's size holds no zero, and a parameter outside its tolerance lies outside it.
 2. The recording excites the effect: at its found size it does more than a gain, an offset or nothing would do.
-3. Its e-value, on halves of the recording that its fit did not see, bears the name among all on offer (`evidence`).
+3. The squared error of the run is smaller with it than without, and its e-value, on halves of the recording that its
+   fit did not see, bears the name among all on offer (`evidence`).
 4. The corrected simulation is on no block worse than the calibrated one, nor that than the data sheet (`blocks`).
 
 A fit that fails the fourth gate is fitted again to what the simulation is judged by: its error in the run of the rig's
 rule, as it is. If that fails too, the effect goes whose loss costs least.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -147,6 +148,9 @@ def _unsupported(search: Search, judge: Judge, claims: Claims, refit: Callable) 
     if len(names) == 1 and claims.calibrated.likelihood.model is claims.fit.likelihood.model:
         fits = {name: min(fit, claims.calibrated, key=lambda f: f.cost) for name, fit in fits.items()}
     claims.shares = {n: judge.share(claims.calibrated, fits[n], claims.fit) for n in names}
+    useless = min(names, key=lambda n: claims.shares[n])
+    if claims.shares[useless] <= 0.0:
+        return _drop(search, claims, useless, fits, "with it the squared error of the run is no smaller")
     candidates = len({effect.id for effect in search.effects.values()}) + len(search.toleranced)
     for exact in (False, True):  # what a linearised fit does not bear out is fitted in full before it counts
         claims.evidence = {
@@ -155,10 +159,13 @@ def _unsupported(search: Search, judge: Judge, claims: Claims, refit: Callable) 
         if borne_out(claims.evidence, candidates) == set(names):
             return False
     name = min(names, key=lambda n: claims.evidence[n].log_e)
-    says = (
-        f"what its fit did not see gives it an e-value of {claims.evidence[name]}, for one of {candidates} candidates"
-    )
-    claims.refused.append(f"{_name(search, name)} is not claimed: {says}")
+    found = f"an e-value of {claims.evidence[name]}, for one of {candidates} candidates"
+    return _drop(search, claims, name, fits, f"what its fit did not see gives it {found}")
+
+
+def _drop(search: Search, claims: Claims, name: str, fits: Mapping[str, Fit], why: str) -> bool:
+    """Go on without the effect or parameter, with the fit of the rest."""
+    claims.refused.append(f"{_name(search, name)} is not claimed: {why}")
     claims.best, claims.fit = claims.best.without(name), fits[name]
     return True
 

@@ -51,7 +51,7 @@ SHARE = 0.99  # of what can be explained: an effect that explains so much is all
 ADEQUATE = 4.0  # where the squared errors are at most so many times those that the told noise makes
 PART = 0.9  # of what can be explained: an effect that explains so much is named beside what is left
 SOME = 0.1  # of the squared error in free run, likewise where no noise is told
-OPEN = 0.9  # confidence in a name beside which structure is left, at most: it may be a part of something else
+OPEN = 0.9  # of confidence in a name beside which structure is left, or that any smooth curve is like
 ELSE = 0.01  # weight of something that no table has, beside a name whose fit leaves nothing: machines are many
 CLOSED = 0.05  # of the misfit, that a fitted term must take: less is not applied, and only located
 FARTHEST = 1400.0  # of cost: a rival this far away has a likelihood of exp(-700), the least that a float can hold
@@ -209,9 +209,9 @@ class Diagnosis:
         others = sum(np.exp(-min(max(gap, 0.0), FARTHEST) / 2) for gap in rivals.values())
         nothing = np.exp(-min(self.evidence[key].log_e, FARTHEST)) if key in self.evidence else 0.0
         sure = float(1.0 / (1.0 + others + nothing + ELSE))
-        if self.verdict != Verdict.PARTLY_EXPLAINED:
-            return sure
-        return sure * min(max(self.explained, 0.0), OPEN)
+        if self.verdict == Verdict.PARTLY_EXPLAINED:
+            sure *= min(max(self.explained, 0.0), 1.0)
+        return sure * (OPEN if self._remaining() or self.search.effects[key].smooth else 1.0)
 
     def _noise(self, noise: Noise) -> dict:
         """By channel, in its unit, the noise that rig.toml tells and that the recording shows; samples it remembers."""
@@ -377,6 +377,9 @@ def _of_stated_noise(search: Search, progress: Progress) -> Diagnosis:
         return replace(found, noise=noise)
     progress("searching again: the noise is not as rig.toml tells it")
     again = _explained(search.under(noise), progress)
+    if again.verdict == Verdict.CONSISTENT and dependent(again.corrected):
+        search.under(Noise.told(len(search.rig.predict)))  # what the machine's own motion foretells is no noise
+        return replace(found, noise=noise)
     return replace(again, noise=shown_noise(again.corrected))
 
 

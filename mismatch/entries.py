@@ -75,6 +75,7 @@ class Effect:
     frees: bool = False
     fault: bool = False
     rare: bool = False
+    smooth: bool = False
     of: str = ""
     table: str = ""
 
@@ -170,6 +171,7 @@ _ENTRIES: dict[str, Kind] = {
     "of": line,
     "fault": truth,
     "rare": truth,
+    "smooth": truth,
     "terms": named(check_expression, line),
     "definitions": named(_defined, check_name),
     "states": named(check_state, check_name),
