@@ -166,7 +166,7 @@ class Explained:
 def _uncertain(folder: Path) -> Rig:
     """Load the rig in `folder`. Raises InputError if no parameter is uncertain, since nothing could be fitted."""
     rig = load(folder)
-    if not any(parameter.tolerance for parameter in rig.plant.parameters.values()):
+    if not rig.uncertain():
         raise InputError(f"{rig.folder}/rig.toml: tolerance: no parameter is uncertain; give at least one, e.g. 0.01")
     return rig
 
@@ -182,7 +182,7 @@ def isolable(
     be used.
     """
     rig = _uncertain(folder)
-    path = rig.folder / "identify.csv"
+    path = rig.folder / rig.identify[0]
     if not ranges and not path.exists():
         wish = " ".join(f"--range {name}=LOW:HIGH" for name in rig.inputs)
         raise InputError(f"{path}: there is no such file; record it, or give {wish}")
@@ -203,16 +203,17 @@ def isolable(
 
 
 def predict(
-    folder: Path, recording: Path, diagnosis: Path | None, out: Path, own: Sequence[Path] = ()
+    folder: Path, recording: Path, diagnosis: Path | None, out: Path, own: Sequence[Path] = (), name: str | None = None
 ) -> dict[str, dict]:
     """Write `t`, as it stands in `recording`, and the predicted channels to the CSV file `out`.
 
+    name: of the recording of rig.toml whose own parameters hold, by default that of the file.
     Returns channel -> rms of simulated minus recorded (None if the simulation diverges), unit, finite.
     """
     rig = load(folder)
     measured, clock = rig.timed(recording)
     effects = table_of(own, rig, measured, every=True)
-    found = simulate(rig, measured, None if diagnosis is None else read(diagnosis), effects)
+    found = simulate(rig, measured, None if diagnosis is None else read(diagnosis), effects, name)
     with replacing(out) as temporary, temporary.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["t", *found])

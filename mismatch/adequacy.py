@@ -6,7 +6,7 @@ what is left on most of the recording, and judged on the rest. Chance is what th
 in time.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from scipy.signal import lfilter
@@ -14,6 +14,7 @@ from scipy.signal import lfilter
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.model import TINY
 from greygate.mismatch.rig import Rig
+from greygate.mismatch.runs import along
 from greygate.plants.recording import Recording
 
 FOLDS = 6  # contiguous parts of the recording, held out in turn
@@ -33,13 +34,14 @@ def dependent(fit: Fit) -> str:
     error = model.target - model.predict({**model.values, **fit.values})
     if not np.isfinite(error).all():
         return ""
-    size = max(len(error) // POINTS, 1)
-    features = np.column_stack([_mean(f, size) for f in _features(model.target - error, model.recording, model.rig)])
+    size, pieces = max(len(error) // POINTS, 1), model.pieces
+    signals = _features(model.target - error, model.recording, model.rig, pieces)
+    features = np.column_stack([_mean(f, size, pieces) for f in signals])
     features = features - features.mean(axis=0)
     features = features / (features.std(axis=0) + TINY)
     predict = _predictor(features)
     for i, channel in enumerate(model.rig.predict):
-        left = _mean(error[:, i], size)
+        left = _mean(error[:, i], size, pieces)
         left = left - left.mean()
         share = _share(left, predict(left))
         if share < NOTABLE:
@@ -53,23 +55,24 @@ def dependent(fit: Fit) -> str:
     return ""
 
 
-def _mean(signal: np.ndarray, size: int) -> np.ndarray:
-    return signal[: len(signal) // size * size].reshape(-1, size).mean(axis=1)
+def _mean(signal: np.ndarray, size: int, pieces: Sequence[slice]) -> np.ndarray:
+    """Means over so many samples (points,), none of which lies in two recordings."""
+    return along(lambda part: part[: len(part) // size * size].reshape(-1, size).mean(axis=1), pieces, signal)
 
 
-def _features(predicted: np.ndarray, recording: Recording, rig: Rig) -> Iterator[np.ndarray]:
+def _features(predicted: np.ndarray, recording: Recording, rig: Rig, pieces: Sequence[slice]) -> Iterator[np.ndarray]:
     """Functions of the signals (samples,): powers, signs, and what they were a while ago."""
     size = max(len(predicted) // POINTS, 1)
     for signal in [*predicted.T, *(recording[name] for name in rig.inputs)]:
         away = signal - signal.mean()
         away = away / (away.std() + TINY)
-        rate = np.gradient(away)
+        rate = along(np.gradient, pieces, away)
         turning = np.tanh(rate / (KNEE * rate.std() + TINY))
         for base in (away, away**2, away**3, np.abs(signal), np.sign(signal), turning):
             yield base
             for points in MEMORIES:
                 decay = np.exp(-1.0 / (points * size))
-                yield lfilter([1.0 - decay], [1.0, -decay], base - base[0])
+                yield along(lambda part, d=decay: lfilter([1.0 - d], [1.0, -d], part - part[0]), pieces, base)
 
 
 def _predictor(features: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:

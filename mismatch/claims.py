@@ -22,8 +22,9 @@ from greygate.mismatch.evidence import Evidence, borne_out, evidence
 from greygate.mismatch.experiments.excitation import SEEN, unexcited
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.intervals import interval, least_share, margin
-from greygate.mismatch.model import TINY, Model
+from greygate.mismatch.model import TINY
 from greygate.mismatch.search import Hypothesis, Search
+from greygate.mismatch.several import modelled
 from greygate.progress import Progress, silent
 
 PERCENT = 100
@@ -63,7 +64,7 @@ def unborne(search: Search, hypothesis: Hypothesis, fit: Fit) -> dict[str, str]:
         elif not _influence(effect, fit) > SEEN:
             out[key] = "at the size that fits, it changes nothing that the sensors show"
     for symbol in hypothesis.released:
-        sheet = search.rig.plant.parameters[symbol]
+        sheet = search.sheet[symbol]
         value, (low, high) = fit.values[symbol], interval(fit.values[symbol], fit.deviation(symbol))
         if abs(value - sheet.value) <= sheet.tolerance * abs(sheet.value) or low <= sheet.value <= high:
             out[symbol] = "it does not lie outside its tolerance for certain"
@@ -93,7 +94,7 @@ def by_rule(search: Search, hypothesis: Hypothesis, fit: Fit) -> Fit | None:
         again = Likelihood.fit(white, search.unknowns(hypothesis), fit.values)
         return again if np.isfinite(again.cost) else None
     if likelihood.model.window != search.rig.window:
-        model = Model(search.rig, likelihood.model.recording, likelihood.model.effects)
+        model = modelled(search.rig, likelihood.model.recording, likelihood.model.effects)
         again = Likelihood(model).fit(search.unknowns(hypothesis), fit.values)
         return again if np.isfinite(again.cost) else None
     return None

@@ -16,6 +16,7 @@ from greygate.mismatch.fit import HELD, NORMAL, Fit
 from greygate.mismatch.libraries import Basis, Candidate, declared
 from greygate.mismatch.model import TINY, lagged
 from greygate.mismatch.rig import Rig
+from greygate.mismatch.runs import along
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.plants.closure import SEEN, Place
 from greygate.plants.expressions import names, replaced
@@ -65,7 +66,7 @@ def _powers(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basi
     states, inputs = model.states(model.values)
     simulated = dict(zip(model.plant.states, states.T, strict=True))
     scope = Values(plant, {**{s: simulated[s] for s in plant.states}, **inputs, **signals})
-    scope.update({s: model.values[s] for s in plant.parameters})
+    scope.update({s: v for s, v in model.spread(model.values).items() if s in plant.parameters})
     out: dict[str, Basis] = {}
     terms = {name: e.terms for name, e in plant.equations.items() if not plant.states[e.state].rate}
     terms |= {name: d.terms for name, d in plant.definitions.items() if d.symbol in search.rig.predict}
@@ -144,17 +145,20 @@ def _sensors(search: Search, base: Fit) -> dict[tuple[str, str], np.ndarray]:
     likelihood, rig = base.likelihood, search.rig
     values = {**likelihood.model.values, **base.values}
     predicted = likelihood.model.predict(values, base.shifts * likelihood.local_scale)
-    out = {}
+    out, cut = {}, likelihood.model.pieces
     for i, channel in enumerate(rig.predict):
         signal = predicted[:, i]
-        rate = np.gradient(signal, rig.dt)
+        rate = along(lambda part: np.gradient(part, rig.dt), cut, signal)
         shapes = {
             "one": np.ones_like(signal),
             "value": signal - signal.mean(),
             "rate": rate,
             "t": likelihood.model.recording.time,
         }
-        shapes |= {name: lagged(signal, lag * rig.dt, rig.dt) - signal for name, lag in LAGS.items()}
+        shapes |= {
+            name: along(lambda part, s=lag * rig.dt: lagged(part, s, rig.dt), cut, signal) - signal
+            for name, lag in LAGS.items()
+        }
         for name, shape in shapes.items():
             column = np.zeros_like(base.errors)
             size = max(float(np.std(shape)), FLAT * float(np.abs(shape).max()) + TINY)

@@ -29,17 +29,20 @@ from greygate.mismatch.experiments.excitation import excited, unseen
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.intervals import interval, least_share, margin, reported
 from greygate.mismatch.locate import located
-from greygate.mismatch.model import TINY, Model, begun
+from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.noise import PLACES, Noise, learnt
-from greygate.mismatch.rig import Rig
+from greygate.mismatch.rig import IN, Rig
 from greygate.mismatch.ruled_out import ruled_out, why
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.mismatch.selection import APART, STRUCTURE, Selection, complete, inflation, structure
+from greygate.mismatch.several import by_rule, modelled
+from greygate.mismatch.shown_by import Shown, shown_by
 from greygate.mismatch.verdict import Verdict
 from greygate.plain import plain
 from greygate.plants.dimensions import clashes
 from greygate.plants.expressions import names
-from greygate.plants.plant import Plant
+from greygate.plants.plant import Parameter, Plant
+from greygate.plants.recording import run_name
 from greygate.progress import Progress, silent
 
 SCHEMA = "diagnosis/2"
@@ -66,6 +69,7 @@ class Diagnosis:
     sentence each. evidence, shares: by key of an effect, what the recording says for it where its fit did not look, and
     the share of the calibrated plant's squared error that it takes. not_shown: key of an effect that the recording
     cannot show, and that was therefore not tried -> why. not_larger_than: of a consistent recording, what it rules out.
+    alone: where several recordings are unexplained together, what each says alone (verdict, effects).
     """
 
     rig: Rig
@@ -87,6 +91,7 @@ class Diagnosis:
     shares: dict[str, float] = field(default_factory=dict)
     not_shown: dict[str, str] = field(default_factory=dict)
     not_larger_than: list[dict] = field(default_factory=list)
+    alone: dict[str, dict] = field(default_factory=dict)
 
     # -- the file ----------------------------------------------------------------------------------------------------
 
@@ -102,6 +107,7 @@ class Diagnosis:
                 "parameters": self._parameters(),
                 "fit": self.fits,
                 "remaining": self._remaining(),
+                **({"recordings": own} if (own := self._recordings()) else {}),
                 **({"explained": round(self.explained, DIGITS)} if self.verdict == Verdict.PARTLY_EXPLAINED else {}),
                 **({"refused": self.refused} if self.refused else {}),
                 **({"units": clashing} if (clashing := clashes(self.rig.plant)) else {}),
@@ -134,10 +140,12 @@ class Diagnosis:
                 acts(place["equation"], place["regime"], place["depends_on"], fitted)
         for symbol in self.best.released:
             for equation in self.search.places(symbol):
-                acts(equation, f"{symbol} is not what the data sheet says", (), (symbol,))
-        for effect in (self.search.effects[key] for key in self.best.effects):
+                acts(equation, f"{symbol.replace(IN, ' in ')} is not what the data sheet says", (), (symbol,))
+        for key in self.best.effects:
+            effect, shown = self.search.effects[key], self.shown.get(key)
+            means = f"{effect.means}; {shown}" if shown else effect.means
             for equation in effect.equations:
-                acts(equation, effect.means, effect.depends_on, (*(f.symbol for f in effect.free), *effect.set))
+                acts(equation, means, effect.depends_on, (*(f.symbol for f in effect.free), *effect.set))
         return [located(self.corrected, place, acting[equation]) for equation, place in places.items()]
 
     @cached_property
@@ -169,6 +177,7 @@ class Diagnosis:
                     "not_told_apart_from": sorted(name for name, gap in rivals.items() if gap < APART),
                     **({"share": round(self.shares[key], DIGITS)} if key in self.shares else {}),
                     **({"evidence": self.evidence[key].as_dict()} if key in self.evidence else {}),
+                    **({"shown_by": shown.by, "recordings": shown.as_dict()} if (shown := self.shown.get(key)) else {}),
                 }
             )
         return out
@@ -227,11 +236,35 @@ class Diagnosis:
             p = plant.parameters.get(u.symbol)
             if p is None or not p.tolerance or u.symbol in named:
                 continue
-            value, deviation = fit.values[u.symbol], fit.deviation(u.symbol)
-            out[u.symbol] = {"value": value, "ci95": interval(value, deviation), "unit": p.unit}
-            if u.symbol in self.best.released:
-                out[u.symbol]["outside_tolerance"] = True
+            out[u.symbol] = self._parameter(u.symbol, p)
         return out
+
+    def _parameter(self, symbol: str, p: Parameter) -> dict:
+        value, deviation = self.corrected.values[symbol], self.corrected.deviation(symbol)
+        outside = {"outside_tolerance": True} if symbol in self.best.released else {}
+        return {"value": value, "ci95": interval(value, deviation), "unit": p.unit, **outside}
+
+    def _recordings(self) -> dict[str, dict]:
+        """By the name of a recording, the parameters that were fitted to it alone, and how its time was made even."""
+        out: dict[str, dict] = {}
+        for run in self.corrected.likelihood.model.recording.runs:
+            own = {s: self._parameter(key, self.search.sheet[key]) for s, key in self.rig.fitted_in(run.name).items()}
+            here = {
+                **({"alone": self.alone[run.name]} if run.name in self.alone else {}),
+                **({"parameters": own} if own else {}),
+                **({"resampled": "; ".join(run.history)} if run.history else {}),
+            }
+            out |= {run.name: here} if here else {}
+        return out
+
+    @cached_property
+    def shown(self) -> dict[str, Shown]:
+        """By key of an effect, which of several recordings shows it; empty where there is one."""
+        found = {}
+        for key in self.best.effects:
+            shown = shown_by(self.corrected, {f.symbol for f in self.search.effects[key].strengths})
+            found |= {key: shown} if shown else {}
+        return found
 
     def _remaining(self) -> str:
         if self.left:
@@ -313,8 +346,23 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
             f"{rig.folder}: the simulation of {', '.join(diverging)} diverges, whatever the parameters; check the "
             "values and units in rig.toml, or restart it in windows of window_s"
         )
+    if result.verdict == Verdict.UNEXPLAINED and len(recording.runs) > 1:
+        result.alone = _each_alone(rig, effects, progress)
     result.seconds = time.perf_counter() - began
     return result
+
+
+def _each_alone(rig: Rig, effects: Mapping[str, Effect], progress: Progress) -> dict[str, dict]:
+    """By its name, what each of several recordings says alone: one may show what the others lack."""
+    out = {}
+    for file in rig.identify:
+        progress(f"asking {file} alone")
+        try:
+            found = diagnose(replace(rig, identify=(file,), holdout=()), effects).as_dict()
+        except InputError:  # too short alone, or a run that diverges
+            continue
+        out[run_name(file)] = {key: found[key] for key in ("verdict", "effects")}
+    return out
 
 
 def _diverges(rms: float, recorded: np.ndarray) -> bool:
@@ -337,9 +385,9 @@ def _of_stated_noise(search: Search, progress: Progress) -> Diagnosis:
 
 def shown_noise(fit: Fit) -> Noise:
     """The noise, in units of what rig.toml tells, that a fit leaves."""
-    likelihood = copy.copy(fit.likelihood)
-    likelihood.noise = Noise.told(len(likelihood.model.rig.predict))
-    return learnt(likelihood.errors(fit.values, fit.shifts), likelihood.model.window or len(likelihood.sigma))
+    likelihood, model = copy.copy(fit.likelihood), fit.likelihood.model
+    likelihood.noise = Noise.told(len(model.rig.predict))
+    return learnt(likelihood.errors(fit.values, fit.shifts), model.window or len(likelihood.sigma), model.pieces)
 
 
 def _explained(search: Search, progress: Progress) -> Diagnosis:
@@ -479,23 +527,36 @@ def _equation(plant: Plant, place: str) -> str:
 
 
 def fits(result: Diagnosis, identify) -> dict:
-    """RMS error of every predicted channel by the comparison rule: of the data sheet's plant, calibrated, corrected."""
+    """RMS error of every predicted channel by the comparison rule: of the data sheet's plant, calibrated, corrected.
+
+    Of several recordings, all together and each alone.
+    """
     rig = result.rig
     recordings = {"identify": identify}
     if held_out := rig.held_out():
         recordings["holdout"] = held_out
     out = {}
     for name, recording in recordings.items():
-        model = Model(rig, recording, result.corrected.likelihood.model.effects)
+        model = modelled(rig, recording, result.corrected.likelihood.model.effects)
         kinds = {"simulation": {}, "calibrated": result.calibrated.values, "corrected": result.corrected.values}
-        rms = {}
-        for kind, values in kinds.items():
-            known = {s: v for s, v in values.items() if s in model.values}
-            skip = rig.settle if name == "holdout" else 0
-            error = (model.predict(begun(model, known, skip)) - model.target)[skip:]
-            rms[kind] = np.sqrt(np.mean(error**2, axis=0))
-        out[name] = {
-            channel: {**{kind: float(rms[kind][i]) for kind in kinds}, "unit": rig.channels[channel].unit}
-            for i, channel in enumerate(rig.predict)
-        }
+        skip = rig.settle if name == "holdout" else 0
+        ran = {kind: by_rule(model, values, skip) for kind, values in kinds.items()}
+        parts = {name: slice(None)}
+        if len(model.pieces) > 1:
+            files = {run.name: Path(run.source).name for run in recording.runs}
+            names = (run if run not in recordings else files[run] for run in files)
+            parts |= dict(zip(names, model.pieces, strict=True))
+        for part, piece in parts.items():
+            out[part] = {
+                channel: {
+                    **{kind: _rms(model, *ran[kind], piece, i) for kind in kinds}, "unit": rig.channels[channel].unit,
+                }
+                for i, channel in enumerate(rig.predict)
+            }  # fmt: skip
     return out
+
+
+def _rms(model: Model, predicted: np.ndarray, counts: np.ndarray, piece: slice, channel: int) -> float:
+    """The RMS error of a channel over the samples of `piece` that count."""
+    error = (predicted[piece] - model.target[piece])[counts[piece]]
+    return float(np.sqrt(np.mean(error**2, axis=0))[channel])

@@ -63,8 +63,8 @@ def _after(fit: Fit, learn: np.ndarray, judge: np.ndarray, exact: bool) -> float
     if not exact:
         return fit.judged(learn, judge) + _deviance(fit, judge)
     likelihood = fit.likelihood
-    held = np.repeat(judge, likelihood.block)
-    held = np.concatenate([held, np.zeros(len(likelihood.sigma) - len(held), bool)])
+    held = np.zeros(len(likelihood.sigma), bool)
+    held[likelihood.kept] = np.repeat(judge, likelihood.block)
     learnt = Likelihood.fit(likelihood.without(held), fit.unknowns, fit.values, fit.shifts, iterations=REFIT)
     errors = likelihood.errors(learnt.values, fit.shifts)
     return _before(replace(fit, numbers=learnt.numbers, errors=errors), judge)

@@ -14,6 +14,7 @@ import numpy as np
 
 from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.noise import Noise, deviation
+from greygate.mismatch.runs import along, whole
 from greygate.models.training.gauss_newton import Decades, bounded, search
 
 WARM = 250  # samples at the beginning that do not count where states are not measured: these die away;
@@ -192,7 +193,7 @@ class Likelihood:
 
     sigma: standard deviation of what the sensors make of the truth, inf where a sample does not count.
     count: of samples that count, all channels together. windows, block: number of stretches within which errors may
-    depend on each other, and their samples. noise: what it is beside that of sigma.
+    depend on each other, and their samples; kept: the samples in them. noise: what it is beside that of sigma.
     """
 
     def __init__(self, model: Model):
@@ -203,12 +204,15 @@ class Likelihood:
         scale = {name: rig.channels[name].sigma for name in model.measured}
         self.local_scale = np.array([scale.get(s) or model.pace(s) / LOOSE for s in model.locals])
         self.heavy = np.array([FREE if s in scale else LOOSE**-2 for s in model.locals])
-        block = model.window or min(BLOCK, samples // BLOCK_PART)
-        self.windows, self.block = samples // block, block
+        shortest = min(p.stop - p.start for p in model.pieces)
+        self.block = block = model.window or min(BLOCK, samples // BLOCK_PART, shortest)
+        self.windows, self.kept = whole(model.pieces, block)
         counted = np.zeros(samples, bool)
-        counted[: self.windows * block] = True
+        counted[self.kept] = True
         if model.window is not None and not all(model.reset):
-            counted[: max(model.window, min(WARM, samples // WARM_PART))] = False
+            for piece in model.pieces:
+                warm = max(model.window, min(WARM, (piece.stop - piece.start) // WARM_PART))
+                counted[piece][:warm] = False
         self.sigma[~counted] = np.inf
         self.count = int(counted.sum()) * self.sigma.shape[1]
 
@@ -219,8 +223,8 @@ class Likelihood:
 
     def white(self, what: np.ndarray) -> np.ndarray:
         """`what` (samples, channels, ...) in units of the noise, less what the noise before makes expected."""
-        restarting = self.model.window or len(what)
-        return self.noise.white(what / self.sigma[(..., *(None,) * (what.ndim - 2))], restarting)
+        scaled = what / self.sigma[(..., *(None,) * (what.ndim - 2))]
+        return along(lambda part: self.noise.white(part, self.model.window or len(part)), self.model.pieces, scaled)
 
     def alternate(self, stretch: int) -> np.ndarray:
         """Whether each window is in the first half, where stretches of so many samples are in one half by turns."""
@@ -246,7 +250,7 @@ class Likelihood:
     def rows(self, what: np.ndarray, temper: np.ndarray) -> np.ndarray:
         """(windows, rows, ...) of (samples, channels, ...), each channel divided by its `temper`."""
         tempered = what / temper[(slice(None), *(None,) * (what.ndim - 2))]
-        kept = tempered[: self.windows * self.block]
+        kept = tempered[self.kept]
         return kept.reshape(self.windows, self.block * what.shape[1], *what.shape[2:])
 
     def basis(self, values: Mapping[str, float], shifts: np.ndarray, errors: np.ndarray, temper: np.ndarray):

@@ -61,15 +61,31 @@ def located(fit: Fit, place: Mapping, acting: Sequence[Iterable[str]]) -> dict:
     equation, model = place["equation"], fit.likelihood.model
     parts = [_unit(added(fit, equation, symbols)) * _weight(fit, symbols) for symbols in map(tuple, acting)]
     signal = np.hstack(parts) if parts else _unit(left(fit, equation))
-    kept = np.isfinite(fit.likelihood.sigma[: len(signal)]).all(axis=1)
-    if not np.any(signal[kept]):
+    samples = np.arange(len(model.target)) if parts else np.arange(len(model.target))[fit.likelihood.kept]
+    kept = np.isfinite(fit.likelihood.sigma[samples]).all(axis=1)
+    signal, samples = signal[kept], samples[kept]
+    if not np.any(signal):
         return dict(place)
     variables, units = signals(model)
     on = place["depends_on"] or variables
-    variables = {name: s[: len(signal)][kept] for name, s in variables.items() if name in on}
-    found = locate(signal[kept], model.recording.time[: len(signal)][kept], variables, units)
+    variables = {name: s[samples] for name, s in variables.items() if name in on}
+    found = locate(signal, model.recording.time[samples], variables, units)
     regime = "; ".join(text for text in (place["regime"], found.regime) if text)
-    return {**place, "regime": regime, "time": found.time, "band": found.band}
+    time, when = _within(signal, samples, model) if len(model.pieces) > 1 else (found.time, found.band)
+    return {**place, "regime": regime, "time": time, "band": when}
+
+
+def _within(signal: np.ndarray, samples: np.ndarray, model: Model) -> tuple[str, str]:
+    """(in which of several recordings a signal (samples, columns) acts most, if not in all alike; its band there)."""
+    energy = np.sum(signal**2, axis=1)
+    most, words, there = -np.inf, "", slice(None)
+    for piece, run in zip(model.pieces, model.recording.runs, strict=True):
+        inside = (samples >= piece.start) & (samples < piece.stop)
+        acts, lasts = float(energy[inside].sum() / energy.sum()), float(inside.mean())
+        if acts - lasts > most:
+            most, there = acts - lasts, inside
+            words = f"in {run.name} ({PERCENT * acts:.0f} % of it, in {PERCENT * lasts:.0f} % of the time)"
+    return words if most > CLEAR else "in all recordings", band(signal[there], model.rig.dt)
 
 
 def _unit(columns: np.ndarray) -> np.ndarray:
@@ -104,7 +120,7 @@ def added(fit: Fit, equation: str, symbols: Iterable[str]) -> np.ndarray:
     scopes = []
     for values, given in ((on, acting), (off, resting)):
         scope = Values(model.plant, {**given, **dict(zip(model.plant.states, states.T, strict=True))})
-        scope.update(values)
+        scope.update(model.spread(values))
         scopes.append(scope)
 
     def differ(*places: str) -> np.ndarray:
@@ -146,6 +162,9 @@ def left(fit: Fit, equation: str = "") -> np.ndarray:
 
 def signals(model: Model) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """(name -> signal, name -> unit): position, velocity and acceleration, the other channels, time."""
+    if len(model.each) > 1:
+        each = [signals(one) for one in model.each]
+        return {name: np.concatenate([found[name] for found, _ in each]) for name in each[0][0]}, each[0][1]
     rig, recording, plant = model.rig, model.recording, model.plant
     found, units = {}, {}
     moved = next((x for x, s in plant.states.items() if s.rate and x in rig.channels), None)

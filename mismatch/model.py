@@ -17,6 +17,7 @@ from greygate.mismatch import filters as of
 from greygate.mismatch.entries import SENSOR, TIME, Effect
 from greygate.mismatch.joining import join
 from greygate.mismatch.rig import Rig
+from greygate.mismatch.runs import pieces
 from greygate.mismatch.scales import memory, span
 from greygate.plants.expressions import names
 from greygate.plants.plant import Parameter, Values
@@ -84,6 +85,20 @@ class Model:
         """The plant's inputs along the recording (samples,), the derived ones too."""
         return dict(self._inputs)
 
+    @property
+    def each(self) -> list["Model"]:
+        """The model over each recording alone; here it is one (`several` joins more)."""
+        return [self]
+
+    @property
+    def pieces(self) -> list[slice]:
+        """The samples of each recording."""
+        return pieces(self.recording)
+
+    def spread(self, values: Mapping[str, float]) -> dict[str, float | np.ndarray]:
+        """`values` along the recording: an array (samples,) where they differ from recording to recording."""
+        return dict(values)
+
     def over(self, recording: Recording) -> "Model":
         """The same model over another recording of its rig."""
         other = copy.copy(self)
@@ -92,8 +107,8 @@ class Model:
 
     def _take(self, recording: Recording, window: int | None) -> None:
         self.recording, self.window = recording, window
-        pieces = max(recording.samples // window, 1) if window else 1
-        self.restarts = np.arange(pieces) * (window or 0)
+        windows = max(recording.samples // window, 1) if window else 1
+        self.restarts = np.arange(windows) * (window or 0)
         states = self.plant.states
         rates = {s.rate: symbol for symbol, s in states.items() if s.rate is not None}
         self.measured = [s for s in states if s in self.rig.channels] if window else []

@@ -5,6 +5,7 @@ channel. Both are found by restricted maximum likelihood: within a stretch of sa
 leaves out, and only what stands out against every cubic as noise.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +34,10 @@ def deviation(model: Model) -> np.ndarray:
     In free-run simulation the rounding of the inputs adds to that of an output of the same unit. How much of another
     unit's rounding arrives at the output, only the plant knows: it is left out.
     """
+    return np.concatenate([_deviation(one) for one in model.each])
+
+
+def _deviation(model: Model) -> np.ndarray:
     rig, found = model.rig, []
     for i, name in enumerate(rig.predict):
         channel, target = rig.channels[name], model.target[:, i]
@@ -158,13 +163,16 @@ def _variances(partial: np.ndarray) -> np.ndarray:
     return np.append(np.cumprod(1.0 / (1.0 - partial[::-1] ** 2))[::-1], 1.0)
 
 
-def learnt(errors: np.ndarray, stretch: int) -> Noise:
+def learnt(errors: np.ndarray, stretch: int, pieces: Sequence[slice] = (slice(None),)) -> Noise:
     """The noise of `errors` (samples, channels), in units of the told noise; stretches that are 0 do not count.
 
-    stretch: samples after which a simulation restarts; no longer ones than STRETCH are looked at together.
+    stretch: samples after which a simulation restarts; no longer ones than STRETCH are looked at together. pieces: the
+    samples of each recording.
     """
-    length = min(stretch, STRETCH, len(errors))
-    kept = errors[: len(errors) // length * length].reshape(-1, length, errors.shape[1])
+    parts = [errors[piece] for piece in pieces]
+    length = min(stretch, STRETCH, *map(len, parts), len(errors))
+    parts = [part[: len(part) // length * length] for part in parts]
+    kept = np.concatenate(parts).reshape(-1, length, errors.shape[1])
     kept = kept[np.any(kept != 0.0, axis=(1, 2))]
     cubics = np.vander(np.linspace(-1.0, 1.0, length), SMOOTHING + 1)
     if length < LEAST * cubics.shape[1] or not len(kept):

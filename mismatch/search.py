@@ -13,10 +13,11 @@ from scipy.optimize import lsq_linear
 
 from greygate.mismatch.effects import Effect, Free, fitting
 from greygate.mismatch.fit import Fit, Likelihood, Unknown, tame
-from greygate.mismatch.model import BLUR, TIMING, TINY, Model
+from greygate.mismatch.model import BLUR, TIMING, TINY
 from greygate.mismatch.noise import Noise
-from greygate.mismatch.rig import FEWEST, Rig
+from greygate.mismatch.rig import FEWEST, IN, Rig
 from greygate.mismatch.scales import memory, span
+from greygate.mismatch.several import modelled
 from greygate.plants.expressions import names
 from greygate.plants.recording import Recording
 
@@ -89,15 +90,16 @@ class Search:
         self.rig = rig
         self.effects = fitting(rig.plant, rig.datasheet, effects)
         self.travel = max((float(np.ptp(recording[name])) for name in rig.inputs), default=0.0)
-        self.toleranced = [s for s, p in rig.plant.parameters.items() if p.tolerance]
+        self.sheet = rig.uncertain()
+        self.toleranced = list(self.sheet)
 
-        memories = [memory(recording[name]) for name in rig.predict]
+        memories = [memory(run[name]) for run in recording.runs for name in rig.predict]
 
         def over(samples: int, shares: tuple[float, float]) -> Likelihood:
             window = min(span(samples, memories, shares, FEWEST), rig.window)
-            return Likelihood(Model(rig, recording, self.effects, window))
+            return Likelihood(modelled(rig, recording, self.effects, window))
 
-        self.final = over(LONG_WINDOW, LONG_SHARES) if rig.window else free_run(Model(rig, recording, self.effects))
+        self.final = over(LONG_WINDOW, LONG_SHARES) if rig.window else free_run(modelled(rig, recording, self.effects))
         self.screen = over(SHORT, SHORT_SHARES) if rig.window else self.final
         self.fits: dict[Hypothesis, Fit] = {}  # of rivals, kept for experiments that tell them apart
         if noise is not None:
@@ -118,7 +120,7 @@ class Search:
         """What a hypothesis leaves free. within: standard deviations that a parameter with a tolerance may go."""
         found = []
         for symbol in self.toleranced:
-            p = self.rig.plant.parameters[symbol]
+            p = self.sheet[symbol]
             scale = abs(p.value) * p.tolerance / 2
             if symbol in hypothesis.released:
                 low, high = sorted((p.value / RELEASED, p.value * RELEASED))
@@ -155,7 +157,7 @@ class Search:
             state = plant.states[e.state]
             bounds = [b for b in (state.low, state.high) if isinstance(b, str)]
             texts[name] = (e.state, (*e.texts, *bounds))
-        found, new, seen = [], [symbol], set()
+        found, new, seen = [], [symbol.partition(IN)[0]], set()
         while new:
             used = new.pop()
             for place, (makes, expressions) in texts.items():

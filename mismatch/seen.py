@@ -49,11 +49,20 @@ UNMET = {
 
 
 class Seen:
-    """The signals of one recording under one rig's plant, found when they are asked for."""
+    """The signals of one recording, or of several, under one rig's plant, found when they are asked for.
+
+    each: the same of every recording alone.
+    """
 
     def __init__(self, rig: Rig, recording: Recording):
         self.rig, self.recording = rig, recording
-        self.model = Model(rig, recording, {})
+        runs = recording.runs
+        self.each = [Seen(rig.of(run.name), run) for run in runs] if len(runs) > 1 else [self]
+
+    @cached_property
+    def model(self) -> Model:
+        """Of one recording."""
+        return Model(self.rig, self.recording.runs[0], {})
 
     @cached_property
     def recorded(self) -> dict[str, np.ndarray]:
@@ -74,6 +83,8 @@ class Seen:
 
     def of(self, expression: str, values: Mapping[str, float] | None = None) -> np.ndarray:
         """The finite samples of an expression along the recording; values: of symbols that the plant has not."""
+        if len(self.each) > 1:
+            return np.concatenate([one.of(expression, values) for one in self.each])
         plant = self.rig.plant
         used = names([expression])
         for definition in plant.needed(used, self.recorded):
@@ -112,7 +123,7 @@ class Seen:
 
     @cached_property
     def _kinds(self):
-        dt, samples = self.rig.dt, self.recording.samples
+        dt, samples = self.rig.dt, max(run.samples for run in self.recording.runs)
         return {
             "samples": lambda a, name: a * dt,
             "duration": lambda a, name: a * dt * samples,
@@ -139,22 +150,33 @@ class Seen:
 
     def _rate(self, quantile: float, name: str) -> float:
         """That quantile of the magnitudes of a signal's rate where it changes."""
-        change = np.abs(np.diff(self._some(name))) / self.rig.dt
+        change = np.abs(self._changes(name)) / self.rig.dt
         change = change[change > 0]
         return float(np.quantile(change, quantile)) if len(change) else self._peak(name) / self.rig.dt
 
     def _way(self, name: str) -> float:
         """How far a velocity goes from its furthest point to the other."""
-        return float(np.ptp(np.cumsum(self._some(name))) * self.rig.dt) or self._peak(name) * self.rig.dt
+        way = max(float(np.ptp(np.cumsum(one._some(name)))) for one in self.each)
+        return way * self.rig.dt or self._peak(name) * self.rig.dt
+
+    def _changes(self, name: str, order: int = 1) -> np.ndarray:
+        """Differences of a signal from sample to sample, none of them from one recording to the next."""
+        return np.concatenate([np.diff(one._some(name), order) for one in self.each])
 
     def _noise(self, name: str) -> float:
         """The noise of a channel as its differences from sample to sample show it; at most that of its signal."""
         signal = self._some(name)
-        rough = np.sqrt(np.mean(np.diff(signal, 2) ** 2) / TWICE) if len(signal) > LEVELS else 0.0
+        rough = np.sqrt(np.mean(self._changes(name, 2) ** 2) / TWICE) if len(signal) > LEVELS else 0.0
         return float(max(rough, SPECK * self._peak(name)))
 
     def lines(self, channel: str) -> list[float]:
         """Frequencies in Hz at which narrow lines stand out of a channel's spectrum; first those of no input."""
+        if len(self.each) > 1:
+            width = 1.0 / (self.rig.dt * min(run.samples for run in self.recording.runs))
+            every: list[float] = []
+            for line in (line for one in self.each for line in one.lines(channel)):
+                every += [line] if all(abs(line - other) > width for other in every) else []
+            return every[:LINES]
         frequency, power = _spectrum(self.recording[channel], self.rig.dt)
         given = [_spectrum(self.recording[name], self.rig.dt)[1] for name in self.rig.inputs]
         ratio = _above(power)
@@ -191,7 +213,7 @@ class Seen:
             "often_low": lambda s: np.sum(s <= s.min() + END * np.ptp(s)) > LEVELS and np.ptp(s) > 0,
             "never_negative": lambda s: s.min() > -NEGATIVE * np.max(np.abs(s)) and s.min() < np.max(s) / 2,
             "several_levels": lambda s: len(np.unique(np.abs(s))) > LEVELS,
-            "several_rates": lambda s: len(np.unique(np.abs(np.diff(s)).round(DIGITS))) > LEVELS,
+            "several_rates": lambda s: len(np.unique(np.abs(self._changes(name)).round(DIGITS))) > LEVELS,
         }  # fmt: skip
         if kind not in tests:
             raise InputError(f"needs {need!r}: {kind!r} is unknown; give one of several, recorded, {', '.join(tests)}")

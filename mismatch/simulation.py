@@ -10,20 +10,28 @@ from greygate.mismatch import effects as effect_table
 from greygate.mismatch.diagnosis import READ, recovered
 from greygate.mismatch.effects import Effect, Free, fitting
 from greygate.mismatch.model import Model
-from greygate.mismatch.rig import Rig
+from greygate.mismatch.rig import Own, Rig
 from greygate.plants.expressions import check_expression, check_name, check_symbol
 from greygate.plants.recording import Recording
 from greygate.reading import line, listed, named, number, one_of, read_json, table
 
 
 def simulate(
-    rig: Rig, recording: Recording, diagnosis: Mapping | None = None, effects: Mapping[str, Effect] | None = None
+    rig: Rig,
+    recording: Recording,
+    diagnosis: Mapping | None = None,
+    effects: Mapping[str, Effect] | None = None,
+    name: str | None = None,
 ) -> dict[str, np.ndarray]:
     """Predicted channels, each (samples,), over `recording`.
 
-    diagnosis: content of a diagnosis.json for this plant; None for the data sheet.
+    diagnosis: content of a diagnosis.json for this plant; None for the data sheet. name: of the recording of rig.toml
+    whose own parameters hold, by default that of its file.
     Raises InputError when it is of another plant, or names an effect or parameter that is unknown.
     """
+    name = recording.name if name is None else name
+    known_there = rig.own.get(name, Own()).parameters
+    rig = rig.of(name)
     every = effect_table.known(rig, recording, every=True) if effects is None else effects
     known = fitting(rig.plant, rig.datasheet, every)
     values: dict[str, float] = {}
@@ -32,7 +40,9 @@ def simulate(
         if diagnosis["plant"] != rig.plant.name:
             of = shown(diagnosis["plant"])[1:-1]
             raise InputError(f"diagnosis: is of {of}, the rig is {rig.plant.name}; give the rig's own")
-        values = {symbol: p["value"] for symbol, p in diagnosis["parameters"].items()}
+        values = {s: p["value"] for s, p in diagnosis["parameters"].items() if s not in known_there}
+        own = diagnosis.get("recordings", {}).get(name, {}).get("parameters", {})
+        values |= {symbol: p["value"] for symbol, p in own.items()}
         for entry in diagnosis["effects"]:
             if entry["id"] == "unknown":
                 unknown = _unknown(rig, entry)
@@ -71,13 +81,14 @@ def _effect(value: object, where: str) -> dict:
 
 HEAD = {"schema": one_of(READ)}
 ENTRIES = {"plant": line, "effects": listed(_effect), "parameters": PARAMETERS}
+OWN = {"recordings": named(lambda value, where: table(value, where, {}, {"parameters": PARAMETERS}, others=True), line)}
 
 
 def check(diagnosis: object) -> dict:
     """The part of a diagnosis.json that a simulation needs. Raises InputError where an entry is missing or wrong."""
     try:
         table(diagnosis, "diagnosis:", HEAD, others=True)  # one of another schema may have other entries
-        return table(diagnosis, "diagnosis:", ENTRIES, others=True)
+        return table(diagnosis, "diagnosis:", ENTRIES, OWN, others=True)
     except InputError as error:
         raise InputError(f"{error}; {WRITTEN}") from None
 

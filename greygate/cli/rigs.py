@@ -124,6 +124,10 @@ def simulate(
         Path | None, typer.Option(help="diagnosis.json of this plant: simulate with its corrections.")
     ] = None,
     effects: Annotated[list[Path], typer.Option(help="Tables that the diagnosis had, too.")] = [],
+    own: Annotated[
+        str | None,
+        typer.Option("--as", help="NAME of the [recordings.NAME] whose parameters hold; by default the file's name."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Simulate a recording with the values of the data sheet, or with the plant as a diagnosis corrects it.
@@ -132,7 +136,7 @@ def simulate(
     """
     from greygate.explain import predict
 
-    rms = predict(rig, recording, diagnosis, out, effects)
+    rms = predict(rig, recording, diagnosis, out, effects, own)
     lines = [
         f"{name:10} RMS of simulated minus recorded {finite(e['rms'], '.5g')} {e['unit']}" for name, e in rms.items()
     ]

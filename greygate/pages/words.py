@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from greygate.mismatch.diagnosis import APART, Diagnosis
 from greygate.mismatch.experiments.separation import separations
 from greygate.mismatch.locate import display_unit
+from greygate.mismatch.rig import Rig
 from greygate.mismatch.verdict import Verdict
 from greygate.plants.expressions import names
 
@@ -74,10 +75,17 @@ def lines(result: Diagnosis) -> list[str]:
         for name, p in entry["parameters"].items():
             name = name.removeprefix(f"unknown_{p.get('place')}_")  # the file holds the full name with the place
             out.append(row("", f"{name:<14} {amount(p['value'], p['ci95'], p['unit'])}"))
+        if shown := result.shown.get(entry.get("form", "")):
+            out.append(row("", str(shown)))
     if "explained" in found:
         out.append(row("explains", f"{found['explained']:.1%} of the squared error that can be removed"))
     for i, (name, p) in enumerate(found["parameters"].items()):
         out.append(row("" if i else "parameters", parameter(result, name, p)))
+    for name, own in found.get("recordings", {}).items():
+        for symbol, p in own.get("parameters", {}).items():
+            out.append(row(name, parameter(result, symbol, p, result.rig.of(name))))
+        out += [row(name, own["resampled"])] if "resampled" in own else []
+        out += [row(name, f"alone: {alone(own['alone'])}")] if "alone" in own else []
     out += fit_table(found["fit"])
     for i, text in enumerate(alike(result, found)):
         out.append(row("" if i else "alternatives", text))
@@ -95,6 +103,12 @@ def lines(result: Diagnosis) -> list[str]:
         out.append(row("" if i else "noise", text))
     out.append(row("remains", found["remaining"] or nothing_left(result)))
     return [*out, f"{found['seconds']:.1f} s"]
+
+
+def alone(found: Mapping) -> str:
+    """What one of several recordings says alone."""
+    claimed = ", ".join(entry["id"] for entry in found["effects"] if entry["id"] != "unknown")
+    return claimed or Verdict(found["verdict"]).replace("_", " ")
 
 
 def nothing_left(result: Diagnosis) -> str:
@@ -149,9 +163,9 @@ def where(found: Mapping) -> list[tuple[str, str]]:
     ]
 
 
-def parameter(result: Diagnosis, name: str, found: Mapping) -> str:
-    """A fitted parameter beside the value of its data sheet."""
-    given = result.rig.plant.parameters[name]
+def parameter(result: Diagnosis, name: str, found: Mapping, rig: Rig | None = None) -> str:
+    """A fitted parameter beside the value of its data sheet. rig: as it is in one recording."""
+    given = (rig or result.rig).plant.parameters[name]
     factor, _ = display_unit(given.unit, abs(found["value"]))
     off = " OUTSIDE ITS TOLERANCE" if found.get("outside_tolerance") else ""
     sheet = f"data sheet {given.value * factor:.5g} ± {100 * given.tolerance:g} %"

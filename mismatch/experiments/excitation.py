@@ -5,7 +5,7 @@ more than a gain and an offset do, its name cannot be told from these: a dead zo
 an asymmetry of one that never changes its sign, an end of a sensor beyond which all readings lie.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -16,6 +16,7 @@ from greygate.mismatch.effects import GENERAL, SENSOR, Effect, fitting
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.model import FILTERS, TINY, Model
 from greygate.mismatch.rig import Rig
+from greygate.mismatch.runs import along
 from greygate.plants.expressions import names
 from greygate.plants.plant import Values
 from greygate.plants.recording import Recording
@@ -112,8 +113,9 @@ def excited(model: Model, effects: Mapping[str, Effect]) -> tuple[dict[str, Effe
     rig, kept, why = model.rig, {}, {}
     given = signals(rig, model.recording)
     shown = [given, {**given, **_true(model, {})}]  # a sensor acts on what is there, not on what it reads of it
+    cut = model.pieces
     for key, effect in effects.items():
-        reasons = [_reason(effect, rig, seen, values) for seen in shown for values in _tried(effect, seen, rig.dt)]
+        reasons = [_reason(effect, rig, seen, values, cut) for seen in shown for values in _tried(effect, seen, rig.dt)]
         if reasons and all(reasons):
             why[key] = reasons[-1]
         else:
@@ -128,11 +130,14 @@ def unexcited(effect: Effect, model: Model, values: Mapping[str, float]) -> str:
     given = signals(model.rig, model.recording)
     if any(path.startswith(SENSOR) for path in effect.terms):
         given = {**given, **_true(model, values)}
-    return _reason(effect, model.rig, given, values)
+    return _reason(effect, model.rig, given, values, model.pieces)
 
 
 def signals(rig: Rig, recording: Recording) -> dict[str, np.ndarray]:
     """Channels, time, the rates of recorded positions and derived inputs, each (samples,), in SI units."""
+    if len(recording.runs) > 1:
+        each = [signals(rig, run) for run in recording.runs]
+        return {name: np.concatenate([found[name] for found in each]) for name in each[0]}
     found = {"t": recording.time, **recording.channels}
     rates = {state.rate: x for x, state in rig.plant.states.items() if state.rate in rig.plant.states}
     rates |= {name: how.split()[1] for name, how in rig.plant.derived.items() if how.split()[0] in RATES}
@@ -151,11 +156,18 @@ def _true(model: Model, values: Mapping[str, float]) -> dict[str, np.ndarray]:
     return {name: found[name] for name in model.rig.predict if name in found and np.isfinite(found[name]).all()}
 
 
-def _reason(effect: Effect, rig: Rig, given: Mapping[str, np.ndarray], values: Mapping[str, float]) -> str:
+def _reason(
+    effect: Effect,
+    rig: Rig,
+    given: Mapping[str, np.ndarray],
+    values: Mapping[str, float],
+    cut: Sequence[slice],
+) -> str:
     turning = np.concatenate([np.linspace(*ROUND), np.linspace(*ROUND)[::-1]] * 2)
     ideal = {name: turning * FARTHEST * max(float(np.max(np.abs(s))), TINY) for name, s in given.items()}
     found = ""
-    pairs = zip(_actions(effect, rig, given, values), _actions(effect, rig, ideal, values), strict=True)
+    whole = [slice(0, len(turning))]
+    pairs = zip(_actions(effect, rig, given, values, cut), _actions(effect, rig, ideal, values, whole), strict=True)
     for here, there in pairs:
         if here.far:
             return f"it would be more than {FARTHEST:g} times as large as {here.name} itself"
@@ -175,15 +187,24 @@ def _why(action: Action) -> str:
     return f"along this recording a gain or an offset of {', '.join(action.moved) or action.name} does the same"
 
 
-def _actions(effect: Effect, rig: Rig, given: Mapping[str, np.ndarray], values: Mapping[str, float]) -> list[Action]:
-    """What the effect does; none where it depends on what is not recorded."""
+def _actions(
+    effect: Effect,
+    rig: Rig,
+    given: Mapping[str, np.ndarray],
+    values: Mapping[str, float],
+    cut: Sequence[slice],
+) -> list[Action]:
+    """What the effect does; none where it depends on what is not recorded. cut: the samples of each recording."""
     out = []
     for name, text in effect.filters.items():
         kind, *symbols = text.split()
         if kind not in FILTERS or name not in given:
             return []
         acts = values[symbols[0]] != 0.0
-        made = FILTERS[kind](given[name], *(values[s] for s in symbols), rig.dt) if acts else given[name]
+        by = [values[s] for s in symbols]
+        made = (
+            along(lambda part, k=kind, by=by: FILTERS[k](part, *by, rig.dt), cut, given[name]) if acts else given[name]
+        )
         change = made - given[name]
         first = int(np.argmax(np.abs(change) >= TAKEN_UP * np.max(np.abs(change)))) if kind == "play" else 0
         out.append(Action(name, {name: given[name][first:]}, change[first:]))

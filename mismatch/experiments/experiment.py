@@ -120,9 +120,13 @@ def _together(recording: Recording, names: list[str]) -> dict[str, float]:
 
 def _rates(recording: Recording, name: str) -> tuple[float, float]:
     """(speed, acceleration) that a position comes to, in travels a second (squared)."""
-    half, dt, travel = reach(recording[name], SMOOTH), recording.dt, float(np.ptp(recording[name]))
-    rates = (savgol_filter(recording[name], 2 * half + 1, n + 1, deriv=n, delta=dt) for n in (1, 2))
-    return tuple(float(np.max(np.abs(r))) / travel for r in rates)
+    dt, travel = recording.dt, float(np.ptp(recording[name]))
+
+    def rates(signal: np.ndarray, order: int) -> np.ndarray:
+        return savgol_filter(signal, 2 * reach(signal, SMOOTH) + 1, order + 1, deriv=order, delta=dt)
+
+    found = (max(float(np.max(np.abs(rates(run[name], n)))) for run in recording.runs) for n in (1, 2))
+    return tuple(size / travel for size in found)
 
 
 # -- inputs by rule --------------------------------------------------------------------------------------------------

@@ -21,6 +21,8 @@ from greygate.mismatch.locate import display_unit
 from greygate.mismatch.model import Model
 from greygate.mismatch.noise import Noise
 from greygate.mismatch.rig import Channel
+from greygate.mismatch.runs import with_channels
+from greygate.mismatch.several import modelled
 from greygate.plants.recording import Recording
 
 REACHES = (1.0, 1.5)  # of what was recorded; the second where the first tells too little
@@ -254,7 +256,7 @@ def _with_sensor(model: Model, symbol: str, signal: np.ndarray) -> Model:
     channel = Channel(model.plant.states[symbol].unit, "output", noise=FINE * float(np.ptp(signal)))
     richer = replace(rig, channels={**rig.channels, symbol: channel}, predict=(*rig.predict, symbol))
     channels, units = {**recording.channels, symbol: signal}, {**recording.units, symbol: channel.unit}
-    return Model(richer, Recording(recording.dt, channels, units), model.effects, model.window)
+    return modelled(richer, with_channels(recording, channels, units), model.effects, model.window)
 
 
 def imagined(likelihood: Likelihood, values: Mapping[str, float]) -> Likelihood:

@@ -9,6 +9,8 @@ from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.locate import signals
 from greygate.mismatch.model import Model
+from greygate.mismatch.runs import whole
+from greygate.mismatch.several import modelled
 from greygate.pages.figures import APART
 
 PIECE = 100  # samples of a window in pictures of the residual, if a rig restarts;
@@ -41,7 +43,8 @@ def residuals(result: Diagnosis, fits: Sequence[Fit]) -> list[Residual]:
     rig, recording = result.rig, result.calibrated.likelihood.model.recording
     piece = max(min(PIECE, recording.samples // PIECES), FEWEST_PIECE) if rig.window else None
     first = min(SKIP, recording.samples // piece // SKIP_PART) if piece else 0
-    model = Model(rig, recording, result.corrected.likelihood.model.effects, piece)
+    model = modelled(rig, recording, result.corrected.likelihood.model.effects, piece)
+    kept = whole(model.pieces, piece)[1] if piece else slice(None)
     variables, units = signals(model)
     found = []
     for fit in fits:
@@ -52,7 +55,7 @@ def residuals(result: Diagnosis, fits: Sequence[Fit]) -> list[Residual]:
             if piece is None:
                 errors[f"{channel} left"], kinds[f"{channel} left"] = left[:, i], unit
                 continue
-            rows = left[: len(left) // piece * piece, i].reshape(-1, piece)[first:]
+            rows = left[kept, i].reshape(-1, piece)[first:]
             if model.plant.states[channel].rate if channel in model.plant.states else False:
                 clock = (np.arange(piece) - (piece - 1) / 2) * rig.dt
                 name, values, unit = f"{channel} drifts", rows @ clock / (clock @ clock), f"{unit}/s"
@@ -62,8 +65,7 @@ def residuals(result: Diagnosis, fits: Sequence[Fit]) -> list[Residual]:
         if piece is None:
             points = variables
         else:
-            samples = recording.samples // piece * piece
-            points = {n: v[:samples].reshape(-1, piece).mean(axis=1)[first:] for n, v in variables.items()}
+            points = {n: v[kept].reshape(-1, piece).mean(axis=1)[first:] for n, v in variables.items()}
         found.append(Residual(errors, points, {**units, **kinds}))
     return found
 

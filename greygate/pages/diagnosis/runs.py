@@ -7,10 +7,10 @@ from markupsafe import Markup
 
 from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.locate import display_unit
-from greygate.mismatch.model import Model, begun
+from greygate.mismatch.several import by_rule, modelled
 from greygate.pages import figures
 from greygate.pages.diagnosis.case import Diagnosed
-from greygate.pages.diagnosis.residual import known, near
+from greygate.pages.diagnosis.residual import near
 from greygate.pages.figures import BINS, Curve, envelope, shortened
 from greygate.pages.units import labelled
 
@@ -31,12 +31,11 @@ def runs(case: Diagnosed) -> list[dict]:
     The recording is holdout.csv where there is one.
     """
     result, rig = case.result, case.result.rig
-    path = rig.folder / "holdout.csv"
-    name = "holdout" if path.exists() else "identify"
-    recording = rig.recording(path if path.exists() else rig.folder / "identify.csv")
-    model = Model(rig, recording, result.corrected.likelihood.model.effects)
-    skip = rig.settle if path.exists() else 0
-    predicted = {kind: model.predict(begun(model, known(model, fit), skip)) for kind, fit in case.fits.items()}
+    held = rig.held_out()
+    name = "holdout" if held else "identify"
+    model = modelled(rig, held or rig.to_explain(), result.corrected.likelihood.model.effects)
+    skip = rig.settle if held else 0
+    predicted = {kind: by_rule(model, fit.values, skip)[0] for kind, fit in case.fits.items()}
     rows = []
     for i, channel in enumerate(rig.predict):
         target = model.target[:, i]
