@@ -16,6 +16,7 @@ GAP = 5.0  # usual steps: across a longer one nothing is interpolated
 FINER, COARSER = 0.5, 20.0  # usual steps, between which the new one lies: no finer than was recorded
 JITTER = 1e-3  # of a usual step, by which one may differ and be as usual
 MILLI = 1e3
+ROUNDING = 1e-12  # of a count of steps, by which the last instant may miss its step
 
 
 def varies(steps: np.ndarray, dt: float) -> bool:
@@ -36,7 +37,7 @@ def resampled(
 
     clock: the instants of the readings (samples,), in s, rising. held: the channels that are held and averaged.
     """
-    count = int((clock[-1] - clock[0]) / dt * (1 + 1e-12)) + 1
+    count = int((clock[-1] - clock[0]) / dt * (1 + ROUNDING)) + 1
     held_to = clock[0] + np.arange(count + 1) * dt
     instants = held_to[:-1]
     out, costs = {}, {}
