@@ -15,6 +15,7 @@ from greygate.mismatch.model import FILTERS, Model, begun
 from greygate.mismatch.rig import load
 
 ROOT = Path(__file__).parent.parent
+QUANTIZED = {"dfki", "bam"}  # rigs whose sensors' steps are known
 RIGS = sorted(path.parent for path in (ROOT / "recordings" / "rigs").glob("*/rig.toml"))
 
 
@@ -38,7 +39,7 @@ def test_every_measured_rig_has_a_maker(bench):
 @pytest.mark.parametrize("folder", RIGS, ids=lambda path: path.name)
 def test_the_effects_of_a_measured_rig_join_its_plant(folder):
     rig = load(folder)
-    assert not rig.stated
+    assert rig.stated == (folder.name in QUANTIZED)
     own = table.read(folder / "effects.toml") if (folder / "effects.toml").exists() else {}
     fitting = table.fitting(rig.plant, rig.datasheet, own)
     assert list(fitting) == list(own)
