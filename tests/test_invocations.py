@@ -127,7 +127,7 @@ def commands() -> dict:
     callbacks = {info.name or info.callback.__name__: info.callback for info in cli.app.registered_commands}
     for group in cli.app.registered_groups:
         of_group = group.typer_instance.registered_commands
-        callbacks |= {f"{group.name} {info.name or info.callback.__name__}": info.callback for info in of_group}
+        callbacks |= {f"{group.name} {info.callback.__name__}": info.callback for info in of_group}
     return {name: (entry, typing.get_type_hints(callbacks[name])) for name, entry in entries.items()}
 
 
