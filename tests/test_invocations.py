@@ -66,7 +66,7 @@ TEXTS = {
     "port": ["none", "a.csv", ""], "source": NO_TABLE,
     "bench": NO_RIG, "answers": ["none", "folder", "a.csv", ""], "tool": ["none", "", "none --of them", "'"],
     "condition": ["none", ""], "secret": ["none", "folder", "binary.csv", "empty.csv", "short.txt"],
-    "rows": NO_PLACE, "picture": NO_PLACE,
+    "rows": NO_PLACE, "picture": NO_PLACE, "own": ["none", ""],
 }  # fmt: skip
 """Wrong texts by the name of the option or argument."""
 
