@@ -26,7 +26,7 @@ from greygate.mismatch.experiments.isolability import isolability
 from greygate.mismatch.fit import Likelihood
 from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.search import Search
-from greygate.mismatch.simulation import read, simulate
+from greygate.mismatch.simulation import asked, read, simulate
 from greygate.models import accuracy
 from greygate.pages import diagnosis as diagnosis_page
 from greygate.pages import words
@@ -36,15 +36,16 @@ from greygate.progress import Progress, silent
 SAFE_PATH = "PYTHONSAFEPATH"  # if it is set, Python imports nothing from the folder in which it is started
 
 
-def table_of(paths: Iterable[Path], rig: Rig, recording: Recording | None, every: bool = False) -> dict[str, Effect]:
-    """The effects to try on a rig: those of greygate's table, extended by the user's own files.
+def table_of(paths: Iterable[Path], rig: Rig, recording: Recording | None) -> dict[str, Effect]:
+    """The effects to try on a rig: those of greygate's table, extended by the user's own files."""
+    return extended(table.known(rig, recording), paths)
 
-    every: general effects also where this recording does not excite them.
-    """
-    effects = table.known(rig, recording, every)
+
+def extended(effects: Mapping[str, Effect], paths: Iterable[Path]) -> dict[str, Effect]:
+    """Effects with those of the user's own files."""
     for path in paths:
         effects = {**effects, **table.read(path)}
-    return effects
+    return dict(effects)
 
 
 def explain(
@@ -215,8 +216,9 @@ def predict(
         known = ", ".join(rig.own) or "none"
         raise InputError(f"--as {shown(name)}: no [recordings.NAME] of {rig.folder}/rig.toml; it has {known}")
     measured, clock = rig.timed(recording)
-    effects = table_of(own, rig, measured, every=True)
-    found = simulate(rig, measured, None if diagnosis is None else read(diagnosis), effects, name)
+    claimed = None if diagnosis is None else read(diagnosis)
+    effects = extended(table.named(rig, measured, asked(claimed)), own)
+    found = simulate(rig, measured, claimed, effects, name)
     with replacing(out) as temporary, temporary.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["t", *found])

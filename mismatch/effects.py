@@ -4,14 +4,16 @@ All effects that may enter a plant join it once (`joining`), with parameters at 
 then a set of parameters that become free, and nothing is compiled twice.
 """
 
+from collections.abc import Collection
+
 from greygate.mismatch.entries import ANY, EXTRA, SENSOR, TABLE, Effect, Free, fitting, read
 from greygate.mismatch.general import GENERAL, general
 from greygate.mismatch.general import unmet as general_unmet
 from greygate.mismatch.joining import join
 
 __all__ = [
-    "ANY", "EXTRA", "GENERAL", "SENSOR", "TABLE", "Effect", "Free", "fitting", "general", "join", "known", "read",
-    "unmet",
+    "ANY", "EXTRA", "GENERAL", "SENSOR", "TABLE", "Effect", "Free", "fitting", "general", "join", "known", "named",
+    "read", "unmet",
 ]  # fmt: skip
 
 
@@ -32,6 +34,13 @@ def known(rig, recording, every: bool = False) -> dict[str, Effect]:
         offered = general(rig, recording, special.values(), every, any_plant(rig))
         found = {k: e for k, e in offered.items() if e.id not in ids}
     return table | found | own
+
+
+def named(rig, recording, asked: Collection[str]) -> dict[str, Effect]:
+    """The effects among which those are whose keys are `asked`; general ones, which take time, only if one is."""
+    path = rig.folder / "effects.toml"
+    special = read() | (read(path) if path.exists() else {})
+    return special if special.keys() >= set(asked) else known(rig, recording, every=True)
 
 
 def unmet(rig, recording) -> dict[str, str]:

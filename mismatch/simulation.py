@@ -32,11 +32,11 @@ def simulate(
     name = recording.name if name is None else name
     known_there = rig.own.get(name, Own()).parameters
     rig = rig.of(name)
-    every = effect_table.known(rig, recording, every=True) if effects is None else effects
+    diagnosis = None if diagnosis is None else check(diagnosis)
+    every = effect_table.named(rig, recording, asked(diagnosis)) if effects is None else effects
     known = fitting(rig.plant, rig.datasheet, every)
     values: dict[str, float] = {}
     if diagnosis is not None:
-        diagnosis = check(diagnosis)
         if diagnosis["plant"] != rig.plant.name:
             of = shown(diagnosis["plant"])[1:-1]
             raise InputError(f"diagnosis: is of {of}, the rig is {rig.plant.name}; give the rig's own")
@@ -58,6 +58,12 @@ def simulate(
             raise InputError(f"diagnosis: parameter {symbol} is unknown to {rig.plant.name}")
     predicted = model.predict({**model.values, **values})
     return dict(zip(rig.predict, predicted.T, strict=True))
+
+
+def asked(diagnosis: Mapping | None) -> list[str]:
+    """Keys of the effects that a diagnosis names, in the form that it chose."""
+    entries = diagnosis["effects"] if diagnosis else []
+    return [entry.get("form", entry["id"]) for entry in entries if entry["id"] != "unknown"]
 
 
 def read(path: Path | str) -> dict:
