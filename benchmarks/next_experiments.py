@@ -271,7 +271,8 @@ def sines(bounds: Bounds, samples: int, dt: float, rng: np.random.Generator) -> 
     if not bounds.positions:
         wave = multisine(samples, 1.0, 1 / seconds, fastest, dt, int(rng.integers(2**31)))
         return lambda size: _commanded(bounds, size * wave)
-    lead = leg(_begin(bounds), MIDDLE, bounds.speed, bounds.acceleration, dt)
+    begin = _begin(bounds)
+    lead = leg(begin, MIDDLE, bounds.speed, bounds.acceleration, dt) if begin != MIDDLE else np.zeros(0)
     wave = multisine(samples, 1.0, 1 / seconds, fastest, dt, int(rng.integers(2**31)))
     t = np.minimum(np.arange(samples) / (RAMP * samples), 1.0)
     wave = (wave - wave[0]) * (t - np.sin(2 * np.pi * t) / (2 * np.pi))
