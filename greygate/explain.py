@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from joblib import Parallel, delayed
 
-from greygate.errors import InputError
+from greygate.errors import InputError, shown
 from greygate.files import replacing, replacing_all
 from greygate.mismatch import effects as table
 from greygate.mismatch.coloured import Coloured
@@ -211,6 +211,9 @@ def predict(
     Returns channel -> rms of simulated minus recorded (None if the simulation diverges), unit, finite.
     """
     rig = load(folder)
+    if name is not None and name not in rig.own:
+        known = ", ".join(rig.own) or "none"
+        raise InputError(f"--as {shown(name)}: no [recordings.NAME] of {rig.folder}/rig.toml; it has {known}")
     measured, clock = rig.timed(recording)
     effects = table_of(own, rig, measured, every=True)
     found = simulate(rig, measured, None if diagnosis is None else read(diagnosis), effects, name)

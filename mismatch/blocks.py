@@ -106,7 +106,8 @@ class Judge:
         if self.several:
             both = self.errors(plain.values), self.errors(fit.values)
             for k in range(int(self.fold.max()) + 1):
-                lost = self._lost(*(errors[self.fold == k] for errors in both), self.fold == k)
+                held = self.fold == k
+                lost = self._lost(both[0][held], both[1][held], held)
                 found += [replace(loss, learnt=True) for loss in lost]
         if found:
             return found
@@ -128,9 +129,9 @@ class Judge:
         spans = tuple((float((run[0] - first) * rig.dt), float((run[-1] + 1 - first) * rig.dt)) for run in runs)
         out = []
         for i, channel in enumerate(rig.predict):
-            rms = [float(np.sqrt(np.mean(e[:, i] ** 2))) for e in (before, after)]
-            if np.isfinite(rms[0]) and _worse(before[:, i], after[:, i]):
-                out.append(Loss(channel, rig.channels[channel].unit, spans, *rms, name))
+            was, now = (float(np.sqrt(np.mean(e[:, i] ** 2))) for e in (before, after))
+            if np.isfinite(was) and _worse(before[:, i], after[:, i]):
+                out.append(Loss(channel, rig.channels[channel].unit, spans, was, now, name))
         return out
 
     def total(self, fit: Fit) -> float:

@@ -260,7 +260,7 @@ class Diagnosis:
     @cached_property
     def shown(self) -> dict[str, Shown]:
         """By key of an effect, which of several recordings shows it; empty where there is one."""
-        found = {}
+        found: dict[str, Shown] = {}
         for key in self.best.effects:
             shown = shown_by(self.corrected, {f.symbol for f in self.search.effects[key].strengths})
             found |= {key: shown} if shown else {}

@@ -5,7 +5,7 @@ parameter `mass` that is fitted in the recording run2 alone is `mass@run2` among
 """
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -47,7 +47,7 @@ class Several(Model):
     def over(self, recording: Recording) -> Model:
         """The model over one further recording, in which nothing is its own."""
         other = copy.copy(self)
-        other.__class__ = Model
+        other.__class__ = Model  # type: ignore[assignment]
         other._take(recording, self.window)
         return other
 
@@ -69,7 +69,7 @@ class Several(Model):
                 out[symbol] = np.repeat([there[symbol] for there in each], counts)
         return out
 
-    def _shifts(self, shifts: np.ndarray | None) -> list[np.ndarray | None]:
+    def _shifts(self, shifts: np.ndarray | None) -> Sequence[np.ndarray | None]:
         if shifts is None:
             return [None] * len(self.all)
         return np.split(shifts, np.cumsum([len(m.restarts) for m in self.all])[:-1])

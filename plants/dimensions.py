@@ -1,6 +1,7 @@
 """Whether the terms of a plant's equations have one dimension: N and Pa m^2 do, N and N/m do not."""
 
 from collections.abc import Mapping
+from fractions import Fraction
 from functools import cache
 
 from greygate.plants import units
@@ -24,7 +25,11 @@ def clashes(plant: Plant) -> list[str]:
     out = []
     for name, equation in plant.equations.items():
         storage, state = units.of(equation.storage, known), units.powers(plant.unit(equation.state))
-        left = None if storage is None or state is None else units.times(units.times(storage, state), {"s": 1}, -1)
+        left = (
+            None
+            if storage is None or state is None
+            else units.times(units.times(storage, state), {"s": Fraction(1)}, -1)
+        )
         out += _clash(name, {"left side": left, **_of_terms(equation.terms, known)})
     for name, definition in plant.definitions.items():
         left = units.powers(definition.unit)
@@ -64,4 +69,4 @@ def _of(symbol: str) -> Dimension | None:
         return {} if symbol != "rpm" else {"[time]": -1.0}
     if symbol not in KNOWN.split():
         return None
-    return {name: float(power) for name, power in pint.Unit(symbol).dimensionality.items()}
+    return {str(name): float(power.real) for name, power in pint.Unit(symbol).dimensionality.items()}

@@ -66,7 +66,7 @@ TEXTS = {
     "port": ["none", "a.csv", ""], "source": NO_TABLE,
     "bench": NO_RIG, "answers": ["none", "folder", "a.csv", ""], "tool": ["none", "", "none --of them", "'"],
     "condition": ["none", ""], "secret": ["none", "folder", "binary.csv", "empty.csv", "short.txt"],
-    "rows": NO_PLACE, "picture": NO_PLACE,
+    "rows": NO_PLACE, "picture": NO_PLACE, "own": ["none", ""],
 }  # fmt: skip
 """Wrong texts by the name of the option or argument."""
 
@@ -124,7 +124,7 @@ def commands() -> dict:
     for name, entry in typer.main.get_command(cli.app).commands.items():
         inner = getattr(entry, "commands", None)
         entries |= {name: entry} if inner is None else {f"{name} {word}": e for word, e in inner.items()}
-    callbacks = {info.callback.__name__: info.callback for info in cli.app.registered_commands}
+    callbacks = {info.name or info.callback.__name__: info.callback for info in cli.app.registered_commands}
     for group in cli.app.registered_groups:
         of_group = group.typer_instance.registered_commands
         callbacks |= {f"{group.name} {info.callback.__name__}": info.callback for info in of_group}

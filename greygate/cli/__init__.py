@@ -23,7 +23,7 @@ COMMANDS = (
     *(builds.emulate, builds.verify, builds.prove, builds.synthesize, builds.report),
     *(boards.board, boards.play),
     networks.validate,
-    *(rigs.diagnose, rigs.next, rigs.isolability, rigs.simulate, rigs.augment, rigs.conceal, rigs.reveal),
+    *(rigs.diagnose, rigs.next_, rigs.isolability, rigs.simulate, rigs.augment, rigs.conceal, rigs.reveal),
 )
 
 app = typer.Typer(
@@ -33,7 +33,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for command in COMMANDS:
-    app.command()(command)
+    app.command(command.__name__.rstrip("_"))(command)
 app.add_typer(bench.app, name="bench-concealed")
 
 

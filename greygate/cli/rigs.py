@@ -82,7 +82,7 @@ def isolability(
     give(found, as_json, lines)
 
 
-def next(
+def next_(
     rig: RigFolder,
     diagnosis: Annotated[Path, typer.Option(help="diagnosis.json of this rig's identify.csv, by `greygate diagnose`.")],
     out: Annotated[Path | None, typer.Option(help="CSV to write: t and every input, to be played.")] = None,
