@@ -2,8 +2,8 @@
 
 1. The interval of an effect's size holds no zero, and a parameter outside its tolerance lies outside it.
 2. The recording excites the effect: at its found size it does more than a gain, an offset or nothing would do.
-3. The squared error of the run is smaller with it than without, and its e-value, on halves of the recording that its
-   fit did not see, bears the name among all on offer (`evidence`).
+3. Its e-value, on halves of the recording that its fit did not see, bears the name among all on offer (`evidence`).
+   Where the noise is coloured, and so what is fast weighs most, the squared error of the run is smaller with it, too.
 4. The corrected simulation is on no block worse than the calibrated one, nor that than the data sheet (`blocks`).
 
 A fit that fails the fourth gate is fitted again to what the simulation is judged by: its error in the run of the rig's
@@ -149,13 +149,11 @@ def _unsupported(search: Search, judge: Judge, claims: Claims, refit: Callable) 
         fits = {name: min(fit, claims.calibrated, key=lambda f: f.cost) for name, fit in fits.items()}
     claims.shares = {n: judge.share(claims.calibrated, fits[n], claims.fit) for n in names}
     useless = min(names, key=lambda n: claims.shares[n])
-    if claims.shares[useless] <= 0.0:
+    if claims.fit.likelihood.remembers and claims.shares[useless] <= 0.0:
         return _drop(search, claims, useless, fits, "with it the squared error of the run is no smaller")
     candidates = len({effect.id for effect in search.effects.values()}) + len(search.toleranced)
     for exact in (False, True):  # what a linearised fit does not bear out is fitted in full before it counts
-        claims.evidence = {
-            n: evidence(fits[n], claims.fit, claims.fit.widened(_symbols(search, n)), exact) for n in names
-        }
+        claims.evidence = {n: evidence(fits[n], claims.fit, _wider(search, claims, n), exact) for n in names}
         if borne_out(claims.evidence, candidates) == set(names):
             return False
     name = min(names, key=lambda n: claims.evidence[n].log_e)
@@ -168,6 +166,11 @@ def _drop(search: Search, claims: Claims, name: str, fits: Mapping[str, Fit], wh
     claims.refused.append(f"{_name(search, name)} is not claimed: {why}")
     claims.best, claims.fit = claims.best.without(name), fits[name]
     return True
+
+
+def _wider(search: Search, claims: Claims, name: str) -> float:
+    """By how much errors that depend on each other widen what is found; a noise that remembers has that in it."""
+    return 1.0 if claims.fit.likelihood.remembers else claims.fit.widened(_symbols(search, name))
 
 
 def _symbols(search: Search, name: str) -> list[str]:

@@ -132,7 +132,7 @@ class _Halves:
                 trials = [[*chosen, j] for j in mine if j not in chosen]
             saved = [(self.saved(use) - plain, use) for use in trials]
             most = max(saved)[0]
-            if most - gain < WORTH * total:
+            if not most - gain >= WORTH * total:  # nor where it is no number
                 break
             # of those nearly as good the ones declared first: plain powers before waves and bumps
             least = most - ALIKE * max(total, 0.0)

@@ -62,6 +62,10 @@ class Coloured(Likelihood):
     def count(self) -> int:
         return int(self.mask.sum()) * len(self.scale)
 
+    @property
+    def remembers(self) -> bool:
+        return self.order > 0
+
     def white(self, what: np.ndarray) -> np.ndarray:
         out = np.empty_like(what)
         for i, (ar, scale) in enumerate(zip(self.ar, self.scale, strict=True)):

@@ -40,7 +40,8 @@ def named(rig, recording, asked: Collection[str]) -> dict[str, Effect]:
     """The effects among which those are whose keys are `asked`; general ones, which take time, only if one is."""
     path = rig.folder / "effects.toml"
     special = read() | (read(path) if path.exists() else {})
-    return special if special.keys() >= set(asked) else known(rig, recording, every=True)
+    there = fitting(rig.plant, rig.datasheet, special)
+    return special if there.keys() >= set(asked) else known(rig, recording, every=True)
 
 
 def unmet(rig, recording) -> dict[str, str]:

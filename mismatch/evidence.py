@@ -1,9 +1,10 @@
 """What a recording says for an effect where its fit did not look: an e-value, and how many names it bears.
 
-The recording is cut into stretches, by turns in one half or the other. The hypothesis learns from one half and is
-judged on the other, against the same without the effect, which has learnt from all. Where the effect is not there, the
+The recording is cut into stretches, by turns in one half or the other (or in one of five parts, where halves teach too
+little). The hypothesis learns from the rest and is judged on a part, against the same without the effect, which has
+learnt from all. Where the effect is not there, the
 ratio of the two likelihoods is 1 on average at most, whatever was learnt: an e-value (Wasserman, Ramdas, Balakrishnan:
-Universal inference, 2020). That of the recording is the mean of both halves'.
+Universal inference, 2020). That of the recording is the mean over its parts.
 
 Of m candidates K may be named whose e-values are all m / (K FALSE) or more: then at most a share FALSE of all names is
 wrong in the long run, however the candidates depend on each other (e-BH, Wang and Ramdas, 2022).
@@ -18,7 +19,7 @@ from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.fit import HELD, Fit, Likelihood
 
 FALSE = 0.02  # of all names may be wrong
-REFIT = 8  # iterations of a fit to one half, which begins at that to both
+FOLDS, REFIT = 5, 8  # parts of an exact judgement; iterations of a fit without one, which begins at that to all
 LARGEST = 1e300  # of an e-value that a file shows
 
 
@@ -41,11 +42,13 @@ def evidence(without: Fit, fit: Fit, wider: float = 1.0, exact: bool = False) ->
     """The evidence of `fit` for what `without` has not.
 
     wider: the factor by which errors that depend on each other widen the variance of what is found. exact: the
-    hypothesis is fitted to each half in full, else by one linearised step from its fit to both.
+    hypothesis is fitted in full to all but a fifth, which judges it, for each fifth in turn; else to each half by one
+    linearised step from its fit to both.
     """
     likelihood = fit.likelihood
-    half = likelihood.alternate(HELD)
-    gains = np.array([_before(without, judge) - _after(fit, ~judge, judge, exact) for judge in (half, ~half)])
+    turns = likelihood.turns(HELD, FOLDS if exact else 2)
+    parts = [turns == k for k in np.unique(turns)]
+    gains = np.array([_before(without, judge) - _after(fit, ~judge, judge, exact) for judge in parts])
     logs = gains / 2 / wider
     top = float(logs.max())
     if not np.isfinite(top):

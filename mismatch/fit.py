@@ -216,6 +216,11 @@ class Likelihood:
         self.sigma[~counted] = np.inf
         self.count = int(counted.sum()) * self.sigma.shape[1]
 
+    @property
+    def remembers(self) -> bool:
+        """Whether the noise has a colour."""
+        return any(len(ar) for ar in self.noise.ar)
+
     def errors(self, values: Mapping[str, float], shifts: np.ndarray) -> np.ndarray:
         """(target - prediction) / sigma, (samples, channels)."""
         predicted = self.model.predict({**self.model.values, **values}, shifts * self.local_scale)
@@ -228,8 +233,12 @@ class Likelihood:
 
     def alternate(self, stretch: int) -> np.ndarray:
         """Whether each window is in the first half, where stretches of so many samples are in one half by turns."""
+        return self.turns(stretch, 2) == 0
+
+    def turns(self, stretch: int, parts: int) -> np.ndarray:
+        """In which of so many parts each window is, where stretches of so many samples are in each by turns."""
         stretch = min(stretch, self.windows * self.block // HELD_PART)
-        return (np.arange(self.windows) // max(round(stretch / self.block), 1)) % 2 == 0
+        return (np.arange(self.windows) // max(round(stretch / self.block), 1)) % parts
 
     def without(self, held: np.ndarray) -> "Likelihood":
         """This likelihood without the samples that are `held` (samples,) of bool."""

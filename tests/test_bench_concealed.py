@@ -333,7 +333,12 @@ def test_an_interrupted_run_ends_its_tools_and_counts_no_case(bench, tmp_path):
     began = "from greygate.cli import run; run()"
     tool = f"{sys.executable} {tmp_path / 'tool.py'}"
     arguments = ["bench-concealed", "run", str(bench), "--out", str(tmp_path / "a"), "--tool", tool, "--cases", "1"]
-    process = subprocess.Popen([sys.executable, "-c", began, *arguments], stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-c", began, *arguments],
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background ignores it
+    )
     while not (tmp_path / "pid").exists() or not (tmp_path / "pid").read_text():
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)

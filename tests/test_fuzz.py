@@ -232,7 +232,7 @@ def expression_seeds(folder: Path) -> list[dict[str, bytes]]:
 
         for where, lines in {**table.get("definitions", {}), **table.get("equations", {})}.items():
             for term, text in next(iter(lines.values())).items():
-                if term not in ("unit", "storage"):
+                if term not in ("unit", "storage", "couples"):
                     add(text, kind="term", where=where, term=term)
                     add(text, kind="unknown", where=where)
             if "storage" in next(iter(lines.values())):
