@@ -6,9 +6,9 @@ OUT := demo
 PEERS := build/peers
 FOLDERS := models plants emulator compiler rtl mismatch machines recordings
 
-.PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-programs fuzz faults \
+.PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-rigs bench-programs fuzz faults \
     mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-tables \
-    bench-flow bench-growth bench-exploring
+    bench-flow bench-growth bench-exploring bench-blind bench-next
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -72,6 +72,19 @@ mutants: $(VENV)/.ready-dev | tools
 bench-diagnosis: $(VENV)/.ready-dev
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/concealed.py
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/measured_mismatch.py
+
+# Half an hour: every command of diagnosis on 200 random valid rigs.
+bench-rigs: $(VENV)/.ready-dev
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/generated_rigs.py --rigs 200 --jobs 2
+
+# Twenty minutes: experiments until an ambiguous diagnosis is resolved, by `greygate next`, random ones, multisines.
+bench-next: $(VENV)/.ready-dev
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/next_experiments.py
+
+# Hours: the blind benchmark's development split, ours and the baselines. TOOLS=greygate for ours alone.
+bench-blind: $(VENV)/.ready-dev
+	$(INSTALL) -e '.[bench]'
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/blind.py $(TOOLS)
 
 # Adder graphs beside alkaid's, on the matrices of a file: make bench-adders MATRICES=cmvm.json PEER=python-with-alkaid
 bench-adders: $(VENV)/.ready-dev

@@ -103,7 +103,33 @@ def davinci() -> tuple[Columns, Columns]:
     return tuple(thinned({n: r[c] for n, c in names.items()}, 10) for r in runs)
 
 
-MAKERS: dict[str, Callable[[], tuple[Columns, Columns]]] = {
+def dfki() -> dict[str, Columns]:
+    """Four runs as they were recorded, at instants that vary."""
+    names = {"t": "time", "tau1": "tau_meas1", "tau2": "tau_meas2", "q1": "pos_meas1", "q2": "pos_meas2"}
+    runs = {n: read("dfki-double-pendulum", f"C0_sysid_{n}.csv") for n in ("00", "01", "03", "05")}
+    return {f"run{n}": {name: r[column] for name, column in names.items()} for n, r in runs.items()}
+
+
+def bam() -> dict[str, Columns]:
+    """Runs of one servo at four gains, as they were recorded, at instants that vary; a kind of motion is held out."""
+    names = {"t": "t_s", "goal": "goal_rad", "supply": "u_V", "on": "torque_on", "q": "q_rad"}
+    kinds = {"sine": "sin_sin", "square": "sin_time_square", "updown": "up_and_down"}
+    folder, runs = find("bam-servo-pendulum", "its SOURCE.md"), {}
+    for short, gain in [
+        ("sine", 100),
+        ("sine", 400),
+        ("square", 100),
+        ("square", 400),
+        ("updown", 200),
+        ("updown", 800),
+    ]:
+        (path,) = folder.glob(f"xl330_{kinds[short]}_m0.49_kp{gain}_*.csv")
+        r = read("bam-servo-pendulum", path.name)
+        runs[f"{short}_{gain}"] = {name: r[column] for name, column in names.items()}
+    return runs
+
+
+MAKERS: dict[str, Callable[[], tuple[Columns, Columns] | dict[str, Columns]]] = {
     "emps": emps,
     "ced": ced,
     "ced-uniform": ced_uniform,
@@ -112,26 +138,33 @@ MAKERS: dict[str, Callable[[], tuple[Columns, Columns]]] = {
     **{f"kuka-{axis}": partial(kuka, axis) for axis in (1, 2, 3)},
     "davinci": davinci,
     "crane": crane,
+    "dfki": dfki,
+    "bam": bam,
 }
 
 
 def make(name: str, folder: Path) -> Path:
     """The rig `name` in `folder`, with its recordings."""
     shutil.copytree(RIGS / name, folder, dirs_exist_ok=True)
-    rig = load(folder)
-    for file, columns in zip(("identify.csv", "holdout.csv"), MAKERS[name](), strict=True):
-        with (folder / file).open("w", newline="") as out:
+    rig, made = load(folder), MAKERS[name]()
+    runs = made if isinstance(made, dict) else dict(zip(("identify", "holdout"), made, strict=True))
+    for run, columns in runs.items():
+        count = len(next(iter(columns.values())))
+        columns = {"t": np.arange(count) * rig.dt, **columns}  # the recorded instants, where there are any
+        with (folder / f"{run}.csv").open("w", newline="") as out:
             writer = csv.writer(out, lineterminator="\n")
-            writer.writerow(["t", *columns])
-            for k, row in enumerate(zip(*columns.values(), strict=True)):
-                writer.writerow([f"{k * rig.dt:.9g}", *(f"{v:.9g}" for v in row)])
+            writer.writerow(columns)
+            writer.writerows([f"{v:.9g}" for v in row] for row in zip(*columns.values(), strict=True))
     return folder
 
 
-def row(name: str, said: dict) -> dict:
-    """Line of the table: the only predicted channel of a rig."""
-    ((channel, held),) = said["fit"]["holdout"].items()
-    own = said["fit"]["identify"][channel]
+def rows(name: str, said: dict) -> list[dict]:
+    """Lines of the table, one for each predicted channel of a rig."""
+    return [row(name, said, channel) for channel in said["fit"]["holdout"]]
+
+
+def row(name: str, said: dict, channel: str) -> dict:
+    held, own = (said["fit"][part][channel] for part in ("holdout", "identify"))
     kinds = ("simulation", "calibrated", "corrected")
     return {
         "rig": name,
@@ -152,13 +185,13 @@ def main(names: list[str]) -> None:
         with tempfile.TemporaryDirectory() as folder:
             found = diagnose(load(make(name, Path(folder) / name)))
         found.write(KEPT / f"{name}.json")
-        print(row(name, found.as_dict()), flush=True)
+        print(*rows(name, found.as_dict()), sep="\n", flush=True)
     kept = {name: KEPT / f"{name}.json" for name in MAKERS}
-    rows = [row(name, json.loads(path.read_text())) for name, path in kept.items() if path.exists()]
+    lines = [line for name, path in kept.items() if path.exists() for line in rows(name, json.loads(path.read_text()))]
     with RESULTS.open("w", newline="") as out:
-        writer = csv.DictWriter(out, rows[0], lineterminator="\n")
+        writer = csv.DictWriter(out, lines[0], lineterminator="\n")
         writer.writeheader()
-        writer.writerows(rows)
+        writer.writerows(lines)
 
 
 if __name__ == "__main__":

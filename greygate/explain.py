@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from joblib import Parallel, delayed
 
-from greygate.errors import InputError
+from greygate.errors import InputError, shown
 from greygate.files import replacing, replacing_all
 from greygate.mismatch import effects as table
 from greygate.mismatch.coloured import Coloured
@@ -26,7 +26,7 @@ from greygate.mismatch.experiments.isolability import isolability
 from greygate.mismatch.fit import Likelihood
 from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.search import Search
-from greygate.mismatch.simulation import read, simulate
+from greygate.mismatch.simulation import asked, read, simulate
 from greygate.models import accuracy
 from greygate.pages import diagnosis as diagnosis_page
 from greygate.pages import words
@@ -38,10 +38,14 @@ SAFE_PATH = "PYTHONSAFEPATH"  # if it is set, Python imports nothing from the fo
 
 def table_of(paths: Iterable[Path], rig: Rig, recording: Recording | None) -> dict[str, Effect]:
     """The effects to try on a rig: those of greygate's table, extended by the user's own files."""
-    effects = table.known(rig, recording)
+    return extended(table.known(rig, recording), paths)
+
+
+def extended(effects: Mapping[str, Effect], paths: Iterable[Path]) -> dict[str, Effect]:
+    """Effects with those of the user's own files."""
     for path in paths:
         effects = {**effects, **table.read(path)}
-    return effects
+    return dict(effects)
 
 
 def explain(
@@ -132,9 +136,11 @@ class Explained:
     page: str | None
 
     @classmethod
+    @np.errstate(over="ignore", invalid="ignore")  # a trial may diverge
     def of(cls, folder: Path, page: bool = False, own: Sequence[Path] = (), progress: Progress = silent) -> "Explained":
         rig = _uncertain(folder)
-        recording = rig.recording(rig.folder / "identify.csv")
+        recording = rig.to_explain()
+        rig.held_out()  # a faulty file is reported before hours of fitting
         effects = table_of(own, rig, recording)
         check(rig, recording, effects)
         try:
@@ -161,11 +167,12 @@ class Explained:
 def _uncertain(folder: Path) -> Rig:
     """Load the rig in `folder`. Raises InputError if no parameter is uncertain, since nothing could be fitted."""
     rig = load(folder)
-    if not any(parameter.tolerance for parameter in rig.plant.parameters.values()):
+    if not rig.uncertain():
         raise InputError(f"{rig.folder}/rig.toml: tolerance: no parameter is uncertain; give at least one, e.g. 0.01")
     return rig
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a trial may diverge
 def isolable(
     folder: Path, own: Sequence[Path] = (), ranges: Mapping[str, tuple[float, float]] | None = None
 ) -> tuple[dict, list[str]]:
@@ -176,14 +183,14 @@ def isolable(
     be used.
     """
     rig = _uncertain(folder)
-    path = rig.folder / "identify.csv"
+    path = rig.folder / rig.identify[0]
     if not ranges and not path.exists():
         wish = " ".join(f"--range {name}=LOW:HIGH" for name in rig.inputs)
         raise InputError(f"{path}: there is no such file; record it, or give {wish}")
     if ranges:
         recording = nominal(rig, table_of(own, rig, None), ranges)
     else:
-        recording = rig.recording(path)
+        recording = rig.to_explain()
     effects = table_of(own, rig, recording)
     check(rig, recording, effects)
     search = Search(rig, recording, effects, free_run=Likelihood if rig.stated else Coloured)
@@ -197,16 +204,21 @@ def isolable(
 
 
 def predict(
-    folder: Path, recording: Path, diagnosis: Path | None, out: Path, own: Sequence[Path] = ()
+    folder: Path, recording: Path, diagnosis: Path | None, out: Path, own: Sequence[Path] = (), name: str | None = None
 ) -> dict[str, dict]:
     """Write `t`, as it stands in `recording`, and the predicted channels to the CSV file `out`.
 
+    name: of the recording of rig.toml whose own parameters hold, by default that of the file.
     Returns channel -> rms of simulated minus recorded (None if the simulation diverges), unit, finite.
     """
     rig = load(folder)
+    if name is not None and name not in rig.own:
+        known = ", ".join(rig.own) or "none"
+        raise InputError(f"--as {shown(name)}: no [recordings.NAME] of {rig.folder}/rig.toml; it has {known}")
     measured, clock = rig.timed(recording)
-    effects = table_of(own, rig, measured)
-    found = simulate(rig, measured, None if diagnosis is None else read(diagnosis), effects)
+    claimed = None if diagnosis is None else read(diagnosis)
+    effects = extended(table.named(rig, measured, asked(claimed)), own)
+    found = simulate(rig, measured, claimed, effects, name)
     with replacing(out) as temporary, temporary.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["t", *found])

@@ -12,17 +12,17 @@ from itertools import combinations
 import numpy as np
 
 from greygate.mismatch.effects import Effect, Free
-from greygate.mismatch.fit import NORMAL, Fit
+from greygate.mismatch.fit import HELD, NORMAL, Fit
 from greygate.mismatch.libraries import Basis, Candidate, declared
 from greygate.mismatch.model import TINY, lagged
 from greygate.mismatch.rig import Rig
+from greygate.mismatch.runs import along
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.plants.closure import SEEN, Place
 from greygate.plants.expressions import names, replaced
 from greygate.plants.plant import Values
 
-STRETCH = 1.0  # s of recording that are learnt from, then judged on, by turns
-LAGS = {"lag_2_ms": 0.002, "lag_5_ms": 0.005, "lag_15_ms": 0.015}  # s, of a sensor that answers late
+LAGS = {"lag_2": 2, "lag_5": 5, "lag_15": 15}  # samples, of a sensor that answers late
 TERMS = 4  # basis functions in a closure, at most
 SURE = 5.0  # standard deviations of a coefficient, below which its function goes again
 WORTH = 0.03  # of the misfit that a further function must remove
@@ -33,6 +33,10 @@ STEEP = 20.0  # of the tanh that stands for a sign: 5 % of the largest speed are
 CONFIDENCE_DIGITS = 4  # behind the point, of a share in diagnosis.json
 LEAST = 1e-9  # cost, in place of a misfit of 0
 FLAT = 1e-12  # of a signal's size, below which its spread is rounding
+
+
+class NowhereError(Exception):
+    """The plant has no place in which a term may be missing."""
 
 
 def bases(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]:
@@ -53,17 +57,22 @@ def bases(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]
 
 
 def _powers(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basis]:
-    """For every balance but that of a position, powers of each signal, as large as the largest term that is there."""
-    model = search.final.model
-    plant = model.plant
+    """For every balance but that of a position, and every law that gives a predicted channel: powers of each signal.
+
+    They are as large as the largest term that is there.
+    """
+    model, plant = search.final.model, search.rig.plant  # without effects: their terms are 0, their states unknown
     rates = {state.rate for state in plant.states.values() if state.rate}
-    scope = Values(plant, dict(signals))
-    scope.update(model.values)
+    states, inputs = model.states(model.values)
+    simulated = dict(zip(model.plant.states, states.T, strict=True))
+    scope = Values(plant, {**{s: simulated[s] for s in plant.states}, **inputs, **signals})
+    scope.update({s: v for s, v in model.spread(model.values).items() if s in plant.parameters})
     out: dict[str, Basis] = {}
-    for name, equation in plant.equations.items():
-        if plant.states[equation.state].rate:
-            continue
-        size = max(float(np.sqrt(np.mean(np.square(scope.evaluate(term))))) for term in equation.terms.values())
+    terms = {name: e.terms for name, e in plant.equations.items() if not plant.states[e.state].rate}
+    terms |= {name: d.terms for name, d in plant.definitions.items() if d.symbol in search.rig.predict}
+    for name, there in terms.items():
+        sizes = [float(np.sqrt(np.mean(np.square(scope.evaluate(term))))) for term in there.values()]
+        size = max((size for size in sizes if np.isfinite(size)), default=0.0) or 1.0
         decade = round(np.log10(max(size, TINY)))
         scale = repr(float(f"1e{decade}"))
         basis = {"one": Candidate(f"{scale} * (1.0)", ())}
@@ -88,11 +97,9 @@ class _Halves:
 
     @classmethod
     def of(cls, base: Fit, columns: np.ndarray) -> "_Halves":
-        k, windows = len(base.unknowns), len(base.slopes)
+        k = len(base.unknowns)
         both = np.concatenate([base.slopes, columns], axis=2)
-        likelihood = base.likelihood
-        stretch = max(round(STRETCH / (likelihood.block * likelihood.model.rig.dt)), 1)
-        even = (np.arange(windows) // stretch) % 2 == 0
+        even = base.likelihood.alternate(HELD)
         gram, pull = [], []
         for half in (even, ~even):
             flat, e = both[half].reshape(-1, both.shape[2]), base.projected[half].reshape(-1)
@@ -125,35 +132,38 @@ class _Halves:
                 trials = [[*chosen, j] for j in mine if j not in chosen]
             saved = [(self.saved(use) - plain, use) for use in trials]
             most = max(saved)[0]
-            if most - gain < WORTH * total:
+            if not most - gain >= WORTH * total:  # nor where it is no number
                 break
             # of those nearly as good the ones declared first: plain powers before waves and bumps
-            gain, chosen = min(((g, use) for g, use in saved if g > most - ALIKE * total), key=lambda t: sum(t[1]))
+            least = most - ALIKE * max(total, 0.0)
+            gain, chosen = min(((g, use) for g, use in saved if g >= least), key=lambda t: sum(t[1]))
         return gain, chosen
 
 
 def _sensors(search: Search, base: Fit) -> dict[tuple[str, str], np.ndarray]:
     """(place, function) -> what a sensor at fault would add to the errors, (samples, channels)."""
     likelihood, rig = base.likelihood, search.rig
-    predicted = likelihood.model.target - np.where(np.isfinite(likelihood.sigma), base.errors, 0.0) * np.where(
-        np.isfinite(likelihood.sigma), likelihood.sigma, 0.0
-    )
-    out = {}
+    values = {**likelihood.model.values, **base.values}
+    predicted = likelihood.model.predict(values, base.shifts * likelihood.local_scale)
+    out, cut = {}, likelihood.model.pieces
     for i, channel in enumerate(rig.predict):
         signal = predicted[:, i]
-        rate = np.gradient(signal, rig.dt)
+        rate = along(lambda part: np.gradient(part, rig.dt), cut, signal)
         shapes = {
             "one": np.ones_like(signal),
             "value": signal - signal.mean(),
             "rate": rate,
             "t": likelihood.model.recording.time,
         }
-        shapes |= {name: lagged(signal, lag, rig.dt) - signal for name, lag in LAGS.items()}
+        shapes |= {
+            name: along(lambda part, s=lag * rig.dt: lagged(part, s, rig.dt), cut, signal) - signal
+            for name, lag in LAGS.items()
+        }
         for name, shape in shapes.items():
             column = np.zeros_like(base.errors)
             size = max(float(np.std(shape)), FLAT * float(np.abs(shape).max()) + TINY)
-            column[:, i] = -shape / size / likelihood.sigma[:, i]
-            out[f"sensor_{channel}", name] = column
+            column[:, i] = -shape / size
+            out[f"sensor_{channel}", name] = likelihood.white(column)
     return out
 
 
@@ -181,7 +191,7 @@ class _Unknowns:
         effects = _effects(rig, bases(search, signals))
         limits = tuple(Free(symbol, value, shape=True) for symbol, value in seen.items())
         joined = {**search.effects, **effects, "seen": Effect("seen", "", (rig.plant.name,), (), (), limits)}
-        again = Search(rig, search.final.model.recording, joined)
+        again = Search(rig, search.final.model.recording, joined, noise=search.noise)
         again.effects = joined
         likelihood = again.final
         base = again.base(likelihood)
@@ -195,6 +205,8 @@ class _Unknowns:
             for place, column in _sensors(search=again, base=base).items():
                 keys.append(place)
                 columns.append(likelihood.rows(column[:, :, None], base.temper))
+        if not columns:
+            raise NowhereError
         columns = likelihood.eliminate(np.concatenate(columns, axis=2), None, base.basis)[0]
         return cls(again, effects, seen, base, keys, columns)
 
@@ -235,8 +247,14 @@ def _effects(rig: Rig, found: Mapping[str, Basis]) -> dict[str, Effect]:
 
 
 def closure(search: Search) -> tuple[dict, Fit | None]:
-    """(where and effect for the diagnosis, fit with the unknown term; None where a sensor is at fault)."""
-    unknowns = _Unknowns.of(search)
+    """(where and effect for the diagnosis, fit with the unknown term; None where a sensor is at fault).
+
+    Both are empty for a plant that has no place in which a term may be missing.
+    """
+    try:
+        unknowns = _Unknowns.of(search)
+    except NowhereError:
+        return {"where": [], "effect": None}, None
     place, chosen, share = unknowns.chosen()
     declared = search.rig.plant.closure.places.get(place)
     reported = (declared and declared.reported) or place
@@ -255,7 +273,7 @@ def closure(search: Search) -> tuple[dict, Fit | None]:
         }
     regime = f"a term of {', '.join(depends) or 'constant size'}, which takes {share:.0%} of the misfit"
     where = [{"equation": reported, "depends_on": depends, "regime": regime}]
-    return {"where": where, "effect": effect}, fit
+    return {"where": where, "effect": effect, "share": share}, fit
 
 
 def _signals(search: Search) -> dict[str, np.ndarray]:

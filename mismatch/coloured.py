@@ -16,6 +16,7 @@ from scipy.stats import norm
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.fit import Fit, Likelihood, Unknown
 from greygate.mismatch.model import TINY, Model
+from greygate.mismatch.runs import along, whole
 
 ORDERS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24)  # of the autoregression, among which BIC chooses
 SAMPLES_EACH = 20  # of the recording for each coefficient of the autoregression, at least
@@ -44,12 +45,14 @@ class Coloured(Likelihood):
         self.model = model
         self.local_scale = self.heavy = np.ones(0)
         samples, channels = model.target.shape
-        self.block = max(samples // PIECES, 2)
-        self.windows = samples // self.block
+        recordings = model.pieces
+        self.block = min(max(samples // PIECES, 2), *(p.stop - p.start for p in recordings), samples)
+        self.windows, self.kept = whole(recordings, self.block)
         self.sigma = np.ones(model.target.shape)
         self.ar, self.scale = [np.zeros(0)] * channels, np.std(model.target, axis=0)
-        self.mask = np.arange(samples) < self.windows * self.block
-        self.decay = np.exp(-1.0 / (MEMORY * samples))
+        self.mask = np.zeros(samples, bool)
+        self.mask[self.kept] = True
+        self.decay = np.exp(-1.0 / (MEMORY * samples / len(recordings)))
 
     @property
     def order(self) -> int:
@@ -59,10 +62,16 @@ class Coloured(Likelihood):
     def count(self) -> int:
         return int(self.mask.sum()) * len(self.scale)
 
+    @property
+    def remembers(self) -> bool:
+        return self.order > 0
+
     def white(self, what: np.ndarray) -> np.ndarray:
         out = np.empty_like(what)
         for i, (ar, scale) in enumerate(zip(self.ar, self.scale, strict=True)):
-            out[:, i] = lfilter(np.concatenate(([1.0], -ar)), [1.0], what[:, i], axis=0) / scale
+            by = np.concatenate(([1.0], -ar))
+            out[:, i] = along(lambda part, by=by: lfilter(by, [1.0], part, axis=0), self.model.pieces, what[:, i])
+            out[:, i] /= scale
         out[~self.mask] = 0.0
         return out
 
@@ -75,9 +84,14 @@ class Coloured(Likelihood):
         other = copy.copy(self)
         order = self.order if order is None else order
         shrink = self.decay ** np.arange(1, order + 1)
-        other.ar = [shrink * _regressed(r, order, self.mask) for r in residual.T]
+        other.ar = [shrink * _regressed(r, order, self.mask, self.model.pieces) for r in residual.T]
         other.scale = np.ones(len(self.scale))
         other.scale = np.sqrt(np.mean(other.white(residual)[self.mask] ** 2, axis=0)) + TINY
+        return other
+
+    def without(self, held: np.ndarray) -> "Coloured":
+        other = copy.copy(self)
+        other.mask = self.mask & ~held
         return other
 
     def deviance(self) -> float:
@@ -111,16 +125,21 @@ class Coloured(Likelihood):
         return best
 
 
-def _regressed(error: np.ndarray, order: int, keep: np.ndarray) -> np.ndarray:
+def _regressed(error: np.ndarray, order: int, keep: np.ndarray, pieces: Sequence[slice]) -> np.ndarray:
     """Coefficients (order,) of the regression of `error` on its own past, over the samples in `keep`."""
     if not order:
         return np.zeros(0)
-    past = np.stack([_late(error, k) for k in range(1, order + 1)], axis=1)[keep]
+    past = np.stack([_late(error, k, pieces) for k in range(1, order + 1)], axis=1)[keep]
     return np.linalg.lstsq(past, error[keep], rcond=DEPENDENT)[0]
 
 
-def _late(signal: np.ndarray, by: int) -> np.ndarray:
-    return np.concatenate((np.zeros(by), signal[: len(signal) - by]))
+def _late(signal: np.ndarray, by: int, pieces: Sequence[slice]) -> np.ndarray:
+    """The signal `by` samples late; 0 before each recording begins."""
+
+    def late(part: np.ndarray) -> np.ndarray:
+        return np.concatenate((np.zeros(min(by, len(part))), part[: max(len(part) - by, 0)]))
+
+    return along(late, pieces, signal)
 
 
 def resized(likelihood: Coloured, effect: Effect, fit: Fit) -> Effect:
@@ -169,7 +188,7 @@ def remaining(fit: Fit) -> str:
         for name, signal in {**signals, "t": model.recording.time}.items():
             for shown, kind in ((name, signal), (f"|{name}|", np.abs(signal - np.median(signal)))):
                 for lag in LAGS:
-                    s = _late(kind, lag)[keep]
+                    s = _late(kind, lag, model.pieces)[keep]
                     s = s - s.mean()
                     r = float(e @ s / (np.linalg.norm(e) * np.linalg.norm(s) + TINY))
                     found.append((abs(r) * np.sqrt(len(e)), r, channel, shown, lag))

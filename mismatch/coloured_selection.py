@@ -46,9 +46,21 @@ class ColouredSelection(Selection):
         return False
 
     def proposed(self, best: Hypothesis, current: Fit, start: Fit) -> Iterator[tuple[Hypothesis, Fit]]:
-        """Those of the most promising hypotheses that pay their price, the one that saves most beyond it first."""
-        ranked = [s for s in self.promising(current, best, TRIED) if not set(s.hypothesis.released) & self.anew]
-        self.progress(f"fitting {len(ranked)} hypotheses")
+        """Those of the most promising hypotheses that pay their price, the one that saves most beyond it first.
+
+        Rare effects are fitted only where none of the others is taken.
+        """
+        effects = self.search.effects.values()
+        counts = sum(not effect.rare for effect in effects), len(effects)
+        for ranked, count in zip(self.promising(current, best, TRIED), counts, strict=True):
+            ranked = [s for s in ranked if not set(s.hypothesis.released) & self.anew]
+            self.progress(f"fitting {len(ranked)} hypotheses")
+            yield from self._paying(best, current, ranked, SURE + 2 * np.log(max(count, 1)))
+
+    def _paying(
+        self, best: Hypothesis, current: Fit, ranked: list[Score], price: float
+    ) -> Iterator[tuple[Hypothesis, Fit]]:
+        """The fits of `best` with one of `ranked` that save more than `price` and than their parameters cost."""
         found = []
         for score in ranked:
             hypothesis = best.plus(score.hypothesis)
@@ -57,9 +69,9 @@ class ColouredSelection(Selection):
                 continue
             if fit.cost < getattr(self.fits.get(hypothesis), "cost", np.inf):
                 self.fits[hypothesis] = fit
-            price = SURE + 2 * np.log(len(self.search.effects)) + _price(fit, current)
-            if current.cost - fit.cost > price:
-                found.append((fit.cost + price, hypothesis, fit))
+            asked = price + _price(fit, current)
+            if current.cost - fit.cost > asked:
+                found.append((fit.cost + asked, hypothesis, fit))
         for _, hypothesis, fit in sorted(found, key=lambda f: f[0]):
             yield hypothesis, fit
 
@@ -75,7 +87,7 @@ class ColouredSelection(Selection):
             less = best.without(drop)
             without = self.fits.get(less) or self.search.fit(current.likelihood, less, current.values)
             self.fits[less] = without
-            for score in self.promising(without, less, EXCHANGED):
+            for score in self.promising(without, less, EXCHANGED)[0]:
                 hypothesis = less.plus(score.hypothesis)
                 if not score.hypothesis.effects or set(hypothesis.effects) == set(best.effects):
                     continue
@@ -99,14 +111,22 @@ class ColouredSelection(Selection):
 
     # -- fits --------------------------------------------------------------------------------------------------------
 
-    def promising(self, fit: Fit, given: Hypothesis, count: int) -> list[Score]:
-        """The `count` hypotheses of best score under the noise of `fit`, and as many under white noise.
+    def promising(self, fit: Fit, given: Hypothesis, count: int) -> tuple[list[Score], list[Score]]:
+        """The `count` hypotheses of best score under the noise of `fit`, and as many under white noise; and rare ones.
 
         Noise that is learnt from a wrong plant takes its slow errors for noise, and would rank their cause last.
         """
         likelihood = _white(fit)
         white = replace(fit, likelihood=likelihood, errors=likelihood.errors(fit.values, fit.shifts))
-        return [score for f in (fit, white) for score in self.search.scores(f.likelihood, f, given)[:count]]
+        found: tuple[list[Score], list[Score]] = ([], [])
+        for f in (fit, white):
+            scores = self.search.scores(f.likelihood, f, given)
+            for rare, those in enumerate(found):
+                those += [s for s in scores if self._rare(s) is bool(rare)][:count]
+        return found
+
+    def _rare(self, score: Score) -> bool:
+        return any(self.search.effects[key].rare for key in score.hypothesis.effects)
 
     def fitted(self, fit: Fit, hypothesis: Hypothesis, values: Mapping[str, float]) -> Fit:
         """The best of several fits from `values` on: with the noise of `fit`, and with white noise first.

@@ -5,25 +5,31 @@ them to the data sheet, and those of the effects under test. The second are the 
 pressures): as recorded, plus a shift. The shifts of a window act on that window alone and are eliminated there.
 """
 
-from collections.abc import Mapping, Sequence
+import copy
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from greygate.mismatch.model import TINY, Model
-from greygate.mismatch.noise import deviation
+from greygate.mismatch.noise import Noise, deviation
+from greygate.mismatch.runs import along, whole
 from greygate.models.training.gauss_newton import Decades, bounded, search
 
-WARM = 0.25  # s at the beginning of a recording that do not count where states are not measured: these die away
-LOOSE = 0.05  # m/s by which a smoothed velocity may be off where a window begins, RMS
-SHIFT = 1e-3  # m/s, scale of the shift of a velocity; a measured state's is its sensor's noise
+WARM = 250  # samples at the beginning that do not count where states are not measured: these die away;
+WARM_PART = 12  # but no more than such a part of a recording
+LOOSE = 50.0  # shifts of one scale by which a smoothed rate may be off where a window begins, RMS: all of its size
 FREE = 1e-6  # weight of a measured state's shift in the cost: a thousand times the noise before it counts
 STEP = 1e-3  # of a parameter's scale, for differences
 SHIFTED = 0.1  # of a shift's scale, for differences
-BLOCK = 0.25  # s within which errors may depend on each other, for intervals where there are no windows
+BLOCK = 250  # samples within which errors may depend on each other, for intervals where there are no windows;
+BLOCK_PART = 12  # but no more than such a part of a recording
+HELD = 1000  # samples that are learnt from, then judged on, by turns;
+HELD_PART = 20  # but no more than such a part of a recording
 SINGULAR, BREAD_SINGULAR = 1e-13, 1e-14  # of the largest singular value, below which numbers cannot be told apart
 ITERATIONS = 15  # of a fit, at most: near its end each gains more digits than the one before
+DIVERGED = 1e100  # standard deviations of noise: what is farther away comes from a run that diverges
 NORMAL = 1.96  # standard deviations on either side that hold 95 % of a normal distribution
 HALVINGS = 6  # of the way from the unknowns' origins to a start from which the run diverges
 ENOUGH = 0.05  # of cost, a twentieth of what noise alone makes of one parameter: a further step tells nothing more
@@ -129,27 +135,51 @@ class Fit:
         white = bread * max(1.0, float(np.mean(self.projected**2)))
         return _larger(robust, white)
 
-    def held_out(self, stretch: float = 1.0) -> float:
+    def widened(self, symbols: Collection[str]) -> float:
+        """The largest factor by which errors that depend on each other widen the variance of one of `symbols`."""
+        at = [j for j, u in enumerate(self.unknowns) if u.symbol in symbols]
+        bread = np.diag(np.linalg.pinv(self.information, hermitian=True))[at]
+        return float(np.max(np.diag(self.covariance)[at] / np.maximum(bread, TINY), initial=1.0))
+
+    def held_out(self, stretch: int = HELD) -> float:
         """Cost of the errors on each half of the recording, with the parameters that the other half alone gives.
 
-        The halves are every other `stretch` s. A half's parameters come from one linearised step from those of both.
+        The halves are every other `stretch` samples.
         """
-        block = self.likelihood.block * self.likelihood.model.rig.dt
-        even = (np.arange(len(self.slopes)) // max(round(stretch / block), 1)) % 2 == 0
+        even = self.likelihood.alternate(stretch)
+        return sum(self.judged(learn, ~learn) for learn in (even, ~even))
+
+    def judged(self, learn: np.ndarray, judge: np.ndarray) -> float:
+        """Cost of the errors in the windows `judge`, with the parameters that the windows `learn` alone give.
+
+        learn, judge: (windows,) of bool. The parameters come from one linearised step from those of the fit.
+        """
         low, high = _bounds(self.unknowns)
-        total = 0.0
-        for learn in (even, ~even):
-            flat, errors = self.slopes[learn].reshape(-1, len(self.numbers)), self.projected[learn].reshape(-1)
-            normal = flat.T @ flat + np.diag(self.weight + RIDGE)
-            step = np.linalg.lstsq(normal, -(flat.T @ errors) - self.weight * self.numbers, rcond=SINGULAR)[0]
-            step = np.clip(self.numbers + step, low, high) - self.numbers
-            total += float(np.sum((self.projected[~learn] + self.slopes[~learn] @ step) ** 2))
-        return total
+        flat, errors = self.slopes[learn].reshape(-1, len(self.numbers)), self.projected[learn].reshape(-1)
+        normal = flat.T @ flat + np.diag(self.weight + RIDGE)
+        step = np.linalg.lstsq(normal, -(flat.T @ errors) - self.weight * self.numbers, rcond=SINGULAR)[0]
+        step = np.clip(self.numbers + step, low, high) - self.numbers
+        return float(np.sum((self.projected[judge] + self.slopes[judge] @ step) ** 2))
 
     def deviation(self, symbol: str) -> float:
         """Standard deviation of a value."""
         j = [u.symbol for u in self.unknowns].index(symbol)
         return float(np.sqrt(self.covariance[j, j]) * abs(self.unknowns[j].scale))
+
+
+def tame(change: np.ndarray) -> np.ndarray:
+    """A change of errors, 0 where a run diverges: there it says nothing, and its square would be no number."""
+    return np.where(np.abs(change) < DIVERGED, change, 0.0)
+
+
+def _solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The step that a normal matrix asks for; the shortest of all where it is singular, none where it is no number."""
+    if not (len(right) and np.isfinite(normal).all() and np.isfinite(right).all()):
+        return np.zeros(len(right))
+    try:
+        return np.linalg.solve(normal, right)
+    except np.linalg.LinAlgError:
+        return np.linalg.lstsq(normal, right, rcond=SINGULAR)[0]
 
 
 def _larger(one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -163,24 +193,33 @@ class Likelihood:
 
     sigma: standard deviation of what the sensors make of the truth, inf where a sample does not count.
     count: of samples that count, all channels together. windows, block: number of stretches within which errors may
-    depend on each other, and their samples.
+    depend on each other, and their samples; kept: the samples in them. noise: what it is beside that of sigma.
     """
 
     def __init__(self, model: Model):
         self.model = model
+        self.noise = Noise.told(len(model.rig.predict))
         rig, samples = model.rig, len(model.target)
         self.sigma = deviation(model)
         scale = {name: rig.channels[name].sigma for name in model.measured}
-        self.local_scale = np.array([scale.get(s, SHIFT) for s in model.locals])
-        self.heavy = np.array([FREE if s in scale else (SHIFT / LOOSE) ** 2 for s in model.locals])
-        block = model.window or round(BLOCK / rig.dt)
-        self.windows, self.block = samples // block, block
+        self.local_scale = np.array([scale.get(s) or model.pace(s) / LOOSE for s in model.locals])
+        self.heavy = np.array([FREE if s in scale else LOOSE**-2 for s in model.locals])
+        shortest = min(p.stop - p.start for p in model.pieces)
+        self.block = block = model.window or min(BLOCK, samples // BLOCK_PART, shortest)
+        self.windows, self.kept = whole(model.pieces, block)
         counted = np.zeros(samples, bool)
-        counted[: self.windows * block] = True
+        counted[self.kept] = True
         if model.window is not None and not all(model.reset):
-            counted[: max(model.window, round(WARM / rig.dt))] = False
+            for piece in model.pieces:
+                warm = max(model.window, min(WARM, (piece.stop - piece.start) // WARM_PART))
+                counted[piece][:warm] = False
         self.sigma[~counted] = np.inf
         self.count = int(counted.sum()) * self.sigma.shape[1]
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the noise has a colour."""
+        return any(len(ar) for ar in self.noise.ar)
 
     def errors(self, values: Mapping[str, float], shifts: np.ndarray) -> np.ndarray:
         """(target - prediction) / sigma, (samples, channels)."""
@@ -188,8 +227,25 @@ class Likelihood:
         return self.white(self.model.target - predicted)
 
     def white(self, what: np.ndarray) -> np.ndarray:
-        """`what` (samples, channels, ...) in units of the noise."""
-        return what / self.sigma[(..., *(None,) * (what.ndim - 2))]
+        """`what` (samples, channels, ...) in units of the noise, less what the noise before makes expected."""
+        scaled = what / self.sigma[(..., *(None,) * (what.ndim - 2))]
+        return along(lambda part: self.noise.white(part, self.model.window or len(part)), self.model.pieces, scaled)
+
+    def alternate(self, stretch: int) -> np.ndarray:
+        """Whether each window is in the first half, where stretches of so many samples are in one half by turns."""
+        return self.turns(stretch, 2) == 0
+
+    def turns(self, stretch: int, parts: int) -> np.ndarray:
+        """In which of so many parts each window is, where stretches of so many samples are in each by turns."""
+        stretch = min(stretch, self.windows * self.block // HELD_PART)
+        return (np.arange(self.windows) // max(round(stretch / self.block), 1)) % parts
+
+    def without(self, held: np.ndarray) -> "Likelihood":
+        """This likelihood without the samples that are `held` (samples,) of bool."""
+        other = copy.copy(self)
+        other.sigma = np.where(held[:, None], np.inf, self.sigma)
+        other.count = int(np.isfinite(other.sigma).sum())
+        return other
 
     def nothing(self) -> np.ndarray:
         """No shifts: every window begins as recorded."""
@@ -203,7 +259,7 @@ class Likelihood:
     def rows(self, what: np.ndarray, temper: np.ndarray) -> np.ndarray:
         """(windows, rows, ...) of (samples, channels, ...), each channel divided by its `temper`."""
         tempered = what / temper[(slice(None), *(None,) * (what.ndim - 2))]
-        kept = tempered[: self.windows * self.block]
+        kept = tempered[self.kept]
         return kept.reshape(self.windows, self.block * what.shape[1], *what.shape[2:])
 
     def basis(self, values: Mapping[str, float], shifts: np.ndarray, errors: np.ndarray, temper: np.ndarray):
@@ -215,7 +271,7 @@ class Likelihood:
         for j in range(count):
             moved = shifts.copy()
             moved[:, j] += SHIFTED
-            columns.append(self.rows(np.nan_to_num(self.errors(values, moved) - errors) / SHIFTED, temper))
+            columns.append(self.rows(tame(self.errors(values, moved) - errors) / SHIFTED, temper))
         local = np.stack(columns, axis=2)
         prior = np.broadcast_to(np.diag(np.sqrt(self.heavy)), (self.windows, count, count))
         return np.linalg.qr(np.concatenate([local, prior], axis=1))
@@ -238,7 +294,7 @@ class Likelihood:
             value = values[u.symbol]
             size = STEP * u.scale * (-1 if value + STEP * u.scale > u.high else 1)
             moved = self.errors({**values, u.symbol: value + size}, shifts)
-            columns.append(self.rows(np.nan_to_num(moved - errors) / (size / u.scale), temper))
+            columns.append(self.rows(tame(moved - errors) / (size / u.scale), temper))
         if not columns:
             return np.zeros((self.windows, self.block * errors.shape[1], 0))
         return np.stack(columns, axis=2)
@@ -381,7 +437,7 @@ class _Descent:
             normal = linear.curvature + np.diag(self.weight + value * diagonal + RIDGE)
 
             def solved(moving: np.ndarray) -> np.ndarray:
-                return np.linalg.solve(normal[np.ix_(moving, moving)], -gradient[moving]) if len(moving) else moving
+                return _solved(normal[np.ix_(moving, moving)], -gradient[moving])
 
             numbers = bounded(at.numbers, gradient, self.low, self.high, solved)
             step = numbers - at.numbers

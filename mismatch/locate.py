@@ -17,7 +17,7 @@ from scipy.signal import savgol_filter
 
 from greygate.mismatch.effects import SENSOR
 from greygate.mismatch.fit import Fit
-from greygate.mismatch.model import FEWEST_BESIDE, PARABOLA, SMOOTH, TINY, Model
+from greygate.mismatch.model import PARABOLA, SMOOTH, TINY, Model, reach
 from greygate.plants.plant import Values
 
 CELLS = 1000  # of a recording, in each of which energy and variables are averaged
@@ -61,15 +61,31 @@ def located(fit: Fit, place: Mapping, acting: Sequence[Iterable[str]]) -> dict:
     equation, model = place["equation"], fit.likelihood.model
     parts = [_unit(added(fit, equation, symbols)) * _weight(fit, symbols) for symbols in map(tuple, acting)]
     signal = np.hstack(parts) if parts else _unit(left(fit, equation))
-    kept = np.isfinite(fit.likelihood.sigma[: len(signal)]).all(axis=1)
-    if not np.any(signal[kept]):
+    samples = np.arange(len(model.target)) if parts else np.arange(len(model.target))[fit.likelihood.kept]
+    kept = np.isfinite(fit.likelihood.sigma[samples]).all(axis=1)
+    signal, samples = signal[kept], samples[kept]
+    if not np.any(signal):
         return dict(place)
     variables, units = signals(model)
     on = place["depends_on"] or variables
-    variables = {name: s[: len(signal)][kept] for name, s in variables.items() if name in on}
-    found = locate(signal[kept], model.recording.time[: len(signal)][kept], variables, units)
+    variables = {name: s[samples] for name, s in variables.items() if name in on}
+    found = locate(signal, model.recording.time[samples], variables, units)
     regime = "; ".join(text for text in (place["regime"], found.regime) if text)
-    return {**place, "regime": regime, "time": found.time, "band": found.band}
+    time, when = _within(signal, samples, model) if len(model.pieces) > 1 else (found.time, found.band)
+    return {**place, "regime": regime, "time": time, "band": when}
+
+
+def _within(signal: np.ndarray, samples: np.ndarray, model: Model) -> tuple[str, str]:
+    """(in which of several recordings a signal (samples, columns) acts most, if not in all alike; its band there)."""
+    energy = np.sum(signal**2, axis=1)
+    most, words, there = -np.inf, "", slice(None)
+    for piece, run in zip(model.pieces, model.recording.runs, strict=True):
+        inside = (samples >= piece.start) & (samples < piece.stop)
+        acts, lasts = float(energy[inside].sum() / energy.sum()), float(inside.mean())
+        if acts - lasts > most:
+            most, there = acts - lasts, inside
+            words = f"in {run.name} ({PERCENT * acts:.0f} % of it, in {PERCENT * lasts:.0f} % of the time)"
+    return words if most > CLEAR else "in all recordings", band(signal[there], model.rig.dt)
 
 
 def _unit(columns: np.ndarray) -> np.ndarray:
@@ -104,7 +120,7 @@ def added(fit: Fit, equation: str, symbols: Iterable[str]) -> np.ndarray:
     scopes = []
     for values, given in ((on, acting), (off, resting)):
         scope = Values(model.plant, {**given, **dict(zip(model.plant.states, states.T, strict=True))})
-        scope.update(values)
+        scope.update(model.spread(values))
         scopes.append(scope)
 
     def differ(*places: str) -> np.ndarray:
@@ -146,21 +162,24 @@ def left(fit: Fit, equation: str = "") -> np.ndarray:
 
 def signals(model: Model) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     """(name -> signal, name -> unit): position, velocity and acceleration, the other channels, time."""
+    if len(model.each) > 1:
+        each = [signals(one) for one in model.each]
+        return {name: np.concatenate([found[name] for found, _ in each]) for name in each[0][0]}, each[0][1]
     rig, recording, plant = model.rig, model.recording, model.plant
     found, units = {}, {}
-    half = max(round(SMOOTH / rig.dt), FEWEST_BESIDE)
     moved = next((x for x, s in plant.states.items() if s.rate and x in rig.channels), None)
     moved = moved or next((n for n in (*rig.inputs, *rig.channels) if rig.channels[n].unit == "m"), None)
     if moved is not None:
         x = recording[moved]
-        found["x"], units["x"] = x, "m"
-        for order, (name, unit) in enumerate((("v", "m/s"), ("a", "m/s^2")), start=1):
-            found[name] = savgol_filter(x, 2 * half + 1, order + 1, deriv=order, delta=rig.dt)
-            units[name] = unit
+        found["x"], units["x"] = x, rig.channels[moved].unit
+        for order, (name, per) in enumerate((("v", "/s"), ("a", "/s^2")), start=1):
+            found[name] = savgol_filter(x, 2 * reach(x, SMOOTH) + 1, order + 1, deriv=order, delta=rig.dt)
+            units[name] = units["x"] + per
     for name, channel in rig.channels.items():
         if name != moved and (channel.role == "input" or channel.unit != "m"):
             signal = recording[name]  # an output is smoothed, for its noise is in the residual, too
-            found[name] = savgol_filter(signal, 2 * half + 1, PARABOLA) if channel.role == "output" else signal
+            smooth = channel.role == "output"
+            found[name] = savgol_filter(signal, 2 * reach(signal, SMOOTH) + 1, PARABOLA) if smooth else signal
             units[name] = channel.unit
     found["t"], units["t"] = recording.time, "s"
     return found, units
@@ -277,6 +296,8 @@ def _regime(energy: Energy, seen: Mapping[str, np.ndarray], units: Mapping[str, 
     if not _rare(distances[name], drawn):
         return ""
     part = Region.densest(energy, seen[name])
+    if part.whole:
+        return ""
     shares = PERCENT * energy.cells[part.inside].sum(), PERCENT * part.inside.mean()
     words = part.words(name, *display_unit(units[name], float(np.abs(seen[name]).max())))
     return f"{words} ({shares[0]:.0f} % of it, in {shares[1]:.0f} % of the time)"
@@ -289,6 +310,8 @@ def _when(energy: Energy, clock: np.ndarray) -> str:
     if distance < CLEAR:
         return ""
     part = Region.densest(energy, clock)
+    if part.whole:
+        return ""
     ramp, jump = (_correlation(np.sqrt(energy.cells), shape) for shape in (clock, part.inside))
     if part.open and abs(ramp) >= jump:
         steady = _rare(abs(ramp), np.abs(_correlation(np.sqrt(energy.shuffled), clock)))
@@ -314,17 +337,32 @@ class Region:
     inside: np.ndarray
 
     @property
+    def whole(self) -> bool:
+        """Whether the region has no end: then it tells nothing."""
+        return self.low is None and self.high is None
+
+    @property
     def open(self) -> bool:
         """Whether the region reaches to one end of all values."""
         return self.low is None or self.high is None
 
     @classmethod
     def densest(cls, energy: Energy, variable: np.ndarray) -> "Region":
-        """The region in which the share of energy exceeds the share of time by most."""
+        """The region in which the share of energy exceeds the share of time by most.
+
+        A burst near one end is between two values as well as beyond them, and then told as what has an end.
+        """
         order = np.argsort(variable, kind="stable")
-        excess, count = _excess(energy.cells, order), len(variable)
+        excess = _excess(energy.cells, order)
         rise, fall = excess - np.minimum.accumulate(excess), np.maximum.accumulate(excess) - excess
         beyond = bool(fall.max() > rise.max())
+        found = cls._between(variable, order, excess, rise, fall, beyond)
+        return cls._between(variable, order, excess, rise, fall, not beyond) if found.whole else found
+
+    @classmethod
+    def _between(cls, variable, order, excess, rise, fall, beyond: bool) -> "Region":
+        """The region between two values, or beyond them, by the curves of `densest`."""
+        count = len(variable)
         last = int(np.argmax(fall if beyond else rise))
         first = int((np.argmax if beyond else np.argmin)(excess[: last + 1]))
         first = 0 if first < EDGE * count else first

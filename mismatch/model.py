@@ -5,7 +5,7 @@ runs free in between. Where the rig has no window, it runs free from the first s
 """
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -13,8 +13,12 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter, savgol_filter
 
 from greygate.errors import InputError
-from greygate.mismatch.effects import Effect, join
+from greygate.mismatch import filters as of
+from greygate.mismatch.entries import SENSOR, TIME, Effect
+from greygate.mismatch.joining import join
 from greygate.mismatch.rig import Rig
+from greygate.mismatch.runs import pieces
+from greygate.mismatch.scales import memory, span
 from greygate.plants.expressions import names
 from greygate.plants.plant import Parameter, Values
 from greygate.plants.recording import Recording
@@ -23,14 +27,19 @@ from greygate.plants.simulate import Restarted
 TIMING = "input_timing"  # s by which inputs act later than the recording says: a nuisance, known to a hundredth sample
 BLUR = "input_blur"  # a nuisance: at 0 an acceleration is smoothed over SMOOTH, at 1 over the shorter FINER * SMOOTH
 FINER = 0.6  # of SMOOTH
-SMOOTH = 0.02  # s on either side of a sample, over which a smoothed rate is taken
-SMOOTH_START = 0.01  # s likewise, for the velocity at a restart: it may lag a change of motion less than SMOOTH does
+SMOOTH = 20  # samples on either side of a sample, over which a smoothed rate is taken
+SMOOTH_START = 10  # likewise, for the velocity at a restart: it may lag a change of motion less than SMOOTH does
+SMOOTHED = (0.005, 0.5)  # of a signal's memory, between which smoothing stays: it takes noise and leaves motion
+PART = 8  # a smoothing reaches no further than such a part of a recording
 FEWEST_BESIDE = 2  # samples on either side, at least: a cubic needs four, and five leave one to smooth
+FEWEST_SMOOTHED = 2 * FEWEST_BESIDE + 1  # samples
 PARABOLA, CUBIC = 2, 3  # degrees of the polynomials whose derivatives are smoothed rates
 READINGS = 3  # rounds in which a sensor's error, a small function of the true value, is taken off its reading
 TINY = 1e-300  # instead of a size that is 0, by which something is divided
-START_SIZE = 1e-3  # in its own unit: the least size of a starting value, by which its steps are scaled
+START_SIZE = 1e-3  # of the largest reading: the least size of a starting value, by which its steps are scaled
 START_STEP = 1e-4  # of that size, for a difference
+FARTHEST = 1e6  # spreads of a channel: a run that diverges is said to be so far off
+KEPT = 2  # filtered inputs that are kept beside the newest: a slope asks for two by turns
 START_TRIALS = 60  # runs in which starting values are fitted, at most
 
 
@@ -53,12 +62,13 @@ class Model:
         self._filters = {}
         for effect in effects.values():
             for name, text in effect.filters.items():
-                kind, symbol = text.split()
-                if kind not in FILTERS:
-                    raise InputError(f"effect {effect.key}: filters.{name}: {kind!r}; give one of {', '.join(FILTERS)}")
-                self._filters.setdefault(name, []).append((kind, symbol))
+                kind, *symbols = text.split()
+                known = of.SENSOR if name.startswith(SENSOR) else FILTERS
+                if kind not in known:
+                    raise InputError(f"effect {effect.key}: filters.{name}: {kind!r}; give one of {', '.join(known)}")
+                self._filters.setdefault(name, []).append((kind, tuple(symbols)))
         for name in rig.inputs if rig.window else ():
-            self._filters.setdefault(name, []).append(("delay", TIMING))
+            self._filters.setdefault(name, []).append(("delay", (TIMING,)))
         self._compiled = Restarted(self.plant, rig.dt, self.plant.step)
         self._take(recording, rig.window if window is None else window)
         self.moving = self._moving()
@@ -70,6 +80,25 @@ class Model:
             raise InputError(f"plant {self.plant.name}: {nuisance}: is the simulation's own name; rename it")
         self.plant = replace(self.plant, parameters={**self.plant.parameters, nuisance: Parameter(0.0, unit)})
 
+    @property
+    def inputs(self) -> dict[str, np.ndarray]:
+        """The plant's inputs along the recording (samples,), the derived ones too."""
+        return dict(self._inputs)
+
+    @property
+    def each(self) -> list["Model"]:
+        """The model over each recording alone; here it is one (`several` joins more)."""
+        return [self]
+
+    @property
+    def pieces(self) -> list[slice]:
+        """The samples of each recording."""
+        return pieces(self.recording)
+
+    def spread(self, values: Mapping[str, float]) -> dict[str, float | np.ndarray]:
+        """`values` along the recording: an array (samples,) where they differ from recording to recording."""
+        return dict(values)
+
     def over(self, recording: Recording) -> "Model":
         """The same model over another recording of its rig."""
         other = copy.copy(self)
@@ -78,28 +107,36 @@ class Model:
 
     def _take(self, recording: Recording, window: int | None) -> None:
         self.recording, self.window = recording, window
-        pieces = max(recording.samples // window, 1) if window else 1
-        self.restarts = np.arange(pieces) * (window or 0)
+        windows = max(recording.samples // window, 1) if window else 1
+        self.restarts = np.arange(windows) * (window or 0)
         states = self.plant.states
         rates = {s.rate: symbol for symbol, s in states.items() if s.rate is not None}
         self.measured = [s for s in states if s in self.rig.channels] if window else []
         self.rates = {v: x for v, x in rates.items() if x in self.measured}
         self.locals = [*self.measured, *self.rates]
         self.reset = np.array([s in self.locals for s in states])
+        sources = {how.partition(" ")[2] for how in self.plant.derived.values()}
+        if recording.samples < FEWEST_SMOOTHED and (sources or self.rates):
+            few = f"{recording.samples} samples; a rate is smoothed over {FEWEST_SMOOTHED}"
+            raise InputError(f"{recording.source}: {few}, record at least so many")
+        self._smooth = {source: reach(recording[source], SMOOTH) for source in sources}
         self._inputs = {name: self._input(name, recording.channels) for name in self.plant.inputs}
         self._finer = {name: self._input(name, recording.channels, FINER) - self._inputs[name] for name in self.finer}
         self.target = np.stack([recording[name] for name in self.rig.predict], axis=1)
         self._last = (None, None)
+        self._made: dict[tuple, dict[str, np.ndarray]] = {}
+        self._rate: dict[str, np.ndarray] = {}
 
     def _moving(self) -> list[str]:
         """Parameters that change the states: all but those that only outputs and sensors use."""
         plant = self.plant
         outputs = {name for name, d in plant.definitions.items() if d.symbol in self.rig.predict}
         texts = [text for name, d in plant.definitions.items() if name not in outputs for text in d.terms.values()]
-        texts += [text for e in plant.equations.values() for text in (e.storage, *e.terms.values())]
+        texts += [text for e in plant.equations.values() for text in e.texts]
         bounds = (b for s in plant.states.values() for b in (s.initial, s.start, s.low, s.high))
         texts += [b for b in bounds if isinstance(b, str)]
-        filters = {symbol for kinds in self._filters.values() for _, symbol in kinds}
+        moved = [*plant.inputs, *(SENSOR + channel for channel in self.measured)]
+        filters = {symbol for name in moved for _, symbols in self._filters.get(name, ()) for symbol in symbols}
         texts += [text for channel in self.measured for text in self.readings.get(channel, {}).values()]
         used = names(texts) | filters | {BLUR}
         return [s for s in plant.parameters if s in used]
@@ -111,7 +148,7 @@ class Model:
             return self.recording.time
         how, _, source = self.plant.derived[name].partition(" ")
         signal, dt = recorded[source], self.rig.dt
-        half = max(round(share * SMOOTH / dt), FEWEST_BESIDE)
+        half = max(round(share * self._smooth[source]), FEWEST_BESIDE)
         match how:
             case "rate":
                 return np.append(np.diff(signal) / dt, 0.0)
@@ -124,11 +161,17 @@ class Model:
         raise InputError(f"plant {self.plant.name}: derived {name}: {how!r}; give rate, integral, smooth_rate or so")
 
     def _signals(self, values: Mapping[str, float]) -> dict[str, np.ndarray]:
+        """The plant's inputs, filtered; the last ones are kept, for most parameters change none of them."""
+        key = (*((name, *self._acting(name, values)) for name in self.plant.inputs), values.get(BLUR, 0.0))
+        if key not in self._made:
+            self._made = dict([*self._made.items()][-KEPT:]) | {key: self._filtered(values)}
+        return dict(self._made[key])
+
+    def _filtered(self, values: Mapping[str, float]) -> dict[str, np.ndarray]:
         signals = dict(self._inputs)
-        for name, filters in self._filters.items():
-            for kind, symbol in filters:
-                if values[symbol] != 0.0:
-                    signals[name] = FILTERS[kind](signals[name], values[symbol], self.rig.dt)
+        for name in self.plant.inputs:
+            for kind, given in self._acting(name, values):
+                signals[name] = FILTERS[kind](signals[name], *given, self.rig.dt)
         for name, how in self.plant.derived.items():
             source = how.partition(" ")[2]
             if signals.get(source) is not self._inputs.get(source):
@@ -138,13 +181,18 @@ class Model:
                 signals[name] = signals[name] + values[BLUR] * more
         return signals
 
+    def _acting(self, name: str, values: Mapping[str, float]) -> list[tuple[str, tuple[float, ...]]]:
+        """The filters of an input or a sensor whose strength is not 0, with their parameters."""
+        filters = self._filters.get(name, ())
+        return [(kind, tuple(values[s] for s in symbols)) for kind, symbols in filters if values[symbols[0]] != 0.0]
+
     def starts(self, values: Mapping[str, float], signals: Mapping[str, np.ndarray]) -> np.ndarray:
         """Where each state begins at each restart, (restarts, states), by the comparison rule of the rigs."""
         at = self.restarts
         scope = Values(self.plant, {name: signal[at] for name, signal in signals.items()})
         scope.update(values)
         for state in self.measured:
-            scope[state] = self._unread(state, self.recording[state][at], values)
+            scope[state] = self._unread(state, self._unfiltered(state, values)[at], values, at)
         for rate, state in self.rates.items():
             scope[rate] = self.smooth_rate(state)[at]
         out = np.empty((len(at), len(self.plant.states)))
@@ -160,22 +208,36 @@ class Model:
 
     def smooth_rate(self, channel: str) -> np.ndarray:
         """Velocity of a recorded channel (samples,), in its unit a second, as a restart takes it."""
-        half = max(round(SMOOTH_START / self.rig.dt), FEWEST_BESIDE)
-        return savgol_filter(self.recording[channel], 2 * half + 1, PARABOLA, deriv=1, delta=self.rig.dt)
+        if channel not in self._rate:
+            half, signal = reach(self.recording[channel], SMOOTH_START), self.recording[channel]
+            self._rate[channel] = savgol_filter(signal, 2 * half + 1, PARABOLA, deriv=1, delta=self.rig.dt)
+        return self._rate[channel]
+
+    def pace(self, rate: str) -> float:
+        """RMS of a rate as a restart takes it, in its unit; where it rests, its sensor's noise a sample."""
+        size = float(np.sqrt(np.mean(self.smooth_rate(self.rates[rate]) ** 2)))
+        return size or self.rig.channels[self.rates[rate]].sigma / self.rig.dt
 
     @np.errstate(over="ignore", invalid="ignore")  # a reading may be infinite
-    def _unread(self, channel: str, read: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
+    def _unread(self, channel: str, read: np.ndarray, values: Mapping[str, float], at: np.ndarray) -> np.ndarray:
         """The state that a channel shows as `read`: what its sensor adds is taken off, round after round."""
         state = read
         for _ in range(READINGS if channel in self.readings else 0):
-            state = read - self._reading(channel, state, values)
+            state = read - self._reading(channel, state, values, at)
         return state
 
-    def _reading(self, channel: str, state: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
-        """What the channel's sensor adds to the state."""
-        scope = Values(self.plant, {channel: state})
+    def _unfiltered(self, channel: str, values: Mapping[str, float]) -> np.ndarray:
+        """The channel as recorded, less what filters of its sensor make of it."""
+        read = self.recording[channel]
+        for kind, given in self._acting(SENSOR + channel, values):
+            read = of.unfiltered(kind, read, given, self.rig.dt)
+        return read
+
+    def _reading(self, channel: str, state: np.ndarray, values: Mapping[str, float], at=slice(None)) -> np.ndarray:
+        """What the channel's sensor adds to the state, at the samples `at`."""
+        scope = Values(self.plant, {channel: state, TIME: self.recording.time[at]})
         scope.update(values)
-        return sum(scope.evaluate(text) for text in self.readings[channel].values())
+        return sum((scope.evaluate(text) for text in self._shown(channel, values)), start=0.0)
 
     def states(self, values: Mapping[str, float], shifts: np.ndarray | None = None) -> tuple[np.ndarray, dict]:
         """(states (samples, states), input signals). shifts: (restarts, locals) added to where the locals begin."""
@@ -187,9 +249,13 @@ class Model:
         key = (tuple(values[s] for s in self.moving), None if shifts is None else shifts.tobytes())
         if key != self._last[0]:
             self.runs += 1
-            inputs = np.ascontiguousarray(np.stack([signals[name] for name in self.plant.inputs], axis=1))
-            self._last = key, self._compiled.run(inputs, self.restarts, starts, self.reset, values)
+            self._last = key, self._compiled.run(self._columns(signals), self.restarts, starts, self.reset, values)
         return self._last[1], signals
+
+    def _columns(self, signals: Mapping[str, np.ndarray]) -> np.ndarray:
+        """The plant's inputs (samples, inputs), in its order; there may be none."""
+        columns = [signals[name] for name in self.plant.inputs]
+        return np.ascontiguousarray(np.stack(columns, axis=1)) if columns else np.empty((self.recording.samples, 0))
 
     @np.errstate(over="ignore", invalid="ignore")  # a run may diverge
     def predict(self, values: Mapping[str, float], shifts: np.ndarray | None = None) -> np.ndarray:
@@ -200,13 +266,15 @@ class Model:
         for channel in self.rig.predict:
             if channel in self.plant.states:
                 column = states[:, list(self.plant.states).index(channel)]
-                if any(values[s] for s in self._sensor_parameters(channel)):
-                    column = column + self._reading(channel, column, values)
             else:
                 if scope is None:
                     scope = Values(self.plant, {**signals, **dict(zip(self.plant.states, states.T, strict=True))})
                     scope.update(values)
                 column = np.broadcast_to(scope[channel], len(states))
+            for kind, given in self._acting(SENSOR + channel, values):
+                column = of.SENSOR[kind](column, *given, self.rig.dt)
+            if any(True for _ in self._shown(channel, values)):
+                column = column + self._reading(channel, column, values)
             columns.append(column)
         return np.stack(columns, axis=1)
 
@@ -234,9 +302,17 @@ class Model:
 
         return give
 
-    def _sensor_parameters(self, channel: str) -> list[str]:
-        used = names(self.readings.get(channel, {}).values())
-        return [s for s in self.plant.parameters if s in used]
+    def _shown(self, channel: str, values: Mapping[str, float]) -> Iterator[str]:
+        """What a sensor's effects add to its channel, without those whose strengths are all 0."""
+        for path, text in self.readings.get(channel, {}).items():
+            effect = self.effects[path.rpartition(".")[0]]
+            if any(values[f.symbol] for f in effect.strengths):
+                yield text
+
+
+def reach(signal: np.ndarray, samples: int) -> int:
+    """Samples on either side over which a recorded signal is smoothed: `samples`, where its own pace allows."""
+    return min(span(samples, [memory(signal)], SMOOTHED, FEWEST_BESIDE), max(len(signal) // PART, FEWEST_BESIDE))
 
 
 def delayed(signal: np.ndarray, delay: float, dt: float) -> np.ndarray:
@@ -244,7 +320,8 @@ def delayed(signal: np.ndarray, delay: float, dt: float) -> np.ndarray:
 
     Before the first sample the input rests at its first value.
     """
-    steps, part = divmod(delay / dt, 1.0)
+    most = float(len(signal))  # later than the whole recording it does not come at all
+    steps, part = divmod(max(min(most, delay / dt), -most), 1.0)
     k = np.arange(len(signal)) - int(steps)
     late, later = signal[np.clip(k, 0, len(k) - 1)], signal[np.clip(k - 1, 0, len(k) - 1)]
     return (1.0 - part) * late + part * later
@@ -286,6 +363,7 @@ FILTERS = {
     "dead_zone": dead_band,
     "play": backlash,
     "skew": lambda signal, by, dt: signal + by * np.abs(signal),
+    **of.INPUT,
 }
 
 
@@ -304,13 +382,15 @@ def begun(model: Model, values: Mapping[str, float], samples: int) -> dict[str, 
     symbols = beginnings(model)
     if not symbols or not samples:
         return values
-    scale = np.std(model.target, axis=0) + TINY
+    scale = np.std(model.target, axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
 
     def errors(at):
         given = {**values, **dict(zip(symbols, at, strict=True))}
-        return ((model.target - model.predict(given))[:samples] / scale).ravel()
+        left = ((model.target - model.predict(given))[:samples] / scale).ravel()
+        return np.clip(np.nan_to_num(left, nan=FARTHEST), -FARTHEST, FARTHEST)
 
     start = np.array([values[s] for s in symbols])
-    size = np.maximum(np.abs(start), START_SIZE)
+    size = np.maximum(np.abs(start), START_SIZE * float(np.abs(model.target).max()) + TINY)
     found = least_squares(errors, start, x_scale=size, diff_step=START_STEP, max_nfev=START_TRIALS)
     return {**values, **dict(zip(symbols, map(float, found.x), strict=True))}

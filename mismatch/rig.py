@@ -3,28 +3,34 @@
 The layout is that of `docs/diagnosis.md`: `rig.toml`, `identify.csv`, `holdout.csv`.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from greygate.errors import InputError, shown
 from greygate.mismatch.libraries import declared
+from greygate.mismatch.runs import Runs
+from greygate.mismatch.scales import noise
+from greygate.mismatch.uneven import resampled, varies
 from greygate.names import check_file_name
 from greygate.plants.expressions import check_name
 from greygate.plants.plant import Parameter, Plant
-from greygate.plants.recording import Recording
+from greygate.plants.recording import Recording, run_name
 from greygate.reading import line, listed, named, number, one_of, read_toml, table, within
-from greygate.table import read_table
+from greygate.table import CsvTable, read_table
 
 PLANTS = Path(__file__).parent.parent / "machines"  # NAME.toml in one of its folders is the plant NAME
-SHORTEST = 2.0  # s: a shorter recording holds too little motion for any diagnosis
+SHORTEST = 40  # samples: a shorter recording leaves nothing to judge a fit by; it is held out in twenty blocks
+READABLE = 2  # samples, from which a sample time follows
 JITTER = 1e-3  # of a sample interval, by which one interval may differ from the next
-TIME_ROUNDING = 1e-12  # s, by which the difference of two written times may be off
+TIME_ROUNDING = 1e-12  # of the last time, by which the difference of two written times may be off
 FEWEST = 10  # samples: a shorter window is mostly its own beginning
 LONGEST = 1e9  # s of a sample, a window, a settling: thirty years
 MOST = 100_000  # steps of integration in a sample; with more the simulation seems to hang
+IDENTIFY, HOLDOUT = "identify.csv", "holdout.csv"  # the recordings, where rig.toml lists no others
+IN = "@"  # between a parameter and the recording that has a value of its own: mass@run2
 UNIFORM_VARIANCE = 12  # an error spread evenly over a width has the variance width^2 / 12
 
 
@@ -47,6 +53,14 @@ class Channel:
 
 
 @dataclass(frozen=True)
+class Own:
+    """What differs in one recording: values of parameters there, and how uncertain they are (relative)."""
+
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    tolerance: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Rig:
     """What `rig.toml` says.
 
@@ -55,6 +69,8 @@ class Rig:
     window: samples between restarts of the simulation, None for one free run from the first sample to the last.
     anew: parameters that have another value in each recording. settle: how many first samples of holdout.csv serve
     only to fit its initial states and the parameters in `anew`; the error there does not count.
+    identify, holdout: the files to be explained, and to be held against. own: name of a recording -> what differs
+    there.
     """
 
     plant: Plant
@@ -66,6 +82,9 @@ class Rig:
     folder: Path
     settle: int = 0
     anew: tuple[str, ...] = ()
+    identify: tuple[str, ...] = (IDENTIFY,)
+    holdout: tuple[str, ...] = (HOLDOUT,)
+    own: Mapping[str, Own] = field(default_factory=dict)
 
     @property
     def stated(self) -> bool:
@@ -76,16 +95,97 @@ class Rig:
     def inputs(self) -> tuple[str, ...]:
         return tuple(name for name, channel in self.channels.items() if channel.role == "input")
 
+    # -- what differs from recording to recording ----------------------------------------------------------------------
+
+    @property
+    def several(self) -> bool:
+        """Whether recordings to be explained may differ in more than their motion."""
+        return len(self.identify) > 1 or any(run_name(file) in self.own for file in self.identify)
+
+    def of(self, name: str) -> "Rig":
+        """The rig as it is in the recording of that name: with its values of parameters, and their tolerances.
+
+        A value that stands there is exact, unless a tolerance stands there too, or each recording has it `anew`.
+        """
+        own = self.own.get(name)
+        if own is None:
+            return self
+        parameters, anew = dict(self.plant.parameters), self._beginning()
+        for symbol in (*own.parameters, *own.tolerance):
+            p = parameters[symbol]
+            value = own.parameters.get(symbol, p.value)
+            uncertain = own.tolerance.get(symbol, p.tolerance if symbol in anew or value == p.value else 0.0)
+            parameters[symbol] = replace(p, value=value, tolerance=uncertain if value else 0.0)
+        return replace(
+            self,
+            plant=replace(self.plant, parameters=parameters),
+            datasheet={**self.datasheet, **own.parameters},
+            anew=tuple(dict.fromkeys((*self.anew, *own.tolerance))),
+            own={},
+        )
+
+    def _beginning(self) -> set[str]:
+        """Parameters that every recording has anew: those that `anew` lists, and in which states begin."""
+        return {*self.anew, *(s.initial for s in self.plant.states.values() if isinstance(s.initial, str))}
+
+    def fitted_in(self, name: str) -> dict[str, str]:
+        """Parameter that is fitted to the recording of that name alone -> the name of its value there."""
+        if not self.several:
+            return {}
+        own = self.own.get(name, Own())
+        there = self.of(name).plant.parameters
+        return {s: f"{s}{IN}{name}" for s in there if s in {*self._beginning(), *own.tolerance} and there[s].tolerance}
+
+    def uncertain(self) -> dict[str, Parameter]:
+        """Every value that is fitted -> the data sheet's: of shared parameters, then of each recording's own."""
+        names = [run_name(file) for file in self.identify]
+        own = {name: self.fitted_in(name) for name in names}
+        kept = [{*own[name], *self.own.get(name, Own()).parameters} for name in names]
+        found = {
+            s: p for s, p in self.plant.parameters.items() if p.tolerance and not all(s in symbols for symbols in kept)
+        }
+        for name in names:
+            found |= {key: self.of(name).plant.parameters[s] for s, key in own[name].items()}
+        return found
+
+    # -- its recordings ------------------------------------------------------------------------------------------------
+
     def recording(self, path: Path | str) -> Recording:
         """Read a recording of this rig: its first column is `t` in s, each further column is a channel.
 
-        Raises InputError where a channel is missing or unknown, a value is NaN, the time steps differ from each other
-        or from `dt`, or the recording is too short.
+        Time steps that vary are made uniform (`uneven`). Raises InputError where a channel is missing or unknown, a
+        value is NaN, time has a gap or another step than `dt`, or the recording is too short.
         """
         return self.timed(path)[0]
 
-    def timed(self, path: Path | str) -> tuple[Recording, list[str]]:
-        """The recording, and the column `t` as the file writes it."""
+    def to_explain(self) -> Recording:
+        """identify.csv, or the recordings that `identify` lists; `Runs` where they may differ.
+
+        Raises InputError where one cannot be read, or is too short to be explained.
+        """
+        least = FEWEST if len(self.identify) > 1 else SHORTEST
+        found = [self.timed(self.folder / file, least)[0] for file in self.identify]
+        if (samples := sum(r.samples for r in found)) < SHORTEST:
+            raise InputError(f"{self.folder}: {samples} samples in all recordings; record at least {SHORTEST}")
+        return Runs.of(found) if self.several else found[0]
+
+    def held_out(self) -> Recording | None:
+        """holdout.csv, or the recordings that `holdout` lists; None where there is none.
+
+        Raises InputError where one is no longer than the rig settles.
+        """
+        if not self.holdout or (self.holdout == (HOLDOUT,) and not (self.folder / HOLDOUT).exists()):
+            return None
+        found = [self.recording(self.folder / file) for file in self.holdout]
+        for recording in found:
+            if recording.samples <= self.settle:
+                problem = f"{recording.samples} samples, of which settle_s leaves none"
+                raise InputError(f"{recording.source}: {problem}; record more, or settle for less")
+        alike = not self.several and len(found) == 1 and found[0].name not in self.own
+        return found[0] if alike else Runs.of(found)
+
+    def timed(self, path: Path | str, least: int = READABLE) -> tuple[Recording, list[str]]:
+        """The recording of `least` samples or more, and the column `t` as the file writes it."""
         table = read_table(path)
         path, header = table.path, table.header
         if header[0] != "t":
@@ -94,16 +194,30 @@ class Rig:
             raise InputError(f"{path}: no column {', '.join(missing)}; rig.toml names these channels")
         if unknown := [name for name in header[1:] if name not in self.channels]:
             raise InputError(f"{path}: column {', '.join(unknown)} is no channel of rig.toml; declare or drop it")
-        samples, shortest = len(table.cells), max(SHORTEST, (self.window or 0) * self.dt)
-        if samples * self.dt < shortest:
-            raise InputError(f"{path}: {samples} samples, {samples * self.dt:g} s; record at least {shortest:g} s")
-        steps = np.diff(table.values[:, 0])
-        table.require_steps(
-            steps, np.abs(steps - self.dt) > JITTER * self.dt + TIME_ROUNDING, self.dt, "stands in rig.toml"
-        )
+        samples, shortest = len(table.cells), max(least, self.window or 0)
+        if samples < shortest:
+            wish = f"record at least {shortest} samples, {shortest * self.dt:g} s"
+            raise InputError(f"{path}: {samples} samples, {samples * self.dt:g} s; {wish}")
         channels = {name: table.values[:, header.index(name)] for name in self.channels}
-        recording = Recording(self.dt, channels, {n: c.unit for n, c in self.channels.items()}, source=str(path))
-        return recording, [row[0] for row in table.cells]
+        units = {name: channel.unit for name, channel in self.channels.items()}
+        clock, channels, said = self._uniform(table, channels, units)
+        return Recording(self.dt, channels, units, source=str(path), history=said), clock
+
+    def _uniform(
+        self, table: CsvTable, channels: Mapping[str, np.ndarray], units: Mapping[str, str]
+    ) -> tuple[list[str], dict[str, np.ndarray], tuple[str, ...]]:
+        """(instants as text, channels there, what was done to them)."""
+        clock = table.values[:, 0]
+        steps, rounding = np.diff(clock), TIME_ROUNDING * float(np.abs(clock).max())
+        off = np.abs(steps - self.dt) > JITTER * self.dt + rounding
+        if off.any() and varies(steps, self.dt):
+            rated = {how.split()[1] for how in self.plant.derived.values()}
+            held: Collection[str] = [name for name in self.inputs if name not in rated]
+            instants, channels, said = resampled(clock, channels, self.dt, held, units)
+            if len(instants) >= FEWEST:
+                return [f"{t:.9g}" for t in instants], channels, (said,)
+        table.require_steps(steps, off, self.dt, "stands in rig.toml")
+        return [row[0] for row in table.cells], dict(channels), ()
 
 
 CHANNEL = {"unit": line, "role": one_of(("input", "output"))}
@@ -115,11 +229,16 @@ NEEDED = {
     "parameters": named(number, check_name),
     "channels": named(lambda value, where: table(value, where, CHANNEL, ERRORS, others=True), check_name),
 }
+TOLERANCE = named(within(0.0, np.nextafter(1.0, 0.0), "give a relative uncertainty, 0 to 1"), check_name)
+OWN = {"parameters": named(number, check_name), "tolerance": TOLERANCE}
 OPTIONAL = {
     "window_s": within(0.0, LONGEST, "give seconds"),
     "settle_s": within(0.0, LONGEST, "give seconds"),
     "anew": listed(line),
-    "tolerance": named(within(0.0, np.nextafter(1.0, 0.0), "give a relative uncertainty, 0 to 1"), check_name),
+    "tolerance": TOLERANCE,
+    "identify": listed(check_file_name),
+    "holdout": listed(check_file_name),
+    "recordings": named(lambda value, where: table(value, where, {}, OWN), line),
 }
 
 
@@ -148,19 +267,18 @@ def load(folder: Path | str) -> Rig:
     path = folder / "rig.toml"
     found = table(read_toml(path, "give the folder of a rig"), f"{path}:", NEEDED, OPTIONAL, others=True)
     plant = _plant(path, found["plant"])
-    for check in (_wrong_times, _wrong_parameters, _wrong_channels, _wrong_predictions):
+    for check in (_wrong_times, _wrong_parameters, _wrong_channels, _wrong_predictions, _wrong_recordings):
         for where, problem in check(found, plant):
             raise InputError(f"{path}: {where}: {problem}")
     dt, window = found["sample_time_s"], found.get("window_s")
     datasheet, tolerance = found["parameters"], found.get("tolerance", {})
     switched = {on: 1.0 for on, by in plant.switches.items() if datasheet.get(by)}
-    parameters = {
-        symbol: Parameter(
-            switched.get(symbol, datasheet.get(symbol, p.value)), p.unit, tolerance.get(symbol, 0.0), p.meaning
-        )
-        for symbol, p in plant.parameters.items()
-    }
-    return Rig(
+    parameters = {}
+    for symbol, p in plant.parameters.items():
+        value = switched.get(symbol, datasheet.get(symbol, p.value))
+        uncertain = tolerance.get(symbol, 0.0) if value else 0.0  # a share of nothing is nothing
+        parameters[symbol] = Parameter(value, p.unit, uncertain, p.meaning)
+    rig = Rig(
         replace(plant, parameters=parameters),
         datasheet,
         {name: _channel(entry) for name, entry in found["channels"].items()},
@@ -170,7 +288,25 @@ def load(folder: Path | str) -> Rig:
         folder,
         round(found.get("settle_s", 0.0) / dt),
         tuple(found.get("anew", ())),
+        tuple(found.get("identify", (IDENTIFY,))),
+        tuple(found.get("holdout", (HOLDOUT,))),
+        {name: Own(**entry) for name, entry in found.get("recordings", {}).items()},
     )
+    return rig if rig.stated or rig.window is None else _heard(rig)
+
+
+def _heard(rig: Rig) -> Rig:
+    """The rig with the noise that identify.csv shows, for every predicted channel whose noise rig.toml does not state.
+
+    A simulation in windows needs it: it says how well the state is known from which a window begins.
+    """
+    recording, channels = rig.to_explain(), dict(rig.channels)
+    for name in rig.predict:
+        if not channels[name].sigma:
+            sizes = [(noise(run[name]), run.samples) for run in recording.runs]
+            size = sizes[0][0] if len(sizes) == 1 else np.sqrt(sum(s**2 * n for s, n in sizes) / recording.samples)
+            channels[name] = replace(channels[name], noise=float(size))
+    return replace(rig, channels=channels)
 
 
 def _channel(entry: Mapping) -> Channel:
@@ -183,7 +319,7 @@ Mistakes = Iterator[tuple[str, str]]
 
 def _wrong_times(found: Mapping, plant: Plant) -> Mistakes:
     dt, window = found["sample_time_s"], found.get("window_s")
-    if not dt <= MOST * plant.step:
+    if plant.states and not dt <= MOST * plant.step:
         yield "sample_time_s", f"{dt:g} s, {plant.name} takes steps of {plant.step:g} s; take {MOST} a sample at most"
     if window is not None and window < FEWEST * dt:
         yield "window_s", f"{window:g}; give at least {FEWEST} samples, in s"
@@ -230,8 +366,22 @@ def _wrong_predictions(found: Mapping, plant: Plant) -> Mistakes:
     for name in predict:
         if name not in channels or channels[name]["role"] != "output":
             yield "predict", f"{shown(name)} is no output channel"
-    if "window_s" in found and not all(_channel(channels[name]).sigma > 0 for name in predict):
-        yield "window_s", "needs resolution or noise_rms of every predicted channel; give these, or run free"
+
+
+def _wrong_recordings(found: Mapping, plant: Plant) -> Mistakes:
+    files = {run_name(IDENTIFY), run_name(HOLDOUT)}
+    for key in ("identify", "holdout"):
+        given = [run_name(file) for file in found.get(key, ())]
+        if key in found and len(set(given)) < max(len(given), 1):
+            yield key, f"{shown(given)}; list the files of the recordings, each name once"
+        files |= set(given)
+    for name, own in found.get("recordings", {}).items():
+        if name not in files:
+            yield f"recordings.{name}", f"is no recording; identify and holdout list {', '.join(sorted(files))}"
+        for key in ("parameters", "tolerance"):
+            for symbol in own.get(key, {}):
+                if symbol not in found["parameters"]:
+                    yield f"recordings.{name}.{key}.{symbol}", "is no entry of [parameters]; give its usual value there"
 
 
 def _unit(plant: Plant, name: str) -> str | None:

@@ -12,14 +12,17 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from greygate.mismatch.effects import Effect, Free, fitting
-from greygate.mismatch.fit import Fit, Likelihood, Unknown
-from greygate.mismatch.model import BLUR, TIMING, TINY, Model
-from greygate.mismatch.rig import FEWEST, Rig
+from greygate.mismatch.fit import Fit, Likelihood, Unknown, tame
+from greygate.mismatch.model import BLUR, TIMING, TINY
+from greygate.mismatch.noise import Noise
+from greygate.mismatch.rig import FEWEST, IN, Rig
+from greygate.mismatch.scales import memory, span
+from greygate.mismatch.several import modelled
 from greygate.plants.expressions import names
 from greygate.plants.recording import Recording
 
-SHORT = 0.04  # s of a window in the screen
-LONG_WINDOW = 0.1  # s of a window in the final fit: errors of two integrators do not add up to more than noise yet
+SHORT, SHORT_SHARES = 40, (0.1, 2.0)  # samples of a window in the screen; of the memory of the fastest channel
+LONG_WINDOW, LONG_SHARES = 100, (0.25, 5.0)  # in the final fit: two integrators' errors stay below the noise so far
 WITHIN, NEAR_SHEET = 4.0, 2.0  # standard deviations within which a toleranced parameter is fitted; in the first fit
 RELEASED = 20.0  # times or part of its value, within which a parameter whose tolerance is lifted is fitted
 EXACT = 0.01  # of a sample, RMS: the uncertainty of the instant at which an input acts
@@ -71,24 +74,45 @@ class Score:
 
 
 class Search:
-    """All hypotheses on one recording of one rig. free_run: the likelihood of a rig without windows."""
+    """All hypotheses on one recording of one rig.
+
+    free_run: the likelihood of a rig without windows. noise: of every likelihood; by default as rig.toml tells it.
+    """
 
     def __init__(
-        self, rig: Rig, recording: Recording, effects: Mapping[str, Effect], free_run: type[Likelihood] = Likelihood
+        self,
+        rig: Rig,
+        recording: Recording,
+        effects: Mapping[str, Effect],
+        free_run: type[Likelihood] = Likelihood,
+        noise: Noise | None = None,
     ):
         self.rig = rig
         self.effects = fitting(rig.plant, rig.datasheet, effects)
-        self.travel = max(float(np.ptp(recording[name])) for name in rig.inputs)
-        self.toleranced = [s for s, p in rig.plant.parameters.items() if p.tolerance]
+        self.travel = max((float(np.ptp(recording[name])) for name in rig.inputs), default=0.0)
+        self.sheet = rig.uncertain()
+        self.toleranced = list(self.sheet)
 
-        def over(seconds: float) -> Likelihood:
-            return Likelihood(
-                Model(rig, recording, self.effects, min(max(round(seconds / rig.dt), FEWEST), rig.window))
-            )
+        memories = [memory(run[name]) for run in recording.runs for name in rig.predict]
 
-        self.final = over(LONG_WINDOW) if rig.window else free_run(Model(rig, recording, self.effects))
-        self.screen = over(SHORT) if rig.window else self.final
+        def over(samples: int, shares: tuple[float, float]) -> Likelihood:
+            window = min(span(samples, memories, shares, FEWEST), rig.window)
+            return Likelihood(modelled(rig, recording, self.effects, window))
+
+        self.final = over(LONG_WINDOW, LONG_SHARES) if rig.window else free_run(modelled(rig, recording, self.effects))
+        self.screen = over(SHORT, SHORT_SHARES) if rig.window else self.final
         self.fits: dict[Hypothesis, Fit] = {}  # of rivals, kept for experiments that tell them apart
+        if noise is not None:
+            self.under(noise)
+
+    @property
+    def noise(self) -> Noise:
+        return self.final.noise
+
+    def under(self, noise: Noise) -> "Search":
+        """This search with another noise; fits of the one before are no longer comparable."""
+        self.final.noise = self.screen.noise = noise
+        return self
 
     # -- unknowns ----------------------------------------------------------------------------------------------------
 
@@ -96,7 +120,7 @@ class Search:
         """What a hypothesis leaves free. within: standard deviations that a parameter with a tolerance may go."""
         found = []
         for symbol in self.toleranced:
-            p = self.rig.plant.parameters[symbol]
+            p = self.sheet[symbol]
             scale = abs(p.value) * p.tolerance / 2
             if symbol in hypothesis.released:
                 low, high = sorted((p.value / RELEASED, p.value * RELEASED))
@@ -132,8 +156,8 @@ class Search:
         for name, e in plant.equations.items():
             state = plant.states[e.state]
             bounds = [b for b in (state.low, state.high) if isinstance(b, str)]
-            texts[name] = (e.state, (e.storage, *e.terms.values(), *bounds))
-        found, new, seen = [], [symbol], set()
+            texts[name] = (e.state, (*e.texts, *bounds))
+        found, new, seen = [], [symbol.partition(IN)[0]], set()
         while new:
             used = new.pop()
             for place, (makes, expressions) in texts.items():
@@ -191,6 +215,8 @@ class Search:
             if self.joined(Hypothesis((one.key,)), other):
                 mine, others = (np.flatnonzero([b[0] is e for b in blocks]) for e in (one, other))
                 part = gains[np.ix_(mine, others)]
+                if not part.size:
+                    continue  # one of them has no shape that this travel could show
                 i, j = np.unravel_index(np.argmax(part), part.shape)
                 found.append((part[i, j], mine[i], others[j]))
         out, plain = [], _plain(fit)
@@ -247,7 +273,7 @@ class Search:
             for point in self._points(effect):
                 if point:
                     moved = likelihood.errors({**values, **point}, fit.shifts)
-                    columns = likelihood.rows(np.nan_to_num(moved - fit.errors), fit.temper)[:, :, None]
+                    columns = likelihood.rows(tame(moved - fit.errors), fit.temper)[:, :, None]
                 elif add is not None:
                     null = {f.symbol: 0.0 for f in effect.strengths}
                     made = [add({**shape, **null, f.symbol: f.typical}) for f in effect.strengths]

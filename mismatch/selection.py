@@ -24,13 +24,16 @@ CALIBRATED = EVIDENCE / 10  # of cost: the fit without effects stops when a step
 PROMISED = EVIDENCE / 3  # of cost that a linearised fit must promise, or no full fit is worth its time
 EFFECTS = 3  # in a hypothesis, at most
 STRUCTURE = 0.3  # of slow error over white error, above which structure is left
-SLOW = 0.02  # s of a mean that tells slow errors from white ones
-BLURRED = 0.2  # s of that mean where an effect acts by acceleration, whose jumps are known to some 20 ms
+SLOW = 20  # samples of a mean that tells slow errors from white ones;
+BLURRED = 200  # of that mean where an effect acts by acceleration, whose jumps are known to some 20 samples;
+MEANS = 2  # of them in a block, at least
 FLOOR = 0.92  # of the count of readings: the cost of a complete fit, whose unknowns take up some noise, too
 FIRST, LATER = 6, 4  # hypotheses of the first round and of later ones that are fitted in full
 STALLED = 0.1  # of what the best saves: a fit that gave up within so much cost above the best is a rival, too
 FAR = 0.3  # of the most promising gain: below that, no hypothesis is tried beside one whose fit is complete
 NEARLY = 0.95  # of the gain that another form of an effect promises, which its plain form must promise to come first
+APART = 12.0  # of cost: two hypotheses that differ by less are not told apart
+EXCHANGED, ROUNDS = 4, 3  # hypotheses that are fitted in the place of an effect; times that all are exchanged
 OWN = 0.05  # of what can be explained: a second effect must explain that much where the fit is not complete,
 PAIR = 0.5  # or so much of what the first effect leaves
 LEAST = 5e-3  # of what can be explained: an effect must explain that much beside one that acts by acceleration,
@@ -45,7 +48,8 @@ class Selection:
     """The hypotheses that are fitted to one likelihood, and the choice among them.
 
     start: the fit from which the plant without effects is fitted. costs: the least cost of each hypothesis. fits: the
-    best fit of each that is physically possible. best: the best of those fits by the size of its hypothesis.
+    best fit of each that is physically possible. best: the best of those fits by the size of its hypothesis. unfitted:
+    hypotheses that may be as good as the best, by their scores, and that were too many to be fitted.
     """
 
     most = EFFECTS  # effects in a hypothesis
@@ -55,6 +59,7 @@ class Selection:
         self.costs: dict[Hypothesis, float] = {}
         self.fits: dict[Hypothesis, Fit] = {}
         self.best: dict[int, tuple[Hypothesis, Fit]] = {}
+        self.unfitted: set[Hypothesis] = set()
 
     @cached_property
     def plain(self) -> Fit:
@@ -92,6 +97,7 @@ class Selection:
             if taken is None:
                 break
             best, current = self.exchanged(*taken)
+            self.progress(f"best so far: {best}")
             start = current
         return best, current
 
@@ -114,6 +120,47 @@ class Selection:
     def exchanged(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
         """The same after an earlier effect is replaced by one that now does better: here none is."""
         return best, current
+
+    def settled(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
+        """The same after no effect or parameter can be exchanged for another that does better.
+
+        Every exchange of one for one is scored. Of those that may come as near as APART, the best ones are fitted, and
+        the rest are kept as `unfitted`: nothing tells them apart.
+        """
+        for _ in range(ROUNDS):
+            found = [self._exchanges(best, name, current) for name in (*best.effects, *best.released)]
+            hypothesis, fit = min((one for ones in found for one in ones), key=_cost, default=(best, current))
+            if not fit.cost < current.cost:
+                break
+            best, current = hypothesis, fit
+        return best, current
+
+    def _exchanges(self, best: Hypothesis, name: str, current: Fit) -> list[tuple[Hypothesis, Fit]]:
+        """The fits with another effect or parameter in the place of `name` that may come near the best."""
+        less = best.without(name)
+        without = self.fits.get(less) or self.fit(less, current.values, current.shifts)[0]
+        if not np.isfinite(without.cost):
+            return []
+        near = without.cost - current.cost - APART * inflation(current)
+        mine = {self.search.effects[key].id for key in best.effects}
+        found: list[tuple[Hypothesis, Fit]] = []
+        tried = 0
+        for forms in alternatives(self.search, self.search.scores(self.likelihood, without, less)):
+            score = forms[0]
+            hypothesis = less.plus(score.hypothesis)
+            same = any(
+                set(h.effects) == set(hypothesis.effects) and h.released == hypothesis.released for h in self.costs
+            )
+            if score.gain < near or same or mine & {self.search.effects[k].id for k in score.hypothesis.effects}:
+                continue
+            if tried == EXCHANGED:
+                self.unfitted.add(hypothesis)
+                continue
+            tried += 1
+            fit, allowed = self.fit(hypothesis, {**without.values, **score.values}, without.shifts, score.hypothesis)
+            if allowed:
+                found.append((hypothesis, fit))
+        return found
 
     def _added(self, best: Hypothesis, current: Fit, start: Fit) -> list[tuple[Hypothesis, Fit]]:
         """`best` with each of the most promising hypotheses added."""
@@ -287,13 +334,16 @@ def carried(effect: Effect, form: Effect, values: Mapping[str, float]) -> dict[s
 def structure(fit: Fit) -> dict[str, float]:
     """Channel -> the variance of its slow errors over that of the slow part of white noise, less one."""
     likelihood = fit.likelihood
-    model, channels = likelihood.model, likelihood.model.rig.predict
+    channels = likelihood.model.rig.predict
     projected = fit.projected[:, : likelihood.block * len(channels)].reshape(-1, likelihood.block, len(channels))
-    size = max(round((BLURRED if blurred(fit) else SLOW) / model.rig.dt), 2)
+    size = max(min(BLURRED if blurred(fit) else SLOW, likelihood.block // MEANS), 2)
     out = {}
     for i, name in enumerate(channels):
         e = projected[:, :, i]
         e = e[np.abs(e).sum(axis=1) > 0]
+        if not len(e):  # a channel that is predicted exactly, as one that rests
+            out[name] = -1.0
+            continue
         pieces = e[:, : e.shape[1] // size * size].reshape(-1, size)
         out[name] = float(np.mean(pieces.mean(axis=1) ** 2) * size / max(1.0, _fast(e))) - 1.0
     return out

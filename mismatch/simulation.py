@@ -7,31 +7,42 @@ import numpy as np
 
 from greygate.errors import InputError, shown
 from greygate.mismatch import effects as effect_table
-from greygate.mismatch.diagnosis import SCHEMA, recovered
+from greygate.mismatch.diagnosis import READ, recovered
 from greygate.mismatch.effects import Effect, Free, fitting
 from greygate.mismatch.model import Model
-from greygate.mismatch.rig import Rig
+from greygate.mismatch.rig import Own, Rig
 from greygate.plants.expressions import check_expression, check_name, check_symbol
 from greygate.plants.recording import Recording
 from greygate.reading import line, listed, named, number, one_of, read_json, table
 
 
 def simulate(
-    rig: Rig, recording: Recording, diagnosis: Mapping | None = None, effects: Mapping[str, Effect] | None = None
+    rig: Rig,
+    recording: Recording,
+    diagnosis: Mapping | None = None,
+    effects: Mapping[str, Effect] | None = None,
+    name: str | None = None,
 ) -> dict[str, np.ndarray]:
     """Predicted channels, each (samples,), over `recording`.
 
-    diagnosis: content of a diagnosis.json for this plant; None for the data sheet.
+    diagnosis: content of a diagnosis.json for this plant; None for the data sheet. name: of the recording of rig.toml
+    whose own parameters hold, by default that of its file.
     Raises InputError when it is of another plant, or names an effect or parameter that is unknown.
     """
-    known = fitting(rig.plant, rig.datasheet, effect_table.known(rig, recording) if effects is None else effects)
+    name = recording.name if name is None else name
+    known_there = rig.own.get(name, Own()).parameters
+    rig = rig.of(name)
+    diagnosis = None if diagnosis is None else check(diagnosis)
+    every = effect_table.named(rig, recording, asked(diagnosis)) if effects is None else effects
+    known = fitting(rig.plant, rig.datasheet, every)
     values: dict[str, float] = {}
     if diagnosis is not None:
-        diagnosis = check(diagnosis)
         if diagnosis["plant"] != rig.plant.name:
             of = shown(diagnosis["plant"])[1:-1]
             raise InputError(f"diagnosis: is of {of}, the rig is {rig.plant.name}; give the rig's own")
-        values = {symbol: p["value"] for symbol, p in diagnosis["parameters"].items()}
+        values = {s: p["value"] for s, p in diagnosis["parameters"].items() if s not in known_there}
+        own = diagnosis.get("recordings", {}).get(name, {}).get("parameters", {})
+        values |= {symbol: p["value"] for symbol, p in own.items()}
         for entry in diagnosis["effects"]:
             if entry["id"] == "unknown":
                 unknown = _unknown(rig, entry)
@@ -47,6 +58,12 @@ def simulate(
             raise InputError(f"diagnosis: parameter {symbol} is unknown to {rig.plant.name}")
     predicted = model.predict({**model.values, **values})
     return dict(zip(rig.predict, predicted.T, strict=True))
+
+
+def asked(diagnosis: Mapping | None) -> list[str]:
+    """Keys of the effects that a diagnosis names, in the form that it chose."""
+    entries = diagnosis["effects"] if diagnosis else []
+    return [entry.get("form", entry["id"]) for entry in entries if entry["id"] != "unknown"]
 
 
 def read(path: Path | str) -> dict:
@@ -68,15 +85,16 @@ def _effect(value: object, where: str) -> dict:
     return table(value, where, needed, {"form": line, "equations": listed(line)}, others=True)
 
 
-HEAD = {"schema": one_of((SCHEMA,))}
+HEAD = {"schema": one_of(READ)}
 ENTRIES = {"plant": line, "effects": listed(_effect), "parameters": PARAMETERS}
+OWN = {"recordings": named(lambda value, where: table(value, where, {}, {"parameters": PARAMETERS}, others=True), line)}
 
 
 def check(diagnosis: object) -> dict:
     """The part of a diagnosis.json that a simulation needs. Raises InputError where an entry is missing or wrong."""
     try:
         table(diagnosis, "diagnosis:", HEAD, others=True)  # one of another schema may have other entries
-        return table(diagnosis, "diagnosis:", ENTRIES, others=True)
+        return table(diagnosis, "diagnosis:", ENTRIES, OWN, others=True)
     except InputError as error:
         raise InputError(f"{error}; {WRITTEN}") from None
 

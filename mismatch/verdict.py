@@ -12,6 +12,8 @@ class Verdict(StrEnum):
     CONSISTENT = "consistent"
     PARAMETER_ERROR = "parameter_error"
     MISSING_PHYSICS = "missing_physics"
+    PARTLY_EXPLAINED = "partly_explained"
+    RECORDING_FAULT = "recording_fault"
     UNEXPLAINED = "unexplained"
 
     @property
@@ -24,5 +26,7 @@ _MEANS = {
     Verdict.CONSISTENT: "the parameters, inside their tolerances, explain the recording",
     Verdict.PARAMETER_ERROR: "one parameter lies outside its tolerance, and that explains the recording",
     Verdict.MISSING_PHYSICS: "the simulation leaves out what is named here",
+    Verdict.PARTLY_EXPLAINED: "what is named here is missing, and something else too",
+    Verdict.RECORDING_FAULT: "the recording is at fault, not the simulation",
     Verdict.UNEXPLAINED: "something is missing that no effect of the table has",
 }

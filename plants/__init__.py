@@ -1,5 +1,6 @@
 """The language of plants: named balance equations, declared once, simulated, excited and recorded."""
 
+from greygate.plants.curves import curve
 from greygate.plants.excitation import (
     band_limited_noise,
     band_limited_noise_spectrum,
@@ -25,6 +26,7 @@ __all__ = [
     "band_limited_noise_spectrum",
     "chirp",
     "chirp_spectrum",
+    "curve",
     "multisine",
     "multisine_spectrum",
     "prms",

@@ -25,6 +25,18 @@ def cos(x):
     return np.cos(x)
 
 
+def tan(x):
+    return np.tan(x)
+
+
+def atan(x):
+    return np.arctan(x)
+
+
+def atan2(y, x):
+    return np.arctan2(y, x)
+
+
 def tanh(x):
     return np.tanh(x)
 
@@ -45,6 +57,10 @@ def max(x, y):
     return np.maximum(x, y)
 
 
+def smooth_step(x, width):
+    return 0.5 + 0.5 * np.tanh(x / width)
+
+
 def when(condition, x):
     return np.where(condition != 0.0, x, 0.0)
 
@@ -53,7 +69,10 @@ def orifice(u, p_1, p_2):
     return np.maximum(u, 0.0) * np.sign(p_1 - p_2) * np.sqrt(np.abs(p_1 - p_2))
 
 
-FUNCTIONS = {f.__name__: f for f in (sqrt, exp, log, sin, cos, tanh, sign, abs, min, max, when, orifice)}
+FUNCTIONS = {
+    f.__name__: f
+    for f in (sqrt, exp, log, sin, cos, tan, atan, atan2, tanh, sign, abs, min, max, smooth_step, when, orifice)
+}
 
 
 def arguments(name: str) -> int:

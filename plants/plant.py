@@ -7,14 +7,16 @@ Every equation and every intermediate quantity is a sum of *named terms*; each t
 
 from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 
 from greygate.errors import InputError, shown
+from greygate.names import check_file_name
 from greygate.plants.closure import Closure, check_closure
+from greygate.plants.curves import read_curve
 from greygate.plants.expressions import check_expression, check_name, is_name, is_symbol, names, parse
 from greygate.reading import entry_of, line, listed, named, number, read_toml, table, within
 
@@ -52,11 +54,20 @@ class State:
 
 @dataclass(frozen=True)
 class Equation:
-    """A balance: `storage` * d(`state`)/dt = sum of `terms` (name -> expression)."""
+    """A balance: `storage` * d(`state`)/dt = sum of `terms` (name -> expression).
+
+    couples: other states -> what their rates are multiplied with on the left side: the mass matrix off its diagonal.
+    """
 
     state: str
     terms: Mapping[str, str]
     storage: str = "1"
+    couples: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """All its expressions."""
+        return (self.storage, *self.couples.values(), *self.terms.values())
 
 
 @dataclass(frozen=True)
@@ -148,6 +159,10 @@ class Plant:
             if name in self.definitions:
                 self._fail(f"equation {name}", "a definition has this name too; rename one")
             self._check(f"equation {name}, storage", equation.storage, symbols)
+            for other, expression in equation.couples.items():
+                if other not in self.states or other == equation.state:
+                    self._fail(f"equation {name}, couples", f"{shown(other)} is no other state; name one")
+                self._check(f"equation {name}, couples {other}", expression, symbols)
             self._check_terms(f"equation {name}", equation.terms, symbols)
         balanced = [equation.state for equation in self.equations.values()]
         for name in (*self.states, *balanced):
@@ -168,13 +183,31 @@ class Plant:
         Raises InputError naming the file, and the line or the entry.
         """
         path = Path(path)
+        return cls.of(path.stem, read_toml(path, "give a plant's TOML file"), path.parent, str(path))
+
+    @classmethod
+    def of(cls, name: str, declaration: Mapping, folder: Path | str = ".", where: str = "plant") -> "Plant":
+        """A plant from the tables of such a file as a dictionary. folder: of the CSV files that it names.
+
+        Raises InputError naming `where`, and the entry.
+
+        >>> lag = Plant.of("lag", {
+        ...     "outputs": ["y"],
+        ...     "inputs": {"u": "V"},
+        ...     "parameters": {"T": [0.5, "s"]},
+        ...     "states": {"y": {"unit": "V"}},
+        ...     "equations": {"lag": {"y": {"storage": "T", "input": "u", "loss": "-y"}}},
+        ... })
+        >>> lag
+        <Plant lag: u [V] -> y; states y [V]>
+        """
         entries = {
             "parameters": named(_parameter, check_name),
             "inputs": named(line, check_name),
             "states": named(check_state, check_name),
             "equations": named(_equation, check_name),
             "outputs": listed(line),
-            "definitions": named(_definition, check_name),
+            "definitions": named(partial(_definition, Path(folder)), check_name),
             "derived": named(line, check_name),
             "switches": named(line, check_name),
             "step": within(SHORTEST, np.inf, f"give {SHORTEST:g} s or more"),
@@ -182,9 +215,9 @@ class Plant:
             "closure": check_closure,
             "experiments": named(line, check_name),
         }
-        found = table(read_toml(path, "give a plant's TOML file"), f"{path}:", {}, entries)
+        found = table(dict(declaration), f"{where}:", {}, entries)
         needed = {key: found.get(key, {}) for key in ("parameters", "inputs", "states", "equations")}
-        return cls(path.stem, **found | needed | {key: tuple(found.get(key, ())) for key in ("outputs", "required")})
+        return cls(name, **found | needed | {key: tuple(found.get(key, ())) for key in ("outputs", "required")})
 
     # -- switching terms ---------------------------------------------------------------------------------------------
 
@@ -244,8 +277,8 @@ class Plant:
         """The residual of one equation or definition on sampled signals.
 
         It is `storage * d(state)/dt - sum(terms)` for an equation, with the derivative by central differences
-        (one-sided at both ends), and `measured symbol - sum(terms)` for a definition. It has the unit of the terms and
-        the shape of the signals.
+        (one-sided at both ends), and `measured symbol - sum(terms)` for a definition. Rates that `couples` names count
+        like the equation's own. It has the unit of the terms and the shape of the signals.
 
         signals: inputs and states sampled every `dt` s, and the symbols of those definitions that were measured.
         Raises InputError naming the signal that is missing.
@@ -256,7 +289,8 @@ class Plant:
             if place.symbol not in signals:
                 self._fail(f"definition {where}", f"{place.symbol} was not measured; give its signal")
             return np.asarray(signals[place.symbol]) - total
-        return known.evaluate(place.storage) * np.gradient(known[place.state], dt) - total
+        rates = {place.state: place.storage, **place.couples}
+        return sum(known.evaluate(text) * np.gradient(known[s], dt) for s, text in rates.items()) - total
 
     def initial(self) -> dict[str, float]:
         """Initial value of every state."""
@@ -378,15 +412,21 @@ def _equation(value: object, where: str) -> Equation:
     """`state = { storage = "expression", term = "expression", ... }`, the storage 1 where it is left out."""
     state, where, terms = _sum(value, where)
     storage = check_expression(terms.pop("storage", "1"), entry_of(where, "storage"))
-    return Equation(state, check_terms(terms, where), storage)
+    couples = named(check_expression, check_name)(terms.pop("couples", {}), entry_of(where, "couples"))
+    return Equation(state, check_terms(terms, where), storage, couples)
 
 
-def _definition(value: object, where: str) -> Definition:
-    """`symbol = { unit = "N", term = "expression", ... }`."""
+def _definition(folder: Path, value: object, where: str) -> Definition:
+    """`symbol = { unit = "N", term = "expression", ... }`; `table = { file = "curve.csv", of = "q" }` is terms, too."""
     symbol, where, terms = _sum(value, where)
     if "unit" not in terms:
         raise InputError(f"{where} has no unit; write {symbol} = {{ unit = ..., ... }}")
-    return Definition(symbol, line(terms.pop("unit"), entry_of(where, "unit")), check_terms(terms, where))
+    unit, curve = line(terms.pop("unit"), entry_of(where, "unit")), {}
+    if "table" in terms:
+        entry = entry_of(where, "table")
+        found = table(terms.pop("table"), entry, {"file": check_file_name, "of": check_expression})
+        curve = read_curve(folder / found["file"], found["of"])
+    return Definition(symbol, unit, {**check_terms(terms, where), **curve})
 
 
 def _sum(value: object, where: str) -> tuple[str, str, dict]:

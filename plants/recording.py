@@ -74,6 +74,16 @@ class Recording:
         return len(next(iter(self.channels.values())))
 
     @property
+    def runs(self) -> tuple["Recording", ...]:
+        """The recordings that it is made of, one after the other; here it is one."""
+        return (self,)
+
+    @property
+    def name(self) -> str:
+        """The name of its file, without folder and ending."""
+        return run_name(self.source)
+
+    @property
     def time(self) -> np.ndarray:
         """Seconds from the first sample, (samples,)."""
         return np.arange(self.samples) * self.dt
@@ -92,6 +102,11 @@ class Recording:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(header)
             writer.writerows(zip(*columns, strict=True))
+
+
+def run_name(path: Path | str) -> str:
+    """The name of a recording's file, without folder and ending: run1 of data/run1.csv.gz."""
+    return Path(path).name.removesuffix(".gz").removesuffix(".csv")
 
 
 def read_csv(

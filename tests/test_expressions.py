@@ -15,7 +15,7 @@ from greygate.errors import InputError
 from greygate.mismatch import effects as table
 from greygate.mismatch.simulation import check
 from greygate.plants.expressions import DEPTH, NODES, TEXT, Number, is_name, is_symbol, parse, replaced
-from greygate.plants.functions import FUNCTIONS
+from greygate.plants.functions import FUNCTIONS, arguments
 from greygate.plants.plant import Parameter, Plant, Values
 from greygate.plants.simulate import source
 
@@ -197,9 +197,7 @@ TREES = st.recursive(
         st.tuples(inner, st.sampled_from(["+", "-", "*", "/", "**"]), inner).map(" ".join),
         st.tuples(st.sampled_from("+-"), inner).map("".join),
         inner.map("({})".format),
-        st.tuples(st.sampled_from([n for n in FUNCTIONS if n not in ("min", "max", "when", "orifice")]), inner).map(
-            lambda t: f"{t[0]}({t[1]})"
-        ),
+        st.tuples(st.sampled_from([n for n in FUNCTIONS if arguments(n) == 1]), inner).map(lambda t: f"{t[0]}({t[1]})"),
         st.tuples(inner, inner).map(lambda t: f"min({t[0]}, {t[1]})"),
         st.tuples(inner, inner).map(lambda t: f"when({t[0]}, {t[1]})"),
     ),

@@ -15,6 +15,8 @@ from networks import delay_line
 from test_cli import recording
 
 from greygate import cli
+from greygate.mismatch.concealed.bench.make import make
+from greygate.mismatch.concealed.bench.run import run
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.project import compile_project
 from greygate.source import Source
@@ -32,11 +34,15 @@ GOOD = {
     "play": ["build", "a.csv", "--port", "none"],
     "validate": ["line.toml", "--record", "a.csv", "--lags", "5", "--out", "new.html"],
     "diagnose": ["rig", "--out", "new.json"],
+    "next": ["rig", "--diagnosis", "none.json", "--out", "new.csv"],
     "isolability": ["rig"],
     "simulate": ["rig", "--recording", "rig/third.csv", "--out", "new.csv"],
     "augment": ["rig", "--diagnosis", "none.json", "--out", "new"],
     "conceal": ["cable_drum", "--seed", "1", "--out", "new"],
     "reveal": ["rig"],
+    "bench-concealed make": ["new", "--cases", "1", "--plant", "tank"],
+    "bench-concealed run": ["bench", "--out", "new", "--tool", "nominal"],
+    "bench-concealed score": ["bench", "answers"],
 }
 """What each command takes, before it is spoilt."""
 
@@ -58,6 +64,9 @@ TEXTS = {
     "device": ["zx81", "ecp5", ""], "max_error": ["", "%", "-1%", "nan", "1m"], "max_latency": ["", "2", "x", "inf us"],
     "only": ["luck", ""], "architecture": ["none", ""],
     "port": ["none", "a.csv", ""], "source": NO_TABLE,
+    "bench": NO_RIG, "answers": ["none", "folder", "a.csv", ""], "tool": ["none", "", "none --of them", "'"],
+    "condition": ["none", ""], "secret": ["none", "folder", "binary.csv", "empty.csv", "short.txt"],
+    "rows": NO_PLACE, "picture": NO_PLACE, "own": ["none", ""],
 }  # fmt: skip
 """Wrong texts by the name of the option or argument."""
 
@@ -109,19 +118,32 @@ def wrong(name: str, hint) -> list[str]:
     return FLAG if bool in kinds else WHOLE if int in kinds else REAL if float in kinds else TEXTS[name]
 
 
+def commands() -> dict:
+    """Command -> (its parts, the types of its parameters); one of a group is "GROUP COMMAND"."""
+    entries = {}
+    for name, entry in typer.main.get_command(cli.app).commands.items():
+        inner = getattr(entry, "commands", None)
+        entries |= {name: entry} if inner is None else {f"{name} {word}": e for word, e in inner.items()}
+    callbacks = {info.name or info.callback.__name__: info.callback for info in cli.app.registered_commands}
+    for group in cli.app.registered_groups:
+        of_group = group.typer_instance.registered_commands
+        callbacks |= {f"{group.name} {info.callback.__name__}": info.callback for info in of_group}
+    return {name: (entry, typing.get_type_hints(callbacks[name])) for name, entry in entries.items()}
+
+
 def sweep() -> list[list[str]]:
     """Every option of every command without a value, with a wrong one, misspelt; arguments missing, wrong, too many."""
     found = []
-    hints = {info.callback.__name__: typing.get_type_hints(info.callback) for info in cli.app.registered_commands}
-    for command, entry in typer.main.get_command(cli.app).commands.items():
-        good = [command, *GOOD[command]]
+    for command, (entry, hints) in commands().items():
+        words = command.split()
+        good = [*words, *GOOD[command]]
         arguments = [p for p in entry.params if p.param_type_name == "argument"]
-        for at, argument in enumerate(arguments, 1):
-            values = wrong(argument.name, hints[command][argument.name])
+        for at, argument in enumerate(arguments, len(words)):
+            values = wrong(argument.name, hints[argument.name])
             found += [[*good[:at], value, *good[at + 1 :]] for value in values]
-            found += [[command, *good[at + 1 :]]] if argument.required else []
+            found += [[*words, *good[at + 1 :]]] if argument.required else []
         for option in [p for p in entry.params if p not in arguments]:
-            values, word = wrong(option.name, hints[command][option.name]), option.opts[-1]
+            values, word = wrong(option.name, hints[option.name]), option.opts[-1]
             found += [[*good, name + "x"] for name in (*option.opts, *option.secondary_opts)]
             found += [[*good, f"{word}={value}"] for value in values]
             found += [] if option.is_flag else [[*good, word]]
@@ -155,6 +177,9 @@ def world(tmp_path_factory):
     conceal("cable_drum", 3, folder / "rig", kind="clean")
     for table in (folder / "rig").glob("*.csv"):
         table.write_text("".join(table.read_text().splitlines(keepends=True)[:3001]))
+    make(folder / "bench", 1, plants=["tank"])
+    run(folder / "bench", "nominal", folder / "answers", 60.0)
+    (folder / "short.txt").write_text("secret")
     (folder / "no_rig").mkdir()
     (folder / "no_rig" / "rig.toml").write_text("plant = 5\n")
     return folder
@@ -178,7 +203,7 @@ def test_wrong_use_is_one_line_with_exit_code_2_and_nothing_is_written(arguments
 
 
 def test_every_command_is_swept_and_400_invocations_at_least():
-    assert set(GOOD) == set(typer.main.get_command(cli.app).commands)
+    assert set(GOOD) == set(commands())
     assert len({tuple(a) for a in ALL}) >= LEAST
     print(f"{len(ALL)} invocations")
 

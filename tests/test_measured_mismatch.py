@@ -15,6 +15,7 @@ from greygate.mismatch.model import FILTERS, Model, begun
 from greygate.mismatch.rig import load
 
 ROOT = Path(__file__).parent.parent
+QUANTIZED = {"dfki", "bam"}  # rigs whose sensors' steps are known
 RIGS = sorted(path.parent for path in (ROOT / "recordings" / "rigs").glob("*/rig.toml"))
 
 
@@ -38,7 +39,7 @@ def test_every_measured_rig_has_a_maker(bench):
 @pytest.mark.parametrize("folder", RIGS, ids=lambda path: path.name)
 def test_the_effects_of_a_measured_rig_join_its_plant(folder):
     rig = load(folder)
-    assert not rig.stated
+    assert rig.stated == (folder.name in QUANTIZED)
     own = table.read(folder / "effects.toml") if (folder / "effects.toml").exists() else {}
     fitting = table.fitting(rig.plant, rig.datasheet, own)
     assert list(fitting) == list(own)
@@ -77,8 +78,9 @@ def test_noise_is_learnt_and_forgets_within_its_share_of_the_recording(tanks):
 def test_overflow_of_the_tanks_is_named_where_a_sensor_offset_is_the_alternative(tanks):
     known = table.known(tanks, tanks.recording(tanks.folder / "identify.csv"))
     found = diagnose(tanks, {key: known[key] for key in ("upper_overflow", "sensor_offset")}).as_dict()
-    assert found["verdict"] == "missing_physics"
+    assert found["verdict"] == "partly_explained"  # the lower tank spills as well
     assert found["effects"][0]["id"] == "upper_overflow"
+    assert 0.1 < found["explained"] < 0.5
     held = found["fit"]["holdout"]["y"]
     assert held["corrected"] < held["calibrated"] < held["simulation"]
 

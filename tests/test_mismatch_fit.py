@@ -289,14 +289,14 @@ def test_a_run_restarts_where_a_sensor_that_reads_wrong_showed_the_state_to_be(f
     np.testing.assert_allclose(predicted, read, rtol=1e-4)
 
 
-def test_what_is_held_out_is_every_other_second_under_the_parameters_of_the_rest():
+def test_what_is_held_out_is_every_other_stretch_under_the_parameters_of_the_rest():
     rng = np.random.default_rng(7)
     slopes, errors = rng.standard_normal((16, 30, 2)), rng.standard_normal((16, 30))
     weight, numbers = np.array([0.0, 4.0]), np.array([0.3, -0.5])
-    second = np.arange(16) // 4 % 2  # windows of 25 samples of 10 ms
+    second = np.arange(16) // 4 % 2  # windows of 25 samples
 
     def held_out(high: float) -> float:
-        made = SimpleNamespace(block=25, model=SimpleNamespace(rig=SimpleNamespace(dt=0.01)))
+        made = SimpleNamespace(alternate=lambda stretch: second == 0)
         asked = (Unknown("a", 0.0, 1.0), Unknown("b", 0.0, 1.0, 0.5, high=high))
         fit = Fit(made, asked, {}, numbers, np.zeros((16, 0)), errors, weight, 0.0, True, np.ones(1))
         fit.__dict__.update(slopes=slopes, projected=errors)
@@ -333,7 +333,7 @@ def test_the_rounding_of_an_input_counts_where_it_is_of_the_predicted_kind_alone
     assert sigma[1] == pytest.approx(np.sqrt(NOISE**2 + repeated * 1e-8 / 12))
 
 
-def test_the_first_quarter_second_counts_for_nothing_where_a_state_has_no_sensor(tmp_path):
+def test_the_first_twelfth_counts_for_nothing_where_a_state_has_no_sensor(tmp_path):
     plant = PLANT.replace('drive = "force"', 'drive = "late"').replace(
         "[equations.position]",
         '[equations.lag]\nlate = { storage = "0.02", catch_up = "force - late" }\n[equations.position]',
@@ -385,3 +385,9 @@ def test_the_cost_counts_the_square_of_each_shift_by_its_weight(folder):
     assert shifts.size
     assert np.all(np.asarray(p.heavy) > 0)
     assert p.cost(errors, shifts, temper) == pytest.approx(9.0 * np.sum(p.heavy * np.ones_like(shifts)), rel=1e-12)
+
+
+@pytest.mark.parametrize(("windows", "size", "each"), [(200, 100, 10), (80, 25, 4), (6, 25, 1)])
+def test_stretches_are_a_thousand_samples_or_a_twentieth_of_the_recording(windows, size, each):
+    made = SimpleNamespace(windows=windows, block=size)
+    np.testing.assert_array_equal(Likelihood.alternate(made, 1000), np.arange(windows) // each % 2 == 0)

@@ -142,7 +142,7 @@ def test_a_diagnosis_says_what_it_is_doing_in_single_lines(case):
     lines: list[str] = []
     diagnose(load(folder), progress=lines.append)
     assert lines[0] == "compiling the plant"
-    assert "fitting speed_slip" in lines
+    assert "fitting direction_slip" in lines
     assert lines[-1] == "predicting the recordings"
     assert all(line and "\n" not in line for line in lines)
 

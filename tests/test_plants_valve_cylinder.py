@@ -338,11 +338,14 @@ def test_a_scenario_reads_back_from_csv_bit_for_bit(tmp_path, scenarios):
 
 def test_the_example_of_the_page_runs(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"```python\n(.*?)```", DOCS.read_text(), flags=re.DOTALL)
+    blocks = re.findall(r"```(python|toml title=\"([\w.]+)\")\n(.*?)```", DOCS.read_text(), flags=re.DOTALL)
     assert blocks
     space = {}
-    for block in blocks:
-        exec(block, space)
+    for _, name, block in blocks:
+        if name:
+            Path(name).write_text(block)
+        else:
+            exec(block, space)
     assert isinstance(space["plant"], Plant)
     assert read_csv("run.csv").units == {"q_in": "m^3/s", "h": "m", "q_out": "m^3/s"}
     assert space["residual"].mean() == pytest.approx(2e-5 * space["recording"]["h"].mean(), rel=0.02)

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from greygate import __version__
-from greygate.cli import boards, builds, networks, rigs
+from greygate.cli import bench, boards, builds, networks, rigs
 from greygate.cli.terminal import say
 from greygate.errors import InputError
 
@@ -23,7 +23,7 @@ COMMANDS = (
     *(builds.emulate, builds.verify, builds.prove, builds.synthesize, builds.report),
     *(boards.board, boards.play),
     networks.validate,
-    *(rigs.diagnose, rigs.isolability, rigs.simulate, rigs.augment, rigs.conceal, rigs.reveal),
+    *(rigs.diagnose, rigs.next_, rigs.isolability, rigs.simulate, rigs.augment, rigs.conceal, rigs.reveal),
 )
 
 app = typer.Typer(
@@ -33,7 +33,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for command in COMMANDS:
-    app.command()(command)
+    app.command(command.__name__.rstrip("_"))(command)
+app.add_typer(bench.app, name="bench-concealed")
 
 
 def _version(wanted: bool) -> None:

@@ -1,5 +1,6 @@
-"""Commands on rigs: diagnose, isolability, simulate, augment, and the concealed cases that test them."""
+"""Commands on rigs: diagnose, next, isolability, simulate, augment, and the concealed cases that test them."""
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -81,6 +82,29 @@ def isolability(
     give(found, as_json, lines)
 
 
+def next_(
+    rig: RigFolder,
+    diagnosis: Annotated[Path, typer.Option(help="diagnosis.json of this rig's identify.csv, by `greygate diagnose`.")],
+    out: Annotated[Path | None, typer.Option(help="CSV to write: t and every input, to be played.")] = None,
+    effects: Annotated[list[Path], typer.Option(help="Tables that the diagnosis had, too.")] = [],
+    longest: Annotated[
+        float, typer.Option(callback=options.SECONDS, help="Seconds that the experiment may take.")
+    ] = math.inf,
+    as_json: Json = False,
+) -> None:
+    """Find the experiment that tells apart what a diagnosis does not, within what the recording shows the rig stands.
+
+    Exit code 1 if the diagnosis leaves nothing to tell apart, or no experiment does; it then says which sensor would.
+    """
+    from greygate.proposing import propose
+
+    with following("looking for an experiment") as progress:
+        found, lines, tells = propose(rig, diagnosis, out, effects, longest, progress)
+    give(found, as_json, [*lines, f"written to {out}"] if tells and out is not None else lines)
+    if not tells:
+        raise typer.Exit(1)
+
+
 def _range(text: str) -> tuple[str, tuple[float, float]]:
     name, _, span = text.partition("=")
     low, _, high = span.partition(":")
@@ -100,6 +124,10 @@ def simulate(
         Path | None, typer.Option(help="diagnosis.json of this plant: simulate with its corrections.")
     ] = None,
     effects: Annotated[list[Path], typer.Option(help="Tables that the diagnosis had, too.")] = [],
+    own: Annotated[
+        str | None,
+        typer.Option("--as", help="NAME of the [recordings.NAME] whose parameters hold; by default the file's name."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Simulate a recording with the values of the data sheet, or with the plant as a diagnosis corrects it.
@@ -108,7 +136,7 @@ def simulate(
     """
     from greygate.explain import predict
 
-    rms = predict(rig, recording, diagnosis, out, effects)
+    rms = predict(rig, recording, diagnosis, out, effects, own)
     lines = [
         f"{name:10} RMS of simulated minus recorded {finite(e['rms'], '.5g')} {e['unit']}" for name, e in rms.items()
     ]
@@ -145,15 +173,16 @@ def conceal(
     plant: Annotated[str, typer.Argument(help="Name of a plant; an unknown name lists the plants.")],
     seed: Annotated[int, typer.Option(callback=options.SEED, help="Seed from which the whole case is drawn.")],
     out: Annotated[Path, typer.Option(help="Folder to write; an earlier case is replaced.")],
-    kind: Annotated[str, typer.Option(help="What is concealed: clean, parameter, one, two, foreign, or any.")] = "any",
+    kind: Annotated[str, typer.Option(help="clean, parameter, one, two, both, foreign, or any.")] = "any",
     effect: Annotated[str | None, typer.Option(help="Name of the (first) effect; drawn if not given.")] = None,
+    condition: Annotated[str, typer.Option(help="How it is recorded; an unknown name lists the ways.")] = "white",
     as_json: Json = False,
 ) -> None:
     """Write recordings of a rig with a concealed effect, and the sealed answer."""
     from greygate.mismatch.concealed.conceal import conceal as write
 
     with following(f"recording {plant}"):
-        write(plant, seed, out, kind=kind, effect=effect)
+        write(plant, seed, out, kind=kind, effect=effect, under=condition)
     seal = (out / "sealed.json.sha256").read_text(encoding="utf-8").split()[0]
     give({"out": str(out), "sha256": seal}, as_json, [f"written to {out}", f"answer sealed with SHA-256 {seal}"])
 

@@ -16,6 +16,7 @@ from greygate.pages.units import number
 
 LEFT, RIGHT, TOP, BOTTOM = 58, 10, 8, 34  # margins of a chart, px
 BINS = 400  # of the drawing of a complete run; each shows its least and its largest value
+APART = 1e-9  # of a limit: limits of an axis that are nearer to each other are moved apart
 ROW = 19  # height of one signal in `formats`, px
 TRUSTED = 0.8  # coherence below which a frequency response is not drawn
 CHANGE_DECADES, CHANGE_HEIGHT = 6, 66  # scale and height [px] of a row of `weight_changes`
@@ -78,6 +79,12 @@ def span(values: Sequence[float | None], log: bool = False, margin: float = 0.06
     return low - room, high + room
 
 
+def _apart(limits: Sequence[float]) -> tuple[float, float]:
+    """`limits`, moved apart where they are equal or nothing is drawn."""
+    low, high = limits or (0.0, 1.0)
+    return (low, high) if high - low > APART * abs(high) else span([low, high])
+
+
 def envelope(values: np.ndarray, bins: int = BINS) -> dict[str, list]:
     """Least and largest value of each bin, in the order in which they come: {"step": [...], "value": [...]}."""
     edges = np.unique(np.linspace(0, len(values), min(bins, len(values)) + 1).astype(int))
@@ -116,8 +123,8 @@ def chart(
     inner_w, inner_h = width - LEFT - RIGHT, height - TOP - bottom
     every_x = [v for line in lines for v in line.x if v is not None]
     every_y = [v for line in lines for v in line.y] + [v for v, _ in levels]
-    sx = Scale(*(x_limits or (min(every_x), max(every_x))), inner_w, x_log)
-    sy = Scale(*(y_limits or span(every_y, y_log)), inner_h, y_log)
+    sx = Scale(*_apart(x_limits or (every_x and (min(every_x), max(every_x)))), inner_w, x_log)
+    sy = Scale(*_apart(y_limits or span(every_y, y_log)), inner_h, y_log)
     parts = [f'<svg class="chart" viewBox="0 0 {width} {height}" role="img" aria-label="{escape(y)} over {escape(x)}">']
     x_ticks, y_ticks = x_ticks or sx.ticks(), sy.ticks(min(34, inner_h / 3))
     for t, label in zip(y_ticks, _labels(y_ticks, y_log), strict=True):

@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from greygate.mismatch.diagnosis import APART, Diagnosis
-from greygate.mismatch.experiments.excitation import unseen
 from greygate.mismatch.experiments.separation import separations
 from greygate.mismatch.locate import display_unit
+from greygate.mismatch.rig import Rig
 from greygate.mismatch.verdict import Verdict
 from greygate.plants.expressions import names
 
@@ -19,6 +19,7 @@ EXPERIMENTS = {
 }
 """Variable -> the experiment in which it alone changes, for the variables of any motion; plants add their own."""
 
+DIVERGES = "diverges"  # in place of the error of a simulation that does not stay finite
 SIMULATED = 3  # number of alternatives for which simulation finds an experiment
 
 
@@ -39,7 +40,8 @@ class Amount:
 def amount(value: float, ci95: Sequence[float] | None, unit: str) -> Amount:
     """`value` with its interval as a person reads it."""
     factor, label = display_unit(unit, abs(value))
-    value, (low, high) = value * factor, (b * factor for b in ci95 or (value, value))
+    known = ci95 if ci95 and None not in ci95 else (value, value)
+    value, (low, high) = value * factor, (b * factor for b in known)
     half = (high - low) / 2
     if not half > 0:
         return Amount(f"{value:.4g}", "", "", label)
@@ -73,15 +75,75 @@ def lines(result: Diagnosis) -> list[str]:
         for name, p in entry["parameters"].items():
             name = name.removeprefix(f"unknown_{p.get('place')}_")  # the file holds the full name with the place
             out.append(row("", f"{name:<14} {amount(p['value'], p['ci95'], p['unit'])}"))
+        if shown := result.shown.get(entry.get("form", "")):
+            out.append(row("", str(shown)))
+    if "explained" in found:
+        out.append(row("explains", f"{found['explained']:.1%} of the squared error that can be removed"))
     for i, (name, p) in enumerate(found["parameters"].items()):
         out.append(row("" if i else "parameters", parameter(result, name, p)))
+    for name, own in found.get("recordings", {}).items():
+        for symbol, p in own.get("parameters", {}).items():
+            out.append(row(name, parameter(result, symbol, p, result.rig.of(name))))
+        out += [row(name, own["resampled"])] if "resampled" in own else []
+        out += [row(name, f"alone: {alone(own['alone'])}")] if "alone" in own else []
     out += fit_table(found["fit"])
     for i, text in enumerate(alike(result, found)):
         out.append(row("" if i else "alternatives", text))
-    if hidden := unseen(result.calibrated):
-        out.append(row("cannot show", ", ".join(hidden)))
-    out.append(row("remains", found["remaining"] or "nothing above what the sensors' noise makes"))
+    for i, text in enumerate(found.get("refused", ())):
+        out.append(row("" if i else "refused", text))
+    for i, text in enumerate(found.get("units", ())):
+        out.append(
+            row("" if i else "units", f"{text}: correct the units, or do not trust those of what is found there")
+        )
+    for i, text in enumerate(bounds(found)):
+        out.append(row("" if i else "not there", text))
+    for i, text in enumerate(hidden(result)):
+        out.append(row("" if i else "cannot show", text))
+    for i, text in enumerate(noises(found)):
+        out.append(row("" if i else "noise", text))
+    out.append(row("remains", found["remaining"] or nothing_left(result)))
     return [*out, f"{found['seconds']:.1f} s"]
+
+
+def alone(found: Mapping) -> str:
+    """What one of several recordings says alone."""
+    claimed = ", ".join(entry["id"] for entry in found["effects"] if entry["id"] != "unknown")
+    return claimed or Verdict(found["verdict"]).replace("_", " ")
+
+
+def nothing_left(result: Diagnosis) -> str:
+    """What is said where nothing remains: a sensor's noise is only spoken of where somebody told it."""
+    if result.rig.stated:
+        return "nothing above what the sensors' noise makes"
+    return "nothing that goes with the machine's signals; whether it is noise, nobody told"
+
+
+def bounds(found: Mapping) -> list[str]:
+    """Each effect that is not there with the size that the recording rules out."""
+    out = []
+    for entry in found.get("not_larger_than", ()):
+        sizes = [f"{n} {amount(p['value'], None, p['unit'])}" for n, p in entry.get("parameters", {}).items()]
+        out += [f"{entry['id']}: not larger than {', '.join(sizes)}"] if sizes else []
+    return out
+
+
+def noises(found: Mapping) -> list[str]:
+    """Each channel whose noise is not what rig.toml tells."""
+    out = []
+    for name, noise in found.get("noise", {}).items():
+        if not noise["as_told"]:
+            coloured = f", remembers {noise['memory']} samples" if noise["memory"] else ""
+            size, times = amount(noise["found"], None, noise["unit"]), noise["found"] / noise["told"]
+            out.append(f"{name}: {size}, {times:.2g} times what rig.toml tells{coloured}")
+    return out
+
+
+def hidden(result: Diagnosis) -> list[str]:
+    """Effects that the recording cannot show, those of one reason together."""
+    reasons: dict[str, list[str]] = {}
+    for name, reason in result.cannot_show.items():
+        reasons.setdefault(reason, []).append(name)
+    return [", ".join(those) + (f": {reason}" if reason else "") for reason, those in reasons.items()]
 
 
 def row(head: str, text: str) -> str:
@@ -101,9 +163,9 @@ def where(found: Mapping) -> list[tuple[str, str]]:
     ]
 
 
-def parameter(result: Diagnosis, name: str, found: Mapping) -> str:
-    """A fitted parameter beside the value of its data sheet."""
-    given = result.rig.plant.parameters[name]
+def parameter(result: Diagnosis, name: str, found: Mapping, rig: Rig | None = None) -> str:
+    """A fitted parameter beside the value of its data sheet. rig: as it is in one recording."""
+    given = (rig or result.rig).plant.parameters[name]
     factor, _ = display_unit(given.unit, abs(found["value"]))
     off = " OUTSIDE ITS TOLERANCE" if found.get("outside_tolerance") else ""
     sheet = f"data sheet {given.value * factor:.5g} ± {100 * given.tolerance:g} %"
@@ -116,8 +178,8 @@ def fit_table(fit: Mapping) -> list[str]:
     for recording, channels in fit.items():
         for channel, rms in channels.items():
             values = [rms[kind] for kind in ("simulation", "calibrated", "corrected")]
-            factor, unit = display_unit(rms["unit"], max((v for v in values if math.isfinite(v)), default=0.0))
-            texts = [f"{factor * v:.4g}" for v in values]
+            factor, unit = display_unit(rms["unit"], max((v for v in values if v is not None), default=0.0))
+            texts = [DIVERGES if v is None else f"{factor * v:.4g}" for v in values]
             out.append(row("", f"{recording:<10}{channel:<8}{unit:<4}{texts[0]:>11}{texts[1]:>12}{texts[2]:>11}"))
     return out
 

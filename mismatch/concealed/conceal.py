@@ -39,6 +39,7 @@ variant, which stands after the slashes here ("same": there is one form).
 
 import hashlib
 import json
+import shutil
 import zlib
 from dataclasses import replace
 from pathlib import Path
@@ -51,39 +52,50 @@ from greygate.files import replaceable, replacing_folder
 from greygate.reading import anything, line, listed, named, read_json, table
 from greygate.table import read_table
 
+from .domains import DOMAINS
 from .line import BELT, DRUM
 from .pump import PUMP
-from .rig import SAMPLE_TIME, Columns, ConcealedRig, calibrate, errors, rms
+from .rig import Columns, ConcealedRig, calibrate, errors, rms
+from .stress import Recorder, condition
 from .valve import VALVE
 
 RIGS: dict[str, ConcealedRig] = {rig.plant: rig for rig in (VALVE, PUMP, BELT, DRUM)}
+EVERY_RIG = RIGS | DOMAINS
 KINDS = {"clean": 0.15, "parameter": 0.1, "one": 0.5, "two": 0.1, "foreign": 0.15}
-LEAST = {"two": 0.4, "foreign": 0.3}  # where the sizes begin, of their range: a pair or an unknown is to be seen
-RECORDINGS = {"identify": 20.0, "holdout": 8.0, "third": 8.0}  # seconds
+BOTH = "both"  # a kind that is never drawn: a wrong parameter and an effect
+LEAST = {
+    "two": 0.4,
+    "foreign": 0.3,
+    BOTH: 0.3,
+}  # where the sizes begin, of their range: a pair or an unknown is to be seen
 CLAIM = {"verdict": line, "effects": listed(anything), "where": listed(anything), "parameters": named(anything)}
 OFF_TOLERANCES = 3, 6  # by how many tolerances a wrong parameter is off
 FARTHEST_DOWN = 0.7  # of its value: a parameter that is off by more is larger than the data sheet's, not smaller
 BARE = 0.1  # of the rigs have none of their `optional` parameters
+PLANTS = Path(__file__).parent / "domains"
 EVERY = 8  # of the windows is seen by the generator's own calibration
 NOISE = (0.6, 1.6)  # times the usual noise of a rig's outputs
+WRITTEN = "%.9g"  # a number of a small machine
 DECIMALS = {"V": 5, "m": 7, "rev/s": 4, "Pa": 0}
 
 
-def conceal(plant: str, seed: int, out: Path, *, effect: str | None = None, kind: str = "any") -> Path:
+def conceal(
+    plant: str, seed: int, out: Path, *, effect: str | None = None, kind: str = "any", under: str = "white"
+) -> Path:
     """Write a campaign on `plant` with something concealed to the folder `out`, and the sealed answer; return `out`.
 
-    `rig.toml`, `identify.csv` (20 s) and `holdout.csv` (8 s) are what a diagnosis may read; `third.csv` (8 s) is kept
-    back for `reveal`. `sealed.json` is the answer, `sealed.json.sha256` its seal. The same arguments give the same
-    bytes.
+    `rig.toml`, `identify.csv` and `holdout.csv` (and PLANT.toml of a small machine) are what a diagnosis may read;
+    `third.csv` is kept back for `reveal`. `sealed.json` is the answer, `sealed.json.sha256` its seal. The same
+    arguments give the same bytes.
 
     kind: "clean", "parameter" (one parameter 3 to 6 tolerances off), "one" or "two" effects of the vocabulary,
-        "foreign" (one outside it), "any": drawn with the shares of `KINDS`.
-    effect: the name of the (first) effect; drawn if None.
+        "foreign" (one outside it), "any": drawn with the shares of `KINDS`; "both": a parameter and one effect.
+    effect: the name of the (first) effect; drawn if None. under: the condition of `stress.CONDITIONS`.
 
-    Raises InputError for an unknown plant, kind or effect, a pair of them that excludes itself, or an `out` that is
-    not a folder of this kind.
+    Raises InputError for an unknown plant, kind, effect or condition, a pair of them that excludes itself, or an `out`
+    that is not a folder of this kind.
     """
-    rig = _rig(plant)
+    rig, stress = _rig(plant), condition(under)
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise InputError(f"conceal: seed {seed!r} is not a whole number from 0")
     replaceable(out, "conceal")
@@ -101,14 +113,13 @@ def conceal(plant: str, seed: int, out: Path, *, effect: str | None = None, kind
     rig = replace(rig, tolerance={key: value for key, value in rig.tolerance.items() if key in datasheet})
 
     true, off = _true(rig, datasheet, kind, rng)
-    recordings = {}
-    for name, seconds in RECORDINGS.items():
-        signals = rig.record(true, concealed, form, seconds, rng)
-        recordings[name] = {c.name: c.measure(signals[c.name], rng) for c in rig.channels}
+    recordings, recorder = {}, Recorder.of(rig, stress, rng)
+    for name, seconds in rig.seconds.items():
+        recordings[name] = recorder.measure(rig.record(true, concealed, form, seconds, rng), rng)
     answer = {
         "plant": plant,
         "verdict": _verdict(kind),
-        "effects": names if kind in ("one", "two") else [],
+        "effects": names if kind in ("one", "two", BOTH) else [],
         "equation": _union(known[name].equation for name in names) if names else list(rig.places[off]) if off else [],
         "depends_on": _union(known[name].depends_on for name in names),
         "effects_true": concealed,
@@ -119,13 +130,26 @@ def conceal(plant: str, seed: int, out: Path, *, effect: str | None = None, kind
         "form": "variant" if form else "standard",
         "seed": seed,
     }
+    if stress.means != condition("white").means:
+        answer |= {"condition": under, "faulty": recorder.faulty}
     bare = {name: datasheet[name] if name == off else true[name] for name in datasheet}
-    answer |= _fits(rig, recordings, datasheet, bare, true, concealed, form)
+    seen = recorder.written()
+    answer |= _fits(
+        replace(rig, predict=seen.predict, sample_time=seen.sample_time),
+        recordings,
+        datasheet,
+        bare,
+        true,
+        concealed,
+        form,
+    )
 
     with replacing_folder(out, "conceal") as folder:
-        (folder / "rig.toml").write_text(_toml(rig, datasheet))
+        (folder / "rig.toml").write_text(_toml(seen, datasheet))
+        if rig.own:
+            shutil.copyfile(PLANTS / f"{plant}.toml", folder / f"{plant}.toml")
         for name, columns in recordings.items():
-            _write(folder / f"{name}.csv", rig, columns)
+            _write(folder / f"{name}.csv", seen, columns)
         sealed = json.dumps(answer, indent=1) + "\n"
         (folder / "sealed.json").write_text(sealed)
         (folder / "sealed.json.sha256").write_text(f"{hashlib.sha256(sealed.encode()).hexdigest()}  sealed.json\n")
@@ -139,7 +163,7 @@ def _true(
     true = dict(datasheet)
     for name, tolerance in rig.tolerance.items():
         true[name] *= 1 + np.clip(rng.normal(0, tolerance / 2), -tolerance, tolerance)
-    if kind != "parameter":
+    if kind not in ("parameter", BOTH):
         return true, None
     off = str(rng.choice(list(rig.tolerance)))
     change = rng.uniform(*OFF_TOLERANCES) * rig.tolerance[off]
@@ -195,7 +219,7 @@ def _score(answer: dict, claim: dict) -> dict:
         "false_effects": sorted(set(claimed) - set(true)),
         "in_set": bool(set(true) & ({*claimed} | alike)) if true else None,
         "right_equation": bool(equations & set(answer["equation"])) if answer["equation"] else None,
-        "right_place": bool({*map(_place, equations)} & {*map(_place, answer["equation"])})
+        "right_place": bool({*map(place, equations)} & {*map(place, answer["equation"])})
         if answer["equation"]
         else None,
         "depends_on": len(variables & set(answer["depends_on"])) / len(answer["depends_on"])
@@ -284,21 +308,21 @@ def _fits(
 
 
 def _rig(plant: str) -> ConcealedRig:
-    if plant not in RIGS:
-        raise InputError(f"conceal: no plant {plant!r}; there are {', '.join(RIGS)}")
-    return RIGS[plant]
+    if plant not in EVERY_RIG:
+        raise InputError(f"conceal: no plant {plant!r}; there are {', '.join(EVERY_RIG)}")
+    return EVERY_RIG[plant]
 
 
 def _kind(rig: ConcealedRig, kind: str, effect: str | None, rng: np.random.Generator) -> str:
-    if kind not in (*KINDS, "any"):
-        raise InputError(f"conceal: no kind {kind!r}; there are {', '.join(KINDS)} and any")
+    if kind not in (*KINDS, BOTH, "any"):
+        raise InputError(f"conceal: no kind {kind!r}; there are {', '.join((*KINDS, BOTH))} and any")
     drawn = str(rng.choice(list(KINDS), p=list(KINDS.values())))
     if effect is None:
         return drawn if kind == "any" else kind
     if effect not in rig.effects and effect not in rig.foreign:
         known = ", ".join([*rig.effects, *rig.foreign])
         raise InputError(f"conceal: {rig.plant} has no effect {effect!r}; there are {known}")
-    fitting = ("foreign",) if effect in rig.foreign else ("one", "two")
+    fitting = ("foreign",) if effect in rig.foreign else ("one", "two", BOTH)
     if kind not in ("any", *fitting):
         raise InputError(f"conceal: {effect!r} is no case of kind {kind!r}; use {' or '.join(fitting)}")
     return fitting[0] if kind == "any" else kind
@@ -328,7 +352,7 @@ def _verdict(kind: str) -> str:
     )
 
 
-def _place(equation: str) -> str:
+def place(equation: str) -> str:
     """A flow and the continuity equation that it enters are one place; a sensor goes by its channel."""
     return equation.replace("flow_", "continuity_").removeprefix("sensor_")
 
@@ -339,7 +363,8 @@ def _union(tuples) -> list[str]:
 
 def _toml(rig: ConcealedRig, datasheet: dict[str, float]) -> str:
     """`rig.toml` as the shared campaigns lay it out."""
-    lines = [f'plant = "{rig.plant}"', "sample_time_s = 0.001"]
+    plant = f"{rig.plant}.toml" if rig.own else rig.plant
+    lines = [f'plant = "{plant}"', f"sample_time_s = {rig.sample_time!r}"]
     lines += [f"window_s = {rig.window}"] if rig.window else []
     lines += ["predict = [" + ", ".join(f'"{c.name}"' for c in rig.predicted) + "]", ""]
     lines += ["# datasheet values, SI units", "[parameters]"]
@@ -358,9 +383,9 @@ def _toml(rig: ConcealedRig, datasheet: dict[str, float]) -> str:
 
 def _write(path: Path, rig: ConcealedRig, columns: Columns) -> None:
     table = np.column_stack(
-        [np.arange(len(columns[rig.channels[0].name])) * SAMPLE_TIME, *(columns[c.name] for c in rig.channels)]
+        [np.arange(len(columns[rig.channels[0].name])) * rig.sample_time, *(columns[c.name] for c in rig.channels)]
     )
-    formats = ["%.3f", *(f"%.{DECIMALS[c.unit]}f" for c in rig.channels)]
+    formats = ["%.3f", *(f"%.{DECIMALS[c.unit]}f" for c in rig.channels)] if not rig.own else WRITTEN
     np.savetxt(path, table, fmt=formats, delimiter=",", header=",".join(["t", *columns]), comments="")
 
 

@@ -1,4 +1,4 @@
-"""What a rig with a concealed effect is made of, and what the four of them share: sensors, velocities, calibration."""
+"""What a rig with a concealed effect is made of, and what all of them share: sensors, velocities, calibration."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -9,6 +9,7 @@ from numba import njit
 Columns = dict[str, np.ndarray]
 
 SAMPLE_TIME = 1e-3  # s
+RECORDINGS = {"identify": 20.0, "holdout": 8.0, "third": 8.0}  # seconds
 UNIFORM_VARIANCE = 12  # an error spread evenly over a width has the variance width^2 / 12
 PRESSURES, CODES = 40e6, 2**16  # Pa, and the codes of the converter that cover them
 OFFSET_STEP, STEP = 1e-6, 1e-3  # for differences: of an offset in its unit, of a relative change
@@ -68,11 +69,15 @@ class Sensor:
         """RMS of what the sensor adds."""
         return float(np.hypot(self.noise, self.resolution / np.sqrt(UNIFORM_VARIANCE)))
 
+    @property
+    def step(self) -> float:
+        """The converter's."""
+        return self.resolution or (self.noise / 2 if self.unit == "m" else PRESSURES / CODES)
+
     def measure(self, signal: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """What the recorder writes: noise first, then the converter's grid (16 bits of 40 MPa for pressures)."""
-        step = self.resolution or (self.noise / 2 if self.unit == "m" else PRESSURES / CODES)
         noisy = signal + self.noise * rng.standard_normal(len(signal)) if self.noise else signal
-        rounded = step * np.round(noisy / step)
+        rounded = self.step * np.round(noisy / self.step)
         return np.round(rounded) if self.unit == "Pa" else rounded
 
 
@@ -83,7 +88,9 @@ class ConcealedRig:
     `record(parameters, effects, form, seconds, rng)` gives the true signals of a campaign, `predict(columns,
     parameters, effects, form)` the predicted channels by the comparison rule of the rigs. `form` is 0 for the standard
     form of every effect and 1 for its variant. `places` is the equation of each parameter with a tolerance, `same` the
-    effects that are one claim, `optional` the parameters of something that one rig in ten has not got.
+    effects that are one claim, `alike` those that no recording of it tells apart, `optional` the parameters of
+    something that one rig in ten has not got. `seconds` are those of its recordings; with `own` its plant is the file
+    domains/PLANT.toml, which lies beside its rig.toml.
     """
 
     plant: str
@@ -98,6 +105,10 @@ class ConcealedRig:
     predict: Callable[..., Columns]
     same: tuple[frozenset[str], ...] = ()
     optional: tuple[str, ...] = ()
+    alike: tuple[frozenset[str], ...] = ()
+    sample_time: float = SAMPLE_TIME
+    seconds: dict[str, float] = field(default_factory=RECORDINGS.copy)
+    own: bool = False
 
     @property
     def predicted(self) -> list[Sensor]:

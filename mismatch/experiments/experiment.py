@@ -1,5 +1,6 @@
 """Experiments on a rig: inputs made by rule, within the bounds that a recording shows the rig to withstand."""
 
+import copy
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
@@ -8,21 +9,22 @@ from scipy.signal import savgol_filter
 
 from greygate.errors import InputError
 from greygate.mismatch.effects import Effect, fitting
-from greygate.mismatch.model import FEWEST_BESIDE, SMOOTH, Model
+from greygate.mismatch.model import SMOOTH, Model, reach
 from greygate.mismatch.rig import Channel, Rig
 from greygate.plants.recording import Recording
 
-SECONDS = 3.0  # of an experiment, or, where samples are slow,
-FEWEST = 1000  # samples of it
-REST = 20.0  # lengths of an experiment that a rig rests before a move is repeated
+SAMPLES = 3000  # of an experiment; no more than the recording has
+RESTS = 20.0, 2.0  # lengths of an experiment that a rig rests before a move is repeated
+RESTED, MOVED = 6, 2  # parts of the longest experiment: that moves take before a rest, and without one
+ROUNDING = 1e-9  # of the longest time, by which an experiment may be longer
 AMPLITUDES = (1.0, 0.5, 0.25, 0.1)  # of a swing
 MARGIN = 0.1  # of its recorded range, by which an output may leave it
 OFF_STOP = 1e-3  # of its recorded range: an output that stays so far from a stop has not touched it
 EXTREME = 0.99  # quantile of a command that counts as its largest
-NOMINAL = 2.0  # s of each motion of the simulated recording, where nothing is recorded yet
-SLOW, SOFT = 0.5, 5.0  # travels a second, travels a second squared: of moves where none is recorded
+NOMINAL = 2000  # samples of each motion of the simulated recording, where nothing is recorded yet
+SLOW, SOFT = 1.0, 20.0  # travels in the time of such a motion, and in its square: of moves where none is recorded
 HOLD = 0.25  # of an experiment's length, after which inputs at rest shall have moved nothing
-RESTS, NUDGE, TAME = 4, 0.02, 1e-4  # steps towards such inputs, their trials (of what is recorded), their damping
+TRIALS, NUDGE, TAME = 4, 0.02, 1e-4  # steps towards such inputs, their trials (of what is recorded), their damping
 FIRM = 10.0  # by which a position's place counts more than another output's mean
 STEPS = (2, 8, 32)  # in an experiment: slow enough to come to rest, as fast as a plant follows, and faster
 HEIGHTS = 16  # of steps that rise to the full swing
@@ -58,8 +60,8 @@ class Bounds:
     swing: Mapping[str, float]
     low: Mapping[str, float]
     high: Mapping[str, float]
-    speed: float = SLOW
-    acceleration: float = SOFT
+    speed: float = 0.0
+    acceleration: float = 0.0
     unit: str = "m"
 
     @property
@@ -72,7 +74,7 @@ class Bounds:
 
         Travels stay as they are, inputs keep their sign, and a limit of a state that was not touched stays untouched.
         """
-        low, high, moved = {}, {}, positions(rig)
+        low, high, moved = {}, {}, [name for name in positions(rig) if np.ptp(recording[name]) > 0]
         for name, channel in rig.channels.items():
             least, most = float(np.min(recording[name])), float(np.max(recording[name]))
             wider = 0.0 if name in moved else (reach - 1.0 + MARGIN * (channel.role == "output")) * (most - least)
@@ -118,9 +120,13 @@ def _together(recording: Recording, names: list[str]) -> dict[str, float]:
 
 def _rates(recording: Recording, name: str) -> tuple[float, float]:
     """(speed, acceleration) that a position comes to, in travels a second (squared)."""
-    half, dt = max(round(SMOOTH / recording.dt), FEWEST_BESIDE), recording.dt
-    rates = (savgol_filter(recording[name], 2 * half + 1, n + 1, deriv=n, delta=dt) for n in (1, 2))
-    return tuple(float(np.max(np.abs(r))) / float(np.ptp(recording[name])) for r in rates)
+    dt, travel = recording.dt, float(np.ptp(recording[name]))
+
+    def rates(signal: np.ndarray, order: int) -> np.ndarray:
+        return savgol_filter(signal, 2 * reach(signal, SMOOTH) + 1, order + 1, deriv=order, delta=dt)
+
+    found = (max(float(np.max(np.abs(rates(run[name], n)))) for run in recording.runs) for n in (1, 2))
+    return tuple(size / travel for size in found)
 
 
 # -- inputs by rule --------------------------------------------------------------------------------------------------
@@ -130,7 +136,8 @@ def _rates(recording: Recording, name: str) -> tuple[float, float]:
 class Move:
     """A move between two shares of the travel, there and back.
 
-    out, back, acceleration: shares of the highest speeds and acceleration. rest: repeat it after a rest.
+    out, back, acceleration: shares of the highest speeds and acceleration. rest: after which it is repeated, in lengths
+    of an experiment.
     """
 
     begin: float = 0.0
@@ -138,19 +145,27 @@ class Move:
     out: float = 1.0
     back: float = 1.0
     acceleration: float = 1.0
-    rest: bool = False
+    rest: float = 0.0
 
 
 MOVES = (
     Move(), Move(out=0.5, back=0.5), Move(out=0.25, back=0.25), Move(back=0.25), Move(acceleration=0.25),
-    Move(end=0.5), Move(begin=0.5), Move(end=0.1), Move(begin=0.9), Move(rest=True), Move(end=0.1, rest=True),
+    Move(end=0.5), Move(begin=0.5), Move(end=0.1), Move(begin=0.9),
+    *(Move(end=end, rest=rest) for rest in RESTS for end in (1.0, 0.1)),
 )  # fmt: skip
 
 
-def experiments(bounds: Bounds, seconds: float, dt: float) -> Iterable[list[Experiment]]:
-    """Kinds of experiment, each from its strongest to its mildest form. seconds: of a short one."""
+def experiments(bounds: Bounds, seconds: float, dt: float, longest: float = np.inf) -> Iterable[list[Experiment]]:
+    """Kinds of experiment, each from its strongest to its mildest form. seconds: of a short one; longest: of any."""
+    found = _experiments(bounds, min(seconds, longest), dt, longest)
+    yield from ([e for e in kind if e.seconds <= longest * (1 + ROUNDING)] for kind in found)
+
+
+def _experiments(bounds: Bounds, seconds: float, dt: float, longest: float) -> Iterable[list[Experiment]]:
     for move in MOVES if bounds.positions else ():
-        yield [Experiment(_words(move, bounds, seconds), _moving([move], bounds, seconds, dt), dt)]
+        length = min(seconds, longest / (RESTED if move.rest else MOVED))
+        rest = min(move.rest * length, longest - RESTED / 2 * length) if move.rest else 0.0
+        yield [Experiment(_words(move, bounds, rest), _moving([move], bounds, length, dt, rest), dt)]
     for shape, wave in _waves(seconds, dt) if bounds.swing else ():
         amplitudes = AMPLITUDES if wave.any() else (0.0,)
         yield [Experiment(shape, _commanding(amplitude * wave, bounds), dt) for amplitude in amplitudes]
@@ -177,14 +192,19 @@ def _waves(seconds: float, dt: float) -> Iterable[tuple[str, np.ndarray]]:
     yield "rest", np.zeros(len(t))
 
 
-def _moving(moves: Iterable[Move], bounds: Bounds, seconds: float, dt: float) -> dict[str, np.ndarray]:
-    """One move after the other, from where the position rests; the commands are at rest."""
+def _moving(
+    moves: Iterable[Move], bounds: Bounds, seconds: float, dt: float, rest: float = 0.0
+) -> dict[str, np.ndarray]:
+    """One move after the other, from where the position rests; the commands are at rest.
+
+    seconds: for which each is repeated, and again after `rest` s if there is one.
+    """
     name = bounds.positions[0]
     path = [np.array([(bounds.rest[name] - bounds.low[name]) / (bounds.high[name] - bounds.low[name])])]
 
     def go(to: float, share: float) -> None:
         if to != path[-1][-1]:
-            path.append(_leg(path[-1][-1], to, share * bounds.speed, move.acceleration * bounds.acceleration, dt))
+            path.append(leg(path[-1][-1], to, share * bounds.speed, move.acceleration * bounds.acceleration, dt))
 
     def there_and_back() -> None:
         began = sum(map(len, path))
@@ -195,15 +215,15 @@ def _moving(moves: Iterable[Move], bounds: Bounds, seconds: float, dt: float) ->
     for move in moves:
         go(move.begin, move.out)
         there_and_back()
-        if move.rest:
-            path.append(np.full(round(REST * seconds / dt), path[-1][-1]))
+        if rest:
+            path.append(np.full(round(rest / dt), path[-1][-1]))
             there_and_back()
     way = np.clip(np.concatenate(path), 0.0, 1.0)
     moved = {n: bounds.low[n] + (bounds.high[n] - bounds.low[n]) * way for n in bounds.positions}
     return {n: moved.get(n, np.full(len(way), rest)) for n, rest in bounds.rest.items()}
 
 
-def _leg(begin: float, end: float, speed: float, acceleration: float, dt: float) -> np.ndarray:
+def leg(begin: float, end: float, speed: float, acceleration: float, dt: float) -> np.ndarray:
     """A path from `begin`, which is left out, to `end` with constant acceleration, speed, and deceleration."""
     way = abs(end - begin)
     top = min(speed, np.sqrt(way * acceleration))
@@ -215,13 +235,13 @@ def _leg(begin: float, end: float, speed: float, acceleration: float, dt: float)
     return path
 
 
-def _words(move: Move, bounds: Bounds, seconds: float) -> str:
+def _words(move: Move, bounds: Bounds, rest: float) -> str:
     name = bounds.positions[0]
     travel = bounds.high[name] - bounds.low[name]
     out, back = (f"{travel * bounds.speed * share:.2g} {bounds.unit}/s" for share in (move.out, move.back))
     hard = f"{travel * bounds.acceleration * move.acceleration:.2g} {bounds.unit}/s^2"
     words = f"moves at {out}" + (f" and back at {back}" if back != out else "") + f", started and stopped at {hard}"
-    return words + (f", the same again after {REST * seconds:.3g} s of rest" if move.rest else "")
+    return words + (f", the same again after {rest:.3g} s of rest" if rest else "")
 
 
 # -- a rig that runs free --------------------------------------------------------------------------------------------
@@ -234,9 +254,15 @@ class FreeRun:
         outputs = tuple(name for name, channel in rig.channels.items() if channel.role == "output")
         self.rig = replace(rig, predict=outputs)
         self.units = {name: channel.unit for name, channel in rig.channels.items()}
-        blank = {name: np.zeros(FEWEST) for name in rig.channels}
+        blank = {name: np.zeros(SAMPLES) for name in rig.channels}
         self.model = Model(self.rig, Recording(rig.dt, blank, self.units), effects, 0)
         self.values = {**self.model.values, **{s: v for s, v in values.items() if s in self.model.values}}
+
+    def under(self, values: Mapping[str, float]) -> "FreeRun":
+        """The same plant with other values."""
+        other = copy.copy(self)
+        other.values = {**self.model.values, **{s: v for s, v in values.items() if s in self.model.values}}
+        return other
 
     def shown(self, inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Inputs and outputs, rounded as the sensors do, channel -> (samples,)."""
@@ -267,13 +293,13 @@ class FreeRun:
         def gone(numbers: np.ndarray) -> np.ndarray:
             shown = self.shown({n: np.full(round(seconds / rig.dt), v) for n, v in resting(numbers).rest.items()})
             away = [
-                (shown[n][-1] - (shown[n][0] if n in kept else np.mean(recording[n]))) / np.ptp(recording[n])
+                (shown[n][-1] - (shown[n][0] if n in kept else np.mean(recording[n]))) / (np.ptp(recording[n]) or 1.0)
                 for n in rig.predict
             ]
             return np.nan_to_num(away) * [FIRM if n in kept else 1.0 for n in rig.predict]
 
         numbers = np.zeros(len(names))
-        for _ in range(RESTS if names else 0):
+        for _ in range(TRIALS if names else 0):
             now = gone(numbers)
             slopes = np.stack([(gone(numbers + NUDGE * one) - now) / NUDGE for one in np.eye(len(names))], axis=1)
             damped = slopes.T @ slopes + TAME * np.eye(len(names))
@@ -299,12 +325,13 @@ def nominal(rig: Rig, effects: Mapping[str, Effect], ranges: Mapping[str, tuple[
     swing = {n: (high - low) / 2 for n, (low, high) in ranges.items() if n not in moved}
     stops = {n: _stops(rig, n) for n, c in rig.channels.items() if c.role == "output"}
     low, high = ({n: pair[i] for n, pair in {**stops, **ranges}.items()} for i in (0, 1))
-    bounds = Bounds(rest, swing, low, high)
+    lasts = NOMINAL * rig.dt
+    bounds = Bounds(rest, swing, low, high, SLOW / lasts, SOFT / lasts**2)
     free = FreeRun(rig, fitting(rig.plant, rig.datasheet, effects), {})
     if moved:
-        tried = [_moving([m for m in MOVES if not m.rest], bounds, NOMINAL, rig.dt)]
+        tried = [_moving([m for m in MOVES if not m.rest], bounds, lasts, rig.dt)]
     else:
-        wave = np.concatenate([wave for _, wave in _waves(NOMINAL, rig.dt)])
+        wave = np.concatenate([wave for _, wave in _waves(lasts, rig.dt)])
         tried = [_commanding(amplitude * wave, bounds) for amplitude in AMPLITUDES]
     for inputs in tried:
         if (recording := free.record(inputs, bounds)) is not None:

@@ -15,8 +15,8 @@ from scipy.optimize import lsq_linear
 
 from greygate.mismatch.coloured import resized
 from greygate.mismatch.effects import Effect
+from greygate.mismatch.experiments.rivals import ITERATIONS
 from greygate.mismatch.experiments.separation import (
-    ITERATIONS,
     NEEDED,
     WORTH,
     Separation,
@@ -26,7 +26,8 @@ from greygate.mismatch.experiments.separation import (
     imagined,
     sensor,
 )
-from greygate.mismatch.fit import Fit, Likelihood
+from greygate.mismatch.fit import Fit, Likelihood, tame
+from greygate.mismatch.model import TINY
 from greygate.mismatch.search import ROUGH, Hypothesis, Search
 
 FORM = 0.1  # of an effect, by which a machine's may differ from the table's: a smaller difference tells nothing
@@ -149,7 +150,7 @@ def moved(fit: Fit, effect: Effect) -> np.ndarray:
     full, likelihood = typical(effect), fit.likelihood
     nothing = {f.symbol: 0.0 for f in effect.strengths}
     steps = [full] if _together(effect) else [{**full, **nothing, s: full[s]} for s in nothing]
-    changes = [np.nan_to_num(likelihood.errors({**fit.values, **step}, fit.shifts) - fit.errors) for step in steps]
+    changes = [tame(likelihood.errors({**fit.values, **step}, fit.shifts) - fit.errors) for step in steps]
     columns = likelihood.rows(np.stack(changes, axis=2), fit.temper)
     return likelihood.eliminate(columns, None, fit.basis)[0].reshape(-1, len(steps))
 
@@ -180,7 +181,9 @@ def _coordinates(fit: Fit, rows: Mapping[str, np.ndarray]) -> dict[str, np.ndarr
 
 def _left(columns: np.ndarray, others: np.ndarray, reach: tuple[np.ndarray, np.ndarray]) -> float:
     """What `others`, within `reach`, leave of the column of which they leave least."""
-    return min(float(np.sqrt(2 * max(lsq_linear(others, column, reach).cost, 0.0))) for column in columns.T)
+    size = max(float(np.abs(columns).max()), float(np.abs(others).max()), TINY)  # squares of it might be no numbers
+    found = (lsq_linear(others / size, column / size, reach).cost for column in columns.T)
+    return min(float(size * np.sqrt(2 * max(cost, 0.0))) for cost in found)
 
 
 def _groups(names: list[str], apart: Mapping[tuple[str, str], float]) -> list[tuple[str, ...]]:

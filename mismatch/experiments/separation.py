@@ -7,19 +7,22 @@ allows. What is left is a distance in standard deviations of the noise.
 
 import copy
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.diagnosis import Diagnosis
-from greygate.mismatch.experiments.experiment import FEWEST, HOLD, SECONDS, Bounds, Experiment, FreeRun, experiments
+from greygate.mismatch.experiments.experiment import HOLD, SAMPLES, Bounds, Experiment, FreeRun, experiments
+from greygate.mismatch.experiments.rivals import Rival, rivals, screened
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.locate import display_unit
 from greygate.mismatch.model import Model
+from greygate.mismatch.noise import Noise
 from greygate.mismatch.rig import Channel
-from greygate.mismatch.search import Hypothesis
+from greygate.mismatch.runs import with_channels
+from greygate.mismatch.several import modelled
 from greygate.plants.recording import Recording
 
 REACHES = (1.0, 1.5)  # of what was recorded; the second where the first tells too little
@@ -28,7 +31,6 @@ WORTH = 2.0  # times the distance on the recording so far: less is not worth an 
 ENOUGH = 3.0  # times what is needed, or there already: an experiment that brings so much is good enough
 SHORTLIST = 4  # experiments for which the distance is computed after the parameters have adapted
 FINE = 1e-3  # of its range: the noise of a sensor that might be added
-ITERATIONS = 4  # of the fit of a rival
 INDEPENDENT = 1e-13  # of the largest singular value, below which parameters count as dependent on each other
 TWO_DIGITS = 10  # from which a distance is written without digits after the point
 
@@ -56,20 +58,25 @@ class Separation:
 
     def as_dict(self, units: Mapping[str, str]) -> dict:
         """shape, inputs: channel -> low, high, unit; seconds, apart, here."""
-        spans = {
-            n: {"low": float(np.min(s)), "high": float(np.max(s)), "unit": units[n]}
-            for n, s in self.experiment.inputs.items()
-        }
-        figures = {"seconds": self.experiment.seconds, "apart": self.apart, "here": self.here}
-        return {"shape": self.experiment.shape, "inputs": spans, **figures}
+        return described(self.experiment, units) | {"apart": self.apart, "here": self.here}
 
     def words(self, units: Mapping[str, str]) -> str:
         """Input, amplitude, duration, and what it brings."""
-        spans = [_span(n, s, units[n]) for n, s in self.experiment.inputs.items()]
-        return (
-            f"{', '.join(spans)}: {self.experiment.shape}, for {self.experiment.seconds:.3g} s; "
-            f"{deviations(self.apart)} apart, here {figure(self.here)}"
-        )
+        return f"{words(self.experiment, units)}; {deviations(self.apart)} apart, here {figure(self.here)}"
+
+
+def described(experiment: Experiment, units: Mapping[str, str]) -> dict:
+    """shape, inputs: channel -> low, high, unit; seconds."""
+    spans = {
+        n: {"low": float(np.min(s)), "high": float(np.max(s)), "unit": units[n]} for n, s in experiment.inputs.items()
+    }
+    return {"shape": experiment.shape, "inputs": spans, "seconds": experiment.seconds}
+
+
+def words(experiment: Experiment, units: Mapping[str, str]) -> str:
+    """Input, amplitude, and duration."""
+    spans = [_span(n, s, units[n]) for n, s in experiment.inputs.items()]
+    return f"{', '.join(spans)}: {experiment.shape}, for {experiment.seconds:.3g} s"
 
 
 def deviations(size: float) -> str:
@@ -97,6 +104,8 @@ class Trial:
     likelihood: Likelihood
     values: Mapping[str, float]
     experiment: Experiment | None = None
+    _left: dict[int, tuple[Fit, np.ndarray]] = field(default_factory=dict, compare=False, repr=False)
+    _slopes: dict[int, tuple[Fit, np.ndarray]] = field(default_factory=dict, compare=False, repr=False)
 
     @cached_property
     def truth(self) -> np.ndarray:
@@ -113,33 +122,49 @@ class Trial:
 
         What other beginnings of the windows explain is taken off.
         """
-        errors = self.likelihood.errors(rival.values, self.likelihood.nothing()) - self.truth
-        errors = errors if np.isfinite(errors).all() else np.zeros_like(errors)
-        rows = self.likelihood.rows(errors, np.ones(errors.shape[1]))
-        return self.likelihood.eliminate(rows[:, :, None], None, self.basis)[0][:, :, 0]
+        if id(rival) not in self._left:
+            errors = self.likelihood.errors(rival.values, self.likelihood.nothing()) - self.truth
+            errors = errors if np.isfinite(errors).all() else np.zeros_like(errors)
+            rows = self.likelihood.rows(errors, np.ones(errors.shape[1]))
+            self._left[id(rival)] = rival, self.likelihood.eliminate(rows[:, :, None], None, self.basis)[0][:, :, 0]
+        return self._left[id(rival)][1]
 
-    def distance(self, rival: Fit) -> float:
+    def slopes(self, rival: Fit) -> np.ndarray:
+        """Of what `rival` predicts by the numbers of its unknowns, likewise (windows * rows, k)."""
+        if id(rival) not in self._slopes:
+            shifts, even = self.likelihood.nothing(), np.ones(self.truth.shape[1])
+            errors = self.likelihood.errors(rival.values, shifts)
+            slopes = self.likelihood.slopes(rival.unknowns, rival.values, shifts, errors, even)
+            slopes = self.likelihood.eliminate(slopes, None, self.basis)[0].reshape(-1, len(rival.unknowns))
+            self._slopes[id(rival)] = rival, slopes
+        return self._slopes[id(rival)][1]
+
+    def distance(self, rival: Fit, alone: bool = False, true: Fit | None = None) -> float:
         """Standard deviations of the noise by which `rival` differs after its parameters have adapted.
 
-        They adapt as far as the recording of its own fit leaves them free.
+        They adapt as far as the recording of its own fit leaves them free; alone: as far as the data sheet does.
+        true: the explanation from which it differs, by default that of the trial.
         """
-        shifts, even = self.likelihood.nothing(), np.ones(self.truth.shape[1])
-        errors = self.likelihood.errors(rival.values, shifts)
-        slopes = self.likelihood.slopes(rival.unknowns, rival.values, shifts, errors, even)
-        slopes = self.likelihood.eliminate(slopes, None, self.basis)[0].reshape(-1, len(rival.unknowns))
-        left = self.left(rival).reshape(-1)
+        left, slopes = self.left(rival).reshape(-1), self.slopes(rival)
+        if true is not None:
+            left = left - self.left(true).reshape(-1)
+        known = np.diag(rival.weight) if alone else rival.information
         pull = slopes.T @ left
-        step = np.linalg.lstsq(slopes.T @ slopes + rival.information, pull, rcond=INDEPENDENT)[0]
+        step = np.linalg.lstsq(slopes.T @ slopes + known, pull, rcond=INDEPENDENT)[0]
         return float(np.sqrt(max(left @ left - pull @ step, 0.0)))
 
 
 class Trials:
-    """Experiments on the rig of `likelihood`, as they run if the explanation `values` (symbol -> value) is true."""
+    """Experiments on the rig of `likelihood`, as they run if the explanation `values` (symbol -> value) is true.
 
-    def __init__(self, likelihood: Likelihood, values: Mapping[str, float]):
-        self.likelihood = likelihood
+    longest: seconds that one may take.
+    """
+
+    def __init__(self, likelihood: Likelihood, values: Mapping[str, float], longest: float = np.inf):
+        self.likelihood, self.longest = likelihood, longest
         self.free = FreeRun(likelihood.model.rig, likelihood.model.effects, values)
-        self._over: dict[float, list[Trial]] = {}
+        self._over: dict[tuple[float, float], list[Trial]] = {}
+        self._bounds: dict[float, Bounds] = {}
 
     def apart(self, rival: Fit, here: float) -> Separation | None:
         """The experiment that tells `rival` from the explanation best; None where the rig withstands none of them.
@@ -148,25 +173,46 @@ class Trials:
         """
         found: list[Separation] = []
         for reach in REACHES:
-            trials = sorted(self.over(reach), key=lambda t: -np.sum(t.left(rival) ** 2) / t.experiment.seconds)
-            found += [Separation(t.experiment, t.distance(rival), here) for t in trials[:SHORTLIST]]
+            found += [Separation(t.experiment, t.distance(rival), here) for t in self.likeliest(rival, reach)]
             if any(s.tells for s in found):
                 break
         return max(found, key=lambda s: s.merit, default=None)
 
-    def over(self, reach: float) -> list[Trial]:
-        """The strongest and the mildest experiment of every kind that stay within `reach` times what was recorded."""
-        if reach not in self._over:
-            model = self.likelihood.model
-            recording = model.recording
-            seconds = min(max(SECONDS, FEWEST * recording.dt), recording.samples * recording.dt)
-            bounds = self.free.at_rest(Bounds.of(model.rig, recording, reach), recording, HOLD * seconds)
-            found = []
-            for kind in experiments(bounds, seconds, recording.dt):
+    def likeliest(self, rival: Fit, reach: float, times: float = 1.0) -> list[Trial]:
+        """Those in which `rival` differs most before its parameters adapt, in a second. Arguments: as for `over`."""
+        trials = self.over(reach, times)
+        return sorted(trials, key=lambda t: -np.sum(t.left(rival) ** 2) / t.experiment.seconds)[:SHORTLIST]
+
+    @property
+    def seconds(self) -> float:
+        """Of a short experiment."""
+        recording = self.likelihood.model.recording
+        return min(SAMPLES, recording.samples) * recording.dt
+
+    def bounds(self, reach: float) -> Bounds:
+        """What may be asked of the rig: `reach` times what was recorded."""
+        if reach not in self._bounds:
+            recording = self.likelihood.model.recording
+            bounds = Bounds.of(self.likelihood.model.rig, recording, reach)
+            self._bounds[reach] = self.free.at_rest(bounds, recording, HOLD * self.seconds)
+        return self._bounds[reach]
+
+    def over(self, reach: float, times: float = 1.0) -> list[Trial]:
+        """The strongest and the mildest experiment of every kind that stay within `reach` times what was recorded.
+
+        times: as long as usual.
+        """
+        if (reach, times) not in self._over:
+            bounds, found, dt = self.bounds(reach), [], self.likelihood.model.recording.dt
+            for kind in experiments(bounds, times * self.seconds, dt, self.longest):
                 stood = [(e, r) for e in kind if (r := self.free.record(e.inputs, bounds)) is not None]
                 found += [self._trial(*pair) for pair in (*stood[:1], *stood[1:][-1:])]
-            self._over[reach] = found
-        return self._over[reach]
+            self._over[reach, times] = found
+        return self._over[reach, times]
+
+    def withstood(self, experiment: Experiment, left: Iterable[Rival], reach: float) -> bool:
+        """Whether no channel leaves its bounds, whichever of the explanations that are `left` is true."""
+        return all(self.free.under(r.fit.values).record(experiment.inputs, self.bounds(reach)) for r in left)
 
     def _trial(self, experiment: Experiment, record: Recording) -> Trial:
         return Trial(like(self.likelihood, self.likelihood.model.over(record)), self.free.values, experiment)
@@ -179,6 +225,10 @@ def like(likelihood: Likelihood, model: Model) -> Likelihood:
         further = [model.rig.channels[name].noise for name in model.rig.predict[len(likelihood.scale) :]]
         made.ar = [*likelihood.ar, *(np.zeros(likelihood.order) for _ in further)]
         made.scale = np.append(likelihood.scale, further)
+    else:
+        known, told = likelihood.noise, made.noise
+        count = len(known.scale)
+        made.noise = Noise(np.append(known.scale, told.scale[count:]), (*known.ar, *told.ar[count:]))
     return made
 
 
@@ -206,7 +256,7 @@ def _with_sensor(model: Model, symbol: str, signal: np.ndarray) -> Model:
     channel = Channel(model.plant.states[symbol].unit, "output", noise=FINE * float(np.ptp(signal)))
     richer = replace(rig, channels={**rig.channels, symbol: channel}, predict=(*rig.predict, symbol))
     channels, units = {**recording.channels, symbol: signal}, {**recording.units, symbol: channel.unit}
-    return Model(richer, Recording(recording.dt, channels, units), model.effects, model.window)
+    return modelled(richer, with_channels(recording, channels, units), model.effects, model.window)
 
 
 def imagined(likelihood: Likelihood, values: Mapping[str, float]) -> Likelihood:
@@ -226,41 +276,10 @@ def separations(result: Diagnosis, entries: Iterable[Mapping], count: int) -> di
     entries: some of its `effects`. Only the first `count` alternatives are tried. Those are left out for which the rig
     withstands no experiment.
     """
-    likelihood = result.search.screen if result.rig.stated else result.corrected.likelihood
-    pairs = [(entry, other) for entry in entries for other in entry["not_told_apart_from"]]
     trials, found = None, {}
-    for entry, other in pairs[:count]:
-        rival = _rival(result, entry, other)
-        if rival is None:
-            continue
-        trials = trials or Trials(likelihood, result.corrected.values)
-        here = float(np.sqrt(max(result.rivals[rival] - result.rivals[result.best], 0.0)))
-        told = trials.apart(_fitted(result, likelihood, rival), here)
+    for rival in rivals(result, entries, count):
+        trials = trials or Trials(screened(result), result.corrected.values)
+        told = trials.apart(rival.fit, rival.here)
         if told is not None:
-            found[entry["id"], other] = told
+            found[rival.effect, rival.name] = told
     return found
-
-
-def _rival(result: Diagnosis, entry: Mapping, other: str) -> Hypothesis | None:
-    """The best hypothesis that has `other` in the place of an effect of the diagnosis."""
-    effects = result.search.effects
-    rest = {key for key in result.best.effects if key != entry.get("form", entry["id"])}
-    found = []
-    for hypothesis, cost in result.rivals.items():
-        names = [effects[key].id for key in hypothesis.effects if key not in rest] + list(hypothesis.released)
-        if hypothesis.size == result.best.size and rest <= set(hypothesis.effects) and other in names:
-            found.append((cost, hypothesis))
-    return min(found, key=lambda pair: pair[0])[1] if found else None
-
-
-def _fitted(result: Diagnosis, likelihood: Likelihood, rival: Hypothesis) -> Fit:
-    """The fit of a rival, which a search may have kept."""
-    search = result.search
-    if rival not in search.fits:
-        own = Hypothesis(tuple(k for k in rival.effects if k not in result.best.effects), rival.released)
-        narrow = copy.copy(search)
-        narrow.effects = {key: search.effects[key] for key in own.effects}
-        scores = narrow.scores(result.calibrated.likelihood, result.calibrated, Hypothesis())
-        start = next((s.values for s in scores if s.hypothesis == own), {})
-        search.fits[rival] = search.fit(likelihood, rival, {**result.corrected.values, **start}, iterations=ITERATIONS)
-    return search.fits[rival]

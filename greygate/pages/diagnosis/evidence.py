@@ -16,16 +16,17 @@ LADDER = 12  # hypotheses drawn
 
 def context(case: Diagnosed) -> dict | None:
     """The ladder of hypotheses; None where there is only one."""
-    if len(case.result.rivals) < 2:
+    if sum(map(math.isfinite, case.result.rivals.values())) < 2:
         return None
     return {"ladder": ladder(case.result), "verdict": case.found["verdict"]}
 
 
 def ladder(result: Diagnosis, width: int = 980) -> Markup:
     """Draw every fully fitted hypothesis by its distance from the best, on a logarithmic scale."""
-    best = min(result.rivals.values())
+    rivals = {h: cost for h, cost in result.rivals.items() if math.isfinite(cost)}  # the others diverge
+    best = min(rivals.values())
     taken = None if result.verdict == Verdict.UNEXPLAINED else result.best
-    rungs = sorted((cost - best, str(h), h == taken) for h, cost in result.rivals.items())
+    rungs = sorted((cost - best, str(h), h == taken) for h, cost in rivals.items())
     rungs = [*rungs[:LADDER], *(rung for rung in rungs[LADDER:] if rung[1] == "nothing")]
     right, row, below = 70, 22, 40
     left = min(max(round(6.8 * max(len(name) for _, name, _ in rungs)) + 20, 160), width - 400)

@@ -1,10 +1,14 @@
 """The head of the page: the rig, the verdict, and the headline."""
 
+import math
+from collections.abc import Mapping
+
 from greygate.mismatch.locate import display_unit
+from greygate.mismatch.model import TINY
 from greygate.mismatch.verdict import Verdict
 from greygate.pages.diagnosis.case import Diagnosed
 from greygate.pages.units import number
-from greygate.pages.words import amount, means, parameter
+from greygate.pages.words import DIVERGES, amount, means, parameter
 
 BETTER = 0.98  # ratio of RMS errors below which a correction counts as an improvement
 
@@ -16,7 +20,7 @@ def context(case: Diagnosed) -> dict:
         "plant": case.found["plant"],
         "sentence": Verdict(case.found["verdict"]).words,
         "facts": facts(case),
-        "rivals": len(case.result.rivals) > 1,
+        "rivals": sum(map(math.isfinite, case.result.rivals.values())) > 1,
     }
 
 
@@ -34,6 +38,8 @@ def facts(case: Diagnosed) -> list[tuple[str, str, bool | None]]:
             known = amount(p["value"], p["ci95"], p["unit"])
             size = f", {name} {known.value} {known.unit}"
         lines.append((entry["id"], f"{means(case.result, entry)}{size}", None))
+    if "explained" in found:
+        lines.append((f"{found['explained']:.0%}", "of the squared error that can be removed, by what is named", None))
     for name, p in found["parameters"].items():
         if p.get("outside_tolerance"):
             lines.append((name, parameter(case.result, name, p), None))
@@ -44,7 +50,14 @@ def _error(case: Diagnosed) -> tuple[str, str, bool | None]:
     """The RMS error that the correction reduces most, before and after it."""
     fit = case.found["fit"]
     record = "holdout" if "holdout" in fit else "identify"
-    channel, rms = min(fit[record].items(), key=lambda item: item[1]["corrected"] / item[1]["calibrated"])
+
+    def reduced(item: tuple[str, Mapping]) -> float:
+        was, now = item[1]["calibrated"], item[1]["corrected"]
+        return math.inf if was is None or now is None else now / max(was, TINY)
+
+    channel, rms = min(fit[record].items(), key=reduced)
+    if None in (rms["calibrated"], rms["corrected"]):
+        return DIVERGES, f"the simulation of {channel} on {record}", False
     factor, unit = display_unit(rms["unit"], rms["calibrated"])
     was, now = (number(factor * rms[kind]) for kind in ("calibrated", "corrected"))
     if not case.changed:

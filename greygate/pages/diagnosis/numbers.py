@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 
-from greygate.mismatch.experiments.excitation import unseen
 from greygate.pages import words
 from greygate.pages.diagnosis.case import Diagnosed
 
@@ -15,8 +14,11 @@ def context(case: Diagnosed) -> dict:
         "parameters": [words.parameter(result, n, p) for n, p in found["parameters"].items()],
         "fit": words.fit_table(found["fit"]),
         "alike": words.alike(result, found),
-        "unseen": unseen(result.calibrated),
-        "remaining": found["remaining"],
+        "unseen": words.hidden(result),
+        "refused": found.get("refused", []),
+        "bounds": words.bounds(found),
+        "noises": words.noises(found),
+        "remaining": found["remaining"] or words.nothing_left(result),
         "seconds": found["seconds"],
     }
 

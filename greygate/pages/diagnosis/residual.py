@@ -9,12 +9,18 @@ from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.locate import signals
 from greygate.mismatch.model import Model
+from greygate.mismatch.runs import whole
+from greygate.mismatch.several import modelled
+from greygate.pages.figures import APART
 
-PIECE = 0.1  # s, length of a window in pictures of the residual, if a rig restarts
+PIECE = 100  # samples of a window in pictures of the residual, if a rig restarts;
+FEWEST_PIECE, PIECES = 10, 20  # at least; and no more than such a part of the recording
 SETTLED = 0.3  # share of such a window after which its pressures count
-SKIP = 0.5  # s at the beginning, in which unmeasured states settle
+SKIP = 5  # such windows at the beginning, in which unmeasured states settle;
+SKIP_PART = 8  # but no more than such a part of all
 PARTS = (6, 240)  # of a variable's range, in pictures of the residual: fewest and most
 FEW = 2000  # points
+FAR = 100.0  # times the largest reading, beyond which a simulation that diverges is not drawn
 FEWEST = 5  # points in a part that is drawn
 
 
@@ -23,8 +29,8 @@ class Residual:
     """Recorded minus simulated for every predicted channel, with the variables on which it may depend.
 
     errors: name -> (points,), SI; the name gives channel and kind. units: of errors and variables. variables: name ->
-    (points,), SI. Points are samples. If the rig restarts, they are windows of `PIECE` s: for a position the growth
-    rate of its error, for any other channel its mean error.
+    (points,), SI. Points are samples. If the rig restarts, they are windows of `PIECE` samples: for a position the
+    growth rate of its error, for any other channel its mean error.
     """
 
     errors: Mapping[str, np.ndarray]
@@ -35,19 +41,21 @@ class Residual:
 def residuals(result: Diagnosis, fits: Sequence[Fit]) -> list[Residual]:
     """The residual of each fit on identify.csv."""
     rig, recording = result.rig, result.calibrated.likelihood.model.recording
-    piece = max(round(PIECE / rig.dt), 10) if rig.window else None
-    model = Model(rig, recording, result.corrected.likelihood.model.effects, piece)
+    piece = max(min(PIECE, recording.samples // PIECES), FEWEST_PIECE) if rig.window else None
+    first = min(SKIP, recording.samples // piece // SKIP_PART) if piece else 0
+    model = modelled(rig, recording, result.corrected.likelihood.model.effects, piece)
+    kept = whole(model.pieces, piece)[1] if piece else slice(None)
     variables, units = signals(model)
     found = []
     for fit in fits:
-        left = model.target - model.predict(known(model, fit))
+        left = model.target - near(model.predict(known(model, fit)), model.target)
         errors, kinds = {}, {}
         for i, channel in enumerate(rig.predict):
             unit = rig.channels[channel].unit
             if piece is None:
                 errors[f"{channel} left"], kinds[f"{channel} left"] = left[:, i], unit
                 continue
-            rows = left[: len(left) // piece * piece, i].reshape(-1, piece)[round(SKIP / PIECE) :]
+            rows = left[kept, i].reshape(-1, piece)[first:]
             if model.plant.states[channel].rate if channel in model.plant.states else False:
                 clock = (np.arange(piece) - (piece - 1) / 2) * rig.dt
                 name, values, unit = f"{channel} drifts", rows @ clock / (clock @ clock), f"{unit}/s"
@@ -57,9 +65,7 @@ def residuals(result: Diagnosis, fits: Sequence[Fit]) -> list[Residual]:
         if piece is None:
             points = variables
         else:
-            samples = recording.samples // piece * piece
-            first = round(SKIP / PIECE)
-            points = {n: v[:samples].reshape(-1, piece).mean(axis=1)[first:] for n, v in variables.items()}
+            points = {n: v[kept].reshape(-1, piece).mean(axis=1)[first:] for n, v in variables.items()}
         found.append(Residual(errors, points, {**units, **kinds}))
     return found
 
@@ -69,10 +75,17 @@ def known(model: Model, fit: Fit) -> dict[str, float]:
     return {**model.values, **{s: v for s, v in fit.values.items() if s in model.values}}
 
 
+def near(predicted: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """`predicted` as it can be drawn: FAR away at most, where a simulation diverges."""
+    far = FAR * (float(np.abs(target).max()) or 1.0)
+    return np.clip(np.nan_to_num(predicted, nan=far), -far, far)
+
+
 def edges_of(values: np.ndarray, parts: int) -> np.ndarray:
     """Edges of equal parts of the range that holds nearly all values."""
     low, high = np.percentile(values, (0.5, 99.5))
-    return np.linspace(low, high if high > low else low + 1.0, parts + 1)
+    apart = high - low > APART * abs(high)
+    return np.linspace(low, high if apart else low + (abs(low) or 1.0), parts + 1)
 
 
 def part_of(x: np.ndarray, edges: np.ndarray) -> np.ndarray:

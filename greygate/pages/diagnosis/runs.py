@@ -7,14 +7,15 @@ from markupsafe import Markup
 
 from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.locate import display_unit
-from greygate.mismatch.model import Model, begun
+from greygate.mismatch.several import by_rule, modelled
 from greygate.pages import figures
 from greygate.pages.diagnosis.case import Diagnosed
-from greygate.pages.diagnosis.residual import known
+from greygate.pages.diagnosis.residual import near
 from greygate.pages.figures import BINS, Curve, envelope, shortened
 from greygate.pages.units import labelled
 
-ZOOM = 2.0  # s drawn where the misfit is largest; two windows where a rig has them
+ZOOM = 2000  # samples drawn where the misfit is largest; two windows where a rig has them;
+ZOOM_PART = 4  # but no more than such a part of a recording
 SHORTEST = 150  # samples that are drawn at least
 LOOK = {"calibrated": "before", "corrected": "after"}  # class of a line
 
@@ -30,22 +31,22 @@ def runs(case: Diagnosed) -> list[dict]:
     The recording is holdout.csv where there is one.
     """
     result, rig = case.result, case.result.rig
-    path = rig.folder / "holdout.csv"
-    name = "holdout" if path.exists() else "identify"
-    recording = rig.recording(path if path.exists() else rig.folder / "identify.csv")
-    model = Model(rig, recording, result.corrected.likelihood.model.effects)
-    skip = rig.settle if path.exists() else 0
-    predicted = {kind: model.predict(begun(model, known(model, fit), skip)) for kind, fit in case.fits.items()}
+    held = rig.held_out()
+    name = "holdout" if held else "identify"
+    model = modelled(rig, held or rig.to_explain(), result.corrected.likelihood.model.effects)
+    skip = rig.settle if held else 0
+    predicted = {kind: by_rule(model, fit.values, skip)[0] for kind, fit in case.fits.items()}
     rows = []
     for i, channel in enumerate(rig.predict):
         target = model.target[:, i]
-        errors = {kind: np.nan_to_num(p[:, i] - target) for kind, p in predicted.items()}
+        drawn = {kind: near(p[:, i], target) for kind, p in predicted.items()}
+        errors = {kind: p - target for kind, p in drawn.items()}
         rows.append(
             {
                 "channel": channel,
                 "record": name,
                 "run": run_picture(errors, result, channel),
-                "zoom": zoom_picture(result, target, {k: p[:, i] for k, p in predicted.items()}, channel),
+                "zoom": zoom_picture(result, target, drawn, channel),
             }
         )
     return rows
@@ -75,8 +76,8 @@ def run_picture(errors: Mapping[str, np.ndarray], result: Diagnosis, channel: st
 def zoom_picture(result: Diagnosis, target: np.ndarray, predicted: Mapping[str, np.ndarray], channel: str) -> Markup:
     """Draw the calibrated simulation's residual where it is largest, and the change by the correction."""
     dt, window = result.rig.dt, result.rig.window
-    length = min(2 * window if window else max(round(ZOOM / dt), SHORTEST), len(target))
-    missed = np.nan_to_num(target - predicted["calibrated"])
+    length = min(2 * window if window else max(min(ZOOM, len(target) // ZOOM_PART), SHORTEST), len(target))
+    missed = target - predicted["calibrated"]
     power = np.concatenate(([0.0], np.cumsum(missed**2)))
     starts = np.arange(window or 0, len(target) - length + 1, window or max(length // 4, 1))
     first = int(starts[np.argmax(power[starts + length] - power[starts])]) if len(starts) else 0
@@ -85,7 +86,7 @@ def zoom_picture(result: Diagnosis, target: np.ndarray, predicted: Mapping[str, 
     times = (steps * dt).tolist()
     lines = [Curve(times, shortened(missed[steps] * factor), "reference")]
     if "corrected" in predicted:
-        added = np.nan_to_num(predicted["corrected"] - predicted["calibrated"])
+        added = predicted["corrected"] - predicted["calibrated"]
         lines.append(Curve(times, shortened(added[steps] * factor), "after"))
     marks = [k * dt for k in range(first, first + length, window)][1:] if window else []
     return figures.chart(

@@ -1,0 +1,205 @@
+"""Whether a fit simulates worse than a plainer one, on blocks of identify.csv that neither of them learnt from.
+
+The recording is cut into pieces; every `FOLDS`-th of them is one block. Of several recordings each one is a block, if
+the others show what the fit has beyond the plainer one; else it is cut, as one recording is. The parameters of both
+fits are fitted again to the other pieces, and both simulations run by the rule of the rig, free or with its restarts. A
+fit loses on a channel of a block where its error is larger, and by more than chance makes of it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greygate.mismatch.fit import Fit, Likelihood
+from greygate.mismatch.model import TINY
+from greygate.mismatch.rig import IN
+from greygate.mismatch.several import modelled
+from greygate.mismatch.shown_by import SHOWN, margin, recording_of
+
+FOLDS, ROUNDS = 5, 2  # blocks, and pieces of each: spread, so that no regime of the plant is held out entirely
+PERCENT = 100
+PARTS = 8  # of a piece, each of them one draw of the difference of the squared errors
+MORE = 0.01  # of the plainer fit's RMS error, by which another fit may be worse
+SURE = 3.0  # standard errors of the difference of the squared errors, below which it may be chance
+REFIT = 4  # iterations of a fit to the other pieces, which begins at that of the whole recording
+SINGULAR = 1e-13  # of the largest singular value, below which numbers cannot be told apart
+RIDGE = 1e-9  # of curvature, for an unknown that does not act outside the block
+
+
+@dataclass(frozen=True)
+class Loss:
+    """A channel of a block on which a fit is worse. spans: (from, to) of its pieces in s. before, after: RMS errors.
+
+    recording: of several the one in which it lies; all of it where there are no spans. learnt: whether both fits did
+    learn from it.
+    """
+
+    channel: str
+    unit: str
+    spans: tuple[tuple[float, float], ...]
+    before: float
+    after: float
+    recording: str = ""
+    learnt: bool = False
+
+    def __str__(self) -> str:
+        when = " and ".join(f"{low:.3g} to {high:.3g} s" for low, high in self.spans)
+        when = " ".join([*(["at", when] if when else []), *(["in", self.recording] if self.recording else [])])
+        if not np.isfinite(self.after):
+            return f"the run diverges {when}" + (", which it did not learn from" if not self.learnt else "")
+        by = f"{self.channel} is {PERCENT * (self.after / self.before - 1):.2g} % worse {when}"
+        return by if self.learnt else f"{by}, not learnt from"
+
+
+class Judge:
+    """The rule of a rig over identify.csv, by which fits are compared.
+
+    fold: number of the block in which each sample lies (samples,); of several recordings, of the recording.
+    """
+
+    def __init__(self, likelihood: Likelihood):
+        model = likelihood.model
+        again = model.window != model.rig.window
+        self.model = modelled(model.rig, model.recording, model.effects) if again else model
+        runs = self.model.pieces
+        self.several = len(runs) > 1
+        if self.several:
+            self.fold = np.repeat(np.arange(len(runs)), [run.stop - run.start for run in runs])
+        else:
+            self.fold = _turns(len(self.model.target))
+
+    @np.errstate(over="ignore", invalid="ignore")  # a run may diverge
+    def errors(self, values: Mapping[str, float]) -> np.ndarray:
+        """Recorded less simulated by the rule of the rig (samples, channels), in the channels' units."""
+        known = {s: v for s, v in values.items() if s in self.model.values}
+        return self.model.target - self.model.predict({**self.model.values, **known})
+
+    def unseen(self, fit: Fit, held: np.ndarray) -> np.ndarray:
+        """Errors of a fit that did not learn from a block, on that block (samples of it, channels)."""
+        return self.errors(_without(fit, held, exact=False))[held]
+
+    def blocks(self, plain: Fit, fit: Fit) -> list[np.ndarray]:
+        """The blocks that are held out in turn (samples,), to compare a fit with a plainer one."""
+        found = [self.fold == k for k in range(int(self.fold.max()) + 1)]
+        had = {(u.symbol, np.isinf(u.prior)) for u in plain.unknowns}
+        new = [u.symbol for u in fit.unknowns if (u.symbol, np.isinf(u.prior)) not in had]
+        if not (self.several and new):
+            return found
+        of, cut = recording_of(fit.likelihood), []
+        for k, held in enumerate(found):
+            if margin(fit, new, of != k) > SHOWN:
+                cut.append(held)
+                continue
+            turns = np.full(len(held), FOLDS)
+            turns[held] = _turns(int(held.sum()))
+            cut += [turns == turn for turn in range(FOLDS)]
+        return cut
+
+    def losses(self, plain: Fit, fit: Fit) -> list[Loss]:
+        """Every channel of every block on which `fit` is worse than `plain`.
+
+        What the linearised fits show is fitted again before it counts. Of several recordings each one as a whole
+        counts, too, though both fits learnt from it: what the others have need not be there.
+        """
+        found = []
+        if self.several:
+            both = self.errors(plain.values), self.errors(fit.values)
+            for k in range(int(self.fold.max()) + 1):
+                held = self.fold == k
+                lost = self._lost(both[0][held], both[1][held], held)
+                found += [replace(loss, learnt=True) for loss in lost]
+        if found:
+            return found
+        for held in self.blocks(plain, fit):
+            if not self._lost(self.unseen(plain, held), self.unseen(fit, held), held):
+                continue
+            before, after = (self.errors(_without(f, held, exact=True))[held] for f in (plain, fit))
+            found += self._lost(before, after, held)
+        return found
+
+    def _lost(self, before: np.ndarray, after: np.ndarray, block: np.ndarray) -> list[Loss]:
+        rig, held = self.model.rig, np.flatnonzero(block)
+        runs = np.split(held, np.flatnonzero(np.diff(held) > 1) + 1)
+        name, first = "", 0
+        if self.several:
+            k = int(self.fold[held[0]])
+            name, first = self.model.recording.runs[k].name, self.model.pieces[k].start
+            runs = [] if np.array_equal(block, self.fold == k) else runs
+        spans = tuple((float((run[0] - first) * rig.dt), float((run[-1] + 1 - first) * rig.dt)) for run in runs)
+        out = []
+        for i, channel in enumerate(rig.predict):
+            was, now = (float(np.sqrt(np.mean(e[:, i] ** 2))) for e in (before, after))
+            if np.isfinite(was) and _worse(before[:, i], after[:, i]):
+                out.append(Loss(channel, rig.channels[channel].unit, spans, was, now, name))
+        return out
+
+    def total(self, fit: Fit) -> float:
+        """Squared error of a fit over that of the data sheet's plant, in the mean over channels, not learnt from."""
+        sheet = self.errors({})
+        if not np.isfinite(sheet).all():
+            return 0.0
+        error = np.concatenate([self.unseen(fit, held) for held in self.blocks(fit, fit)])
+        return float(np.mean(np.mean(error**2, axis=0) / (np.mean(sheet**2, axis=0) + TINY)))
+
+    def share(self, plain: Fit, without: Fit, fit: Fit) -> float:
+        """The share of the squared error of `plain` that `fit` has less than `without`, in the mean over channels."""
+        squared = [np.mean(self.errors(f.values) ** 2, axis=0) for f in (plain, without, fit)]
+        return float(np.mean((squared[1] - squared[2]) / (squared[0] + TINY)))
+
+
+def _worse(before: np.ndarray, after: np.ndarray) -> bool:
+    """Whether errors (samples,) are larger than others, by more than MORE and than chance."""
+    if not np.isfinite(after).all():
+        return True
+    if not np.mean(after**2) > (1.0 + MORE) ** 2 * np.mean(before**2):
+        return False
+    parts = [np.mean(p) for p in np.array_split(after**2 - before**2, ROUNDS * PARTS)]
+    return bool(np.mean(parts) > SURE * np.std(parts, ddof=1) / np.sqrt(len(parts)))
+
+
+def _without(fit: Fit, held: np.ndarray, exact: bool) -> dict[str, float]:
+    """Values of a fit to all samples but those `held` (samples,): in full, or by one linearised step.
+
+    What is a recording's own stays as it is where all of that recording is held.
+    """
+    if not fit.unknowns:
+        return fit.values
+    if own := _own(fit, held):
+        shared = [j for j, u in enumerate(fit.unknowns) if u.symbol not in own]
+        less = replace(
+            fit,
+            unknowns=tuple(fit.unknowns[j] for j in shared),
+            numbers=fit.numbers[shared],
+            weight=fit.weight[shared],
+            fixed={**fit.fixed, **own},
+        )
+        vars(less).update(slopes=fit.slopes[:, :, shared], projected=fit.projected, basis=fit.basis)
+        return _without(less, held, exact) if shared else fit.values
+    if exact:
+        other = fit.likelihood.without(held)
+        again = Likelihood.fit(other, fit.unknowns, fit.values, fit.shifts, iterations=REFIT)
+        return again.values
+    likelihood = fit.likelihood
+    ends = np.arange(1, likelihood.windows + 1) * likelihood.block - 1
+    learn = ~held[np.arange(len(held))[likelihood.kept][ends - likelihood.block // 2]]
+    flat, errors = fit.slopes[learn].reshape(-1, len(fit.numbers)), fit.projected[learn].reshape(-1)
+    normal = flat.T @ flat + np.diag(fit.weight + RIDGE)
+    step = np.linalg.lstsq(normal, -(flat.T @ errors) - fit.weight * fit.numbers, rcond=SINGULAR)[0]
+    numbers = np.clip(
+        fit.numbers + step, *np.array([sorted((u.number(u.low), u.number(u.high))) for u in fit.unknowns]).T
+    )
+    return {**fit.values, **{u.symbol: float(u.value(n)) for u, n in zip(fit.unknowns, numbers, strict=True)}}
+
+
+def _own(fit: Fit, held: np.ndarray) -> dict[str, float]:
+    """The unknowns that belong to recordings of which all samples are `held`, with their values."""
+    model = fit.likelihood.model
+    names = [run.name for run, p in zip(model.recording.runs, model.pieces, strict=True) if held[p].all()]
+    own = [u.symbol for u in fit.unknowns if IN in u.symbol and u.symbol.partition(IN)[2] in names]
+    return {symbol: fit.values[symbol] for symbol in own}
+
+
+def _turns(samples: int) -> np.ndarray:
+    """The number of the block in which each sample lies (samples,): blocks are spread, by turns."""
+    return np.arange(samples) * FOLDS * ROUNDS // samples % FOLDS

@@ -1,0 +1,213 @@
+"""The gates that a claim passes before a diagnosis makes it; what fails is dropped, and the diagnosis says why.
+
+1. The interval of an effect's size holds no zero, and a parameter outside its tolerance lies outside it.
+2. The recording excites the effect: at its found size it does more than a gain, an offset or nothing would do.
+3. Its e-value, on halves of the recording that its fit did not see, bears the name among all on offer (`evidence`).
+   Where the noise is coloured, and so what is fast weighs most, the squared error of the run is smaller with it, too.
+4. The corrected simulation is on no block worse than the calibrated one, nor that than the data sheet (`blocks`).
+
+A fit that fails the fourth gate is fitted again to what the simulation is judged by: its error in the run of the rig's
+rule, as it is. If that fails too, the effect goes whose loss costs least.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from greygate.mismatch.blocks import MORE, Judge, Loss
+from greygate.mismatch.coloured import Coloured
+from greygate.mismatch.effects import Effect
+from greygate.mismatch.evidence import Evidence, borne_out, evidence
+from greygate.mismatch.experiments.excitation import SEEN, unexcited
+from greygate.mismatch.fit import Fit, Likelihood
+from greygate.mismatch.intervals import interval, least_share, margin
+from greygate.mismatch.model import TINY
+from greygate.mismatch.search import Hypothesis, Search
+from greygate.mismatch.several import modelled
+from greygate.progress import Progress, silent
+
+PERCENT = 100
+WORST = 3  # losses that are named in a refusal
+
+
+@dataclass
+class Claims:
+    """What is left after the gates.
+
+    best, fit: the hypothesis and its fit. calibrated: the fit without effects. refused: one sentence for each claim
+    that was dropped or fitted again. evidence, shares: of every effect and parameter that is left, what
+    speaks for it and the share of the calibrated plant's squared error that goes with it alone.
+    """
+
+    best: Hypothesis
+    fit: Fit
+    calibrated: Fit
+    refused: list[str] = field(default_factory=list)
+    evidence: dict[str, Evidence] = field(default_factory=dict)
+    shares: dict[str, float] = field(default_factory=dict)
+
+
+# -- the first two gates ---------------------------------------------------------------------------------------------
+
+
+def unborne(search: Search, hypothesis: Hypothesis, fit: Fit) -> dict[str, str]:
+    """Key of an effect or symbol of a parameter -> why it is no claim; the least sure first."""
+    out = {}
+    sure = {key: margin(search.effects[key], fit) for key in hypothesis.effects}
+    for key in sorted(sure, key=lambda key: sure[key]):
+        effect = search.effects[key]
+        if not sure[key] > 1.0 and not least_share(effect, fit):
+            out[key] = "the interval of its size holds 0"
+        elif why := unexcited(effect, fit.likelihood.model, fit.values):
+            out[key] = why
+        elif not _influence(effect, fit) > SEEN:
+            out[key] = "at the size that fits, it changes nothing that the sensors show"
+    for symbol in hypothesis.released:
+        sheet = search.sheet[symbol]
+        value, (low, high) = fit.values[symbol], interval(fit.values[symbol], fit.deviation(symbol))
+        if abs(value - sheet.value) <= sheet.tolerance * abs(sheet.value) or low <= sheet.value <= high:
+            out[symbol] = "it does not lie outside its tolerance for certain"
+    return out
+
+
+def _influence(effect: Effect, fit: Fit) -> float:
+    """The squared change of the errors, in units of noise, that the effect makes at its found size."""
+    nothing = {f.symbol: 0.0 for f in effect.strengths}
+    if effect.frees:
+        nothing = {f.symbol: fit.likelihood.model.values[f.symbol] for f in effect.free}
+    change = fit.likelihood.errors({**fit.values, **nothing}, fit.shifts) - fit.errors
+    return float(np.sum(np.square(np.nan_to_num(change, nan=np.inf))))
+
+
+# -- the fourth ------------------------------------------------------------------------------------------------------
+
+
+def by_rule(search: Search, hypothesis: Hypothesis, fit: Fit) -> Fit | None:
+    """The hypothesis fitted to the error of the run by the rig's rule, as it is; None where `fit` is that already.
+
+    An autoregression weighs fast errors most, and short windows forget slow ones; this weighs them as they are.
+    """
+    likelihood = fit.likelihood
+    if isinstance(likelihood, Coloured) and likelihood.order:
+        white = likelihood.learnt(likelihood.residual(fit.values), 0)
+        again = Likelihood.fit(white, search.unknowns(hypothesis), fit.values)
+        return again if np.isfinite(again.cost) else None
+    if likelihood.model.window != search.rig.window:
+        model = modelled(search.rig, likelihood.model.recording, likelihood.model.effects)
+        again = Likelihood(model).fit(search.unknowns(hypothesis), fit.values)
+        return again if np.isfinite(again.cost) else None
+    return None
+
+
+def earned(
+    search: Search,
+    calibrated: Fit,
+    best: Hypothesis,
+    fit: Fit,
+    refit: Callable[[Hypothesis, Fit], Fit] | None = None,
+    progress: Progress = silent,
+) -> Claims:
+    """The part of `best` that passes every gate, and the calibrated plant, no worse than its data sheet.
+
+    refit: gives the fit of a smaller hypothesis, from that of a larger one; by default on the likelihood of `fit`.
+    """
+    refit = refit or (lambda less, from_: search.fit(from_.likelihood, less, from_.values))
+    judge = Judge(fit.likelihood)
+    claims = Claims(best, fit, calibrated)
+    progress("holding the calibrated plant against its data sheet")
+    _calibrated(search, judge, claims)
+    while claims.best.size:
+        if failed := unborne(search, claims.best, claims.fit):
+            name, why = next(iter(failed.items()))
+            claims.refused.append(f"{_name(search, name)} is not claimed: {why}")
+            progress(f"dropping {name}")
+            claims.best = claims.best.without(name)
+            claims.fit = refit(claims.best, claims.fit)
+            continue
+        if _unsupported(search, judge, claims, refit):
+            continue
+        progress(f"holding blocks out of {claims.best}")
+        losses = judge.losses(claims.calibrated, claims.fit)
+        if not losses:
+            break
+        again = by_rule(search, claims.best, claims.fit)
+        sound = again if again and not unborne(search, claims.best, again) else None
+        if sound and not judge.losses(claims.calibrated, sound):
+            claims.refused.append(f"{claims.best} is fitted again to the run itself: before, {_worst(losses)}")
+            claims.fit = sound
+            break
+        _dropped(search, claims, refit, losses)
+    return claims
+
+
+def _unsupported(search: Search, judge: Judge, claims: Claims, refit: Callable) -> bool:
+    """Whether the effect or parameter of least evidence was dropped, as not all that are named are borne out."""
+    names = (*claims.best.effects, *claims.best.released)
+    fits = {name: refit(claims.best.without(name), claims.fit) for name in names}
+    if len(names) == 1 and claims.calibrated.likelihood.model is claims.fit.likelihood.model:
+        fits = {name: min(fit, claims.calibrated, key=lambda f: f.cost) for name, fit in fits.items()}
+    claims.shares = {n: judge.share(claims.calibrated, fits[n], claims.fit) for n in names}
+    useless = min(names, key=lambda n: claims.shares[n])
+    if claims.fit.likelihood.remembers and claims.shares[useless] <= 0.0:
+        return _drop(search, claims, useless, fits, "with it the squared error of the run is no smaller")
+    candidates = len({effect.id for effect in search.effects.values()}) + len(search.toleranced)
+    for exact in (False, True):  # what a linearised fit does not bear out is fitted in full before it counts
+        claims.evidence = {n: evidence(fits[n], claims.fit, _wider(search, claims, n), exact) for n in names}
+        if borne_out(claims.evidence, candidates) == set(names):
+            return False
+    name = min(names, key=lambda n: claims.evidence[n].log_e)
+    found = f"an e-value of {claims.evidence[name]}, for one of {candidates} candidates"
+    return _drop(search, claims, name, fits, f"what its fit did not see gives it {found}")
+
+
+def _drop(search: Search, claims: Claims, name: str, fits: Mapping[str, Fit], why: str) -> bool:
+    """Go on without the effect or parameter, with the fit of the rest."""
+    claims.refused.append(f"{_name(search, name)} is not claimed: {why}")
+    claims.best, claims.fit = claims.best.without(name), fits[name]
+    return True
+
+
+def _wider(search: Search, claims: Claims, name: str) -> float:
+    """By how much errors that depend on each other widen what is found; a noise that remembers has that in it."""
+    return 1.0 if claims.fit.likelihood.remembers else claims.fit.widened(_symbols(search, name))
+
+
+def _symbols(search: Search, name: str) -> list[str]:
+    """The unknowns of an effect, or of a parameter whose tolerance is lifted."""
+    return [f.symbol for f in search.effects[name].free] if name in search.effects else [name]
+
+
+def _dropped(search: Search, claims: Claims, refit: Callable, losses: list[Loss]) -> None:
+    """Drop the effect or parameter whose loss costs least."""
+    names = (*claims.best.effects, *claims.best.released)
+    fits = {name: refit(claims.best.without(name), claims.fit) for name in names}
+    name = min(fits, key=lambda n: fits[n].cost)
+    claims.refused.append(f"{_name(search, name)} is not claimed: with it, {_worst(losses)}")
+    claims.best, claims.fit = claims.best.without(name), fits[name]
+
+
+def _calibrated(search: Search, judge: Judge, claims: Claims) -> None:
+    """Fit a calibrated plant again that is worse than its data sheet, all blocks together; or take the data sheet."""
+    before = judge.total(claims.calibrated)
+    if before <= (1.0 + MORE) ** 2:
+        return
+    again, why = by_rule(search, Hypothesis(), claims.calibrated), f"{PERCENT * (before - 1):.2g} % more squared error"
+    if again is not None and judge.total(again) <= 1.0:
+        claims.refused.append(f"the parameters are fitted again to the run itself: before, {why} than the data sheet")
+    else:
+        again = claims.calibrated.likelihood.fit(claims.calibrated.unknowns, iterations=0)
+        claims.refused.append(f"the parameters are left as on the data sheet: fitted, {why} where not learnt from")
+    if not claims.best.size:
+        claims.fit = again
+    claims.calibrated = again
+
+
+def _name(search: Search, key: str) -> str:
+    return search.effects[key].id if key in search.effects else f"{key} outside its tolerance"
+
+
+def _worst(losses: list[Loss]) -> str:
+    ranked = sorted(losses, key=lambda loss: -loss.after / max(loss.before, TINY))
+    more = f" ({len(losses)} such blocks and channels)" if len(losses) > 1 else ""
+    return f"{ranked[0]}{more}"

@@ -1,0 +1,116 @@
+"""Filters of recorded signals: what an actuator, a sensor or a logger may do to them.
+
+An input is held over each sample, so that a filter of it gives a mean over a sample. A sensor's reading is taken at an
+instant, so that a filter of it interpolates. The first parameter of each is its strength, 0 where it does nothing.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.signal import lfilter, lfiltic
+
+NYQUIST = np.pi  # rad a sample: a resonance above is none
+SHORTEST = 2.0  # samples of a period: likewise
+
+
+def saturated(signal: np.ndarray, share: float, level: float, dt: float) -> np.ndarray:
+    """An input of which `share` of what exceeds `level`, on either side of zero, is lost."""
+    return signal - share * np.sign(signal) * np.maximum(np.abs(signal) - level, 0.0)
+
+
+def rate_limited(signal: np.ndarray, share: float, rate: float, dt: float) -> np.ndarray:
+    """An input of which `share` follows no faster than `rate` per second."""
+    out, at, step = np.empty_like(signal), signal[0], abs(rate) * dt
+    for k, x in enumerate(signal.tolist()):
+        at = min(max(x, at - step), at + step)
+        out[k] = at
+    return signal + share * (out - signal)
+
+
+def quantized(signal: np.ndarray, share: float, step: float, dt: float) -> np.ndarray:
+    """An input of which `share` acts in whole steps."""
+    return signal + share * (step * np.round(signal / step) - signal) if step else signal
+
+
+def resonant(signal: np.ndarray, share: float, period: float, damping: float, dt: float) -> np.ndarray:
+    """An input of which `share` acts through an oscillator of this period (s) and damping ratio."""
+    omega = 2 * np.pi * dt / max(period, SHORTEST * dt)  # rad a sample
+    pole = np.exp(complex(-damping, np.sqrt(max(1.0 - damping**2, 0.0))) * omega)
+    denominator = np.array([1.0, -2 * pole.real, abs(pole) ** 2])
+    gain = denominator.sum()
+    start = lfiltic([gain], denominator, y=[signal[0], signal[0]])
+    out, _ = lfilter([gain], denominator, signal, zi=start)
+    return signal + share * (out - signal)
+
+
+def fading(signal: np.ndarray, by: float, dt: float) -> np.ndarray:
+    """An input whose effect changes in proportion to time: `by` of it a second."""
+    return signal * (1.0 + by * np.arange(len(signal)) * dt)
+
+
+INPUT: dict[str, Callable[..., np.ndarray]] = {
+    "saturation": saturated,
+    "rate_limit": rate_limited,
+    "quantum": quantized,
+    "resonance": resonant,
+    "fading": fading,
+}
+
+
+# -- of sensors ------------------------------------------------------------------------------------------------------
+
+
+def _at(signal: np.ndarray, instants: np.ndarray) -> np.ndarray:
+    """The signal at instants that count in samples; before and after the recording it stays as it was."""
+    return np.interp(instants, np.arange(len(signal)), signal)
+
+
+def late(signal: np.ndarray, by: float, dt: float) -> np.ndarray:
+    """A reading that comes `by` s late."""
+    return _at(signal, np.arange(len(signal)) - by / dt)
+
+
+def behind(signal: np.ndarray, lag: float, dt: float) -> np.ndarray:
+    """A reading behind a first-order lag of `lag` s: exact for a signal that is straight between samples."""
+    if lag <= 0.0:
+        return signal
+    decay, ratio = np.exp(-dt / lag), lag / dt
+    now, before = 1.0 - ratio * (1.0 - decay), ratio * (1.0 - decay) - decay
+    start = np.array([signal[0] * (1.0 - now)])
+    return lfilter([now, before], [1.0, -decay], signal, zi=start)[0]
+
+
+def skewed(signal: np.ndarray, by: float, dt: float) -> np.ndarray:
+    """A reading whose clock goes fast by a share `by` of the time."""
+    return _at(signal, np.arange(len(signal)) * (1.0 + by))
+
+
+def lost(signal: np.ndarray, span: float, since: float, dt: float) -> np.ndarray:
+    """A reading of which `span` s are lost at the instant `since` (s): what follows comes too early."""
+    k = np.arange(len(signal), dtype=float)
+    passed = np.clip(k - since / dt, 0.0, 1.0)  # over one sample, so that a fit can move the instant
+    return _at(signal, k + passed * span / dt)
+
+
+def loose(signal: np.ndarray, width: float, dt: float) -> np.ndarray:
+    """A reading behind a play of half width `width`; at the first sample it stands in the middle."""
+    out, at, width = np.empty_like(signal), signal[0], abs(width)
+    for k, x in enumerate(signal.tolist()):
+        at = min(max(at, x - width), x + width)
+        out[k] = at
+    return out
+
+
+SENSOR: dict[str, Callable[..., np.ndarray]] = {
+    "late": late,
+    "behind": behind,
+    "clock": skewed,
+    "lost": lost,
+    "play": loose,
+}
+
+
+def unfiltered(kind: str, signal: np.ndarray, parameters: tuple[float, ...], dt: float) -> np.ndarray:
+    """An estimate of what a sensor was shown, from its reading: the inverse of its filter, to first order."""
+    shown = SENSOR[kind](signal, *parameters, dt)
+    return 2.0 * signal - shown

@@ -1,0 +1,159 @@
+"""Where a plant may lack something: its velocities, positions and storages, told by their units and equations.
+
+A velocity may be the rate of a state, a state, a derived input or a definition; a storage is any other state with a
+balance of its own. A place says by which name each goes in an entry of `general.toml`.
+"""
+
+from collections.abc import Iterator
+from fractions import Fraction
+from itertools import combinations
+
+from greygate.mismatch.rig import Rig
+from greygate.plants import units
+from greygate.plants.expressions import Name, names, parse
+from greygate.plants.plant import Definition, Equation, Plant
+
+Place = dict[str, str]
+"""Placeholder in `general.toml` -> the name that stands for it; the first one names the effect there."""
+
+LENGTHS = ("m", "mm", "cm", "µm", "um", "km", "in", "rad", "mrad", "deg", "°", "rev", "turn", "tick", "count")
+ANGLES = ("rad",)  # whose sine and cosine are taken as they are
+FAST = ("rpm", "Hz")  # rates that need no second below
+PAIRS = 6  # of states, between which something may flow or act: those of the first states
+
+
+def places(rig: Rig) -> dict[str, list[Place]]:
+    """By the `at` of an entry all places of a rig's plant."""
+    plant = rig.plant
+    moving, stored = list(_velocities(rig)), list(_storages(rig))
+    return {
+        "u": [{"u": name} for name in rig.inputs],
+        "y": [{"y": name} for name in rig.predict],
+        "level": [{"y": name} for name in rig.predict if not _origin(plant, name)],
+        "v": moving,
+        "x": [place for place in moving if "x" in place],
+        "angle": [place for place in moving if "x" in place and plant.unit(place["x"]) in ANGLES],
+        "drive": [place | {"drive": drive} for place in moving if (drive := _drive(rig, place["motion"]))],
+        "s": stored,
+        "pair": _pairs(plant, stored, "s", "balance"),
+        "bodies": _pairs(plant, [p for p in moving if p["v"] in plant.states], "v", "motion"),
+        "springs": _pairs(plant, [p for p in moving if p["v"] in plant.states and "x" in p], "x", "motion"),
+    }
+
+
+def rates(plant: Plant) -> dict[str, str]:
+    """Position -> its velocity, both states: as declared, or as the position's balance says."""
+    found = {x: state.rate for x, state in plant.states.items() if state.rate}
+    for equation in plant.equations.values():
+        rate = _copied(equation)
+        if rate in plant.states and is_rate(plant.unit(rate)) and not is_rate(plant.unit(equation.state)):
+            found.setdefault(equation.state, rate)
+    return found
+
+
+def is_rate(unit: str) -> bool:
+    """Whether it is the unit of a speed, or of a speed of rotation."""
+    found = units.powers(unit) or {}
+    return unit in FAST or any(found == {length: Fraction(1), "s": Fraction(-1)} for length in LENGTHS)
+
+
+def unit_of_place(plant: Plant, where: str) -> units.Powers | None:
+    """The unit of the terms of an equation or a definition."""
+    place = _sum(plant, where)
+    known = {symbol: plant.unit(symbol) for symbol in plant.symbols}
+    if isinstance(place, Definition):
+        return units.powers(place.unit)
+    for text in place.terms.values():
+        if names([text]) and (found := units.of(text, known)) is not None:
+            return found
+    storage, state = units.of(place.storage, known), units.powers(plant.unit(place.state))
+    if storage is None or state is None:
+        return None
+    return units.times(units.times(storage, state), {"s": Fraction(1)}, -1)
+
+
+def _sum(plant: Plant, where: str) -> Equation | Definition:
+    return plant.equations.get(where) or plant.definitions[where]
+
+
+def _copied(equation: Equation) -> str:
+    """The symbol that is the whole right side of a balance; empty where it is more."""
+    terms = [*equation.terms.values()]
+    tree = parse(terms[0]).tree if len(terms) == 1 and equation.storage == "1" else None
+    return tree.symbol if isinstance(tree, Name) else ""
+
+
+def _velocities(rig: Rig) -> Iterator[Place]:
+    plant = rig.plant
+    balance = {e.state: name for name, e in plant.equations.items() if not _copied(e)}
+    found = rates(plant)
+    for x, v in found.items():
+        if v in balance:
+            yield {"x": x, "v": v, "motion": balance[v]}
+    for v, state in plant.states.items():
+        if is_rate(state.unit) and v in balance and v not in (*found, *found.values()):
+            yield {"v": v, "motion": balance[v]}
+    known = {balance[v] for v in plant.states if v in balance and is_rate(plant.unit(v))}
+    found = _derived(plant)
+    defined = [] if known else [d.symbol for d in plant.definitions.values()]  # else made of those that move
+    for v in (*found, *defined):
+        where = _entered(rig, v) if is_rate(plant.unit(v)) and v not in rig.predict else ""
+        if where and where not in known:  # where a state moves, its own velocity tells more
+            yield {"v": v, "motion": where} | ({"x": found[v]} if v in found else {})
+
+
+def _derived(plant: Plant) -> dict[str, str]:
+    """Derived input that is a velocity -> the position that is recorded; of several of one position the smoothest."""
+    ways = {v: how.split() for v, how in plant.derived.items() if is_rate(plant.unit(v))}
+    best = {source: v for v, (how, source) in sorted(ways.items(), key=lambda item: item[1][0] == "smooth_rate")}
+    return {v: source for source, v in best.items()}
+
+
+def _entered(rig: Rig, v: str) -> str:
+    """The sum that a velocity enters, or which a sensor reads; empty where that is itself a position."""
+    sums: dict[str, Equation | Definition] = {**rig.plant.definitions, **rig.plant.equations}
+    used = [name for name, place in sums.items() if v in names(place.terms.values())]
+    used = [name for name in used if name in rig.plant.definitions or not _copied(rig.plant.equations[name])]
+    used += [name for name, d in rig.plant.definitions.items() if d.symbol in rig.predict]
+    return next((name for name in used if not _is_length(unit_of_place(rig.plant, name))), "")
+
+
+def _is_length(unit: units.Powers | None) -> bool:
+    return unit is not None and (unit in [{length: Fraction(1)} for length in LENGTHS])
+
+
+def _storages(rig: Rig) -> Iterator[Place]:
+    plant = rig.plant
+    found = rates(plant)
+    for name, equation in plant.equations.items():
+        symbol = equation.state
+        inside = _is_length(units.powers(plant.unit(symbol))) or not units.powers(plant.unit(symbol))
+        if inside and symbol not in rig.predict:
+            continue  # how far something is bent or how much of it has closed: no stock of anything
+        if not (symbol in found or symbol in found.values() or is_rate(plant.unit(symbol)) or _copied(equation)):
+            yield {"s": symbol, "balance": name}
+
+
+def _origin(plant: Plant, channel: str) -> bool:
+    """Whether an offset of the channel is no more than another origin: no term asks where the position is."""
+    if channel not in plant.states:
+        return (units.powers(plant.unit(channel)) or {}).keys() & {*LENGTHS} != set()
+    asked = {n for e in plant.equations.values() for n in names(e.terms.values())}
+    asked |= {n for d in plant.definitions.values() for n in names(d.terms.values())}
+    return channel in rates(plant) and channel not in asked
+
+
+def _drive(rig: Rig, where: str) -> str:
+    """The terms of a sum that inputs bring, as one expression."""
+    terms = _sum(rig.plant, where).terms.values()
+    return " + ".join(f"({text})" for text in terms if {*rig.inputs} & names([text]))
+
+
+def _pairs(plant: Plant, found: list[Place], key: str, where: str) -> list[Place]:
+    """Pairs of places whose states have one unit, and whose sums have one."""
+    out = []
+    for one, other in combinations(found, 2):
+        alike = plant.unit(one[key]) == plant.unit(other[key]) and one[where] != other[where]
+        if alike and unit_of_place(plant, one[where]) == unit_of_place(plant, other[where]):
+            out.append({f"{k}_{i}": v for i, place in ((1, one), (2, other)) for k, v in place.items()})
+    return out[:PAIRS]
