@@ -390,4 +390,4 @@ def test_the_cost_counts_the_square_of_each_shift_by_its_weight(folder):
 @pytest.mark.parametrize(("windows", "size", "each"), [(200, 100, 10), (80, 25, 4), (6, 25, 1)])
 def test_stretches_are_a_thousand_samples_or_a_twentieth_of_the_recording(windows, size, each):
     made = SimpleNamespace(windows=windows, block=size)
-    np.testing.assert_array_equal(Likelihood.alternate(made, 1000), np.arange(windows) // each % 2 == 0)
+    np.testing.assert_array_equal(Likelihood.turns(made, 1000, 2), np.arange(windows) // each % 2)
