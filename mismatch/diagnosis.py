@@ -479,7 +479,8 @@ def _unknown(search: Search, claims: Claims, unknown: dict, closed: Fit | None) 
     for place in unknown["where"]:
         if closed is not None:
             place["regime"] = "no function of the signals that was tried takes what is left"
-    return {**unknown, "effect": None}, search.fit(search.final, Hypothesis(), claims.calibrated.values)
+    plain = claims.calibrated  # its values as they are: fitted anew to long windows, they may predict worse
+    return {**unknown, "effect": None}, search.final.fit(plain.unknowns, plain.values, iterations=0)
 
 
 def _goes_on(fit: Fit) -> str:

@@ -4,7 +4,6 @@ Parameters and effects are shared. What a recording begins with, and what rig.to
 parameter `mass` that is fitted in the recording run2 alone is `mass@run2` among the values of the joined model.
 """
 
-import copy
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -46,8 +45,8 @@ class Several(Model):
 
     def over(self, recording: Recording) -> Model:
         """The model over one further recording, in which nothing is its own."""
-        other = copy.copy(self)
-        other.__class__ = Model  # type: ignore[assignment]
+        other = Model.__new__(Model)
+        vars(other).update(vars(self))
         other._take(recording, self.window)
         return other
 
