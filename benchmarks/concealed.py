@@ -36,7 +36,7 @@ def case(plant: str, kind: str, seed: int) -> dict:
     """Draw, diagnose and score one case."""
     from greygate.mismatch import rig as rigs
     from greygate.mismatch.concealed.conceal import conceal, reveal
-    from greygate.mismatch.diagnosis import diagnose
+    from greygate.mismatch.diagnose import diagnose
     from greygate.mismatch.simulation import simulate
 
     with tempfile.TemporaryDirectory() as temporary:

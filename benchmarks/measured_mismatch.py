@@ -18,7 +18,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from greygate.machines.identification import ROOT, find
-from greygate.mismatch.diagnosis import diagnose
+from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.rig import load
 
 RIGS = ROOT / "recordings" / "rigs"

@@ -28,7 +28,7 @@ from scipy.interpolate import CubicSpline
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.concealed.conceal import EVERY_RIG, conceal
 from greygate.mismatch.concealed.domains.integrate import FINE, Ways, acting, integrate
-from greygate.mismatch.diagnosis import diagnose
+from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.experiments.experiment import AMPLITUDES, Bounds, FreeRun, leg
 from greygate.mismatch.simulation import read
 from greygate.plants.excitation import multisine

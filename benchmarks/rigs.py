@@ -17,7 +17,7 @@ RESULTS = Path(__file__).parent / "results" / "rigs"
 def explain(folder: Path) -> dict:
     """Diagnose one rig and write its diagnosis.json."""
     from greygate.mismatch import rig as rigs
-    from greygate.mismatch.diagnosis import diagnose
+    from greygate.mismatch.diagnose import diagnose
 
     result = diagnose(rigs.load(folder))
     result.write(RESULTS / f"{folder.name}.json")

@@ -41,7 +41,7 @@ _PUBLIC = {  # name -> module: name there, in the order of the examples
     "Plant": "greygate.plants.plant:Plant",
     "simulate": "greygate.plants.simulate:simulate",
     "load_rig": "greygate.mismatch.rig:load",
-    "diagnose": "greygate.mismatch.diagnosis:diagnose",
+    "diagnose": "greygate.mismatch.diagnose:diagnose",
 }
 __all__ = [*_PUBLIC]
 

@@ -6,7 +6,7 @@ from greygate.compiler.quantize import Formats
 from greygate.emulation import emulate
 from greygate.emulator.program import Program
 from greygate.errors import InputError
-from greygate.mismatch.diagnosis import diagnose
+from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.rig import load as load_rig
 from greygate.models.network import Connection, Layer, Network, Port
 from greygate.models.training.levenberg import train

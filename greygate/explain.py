@@ -18,7 +18,7 @@ from greygate.files import replacing, replacing_all
 from greygate.mismatch import effects as table
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.concealed.conceal import reveal, sealed
-from greygate.mismatch.diagnosis import diagnose
+from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.experiments.excitation import check
 from greygate.mismatch.experiments.experiment import nominal

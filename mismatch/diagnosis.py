@@ -1,14 +1,8 @@
-"""What a recording says about a plant: the verdict, its grounds, and the file that keeps them (`diagnosis.json`).
+"""What a recording says about a plant: the verdict, its grounds, and the file that keeps them (`diagnosis.json`)."""
 
-A diagnosis claims an effect only where its evidence is strong and little is left unexplained. Where structure stays in
-the errors that no effect of the table explains, the verdict is `unexplained`.
-"""
-
-import copy
 import json
-import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -16,46 +10,28 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.files import replacing
-from greygate.mismatch import effects as table
-from greygate.mismatch.adequacy import dependent
-from greygate.mismatch.blocks import Judge
-from greygate.mismatch.claims import Claims, earned
-from greygate.mismatch.closure import closure
-from greygate.mismatch.coloured import Coloured, remaining
-from greygate.mismatch.coloured_selection import ColouredSelection
 from greygate.mismatch.effects import SENSOR, Effect
 from greygate.mismatch.evidence import Evidence
-from greygate.mismatch.experiments.excitation import excited, unseen
-from greygate.mismatch.fit import Fit, Likelihood
+from greygate.mismatch.experiments.excitation import unseen
+from greygate.mismatch.fit import Fit
 from greygate.mismatch.intervals import interval, least_share, margin, reported
 from greygate.mismatch.locate import located
-from greygate.mismatch.model import TINY, Model
-from greygate.mismatch.noise import PLACES, Noise, learnt
+from greygate.mismatch.noise import PLACES, Noise
 from greygate.mismatch.rig import IN, Rig
-from greygate.mismatch.ruled_out import ruled_out, why
+from greygate.mismatch.ruled_out import why
 from greygate.mismatch.search import Hypothesis, Search
-from greygate.mismatch.selection import APART, STRUCTURE, Selection, complete, inflation, structure
-from greygate.mismatch.several import by_rule, modelled
+from greygate.mismatch.selection import APART, STRUCTURE
 from greygate.mismatch.shown_by import Shown, shown_by
 from greygate.mismatch.verdict import Verdict
 from greygate.plain import plain
 from greygate.plants.dimensions import clashes
-from greygate.plants.expressions import names
-from greygate.plants.plant import Parameter, Plant
-from greygate.plants.recording import run_name
-from greygate.progress import Progress, silent
+from greygate.plants.plant import Parameter
 
 SCHEMA = "diagnosis/2"
 READ = (SCHEMA, "diagnosis/1")  # that can be simulated: the second adds to the first
-SHARE = 0.99  # of what can be explained: an effect that explains so much is all that is missing,
-ADEQUATE = 4.0  # where the squared errors are at most so many times those that the told noise makes
-PART = 0.9  # of what can be explained: an effect that explains so much is named beside what is left
-SOME = 0.1  # of the squared error in free run, likewise where no noise is told
 OPEN = 0.9  # of confidence in a name beside which structure is left, or that any smooth curve is like
 ELSE = 0.01  # weight of something that no table has, beside a name whose fit leaves nothing: machines are many
-CLOSED = 0.05  # of the misfit, that a fitted term must take: less is not applied, and only located
 FARTHEST = 1400.0  # of cost: a rival this far away has a likelihood of exp(-700), the least that a float can hold
-BLOWN = 100.0  # times what was recorded: a run that is so far off diverges, and nothing can be read from it
 DIGITS = 4  # after the point, of a confidence
 
 
@@ -301,263 +277,3 @@ def recovered(effect: Effect, found: Mapping[str, Mapping]) -> dict[str, float]:
         if f.symbol not in values:
             values[f.symbol] = given(f.reported)
     return values
-
-
-# -- finding it ------------------------------------------------------------------------------------------------------
-
-
-@np.errstate(over="ignore", invalid="ignore")  # a trial may diverge
-def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Progress = silent) -> Diagnosis:
-    """Explain the recording `rig.folder`/identify.csv; holdout.csv serves for the report alone.
-
-    effects: those to be tried, by key; by default all that are known for the rig. Raises InputError where a recording
-    or the table of effects cannot serve.
-
-    >>> force = 60.0 * np.repeat(np.random.default_rng(2).standard_normal(30), 40)
-    >>> real = axis.with_parameters(viscous=500.0)  # the data sheet of `load_rig` says 400, up to 10 % off
-    >>> x = simulate(real, {"force": force}, sample_time=5e-3)["x"]
-    >>> x = x + 2e-6 * np.random.default_rng(3).standard_normal(1200)
-    >>> columns = np.column_stack([np.arange(1200) * 5e-3, force, x])
-    >>> np.savetxt("rig/identify.csv", columns, delimiter=",", header="t,force,x", comments="")
-    >>> found = diagnose(rig)
-    >>> str(found.verdict), list(found.as_dict()["parameters"])
-    ('parameter_error', ['viscous'])
-    """
-    began = time.perf_counter()
-    recording = rig.to_explain()
-    effects = table.known(rig, recording) if effects is None else effects
-    progress("compiling the plant")
-    search = Search(rig, recording, effects, free_run=Likelihood if rig.stated else Coloured)
-    search.effects, not_shown = excited(search.final.model, search.effects)
-    offered = {effect.id for effect in search.effects.values()}
-    not_shown |= {name: why for name, why in table.unmet(rig, recording).items() if name not in offered}
-    progress("calibrating")
-    result = (_of_stated_noise if rig.stated else _of_coloured_noise)(search, progress)
-    result.not_shown = not_shown
-    if result.verdict == Verdict.MISSING_PHYSICS and all(search.effects[key].fault for key in result.best.effects):
-        result.verdict = Verdict.RECORDING_FAULT
-    if result.verdict == Verdict.CONSISTENT:
-        progress("bounding what is not there")
-        result.not_larger_than = ruled_out(search, result.corrected, not_shown)
-    progress("predicting the recordings")
-    result.fits = fits(result, recording)
-    if diverging := [c for c, rms in result.fits["identify"].items() if _diverges(rms["corrected"], recording[c])]:
-        raise InputError(
-            f"{rig.folder}: the simulation of {', '.join(diverging)} diverges, whatever the parameters; check the "
-            "values and units in rig.toml, or restart it in windows of window_s"
-        )
-    if result.verdict == Verdict.UNEXPLAINED and len(recording.runs) > 1:
-        result.alone = _each_alone(rig, effects, progress)
-    result.seconds = time.perf_counter() - began
-    return result
-
-
-def _each_alone(rig: Rig, effects: Mapping[str, Effect], progress: Progress) -> dict[str, dict]:
-    """By its name, what each of several recordings says alone: one may show what the others lack."""
-    out = {}
-    for file in rig.identify:
-        progress(f"asking {file} alone")
-        try:
-            found = diagnose(replace(rig, identify=(file,), holdout=()), effects).as_dict()
-        except InputError:  # too short alone, or a run that diverges
-            continue
-        out[run_name(file)] = {key: found[key] for key in ("verdict", "effects")}
-    return out
-
-
-def _diverges(rms: float, recorded: np.ndarray) -> bool:
-    return not rms <= BLOWN * np.max(np.abs(recorded))
-
-
-def _of_stated_noise(search: Search, progress: Progress) -> Diagnosis:
-    """Explain with the noise that was told, and once more where the recording shows another."""
-    found = _explained(search, progress)
-    noise = shown_noise(found.corrected)
-    if noise.as_told:
-        return replace(found, noise=noise)
-    progress("searching again: the noise is not as rig.toml tells it")
-    again = _explained(search.under(noise), progress)
-    if again.verdict == Verdict.CONSISTENT and dependent(again.corrected):
-        search.under(Noise.told(len(search.rig.predict)))  # what the machine's own motion foretells is no noise
-        return replace(found, noise=noise)
-    return replace(again, noise=shown_noise(again.corrected))
-
-
-def shown_noise(fit: Fit) -> Noise:
-    """The noise, in units of what rig.toml tells, that a fit leaves."""
-    likelihood, model = copy.copy(fit.likelihood), fit.likelihood.model
-    likelihood.noise = Noise.told(len(model.rig.predict))
-    return learnt(likelihood.errors(fit.values, fit.shifts), model.window or len(likelihood.sigma), model.pieces)
-
-
-def _explained(search: Search, progress: Progress) -> Diagnosis:
-    base = search.base(search.screen)
-    short = Selection(search, search.screen, base, progress)
-    best, current = short.forward(Hypothesis(), short.plain, base)
-    if not complete(current):
-        best, current = short.paired(best, current, base)
-    best, current = short.settled(*short.backward(best, current))
-    selection, costs = short, short.costs
-    if best.size and complete(current):
-        longer, best, corrected = short.over(search.final, best, current)
-        costs = longer.costs
-        if best.size == 1 and not complete(corrected):  # a second effect that long windows alone show
-            more, fit = longer.backward(*longer.forward(best, corrected, corrected))
-            if more != best:
-                selection, best, current, corrected = longer, more, fit, fit
-    else:
-        corrected = search.fit(search.final, best, current.values)
-    claims = earned(search, short.plain, best, corrected, progress=progress)
-    if claims.best != best:
-        selection, current = short, search.fit(search.screen, claims.best, claims.fit.values)
-        costs = {**short.costs, claims.best: current.cost}
-    best, corrected = claims.best, claims.fit
-    left, explained = structure(corrected), selection.explained(current)
-    open_ = max(left.values()) > STRUCTURE and not complete(current)
-    verdict = _verdict(best, open_, explained, corrected.cost / corrected.likelihood.count)
-    unknown: dict = {}
-    if verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
-        progress("looking for the equation")
-        found = closure(search)
-        share = (found[0].get("effect") or {}).get("confidence", 1.0)  # a sensor has no term: it may take all
-        # what any smooth term does as well is no name, and several names that leave something are such a term
-        if verdict == Verdict.UNEXPLAINED or share >= explained or best.size > 1:
-            verdict, best = Verdict.UNEXPLAINED, Hypothesis()
-            unknown, corrected = _unknown(search, claims, *found)
-            left = structure(corrected)
-    rivals = {hypothesis: cost / inflation(current) for hypothesis, cost in costs.items()}
-    rivals |= {hypothesis: rivals[best] for hypothesis in short.unfitted if best in rivals and hypothesis not in rivals}
-    return Diagnosis(
-        search.rig, verdict, best, claims.calibrated, corrected, rivals, left, explained, search, unknown,
-        refused=claims.refused, evidence=claims.evidence, shares=claims.shares,
-    )  # fmt: skip
-
-
-def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
-    selection = ColouredSelection(search, progress)
-    best, fit = selection.backward(*selection.forward(Hypothesis(), selection.plain, selection.plain))
-    claims = earned(search, selection.plain, best, fit, progress=progress)
-    if claims.best not in selection.fits:
-        selection.fits[claims.best] = claims.fit
-    best, fit = claims.best, claims.fit
-    left = _goes_on(fit)
-    explained = removed(claims.calibrated, fit)
-    verdict = _verdict(best, bool(left), explained, np.inf, SOME)
-    unexplained = {}
-    if verdict == Verdict.UNEXPLAINED:
-        best, fit = Hypothesis(), claims.calibrated
-        left = _goes_on(fit) or left
-        unexplained = {"where": [_likeliest(search, selection.fits, left)]}
-    return Diagnosis(
-        search.rig, verdict, best, claims.calibrated, fit, {h: f.cost for h, f in selection.fits.items()}, {},
-        explained, search, unexplained, left=left, refused=claims.refused, evidence=claims.evidence,
-        shares=claims.shares,
-    )  # fmt: skip
-
-
-def _verdict(best: Hypothesis, open_: bool, explained: float, left: float, part: float = PART) -> Verdict:
-    """open_: whether structure is left. left: squared errors over those of the noise, infinite where none is told."""
-    if open_ and (explained < SHARE or left > ADEQUATE):
-        return Verdict.PARTLY_EXPLAINED if best.effects and explained >= part else Verdict.UNEXPLAINED
-    if best.effects:
-        return Verdict.MISSING_PHYSICS
-    return Verdict.PARAMETER_ERROR if best.size else Verdict.CONSISTENT
-
-
-def _unknown(search: Search, claims: Claims, unknown: dict, closed: Fit | None) -> tuple[dict, Fit]:
-    """(where and effect of what no effect explains; the fit with a term for it, if one is worth it).
-
-    unknown, closed: what `closure` found.
-    """
-    share = (unknown.get("effect") or {}).get("confidence", 0.0)
-    if closed is not None:
-        losses = Judge(closed.likelihood).losses(claims.calibrated, closed) if share >= CLOSED else []
-        if share >= CLOSED and not losses:
-            return unknown, closed
-        why = f"with it {losses[0]}" if losses else f"it takes {share:.0%} of the misfit"
-        claims.refused.append(f"no term is fitted: {why}")
-    for place in unknown["where"]:
-        if closed is not None:
-            place["regime"] = "no function of the signals that was tried takes what is left"
-    plain = claims.calibrated  # its values as they are: fitted anew to long windows, they may predict worse
-    return {**unknown, "effect": None}, search.final.fit(plain.unknowns, plain.values, iterations=0)
-
-
-def _goes_on(fit: Fit) -> str:
-    """What the innovations of a free run go with; where they go with nothing, what its errors go with."""
-    likelihood = fit.likelihood
-    assert isinstance(likelihood, Coloured)
-    if not likelihood.order:
-        likelihood = likelihood.ordered(likelihood.residual(fit.values))
-        fit = replace(fit, likelihood=likelihood, errors=likelihood.errors(fit.values, fit.shifts))
-    return dependent(fit) or remaining(fit)
-
-
-def removed(calibrated: Fit, corrected: Fit) -> float:
-    """The share of the squared error in free run that a correction removes, in the mean over channels."""
-
-    def squared(fit: Fit) -> np.ndarray:
-        assert isinstance(fit.likelihood, Coloured)
-        return np.mean(fit.likelihood.residual(fit.values) ** 2, axis=0)
-
-    before, after = squared(calibrated), squared(corrected)
-    return float(np.mean(1.0 - after / np.maximum(before, TINY)))
-
-
-def _likeliest(search: Search, fitted: Mapping[Hypothesis, Fit], left: str) -> dict:
-    """The equation of what is unexplained: where the single effect acts that comes nearest, else of a channel."""
-    tried = sorted((h for h in fitted if h.size == 1 and h.effects), key=lambda h: fitted[h].cost)
-    nearest = [(search.effects[h.effects[0]].equations, search.effects[h.effects[0]].depends_on) for h in tried]
-    plant, whole = search.rig.plant, [(search.rig.predict, ())]
-    for places, depends_on in (*nearest, *whole):
-        for place in places:
-            if equation := _equation(plant, place):
-                return {"equation": equation, "depends_on": list(depends_on), "regime": left}
-    return {"equation": search.rig.predict[0], "depends_on": [], "regime": left}
-
-
-def _equation(plant: Plant, place: str) -> str:
-    """The equation or definition of that name, or that makes a channel of that name, or that uses such an input."""
-    made = {**{e.state: name for name, e in plant.equations.items()},
-            **{d.symbol: name for name, d in plant.definitions.items()}}  # fmt: skip
-    if place in plant.equations or place in plant.definitions:
-        return place
-    sums = {**{n: e.terms for n, e in plant.equations.items()}, **{n: d.terms for n, d in plant.definitions.items()}}
-    using = (name for name, terms in sums.items() if place in names(terms.values()))
-    return made.get(place) or next(using, "")
-
-
-def fits(result: Diagnosis, identify) -> dict:
-    """RMS error of every predicted channel by the comparison rule: of the data sheet's plant, calibrated, corrected.
-
-    Of several recordings, all together and each alone.
-    """
-    rig = result.rig
-    recordings = {"identify": identify}
-    if held_out := rig.held_out():
-        recordings["holdout"] = held_out
-    out = {}
-    for name, recording in recordings.items():
-        model = modelled(rig, recording, result.corrected.likelihood.model.effects)
-        kinds = {"simulation": {}, "calibrated": result.calibrated.values, "corrected": result.corrected.values}
-        skip = rig.settle if name == "holdout" else 0
-        ran = {kind: by_rule(model, values, skip) for kind, values in kinds.items()}
-        parts = {name: slice(None)}
-        if len(model.pieces) > 1:
-            files = {run.name: Path(run.source).name for run in recording.runs}
-            names = (run if run not in recordings else files[run] for run in files)
-            parts |= dict(zip(names, model.pieces, strict=True))
-        for part, piece in parts.items():
-            out[part] = {
-                channel: {
-                    **{kind: _rms(model, *ran[kind], piece, i) for kind in kinds}, "unit": rig.channels[channel].unit,
-                }
-                for i, channel in enumerate(rig.predict)
-            }  # fmt: skip
-    return out
-
-
-def _rms(model: Model, predicted: np.ndarray, counts: np.ndarray, piece: slice, channel: int) -> float:
-    """The RMS error of a channel over the samples of `piece` that count."""
-    error = (predicted[piece] - model.target[piece])[counts[piece]]
-    return float(np.sqrt(np.mean(error**2, axis=0))[channel])

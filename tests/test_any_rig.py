@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from greygate.mismatch import rig as rigs
-from greygate.mismatch.diagnosis import diagnose
+from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.fit import _solved, tame
 from greygate.mismatch.locate import Energy, Region, locate
 from greygate.mismatch.model import SMOOTH, delayed, lagged, reach

@@ -8,7 +8,7 @@ import pytest
 
 from greygate.mismatch import rig
 from greygate.mismatch.concealed.conceal import conceal
-from greygate.mismatch.diagnosis import diagnose
+from greygate.mismatch.diagnose import diagnose
 from greygate.pages.diagnosis import page as draw
 from greygate.pages.diagnosis.residual import binned, dependence, residuals
 from greygate.pages.words import amount

@@ -5,7 +5,7 @@ import pytest
 
 from greygate.mismatch import effects as table
 from greygate.mismatch import filters, places
-from greygate.mismatch.diagnosis import diagnose
+from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import load
 from greygate.plants import Plant, simulate, units

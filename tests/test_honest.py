@@ -14,7 +14,7 @@ from greygate.mismatch.blocks import FOLDS, Judge
 from greygate.mismatch.claims import earned, unborne
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.concealed.conceal import conceal
-from greygate.mismatch.diagnosis import _verdict, diagnose
+from greygate.mismatch.diagnose import _verdict, diagnose
 from greygate.mismatch.experiments.excitation import excited, unexcited
 from greygate.mismatch.intervals import least_share, margin, reported
 from greygate.mismatch.locate import signals

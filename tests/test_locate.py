@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from greygate.mismatch import locate as locating
 from greygate.mismatch import rig
 from greygate.mismatch.concealed.conceal import conceal
-from greygate.mismatch.diagnosis import diagnose
+from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.locate import added, band, left, locate, located
 from greygate.pages import words
 

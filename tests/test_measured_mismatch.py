@@ -10,7 +10,7 @@ import pytest
 from greygate.errors import InputError
 from greygate.mismatch import effects as table
 from greygate.mismatch.coloured import Coloured
-from greygate.mismatch.diagnosis import diagnose
+from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.model import FILTERS, Model, begun
 from greygate.mismatch.rig import load
 

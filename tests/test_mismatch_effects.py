@@ -13,8 +13,9 @@ from greygate.mismatch.concealed.conceal import _toml
 from greygate.mismatch.concealed.line import BELT, DRUM
 from greygate.mismatch.concealed.pump import PUMP
 from greygate.mismatch.concealed.valve import VALVE
-from greygate.mismatch.diagnosis import recovered, reported
+from greygate.mismatch.diagnosis import recovered
 from greygate.mismatch.effects import Effect, Free, fitting, join
+from greygate.mismatch.intervals import reported
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import load
 from greygate.mismatch.search import Search

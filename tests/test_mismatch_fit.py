@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from greygate.mismatch import rig, simulation
-from greygate.mismatch.diagnosis import diagnose
+from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.effects import Effect, Free
 from greygate.mismatch.fit import Fit, Likelihood, Unknown
 from greygate.mismatch.model import FILTERS, Model, delayed, lagged

@@ -10,7 +10,8 @@ import pytest
 from greygate.errors import InputError
 from greygate.mismatch import effects, simulation
 from greygate.mismatch.concealed.conceal import conceal, reveal
-from greygate.mismatch.diagnosis import SCHEMA, Diagnosis, diagnose
+from greygate.mismatch.diagnose import diagnose
+from greygate.mismatch.diagnosis import SCHEMA, Diagnosis
 from greygate.mismatch.experiments.excitation import check, unseen
 from greygate.mismatch.rig import load
 from greygate.mismatch.search import Hypothesis, Search

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from greygate.mismatch.concealed.conceal import conceal
-from greygate.mismatch.diagnosis import diagnose
+from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.noise import Noise, learnt
 from greygate.mismatch.rig import load
 from greygate.table import read_table

@@ -10,7 +10,7 @@ from greygate.explain import predict
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.blocks import Judge
 from greygate.mismatch.coloured import Coloured, _late
-from greygate.mismatch.diagnosis import diagnose
+from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.experiments.excitation import signals
 from greygate.mismatch.fit import Likelihood
 from greygate.mismatch.noise import Noise

@@ -4,10 +4,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from greygate.mismatch.diagnosis import APART, Diagnosis
+from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.experiments.separation import separations
 from greygate.mismatch.locate import display_unit
 from greygate.mismatch.rig import Rig
+from greygate.mismatch.selection import APART
 from greygate.mismatch.verdict import Verdict
 from greygate.plants.expressions import names
 

@@ -12,7 +12,8 @@ import numpy as np
 from greygate.errors import InputError, shown
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.coloured_selection import ColouredSelection
-from greygate.mismatch.diagnosis import Diagnosis, recovered, shown_noise
+from greygate.mismatch.diagnose import shown_noise
+from greygate.mismatch.diagnosis import Diagnosis, recovered
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.rig import Rig

@@ -5,7 +5,8 @@ from html import escape
 
 from markupsafe import Markup
 
-from greygate.mismatch.diagnosis import APART, Diagnosis
+from greygate.mismatch.diagnosis import Diagnosis
+from greygate.mismatch.selection import APART
 from greygate.mismatch.verdict import Verdict
 from greygate.pages.diagnosis.case import Diagnosed
 from greygate.pages.figures import Scale
