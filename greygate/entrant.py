@@ -13,6 +13,7 @@ from greygate.mismatch.general import GENERAL
 
 NAMES = {  # of our table -> of the benchmark, where they differ
     "friction_between": "dry_friction",
+    "direction_friction_between": "direction_friction",
     "cubic_spring_between": "hardening_spring",
 }
 KEPT = "diagnosis.json"

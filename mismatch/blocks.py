@@ -31,7 +31,7 @@ RIDGE = 1e-9  # of curvature, for an unknown that does not act outside the block
 class Loss:
     """A channel of a block on which a fit is worse. spans: (from, to) of its pieces in s. before, after: RMS errors.
 
-    recording: of several the one in which it lies; all of it where there are no spans. learnt: whether both fits did
+    recording: of several the one in which it lies. Without spans it is all of that, or of the only one. learnt: whether both fits did
     learn from it.
     """
 
@@ -48,7 +48,7 @@ class Loss:
         when = " ".join([*(["at", when] if when else []), *(["in", self.recording] if self.recording else [])])
         if not np.isfinite(self.after):
             return f"the run diverges {when}" + (", which it did not learn from" if not self.learnt else "")
-        by = f"{self.channel} is {PERCENT * (self.after / self.before - 1):.2g} % worse {when}"
+        by = f"{self.channel} is {PERCENT * (self.after / self.before - 1):.2g} % worse {when}".rstrip()
         return by if self.learnt else f"{by}, not learnt from"
 
 
@@ -133,6 +133,16 @@ class Judge:
             if np.isfinite(was) and _worse(before[:, i], after[:, i]):
                 out.append(Loss(channel, rig.channels[channel].unit, spans, was, now, name))
         return out
+
+    def throughout(self, plain: Fit, fit: Fit) -> list[Loss]:
+        """Every channel on which `fit` is worse than `plain` over all blocks together, by chance or not."""
+        both = [np.concatenate([self.unseen(f, held) for held in self.blocks(plain, fit)]) for f in (plain, fit)]
+        found = []
+        for i, channel in enumerate(self.model.rig.predict):
+            was, now = (float(np.sqrt(np.mean(e[:, i] ** 2))) for e in both)
+            if np.isfinite(was) and not now <= (1.0 + MORE) * was:
+                found.append(Loss(channel, self.model.rig.channels[channel].unit, (), was, now))
+        return found
 
     def total(self, fit: Fit) -> float:
         """Squared error of a fit over that of the data sheet's plant, in the mean over channels, not learnt from."""

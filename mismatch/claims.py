@@ -61,14 +61,20 @@ def unborne(search: Search, hypothesis: Hypothesis, fit: Fit) -> dict[str, str]:
             out[key] = "the interval of its size holds 0"
         elif why := unexcited(effect, fit.likelihood.model, fit.values):
             out[key] = why
+        elif slight := [f.symbol for f in effect.free if f.least and _within(fit, f.symbol)[1] < f.least]:
+            out[key] = f"{effect.means}, but by {fit.values[slight[0]]:.2g} of that alone: some other curve"
         elif not _influence(effect, fit) > SEEN:
             out[key] = "at the size that fits, it changes nothing that the sensors show"
     for symbol in hypothesis.released:
         sheet = search.sheet[symbol]
-        value, (low, high) = fit.values[symbol], interval(fit.values[symbol], fit.deviation(symbol))
+        value, (low, high) = fit.values[symbol], _within(fit, symbol)
         if abs(value - sheet.value) <= sheet.tolerance * abs(sheet.value) or low <= sheet.value <= high:
             out[symbol] = "it does not lie outside its tolerance for certain"
     return out
+
+
+def _within(fit: Fit, symbol: str) -> list[float]:
+    return interval(fit.values[symbol], fit.deviation(symbol))
 
 
 def _influence(effect: Effect, fit: Fit) -> float:

@@ -210,15 +210,16 @@ def _unknown(search: Search, claims: Claims, unknown: dict, closed: Fit | None) 
     """
     share = (unknown.get("effect") or {}).get("confidence", 0.0)
     if closed is not None:
-        losses = Judge(closed.likelihood).losses(claims.calibrated, closed) if share >= CLOSED else []
+        judge, plain = Judge(closed.likelihood), claims.calibrated
+        losses = (judge.losses(plain, closed) or judge.throughout(plain, closed)) if share >= CLOSED else []
         if share >= CLOSED and not losses:
             return unknown, closed
         why = f"with it {losses[0]}" if losses else f"it takes {share:.0%} of the misfit"
         claims.refused.append(f"no term is fitted: {why}")
-    for place in unknown["where"]:
-        if closed is not None:
+        for place in unknown["where"]:
             place["regime"] = "no function of the signals that was tried takes what is left"
-    plain = claims.calibrated  # its values as they are: fitted anew to long windows, they may predict worse
+    plain = claims.calibrated
+    # its values as they are: fitted anew to long windows, they may predict worse
     return {**unknown, "effect": None}, search.final.fit(plain.unknowns, plain.values, iterations=0)
 
 
@@ -280,6 +281,8 @@ def fits(result: Diagnosis, identify) -> dict:
         model = modelled(rig, recording, result.corrected.likelihood.model.effects)
         kinds = {"simulation": {}, "calibrated": result.calibrated.values, "corrected": result.corrected.values}
         skip = rig.settle if name == "holdout" else 0
+        if name == "holdout":
+            kinds["corrected"] = result.elsewhere
         ran = {kind: by_rule(model, values, skip) for kind, values in kinds.items()}
         parts = {name: slice(None)}
         if len(model.pieces) > 1:

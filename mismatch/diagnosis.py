@@ -125,6 +125,13 @@ class Diagnosis:
         return [located(self.corrected, place, acting[equation]) for equation, place in places.items()]
 
     @cached_property
+    def elsewhere(self) -> dict[str, float]:
+        """The values of `corrected`, without those of effects that another recording does not repeat."""
+        effects = (self.search.effects[key] for key in self.best.effects)
+        once = {f.symbol for effect in effects if effect.once for f in effect.strengths}
+        return {symbol: value for symbol, value in self.corrected.values.items() if symbol not in once}
+
+    @cached_property
     def cannot_show(self) -> dict[str, str]:
         """Name of an effect that this recording cannot show -> why; none that the diagnosis claims."""
         if self.not_larger_than:

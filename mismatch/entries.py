@@ -28,8 +28,8 @@ class Free:
 
     typical: its scale. low, high: physical bounds. guess: values at which a search starts, besides `typical`. scan:
     "wave" for the period of a wave, which is looked for along the travel. shape: the parameter shapes the effect, and
-    has no meaning where the effect is zero. whole: the value is a whole number and is not fitted. reported: its name in
-    a diagnosis.
+    has no meaning where the effect is zero. whole: the value is a whole number and is not fitted. least: a value that is
+    certainly smaller is not this effect. reported: its name in a diagnosis.
     """
 
     symbol: str
@@ -41,6 +41,7 @@ class Free:
     scan: str = ""
     shape: bool = False
     whole: bool = False
+    least: float = 0.0
     reported: str = ""
 
     def __post_init__(self):
@@ -76,6 +77,7 @@ class Effect:
     fault: bool = False
     rare: bool = False
     smooth: bool = False
+    once: bool = False
     of: str = ""
     table: str = ""
 
@@ -163,7 +165,7 @@ def _texts(value: object, where: str) -> tuple[str, ...]:
 
 _FREE: dict[str, Kind] = {
     "unit": line, "low": number, "high": number, "guess": lambda value, where: tuple(listed(number)(value, where)),
-    "scan": one_of(("", "wave")), "shape": truth, "whole": truth, "as": line,
+    "least": number, "scan": one_of(("", "wave")), "shape": truth, "whole": truth, "as": line,
 }  # fmt: skip
 _NEEDED: dict[str, Kind] = {"means": line, "equations": _texts, "depends_on": _texts}
 _ENTRIES: dict[str, Kind] = {
@@ -172,6 +174,7 @@ _ENTRIES: dict[str, Kind] = {
     "fault": truth,
     "rare": truth,
     "smooth": truth,
+    "once": truth,
     "terms": named(check_expression, line),
     "definitions": named(_defined, check_name),
     "states": named(check_state, check_name),

@@ -12,7 +12,7 @@ from greygate.mismatch.effects import Effect, Free, fitting
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import Own, Rig
 from greygate.plants.expressions import check_expression, check_name, check_symbol
-from greygate.plants.recording import Recording
+from greygate.plants.recording import Recording, run_name
 from greygate.reading import line, listed, named, number, one_of, read_json, table
 
 
@@ -26,10 +26,12 @@ def simulate(
     """Predicted channels, each (samples,), over `recording`.
 
     diagnosis: content of a diagnosis.json for this plant; None for the data sheet. name: of the recording of rig.toml
-    whose own parameters hold, by default that of its file.
+    whose own parameters hold, by default that of its file. What only the recording showed that was explained (its
+    samples that are lost, the phase of a line) is left out over another.
     Raises InputError when it is of another plant, or names an effect or parameter that is unknown.
     """
     name = recording.name if name is None else name
+    learnt = name in {run_name(file) for file in rig.identify}
     known_there = rig.own.get(name, Own()).parameters
     rig = rig.of(name)
     diagnosis = None if diagnosis is None else check(diagnosis)
@@ -50,8 +52,8 @@ def simulate(
                     raise InputError(f"diagnosis: unknown term {twice}: an effect has this name; {WRITTEN}")
                 known = {**known, **unknown}
                 values.update({s: p["value"] for s, p in entry["parameters"].items()})
-            else:
-                values.update(recovered(_form(known, entry), entry["parameters"]))
+            elif (effect := _form(known, entry)) and (learnt or not effect.once):
+                values.update(recovered(effect, entry["parameters"]))
     model = Model(rig, recording, known)
     for symbol in values:
         if symbol not in model.values:

@@ -35,7 +35,10 @@ def runs(case: Diagnosed) -> list[dict]:
     name = "holdout" if held else "identify"
     model = modelled(rig, held or rig.to_explain(), result.corrected.likelihood.model.effects)
     skip = rig.settle if held else 0
-    predicted = {kind: by_rule(model, fit.values, skip)[0] for kind, fit in case.fits.items()}
+    values = {kind: fit.values for kind, fit in case.fits.items()}
+    if held and "corrected" in values:
+        values["corrected"] = result.elsewhere
+    predicted = {kind: by_rule(model, there, skip)[0] for kind, there in values.items()}
     rows = []
     for i, channel in enumerate(rig.predict):
         target = model.target[:, i]
