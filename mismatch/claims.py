@@ -12,6 +12,7 @@ rule, as it is. If that fails too, the effect goes whose loss costs least.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from greygate.mismatch.several import modelled
 from greygate.progress import Progress, silent
 
 PERCENT = 100
+ALONE = 0.1  # of what an effect saves beside another: what it saves without that one is at least so much, mostly
 WORST = 3  # losses that are named in a refusal
 
 
@@ -37,7 +39,8 @@ class Claims:
 
     best, fit: the hypothesis and its fit. calibrated: the fit without effects. refused: one sentence for each claim
     that was dropped or fitted again. evidence, shares: of every effect and parameter that is left, what
-    speaks for it and the share of the calibrated plant's squared error that goes with it alone.
+    speaks for it and the share of the calibrated plant's squared error that goes with it alone. only_with: name of one ->
+    those without which it explains next to nothing, as they do without it.
     """
 
     best: Hypothesis
@@ -46,6 +49,7 @@ class Claims:
     refused: list[str] = field(default_factory=list)
     evidence: dict[str, Evidence] = field(default_factory=dict)
     shares: dict[str, float] = field(default_factory=dict)
+    only_with: dict[str, list[str]] = field(default_factory=dict)
 
 
 # -- the first two gates ---------------------------------------------------------------------------------------------
@@ -144,6 +148,7 @@ def earned(
             claims.fit = sound
             break
         _dropped(search, claims, refit, losses)
+    claims.only_with = _only_with(claims, refit)
     return claims
 
 
@@ -165,6 +170,22 @@ def _unsupported(search: Search, judge: Judge, claims: Claims, refit: Callable) 
     name = min(names, key=lambda n: claims.evidence[n].log_e)
     found = f"an e-value of {claims.evidence[name]}, for one of {candidates} candidates"
     return _drop(search, claims, name, fits, f"what its fit did not see gives it {found}")
+
+
+def _only_with(claims: Claims, refit: Callable) -> dict[str, list[str]]:
+    """Of effects and parameters that are left, which pairs explain something together alone: one undoes the other."""
+    names = (*claims.best.effects, *claims.best.released)
+    if len(names) < 2:
+        return {}
+    fits = {name: refit(claims.best.without(name), claims.fit) for name in names}
+    saved = {name: fit.cost - claims.fit.cost for name, fit in fits.items()}
+    out: dict[str, list[str]] = {}
+    for one, other in combinations(names, 2):
+        both = refit(claims.best.without(one).without(other), fits[one]).cost - claims.fit.cost
+        if both - saved[one] < ALONE * saved[other] and both - saved[other] < ALONE * saved[one]:
+            out.setdefault(one, []).append(other)
+            out.setdefault(other, []).append(one)
+    return out
 
 
 def _drop(search: Search, claims: Claims, name: str, fits: Mapping[str, Fit], why: str) -> bool:

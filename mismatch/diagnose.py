@@ -29,7 +29,7 @@ from greygate.mismatch.noise import Noise, learnt
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.ruled_out import ruled_out
 from greygate.mismatch.search import Hypothesis, Search
-from greygate.mismatch.selection import STRUCTURE, Selection, complete, inflation, structure
+from greygate.mismatch.selection import EVIDENCE, STRUCTURE, Selection, complete, inflation, structure
 from greygate.mismatch.several import by_rule, modelled
 from greygate.mismatch.verdict import Verdict
 from greygate.plants.expressions import names
@@ -116,10 +116,12 @@ def _of_stated_noise(search: Search, progress: Progress) -> Diagnosis:
         return replace(found, noise=noise)
     progress("searching again: the noise is not as rig.toml tells it")
     again = _explained(search.under(noise), progress)
-    if again.verdict == Verdict.CONSISTENT and dependent(again.corrected):
-        search.under(Noise.told(len(search.rig.predict)))  # what the machine's own motion foretells is no noise
-        return replace(found, noise=noise)
-    return replace(again, noise=shown_noise(again.corrected))
+    noise = shown_noise(again.corrected)
+    if noise.swollen or (again.verdict == Verdict.CONSISTENT and dependent(again.corrected)):
+        # what is slow and far too large, or what the machine's own motion foretells, is no noise
+        search.under(Noise.told(len(search.rig.predict)))
+        return replace(found, noise=None)
+    return replace(again, noise=noise)
 
 
 def shown_noise(fit: Fit) -> Noise:
@@ -154,8 +156,10 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
     left, explained = structure(corrected), selection.explained(current)
     open_ = max(left.values()) > STRUCTURE and not complete(current)
     verdict = _verdict(best, open_, explained, corrected.cost / corrected.likelihood.count)
+    unlike = _unlike(search, best, corrected) if verdict == Verdict.MISSING_PHYSICS else ""
+    verdict = Verdict.PARTLY_EXPLAINED if unlike else verdict
     unknown: dict = {}
-    if verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
+    if verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED) and not unlike:
         progress("looking for the equation")
         found = closure(search)
         share = (found[0].get("effect") or {}).get("confidence", 1.0)  # a sensor has no term: it may take all
@@ -167,9 +171,20 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
     rivals = {hypothesis: cost / inflation(current) for hypothesis, cost in costs.items()}
     rivals |= {hypothesis: rivals[best] for hypothesis in short.unfitted if best in rivals and hypothesis not in rivals}
     return Diagnosis(
-        search.rig, verdict, best, claims.calibrated, corrected, rivals, left, explained, search, unknown,
-        refused=claims.refused, evidence=claims.evidence, shares=claims.shares,
+        search.rig, verdict, best, claims.calibrated, corrected, rivals, left, explained, search, unknown, left=unlike,
+        refused=claims.refused, evidence=claims.evidence, shares=claims.shares, only_with=claims.only_with,
     )  # fmt: skip
+
+
+def _unlike(search: Search, best: Hypothesis, fit: Fit) -> str:
+    """Why a smooth curve that is claimed is another one, in words: beside it, a further term would still pay."""
+    curves = [search.effects[key] for key in best.effects if search.effects[key].smooth]
+    if not curves:
+        return ""
+    promised = max((score.gain for score in search.scores(fit.likelihood, fit, best)), default=0.0)
+    if not promised > EVIDENCE * inflation(fit):
+        return ""
+    return f"what acts in {', '.join(curves[0].equations)} is not quite {curves[0].id}, but a curve that is like it"
 
 
 def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
@@ -190,7 +205,7 @@ def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
     return Diagnosis(
         search.rig, verdict, best, claims.calibrated, fit, {h: f.cost for h, f in selection.fits.items()}, {},
         explained, search, unexplained, left=left, refused=claims.refused, evidence=claims.evidence,
-        shares=claims.shares,
+        shares=claims.shares, only_with=claims.only_with,
     )  # fmt: skip
 
 

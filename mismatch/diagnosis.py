@@ -16,6 +16,7 @@ from greygate.mismatch.experiments.excitation import unseen
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.intervals import interval, least_share, margin, reported
 from greygate.mismatch.locate import located
+from greygate.mismatch.model import TINY
 from greygate.mismatch.noise import PLACES, Noise
 from greygate.mismatch.rig import IN, Rig
 from greygate.mismatch.ruled_out import why
@@ -29,7 +30,10 @@ from greygate.plants.plant import Parameter
 
 SCHEMA = "diagnosis/2"
 READ = (SCHEMA, "diagnosis/1")  # that can be simulated: the second adds to the first
-OPEN = 0.9  # of confidence in a name beside which structure is left, or that any smooth curve is like
+OPEN = (
+    0.9  # of confidence in a name beside which structure is left, that any smooth curve is like, or that undoes another
+)
+DETAIL = 3e-3  # of what an effect saves: two explanations that differ by less may do so because no model is exact
 ELSE = 0.01  # weight of something that no table has, beside a name whose fit leaves nothing: machines are many
 FARTHEST = 1400.0  # of cost: a rival this far away has a likelihood of exp(-700), the least that a float can hold
 DIGITS = 4  # after the point, of a confidence
@@ -43,7 +47,8 @@ class Diagnosis:
     was fitted. structure: by channel, what slow errors are left. explained: the share of what can be explained. noise:
     what `corrected` leaves, in units of what rig.toml tells, if it tells it. refused: claims that were dropped, one
     sentence each. evidence, shares: by key of an effect, what the recording says for it where its fit did not look, and
-    the share of the calibrated plant's squared error that it takes. not_shown: key of an effect that the recording
+    the share of the calibrated plant's squared error that it takes. only_with: by key, what it explains nothing without,
+    as that without it. not_shown: key of an effect that the recording
     cannot show, and that was therefore not tried -> why. not_larger_than: of a consistent recording, what it rules out.
     alone: where several recordings are unexplained together, what each says alone (verdict, effects).
     """
@@ -65,6 +70,7 @@ class Diagnosis:
     refused: list[str] = field(default_factory=list)
     evidence: dict[str, Evidence] = field(default_factory=dict)
     shares: dict[str, float] = field(default_factory=dict)
+    only_with: dict[str, list[str]] = field(default_factory=dict)
     not_shown: dict[str, str] = field(default_factory=dict)
     not_larger_than: list[dict] = field(default_factory=list)
     alone: dict[str, dict] = field(default_factory=dict)
@@ -158,6 +164,7 @@ class Diagnosis:
                     "form": key,
                     "parameters": reported(effect, self.corrected, self._least[key]),
                     "not_told_apart_from": sorted(name for name, gap in rivals.items() if gap < APART),
+                    **({"only_with": self._named(self.only_with[key])} if key in self.only_with else {}),
                     **({"share": round(self.shares[key], DIGITS)} if key in self.shares else {}),
                     **({"evidence": self.evidence[key].as_dict()} if key in self.evidence else {}),
                     **({"shown_by": shown.by, "recordings": shown.as_dict()} if (shown := self.shown.get(key)) else {}),
@@ -172,7 +179,7 @@ class Diagnosis:
         return {key: 0.0 if margin(e, fit) > 1.0 else least_share(e, fit) for key, e in claimed.items()}
 
     def _rivals(self, key: str) -> dict[str, float]:
-        """Every other explanation in the place of effect `key` -> its cost above the best."""
+        """Every other explanation in the place of effect `key` -> its cost above the best, less where models differ."""
         mine = self.search.effects[key].id
         rest = [k for k in self.best.effects if k != key]
         out: dict[str, float] = {}
@@ -185,7 +192,8 @@ class Diagnosis:
             for name in names:
                 if name != mine and name not in self.best.released:
                     out[name] = min(out.get(name, np.inf), cost - best)
-        return out
+        detail = DETAIL * (self.rivals.get(self.best.without(key), best) - best)
+        return {name: gap * min(1.0, max(gap, 0.0) / max(detail, TINY)) for name, gap in out.items()}
 
     def _confidence(self, key: str, rivals: Mapping[str, float]) -> float:
         """The weight of effect `key` beside its rivals, nothing, and something that no table has."""
@@ -194,7 +202,12 @@ class Diagnosis:
         sure = float(1.0 / (1.0 + others + nothing + ELSE))
         if self.verdict == Verdict.PARTLY_EXPLAINED:
             sure *= min(max(self.explained, 0.0), 1.0)
-        return sure * (OPEN if self._remaining() or self.search.effects[key].smooth else 1.0)
+        doubtful = self._remaining() or self.search.effects[key].smooth or key in self.only_with
+        return sure * (OPEN if doubtful else 1.0)
+
+    def _named(self, keys: Iterable[str]) -> list[str]:
+        """The names of effects, and the symbols of parameters."""
+        return [self.search.effects[key].id if key in self.search.effects else key for key in keys]
 
     def _noise(self, noise: Noise) -> dict:
         """By channel, in its unit, the noise that rig.toml tells and that the recording shows; samples it remembers."""
@@ -224,8 +237,13 @@ class Diagnosis:
 
     def _parameter(self, symbol: str, p: Parameter) -> dict:
         value, deviation = self.corrected.values[symbol], self.corrected.deviation(symbol)
+        low, high = interval(value, deviation)
         outside = {"outside_tolerance": True} if symbol in self.best.released else {}
-        return {"value": value, "ci95": interval(value, deviation), "unit": p.unit, **outside}
+        if not outside and self.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
+            # what is missing draws a parameter as far as its tolerance lets it: no better known than on the data sheet
+            reach = p.tolerance * abs(p.value)
+            low, high = min(low, p.value - reach), max(high, p.value + reach)
+        return {"value": value, "ci95": [low, high], "unit": p.unit, **outside}
 
     def _recordings(self) -> dict[str, dict]:
         """By the name of a recording, the parameters that were fitted to it alone, and how its time was made even."""

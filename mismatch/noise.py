@@ -25,6 +25,8 @@ LEAST = 4  # times as many samples as the cubic has coefficients: a shorter stre
 CLOSEST = 0.98  # of a partial correlation: a longer memory than fifty samples is no sensor's
 DOUBTED = 1.5  # times the told noise, or a part of it: noise of another size is not as it was told
 COLOURED = 0.3  # of its slow part over that of white noise, above which noise is not white
+SWOLLEN = 3.0  # times the told noise: so large a noise is no sensor's,
+SLOW = 4.0  # where it is so many times its innovations (each sample keeps 0.97 of the one before)
 PLACES = 3  # of a size that is reported
 
 
@@ -104,6 +106,11 @@ class Noise:
         """Whether it is of another size than the told one, or not white (channels,)."""
         another = np.abs(np.log(self.scale)) > np.log(DOUBTED)
         return another | (self.slow > (1.0 + COLOURED) * np.maximum(self.scale, 1.0) ** 2)
+
+    @property
+    def swollen(self) -> bool:
+        """Whether a channel's noise is far larger than the told one, and nearly all of it slow: no sensor's, then."""
+        return bool(np.any((self.size > SWOLLEN) & (self.size > SLOW * self.scale)))
 
     @property
     def as_told(self) -> bool:

@@ -28,6 +28,8 @@ RELEASED = 20.0  # times or part of its value, within which a parameter whose to
 EXACT = 0.01  # of a sample, RMS: the uncertainty of the instant at which an input acts
 ROUGH = 2.0  # of cost: a fit that only ranks stops when a step gains less
 SLACK = 3e-4  # of the cost beyond that of noise: likewise
+LOST = 0.5  # of a channel's spread, above which its error says that the run is elsewhere
+LED = (1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the recording: to so much a lost run is fitted first
 FIRST_STEPS = 4  # of the fit of the data sheet's plant, which only has to stand where effects can be compared
 LONG = 1.5  # of the travel: the longest period of a wave
 WAVES = 2.0  # periods of a scan for each cycle over the travel: neighbours differ by half a cycle
@@ -312,7 +314,23 @@ class Search:
 
     def base(self, likelihood: Likelihood) -> Fit:
         """The fit of the plant without any effect, its parameters near the data sheet."""
-        return likelihood.fit(self.unknowns(Hypothesis(), NEAR_SHEET), tempered=True, iterations=FIRST_STEPS)
+        unknowns = self.unknowns(Hypothesis(), NEAR_SHEET)
+        fit = likelihood.fit(unknowns, tempered=True, iterations=FIRST_STEPS)
+        if self.rig.window or not _lost(fit):
+            return fit
+        return min(fit, self._led(likelihood, unknowns), key=_squares)
+
+    def _led(self, likelihood: Likelihood, unknowns: list[Unknown]) -> Fit:
+        """The fit that is led from the recording's beginning to its end, for a run that soon leaves its neighbours.
+
+        A pendulum that goes over the top once too often is in another valley; over a short time there is one valley.
+        """
+        values: Mapping[str, float] = {}
+        pieces = likelihood.model.pieces
+        for share in LED:
+            later = np.concatenate([np.arange(p.stop - p.start) >= share * (p.stop - p.start) for p in pieces])
+            values = likelihood.without(later).fit(unknowns, values, tempered=True, iterations=FIRST_STEPS).values
+        return likelihood.fit(unknowns, values, tempered=True, iterations=FIRST_STEPS)
 
     def fit(
         self, likelihood: Likelihood, hypothesis: Hypothesis, values: Mapping[str, float], shifts=None, **options
@@ -324,6 +342,20 @@ class Search:
         if likelihood is self.screen and likelihood is not self.final:
             options = {"enough": ROUGH, "slack": SLACK, **options}
         return likelihood.fit(self.unknowns(hypothesis), start, shifts, **options)
+
+
+def _lost(fit: Fit) -> bool:
+    """Whether a run does not follow the recording: a channel errs by half of what it moves."""
+    target = fit.likelihood.model.target
+    error = target - fit.likelihood.model.predict({**fit.likelihood.model.values, **fit.values})
+    with np.errstate(invalid="ignore", over="ignore"):
+        return not np.all(np.std(error, axis=0) <= LOST * np.std(target, axis=0))
+
+
+def _squares(fit: Fit) -> float:
+    """The squared errors of a fit, as the noise weighs them."""
+    squares = float(np.sum(np.square(fit.errors)))
+    return squares if np.isfinite(squares) else np.inf
 
 
 def _bounds(fit: Fit) -> np.ndarray:

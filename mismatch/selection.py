@@ -34,6 +34,7 @@ FAR = 0.3  # of the most promising gain: below that, no hypothesis is tried besi
 NEARLY = 0.95  # of the gain that another form of an effect promises, which its plain form must promise to come first
 APART = 12.0  # of cost: two hypotheses that differ by less are not told apart
 EXCHANGED, ROUNDS = 4, 3  # hypotheses that are fitted in the place of an effect; times that all are exchanged
+PROMISING = 0.5  # of the gain that the scores promise of what is there, which they must promise of another
 OWN = 0.05  # of what can be explained: a second effect must explain that much where the fit is not complete,
 PAIR = 0.5  # or so much of what the first effect leaves
 LEAST = 5e-3  # of what can be explained: an effect must explain that much beside one that acts by acceleration,
@@ -124,8 +125,8 @@ class Selection:
     def settled(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
         """The same after no effect or parameter can be exchanged for another that does better.
 
-        Every exchange of one for one is scored. Of those that may come as near as APART, the best ones are fitted, and
-        the rest are kept as `unfitted`: nothing tells them apart.
+        Every exchange of one for one is scored, and the most promising are fitted. Of the rest, those that may come as
+        near as APART are kept as `unfitted`: nothing tells them apart.
         """
         for _ in range(ROUNDS):
             found = [self._exchanges(best, name, current) for name in (*best.effects, *best.released)]
@@ -141,20 +142,24 @@ class Selection:
         without = self.fits.get(less) or self.fit(less, current.values, current.shifts)[0]
         if not np.isfinite(without.cost):
             return []
-        near = without.cost - current.cost - APART * inflation(current)
         mine = {self.search.effects[key].id for key in best.effects}
+        ranked = alternatives(self.search, self.search.scores(self.likelihood, without, less))
+        near = without.cost - current.cost - APART * inflation(current)
+        own = [s.gain for forms in ranked for s in forms if name in (*s.hypothesis.effects, *s.hypothesis.released)]
+        least = min([near, *(PROMISING * gain for gain in own)])  # a straight line promises too little, of `name` too
         found: list[tuple[Hypothesis, Fit]] = []
         tried = 0
-        for forms in alternatives(self.search, self.search.scores(self.likelihood, without, less)):
-            score = forms[0]
+        for score in (forms[0] for forms in ranked):
             hypothesis = less.plus(score.hypothesis)
             same = any(
-                set(h.effects) == set(hypothesis.effects) and h.released == hypothesis.released for h in self.costs
+                set(h.effects) == set(hypothesis.effects) and h.released == hypothesis.released
+                for h in self.costs
+                if h not in self.fits or self.fits[h].converged
             )
-            if score.gain < near or same or mine & {self.search.effects[k].id for k in score.hypothesis.effects}:
+            if score.gain < least or same or mine & {self.search.effects[k].id for k in score.hypothesis.effects}:
                 continue
             if tried == EXCHANGED:
-                self.unfitted.add(hypothesis)
+                self.unfitted |= {hypothesis} if score.gain >= near else set()
                 continue
             tried += 1
             fit, allowed = self.fit(hypothesis, {**without.values, **score.values}, without.shifts, score.hypothesis)
