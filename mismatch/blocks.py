@@ -31,8 +31,8 @@ RIDGE = 1e-9  # of curvature, for an unknown that does not act outside the block
 class Loss:
     """A channel of a block on which a fit is worse. spans: (from, to) of its pieces in s. before, after: RMS errors.
 
-    recording: of several the one in which it lies. Without spans it is all of that, or of the only one. learnt: whether both fits did
-    learn from it.
+    recording: of several the one in which it lies. Without spans it is all of that, or of the only one. learnt: whether
+    both fits did learn from it.
     """
 
     channel: str

@@ -38,9 +38,9 @@ class Claims:
     """What is left after the gates.
 
     best, fit: the hypothesis and its fit. calibrated: the fit without effects. refused: one sentence for each claim
-    that was dropped or fitted again. evidence, shares: of every effect and parameter that is left, what
-    speaks for it and the share of the calibrated plant's squared error that goes with it alone. only_with: name of one ->
-    those without which it explains next to nothing, as they do without it.
+    that was dropped or fitted again. evidence, shares: of every effect and parameter that is left, what speaks for it
+    and the share of the calibrated plant's squared error that goes with it alone. only_with: name of one -> those
+    without which it explains next to nothing, as they do without it.
     """
 
     best: Hypothesis

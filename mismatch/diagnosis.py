@@ -47,10 +47,10 @@ class Diagnosis:
     was fitted. structure: by channel, what slow errors are left. explained: the share of what can be explained. noise:
     what `corrected` leaves, in units of what rig.toml tells, if it tells it. refused: claims that were dropped, one
     sentence each. evidence, shares: by key of an effect, what the recording says for it where its fit did not look, and
-    the share of the calibrated plant's squared error that it takes. only_with: by key, what it explains nothing without,
-    as that without it. not_shown: key of an effect that the recording
-    cannot show, and that was therefore not tried -> why. not_larger_than: of a consistent recording, what it rules out.
-    alone: where several recordings are unexplained together, what each says alone (verdict, effects).
+    the share of the calibrated plant's squared error that it takes. only_with: by key, what it explains nothing
+    without, as that without it. not_shown: key of an effect that the recording cannot show, and that was therefore not
+    tried -> why. not_larger_than: of a consistent recording, what it rules out. alone: where several recordings are
+    unexplained together, what each says alone (verdict, effects).
     """
 
     rig: Rig

@@ -363,7 +363,19 @@ def _computed(node: Node) -> Callable[[Mapping], np.ndarray | float]:
         join, left, right = _SIGNS[node.sign], _computed(node.left), _computed(node.right)
         return lambda scope: join(left(scope), right(scope))
     function, given = FUNCTIONS[node.function], [_computed(argument) for argument in node.arguments]
+    if node.function == "when":
+        return _lazily(*given)
     return lambda scope: function(*(argument(scope) for argument in given))
+
+
+def _lazily(condition: Callable, x: Callable) -> Callable[[Mapping], np.ndarray | float]:
+    """`when(condition, x)`, whose x is computed only where the condition holds anywhere."""
+
+    def over(scope: Mapping) -> np.ndarray | float:
+        holds = condition(scope)
+        return FUNCTIONS["when"](holds, x(scope)) if np.any(holds) else np.zeros(np.shape(holds))[()]
+
+    return over
 
 
 def _written(node: Node, around: int, source: bool) -> str:
