@@ -13,7 +13,7 @@ import numpy as np
 from greygate.mismatch.coloured import Coloured, resized
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.model import beginnings
-from greygate.mismatch.search import Hypothesis, Score, Search
+from greygate.mismatch.search import ROUGH, Hypothesis, Score, Search
 from greygate.mismatch.selection import Selection
 from greygate.progress import Progress, silent
 
@@ -107,7 +107,9 @@ class ColouredSelection(Selection):
             fit = self.fits[less] = self.search.fit(current.likelihood, less, current.values)
             if fit.cost - current.cost < SURE + _price(current, fit):
                 best, current = less, fit
-        return best, current
+        exact = self.search.fit(current.likelihood, best, current.values)
+        self.fits[best] = min(current, exact, key=lambda f: f.cost)
+        return best, self.fits[best]
 
     # -- fits --------------------------------------------------------------------------------------------------------
 
@@ -135,16 +137,16 @@ class ColouredSelection(Selection):
         something may be far off.
         """
         search, start = self.search, {**fit.values, **values}
-        found = [search.fit(fit.likelihood, hypothesis, start)]
+        found = [search.fit(fit.likelihood, hypothesis, start, enough=ROUGH)]
         white = _white(fit)
         starts = [start]
         if hypothesis.size == 1:
             starts.append(drawn(search, white, hypothesis, values))
         for start in starts:
-            plain = search.fit(white, hypothesis, start)
+            plain = search.fit(white, hypothesis, start, enough=ROUGH)
             if np.isfinite(plain.cost):
                 coloured = plain.likelihood.learnt(plain.likelihood.residual(plain.values), fit.likelihood.order)
-                found.append(search.fit(coloured, hypothesis, plain.values))
+                found.append(search.fit(coloured, hypothesis, plain.values, enough=ROUGH))
         return min(found, key=lambda f: f.cost)
 
     def saved(self, less: Hypothesis, fit: Fit, more: Hypothesis, richer: Fit) -> np.ndarray:

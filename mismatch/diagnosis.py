@@ -179,7 +179,7 @@ class Diagnosis:
         return {key: 0.0 if margin(e, fit) > 1.0 else least_share(e, fit) for key, e in claimed.items()}
 
     def _rivals(self, key: str) -> dict[str, float]:
-        """Every other explanation in the place of effect `key` -> its cost above the best, less where models differ."""
+        """Every other explanation in the place of effect `key` -> its cost above the best."""
         mine = self.search.effects[key].id
         rest = [k for k in self.best.effects if k != key]
         out: dict[str, float] = {}
@@ -192,12 +192,14 @@ class Diagnosis:
             for name in names:
                 if name != mine and name not in self.best.released:
                     out[name] = min(out.get(name, np.inf), cost - best)
-        detail = DETAIL * (self.rivals.get(self.best.without(key), best) - best)
-        return {name: gap * min(1.0, max(gap, 0.0) / max(detail, TINY)) for name, gap in out.items()}
+        return out
 
     def _confidence(self, key: str, rivals: Mapping[str, float]) -> float:
         """The weight of effect `key` beside its rivals, nothing, and something that no table has."""
-        others = sum(np.exp(-min(max(gap, 0.0), FARTHEST) / 2) for gap in rivals.values())
+        best = self.rivals[self.best]
+        detail = DETAIL * (self.rivals.get(self.best.without(key), best) - best)
+        gaps = (max(gap, 0.0) * min(1.0, max(gap, 0.0) / max(detail, TINY)) for gap in rivals.values())
+        others = sum(np.exp(-min(gap, FARTHEST) / 2) for gap in gaps)
         nothing = np.exp(-min(self.evidence[key].log_e, FARTHEST)) if key in self.evidence else 0.0
         sure = float(1.0 / (1.0 + others + nothing + ELSE))
         if self.verdict == Verdict.PARTLY_EXPLAINED:

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from small_plants import circuit, encoder, heater, motor
 
-from greygate.mismatch import claims, diagnosis, simulation
+from greygate.mismatch import claims, simulation
+from greygate.mismatch import diagnose as finding
 from greygate.mismatch import effects as table
 from greygate.mismatch.adequacy import dependent
 from greygate.mismatch.blocks import FOLDS, Judge
@@ -244,7 +245,7 @@ def test_a_term_that_takes_little_is_not_applied(share, applied, steady):
     search, plain = steady
     sheet = search.final.fit(plain.unknowns, iterations=0)  # as where a calibration was no better than the data sheet
     kept = claims.Claims(Hypothesis(), sheet, sheet)
-    unknown, fit = diagnosis._unknown(search, kept, *closed(share)(search))
+    unknown, fit = finding._unknown(search, kept, *closed(share)(search))
     assert (fit.values == sheet.values) is not applied  # what is refused leaves the run as it was, to the last bit
     assert bool(unknown["effect"]) == applied
     assert unknown["where"][0]["equation"] == "transmission"
