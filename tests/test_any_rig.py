@@ -5,6 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from greygate.mismatch import rig as rigs
+from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.fit import _solved, tame
 from greygate.mismatch.locate import Energy, Region, locate
@@ -146,3 +147,11 @@ def test_a_rate_is_smoothed_alike_at_every_sample_time():
     assert reach(moving(20_000, 400), SMOOTH) == 20
     assert reach(moving(20_000, 6), SMOOTH) < 6
     assert reach(np.sin(np.arange(40) / 20), SMOOTH) <= 40 // 8
+
+
+def test_a_pendulum_that_goes_over_the_top_is_led_along_its_recording(tmp_path):
+    """A fit of the whole run at once ends in another valley, where an effect that is not there would help."""
+    rig = rigs.load(conceal("pendulum", 500048, tmp_path / "rig", kind="clean", under="louder"))
+    found = diagnose(rig).as_dict()
+    assert found["verdict"] == "consistent"
+    assert found["fit"]["identify"]["theta"]["simulation"] > 1.0 > 0.01 > found["fit"]["identify"]["theta"]["corrected"]

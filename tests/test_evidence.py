@@ -1,6 +1,7 @@
 """What bears a name: an e-value from data that its fit did not see, and no other effect that does as well."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -111,6 +112,15 @@ def test_a_wrong_one_of_a_pair_is_exchanged_for_the_right_one(two):
     best, better = selection.settled(wrong, fit)
     assert set(best.effects) == set(PAIR)
     assert better.cost < fit.cost
+
+
+def test_an_exchange_is_fitted_though_straight_lines_promise_too_little(two, monkeypatch):
+    """Of a strong effect a linearised fit promises a part, of the one that is there as of every other."""
+    selection = Selection(two, two.screen, two.base(two.screen))
+    start, scores = selection.plain, two.scores
+    monkeypatch.setattr(two, "scores", lambda *given: [replace(s, gain=0.3 * s.gain) for s in scores(*given)])
+    fit, _ = selection.fit(Hypothesis(("drift", "acceleration_slip")), start.values, start.shifts)
+    assert set(selection.settled(Hypothesis(("drift", "acceleration_slip")), fit)[0].effects) == set(PAIR)
 
 
 def test_hypotheses_that_were_too_many_to_fit_count_as_rivals(two, monkeypatch):

@@ -152,7 +152,8 @@ OFFERED = {
               "dry_friction_elastic": ("f_omega_yield", "rad")},
     "tanks": {"square_leak_a": ("leak2_a", "m/s"), "exchange": ("flow_a_b", "m^2/s"),
               "source_b": ("source_b", "m^3/s")},
-    "two": {"spring_between": ("k_x_y", "N/m"), "friction_between": ("f_v_w", "N"), "load_friction_x": ("mu_v", "1"),
+    "two": {"spring_between": ("k_x_y", "N/m"), "friction_between": ("f_v_w", "N"),
+            "direction_friction_between": ("d_v_w", "N s/m"), "load_friction_x": ("mu_v", "1"),
             "viscous_friction_y": ("c_w", "N s/m"), "hardening_spring_x": ("k3_x", "N/m^3")},
     "imposed": {"dry_friction": ("f_v", "N"), "viscous_friction": ("c_v", "N s/m")},
 }  # fmt: skip

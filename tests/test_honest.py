@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,11 +12,12 @@ from greygate.mismatch import claims, simulation
 from greygate.mismatch import diagnose as finding
 from greygate.mismatch import effects as table
 from greygate.mismatch.adequacy import dependent
-from greygate.mismatch.blocks import FOLDS, Judge
+from greygate.mismatch.blocks import FOLDS, Judge, Loss
 from greygate.mismatch.claims import earned, unborne
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.diagnose import _verdict, diagnose
+from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.experiments.excitation import excited, unexcited
 from greygate.mismatch.intervals import least_share, margin, reported
 from greygate.mismatch.locate import signals
@@ -25,6 +27,7 @@ from greygate.mismatch.ruled_out import ruled_out
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.mismatch.verdict import Verdict
 from greygate.plants.recording import Recording
+from greygate.table import read_table
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +70,16 @@ def test_a_right_fit_loses_on_no_block_and_a_wrong_one_on_every_block(slipping):
     assert all(loss.after > 1.01 * loss.before for loss in lost)
     assert "x_load is" in str(lost[0])
     assert "not learnt from" in str(lost[0])
+
+
+def test_over_all_blocks_together_no_channel_may_be_worse_by_more_than_a_hundredth(slipping):
+    _, plain, _, right = slipping
+    judge = Judge(right.likelihood)
+    assert judge.throughout(plain, right) == judge.throughout(right, right) == []
+    assert judge.throughout(right, spoilt(right, "speed_slip", 1.0001)) == []
+    (lost,) = judge.throughout(right, spoilt(right, "speed_slip", 1.5))
+    assert str(lost).startswith("x_load is ")
+    assert str(lost).endswith(" % worse, not learnt from")
 
 
 def test_the_same_fit_is_no_worse_than_itself(slipping):
@@ -238,6 +251,85 @@ def closed(share: float):
         return {"where": where, "effect": effect}, search.fit(search.final, Hypothesis(), {})
 
     return give
+
+
+def test_a_term_that_makes_a_channel_worse_is_not_applied(steady, monkeypatch):
+    search, plain = steady
+    kept = claims.Claims(Hypothesis(), plain, plain)
+    lost = [Loss("x_load", "m", (), 1.0, 1.02)]
+    monkeypatch.setattr(Judge, "throughout", lambda *given: lost)
+    unknown, fit = finding._unknown(search, kept, *closed(0.5)(search))
+    assert (unknown["effect"], fit.values) == (None, plain.values)
+    assert kept.refused == ["no term is fitted: with it x_load is 2 % worse, not learnt from"]
+
+
+def recorded(folder, change):
+    """A clean cable drum whose recorded load is changed: a rig, and what the diagnosis says of it."""
+    conceal("cable_drum", 3, folder, kind="clean")
+    found = read_table(folder / "identify.csv")
+    at = found.header.index("x_load")
+    found.values[:, at] = change(found.values[:, found.header.index("t")], found.values[:, at])
+    np.savetxt(folder / "identify.csv", found.values, "%.9g", delimiter=",", header=",".join(found.header), comments="")
+    rig = load(folder)
+    return rig, diagnose(rig)
+
+
+@pytest.mark.parametrize(("share", "named"), [(1.0, True), (0.02, False)])
+def test_a_sensor_that_loses_a_little_beyond_a_level_does_not_end_there(tmp_path, share, named):
+    def clipped(t, x):
+        return x - share * np.maximum(x - np.quantile(x, 0.8), 0.0)
+
+    _, found = recorded(tmp_path / "rig", clipped)
+    assert ("sensor_saturation" in [e["id"] for e in found.as_dict()["effects"]]) is named
+    assert any("but by 0.02 of that alone" in why for why in found.refused) is not named
+
+
+def test_the_phase_of_a_line_is_not_simulated_over_another_recording(tmp_path):
+    rig, found = recorded(tmp_path / "rig", lambda t, x: x + 2e-4 * np.sin(2 * np.pi * 50.0 * t + 1.0))
+    said = found.as_dict()
+    assert [e["id"] for e in said["effects"]] == ["line_pickup"]
+    runs = {name: rig.recording(rig.folder / f"{name}.csv") for name in ("identify", "holdout")}
+    none = said | {"effects": []}
+    adds = {n: simulation.simulate(rig, r, said)["x_load"] - simulation.simulate(rig, r, none)["x_load"]
+            for n, r in runs.items()}  # fmt: skip
+    assert np.std(adds["identify"]) == pytest.approx(2e-4 / np.sqrt(2), rel=0.02)
+    assert not adds["holdout"].any()
+    at = said["fit"]["holdout"]["x_load"]
+    assert at["corrected"] == pytest.approx(at["calibrated"], rel=0.05)
+
+
+def test_two_effects_that_undo_each_other_are_named_together_and_never_surely():
+    """Without one of them the other one does nothing, so that either alone is worth what both are."""
+
+    def claimed(both: float):
+        costs = {("a", "b"): 0.0, ("a",): 108.0, ("b",): 110.0, (): both}
+        fit = {names: SimpleNamespace(cost=cost) for names, cost in costs.items()}
+        kept = SimpleNamespace(best=Hypothesis(("a", "b")), fit=fit["a", "b"])
+        return claims._only_with(kept, lambda less, from_: fit[less.effects])
+
+    assert claimed(both=112.0) == {"a": ["b"], "b": ["a"]}
+    assert claimed(both=205.0) == {}
+
+
+def test_a_curve_that_is_not_quite_what_it_is_called_explains_a_part(tmp_path):
+    """A block that radiates: with the fourth power of its temperature, which is no square leak."""
+    folder = conceal("thermal", 500085, tmp_path / "rig", kind="foreign", effect="radiation", under="quieter")
+    found = diagnose(load(folder)).as_dict()
+    assert found["verdict"] == "partly_explained"
+    assert found["where"][0]["equation"] == "jacket"
+    assert "not quite" in found["remaining"]
+    assert all(e["confidence"] < 0.95 for e in found["effects"])
+
+
+def test_where_something_is_unexplained_no_parameter_is_better_known_than_before(slipping):
+    search, plain, _, _ = slipping
+    rest = Diagnosis(search.rig, Verdict.UNEXPLAINED, Hypothesis(), plain, plain, {}, {}, 0.0, search, {"where": []})
+    for symbol, p in rest.as_dict()["parameters"].items():
+        sheet, (low, high) = search.sheet[symbol], p["ci95"]
+        reach = sheet.tolerance * abs(sheet.value)
+        assert low <= sheet.value - reach < sheet.value + reach <= high
+    exact = replace(rest, verdict=Verdict.CONSISTENT).as_dict()["parameters"]
+    assert any(p["ci95"][1] < rest.as_dict()["parameters"][s]["ci95"][1] for s, p in exact.items())
 
 
 @pytest.mark.parametrize(("share", "applied"), [(0.02, False), (0.5, True)])

@@ -52,6 +52,14 @@ def test_noise_is_as_told_if_its_size_and_its_colour_are(noise, told):
     assert Noise(np.array([scale]), (np.array(ar),)).as_told is told
 
 
+@pytest.mark.parametrize(
+    ("scale", "ar", "swollen"),
+    [(10.0, (), False), (1.0, (0.9,), False), (1.0, (0.98,), True), (0.1, (0.98,), False), (0.4, (0.9,), False)],
+)
+def test_a_noise_far_larger_than_told_and_slow_is_no_sensors(scale, ar, swollen):
+    assert Noise(np.array([scale]), (np.array(ar),)).swollen is swollen
+
+
 def test_a_short_stretch_tells_nothing():
     assert learnt(np.random.default_rng(0).standard_normal((60, 2)) * 9, 6).as_told
 

@@ -149,11 +149,13 @@ def signals(rig: Rig, recording: Recording) -> dict[str, np.ndarray]:
 
 @np.errstate(over="ignore", invalid="ignore")  # a run may diverge
 def _true(model: Model, values: Mapping[str, float]) -> dict[str, np.ndarray]:
-    """What is there of each predicted channel that is a state, by the simulation, (samples,)."""
+    """What is there of each predicted channel, by the simulation and before its sensor, (samples,)."""
     known = {s: v for s, v in values.items() if s in model.values}
     states, _ = model.states({**model.values, **known})
-    found = dict(zip(model.plant.states, states.T, strict=True))
-    return {name: found[name] for name in model.rig.predict if name in found and np.isfinite(found[name]).all()}
+    sheet = {s: v for s, v in known.items() if s in model.rig.plant.parameters}
+    found = dict(zip(model.rig.predict, model.predict({**model.values, **sheet}).T, strict=True))
+    found |= dict(zip(model.plant.states, states.T, strict=True))
+    return {name: found[name] for name in model.rig.predict if np.isfinite(found[name]).all()}
 
 
 def _reason(
