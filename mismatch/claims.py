@@ -30,6 +30,7 @@ from greygate.progress import Progress, silent
 
 PERCENT = 100
 ALONE = 0.1  # of what an effect saves beside another: what it saves without that one is at least so much, mostly
+LITTLE = 0.05  # of the calibrated plant's squared error, that two which undo each other must take together
 WORST = 3  # losses that are named in a refusal
 
 
@@ -69,6 +70,8 @@ def unborne(search: Search, hypothesis: Hypothesis, fit: Fit) -> dict[str, str]:
             out[key] = f"{effect.means}, but by {fit.values[slight[0]]:.2g} of that alone: some other curve"
         elif not _influence(effect, fit) > SEEN:
             out[key] = "at the size that fits, it changes nothing that the sensors show"
+        elif isinstance(fit.likelihood, Coloured) and _rounded(effect, fit):
+            out[key] = "it moves every channel by less than half a step of what is recorded: it smooths the steps"
     for symbol in hypothesis.released:
         sheet = search.sheet[symbol]
         value, (low, high) = fit.values[symbol], _within(fit, symbol)
@@ -83,11 +86,28 @@ def _within(fit: Fit, symbol: str) -> list[float]:
 
 def _influence(effect: Effect, fit: Fit) -> float:
     """The squared change of the errors, in units of noise, that the effect makes at its found size."""
-    nothing = {f.symbol: 0.0 for f in effect.strengths}
-    if effect.frees:
-        nothing = {f.symbol: fit.likelihood.model.values[f.symbol] for f in effect.free}
-    change = fit.likelihood.errors({**fit.values, **nothing}, fit.shifts) - fit.errors
+    change = fit.likelihood.errors(_undone(effect, fit), fit.shifts) - fit.errors
     return float(np.sum(np.square(np.nan_to_num(change, nan=np.inf))))
+
+
+def _undone(effect: Effect, fit: Fit) -> dict[str, float]:
+    """The values of a fit, without an effect."""
+    if effect.frees:
+        return {**fit.values, **{f.symbol: fit.likelihood.model.values[f.symbol] for f in effect.free}}
+    return {**fit.values, **{f.symbol: 0.0 for f in effect.strengths}}
+
+
+def _rounded(effect: Effect, fit: Fit) -> bool:
+    """Whether an effect moves each channel by less than half a step of it, or of an input of its unit."""
+    model = fit.likelihood.model
+    with_, without = (model.predict({**model.values, **v}) for v in (fit.values, _undone(effect, fit)))
+    moved = np.sqrt(np.mean((with_ - without) ** 2, axis=0))
+    channels = model.rig.channels
+    steps = [
+        max(channels[n].resolution for n in (name, *model.rig.inputs) if channels[n].unit == channels[name].unit)
+        for name in model.rig.predict
+    ]
+    return bool(np.all(moved < np.array(steps) / 2))
 
 
 # -- the fourth ------------------------------------------------------------------------------------------------------
@@ -135,7 +155,7 @@ def earned(
             claims.best = claims.best.without(name)
             claims.fit = refit(claims.best, claims.fit)
             continue
-        if _unsupported(search, judge, claims, refit):
+        if _unsupported(search, judge, claims, refit) or _undoing(search, judge, claims, refit):
             continue
         progress(f"holding blocks out of {claims.best}")
         losses = judge.losses(claims.calibrated, claims.fit)
@@ -148,7 +168,6 @@ def earned(
             claims.fit = sound
             break
         _dropped(search, claims, refit, losses)
-    claims.only_with = _only_with(claims, refit)
     return claims
 
 
@@ -172,20 +191,31 @@ def _unsupported(search: Search, judge: Judge, claims: Claims, refit: Callable) 
     return _drop(search, claims, name, fits, f"what its fit did not see gives it {found}")
 
 
-def _only_with(claims: Claims, refit: Callable) -> dict[str, list[str]]:
-    """Of effects and parameters that are left, which pairs explain something together alone: one undoes the other."""
+def _undoing(search: Search, judge: Judge, claims: Claims, refit: Callable) -> bool:
+    """Whether two that undo each other were dropped, as little is left of both; `claims.only_with` keeps the others.
+
+    Each of the two saves next to nothing without the other one: only their difference explains something.
+    """
     names = (*claims.best.effects, *claims.best.released)
+    claims.only_with = {}
     if len(names) < 2:
-        return {}
+        return False
     fits = {name: refit(claims.best.without(name), claims.fit) for name in names}
     saved = {name: fit.cost - claims.fit.cost for name, fit in fits.items()}
-    out: dict[str, list[str]] = {}
     for one, other in combinations(names, 2):
-        both = refit(claims.best.without(one).without(other), fits[one]).cost - claims.fit.cost
-        if both - saved[one] < ALONE * saved[other] and both - saved[other] < ALONE * saved[one]:
-            out.setdefault(one, []).append(other)
-            out.setdefault(other, []).append(one)
-    return out
+        less = claims.best.without(one).without(other)
+        without = refit(less, fits[one])
+        both = without.cost - claims.fit.cost
+        if max(both - saved[one] - ALONE * saved[other], both - saved[other] - ALONE * saved[one]) >= 0.0:
+            continue
+        if judge.share(claims.calibrated, without, claims.fit) < LITTLE:
+            pair = f"{_name(search, one)} and {_name(search, other)}"
+            claims.refused.append(f"{pair} are not claimed: one undoes the other, and little is left of both")
+            claims.best, claims.fit = less, without
+            return True
+        claims.only_with.setdefault(one, []).append(other)
+        claims.only_with.setdefault(other, []).append(one)
+    return False
 
 
 def _drop(search: Search, claims: Claims, name: str, fits: Mapping[str, Fit], why: str) -> bool:

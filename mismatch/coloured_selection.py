@@ -147,7 +147,8 @@ class ColouredSelection(Selection):
             if np.isfinite(plain.cost):
                 coloured = plain.likelihood.learnt(plain.likelihood.residual(plain.values), fit.likelihood.order)
                 found.append(search.fit(coloured, hypothesis, plain.values, enough=ROUGH))
-        return min(found, key=lambda f: f.cost)
+        best = min(found, key=lambda f: f.cost)
+        return search.led(best) if np.isfinite(best.cost) else best
 
     def saved(self, less: Hypothesis, fit: Fit, more: Hypothesis, richer: Fit) -> np.ndarray:
         """Cost that `more` saves over `less` in each fold (FOLDS,), held out of the fits of both.
@@ -175,7 +176,7 @@ class ColouredSelection(Selection):
 def _calibrated(search: Search) -> Fit:
     """The fit of the plant without effects, and of the noise that this leaves."""
     nothing = Hypothesis()
-    fit = search.fit(search.final, nothing, drawn(search, search.final, nothing, {}))
+    fit = search.led(search.fit(search.final, nothing, drawn(search, search.final, nothing, {})))
     for _ in range(ORDERINGS):
         likelihood = fit.likelihood.ordered(fit.likelihood.residual(fit.values))
         fit = search.fit(likelihood, nothing, fit.values)

@@ -42,6 +42,7 @@ ADEQUATE = 4.0  # where the squared errors are at most so many times those that 
 PART = 0.9  # of what can be explained: an effect that explains so much is named beside what is left
 SOME = 0.1  # of the squared error in free run, likewise where no noise is told
 CLOSED = 0.05  # of the misfit, that a fitted term must take: less is not applied, and only located
+NOISES = 3  # noises under which a recording is explained, at most: each is what the explanation before it left
 BLOWN = 100.0  # times what was recorded: a run that is so far off diverges, and nothing can be read from it
 
 
@@ -114,14 +115,16 @@ def _of_stated_noise(search: Search, progress: Progress) -> Diagnosis:
     noise = shown_noise(found.corrected)
     if noise.as_told:
         return replace(found, noise=noise)
-    progress("searching again: the noise is not as rig.toml tells it")
-    again = _explained(search.under(noise), progress)
-    noise = shown_noise(again.corrected)
-    if noise.swollen or (again.verdict == Verdict.CONSISTENT and dependent(again.corrected)):
-        # what is slow and far too large, or what the machine's own motion foretells, is no noise
-        search.under(Noise.told(len(search.rig.predict)))
-        return replace(found, noise=None)
-    return replace(again, noise=noise)
+    for _ in range(NOISES):
+        progress("searching again: the noise is not as rig.toml tells it")
+        again = _explained(search.under(noise), progress)
+        before, noise = noise, shown_noise(again.corrected)
+        if noise.swollen or (again.verdict == Verdict.CONSISTENT and dependent(again.corrected)):
+            break  # what is slow and far too large, or what the machine's own motion foretells, is no noise
+        if not before.swollen:
+            return replace(again, noise=noise)
+    search.under(Noise.told(len(search.rig.predict)))
+    return replace(found, noise=None)
 
 
 def shown_noise(fit: Fit) -> Noise:

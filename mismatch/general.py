@@ -199,7 +199,10 @@ def _unit(rig: Rig, where: str, unity: str, own: Mapping[str, str]) -> str:
 
 
 def _there(seen: Seen, where: str, unity: str, shapes: Mapping[str, float]) -> bool:
-    """Whether the place has a term that is proportional to this one, and that the data sheet leaves uncertain."""
+    """Whether the place has a term that the data sheet leaves uncertain, and that is this one up to factor and offset.
+
+    A loss to a room that is warm is such a term of a leak: it is the parameter there that is off.
+    """
     plant = seen.rig.plant
     table = plant.equations.get(where) or plant.definitions.get(where)
     if table is None:
@@ -209,7 +212,7 @@ def _there(seen: Seen, where: str, unity: str, shapes: Mapping[str, float]) -> b
         if not any(plant.parameters[n].tolerance for n in names([text]) if n in plant.parameters):
             continue
         old = seen.of(text)
-        if len(old) == len(new) and _alike(old, new):
+        if len(old) == len(new) and (_alike(old, new) or _alike(old - np.mean(old), new - np.mean(new))):
             return True
     return False
 

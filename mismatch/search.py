@@ -315,22 +315,30 @@ class Search:
     def base(self, likelihood: Likelihood) -> Fit:
         """The fit of the plant without any effect, its parameters near the data sheet."""
         unknowns = self.unknowns(Hypothesis(), NEAR_SHEET)
-        fit = likelihood.fit(unknowns, tempered=True, iterations=FIRST_STEPS)
-        if self.rig.window or not _lost(fit):
-            return fit
-        return min(fit, self._led(likelihood, unknowns), key=_squares)
+        return self.led(likelihood.fit(unknowns, tempered=True, iterations=FIRST_STEPS))
 
-    def _led(self, likelihood: Likelihood, unknowns: list[Unknown]) -> Fit:
-        """The fit that is led from the recording's beginning to its end, for a run that soon leaves its neighbours.
+    def lost(self, fit: Fit) -> bool:
+        """Whether a free run does not follow the recording: a channel errs by half of what it moves."""
+        if self.rig.window:
+            return False
+        target = fit.likelihood.model.target
+        error = target - fit.likelihood.model.predict({**fit.likelihood.model.values, **fit.values})
+        with np.errstate(invalid="ignore", over="ignore"):
+            return not np.all(np.std(error, axis=0) <= LOST * np.std(target, axis=0))
+
+    def led(self, fit: Fit) -> Fit:
+        """A fit, or a better one that is led from the recording's beginning to its end, if its run is lost.
 
         A pendulum that goes over the top once too often is in another valley; over a short time there is one valley.
         """
-        values: Mapping[str, float] = {}
+        if not self.lost(fit):
+            return fit
+        likelihood, unknowns, values = fit.likelihood, fit.unknowns, dict(fit.fixed)
         pieces = likelihood.model.pieces
         for share in LED:
             later = np.concatenate([np.arange(p.stop - p.start) >= share * (p.stop - p.start) for p in pieces])
             values = likelihood.without(later).fit(unknowns, values, tempered=True, iterations=FIRST_STEPS).values
-        return likelihood.fit(unknowns, values, tempered=True, iterations=FIRST_STEPS)
+        return min(fit, likelihood.fit(unknowns, values, tempered=True, iterations=FIRST_STEPS), key=_squares)
 
     def fit(
         self, likelihood: Likelihood, hypothesis: Hypothesis, values: Mapping[str, float], shifts=None, **options
@@ -344,17 +352,11 @@ class Search:
         return likelihood.fit(self.unknowns(hypothesis), start, shifts, **options)
 
 
-def _lost(fit: Fit) -> bool:
-    """Whether a run does not follow the recording: a channel errs by half of what it moves."""
+def _squares(fit: Fit) -> float:
+    """The squared errors of a fit, each channel over its spread."""
     target = fit.likelihood.model.target
     error = target - fit.likelihood.model.predict({**fit.likelihood.model.values, **fit.values})
-    with np.errstate(invalid="ignore", over="ignore"):
-        return not np.all(np.std(error, axis=0) <= LOST * np.std(target, axis=0))
-
-
-def _squares(fit: Fit) -> float:
-    """The squared errors of a fit, as the noise weighs them."""
-    squares = float(np.sum(np.square(fit.errors)))
+    squares = float(np.sum(np.square(error / (np.std(target, axis=0) + TINY))))
     return squares if np.isfinite(squares) else np.inf
 
 

@@ -70,6 +70,11 @@ class Selection:
         self.add(Hypothesis(), fit)
         return fit
 
+    @cached_property
+    def lost(self) -> bool:
+        """Whether the calibrated plant does not follow the recording, so that every fit may end elsewhere."""
+        return self.search.lost(self.plain)
+
     def add(self, hypothesis: Hypothesis, fit: Fit, possible: bool = True) -> None:
         self.costs[hypothesis] = min(fit.cost, self.costs.get(hypothesis, np.inf))
         if possible and fit.cost == self.costs[hypothesis]:
@@ -84,6 +89,7 @@ class Selection:
         """(fit of `hypothesis`, started at `values`; whether what is `new` in it is physically possible)."""
         self.progress(f"fitting {hypothesis}")
         fit = self.search.fit(self.likelihood, hypothesis, values, shifts, **options)
+        fit = self.search.led(fit) if self.lost else fit
         allowed = possible(self.search, new or hypothesis, fit)
         self.add(hypothesis, fit, allowed)
         return fit, allowed
