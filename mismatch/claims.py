@@ -41,7 +41,7 @@ class Claims:
     best, fit: the hypothesis and its fit. calibrated: the fit without effects. refused: one sentence for each claim
     that was dropped or fitted again. evidence, shares: of every effect and parameter that is left, what speaks for it
     and the share of the calibrated plant's squared error that goes with it alone. only_with: name of one -> those
-    without which it explains next to nothing, as they do without it.
+    without which it explains next to nothing, as they do without it. without: name of one -> the fit without it.
     """
 
     best: Hypothesis
@@ -51,6 +51,7 @@ class Claims:
     evidence: dict[str, Evidence] = field(default_factory=dict)
     shares: dict[str, float] = field(default_factory=dict)
     only_with: dict[str, list[str]] = field(default_factory=dict)
+    without: dict[str, Fit] = field(default_factory=dict)
 
 
 # -- the first two gates ---------------------------------------------------------------------------------------------
@@ -177,6 +178,7 @@ def _unsupported(search: Search, judge: Judge, claims: Claims, refit: Callable) 
     fits = {name: refit(claims.best.without(name), claims.fit) for name in names}
     if len(names) == 1 and claims.calibrated.likelihood.model is claims.fit.likelihood.model:
         fits = {name: min(fit, claims.calibrated, key=lambda f: f.cost) for name, fit in fits.items()}
+    claims.without = fits
     claims.shares = {n: judge.share(claims.calibrated, fits[n], claims.fit) for n in names}
     useless = min(names, key=lambda n: claims.shares[n])
     if claims.fit.likelihood.remembers and claims.shares[useless] <= 0.0:
@@ -196,15 +198,11 @@ def _undoing(search: Search, judge: Judge, claims: Claims, refit: Callable) -> b
 
     Each of the two saves next to nothing without the other one: only their difference explains something.
     """
-    names = (*claims.best.effects, *claims.best.released)
     claims.only_with = {}
-    if len(names) < 2:
-        return False
-    fits = {name: refit(claims.best.without(name), claims.fit) for name in names}
-    saved = {name: fit.cost - claims.fit.cost for name, fit in fits.items()}
-    for one, other in combinations(names, 2):
+    saved = {name: fit.cost - claims.fit.cost for name, fit in claims.without.items()}
+    for one, other in combinations(saved, 2):
         less = claims.best.without(one).without(other)
-        without = refit(less, fits[one])
+        without = refit(less, claims.without[one])
         both = without.cost - claims.fit.cost
         if max(both - saved[one] - ALONE * saved[other], both - saved[other] - ALONE * saved[one]) >= 0.0:
             continue

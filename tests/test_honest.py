@@ -303,7 +303,7 @@ def test_two_effects_that_undo_each_other_are_never_sure_and_dropped_where_they_
     """Without one of them the other one does nothing, so that either alone is worth what both are."""
     costs = {("a", "b"): 0.0, ("a",): 108.0, ("b",): 110.0, (): both}
     fit = {names: SimpleNamespace(cost=cost) for names, cost in costs.items()}
-    kept = claims.Claims(Hypothesis(("a", "b")), fit["a", "b"], fit[()])
+    kept = claims.Claims(Hypothesis(("a", "b")), fit["a", "b"], fit[()], without={"a": fit["b",], "b": fit["a",]})
     judge = SimpleNamespace(share=lambda plain, without, with_: share)
     search = SimpleNamespace(effects={name: SimpleNamespace(id=name) for name in "ab"})
     dropped = claims._undoing(search, judge, kept, lambda less, from_: fit[less.effects])
