@@ -143,8 +143,10 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
     best, current = short.settled(*short.backward(best, current))
     selection, costs = short, short.costs
     if best.size and complete(current):
-        longer, best, corrected = short.over(search.final, best, current)
-        costs = longer.costs
+        longer, chosen, corrected = short.over(search.final, best, current)
+        if {search.effects[key].id for key in chosen.effects} != {search.effects[key].id for key in best.effects}:
+            chosen, corrected = longer.settled(chosen, corrected)  # the exchanges that were made are not those of it
+        best, costs = chosen, longer.costs
         if best.size == 1 and not complete(corrected):  # a second effect that long windows alone show
             more, fit = longer.backward(*longer.forward(best, corrected, corrected))
             if more != best:

@@ -50,7 +50,8 @@ class Selection:
 
     start: the fit from which the plant without effects is fitted. costs: the least cost of each hypothesis. fits: the
     best fit of each that is physically possible. best: the best of those fits by the size of its hypothesis. unfitted:
-    hypotheses that may be as good as the best, by their scores, and that were too many to be fitted.
+    hypotheses that may be as good as the best, by their scores, and that were too many to be fitted. swapped: effects
+    and released parameters of those that were fitted in exchange.
     """
 
     most = EFFECTS  # effects in a hypothesis
@@ -61,6 +62,7 @@ class Selection:
         self.fits: dict[Hypothesis, Fit] = {}
         self.best: dict[int, tuple[Hypothesis, Fit]] = {}
         self.unfitted: set[Hypothesis] = set()
+        self.swapped: set[tuple[frozenset[str], frozenset[str]]] = set()
 
     @cached_property
     def plain(self) -> Fit:
@@ -157,10 +159,11 @@ class Selection:
         tried = 0
         for score in (forms[0] for forms in ranked):
             hypothesis = less.plus(score.hypothesis)
-            same = any(
-                set(h.effects) == set(hypothesis.effects) and h.released == hypothesis.released
+            names = frozenset(hypothesis.effects), frozenset(hypothesis.released)
+            same = names in self.swapped or any(
+                names == (frozenset(h.effects), frozenset(h.released))
                 for h in self.costs
-                if h not in self.fits or self.fits[h].converged
+                if h not in self.fits or self.fits[h].converged  # one that gave up on its way has a second try
             )
             if score.gain < least or same or mine & {self.search.effects[k].id for k in score.hypothesis.effects}:
                 continue
@@ -168,6 +171,7 @@ class Selection:
                 self.unfitted |= {hypothesis} if score.gain >= near else set()
                 continue
             tried += 1
+            self.swapped.add(names)
             fit, allowed = self.fit(hypothesis, {**without.values, **score.values}, without.shifts, score.hypothesis)
             if allowed:
                 found.append((hypothesis, fit))
