@@ -19,7 +19,7 @@ from typing import NoReturn
 import numpy as np
 
 from greygate.errors import InputError, shown
-from greygate.plants.functions import FUNCTIONS, arguments
+from greygate.plants.functions import FUNCTIONS, arguments, when
 
 # The longest expression of any plant, effect or closure here has 260 characters, 100 nodes and a depth of 15. A much
 # larger one is a table in disguise, or an attack: Python and numba recurse over the tree.
@@ -373,7 +373,7 @@ def _lazily(condition: Callable, x: Callable) -> Callable[[Mapping], np.ndarray 
 
     def over(scope: Mapping) -> np.ndarray | float:
         holds = condition(scope)
-        return FUNCTIONS["when"](holds, x(scope)) if np.any(holds) else np.zeros(np.shape(holds))[()]
+        return when(holds, x(scope)) if np.any(holds) else np.zeros(np.shape(holds))[()]
 
     return over
 
