@@ -195,7 +195,12 @@ def _unlike(search: Search, best: Hypothesis, fit: Fit) -> str:
 def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
     selection = ColouredSelection(search, progress)
     best, fit = selection.backward(*selection.forward(Hypothesis(), selection.plain, selection.plain))
-    claims = earned(search, selection.plain, best, fit, progress=progress)
+
+    def refit(less: Hypothesis, from_: Fit) -> Fit:
+        starts = [from_, *(found for h, found in selection.fits.items() if h == less)]
+        return min((search.fit(from_.likelihood, less, start.values) for start in starts), key=lambda f: f.cost)
+
+    claims = earned(search, selection.plain, best, fit, refit, progress)
     if claims.best not in selection.fits:
         selection.fits[claims.best] = claims.fit
     best, fit = claims.best, claims.fit
