@@ -11,7 +11,7 @@ rule, as it is. If that fails too, the effect goes whose loss costs least.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -148,6 +148,24 @@ def earned(
     claims = Claims(best, fit, calibrated)
     progress("holding the calibrated plant against its data sheet")
     _calibrated(search, judge, claims)
+    _through(search, judge, claims, refit, progress)
+    if claims.best.size or best.size < 2:
+        return claims
+    # beside others each of them failed; one may be borne out alone, the best fit first
+    singles = {name: Hypothesis((name,)) for name in best.effects}
+    singles |= {name: Hypothesis((), (name,)) for name in best.released}
+    fits = {name: refit(single, fit) for name, single in singles.items()}
+    for name in sorted(fits, key=lambda name: fits[name].cost):
+        alone = Claims(singles[name], fits[name], claims.calibrated)
+        _through(search, judge, alone, refit, progress)
+        if alone.best.size:
+            others = [why for why in claims.refused if not why.startswith(f"{_name(search, name)} is not claimed")]
+            return replace(alone, refused=others + alone.refused)
+    return claims
+
+
+def _through(search: Search, judge: Judge, claims: Claims, refit: Callable, progress: Progress) -> None:
+    """Take from `claims` what fails a gate, until all that is left passes each."""
     while claims.best.size:
         if failed := unborne(search, claims.best, claims.fit):
             name, why = next(iter(failed.items()))
@@ -169,7 +187,6 @@ def earned(
             claims.fit = sound
             break
         _dropped(search, claims, refit, losses)
-    return claims
 
 
 def _unsupported(search: Search, judge: Judge, claims: Claims, refit: Callable) -> bool:
