@@ -38,7 +38,7 @@ SAFE_PATH = "PYTHONSAFEPATH"  # if it is set, Python imports nothing from the fo
 
 def table_of(paths: Iterable[Path], rig: Rig, recording: Recording | None) -> dict[str, Effect]:
     """The effects to try on a rig: those of greygate's table, extended by the user's own files."""
-    return extended(table.known(rig, recording), paths)
+    return table.known(rig, recording, given=extended({}, paths))
 
 
 def extended(effects: Mapping[str, Effect], paths: Iterable[Path]) -> dict[str, Effect]:

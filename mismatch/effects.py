@@ -4,7 +4,7 @@ All effects that may enter a plant join it once (`joining`), with parameters at 
 then a set of parameters that become free, and nothing is compiled twice.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 from greygate.mismatch.entries import ANY, EXTRA, SENSOR, TABLE, Effect, Free, fitting, read
 from greygate.mismatch.general import GENERAL, general
@@ -17,8 +17,8 @@ __all__ = [
 ]  # fmt: skip
 
 
-def known(rig, recording, every: bool = False) -> dict[str, Effect]:
-    """The effects to be tried on a rig: those of the table, and those of `effects.toml` in its folder.
+def known(rig, recording, every: bool = False, given: Mapping[str, Effect] | None = None) -> dict[str, Effect]:
+    """The effects to be tried on a rig: those of the table, of `effects.toml` in its folder, and those `given`.
 
     Beside them stand the general effects, in every place of the plant that they fit and that the recording can excite
     (none before there is a recording); every: excited or not. Where the table has effects of the plant, and the rig
@@ -27,6 +27,7 @@ def known(rig, recording, every: bool = False) -> dict[str, Effect]:
     """
     path = rig.folder / "effects.toml"
     table, own = read(), read(path) if path.exists() else {}
+    own |= given or {}
     special = fitting(rig.plant, rig.datasheet, table) | fitting(rig.plant, rig.datasheet, own)
     ids = {effect.id for effect in special.values()}
     found: dict[str, Effect] = {}

@@ -30,7 +30,7 @@ ROUGH = 2.0  # of cost: a fit that only ranks stops when a step gains less
 SLACK = 3e-4  # of the cost beyond that of noise: likewise
 LOST = 0.5  # of a channel's spread, above which its error says that the run is elsewhere
 LED = (1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the recording: to so much a lost run is fitted first
-FIRST_STEPS = 4  # of the fit of the data sheet's plant, which only has to stand where effects can be compared
+ROUGHLY = {"tempered": True, "iterations": 4}  # a fit of the data sheet's plant, where effects can be compared
 LONG = 1.5  # of the travel: the longest period of a wave
 WAVES = 2.0  # periods of a scan for each cycle over the travel: neighbours differ by half a cycle
 FEWEST_WAVES = 4  # periods of a scan, at least
@@ -315,7 +315,7 @@ class Search:
     def base(self, likelihood: Likelihood) -> Fit:
         """The fit of the plant without any effect, its parameters near the data sheet."""
         unknowns = self.unknowns(Hypothesis(), NEAR_SHEET)
-        return self.led(likelihood.fit(unknowns, tempered=True, iterations=FIRST_STEPS))
+        return self.led(likelihood.fit(unknowns, **ROUGHLY), **ROUGHLY)
 
     def lost(self, fit: Fit) -> bool:
         """Whether a free run does not follow the recording: a channel errs by half of what it moves."""
@@ -326,10 +326,12 @@ class Search:
         with np.errstate(invalid="ignore", over="ignore"):
             return not np.all(np.std(error, axis=0) <= LOST * np.std(target, axis=0))
 
-    def led(self, fit: Fit) -> Fit:
+    def led(self, fit: Fit, **how) -> Fit:
         """A fit, or a better one that is led from the recording's beginning to its end, if its run is lost.
 
-        A pendulum that goes over the top once too often is in another valley; over a short time there is one valley.
+        how: `fit` was made, as `Likelihood.fit` takes it.
+
+        What turns over once too often has come to another valley; over a short time there is one valley.
         """
         if not self.lost(fit):
             return fit
@@ -337,8 +339,8 @@ class Search:
         pieces = likelihood.model.pieces
         for share in LED:
             later = np.concatenate([np.arange(p.stop - p.start) >= share * (p.stop - p.start) for p in pieces])
-            values = likelihood.without(later).fit(unknowns, values, tempered=True, iterations=FIRST_STEPS).values
-        return min(fit, likelihood.fit(unknowns, values, tempered=True, iterations=FIRST_STEPS), key=_squares)
+            values = likelihood.without(later).fit(unknowns, values, **ROUGHLY).values
+        return min(fit, likelihood.fit(unknowns, values, **how), key=_squares)
 
     def fit(
         self, likelihood: Likelihood, hypothesis: Hypothesis, values: Mapping[str, float], shifts=None, **options
