@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from greygate.errors import InputError
 from greygate.mismatch.entries import SENSOR, TIME, Effect, effect_of, entries
 from greygate.mismatch.places import Place, places, unit_of_place
 from greygate.mismatch.rig import Rig
@@ -225,7 +226,10 @@ def _columns(effect: Effect, seen: Seen) -> dict[str, np.ndarray]:
     out: dict[str, np.ndarray] = {}
     for path, text in effect.terms.items():
         where = path.partition(".")[0]
-        out[where] = out.get(where, 0.0) + seen.of(text, values)
+        try:
+            out[where] = out.get(where, 0.0) + seen.of(text, values)
+        except InputError:  # an unknown name: whoever joins the effect to the plant says so
+            return {}
     return out
 
 
