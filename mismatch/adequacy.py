@@ -31,7 +31,7 @@ RIDGE = 1e-2  # of a unit diagonal: features are many and alike
 def dependent(fit: Fit) -> str:
     """What the errors of a run go with, in words; empty where chance predicts them as well."""
     model = fit.likelihood.model
-    error = model.target - model.predict({**model.values, **fit.values})
+    error = fit.likelihood.residual(fit.values)
     if not np.isfinite(error).all():
         return ""
     size, pieces = max(len(error) // POINTS, 1), model.pieces

@@ -6,7 +6,7 @@ are -2 log likelihood.
 """
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -74,10 +74,6 @@ class Coloured(Likelihood):
             out[:, i] /= scale
         out[~self.mask] = 0.0
         return out
-
-    def residual(self, values: Mapping[str, float]) -> np.ndarray:
-        """Recorded less predicted, in the channels' units (samples, channels)."""
-        return self.model.target - self.model.predict({**self.model.values, **values})
 
     def learnt(self, residual: np.ndarray, order: int | None = None) -> "Coloured":
         """This likelihood with the noise, of the given order, that fits `residual` (samples, channels) best."""

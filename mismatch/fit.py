@@ -221,10 +221,13 @@ class Likelihood:
         """Whether the noise has a colour."""
         return any(len(ar) for ar in self.noise.ar)
 
+    def residual(self, values: Mapping[str, float], shifts: np.ndarray | None = None) -> np.ndarray:
+        """Recorded less predicted, in the channels' units (samples, channels). shifts: in the units of the locals."""
+        return self.model.target - self.model.predict({**self.model.values, **values}, shifts)
+
     def errors(self, values: Mapping[str, float], shifts: np.ndarray) -> np.ndarray:
         """(target - prediction) / sigma, (samples, channels)."""
-        predicted = self.model.predict({**self.model.values, **values}, shifts * self.local_scale)
-        return self.white(self.model.target - predicted)
+        return self.white(self.residual(values, shifts * self.local_scale))
 
     def white(self, what: np.ndarray) -> np.ndarray:
         """`what` (samples, channels, ...) in units of the noise, less what the noise before makes expected."""

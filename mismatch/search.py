@@ -319,19 +319,13 @@ class Search:
 
     def lost(self, fit: Fit) -> bool:
         """Whether a free run does not follow the recording: a channel errs by half of what it moves."""
-        if self.rig.window:
-            return False
-        target = fit.likelihood.model.target
-        error = target - fit.likelihood.model.predict({**fit.likelihood.model.values, **fit.values})
-        with np.errstate(invalid="ignore", over="ignore"):
-            return not np.all(np.std(error, axis=0) <= LOST * np.std(target, axis=0))
+        return not self.rig.window and not np.all(_astray(fit) <= LOST)
 
     def led(self, fit: Fit, **how) -> Fit:
         """A fit, or a better one that is led from the recording's beginning to its end, if its run is lost.
 
-        how: `fit` was made, as `Likelihood.fit` takes it.
-
-        What turns over once too often has come to another valley; over a short time there is one valley.
+        What turns over once too often has come to another valley; over a short time there is one valley. how: options
+        of `Likelihood.fit` with which `fit` was made, and the last part of the way is.
         """
         if not self.lost(fit):
             return fit
@@ -340,7 +334,7 @@ class Search:
         for share in LED:
             later = np.concatenate([np.arange(p.stop - p.start) >= share * (p.stop - p.start) for p in pieces])
             values = likelihood.without(later).fit(unknowns, values, **ROUGHLY).values
-        return min(fit, likelihood.fit(unknowns, values, **how), key=_squares)
+        return min(fit, likelihood.fit(unknowns, values, **how), key=lambda f: float(np.sum(_astray(f))))
 
     def fit(
         self, likelihood: Likelihood, hypothesis: Hypothesis, values: Mapping[str, float], shifts=None, **options
@@ -354,12 +348,11 @@ class Search:
         return likelihood.fit(self.unknowns(hypothesis), start, shifts, **options)
 
 
-def _squares(fit: Fit) -> float:
-    """The squared errors of a fit, each channel over its spread."""
-    target = fit.likelihood.model.target
-    error = target - fit.likelihood.model.predict({**fit.likelihood.model.values, **fit.values})
-    squares = float(np.sum(np.square(error / (np.std(target, axis=0) + TINY))))
-    return squares if np.isfinite(squares) else np.inf
+def _astray(fit: Fit) -> np.ndarray:
+    """How much each channel's error moves over how much the channel does (channels,), inf where the run diverges."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        error, target = fit.likelihood.residual(fit.values), fit.likelihood.model.target
+        return np.nan_to_num(np.std(error, axis=0) / (np.std(target, axis=0) + TINY), nan=np.inf, posinf=np.inf)
 
 
 def _bounds(fit: Fit) -> np.ndarray:

@@ -1,5 +1,6 @@
 """What a diagnosis refuses to say: a claim is off zero, excited by the recording, and never worse than none."""
 
+import copy
 import json
 from dataclasses import replace
 from types import SimpleNamespace
@@ -320,6 +321,50 @@ def test_a_curve_beside_which_another_term_pays_is_not_quite_what_it_is_called(m
     monkeypatch.setattr(finding, "inflation", lambda fit: 1.0)
     why = finding._unlike(search, Hypothesis(("a",)), SimpleNamespace(likelihood=None))
     assert ("what acts in jacket is not quite square_leak" in why) is said
+
+
+@pytest.mark.parametrize(("step", "smoothed"), [(1e-5, False), (1e-2, True), (0.0, False)])
+def test_what_moves_no_channel_by_half_a_step_smooths_the_steps(slipping, step, smoothed):
+    """step: to which the channel is read, in m; the slip of this drum takes some tenths of a millimetre."""
+    search, _, _, right = slipping
+    model = copy.copy(right.likelihood.model)
+    channels = {n: replace(c, resolution=step) for n, c in search.rig.channels.items()}
+    model.rig = replace(search.rig, channels=channels)
+    likelihood = copy.copy(right.likelihood)
+    likelihood.model = model
+    assert claims._rounded(search.effects["speed_slip"], replace(right, likelihood=likelihood)) is smoothed
+
+
+def test_what_fails_beside_another_claim_is_asked_alone(slipping, monkeypatch):
+    search, plain, best, right = slipping
+    both = Hypothesis(("speed_slip", "drift"))
+
+    def through(search, judge, kept, refit, progress):
+        if kept.best != best:  # beside each other both fail, and drift alone, too
+            kept.refused += [f"{name} is not claimed: little speaks for it" for name in kept.best.effects]
+            kept.best = Hypothesis()
+
+    monkeypatch.setattr(claims, "_through", through)
+    found = earned(search, plain, both, search.fit(search.final, both, right.values))
+    assert found.best == best
+    assert {why.split()[0] for why in found.refused} == {"drift"}
+
+
+@pytest.mark.parametrize(("gap", "saved", "sure"), [(12.0, 100.0, 0.98), (12.0, 1e6, 0.5)])
+def test_a_rival_that_is_behind_by_a_detail_of_what_is_saved_weighs_more(slipping, gap, saved, sure):
+    search, plain, best, right = slipping
+    other = Hypothesis(("drift",))
+    rivals = {best: 0.0, other: gap, Hypothesis(): saved}
+    found = Diagnosis(search.rig, Verdict.MISSING_PHYSICS, best, plain, right, rivals, {}, 1.0, search)
+    confidence = found.as_dict()["effects"][0]["confidence"]
+    assert confidence == pytest.approx(sure, abs=0.02)
+
+
+def test_a_leak_to_a_room_that_is_warm_is_one_leak(tmp_path):
+    folder = conceal("thermal", 500124, tmp_path / "rig", kind="one", effect="leak")
+    (entry,) = diagnose(load(folder)).as_dict()["effects"]
+    assert entry["id"] == "leak_t_block"
+    assert entry["parameters"]["leak_t_block_level"]["value"] == pytest.approx(20.0, abs=1.0)
 
 
 def test_what_radiates_is_never_surely_called_by_the_name_of_another_curve(tmp_path):

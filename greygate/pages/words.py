@@ -196,6 +196,11 @@ def alike(result: Diagnosis, found: Mapping) -> list[str]:
             if by and not by.tells:
                 how = "no experiment that was tried tells them apart"
             out.append(f"{other} in place of {entry['id']}; {how}")
+        out += [
+            f"something else in place of {entry['id']} and {other}: each explains little without the other"
+            for other in entry.get("only_with", ())
+            if entry["id"] < other
+        ]
     if not found["effects"]:
         best = result.rivals.get(result.best, 0.0)
         rivals = sorted((cost - best, str(h)) for h, cost in result.rivals.items() if h != result.best)
