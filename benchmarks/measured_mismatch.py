@@ -169,7 +169,7 @@ def row(name: str, said: dict, channel: str) -> dict:
     return {
         "rig": name,
         "verdict": said["verdict"],
-        "effects": " + ".join(e["form"] for e in said["effects"]),
+        "effects": " + ".join(e.get("form", e["id"]) for e in said["effects"]),
         "channel": channel,
         "unit": held["unit"],
         **{f"identify_{kind}": f"{own[kind]:.5g}" for kind in kinds},

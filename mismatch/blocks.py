@@ -23,8 +23,6 @@ PARTS = 8  # of a piece, each of them one draw of the difference of the squared 
 MORE = 0.01  # of the plainer fit's RMS error, by which another fit may be worse
 SURE = 3.0  # standard errors of the difference of the squared errors, below which it may be chance
 REFIT = 4  # iterations of a fit to the other pieces, which begins at that of the whole recording
-SINGULAR = 1e-13  # of the largest singular value, below which numbers cannot be told apart
-RIDGE = 1e-9  # of curvature, for an unknown that does not act outside the block
 
 
 @dataclass(frozen=True)
@@ -193,12 +191,7 @@ def _without(fit: Fit, held: np.ndarray, exact: bool) -> dict[str, float]:
     likelihood = fit.likelihood
     ends = np.arange(1, likelihood.windows + 1) * likelihood.block - 1
     learn = ~held[np.arange(len(held))[likelihood.kept][ends - likelihood.block // 2]]
-    flat, errors = fit.slopes[learn].reshape(-1, len(fit.numbers)), fit.projected[learn].reshape(-1)
-    normal = flat.T @ flat + np.diag(fit.weight + RIDGE)
-    step = np.linalg.lstsq(normal, -(flat.T @ errors) - fit.weight * fit.numbers, rcond=SINGULAR)[0]
-    numbers = np.clip(
-        fit.numbers + step, *np.array([sorted((u.number(u.low), u.number(u.high))) for u in fit.unknowns]).T
-    )
+    numbers = fit.numbers + fit.step(learn)
     return {**fit.values, **{u.symbol: float(u.value(n)) for u, n in zip(fit.unknowns, numbers, strict=True)}}
 
 

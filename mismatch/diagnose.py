@@ -39,7 +39,7 @@ from greygate.progress import Progress, silent
 
 SHARE = 0.99  # of what can be explained: an effect that explains so much is all that is missing,
 ADEQUATE = 4.0  # where the squared errors are at most so many times those that the told noise makes
-PART = 0.9  # of what can be explained: an effect that explains so much is named beside what is left
+PART = 0.5  # of what can be explained: an effect that explains so much is named beside what is left
 SOME = 0.1  # of the squared error in free run, likewise where no noise is told
 CLOSED = 0.05  # of the misfit, that a fitted term must take: less is not applied, and only located
 NOISES = 3  # noises under which a recording is explained, at most: each is what the explanation before it left
@@ -167,11 +167,12 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
     if verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED) and not unlike:
         progress("looking for the equation")
         found = closure(search)
-        share = (found[0].get("effect") or {}).get("confidence", 1.0)  # a sensor has no term: it may take all
+        refused = _no_term(claims, *found)
+        share = 0.0 if refused else _taken(found[0])
         # what any smooth term does as well is no name, and several names that leave something are such a term
         if verdict == Verdict.UNEXPLAINED or share >= explained or best.size > 1:
             verdict, best = Verdict.UNEXPLAINED, Hypothesis()
-            unknown, corrected = _unknown(search, claims, *found)
+            unknown, corrected = _unknown(search, claims, *found, refused)
             left = structure(corrected)
     rivals = {hypothesis: cost / inflation(current) for hypothesis, cost in costs.items()}
     rivals |= {hypothesis: rivals[best] for hypothesis in short.unfitted if best in rivals and hypothesis not in rivals}
@@ -228,19 +229,31 @@ def _verdict(best: Hypothesis, open_: bool, explained: float, left: float, part:
     return Verdict.PARAMETER_ERROR if best.size else Verdict.CONSISTENT
 
 
-def _unknown(search: Search, claims: Claims, unknown: dict, closed: Fit | None) -> tuple[dict, Fit]:
+def _taken(unknown: dict) -> float:
+    """The share of the misfit that a term takes there: all, where it is a sensor, which has no term."""
+    return (unknown.get("effect") or {}).get("confidence", 1.0)
+
+
+def _no_term(claims: Claims, unknown: dict, closed: Fit | None) -> str:
+    """Why the term that `closure` found (with `closed`, the fit with it) is none; empty where it is one, or none is."""
+    if closed is None:
+        return ""
+    if _taken(unknown) < CLOSED:
+        return f"it takes {_taken(unknown):.0%} of the misfit"
+    judge = Judge(closed.likelihood)
+    losses = judge.losses(claims.calibrated, closed) or judge.throughout(claims.calibrated, closed)
+    return f"with it {losses[0]}" if losses else ""
+
+
+def _unknown(search: Search, claims: Claims, unknown: dict, closed: Fit | None, refused: str) -> tuple[dict, Fit]:
     """(where and effect of what no effect explains; the fit with a term for it, if one is worth it).
 
-    unknown, closed: what `closure` found.
+    unknown, closed: what `closure` found. refused: why its term is none.
     """
-    share = (unknown.get("effect") or {}).get("confidence", 0.0)
-    if closed is not None:
-        judge, plain = Judge(closed.likelihood), claims.calibrated
-        losses = (judge.losses(plain, closed) or judge.throughout(plain, closed)) if share >= CLOSED else []
-        if share >= CLOSED and not losses:
-            return unknown, closed
-        why = f"with it {losses[0]}" if losses else f"it takes {share:.0%} of the misfit"
-        claims.refused.append(f"no term is fitted: {why}")
+    if closed is not None and not refused:
+        return unknown, closed
+    if refused:
+        claims.refused.append(f"no term is fitted: {refused}")
         for place in unknown["where"]:
             place["regime"] = "no function of the signals that was tried takes what is left"
     plain = claims.calibrated

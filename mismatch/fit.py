@@ -60,7 +60,7 @@ class Unknown:
         return (value - self.origin) / self.scale
 
 
-def _bounds(unknowns: Sequence[Unknown]) -> np.ndarray:
+def _limits(unknowns: Sequence[Unknown]) -> np.ndarray:
     """Lowest and highest number of each unknown (2, k)."""
     return np.array([sorted((u.number(u.low), u.number(u.high))) for u in unknowns]).reshape(-1, 2).T
 
@@ -91,6 +91,11 @@ class Fit:
     cost: float
     converged: bool
     temper: np.ndarray
+
+    @cached_property
+    def room(self) -> np.ndarray:
+        """By how much each unknown's number may fall and rise (k, 2)."""
+        return _limits(self.unknowns).T - self.numbers[:, None]
 
     @cached_property
     def basis(self):
@@ -154,12 +159,18 @@ class Fit:
 
         learn, judge: (windows,) of bool. The parameters come from one linearised step from those of the fit.
         """
-        low, high = _bounds(self.unknowns)
+        step = self.step(learn)
+        return float(np.sum((self.projected[judge] + self.slopes[judge] @ step) ** 2))
+
+    def step(self, learn: np.ndarray) -> np.ndarray:
+        """Change of the numbers (k,) that the windows `learn` (windows,) alone ask for, within all limits.
+
+        It is of the linearised fit.
+        """
         flat, errors = self.slopes[learn].reshape(-1, len(self.numbers)), self.projected[learn].reshape(-1)
         normal = flat.T @ flat + np.diag(self.weight + RIDGE)
         step = np.linalg.lstsq(normal, -(flat.T @ errors) - self.weight * self.numbers, rcond=SINGULAR)[0]
-        step = np.clip(self.numbers + step, low, high) - self.numbers
-        return float(np.sum((self.projected[judge] + self.slopes[judge] @ step) ** 2))
+        return np.clip(step, *self.room.T)
 
     def deviation(self, symbol: str) -> float:
         """Standard deviation of a value."""
@@ -359,7 +370,7 @@ class _Descent:
     def __init__(self, likelihood: Likelihood, unknowns: Sequence[Unknown], values: Mapping, shifts: np.ndarray):
         self.likelihood, self.unknowns, self.fixed = likelihood, tuple(unknowns), dict(values)
         start = np.array([u.number(self.fixed.pop(u.symbol, u.origin)) for u in self.unknowns])
-        self.low, self.high = _bounds(self.unknowns)
+        self.low, self.high = _limits(self.unknowns)
         self.weight = np.array([0.0 if np.isinf(u.prior) else 1.0 / u.prior**2 for u in self.unknowns])
         self.temper = np.ones(likelihood.sigma.shape[1])
         self.at = self.point(np.clip(start, self.low, self.high), shifts)

@@ -144,16 +144,36 @@ def _origin(plant: Plant, channel: str) -> bool:
 
 
 def _drive(rig: Rig, where: str) -> str:
-    """The terms of a sum that inputs bring, as one expression."""
-    terms = _sum(rig.plant, where).terms.values()
-    return " + ".join(f"({text})" for text in terms if {*rig.inputs} & names([text]))
+    """The terms of a sum that inputs bring, themselves or through definitions, as one expression."""
+    terms, driven = _sum(rig.plant, where).terms.values(), _driven(rig)
+    return " + ".join(f"({text})" for text in terms if driven & names([text]))
+
+
+def _driven(rig: Rig) -> set[str]:
+    """The inputs, and what is defined by them."""
+    definitions, found = rig.plant.definitions.values(), {*rig.inputs}
+    while new := {d.symbol for d in definitions if found & names(d.terms.values())} - found:
+        found |= new
+    return found
 
 
 def _pairs(plant: Plant, found: list[Place], key: str, where: str) -> list[Place]:
-    """Pairs of places whose states have one unit, and whose sums have one."""
+    """Pairs of places whose states have one unit, and whose sums have one.
+
+    What a mass matrix couples are coordinates and not two bodies: what acts between these, acts in one of those.
+    """
     out = []
     for one, other in combinations(found, 2):
+        if _coupled(plant, one[where], other[where]):
+            continue
         alike = plant.unit(one[key]) == plant.unit(other[key]) and one[where] != other[where]
         if alike and unit_of_place(plant, one[where]) == unit_of_place(plant, other[where]):
             out.append({f"{k}_{i}": v for i, place in ((1, one), (2, other)) for k, v in place.items()})
     return out[:PAIRS]
+
+
+def _coupled(plant: Plant, one: str, other: str) -> bool:
+    """Whether the rate of one balance's state stands in the other balance."""
+    equations = [plant.equations[name] for name in (one, other) if name in plant.equations]
+    states = {equation.state for equation in equations}
+    return any(states & {*equation.couples} for equation in equations)

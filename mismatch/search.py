@@ -231,7 +231,7 @@ class Search:
         plain = _plain(fit)
         if candidate.released:
             j = [u.symbol for u in fit.unknowns].index(candidate.released[0])
-            weight, wide = fit.weight.copy(), _bounds(fit)
+            weight, wide = fit.weight.copy(), fit.room
             weight[j], wide[j] = 0.0, (-UNBOUNDED, UNBOUNDED)
             prior = float(fit.weight[j] * fit.numbers[j] ** 2)
             step, gain = _solve(fit, _nothing(fit), wide, weight)
@@ -250,7 +250,7 @@ class Search:
             strengths = effect.strengths
             reach += [(0.0, SECANT_REACH)] if point else [(f.low / f.typical, f.high / f.typical) for f in strengths]
             columns.append(made)
-        bounds = np.concatenate([_bounds(fit), reach])
+        bounds = np.concatenate([fit.room, reach])
         step, gain = _solve(fit, np.concatenate(columns, axis=2), bounds, fit.weight)
         values, at = {}, len(fit.unknowns)
         for effect, shape, point, made in blocks:
@@ -355,19 +355,13 @@ def _astray(fit: Fit) -> np.ndarray:
         return np.nan_to_num(np.std(error, axis=0) / (np.std(target, axis=0) + TINY), nan=np.inf, posinf=np.inf)
 
 
-def _bounds(fit: Fit) -> np.ndarray:
-    """By how much each unknown's number may change (k, 2)."""
-    bounds = np.array([(u.number(u.low), u.number(u.high)) for u in fit.unknowns]).reshape(-1, 2)
-    return bounds - fit.numbers[:, None]
-
-
 def _nothing(fit: Fit) -> np.ndarray:
     return np.zeros((*fit.projected.shape, 0))
 
 
 def _plain(fit: Fit) -> float:
     """The cost that the unknowns alone still save."""
-    return _solve(fit, _nothing(fit), _bounds(fit), fit.weight)[1]
+    return _solve(fit, _nothing(fit), fit.room, fit.weight)[1]
 
 
 def _normal(fit: Fit, columns: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,5 +1,7 @@
 """General effects on plants of a user: where they are offered, in which size and unit, and what they do."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -149,6 +151,7 @@ def test_each_does_nothing_at_null_and_something_at_its_typical_size(name, rigs)
 OFFERED = {
     "motor": {"dry_friction": ("f_omega", "N m"), "square_damping": ("c2_omega", "N m s^2/rad^2"),
               "late_channel": ("omega_late", "s"), "input_dead_zone": ("voltage_dead", "V"),
+              "load_friction": ("mu_omega", "1"),
               "dry_friction_elastic": ("f_omega_yield", "rad")},
     "tanks": {"square_leak_a": ("leak2_a", "m/s"), "exchange": ("flow_a_b", "m^2/s"),
               "source_b": ("source_b", "m^3/s")},
@@ -174,6 +177,22 @@ def test_a_term_that_the_data_sheet_leaves_uncertain_is_not_offered_again(rigs):
     assert {"spring_x", "viscous_friction_x"} & set(table.general(rigs["two"], recording(rigs["two"]))) == {
         "viscous_friction_x"
     }
+
+
+def test_a_load_that_inputs_bring_through_a_definition_makes_friction(rigs):
+    rig = rigs["motor"]
+    (term,) = table.general(rig, recording(rig))["load_friction"].terms.values()
+    assert "abs((k * i))" in term  # i is defined by the voltage
+
+
+def test_what_a_mass_matrix_couples_are_not_two_bodies(rigs):
+    plant = rigs["two"].plant
+    second = replace(plant.equations["tail"], couples={"v": "0.1"})
+    coupled = replace(plant, equations=plant.equations | {"tail": second})
+    found, apart = (places.places(replace(rigs["two"], plant=p)) for p in (coupled, plant))
+    assert len(apart["bodies"]) == len(apart["springs"]) == 1
+    assert found["bodies"] == found["springs"] == []
+    assert len(found["v"]) == 2
 
 
 def test_what_the_rigs_own_table_has_is_not_offered_under_a_second_name(rigs):

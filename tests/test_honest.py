@@ -233,7 +233,8 @@ def test_a_reading_that_is_never_negative_may_be_of_a_motion_that_is(tmp_path):
         (("a",), True, 0.995, 2.0, Verdict.MISSING_PHYSICS),
         (("a",), True, 0.995, 570.0, Verdict.PARTLY_EXPLAINED),  # a share of the signal is not enough
         (("a",), True, 0.93, 5.0, Verdict.PARTLY_EXPLAINED),
-        (("a",), True, 0.5, 5.0, Verdict.UNEXPLAINED),
+        (("a",), True, 0.6, 5.0, Verdict.PARTLY_EXPLAINED),
+        (("a",), True, 0.4, 5.0, Verdict.UNEXPLAINED),
         ((), True, 0.0, 5.0, Verdict.UNEXPLAINED),
         ((), False, 0.0, 0.1, Verdict.CONSISTENT),
     ],

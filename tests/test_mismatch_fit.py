@@ -391,3 +391,11 @@ def test_the_cost_counts_the_square_of_each_shift_by_its_weight(folder):
 def test_stretches_are_a_thousand_samples_or_a_twentieth_of_the_recording(windows, size, each):
     made = SimpleNamespace(windows=windows, block=size)
     np.testing.assert_array_equal(Likelihood.turns(made, 1000, 2), np.arange(windows) // each % 2)
+
+
+def test_a_number_may_change_both_ways_whatever_the_sign_of_its_size():
+    """A level that is sized below zero: the bounds of its number are those of its value, turned around."""
+    below = Unknown("level", 0.0, scale=-2.0, low=-np.inf, high=1.0)
+    above = Unknown("size", 0.0, scale=4.0, low=0.0, high=2.0)
+    fit = SimpleNamespace(unknowns=(below, above), numbers=np.array([1.0, 0.25]))
+    np.testing.assert_array_equal(Fit.room.func(fit), [[-1.5, np.inf], [-0.25, 0.25]])
