@@ -260,9 +260,22 @@ def test_a_term_that_makes_a_channel_worse_is_not_applied(steady, monkeypatch):
     kept = claims.Claims(Hypothesis(), plain, plain)
     lost = [Loss("x_load", "m", (), 1.0, 1.02)]
     monkeypatch.setattr(Judge, "throughout", lambda *given: lost)
-    unknown, fit = finding._unknown(search, kept, *closed(0.5)(search))
+    found = closed(0.5)(search)
+    unknown, fit = finding._unknown(search, kept, *found, finding._no_term(kept, *found))
     assert (unknown["effect"], fit.values) == (None, plain.values)
     assert kept.refused == ["no term is fitted: with it x_load is 2 % worse, not learnt from"]
+
+
+@pytest.mark.parametrize("holds", [True, False])
+def test_a_term_that_does_not_hold_outweighs_no_claim(slipping, monkeypatch, holds):
+    """The term takes more of the misfit than the claim, where it learnt."""
+    search = slipping[0]
+    monkeypatch.setattr(finding, "_verdict", lambda *given: Verdict.PARTLY_EXPLAINED)
+    monkeypatch.setattr(finding, "closure", closed(2.0))
+    monkeypatch.setattr(finding, "_no_term", lambda *given: "" if holds else "with it x_load is 2 % worse")
+    found = finding._explained(search, lambda line: None)
+    assert found.verdict == (Verdict.UNEXPLAINED if holds else Verdict.PARTLY_EXPLAINED)
+    assert found.best.effects == (() if holds else ("speed_slip",))
 
 
 def recorded(folder, change):
@@ -391,7 +404,8 @@ def test_a_term_that_takes_little_is_not_applied(share, applied, steady):
     search, plain = steady
     sheet = search.final.fit(plain.unknowns, iterations=0)  # as where a calibration was no better than the data sheet
     kept = claims.Claims(Hypothesis(), sheet, sheet)
-    unknown, fit = finding._unknown(search, kept, *closed(share)(search))
+    found = closed(share)(search)
+    unknown, fit = finding._unknown(search, kept, *found, finding._no_term(kept, *found))
     assert (fit.values == sheet.values) is not applied  # what is refused leaves the run as it was, to the last bit
     assert bool(unknown["effect"]) == applied
     assert unknown["where"][0]["equation"] == "transmission"
