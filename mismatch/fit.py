@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from greygate.mismatch.cores import each
 from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.noise import Noise, deviation
 from greygate.mismatch.runs import along, whole
@@ -281,12 +282,13 @@ class Likelihood:
         count = shifts.shape[1]
         if count == 0:
             return None
-        columns = []
-        for j in range(count):
+
+        def slope(j: int) -> np.ndarray:
             moved = shifts.copy()
             moved[:, j] += SHIFTED
-            columns.append(self.rows(tame(self.errors(values, moved) - errors) / SHIFTED, temper))
-        local = np.stack(columns, axis=2)
+            return self.rows(tame(self.errors(values, moved) - errors) / SHIFTED, temper)
+
+        local = np.stack(each(slope, range(count)), axis=2)
         prior = np.broadcast_to(np.diag(np.sqrt(self.heavy)), (self.windows, count, count))
         return np.linalg.qr(np.concatenate([local, prior], axis=1))
 
@@ -303,15 +305,16 @@ class Likelihood:
 
     def slopes(self, symbols: Sequence[Unknown], values: Mapping[str, float], shifts, errors, temper) -> np.ndarray:
         """Of `errors` by each unknown's number, (windows, rows, k)."""
-        columns = []
-        for u in symbols:
+        if not symbols:
+            return np.zeros((self.windows, self.block * errors.shape[1], 0))
+
+        def slope(u: Unknown) -> np.ndarray:
             value = values[u.symbol]
             size = STEP * u.scale * (-1 if value + STEP * u.scale > u.high else 1)
             moved = self.errors({**values, u.symbol: value + size}, shifts)
-            columns.append(self.rows(tame(moved - errors) / (size / u.scale), temper))
-        if not columns:
-            return np.zeros((self.windows, self.block * errors.shape[1], 0))
-        return np.stack(columns, axis=2)
+            return self.rows(tame(moved - errors) / (size / u.scale), temper)
+
+        return np.stack(each(slope, symbols), axis=2)
 
     def fit(
         self,

@@ -163,9 +163,10 @@ class Model:
     def _signals(self, values: Mapping[str, float]) -> dict[str, np.ndarray]:
         """The plant's inputs, filtered; the last ones are kept, for most parameters change none of them."""
         key = (*((name, *self._acting(name, values)) for name in self.plant.inputs), values.get(BLUR, 0.0))
-        if key not in self._made:
-            self._made = dict([*self._made.items()][-KEPT:]) | {key: self._filtered(values)}
-        return dict(self._made[key])
+        made = self._made  # other threads may put another in its place
+        if key not in made:
+            self._made = made = dict([*made.items()][-KEPT:]) | {key: self._filtered(values)}
+        return dict(made[key])
 
     def _filtered(self, values: Mapping[str, float]) -> dict[str, np.ndarray]:
         signals = dict(self._inputs)
@@ -247,10 +248,12 @@ class Model:
             symbols = list(self.plant.states)
             starts[:, [symbols.index(s) for s in self.locals]] += shifts
         key = (tuple(values[s] for s in self.moving), None if shifts is None else shifts.tobytes())
-        if key != self._last[0]:
+        last = self._last  # other threads may put another in its place
+        if key != last[0]:
             self.runs += 1
-            self._last = key, self._compiled.run(self._columns(signals), self.restarts, starts, self.reset, values)
-        return self._last[1], signals
+            ran = self._compiled.run(self._columns(signals), self.restarts, starts, self.reset, values)
+            self._last = last = key, ran
+        return last[1], signals
 
     def _columns(self, signals: Mapping[str, np.ndarray]) -> np.ndarray:
         """The plant's inputs (samples, inputs), in its order; there may be none."""

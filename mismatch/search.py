@@ -11,6 +11,7 @@ from itertools import combinations, product
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from greygate.mismatch.cores import each
 from greygate.mismatch.effects import Effect, Free, fitting
 from greygate.mismatch.fit import Fit, Likelihood, Unknown, tame
 from greygate.mismatch.model import BLUR, TIMING, TINY
@@ -197,11 +198,12 @@ class Search:
 
     def scores(self, likelihood: Likelihood, fit: Fit, given: Hypothesis) -> list[Score]:
         """What every candidate promises to save, by a fit linearised at `fit`; best first."""
-        ranked = []
-        for candidate in self.candidates(given):
-            best = max(self._promises(likelihood, fit, candidate), key=lambda s: s.gain, default=None)
-            if best is not None and best.gain > 0:
-                ranked.append(best)
+        plain = _plain(fit)
+
+        def best(candidate: Hypothesis) -> Score | None:
+            return max(self._promises(likelihood, fit, candidate, plain), key=lambda s: s.gain, default=None)
+
+        ranked = (score for score in each(best, self.candidates(given)) if score is not None and score.gain > 0)
         return sorted(ranked, key=lambda s: -s.gain)
 
     def pairs(self, likelihood: Likelihood, fit: Fit, count: int) -> list[Score]:
@@ -227,8 +229,8 @@ class Search:
             out.append(Score(Hypothesis(tuple(blocks[i][0].key for i in pair)), gain - plain, values))
         return sorted(out, key=lambda score: -score.gain)[:count]
 
-    def _promises(self, likelihood: Likelihood, fit: Fit, candidate: Hypothesis) -> Iterable[Score]:
-        plain = _plain(fit)
+    def _promises(self, likelihood: Likelihood, fit: Fit, candidate: Hypothesis, plain: float) -> Iterable[Score]:
+        """Of a candidate in each of its shapes. plain: the cost that the unknowns save without it."""
         if candidate.released:
             j = [u.symbol for u in fit.unknowns].index(candidate.released[0])
             weight, wide = fit.weight.copy(), fit.room

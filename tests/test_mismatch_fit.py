@@ -1,17 +1,19 @@
 """The fit: shifts of windows are eliminated as a joint least squares would, and intervals hold what they say."""
 
+import threading
+from itertools import count
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from greygate.mismatch import rig, simulation
+from greygate.mismatch import cores, rig, simulation
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.effects import Effect, Free
 from greygate.mismatch.fit import Fit, Likelihood, Unknown
 from greygate.mismatch.model import FILTERS, Model, delayed, lagged
 from greygate.mismatch.noise import LONGEST, roughness, runs
-from greygate.mismatch.search import pair_gains
+from greygate.mismatch.search import Hypothesis, Search, pair_gains
 from greygate.plants.plant import Plant
 from greygate.plants.simulate import simulate
 
@@ -399,3 +401,30 @@ def test_a_number_may_change_both_ways_whatever_the_sign_of_its_size():
     above = Unknown("size", 0.0, scale=4.0, low=0.0, high=2.0)
     fit = SimpleNamespace(unknowns=(below, above), numbers=np.array([1.0, 0.25]))
     np.testing.assert_array_equal(Fit.room.func(fit), [[-1.5, np.inf], [-0.25, 0.25]])
+
+
+@pytest.mark.parametrize(("seconds", "threads"), [(0.0, False), (1.0, True)])
+def test_what_takes_long_is_done_side_by_side(monkeypatch, seconds, threads):
+    """In order, under numpy's error state, and within a thread one after the other. seconds: that an item takes."""
+    clock = count(0.0, seconds)
+    monkeypatch.setattr(cores, "CORES", 2)
+    monkeypatch.setattr(cores, "perf_counter", lambda: next(clock))
+    found = cores.each(lambda i: (i, threading.get_ident()), range(6))
+    assert [i for i, _ in found] == [*range(6)]
+    assert any(thread != threading.get_ident() for _, thread in found) is threads
+    inner = cores.each(lambda _: {*cores.each(lambda _: threading.get_ident(), range(4))}, range(4))
+    assert all(len(threads) == 1 for threads in inner[1:])
+    with np.errstate(over="raise"), pytest.raises(FloatingPointError):
+        cores.each(lambda x: np.float64(1e308) * x, [0.1, 0.1, 0.1, 100.0])
+
+
+def test_slopes_are_the_same_on_one_core_and_on_several(folder, monkeypatch):
+    recorded(folder, 5)
+    search = Search(rig.load(folder), rig.load(folder).recording(folder / "identify.csv"), {"spring": SPRING})
+    fits = []
+    for several in (1, 2):
+        monkeypatch.setattr(cores, "CORES", several)
+        monkeypatch.setattr(cores, "WORTH", 0.0)
+        fits.append(search.fit(search.final, Hypothesis(("spring",)), {}))
+    assert fits[0].values == fits[1].values
+    np.testing.assert_array_equal(fits[0].slopes, fits[1].slopes)
