@@ -159,7 +159,7 @@ def earned(
         alone = Claims(singles[name], fits[name], claims.calibrated)
         _through(search, judge, alone, refit, progress)
         if alone.best.size:
-            others = [why for why in claims.refused if not why.startswith(f"{_name(search, name)} is not claimed")]
+            others = [why for why in claims.refused if not why.startswith(f"{named(search, name)} is not claimed")]
             return replace(alone, refused=others + alone.refused)
     return claims
 
@@ -169,7 +169,7 @@ def _through(search: Search, judge: Judge, claims: Claims, refit: Callable, prog
     while claims.best.size:
         if failed := unborne(search, claims.best, claims.fit):
             name, why = next(iter(failed.items()))
-            claims.refused.append(f"{_name(search, name)} is not claimed: {why}")
+            claims.refused.append(f"{named(search, name)} is not claimed: {why}")
             progress(f"dropping {name}")
             claims.best = claims.best.without(name)
             claims.fit = refit(claims.best, claims.fit)
@@ -224,7 +224,7 @@ def _undoing(search: Search, judge: Judge, claims: Claims, refit: Callable) -> b
         if max(both - saved[one] - ALONE * saved[other], both - saved[other] - ALONE * saved[one]) >= 0.0:
             continue
         if judge.share(claims.calibrated, without, claims.fit) < LITTLE:
-            pair = f"{_name(search, one)} and {_name(search, other)}"
+            pair = f"{named(search, one)} and {named(search, other)}"
             claims.refused.append(f"{pair} are not claimed: one undoes the other, and little is left of both")
             claims.best, claims.fit = less, without
             return True
@@ -235,7 +235,7 @@ def _undoing(search: Search, judge: Judge, claims: Claims, refit: Callable) -> b
 
 def _drop(search: Search, claims: Claims, name: str, fits: Mapping[str, Fit], why: str) -> bool:
     """Go on without the effect or parameter, with the fit of the rest."""
-    claims.refused.append(f"{_name(search, name)} is not claimed: {why}")
+    claims.refused.append(f"{named(search, name)} is not claimed: {why}")
     claims.best, claims.fit = claims.best.without(name), fits[name]
     return True
 
@@ -255,7 +255,7 @@ def _dropped(search: Search, claims: Claims, refit: Callable, losses: list[Loss]
     names = (*claims.best.effects, *claims.best.released)
     fits = {name: refit(claims.best.without(name), claims.fit) for name in names}
     name = min(fits, key=lambda n: fits[n].cost)
-    claims.refused.append(f"{_name(search, name)} is not claimed: with it, {_worst(losses)}")
+    claims.refused.append(f"{named(search, name)} is not claimed: with it, {_worst(losses)}")
     claims.best, claims.fit = claims.best.without(name), fits[name]
 
 
@@ -275,7 +275,8 @@ def _calibrated(search: Search, judge: Judge, claims: Claims) -> None:
     claims.calibrated = again
 
 
-def _name(search: Search, key: str) -> str:
+def named(search: Search, key: str) -> str:
+    """An effect, or a parameter whose tolerance is lifted, as a reader knows it."""
     return search.effects[key].id if key in search.effects else f"{key} outside its tolerance"
 
 

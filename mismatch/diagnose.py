@@ -16,7 +16,7 @@ from greygate.errors import InputError
 from greygate.mismatch import effects as table
 from greygate.mismatch.adequacy import dependent
 from greygate.mismatch.blocks import Judge
-from greygate.mismatch.claims import Claims, earned
+from greygate.mismatch.claims import Claims, earned, named
 from greygate.mismatch.closure import closure
 from greygate.mismatch.coloured import Coloured, remaining
 from greygate.mismatch.coloured_selection import ColouredSelection
@@ -153,14 +153,21 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
                 selection, best, current, corrected = longer, more, fit, fit
     else:
         corrected = search.fit(search.final, best, current.values)
-    claims = earned(search, short.plain, best, corrected, progress=progress)
+    claimed, fit = best, corrected
+    if best.size and _open(corrected, current) and selection.explained(current) < PART:
+        plain = search.fit(search.final, Hypothesis(), short.plain.values)
+        if _open(plain, short.plain):  # then it is unexplained, whatever part of `best` would pass the gates
+            claimed, fit = Hypothesis(), plain
+    claims = earned(search, short.plain, claimed, fit, progress=progress)
+    if claimed != best:
+        names = " + ".join(named(search, key) for key in (*best.effects, *best.released))
+        claims.refused.append(f"{names} is not claimed: it takes {selection.explained(current):.0%} of what is missing")
     if claims.best != best:
         selection, current = short, search.fit(search.screen, claims.best, claims.fit.values)
         costs = {**short.costs, claims.best: current.cost}
     best, corrected = claims.best, claims.fit
     left, explained = structure(corrected), selection.explained(current)
-    open_ = max(left.values()) > STRUCTURE and not complete(current)
-    verdict = _verdict(best, open_, explained, corrected.cost / corrected.likelihood.count)
+    verdict = _verdict(best, _open(corrected, current), explained, corrected.cost / corrected.likelihood.count)
     unlike = _unlike(search, best, corrected) if verdict == Verdict.MISSING_PHYSICS else ""
     verdict = Verdict.PARTLY_EXPLAINED if unlike else verdict
     unknown: dict = {}
@@ -218,6 +225,11 @@ def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
         explained, search, unexplained, left=left, refused=claims.refused, evidence=claims.evidence,
         shares=claims.shares, only_with=claims.only_with,
     )  # fmt: skip
+
+
+def _open(corrected: Fit, current: Fit) -> bool:
+    """Whether structure is left over long windows (`corrected`) and over short ones (`current`)."""
+    return max(structure(corrected).values()) > STRUCTURE and not complete(current)
 
 
 def _verdict(best: Hypothesis, open_: bool, explained: float, left: float, part: float = PART) -> Verdict:

@@ -93,7 +93,7 @@ class Fit:
     converged: bool
     temper: np.ndarray
 
-    @cached_property
+    @property
     def room(self) -> np.ndarray:
         """By how much each unknown's number may fall and rise (k, 2)."""
         return _limits(self.unknowns).T - self.numbers[:, None]

@@ -400,7 +400,7 @@ def test_a_number_may_change_both_ways_whatever_the_sign_of_its_size():
     below = Unknown("level", 0.0, scale=-2.0, low=-np.inf, high=1.0)
     above = Unknown("size", 0.0, scale=4.0, low=0.0, high=2.0)
     fit = SimpleNamespace(unknowns=(below, above), numbers=np.array([1.0, 0.25]))
-    np.testing.assert_array_equal(Fit.room.func(fit), [[-1.5, np.inf], [-0.25, 0.25]])
+    np.testing.assert_array_equal(Fit.room.fget(fit), [[-1.5, np.inf], [-0.25, 0.25]])
 
 
 @pytest.mark.parametrize(("seconds", "threads"), [(0.0, False), (1.0, True)])
@@ -418,9 +418,23 @@ def test_what_takes_long_is_done_side_by_side(monkeypatch, seconds, threads):
         cores.each(lambda x: np.float64(1e308) * x, [0.1, 0.1, 0.1, 100.0])
 
 
+def test_scores_leave_the_fit_as_it_is(folder):
+    """A parameter that is scored without its tolerance has it again for the next score."""
+    recorded(folder, 5)
+    given = rig.load(folder)
+    search = Search(given, given.recording(folder / "identify.csv"), {"spring": SPRING})
+    fit = search.fit(search.final, Hypothesis(), {})
+    room = fit.room.copy()
+    first, again = (search.scores(search.final, fit, Hypothesis()) for _ in range(2))
+    assert any(score.hypothesis.released for score in first)
+    assert first == again
+    np.testing.assert_array_equal(fit.room, room)
+
+
 def test_slopes_are_the_same_on_one_core_and_on_several(folder, monkeypatch):
     recorded(folder, 5)
-    search = Search(rig.load(folder), rig.load(folder).recording(folder / "identify.csv"), {"spring": SPRING})
+    given = rig.load(folder)
+    search = Search(given, given.recording(folder / "identify.csv"), {"spring": SPRING})
     fits = []
     for several in (1, 2):
         monkeypatch.setattr(cores, "CORES", several)
