@@ -278,6 +278,23 @@ def test_a_term_that_does_not_hold_outweighs_no_claim(slipping, monkeypatch, hol
     assert found.best.effects == (() if holds else ("speed_slip",))
 
 
+def test_what_takes_less_than_half_beside_what_is_left_is_not_put_through_the_gates(slipping, monkeypatch):
+    search = slipping[0]
+    asked = []
+
+    def earning(search, plain, best, fit, **how):
+        asked.append(best)
+        return earned(search, plain, best, fit, **how)
+
+    monkeypatch.setattr(finding, "earned", earning)
+    monkeypatch.setattr(finding, "_open", lambda *given: True)
+    monkeypatch.setattr(finding.Selection, "explained", lambda self, fit: 0.4)
+    found = finding._explained(search, lambda line: None)
+    assert asked == [Hypothesis()]
+    assert found.verdict == Verdict.UNEXPLAINED
+    assert found.refused[0] == "speed_slip is not claimed: it takes 40% of what is missing"
+
+
 def recorded(folder, change):
     """A clean cable drum whose recorded load is changed: a rig, and what the diagnosis says of it."""
     conceal("cable_drum", 3, folder, kind="clean")
