@@ -148,6 +148,8 @@ class Model:
             return self.recording.time
         how, _, source = self.plant.derived[name].partition(" ")
         signal, dt = recorded[source], self.rig.dt
+        if not np.isfinite(signal).all():  # of a filter that diverges, in a trial
+            return np.full(len(signal), np.nan)
         half = max(round(share * self._smooth[source]), FEWEST_BESIDE)
         match how:
             case "rate":

@@ -19,6 +19,8 @@ SEEDS = {  # of rigs that take a second or two, one of a kind at least; what eac
     10: "an imposed motion that rests, and an output that rests",
     11: "what is measured is a definition, with the integral of an input",
     14: "a static plant with told noise",
+    1060: "an imposed motion behind a filter that diverges in a trial",
+    1086: "a state that no sensor sees and that a trial blows up",
 }
 
 

@@ -175,13 +175,15 @@ def parameter(result: Diagnosis, name: str, found: Mapping, rig: Rig | None = No
 
 def fit_table(fit: Mapping) -> list[str]:
     """RMS of simulated minus recorded, one line for each recording and channel."""
-    out = [row("fit (RMS)", f"{'':22}{'data sheet':>11}{'calibrated':>12}{'corrected':>11}")]
-    for recording, channels in fit.items():
-        for channel, rms in channels.items():
-            values = [rms[kind] for kind in ("simulation", "calibrated", "corrected")]
-            factor, unit = display_unit(rms["unit"], max((v for v in values if v is not None), default=0.0))
-            texts = [DIVERGES if v is None else f"{factor * v:.4g}" for v in values]
-            out.append(row("", f"{recording:<10}{channel:<8}{unit:<4}{texts[0]:>11}{texts[1]:>12}{texts[2]:>11}"))
+    lines = [(recording, channel, rms) for recording, channels in fit.items() for channel, rms in channels.items()]
+    first, second = (max(least, *(len(line[i]) + 1 for line in lines)) for i, least in enumerate((10, 8)))
+    out = [row("fit (RMS)", f"{'':{first + second + 4}}{'data sheet':>11}{'calibrated':>12}{'corrected':>11}")]
+    for recording, channel, rms in lines:
+        values = [rms[kind] for kind in ("simulation", "calibrated", "corrected")]
+        factor, unit = display_unit(rms["unit"], max((v for v in values if v is not None), default=0.0))
+        texts = [DIVERGES if v is None else f"{factor * v:.4g}" for v in values]
+        name = f"{recording:<{first}}{channel:<{second}}{unit:<4}"
+        out.append(row("", f"{name}{texts[0]:>11}{texts[1]:>12}{texts[2]:>11}"))
     return out
 
 

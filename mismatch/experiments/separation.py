@@ -31,6 +31,7 @@ WORTH = 2.0  # times the distance on the recording so far: less is not worth an 
 ENOUGH = 3.0  # times what is needed, or there already: an experiment that brings so much is good enough
 SHORTLIST = 4  # experiments for which the distance is computed after the parameters have adapted
 FINE = 1e-3  # of its range: the noise of a sensor that might be added
+LARGEST = float(np.sqrt(np.finfo(float).max))  # range of a signal whose square is a number
 INDEPENDENT = 1e-13  # of the largest singular value, below which parameters count as dependent on each other
 TWO_DIGITS = 10  # from which a distance is written without digits after the point
 
@@ -243,7 +244,7 @@ def sensor(likelihood: Likelihood, values: Mapping[str, float], rival: Fit) -> t
     found = []
     for symbol, signal in zip(model.plant.states, states.T, strict=True):
         known = symbol in model.rig.channels or symbol in model.rates or symbol not in model.rig.plant.states
-        if known or not 0.0 < np.ptp(signal) < np.inf:
+        if known or not 0.0 < np.ptp(signal) < LARGEST:
             continue
         trial = Trial(like(likelihood, _with_sensor(model, symbol, signal)), values)
         found.append((trial.distance(rival), symbol))
