@@ -358,3 +358,12 @@ def test_an_input_that_is_held_keeps_its_mean(tmp_path):
     assert instants.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert out["u"].tolist() == [1.0, 2.0, 5.0, 5.0, 7.0]  # half of the second sample is 1 V, half 3 V
     np.testing.assert_allclose(out["x"], instants)
+
+
+def test_a_name_of_any_length_stands_apart_from_the_next_column():
+    rms = {"simulation": 0.1, "calibrated": 0.02, "corrected": 0.01, "unit": "rad"}
+    head, *lines = words.fit_table({"identify": {"q": rms}, "a_very_long_name": {"q": rms, "pressure_of_oil": rms}})
+    assert [line.split()[:3] for line in lines] == [
+        ["identify", "q", "rad"], ["a_very_long_name", "q", "rad"], ["a_very_long_name", "pressure_of_oil", "rad"],
+    ]  # fmt: skip
+    assert len({len(line) for line in (head, *lines)}) == 1
