@@ -120,9 +120,11 @@ class Diagnosis:
             fitted = (self.unknown.get("effect") or {}).get("parameters", {})
             for place in self.unknown["where"]:
                 acts(place["equation"], place["regime"], place["depends_on"], fitted)
+        drawn = self.verdict == Verdict.PARTLY_EXPLAINED
+        says = "is drawn beyond its tolerance" if drawn else "is not what the data sheet says"
         for symbol in self.best.released:
             for equation in self.search.places(symbol):
-                acts(equation, f"{symbol.replace(IN, ' in ')} is not what the data sheet says", (), (symbol,))
+                acts(equation, f"{symbol.replace(IN, ' in ')} {says}", (), (symbol,))
         for key in self.best.effects:
             effect, shown = self.search.effects[key], self.shown.get(key)
             means = f"{effect.means}; {shown}" if shown else effect.means
@@ -241,10 +243,10 @@ class Diagnosis:
         value, deviation = self.corrected.values[symbol], self.corrected.deviation(symbol)
         low, high = interval(value, deviation)
         outside = {"outside_tolerance": True} if symbol in self.best.released else {}
-        if not outside and self.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
-            # what is missing draws a parameter as far as its tolerance lets it: no better known than on the data sheet
+        if self.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
+            # what is missing draws a parameter, as far as it may go: no better known than on the data sheet
             reach = p.tolerance * abs(p.value)
-            low, high = min(low, p.value - reach), max(high, p.value + reach)
+            low, high, outside = min(low, p.value - reach), max(high, p.value + reach), {}
         return {"value": value, "ci95": [low, high], "unit": p.unit, **outside}
 
     def _recordings(self) -> dict[str, dict]:

@@ -412,6 +412,11 @@ def test_where_something_is_unexplained_no_parameter_is_better_known_than_before
         sheet, (low, high) = search.sheet[symbol], p["ci95"]
         reach = sheet.tolerance * abs(sheet.value)
         assert low <= sheet.value - reach < sheet.value + reach <= high
+    (symbol, *_) = rest.as_dict()["parameters"]
+    for verdict, sure in ((Verdict.PARTLY_EXPLAINED, False), (Verdict.PARAMETER_ERROR, True)):
+        drawn = replace(rest, verdict=verdict, best=Hypothesis((), (symbol,))).as_dict()
+        assert ("outside_tolerance" in drawn["parameters"][symbol]) is sure
+        assert ("drawn beyond" in drawn["where"][0]["regime"]) is not sure
     exact = replace(rest, verdict=Verdict.CONSISTENT).as_dict()["parameters"]
     assert any(p["ci95"][1] < rest.as_dict()["parameters"][s]["ci95"][1] for s, p in exact.items())
 
