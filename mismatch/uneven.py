@@ -60,4 +60,5 @@ def _averaged(clock: np.ndarray, signal: np.ndarray, edges: np.ndarray) -> np.nd
     """Means between edges of a signal that is held from each reading to the next, the last one for ever."""
     last = max(float(edges[-1]), float(clock[-1])) + 1.0
     area = np.concatenate(([0.0], np.cumsum(signal * np.diff(clock, append=last))))
-    return np.diff(np.interp(edges, np.append(clock, last), area)) / np.diff(edges)
+    means = np.diff(np.interp(edges, np.append(clock, last), area)) / np.diff(edges)
+    return np.clip(means, np.min(signal), np.max(signal))  # against rounding: what rests goes on resting

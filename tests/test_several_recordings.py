@@ -19,6 +19,7 @@ from greygate.mismatch.search import Hypothesis, Search
 from greygate.mismatch.seen import Seen
 from greygate.mismatch.several import Several, modelled
 from greygate.mismatch.shown_by import recording_of
+from greygate.mismatch.uneven import resampled
 from greygate.pages import words
 from greygate.plants import Plant, simulate
 from greygate.plants.plant import Parameter
@@ -351,13 +352,18 @@ def test_a_gap_is_still_refused_and_a_slip_of_one_clock(tmp_path):
 
 
 def test_an_input_that_is_held_keeps_its_mean(tmp_path):
-    from greygate.mismatch.uneven import resampled
-
     clock, u = np.array([0.0, 1.5, 2.0, 4.0]), np.array([1.0, 3.0, 5.0, 7.0])
     instants, out, _ = resampled(clock, {"u": u, "x": clock}, 1.0, ["u"], {"u": "V", "x": "m"})
     assert instants.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert out["u"].tolist() == [1.0, 2.0, 5.0, 5.0, 7.0]  # half of the second sample is 1 V, half 3 V
     np.testing.assert_allclose(out["x"], instants)
+
+
+def test_an_input_that_rests_goes_on_resting():
+    """To the last bit, however its instants vary: else a recording shows what never moved."""
+    clock = np.cumsum(np.random.default_rng(4).uniform(4e-3, 6e-3, 500))
+    _, made, _ = resampled(clock, {"on": np.full(500, 7.3)}, 5e-3, {"on"}, {"on": "V"})
+    assert set(made["on"]) == {7.3}
 
 
 def test_a_name_of_any_length_stands_apart_from_the_next_column():
