@@ -12,6 +12,7 @@ from typing import TypeVar
 
 from numba import config
 
+FEW = 3  # items: fewer are done one after the other
 WORTH = 2e-3  # s that the first item takes: below, handing items to threads costs more than it saves
 
 Item = TypeVar("Item")
@@ -26,7 +27,7 @@ def each(function: Callable[[Item], Found], items: Iterable[Item]) -> list[Found
     items = list(items)
     began = perf_counter()
     first = [function(item) for item in items[:1]]
-    if _inside.get() or len(items) < 3 or CORES < 2 or perf_counter() - began < WORTH:
+    if _inside.get() or len(items) < FEW or CORES < 2 or perf_counter() - began < WORTH:
         return first + [function(item) for item in items[1:]]
 
     def one(item: Item) -> Found:

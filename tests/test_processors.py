@@ -25,11 +25,14 @@ ROOT = Path(__file__).parents[1]
 EPS = np.finfo(float).eps
 
 
-def test_builds_are_the_same_bytes_under_other_kernels_of_blas_and_numpy():
-    """With a pruned network among them, and a measured one."""
-    networks = ("--network", "b2 pruned", "--network", "emps")
+@pytest.mark.parametrize("network", ["b2 pruned", "emps"], ids=["pruned", "measured"])
+def test_builds_are_the_same_bytes_under_other_kernels_of_blas_and_numpy(network):
+    try:
+        entry(network.partition(" ")[0]).records()
+    except InputError as absent:  # its recording is published elsewhere
+        pytest.skip(str(absent))
     settings = ("--setting", "Haswell", "--setting", "old BLAS and numpy")
-    command = [sys.executable, str(ROOT / "benchmarks" / "processors.py"), *networks, *settings]
+    command = [sys.executable, str(ROOT / "benchmarks" / "processors.py"), "--network", network, *settings]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("files, equal") == 2
