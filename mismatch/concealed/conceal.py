@@ -55,7 +55,7 @@ from greygate.table import read_table
 from .domains import DOMAINS
 from .line import BELT, DRUM
 from .pump import PUMP
-from .rig import Columns, ConcealedRig, calibrate, errors, rms
+from .rig import Columns, ConcealedRig, calibrate, errors, rms, within
 from .stress import Recorder, condition
 from .valve import VALVE
 
@@ -246,7 +246,7 @@ def _inside(answer: dict, claim: dict) -> dict[str, bool]:
         value = true[name]
         if name.endswith("_phase"):  # the interval may lie a whole number of turns away
             value += 2 * np.pi * round(((low + high) / 2 - value) / (2 * np.pi))
-        inside[name] = bool(low <= value <= high)
+        inside[name] = within(low, value, high)
     return inside
 
 
@@ -260,7 +260,7 @@ def _removed(folder: Path, answer: dict, predicted: dict[str, Path]) -> float | 
     if "corrected" not in predicted or not answer["removable"]:
         return None
     recorded = _read(folder / "third.csv")
-    third = answer["third"]
+    third, counted = answer["third"], slice(answer.get("counted_from", 0), None)
 
     def error(name: str) -> float:
         if name not in predicted:
@@ -269,7 +269,7 @@ def _removed(folder: Path, answer: dict, predicted: dict[str, Path]) -> float | 
         for channel in third:
             if channel not in columns or columns[channel].shape != recorded[channel].shape:
                 raise InputError(f"{predicted[name]}: needs a column {channel} of {len(recorded[channel])} samples")
-        return _relative({channel: rms(columns[channel] - recorded[channel]) for channel in third}, third)
+        return _relative({c: rms((columns[c] - recorded[c])[counted]) for c in third}, third)
 
     calibrated = error("calibrated")
     return (calibrated - error("corrected")) / (calibrated - 1.0) if calibrated > 1.0 else None
@@ -288,8 +288,11 @@ def _fits(
     concealed: dict,
     form: float,
 ) -> dict:
-    """Fit of datasheet, calibrated and true simulation on `third`, and what is concealed does there beside `bare`."""
-    third = recordings["third"]
+    """Fit of datasheet, calibrated and true simulation on `third`, and what is concealed does there beside `bare`.
+
+    The first window does not count: its speed is smoothed from one side alone, and no machine begins as that says.
+    """
+    third, first = recordings["third"], rig.restart
     calibrated = calibrate(rig, recordings["identify"], datasheet, every=EVERY)
     fits = {
         "simulation": errors(rig, third, datasheet, {}, 0.0),
@@ -297,13 +300,14 @@ def _fits(
         "true": errors(rig, third, true, concealed, form),
     }
     without = errors(rig, third, bare, {}, 0.0)
-    fit = {c.name: {key: rms(e[c.name]) for key, e in fits.items()} | {"unit": c.unit} for c in rig.predicted}
-    strength = {c.name: rms(fits["true"][c.name] - without[c.name]) / c.error for c in rig.predicted}
+    fit = {c.name: {key: rms(e[c.name][first:]) for key, e in fits.items()} | {"unit": c.unit} for c in rig.predicted}
+    strength = {c.name: rms((fits["true"][c.name] - without[c.name])[first:]) / c.error for c in rig.predicted}
     calibrated_error = _relative({name: values["calibrated"] for name, values in fit.items()}, fit)
     return {
         "strength": strength,
         "removable": max(0.0, 1 - 1 / calibrated_error) if concealed or bare != true else 0.0,
         "third": fit,
+        "counted_from": first,
     }
 
 

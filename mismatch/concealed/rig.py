@@ -13,6 +13,7 @@ RECORDINGS = {"identify": 20.0, "holdout": 8.0, "third": 8.0}  # seconds
 UNIFORM_VARIANCE = 12  # an error spread evenly over a width has the variance width^2 / 12
 PRESSURES, CODES = 40e6, 2**16  # Pa, and the codes of the converter that cover them
 OFFSET_STEP, STEP = 1e-6, 1e-3  # for differences: of an offset in its unit, of a relative change
+ROUNDING = 1e-9  # of a number, by which a file's and a draw's may differ
 SMOOTHED = 5  # samples on either side, over which a recorded speed is taken
 
 # a motion, by the draw
@@ -115,6 +116,11 @@ class ConcealedRig:
         """The channels that a simulation predicts."""
         return [channel for channel in self.channels if channel.role == "output"]
 
+    @property
+    def restart(self) -> int:
+        """Samples before the first restart; 0 where a simulation runs free."""
+        return round((self.window or 0.0) / self.sample_time)
+
 
 def errors(
     rig: ConcealedRig, columns: Columns, parameters: dict, effects: dict, form: float, every: int = 1
@@ -127,6 +133,11 @@ def errors(
 def rms(error: np.ndarray) -> float:
     """Root mean square of the finite values."""
     return float(np.sqrt(np.nanmean(np.square(error))))
+
+
+def within(low: float, value: float, high: float) -> bool:
+    """Whether an interval holds a value; a file's last digit decides nothing."""
+    return bool(low - ROUNDING * abs(low) <= value <= high + ROUNDING * abs(high))
 
 
 def calibrate(

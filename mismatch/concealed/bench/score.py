@@ -13,7 +13,7 @@ from greygate.reading import read_json
 from greygate.table import read_table
 
 from ..conceal import place
-from ..rig import rms
+from ..rig import rms, within
 from .answer import FILE, PREDICTED, RUN, Answer, read
 from .make import committed
 from .vocabulary import LATE, PICKUP, right
@@ -91,7 +91,7 @@ def _score(name: str, sealed: Path, given: Path) -> Score:
     physical = [n for n in answer.names if n not in faults]
     equations = {*map(place, (w["equation"] for w in answer.where))}
     released = [symbol for symbol, p in answer.parameters.items() if p.get("outside_tolerance")]
-    errors = _errors(sealed, given, truth["third"])
+    errors = _errors(sealed, given, truth["third"], truth["counted_from"])
     return Score(
         case=name,
         plant=plant,
@@ -114,8 +114,11 @@ def _score(name: str, sealed: Path, given: Path) -> Score:
     )
 
 
-def _errors(sealed: Path, given: Path, channels: Mapping[str, Mapping]) -> dict[str, float]:
-    """RMS of predicted minus recorded on the unseen recording, by channel; infinite where a prediction diverged."""
+def _errors(sealed: Path, given: Path, channels: Mapping[str, Mapping], first: int) -> dict[str, float]:
+    """RMS of predicted minus recorded on the unseen recording, by channel; infinite where a prediction diverged.
+
+    first: sample from which it counts.
+    """
     path = given / PREDICTED
     if not path.exists():
         return {}
@@ -127,7 +130,7 @@ def _errors(sealed: Path, given: Path, channels: Mapping[str, Mapping]) -> dict[
     out = {}
     for channel in channels:
         error = found.values[:, found.header.index(channel)] - recorded.values[:, recorded.header.index(channel)]
-        out[channel] = rms(error) if np.isfinite(error).all() else np.inf
+        out[channel] = rms(error[first:]) if np.isfinite(error).all() else np.inf
     return out
 
 
@@ -153,4 +156,4 @@ def _inside(answer: Answer, truth: Mapping) -> Iterable[bool]:
             value = known[name]
             if name.endswith("_phase"):  # the interval may lie a whole number of turns away
                 value += TURN * round(((low + high) / 2 - value) / TURN)
-            yield bool(low <= value <= high)
+            yield within(low, value, high)
