@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 
 from greygate.machines.augmentation import ROOM, Augmentation, Law, grid, port
-from greygate.machines.valve_cylinder.network import mean_spool, valve_srnn
+from greygate.machines.valve_cylinder.network import driven_spool, valve_srnn
 from greygate.machines.valve_cylinder.plant import spool_discrete
 from greygate.mismatch.rig import Rig
 from greygate.models.adaptation import frozen
@@ -53,7 +53,7 @@ class Pressures(Augmentation):
         plant = self.rig.plant.with_parameters(
             **{s: v for s, v in self.values.items() if s in self.rig.plant.parameters}
         )
-        spool = mean_spool(*spool_discrete(plant, self.period), k["u_max"], v_c.scale)
+        spool = driven_spool(*spool_discrete(plant, self.period), k["u_max"], v_c.scale)
         flow, divider = _scaled(library("flow")), _scaled(library("divider"))
         leakage = (law.module(), law.reads, law.reach, law.size / k["q_max"]) if law else None
         return valve_srnn(k, flow, divider, spool, v_c, x, self.period, leakage=leakage)

@@ -21,10 +21,12 @@ VOLTAGE = Port("v_c", "V", V_SCALE, resolution=V_STEP)
 POSITION = Port("x", "m", X_SCALE, resolution=X_STEP)
 
 
-def mean_spool(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float, u_max: float, scale: float = V_SCALE) -> Network:
-    """u(k) = sum_n a_n u(k-n) + b_n v_c(k-n): the mean spool position over [(k-1)T, kT], normalised (compare 5.12).
+def driven_spool(
+    a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float, u_max: float, scale: float = V_SCALE
+) -> Network:
+    """u(k) = sum_n a_n u(k-n) + b_n v_c(k-n): the spool position, normalised (5.12): at the sample, or its mean.
 
-    a (3, 3), b (3,), c (3,), d: exact discretisation s(k) = a s(k-1) + b v_c(k-1), mean(k) = c s(k-1) + d v_c(k-1).
+    a (3, 3), b (3,), c (3,), d: exact discretisation s(k) = a s(k-1) + b v_c(k-1), u(k) = c s(k-1) + d v_c(k-1).
     scale: V, of the port that brings `v_c`.
     """
     denominator = np.poly(a)
@@ -90,7 +92,7 @@ def valve_srnn(
 
     k: parameters of the plant in SI units (`p_s`, `bulk_modulus`, `v_a0`, `v_b0`, `area_a`, `area_b`, `k_valve`,
     `u_max`, `q_max`) and `p_a_rest`, `p_b_rest`, the chambers' pressures before the first step.
-    spool: network from `drive`, the signal of the valve, to the mean spool position: `mean_spool` or `measured_spool`.
+    spool: network from `drive`, the signal of the valve, to the spool position: `driven_spool` or `measured_spool`.
     taps: backward differences of position from which the speed is computed. stretch: see `pressure`.
     leakage: (module from port `s` to `y`, reads, reach, size). If it reads "between", s is (p_a - p_b) / reach, and the
     flow size q_max y leaves chamber A and enters B; if "outward", it leaves each chamber, and s is its p / reach.

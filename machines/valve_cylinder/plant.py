@@ -294,6 +294,9 @@ def _steady_supply(k: dict[str, float]) -> dict[str, float]:
         ) from None
 
 
+SPOOL = 1  # the place of u in the state (i, u, u_dot) of `spool_discrete`
+
+
 def spool_discrete(plant: Plant, sample_time: float = 1e-3) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Coil and spool (5.9, 5.10), exactly discretised for a held `v_c`: `A` (3, 3), `B` (3,), `C` (3,), `D` scalar.
 

@@ -9,8 +9,8 @@ import numpy as np
 from greygate.compiler.prune import Round, prune_by_entropy, retrained
 from greygate.compiler.saliency import Method, prune_by_saliency
 from greygate.machines.procedure import OWN, Procedure, bar
-from greygate.machines.valve_cylinder.network import mean_spool, valve_srnn
-from greygate.machines.valve_cylinder.plant import spool_discrete, valve_cylinder
+from greygate.machines.valve_cylinder.network import driven_spool, valve_srnn
+from greygate.machines.valve_cylinder.plant import SPOOL, spool_discrete, valve_cylinder
 from greygate.machines.valve_cylinder.scenarios import measure, scenario
 from greygate.models.accuracy import float_error, pooled_rms
 from greygate.models.adaptation import adopt
@@ -18,6 +18,7 @@ from greygate.models.families.blocks import divider_record, feedforward, fit_div
 from greygate.models.network import Network
 from greygate.models.training.record import Record
 from greygate.plants.excitation import band_limited_noise, prms
+from greygate.plants.recording import Recording
 from greygate.progress import Progress, silent, titled
 
 SCENARIOS = ("training", "v1", "v2")
@@ -37,22 +38,37 @@ PRUNING_EPOCHS = 4
 @lru_cache
 def records() -> dict[str, Record]:
     """Training, v1, v2: `v_c` [V] and `x` [m] as the sensors give them; targets are the true pressures [Pa]."""
-    found = {}
-    for name in SCENARIOS:
-        c = scenario(name).channels
-        found[name] = Record({n: c[n] for n in ("v_c", "x")}, {n: c[n] for n in ("p_a", "p_b")})
-    return found
+    return {name: record(scenario(name)) for name in SCENARIOS}
 
 
-def assemble(flow: Network, divider: Network) -> Network:
-    """The SRNN with the plant's nominal parameters. Supply pressure is the gauge's mean over the training run."""
+def record(scenario: Recording) -> Record:
+    """What the sensors of a scenario give, beside the true pressures."""
+    c = scenario.channels
+    return Record({n: c[n] for n in ("v_c", "x")}, {n: c[n] for n in ("p_a", "p_b")})
+
+
+def assemble(flow: Network, divider: Network, training: Recording | None = None, as_in_thesis: bool = False) -> Network:
+    """The SRNN with the plant's nominal parameters. Supply pressure is the gauge's mean over the training run.
+
+    training: that run; by default the scenario of that name. as_in_thesis: the network takes the spool where it is at
+    the sample instead of its mean over the interval, and the speed from one difference of position instead of four.
+    """
     plant = valve_cylinder()
     k = {symbol: p.value for symbol, p in plant.parameters.items()}
-    training = scenario("training").channels
+    training = (training or scenario("training")).channels
     rest = float(training["p_a"][0])
     k |= {"p_s": float(np.mean(training["p_s"])), "p_a_rest": rest, "p_b_rest": rest}
     k |= {"area_a": k["area"], "area_b": k["area"]}
-    return valve_srnn(k, flow, divider, mean_spool(*spool_discrete(plant), k["u_max"]))
+    a, b, c, d = spool_discrete(plant)
+    if as_in_thesis:
+        return valve_srnn(k, flow, divider, driven_spool(a, b, a[SPOOL], b[SPOOL], k["u_max"]), taps=1)
+    return valve_srnn(k, flow, divider, driven_spool(a, b, c, d, k["u_max"]))
+
+
+def tuning() -> dict:
+    """How the joined network is trained: options of `models.training.levenberg.train`."""
+    q, d = (replace(r, weight=REHEARSAL) for r in (flow_record(), divider_record()))
+    return {"epochs": EPOCHS, "decay": 1e-6, "rehearse": {"qa": q, "qb": q, "pa.divider": d, "pb.divider": d}}
 
 
 def train_srnn(progress: Progress = silent) -> tuple[Network, dict]:
@@ -60,14 +76,11 @@ def train_srnn(progress: Progress = silent) -> tuple[Network, dict]:
 
     progress: gets lines of text. Figures: RMS in bar of each scenario as assembled and as trained; seconds.
     """
-    q, d = flow_record(), divider_record()
     snn = Procedure(records(), subsystems=("flow", "divider"))
-    snn.take("flow", fit_flow(FLOW_SEED, progress=titled(progress, "flow")), q)
-    snn.take("divider", fit_divider(DIVIDER_SEED, progress=titled(progress, "divider")), d)
+    snn.take("flow", fit_flow(FLOW_SEED, progress=titled(progress, "flow")), flow_record())
+    snn.take("divider", fit_divider(DIVIDER_SEED, progress=titled(progress, "divider")), divider_record())
     snn.join(assemble)
-    q, d = (replace(r, weight=REHEARSAL) for r in (q, d))
-    rehearse = {"qa": q, "qb": q, "pa.divider": d, "pb.divider": d}
-    snn.train(epochs=EPOCHS, decay=1e-6, rehearse=rehearse, progress=titled(progress, "SRNN"))
+    snn.train(**tuning(), progress=titled(progress, "SRNN"))
     figures = {
         "flow_rms": snn["flow"].errors[OWN]["y"],
         "divider_rms": snn["divider"].errors[OWN]["y"],
