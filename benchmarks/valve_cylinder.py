@@ -1,7 +1,7 @@
 """The valve-controlled cylinder beside the thesis (section 5.3): `python benchmarks/valve_cylinder.py [PART ...]`.
 
     black_boxes   NARX and NOE with the spool position (5.14), and with the valve's voltage in its place; three starts
-    structured    our network, and one that takes spool and speed as the thesis's does, by the same trainer
+    structured    our network, with the thesis's speed, and with its speed and spool, by the same trainer
     spread        both tasks over 20 scenarios drawn at random: trained on each, and the kept network judged on each
     load          correlation of the external force with the error (5.18), and the error map (fig. 5.10)
 
@@ -39,6 +39,7 @@ REACH = 0.0495  # m, that the piston may come from the centre: as far as it does
 DRIVES = {"spool": Port("u", "m", 1.0), "voltage": Port("v_c", "V", 1.0)}
 MOTION = {Port("x", "m", 0.05): (0, 1), Port("v", "m/s", 0.3): (0, 1)}
 CHAMBERS = {"p_a": Port("p_a", "Pa", 50 * BAR, 100 * BAR), "p_b": Port("p_b", "Pa", 50 * BAR, 100 * BAR)}
+INPUTS = {"ours": {}, "one_difference": {"taps": 1}, "thesis": {"taps": 1, "mean": False}}  # of the structured network
 AMPLITUDES, FREQUENCIES = (500, 1000, 2000, 3000), (0.5, 1, 2, 5, 10)  # N, Hz
 
 
@@ -112,8 +113,8 @@ def structured() -> dict:
     runs = {name: record(scenario(name)) for name in SAMPLES}
     flow, divider = parts()
     found = {}
-    for name in ("ours", "as_in_thesis"):
-        before = assemble(flow, divider, as_in_thesis=name == "as_in_thesis")
+    for name, inputs in INPUTS.items():
+        before = assemble(flow, divider, **inputs)
         after = train(before, [runs["training"]], **tuning()).network
         steps = {"assembled": before, "trained": after}
         found[name] = {step: {n: errors(net, run) for n, run in runs.items()} for step, net in steps.items()}

@@ -47,11 +47,13 @@ def record(scenario: Recording) -> Record:
     return Record({n: c[n] for n in ("v_c", "x")}, {n: c[n] for n in ("p_a", "p_b")})
 
 
-def assemble(flow: Network, divider: Network, training: Recording | None = None, as_in_thesis: bool = False) -> Network:
+def assemble(
+    flow: Network, divider: Network, training: Recording | None = None, taps: int = 4, mean: bool = True
+) -> Network:
     """The SRNN with the plant's nominal parameters. Supply pressure is the gauge's mean over the training run.
 
-    training: that run; by default the scenario of that name. as_in_thesis: the network takes the spool where it is at
-    the sample instead of its mean over the interval, and the speed from one difference of position instead of four.
+    training: that run; by default the scenario of that name. taps: of `valve_srnn`; one in the thesis. mean: whether
+    the network takes the spool's mean over an interval or, as in the thesis, where it is at the sample.
     """
     plant = valve_cylinder()
     k = {symbol: p.value for symbol, p in plant.parameters.items()}
@@ -60,9 +62,9 @@ def assemble(flow: Network, divider: Network, training: Recording | None = None,
     k |= {"p_s": float(np.mean(training["p_s"])), "p_a_rest": rest, "p_b_rest": rest}
     k |= {"area_a": k["area"], "area_b": k["area"]}
     a, b, c, d = spool_discrete(plant)
-    if as_in_thesis:
-        return valve_srnn(k, flow, divider, driven_spool(a, b, a[SPOOL], b[SPOOL], k["u_max"]), taps=1)
-    return valve_srnn(k, flow, divider, driven_spool(a, b, c, d, k["u_max"]))
+    if not mean:
+        c, d = a[SPOOL], float(b[SPOOL])
+    return valve_srnn(k, flow, divider, driven_spool(a, b, c, d, k["u_max"]), taps=taps)
 
 
 def tuning() -> dict:

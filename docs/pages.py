@@ -1,0 +1,81 @@
+"""Writes the figures of the pages from stored results: `python docs/pages.py`; with `--check` it only says what differs.
+
+What stands between `<!-- begin NAME -->` and `<!-- end -->` on docs/PAGE.md is the block NAME of tables/PAGE.j2, filled
+from benchmarks/results/*.json (`results`) and models/trained/*.json (`trained`). A result that says how it was made
+(`benchmarks/made.py`) is followed by that: `{{ made(results.valve_cylinder.spread) }}`.
+"""
+
+import json
+import re
+import sys
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import jinja2
+
+DOCS = Path(__file__).parent
+ROOT = DOCS.parent
+PLACE = re.compile(r"(<!-- begin (\w+) -->\n)(.*?)(<!-- end -->)", re.S)
+
+
+class Stored:
+    """The JSON files of a folder: `stored.NAME`."""
+
+    def __init__(self, folder: Path):
+        self._folder = folder
+
+    def __getattr__(self, name: str) -> Mapping:
+        if not (path := self._folder / f"{name}.json").exists():
+            raise AttributeError(f"{path.relative_to(ROOT)} is not there")
+        return json.loads(path.read_text(encoding="utf-8"))
+
+
+def pair(values: Iterable[float], digits: int = 3) -> str:
+    """Two chambers, as a table shows them."""
+    return " / ".join(f"{value:.{digits}f}" for value in values)
+
+
+def made(found: Mapping) -> str:
+    """The command that makes a result again, and when it was made."""
+    how = found["made"]
+    return f"`{how['command']}`, {how['date']}, commit {how['commit']}."
+
+
+def page(path: Path) -> str:
+    """The text of a page with its figures as stored. Raises jinja2.UndefinedError where a result is not there."""
+    text = path.read_text(encoding="utf-8")
+    if not PLACE.search(text):
+        return text
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(DOCS / "tables"), undefined=jinja2.StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True, autoescape=False,
+    )  # fmt: skip
+    environment.filters["pair"] = pair
+    stored = {"results": Stored(ROOT / "benchmarks" / "results"), "trained": Stored(ROOT / "models" / "trained")}
+    template = environment.get_template(f"{path.stem.lower()}.j2")
+    context = template.new_context({**stored, "made": made})
+
+    def filled(place: re.Match) -> str:
+        if place[2] not in template.blocks:
+            raise KeyError(f"{template.name} has no block {place[2]!r}, which {path.name} asks for")
+        return place[1] + "".join(template.blocks[place[2]](context)).strip() + "\n" + place[4]
+
+    return PLACE.sub(filled, text)
+
+
+def pages() -> list[Path]:
+    return [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+
+
+def main() -> int:
+    check = "--check" in sys.argv[1:]
+    differing = [path for path in pages() if page(path) != path.read_text(encoding="utf-8")]
+    for path in differing:
+        print(f"{path.relative_to(ROOT)} {'is not as generated; run make pages' if check else 'written'}")
+        if not check:
+            path.write_text(page(path), encoding="utf-8")
+    return int(check and bool(differing))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
