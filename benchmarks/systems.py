@@ -1,55 +1,75 @@
-"""The thesis's benchmark systems over 10 seeds: training MSE and free-run RMSE, pruned and not, median and worst.
+"""The thesis's benchmark systems B1 and B2 (3.6) over 10 seeds: `python benchmarks/systems.py [PART ...]`.
 
-python benchmarks/systems.py [SEEDS] : writes benchmarks/results/systems.csv, a line for each seed and network, and
-prints the table. A seed is the whole procedure, its starts chosen on held-out records
-(machines/benchmark_systems/study.py).
+    identified   trained: training MSE and free-run RMSE
+    neurons      pruned by the loop of figure 3.7, as in the thesis and with regression onto the other neurons
+    weights      B2 pruned by optimal brain surgeon
+
+A seed is the whole procedure, its starts chosen on held-out records (machines/benchmark_systems/study.py). Every seed
+is kept in results/systems.json, from which `make pages` writes the table.
 """
 
-import csv
 import sys
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from pathlib import Path
-from statistics import median
+from concurrent.futures import ProcessPoolExecutor
+from itertools import repeat
 
+from made import keep
 from threadpoolctl import threadpool_limits
 
-from greygate.machines.benchmark_systems.study import SYSTEMS, THESIS, figures, identify, prune
+from greygate.machines.benchmark_systems.study import (
+    SYSTEMS,
+    System,
+    figures,
+    identify,
+    prune_neurons,
+    prune_weights,
+)
+from greygate.models.network import Network
 
-RESULTS = Path(__file__).parent / "results" / "systems.csv"
-PRUNED = ("b1_30", "b2")
-COLUMNS = ("network", "seed", "neurons", "parameters", "mse", "held", "rmse", "starts", "cpu_seconds")
+SEEDS = 10
+JOBS = 2
 
 
-def one(name: str, seed: int) -> list[dict]:
+def identified(system: System, seed: int, network: Network, found: dict) -> dict:
+    return {system.name: found}
+
+
+def neurons(system: System, seed: int, network: Network, found: dict) -> dict:
+    out = {}
+    for name, onto_others in (("mean", False), ("onto_others", True)):
+        smaller, rounds = prune_neurons(system, seed, network, onto_others)
+        sizes = [layer.size for layer in smaller.modules.values()]
+        out[f"{system.name} {name}"] = figures(system, smaller, seed) | {"layers": sizes, "rounds": len(rounds)}
+    return out
+
+
+def weights(system: System, seed: int, network: Network, found: dict) -> dict:
+    return {system.name: figures(system, prune_weights(system, seed, network, 1.0)[0], seed)}
+
+
+PARTS = {identified: tuple(SYSTEMS), neurons: ("b1_30", "b2"), weights: ("b2",)}
+
+
+def one(part: str, name: str, seed: int) -> dict:
     with threadpool_limits(1, "blas"):
-        system = SYSTEMS[name]
-        network, found = identify(system, seed)
-        rows = [{"network": name, "seed": seed} | found]
-        if name in PRUNED:
-            smaller, _ = prune(system, seed, network, 1.0)
-            rows.append({"network": f"{name} pruned", "seed": seed} | figures(system, smaller, seed))
-        return rows
+        work = next(work for work in PARTS if work.__name__ == part)
+        found = work(SYSTEMS[name], seed, *identify(SYSTEMS[name], seed))
+    for what, row in found.items():
+        print(part, what, seed, row, file=sys.stderr, flush=True)
+    return {what: {"seed": seed, **row} for what, row in found.items()}
 
 
-def main(seeds: int) -> None:
-    rows = []
-    with ProcessPoolExecutor(2) as pool:
-        for job in as_completed(pool.submit(one, name, seed) for name in SYSTEMS for seed in range(seeds)):
-            rows += job.result()
-            print(*rows[-1].values(), file=sys.stderr)
-    rows.sort(key=lambda row: (row["network"], row["seed"]))
-    RESULTS.parent.mkdir(exist_ok=True)
-    with RESULTS.open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS)
-        writer.writeheader()
-        writer.writerows(rows)
-    for name in dict.fromkeys(row["network"] for row in rows):
-        print(f"{name:13}", end="")
-        for key in ("neurons", "parameters", "mse", "rmse"):
-            values = [row[key] for row in rows if row["network"] == name]
-            print(f"  {key} median {median(values):.3g} worst {max(values):.3g}", end="")
-        print(f"  thesis {THESIS[name.split()[0]]}")
+def main(parts: list[str]) -> None:
+    for part in parts or [work.__name__ for work in PARTS]:
+        names = next(systems for work, systems in PARTS.items() if work.__name__ == part)
+        jobs = [(name, seed) for name in names for seed in range(SEEDS)]
+        with ProcessPoolExecutor(JOBS) as pool:
+            rows = list(pool.map(one, repeat(part), *zip(*jobs, strict=True)))
+        found: dict[str, list] = {}
+        for row in rows:
+            for what, figures_ in row.items():
+                found.setdefault(what, []).append(figures_)
+        keep("systems", part, {"seeds": SEEDS, "rows": found})
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 10)
+    main(sys.argv[1:])

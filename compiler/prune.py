@@ -52,11 +52,13 @@ def entropies(network: Network, records: list[Record]) -> dict[str, np.ndarray]:
     return found
 
 
-def remove_neurons(network: Network, records: list[Record], chosen: dict[str, list[int]]) -> Network:
+def remove_neurons(
+    network: Network, records: list[Record], chosen: dict[str, list[int]], onto_others: bool = True
+) -> Network:
     """Remove neurons, and correct the layers that read them.
 
-    The mean of each neuron is added to their biases. The part of its variation that the other neurons of its layer
-    explain by linear regression is added to their weights.
+    The mean of each neuron is added to their biases. onto_others: the part of its variation that the other neurons of
+    its layer explain by linear regression is added to their weights, which the thesis does not do.
     """
     objective = Objective(network, records)
     run = np.concatenate(traces(objective))
@@ -69,6 +71,7 @@ def remove_neurons(network: Network, records: list[Record], chosen: dict[str, li
         rest = varying[:, keep]
         gram = rest.T @ rest + RIDGE * len(run) * np.eye(len(keep))
         share = np.linalg.solve(gram, rest.T @ varying[:, indices])  # removed ~ mean + (rest - its mean) @ share
+        share *= onto_others
         for reader, port, _ in g.readers(name):
             layer = g.layers[reader]
             w = layer.weights[port]
@@ -98,8 +101,11 @@ def prune_by_entropy(
     allowed: np.ndarray,
     low: float = 0.1,
     held: Sequence[Record] = (),
+    onto_others: bool = True,
 ) -> tuple[Network, list[Round]]:
     """Remove neurons of low entropy and train again, round after round, until the error would exceed `allowed`.
+
+    This is the flowchart of figure 3.7. onto_others: of `remove_neurons`.
 
     A round removes every neuron below `low` times the greatest possible entropy, or else the one of lowest entropy.
     allowed: RMS error of each output, normalised, over the held-out records, or over `records` if none are held out. A
@@ -119,7 +125,7 @@ def prune_by_entropy(
         for _, name, i in batch:
             if len(chosen.get(name, [])) < len(found[name]) - 1:
                 chosen.setdefault(name, []).append(i)
-        trial = retrain(remove_neurons(network, records, chosen))
+        trial = retrain(remove_neurons(network, records, chosen, onto_others))
         error = pooled_rms(trial, records)
         within = (pooled_rms(trial, list(held)) if held else error) <= allowed
         kept = bool(within.all() and np.isfinite(error).all())  # it may diverge on the records and not on the held-out

@@ -4,7 +4,7 @@ import pytest
 
 from greygate.machines import catalog
 from greygate.machines.benchmark_systems import study as benchmark_systems
-from greygate.machines.benchmark_systems.study import SYSTEMS, THESIS, figures, identify, prune
+from greygate.machines.benchmark_systems.study import SYSTEMS, THESIS, figures, identify, prune_neurons, prune_weights
 from greygate.machines.identification import TRAINED
 
 
@@ -25,8 +25,19 @@ def test_b1_is_identified_better_than_in_the_thesis_and_the_test_signal_stays_in
 
 def test_b2_loses_a_quarter_of_its_weights_and_stays_better_than_the_thesis(monkeypatch):
     monkeypatch.setattr(benchmark_systems, "SHARES", (0.1,))  # the fastest way down; all of them take a minute
-    smaller, rounds = prune(SYSTEMS["b2"], 0, catalog.entry("b2").network(), 1.0)
+    smaller, rounds = prune_weights(SYSTEMS["b2"], 0, catalog.entry("b2").network(), 1.0)
     found = figures(SYSTEMS["b2"], smaller, 0)
     assert found["parameters"] <= THESIS["b2"]["pruned_parameters"]
     assert found["rmse"] <= THESIS["b2"]["rmse"]
     assert any(r.kept for r in rounds)
+
+
+@pytest.mark.parametrize(("onto_others", "neurons"), [(False, 22), (True, 25)])
+def test_b1_loses_neurons_by_entropy_and_errs_no_more_than_the_thesis(monkeypatch, onto_others, neurons):
+    monkeypatch.setattr(benchmark_systems, "AGAIN", (60, 100))  # with more it takes a minute and leaves 9
+    system, seed = SYSTEMS["b1_30"], 1
+    network, _ = identify(system, seed)
+    smaller, rounds = prune_neurons(system, seed, network, onto_others)
+    assert smaller.neurons() <= neurons
+    assert figures(system, smaller, seed)["mse"] <= THESIS["b1_30"]["mse"]
+    assert not rounds[-1].kept  # the loop goes on until a removal costs too much, and undoes that one

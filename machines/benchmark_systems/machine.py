@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from greygate.machines.benchmark_systems.study import SYSTEMS, THESIS, identify, prune
+from greygate.machines.benchmark_systems.study import SYSTEMS, THESIS, identify, prune_weights
 from greygate.machines.entry import Entry, Machine
 from greygate.machines.kept import Kept
 from greygate.models.training.record import Record
@@ -26,7 +26,7 @@ MACHINE = Machine(
             ("training", "test"),
             period=1.0,
             references={"thesis": {"training": {"y": THESIS["b2"]["mse"] ** 0.5}, "test": {"y": THESIS["b2"]["rmse"]}}},
-            prune=Kept("b2", records, partial(prune, SYSTEM, 0)),
+            prune=Kept("b2", records, partial(prune_weights, SYSTEM, 0)),
         ),
     ),
 )
