@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from greygate.mismatch.concealed.bench import tables
+from greygate.mismatch.concealed.bench.diagram import draw
 from greygate.mismatch.concealed.bench.make import COMMITMENT, make
 from greygate.mismatch.concealed.bench.run import BASELINES, OURS, run
 from greygate.mismatch.concealed.bench.score import Score, score
@@ -30,7 +31,7 @@ def report(scores: dict[str, Sequence[Score]], name: str, commitment: bytes) -> 
     (RESULTS / f"{name}.json").write_text(json.dumps(content) + "\n")
     (RESULTS / f"{name}.txt").write_text("\n".join(lines) + "\n")
     tables.write_rows(first, RESULTS / f"{name}.csv")
-    tables.draw(first, RESULTS / f"{name}.svg")
+    draw(first, RESULTS / f"{name}.svg")
     return lines
 
 
