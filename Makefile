@@ -6,7 +6,7 @@ OUT := demo
 PEERS := build/peers
 FOLDERS := models plants emulator compiler rtl mismatch machines recordings
 
-.PHONY: demo docs test test-old lint types bench bench-training bench-diagnosis bench-rigs bench-programs fuzz faults \
+.PHONY: demo docs pages test test-old lint types bench bench-training bench-diagnosis bench-rigs bench-programs fuzz faults \
     mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-tables \
     bench-flow bench-growth bench-exploring bench-blind bench-next
 
@@ -29,6 +29,10 @@ test-old: $(VENV)/.ready-dev | tools
 # The pages as a site, build/site/index.html. A link that leads nowhere stops it.
 docs: $(VENV)/.ready-docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+
+# The figures of the pages, from benchmarks/results and models/trained.
+pages: $(VENV)/.ready-dev
+	$(BIN)/python docs/pages.py
 
 lint: $(VENV)/.ready-dev
 	$(BIN)/ruff check .

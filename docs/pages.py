@@ -1,4 +1,4 @@
-"""Writes the figures of the pages from stored results: `python docs/pages.py`; with `--check` it only says what differs.
+"""Writes the figures of the pages from stored results: `python docs/pages.py`; `--check` only says what differs.
 
 What stands between `<!-- begin NAME -->` and `<!-- end -->` on docs/PAGE.md is the block NAME of tables/PAGE.j2, filled
 from benchmarks/results/*.json (`results`) and models/trained/*.json (`trained`). A result that says how it was made
@@ -7,6 +7,7 @@ from benchmarks/results/*.json (`results`) and models/trained/*.json (`trained`)
 
 import json
 import re
+import statistics
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -41,6 +42,21 @@ def made(found: Mapping) -> str:
     return f"`{how['command']}`, {how['date']}, commit {how['commit']}."
 
 
+def share(found: Mapping | float | None) -> str:
+    """A count of so many, or a number; a dash where the question does not arise."""
+    if isinstance(found, Mapping):
+        return f"{found['count']} of {found['of']}" if found["of"] else "–"
+    return "–" if found is None else f"{found:.3g}"
+
+
+def median(rows: Iterable[Mapping], key: str) -> float:
+    return statistics.median(row[key] for row in rows)
+
+
+def worst(rows: Iterable[Mapping], key: str) -> float:
+    return max(row[key] for row in rows)
+
+
 def page(path: Path) -> str:
     """The text of a page with its figures as stored. Raises jinja2.UndefinedError where a result is not there."""
     text = path.read_text(encoding="utf-8")
@@ -53,7 +69,7 @@ def page(path: Path) -> str:
     environment.filters["pair"] = pair
     stored = {"results": Stored(ROOT / "benchmarks" / "results"), "trained": Stored(ROOT / "models" / "trained")}
     template = environment.get_template(f"{path.stem.lower()}.j2")
-    context = template.new_context({**stored, "made": made})
+    context = template.new_context({**stored, **{f.__name__: f for f in (made, share, median, worst)}})
 
     def filled(place: re.Match) -> str:
         if place[2] not in template.blocks:

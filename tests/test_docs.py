@@ -43,6 +43,11 @@ def test_the_python_and_the_commands_in_a_page_run(page, tmp_path, monkeypatch):
             (tmp_path / name).write_text(text)
 
 
+def test_figures_of_the_pages_are_those_of_the_stored_results():
+    done = subprocess.run([sys.executable, ROOT / "docs" / "pages.py", "--check"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_links_between_pages_lead_somewhere(page):
     for target, anchor in re.findall(r"\]\((?!http)([^)#]*)(?:#([^)]+))?\)", page.read_text()):
