@@ -6,6 +6,7 @@ from benchmarks/results/*.json (`results`) and models/trained/*.json (`trained`)
 """
 
 import json
+import math
 import re
 import statistics
 import sys
@@ -34,6 +35,16 @@ class Stored:
 def pair(values: Iterable[float], digits: int = 3) -> str:
     """Two chambers, as a table shows them."""
     return " / ".join(f"{value:.{digits}f}" for value in values)
+
+
+def mpa(values: Iterable[float], digits: int = 3) -> str:
+    """Two pressures in Pa, as MPa."""
+    return pair((value / 1e6 for value in values), digits)
+
+
+def figures(value: float, digits: int = 3) -> str:
+    """A number with so many significant figures, and no exponent."""
+    return f"{float(f'{value:.{digits}g}'):.{max(digits - 1 - math.floor(math.log10(abs(value))), 0)}f}"
 
 
 def made(found: Mapping) -> str:
@@ -66,7 +77,7 @@ def page(path: Path) -> str:
         loader=jinja2.FileSystemLoader(DOCS / "tables"), undefined=jinja2.StrictUndefined, trim_blocks=True,
         lstrip_blocks=True, autoescape=False,
     )  # fmt: skip
-    environment.filters["pair"] = pair
+    environment.filters |= {f.__name__: f for f in (pair, mpa, figures)}
     stored = {"results": Stored(ROOT / "benchmarks" / "results"), "trained": Stored(ROOT / "models" / "trained")}
     template = environment.get_template(f"{path.stem.lower()}.j2")
     context = template.new_context({**stored, **{f.__name__: f for f in (made, share, median, worst)}})
