@@ -6,7 +6,7 @@ the errors that no effect of the table explains, the verdict is `unexplained`.
 
 import copy
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -167,8 +167,10 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
         costs = {**short.costs, claims.best: current.cost}
     best, corrected = claims.best, claims.fit
     left, explained = structure(corrected), selection.explained(current)
-    verdict = _verdict(best, _open(corrected, current), explained, corrected.cost / corrected.likelihood.count)
-    unlike = _unlike(search, best, corrected) if verdict == Verdict.MISSING_PHYSICS else ""
+    unfinished = _open(corrected, current)
+    verdict = _verdict(best, unfinished, explained, corrected.cost / corrected.likelihood.count)
+    missing = verdict == Verdict.MISSING_PHYSICS
+    unlike = _unlike(search, best, lambda: unfinished or _pays(search, best, corrected)) if missing else ""
     verdict = Verdict.PARTLY_EXPLAINED if unlike else verdict
     unknown: dict = {}
     if verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED) and not unlike:
@@ -189,15 +191,26 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
     )  # fmt: skip
 
 
-def _unlike(search: Search, best: Hypothesis, fit: Fit) -> str:
-    """Why a smooth curve that is claimed is another one, in words: beside it, a further term would still pay."""
-    curves = [search.effects[key] for key in best.effects if search.effects[key].smooth]
+def _unlike(search: Search, best: Hypothesis, more: Callable[[], bool]) -> str:
+    """Why a smooth curve that is claimed is another one, in words; empty where none is claimed, or that one.
+
+    It is another where a second curve or a constant is claimed in the same equation: together they are the beginning of
+    a series. more: whether something is left that a further term would take.
+    """
+    effects = [search.effects[key] for key in best.effects]
+    curves = [effect for effect in effects if effect.smooth]
     if not curves:
         return ""
-    promised = max((score.gain for score in search.scores(fit.likelihood, fit, best)), default=0.0)
-    if not promised > EVIDENCE * inflation(fit):
+    series = [e for e in effects if (e.smooth or not e.depends_on) and set(e.equations) & set(curves[0].equations)]
+    if len(series) < 2 and not more():
         return ""
     return f"what acts in {', '.join(curves[0].equations)} is not quite {curves[0].id}, but a curve that is like it"
+
+
+def _pays(search: Search, best: Hypothesis, fit: Fit) -> bool:
+    """Whether a further effect or parameter promises a gain that is evidence."""
+    promised = max((score.gain for score in search.scores(fit.likelihood, fit, best)), default=0.0)
+    return promised > EVIDENCE * inflation(fit)
 
 
 def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
@@ -215,6 +228,8 @@ def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
     left = _goes_on(fit)
     explained = removed(claims.calibrated, fit)
     verdict = _verdict(best, bool(left), explained, np.inf, SOME)
+    if verdict == Verdict.MISSING_PHYSICS and (unlike := _unlike(search, best, lambda: False)):
+        verdict, left = Verdict.PARTLY_EXPLAINED, unlike
     unexplained = {}
     if verdict == Verdict.UNEXPLAINED:
         best, fit = Hypothesis(), claims.calibrated

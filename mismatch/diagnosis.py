@@ -30,10 +30,8 @@ from greygate.plants.plant import Parameter
 
 SCHEMA = "diagnosis/2"
 READ = (SCHEMA, "diagnosis/1")  # that can be simulated: the second adds to the first
-OPEN = (
-    0.9  # of confidence in a name beside which structure is left, that any smooth curve is like, or that undoes another
-)
-DETAIL = 3e-3  # of what an effect saves: two explanations that differ by less may do so because no model is exact
+OPEN = 0.9  # of confidence in a name that is `_doubtful`
+DETAIL = 3e-3  # of a misfit: two explanations that differ by less may do so because no model is exact
 ELSE = 0.01  # weight of something that no table has, beside a name whose fit leaves nothing: machines are many
 FARTHEST = 1400.0  # of cost: a rival this far away has a likelihood of exp(-700), the least that a float can hold
 DIGITS = 4  # after the point, of a confidence
@@ -206,8 +204,17 @@ class Diagnosis:
         sure = float(1.0 / (1.0 + others + nothing + ELSE))
         if self.verdict == Verdict.PARTLY_EXPLAINED:
             sure *= min(max(self.explained, 0.0), 1.0)
-        doubtful = self._remaining() or self.search.effects[key].smooth or key in self.only_with
-        return sure * (OPEN if doubtful else 1.0)
+        return sure * (OPEN if self._doubtful(key) else 1.0)
+
+    def _doubtful(self, key: str) -> bool:
+        """Whether an effect may stand for what no model has: structure is left, any smooth curve is like it, it undoes
+        another, takes next to nothing of the error, or acts in another's equation on signals that one of both has.
+        """
+        effect = self.search.effects[key]
+        beside = (self.search.effects[k] for k in self.best.effects if k != key)
+        alike = any(_alike(effect, other) for other in beside)
+        slight = self.shares.get(key, 1.0) < DETAIL
+        return bool(self._remaining() or effect.smooth or key in self.only_with or slight or alike)
 
     def _named(self, keys: Iterable[str]) -> list[str]:
         """The names of effects, and the symbols of parameters."""
@@ -285,6 +292,12 @@ class Diagnosis:
         place = {"equation": SENSOR + channel, "depends_on": [], "regime": ""}
         found = located(self.corrected, place, [])
         return f" ({found['regime']}, {found['time']}, {found['band']})" if "time" in found else ""
+
+
+def _alike(one: Effect, other: Effect) -> bool:
+    """Whether two act in one equation, and one of them on nothing but signals that the other acts on, too."""
+    mine, others = set(one.depends_on), set(other.depends_on)
+    return bool(set(one.equations) & set(other.equations)) and (mine <= others or others <= mine)
 
 
 def recovered(effect: Effect, found: Mapping[str, Mapping]) -> dict[str, float]:

@@ -3,7 +3,6 @@
 import copy
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -328,30 +327,6 @@ def test_the_phase_of_a_line_is_not_simulated_over_another_recording(tmp_path):
     assert not adds["holdout"].any()
     at = said["fit"]["holdout"]["x_load"]
     assert at["corrected"] == pytest.approx(at["calibrated"], rel=0.05)
-
-
-@pytest.mark.parametrize(("both", "share", "left"), [(112.0, 0.5, 2), (112.0, 0.01, 0), (205.0, 0.01, 2)])
-def test_two_effects_that_undo_each_other_are_never_sure_and_dropped_where_they_do_little(both, share, left):
-    """Without one of them the other one does nothing, so that either alone is worth what both are."""
-    costs = {("a", "b"): 0.0, ("a",): 108.0, ("b",): 110.0, (): both}
-    fit = {names: SimpleNamespace(cost=cost) for names, cost in costs.items()}
-    kept = claims.Claims(Hypothesis(("a", "b")), fit["a", "b"], fit[()], without={"a": fit["b",], "b": fit["a",]})
-    judge = SimpleNamespace(share=lambda plain, without, with_: share)
-    search = SimpleNamespace(effects={name: SimpleNamespace(id=name) for name in "ab"})
-    dropped = claims._undoing(search, judge, kept, lambda less, from_: fit[less.effects])
-    assert (dropped, kept.best.size) == (left == 0, left)
-    assert kept.only_with == ({"a": ["b"], "b": ["a"]} if share == 0.5 else {})
-
-
-@pytest.mark.parametrize(("smooth", "gain", "said"), [(True, 100.0, True), (True, 20.0, False), (False, 100.0, False)])
-def test_a_curve_beside_which_another_term_pays_is_not_quite_what_it_is_called(monkeypatch, smooth, gain, said):
-    effect = SimpleNamespace(id="square_leak", equations=("jacket",), smooth=smooth)
-    search = SimpleNamespace(
-        effects={"a": effect}, scores=lambda *given: [SimpleNamespace(gain=g) for g in (1.0, gain)]
-    )
-    monkeypatch.setattr(finding, "inflation", lambda fit: 1.0)
-    why = finding._unlike(search, Hypothesis(("a",)), SimpleNamespace(likelihood=None))
-    assert ("what acts in jacket is not quite square_leak" in why) is said
 
 
 @pytest.mark.parametrize(("step", "smoothed"), [(1e-5, False), (1e-2, True), (0.0, False)])

@@ -1,0 +1,59 @@
+"""Names that a diagnosis is not sure of: they may stand for a curve, or for a detail, that no table has."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from greygate.mismatch import claims
+from greygate.mismatch import diagnose as finding
+from greygate.mismatch.diagnosis import Diagnosis
+from greygate.mismatch.search import Hypothesis
+
+
+@pytest.mark.parametrize(("both", "share", "left"), [(112.0, 0.5, 2), (112.0, 0.01, 0), (205.0, 0.01, 2)])
+def test_two_effects_that_undo_each_other_are_never_sure_and_dropped_where_they_do_little(both, share, left):
+    """Without one of them the other one does nothing, so that either alone is worth what both are."""
+    costs = {("a", "b"): 0.0, ("a",): 108.0, ("b",): 110.0, (): both}
+    fit = {names: SimpleNamespace(cost=cost) for names, cost in costs.items()}
+    kept = claims.Claims(Hypothesis(("a", "b")), fit["a", "b"], fit[()], without={"a": fit["b",], "b": fit["a",]})
+    judge = SimpleNamespace(share=lambda plain, without, with_: share)
+    search = SimpleNamespace(effects={name: SimpleNamespace(id=name) for name in "ab"})
+    dropped = claims._undoing(search, judge, kept, lambda less, from_: fit[less.effects])
+    assert (dropped, kept.best.size) == (left == 0, left)
+    assert kept.only_with == ({"a": ["b"], "b": ["a"]} if share == 0.5 else {})
+
+
+@pytest.mark.parametrize(
+    ("claimed", "more", "said"),
+    [("square_leak", True, True), ("square_leak", False, False), ("square_leak source", False, True),
+     ("square_leak filling", False, False), ("source", True, False)],
+)  # fmt: skip
+def test_a_curve_with_a_constant_beside_it_or_with_something_left_is_not_quite_what_it_is_called(claimed, more, said):
+    effects = {
+        "square_leak": SimpleNamespace(id="square_leak", equations=("jacket",), depends_on=("t",), smooth=True),
+        "source": SimpleNamespace(id="source", equations=("jacket",), depends_on=(), smooth=False),
+        "filling": SimpleNamespace(id="filling", equations=("block",), depends_on=(), smooth=False),
+    }
+    search = SimpleNamespace(effects=effects)
+    why = finding._unlike(search, Hypothesis(tuple(claimed.split())), lambda: more)
+    assert ("what acts in jacket is not quite square_leak" in why) is said
+
+
+@pytest.mark.parametrize(
+    ("equation", "on", "share", "doubted"),
+    [("body", ("v",), 0.5, True), ("body", ("t",), 0.5, False), ("wheel", ("v",), 0.5, False),
+     ("wheel", ("v",), 0.001, True)],
+)  # fmt: skip
+def test_a_name_is_doubtful_beside_one_on_the_same_signals_and_where_it_takes_next_to_nothing(
+    equation, on, share, doubted
+):
+    """equation, on: of another claim. share: of the squared error, that the judged one takes."""
+    effects = {
+        "a": SimpleNamespace(equations=("body",), depends_on=("x", "v"), smooth=False),
+        "b": SimpleNamespace(equations=(equation,), depends_on=on, smooth=False),
+    }
+    said = SimpleNamespace(
+        search=SimpleNamespace(effects=effects), best=Hypothesis(("a", "b")), shares={"a": share}, only_with={},
+        _remaining=lambda: "",
+    )  # fmt: skip
+    assert Diagnosis._doubtful(said, "a") is doubted
