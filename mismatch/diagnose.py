@@ -41,7 +41,7 @@ SHARE = 0.99  # of what can be explained: an effect that explains so much is all
 ADEQUATE = 4.0  # where the squared errors are at most so many times those that the told noise makes
 PART = 0.5  # of what can be explained: an effect that explains so much is named beside what is left
 SOME = 0.1  # of the squared error in free run, likewise where no noise is told
-CLOSED = 0.05  # of the misfit, that a fitted term must take: less is not applied, and only located
+CLOSED = 0.25  # of the misfit, that a fitted term must take: of what takes less, every other one does harm elsewhere
 NOISES = 3  # noises under which a recording is explained, at most: each is what the explanation before it left
 BLOWN = 100.0  # times what was recorded: a run that is so far off diverges, and nothing can be read from it
 
