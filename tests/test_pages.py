@@ -57,7 +57,7 @@ def test_the_cable_drums_page_has_the_figures_of_its_network():
     network = entry("cable_drum").network()
     for label, scenario in (
         ("training", "training"),
-        ("random motion", "validation"),
+        ("random motion, 250 s, another day", "validation"),
         ("the same with the beacon at home", "home"),
     ):
         thesis, ours, largest, _ = cells("cable_drum.md", label)

@@ -17,13 +17,19 @@ from greygate.machines.belt_drive.plant import (
 )
 from greygate.plants.simulate import simulate
 
-QUIET = {"tooth": 0.0, "lag": 0.0}
+QUIET = {"tooth": 0.0, "viscous": 0.0}
 
 
-def run(turns, speed=0.03, sample_time=SAMPLE_TIME, **values):
+def run(turns, speed=0.03, sample_time=SAMPLE_TIME, channels=(), **values):
     v = velocity(Motion(turns, speed, day=5, by_hand=False))
     v = np.repeat(v, round(SAMPLE_TIME / sample_time))
-    return simulate(belt_drive(**values), {"v": v, "slip": np.zeros(len(v))}, sample_time=sample_time)
+    plant = belt_drive(**values)
+    inputs = {"v": v, "slip": np.zeros(len(v))}
+    return simulate(plant, inputs, sample_time=sample_time, channels=(*plant.outputs, *channels))
+
+
+def engagement(at):
+    return [np.clip(at[f"w{n}"], -1, 1) for n in (1, 2, 3)]
 
 
 def test_the_boundaries_are_about_three_tenths_of_a_millimetre_apart_and_differ_in_texture():
@@ -36,11 +42,32 @@ def test_the_boundaries_are_about_three_tenths_of_a_millimetre_apart_and_differ_
     assert np.std(upper - lower) > 1e-5
 
 
-def test_the_play_of_the_gears_is_crossed_within_a_millisecond():
-    at = run((0.05, 0.03), sample_time=1e-4)
-    crossing = np.abs(at["play"]) < 0.499 * PLAY
-    assert 1 <= crossing.sum() < 10
-    assert np.ptp(at["play"]) == pytest.approx(PLAY, rel=1e-6)
+def test_at_a_turn_the_carriage_stands_while_the_motor_winds_the_belt_back_and_crosses_the_play():
+    at = run((0.05, 0.03), sample_time=1e-3, channels=("x_carriage", "f_belt"))
+    turn = int(np.argmax(at["x"]))
+    free = turn + np.flatnonzero(np.abs(at["gap"][turn:]) < 0.49 * PLAY)
+    assert len(free) > 1
+    assert np.ptp(at["gap"]) == pytest.approx(PLAY, rel=0.15)  # the flanks are elastic
+    assert np.abs(at["f_belt"][free]).max() < 2.0 < 9.0 < np.abs(at["f_belt"][turn - 100])
+    assert at["x"][turn] - at["x"][free[-1]] > PLAY
+    assert np.ptp(at["x_carriage"][turn : free[-1]]) < 10e-6
+
+
+def test_engaged_teeth_carry_the_load_and_yield():
+    at = run((0.2,), channels=("f_belt", "width"), tooth=0.0, band_long=0.0, band_short=0.0)
+    k = len(at["x"]) * 3 // 4
+    for n, part in ((1, 0.30), (2, 0.35), (3, 0.35)):
+        carried = 4e6 * at["width"][k] * part * (-1 - at[f"w{n}"][k])
+        assert carried == pytest.approx(at["f_belt"][k], rel=0.02)
+    assert at["f_belt"][k] == pytest.approx(10 + 150 * 0.03, rel=0.02)
+
+
+def test_a_carriage_that_accelerates_lags_by_its_mass():
+    light, heavy = (run((0.1,), 0.04, m_carriage=m, tooth=0.0) for m in (4.0, 8.0))
+    k = int(np.argmax(np.diff(light["x"], 2)))
+    settled = slice(100, 200)
+    assert light["e"][k] - heavy["e"][k] > 4e-6
+    np.testing.assert_allclose(light["e"][settled], heavy["e"][settled], atol=1e-7)
 
 
 def test_a_path_inside_the_band_depends_on_where_the_motion_turned():
@@ -49,15 +76,15 @@ def test_a_path_inside_the_band_depends_on_where_the_motion_turned():
         at = run((turn, turn - 0.01), **QUIET)
         k = int(np.argmax(at["x"]))
         slipped.append(at["e"][-1] - at["e"][k] - PLAY)
-    assert max(slipped) > 1.15 * min(slipped) > 0
+    assert max(slipped) > 1.1 * min(slipped) > 0
 
 
 def test_a_path_remembers_more_than_the_point_where_it_turned():
-    """Two histories that meet at one position and one error part again: more than one slip element."""
+    """Two histories that meet at one position and one error part again: more than one group of teeth."""
     at = run((0.150, 0.138, 0.1485, 0.140), **QUIET)
-    engaged = np.mean([at[f"w{n}"] for n in (1, 2, 3)], axis=0)
-    assert -1 < engaged[-1] < 1
-    assert len({round(float(at[f"w{n}"][-1]), 3) for n in (1, 2, 3)}) == 3
+    last = [float(w[-1]) for w in engagement(at)]
+    assert -1 < np.mean(last) < 1
+    assert len({round(w, 3) for w in last}) == 3
 
 
 def test_the_tooth_wave_is_fifteen_micrometres_and_speed_shifts_the_error():

@@ -5,6 +5,9 @@ error, boundary reached. A motion that turned at position p with error q (includ
 
     path(k) = q + d(p, x(k) - p)    until it crosses    boundary(k) = e(x(k))
 
+The error at a turn does not jump: the carriage stands while the motor winds the belt back and crosses the play. As long
+as the motor has not gone so far since it turned, the path is that much closer to the error at the turn.
+
 p and q are latched when the direction changes: on a boundary they are the last position and error; inside the band they
 are the point of the boundary from which a path would lead here (`sp`). There is one of each expert per direction.
 """
@@ -25,17 +28,19 @@ E = Port("e", "m", 1e-6 * 2**8)
 REACH = 0.040 / X_SCALE  # of a path from where it began
 MOVED = 2.0**9  # gain from position to motion
 HALF_COUNT = MOVED * 2.0**-15
+JUMP = 200e-6  # m of the motor, over which the carriage stands after a turn
 FAR = 100.0  # reach of a switch: its tanh form then keeps a latched value unchanged over thousands of steps
 DIRECTIONS = ("forward", "backward")
 EXPERTS = tuple(f"{part}_{way}" for part in ("e", "d", "sp", "b") for way in DIRECTIONS)
 
 
-def belt_machine(experts: Mapping[str, Network]) -> Network:
+def belt_machine(experts: Mapping[str, Network], jump: float = JUMP) -> Network:
     """Position error `e` [m] from encoder position `x` [m].
 
     experts, by the names of `EXPERTS`, normalised as `X` and `E`:
     `e`: `x` -> error on the boundary; `d`: `start`, `away` (over `REACH`) -> error since the start of the path;
     `sp`: `x`, `e` -> `y` (2,): start less x (over `REACH`), error there; `b`: `x` -> jump of the error at a reversal.
+    jump: m, over which the error goes after a turn. A motion that turns sooner again is not followed.
     It starts on the lower boundary at x = 0, moving forward. Raises InputError for an expert that is missing.
     """
     if missing := [name for name in EXPERTS if name not in experts]:
@@ -87,19 +92,26 @@ def belt_machine(experts: Mapping[str, Network]) -> Network:
         logic(name, "switch_2", u1=here, u2=inside, s=("reached", 1))
         logic(latch, "switch_2", initial, u1=(name,), u2=(latch, 1), s=("changed",))
 
+    logic("turned_at", "switch_2", home, u1=("x", 1), u2=("turned_at", 1), s=("changed",))
+    total("since", {"x": X.scale / jump, "turn": -X.scale / jump}, x=("x",), turn=("turned_at",))
+    machine.add("crossed", library("limiter", lo=-1.0, hi=1.0))
+    machine.connect("since", "crossed.x")
+    total("to_cross", {"way": jump / E.scale, "crossed": -jump / E.scale}, way=("direction",), crossed=("crossed",))
+
     total("gone", {"x": 1 / REACH, "start": -1 / REACH}, x=("x",), start=("position",))
     machine.add("away", library("limiter", lo=-1.0, hi=1.0))
     machine.connect("gone", "away.x")
     either("slipped", "d", start=("position",), away=("away",))
-    total("path", {"start": 1.0, "slipped": 1.0}, start=("error_there",), slipped=("slipped",))
+    parts = {"start": ("error_there",), "slipped": ("slipped",), "to_cross": ("to_cross",)}
+    total("path", dict.fromkeys(parts, 1.0), **parts)
     either("boundary", "e", x=("x",))
 
     total("beyond", {"boundary": 1.0, "path": -1.0}, boundary=("boundary",), path=("path",))
     logic("across", "switch_2", u1=("beyond",), u2=("beyond", 0, -1.0), s=("direction",))
-    logic("crossed", "sign", x=("across",))
+    logic("beyond_it", "sign", x=("across",))
     total("keeps", {"reached": 1.0, "changed": -1.0}, -1.0, reached=("reached", 1), changed=("changed",))
     logic("held", "sign", x=("keeps",))
-    total("one_of", {"crossed": 1.0, "held": 1.0}, 1.0, crossed=("crossed",), held=("held",))
+    total("one_of", {"beyond": 1.0, "held": 1.0}, 1.0, beyond=("beyond_it",), held=("held",))
     logic("reached", "sign", 1.0, x=("one_of",))
     logic("error", "switch_2", rest, u1=("boundary",), u2=("path",), s=("reached",))
     machine.connect("error", "e")

@@ -1,11 +1,15 @@
 """A carriage on a timing belt (thesis chapter 4), simulated: its position error against the encoder on the motor.
 
-    e = x_scale - x_encoder = centre(x) + half band(x) * engagement + play + lag(v) + tooth wave
+Three masses: the motor, under a speed loop; the pulley, behind gears that have play; and the carriage, on a guide that
+rubs. Between pulley and carriage the belt is a spring on both sides of the carriage, in series with three groups of
+teeth. A group's teeth lie on one flank or the other, where they are elastic, or between them; there friction carries
+the belt, which creeps with the travel as far as the friction has more to carry than the teeth (thesis 4.2).
 
-`engagement` goes from -1 (the teeth push the carriage forward: lower boundary) to 1 (upper boundary) in three slip
-elements of different closing distance, so that the path inside the band depends on the place and the history of the
-turn. `play` is that of the gearbox, which is crossed in half a millisecond. The thesis's recordings were never
-published.
+    e = x_scale - x_encoder = carriage - motor + guides and Abbe offset (4.1) + tooth wave
+
+What the encoder does not see is thus play, teeth, belt and load: an engaged belt errs by its band and by what friction
+stretches it; a turn winds that back, crosses the play, and creeps to the other flanks. The thesis's recordings were
+never published.
 """
 
 from collections.abc import Sequence
@@ -28,47 +32,104 @@ PLAY = 120e-6  # m, the gearbox
 TRAINING_SPEED = 0.040  # m/s
 SLIP = 0.15  # RMS of the relative variation of slip from one moment to the next
 
-_ELEMENTS = {1: (0.30, 0.004), 2: (0.35, 0.009), 3: (0.35, 0.018)}  # part of the band, closing distance in m
+_GROUPS = {1: (0.30, 0.004), 2: (0.35, 0.009), 3: (0.35, 0.018)}  # part of the band, closing distance in m
 _TURN = 2 * np.pi
+
+PARAMETERS = {
+    "m_motor": Parameter(8.0, "kg", meaning="motor and gears, at the belt"),
+    "bandwidth": Parameter(200.0, "rad/s", meaning="of the motor's speed loop, whose integral acts at a fourth of it"),
+    "f_motor": Parameter(5.0, "N", meaning="friction of motor and gears"),
+    "half_play": Parameter(PLAY / 2, "m", meaning="of the gearbox"),
+    "k_gears": Parameter(5e6, "N/m", meaning="of a flank of the gears"),
+    "d_gears": Parameter(100.0, "N s/m", meaning="grease between the gears"),
+    "m_pulley": Parameter(0.2, "kg", meaning="driving pulley and free wheel, at the belt"),
+    "rigidity": Parameter(1e5, "N", meaning="EA of the belt"),
+    "strand": Parameter(0.15, "m", meaning="from the pulley to the carriage at 0"),
+    "strand_back": Parameter(0.6, "m", meaning="from there over the free wheel back to the pulley"),
+    "d_belt": Parameter(150.0, "N s/m", meaning="damping of the belt"),
+    "m_carriage": Parameter(4.0, "kg"),
+    "f_guide": Parameter(10.0, "N", meaning="friction of the guide, once it slides"),
+    "sigma0": Parameter(3e6, "N/m", meaning="stiffness of its bristles"),
+    "sigma1": Parameter(2e3, "N s/m", meaning="damping of its bristles"),
+    "viscous": Parameter(150.0, "N s/m", meaning="grease of the guide: the error depends on speed"),
+    "half_band": Parameter(65e-6, "m", meaning="of the teeth between their flanks"),
+    "k_teeth": Parameter(4e6, "N/m", meaning="of a group of teeth on its flank"),
+    "load": Parameter(14.0, "N", meaning="at which closing distances are given"),
+    "guide": Parameter(20e-6, "m", meaning="guides and Abbe offset, over the whole travel"),
+    "rail": Parameter(8e-6, "m", meaning="form error of the rail"),
+    "band_long": Parameter(12e-6, "m", meaning="variation of the half band over the belt"),
+    "band_short": Parameter(5e-6, "m", meaning="the same, short"),
+    "closing": Parameter(1.0, "1", meaning="factor on all closing distances: preload of the belt"),
+    "closing_texture": Parameter(0.25, "1", meaning="variation of closing distances over the belt"),
+    "closing_speed": Parameter(3.0, "s/m", meaning="slip of a moving belt against a creeping one"),
+    "tooth": Parameter(15e-6, "m", meaning="meshing wave"),
+    "pitch": Parameter(0.005, "m", meaning="of the teeth"),
+    "phase": Parameter(0.0, "rad", meaning="of the tooth wave: how the belt was laid on"),
+    "drift": Parameter(0.0, "m", meaning="warmth of belt and frame"),
+}
+_LOWER = "-half_band - band_long * sin(0.5)"  # teeth on the flank that pushes forward, at x = 0
 
 
 def belt_drive(**values: float) -> Plant:
-    """The drive after an engaged forward motion: inputs `v` (m/s, of the motor at the belt), `slip` (relative).
+    """The drive after an engaged forward motion: inputs `v` (m/s, the speed asked of the motor), `slip` (relative).
 
-    Outputs: `x` (m, of the motor), `e` (m), `e_smooth` (m, e without the tooth wave), `w1` to `w3`, `play`.
+    Outputs: `x` (m, of the motor), `e` (m), `e_smooth` (m, e without the tooth wave), `gap` (m, in the gears), `w1` to
+    `w3`, the places of the groups of teeth: -1 and below on the flank that pushes forward, 1 and above on the other.
     Raises InputError for an unknown parameter.
     """
-    parameters = {
-        "half_band": Parameter(90e-6, "m", meaning="of the belt on its pulley; 0.3 mm wide with the play"),
-        "half_play": Parameter(PLAY / 2, "m", meaning="of the gearbox"),
-        "play_rate": Parameter(0.25, "m/s", meaning="at which the preloaded belt pulls the gears across their play"),
-        "v_play": Parameter(1e-4, "m/s", meaning="velocity that decides on which flank the gears lie"),
-        "guide": Parameter(20e-6, "m", meaning="guides and Abbe offset, over the whole travel"),
-        "rail": Parameter(8e-6, "m", meaning="form error of the rail"),
-        "band_long": Parameter(12e-6, "m", meaning="variation of the half band over the belt"),
-        "band_short": Parameter(5e-6, "m", meaning="the same, short"),
-        "closing": Parameter(1.0, "1", meaning="factor on all closing distances: preload of the belt"),
-        "closing_texture": Parameter(0.25, "1", meaning="variation of closing distances over the belt"),
-        "closing_speed": Parameter(3.0, "s/m", meaning="slip of a moving belt against a creeping one"),
-        "lag": Parameter(4e-4, "s", meaning="position error of speed"),
-        "tooth": Parameter(15e-6, "m", meaning="meshing wave"),
-        "pitch": Parameter(0.005, "m", meaning="of the teeth"),
-        "phase": Parameter(0.0, "rad", meaning="of the tooth wave: how the belt was laid on"),
-        "drift": Parameter(0.0, "m", meaning="warmth of belt and frame"),
+    parameters = dict(PARAMETERS)
+    states = {
+        "x": State("m"),
+        "v_motor": State("m/s"),
+        "behind": State("m"),
+        "x_pulley": State("m", "-half_play"),
+        "v_pulley": State("m/s"),
+        "x_carriage": State("m", f"-half_play {_LOWER}"),
+        "v_carriage": State("m/s"),
+        "bristles": State("m"),
     }
-    states = {"x": State("m"), "play": State("m", "-half_play", "-half_play", "half_play")}
     equations = {
-        "motor": Equation("x", {"velocity": "v"}),
-        "gears": Equation("play", {"crossing": "-play_rate * tanh(v / v_play)"}),
-    }
-    band = {}
-    for n, (part, distance) in _ELEMENTS.items():
-        parameters[f"part_{n}"] = Parameter(part, "1", meaning=f"of the band, element {n}")
-        parameters[f"closing_{n}"] = Parameter(distance, "m", meaning=f"from boundary to boundary, element {n}")
-        states[f"w{n}"] = State("1", -1.0, -1.0, 1.0)
-        equations[f"element_{n}"] = Equation(f"w{n}", {"slip": f"-2 * v * slipping / closing_{n}"})
-        band[f"element_{n}"] = f"width * part_{n} * w{n}"
+        "encoder": Equation("x", {"speed": "v_motor"}),
+        "speed_error": Equation("behind", {"asked": "v", "driven": "-v_motor"}),
+        "motor": Equation(
+            "v_motor",
+            {
+                "loop": "m_motor * bandwidth * (v - v_motor + bandwidth / 4 * behind)",
+                "gears": "-f_gears",
+                "friction": "-f_motor * tanh(v_motor / 1e-3)",
+            },
+            storage="m_motor",
+        ),
+        "pulley_position": Equation("x_pulley", {"speed": "v_pulley"}),
+        "pulley": Equation("v_pulley", {"gears": "f_gears", "belt": "-f_belt"}, storage="m_pulley"),
+        "carriage_position": Equation("x_carriage", {"speed": "v_carriage"}),
+        "carriage": Equation(
+            "v_carriage",
+            {"belt": "f_belt", "bristles": "-sigma0 * bristles", "rubbing": "-sigma1 * rubbing",
+             "grease": "-viscous * v_carriage"},
+            storage="m_carriage",
+        ),
+        "guide": Equation("bristles", {"rubbing": "rubbing"}),
+    }  # fmt: skip
+    slack = {}
+    for n, (part, distance) in _GROUPS.items():
+        parameters[f"part_{n}"] = Parameter(part, "1", meaning=f"of the band, group {n}")
+        parameters[f"closing_{n}"] = Parameter(distance, "m", meaning=f"from flank to flank, group {n}")
+        states[f"w{n}"] = State("1", -1.0)
+        teeth = f"k_teeth * width * part_{n} * (min(w{n} + 1, 0) + max(w{n} - 1, 0))"
+        creep = f"-2 * abs(v_pulley) * slipping / closing_{n} / load"
+        equations[f"group_{n}"] = Equation(f"w{n}", {"creep": f"{creep} * (f_belt + {teeth})"})
+        slack[f"group_{n}"] = f"width * part_{n} * w{n}"
     definitions = {
+        "gears": Definition("gap", "m", {"pulley": "x_pulley", "motor": "-x"}),
+        "flanks": Definition(
+            "f_gears",
+            "N",
+            {
+                "flanks": "-k_gears * (min(gap + half_play, 0) + max(gap - half_play, 0))",
+                "grease": "d_gears * (v_motor - v_pulley)",
+            },
+        ),
         "width": Definition(
             "width",
             "m",
@@ -78,29 +139,43 @@ def belt_drive(**values: float) -> Plant:
                 "short": f"band_short * sin({_TURN / 0.06} * x)",
             },
         ),
+        "slack": Definition("slack", "m", slack),
+        "belt": Definition(
+            "f_belt",
+            "N",
+            {
+                "stretch": "(rigidity / (strand + x_carriage) + rigidity / (strand_back - x_carriage))"
+                " * (x_pulley + slack - x_carriage)",
+                "damping": "d_belt * (v_pulley - v_carriage)",
+            },
+        ),
         "slipping": Definition(
             "slipping",
             "1",
             {
-                "slip": f"(1 + slip) * (1 - closing_speed * abs(v)) / closing"
+                "slip": f"(1 + slip) * (1 - closing_speed * abs(v_pulley)) / closing"
                 f" / (1 + closing_texture * sin({_TURN / 0.11} * x + 1.2))"
             },
+        ),
+        "rubbing": Definition(
+            "rubbing",
+            "m/s",
+            {"sliding": "v_carriage", "yielding": "-sigma0 / f_guide * abs(v_carriage) * bristles"},
         ),
         "smooth": Definition(
             "e_smooth",
             "m",
             {
+                "carriage": "x_carriage",
+                "motor": "-x",
                 "drift": "drift",
                 "guide": f"guide * sin({_TURN / 0.30} * x + 0.3)",
                 "rail": f"rail * sin({_TURN / 0.09} * x + 1.0)",
-                "play": "play",
-                "lag": "-lag * v",
-            }
-            | band,
+            },
         ),
         "error": Definition("e", "m", {"smooth": "e_smooth", "tooth": f"tooth * sin({_TURN} * x / pitch + phase)"}),
     }
-    outputs = ("x", "e", "e_smooth", "play", *(f"w{n}" for n in _ELEMENTS))
+    outputs = ("x", "e", "e_smooth", "gap", *(f"w{n}" for n in _GROUPS))
     plant = Plant("belt_drive", parameters, {"v": "m/s", "slip": "1"}, states, equations, outputs, definitions)
     return plant.with_parameters(**values)
 
@@ -200,21 +275,22 @@ def velocity(motion: Motion) -> np.ndarray:
     return np.concatenate(legs)
 
 
-def measure(motion: Motion, source: str = "belt_drive") -> Recording:
+def measure(motion: Motion, source: str = "belt_drive", varying: float = 1.0, **values: float) -> Recording:
     """Drive the rig on the motion's day and read it every 5 ms.
 
-    Channels: `x` of the encoder (10 um per count), `e` = linear scale (1 um per count, noisy) minus encoder; the true
+    varying: factor on how slip varies from moment to moment. values: other parameters of the rig. Channels: `x` of the encoder (10 um per count), `e` = linear scale (1 um per count, noisy) minus encoder; the true
     values `x_true`, `e_smooth`, `v`; and `engaged`: 1 on the lower boundary, -1 on the upper one, between them inside.
     """
     rng = np.random.default_rng(1000 + motion.day)
-    plant = belt_drive(
-        phase=rng.uniform(0, _TURN),
-        drift=3e-6 * rng.normal(),
-        closing=1 + 0.06 * rng.normal(),
-        lag=4e-4 + 4e-5 * rng.normal(),
-    )
+    day = {
+        "phase": rng.uniform(0, _TURN),
+        "drift": 3e-6 * rng.normal(),
+        "closing": 1 + 0.06 * rng.normal(),
+        "viscous": PARAMETERS["viscous"].value * (1 + 0.1 * rng.normal()),
+    }
+    plant = belt_drive(**(day | values))
     v = velocity(motion)
-    slip = np.clip(band_limited_noise(len(v), SLIP, 0.02, 0.5, SAMPLE_TIME, seed=2000 + motion.day), -0.6, 0.6)
+    slip = varying * np.clip(band_limited_noise(len(v), SLIP, 0.02, 0.5, SAMPLE_TIME, seed=2000 + motion.day), -0.6, 0.6)
     true = simulate(plant, {"v": v, "slip": slip}, sample_time=SAMPLE_TIME)
     x = ENCODER * np.round(true["x"] / ENCODER)
     scale = SCALE * np.round((true["x"] + true["e"] + SCALE_NOISE * rng.standard_normal(true.samples)) / SCALE)
@@ -224,6 +300,6 @@ def measure(motion: Motion, source: str = "belt_drive") -> Recording:
         "x_true": true["x"],
         "e_smooth": true["e_smooth"],
         "v": true["v"],
-        "engaged": -sum(true[f"w{n}"] for n in _ELEMENTS) / len(_ELEMENTS),
+        "engaged": -sum(np.clip(true[f"w{n}"], -1, 1) for n in _GROUPS) / len(_GROUPS),
     }
     return Recording(SAMPLE_TIME, channels, dict.fromkeys(channels, "m") | {"v": "m/s", "engaged": "1"}, source)

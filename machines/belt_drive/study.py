@@ -29,6 +29,7 @@ THESIS = {  # um RMS, tables 4.3 and 4.4
 NEURONS = {"e": 12, "d": 16, "sp": 16, "b": 2}
 SIGNS = dict(zip(DIRECTIONS, (1, -1), strict=True))
 ENGAGED = 0.028  # m after a turn, from which on a carriage counts as on its boundary
+CROSSED, NEAR = 0.25e-3, 1e-3  # m after a turn, beyond which the carriage moves again; over which its error is averaged
 PITCH = 500  # counts, the pitch of the teeth, over which the tooth wave averages out
 TOUCH = 4e-6 / E.scale  # an averaged path this near its boundary has reached it
 BEYOND = 0.004 * X.scale / E.scale  # slope with which a path continues across its boundary: 4 um per mm
@@ -85,15 +86,14 @@ def turns(way: str) -> list[tuple[int, int]]:
 
 
 def play_data(way: str) -> Record:
-    """x -> jump of e at a turn: difference of the means before and after it, over samples within eight counts."""
+    """x -> jump of e at a turn: from its mean over the last millimetre to its mean over the first beyond `CROSSED`."""
     x, e = normalised(records()["training"])
-    near = 8 * rig.ENCODER / X.scale
     at, jumps = [], []
-    for a, _ in turns(way):
-        rows = np.arange(a - 60, a + 60)
-        rows = rows[np.abs(x[rows] - x[a]) < near]
+    for a, b in turns(way):
+        after, before = (np.abs(x[part] - x[a]) * X.scale for part in (slice(a, b), slice(a - 60, a)))
+        beyond = (after > CROSSED) & (after < CROSSED + NEAR)
         at.append(x[a])
-        jumps.append(np.mean(e[rows[rows >= a]]) - np.mean(e[rows[rows < a - 4]]))
+        jumps.append(np.mean(e[a:b][beyond]) - np.mean(e[a - 60 : a][before < NEAR]))
     return Record({"x": np.array(at)}, {"y": np.array(jumps)})
 
 
@@ -113,7 +113,7 @@ def path_data(experts: Mapping[str, Network], way: str, every: int = 3) -> Recor
     for a, b in turns(way):
         start = x[a - 1 : a]
         away = x[a:b] - start
-        keep = np.abs(away) <= REACH
+        keep = (np.abs(away) <= REACH) & (np.abs(away) * X.scale > CROSSED)
         away, error = away[keep], e[a:b][keep]
         bound = answer(experts[f"e_{way}"], x=start + away)
         samples = PITCH * rig.ENCODER / rig.TRAINING_SPEED / rig.SAMPLE_TIME

@@ -1,6 +1,7 @@
 """The cable-drum sensor (thesis chapter 7) on its simulated rig: the SNN, and the black boxes it is compared with."""
 
 from functools import lru_cache
+from itertools import product
 from statistics import median
 from time import monotonic
 
@@ -16,6 +17,7 @@ from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import train
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
+from greygate.plants.recording import Recording
 from greygate.progress import Progress, silent
 
 POSITION = Port("x_pe", "m", 2**16 * STEP, resolution=STEP)
@@ -31,14 +33,14 @@ THESIS = {  # um RMS: tables 7.1 to 7.3, NOE #10, section 7.5
     "home": 29.0,
 }
 ARCHITECTURES = tuple((taps, neurons) for taps in (1, 2, 3) for neurons in (10, 20, 30))  # 1 to 9 of the tables
-SIZES, SEEDS = ((5,), (10,), (20,)), range(4)
+SIZES, SEEDS = (5, 10, 20), range(4)
 EPOCHS, DECAY = 60, 1e-5
 HELD = 3000  # samples: a minute at rest
 
 
 @lru_cache
 def records(**rig: float) -> dict[str, Record]:
-    """Records: training, the round trips, validation without the beacon and `home` with it, and `choice`.
+    """Records: training, the round trips, validation without the beacon and `home` with it, and `choice`, with it.
 
     Inputs are `x_pe`, `theta` and `home` as the rig reads them; the target is `e` [m] from its linear scale. The round
     trips are of the day of training: they show how large the error gets, and nothing is trained on them.
@@ -46,10 +48,16 @@ def records(**rig: float) -> dict[str, Record]:
     """
     found = {}
     for name in (*SCENARIOS, "choice"):
-        c = record("validation" if name == "home" else name, **rig).channels
-        beacon = c["home"] if name in ("home", "training") else np.zeros_like(c["home"])
-        found[name] = Record({"x_pe": c["x_pe"], "theta": c["theta"], "home": beacon}, {"e": c["e"]})
+        recording = record("validation" if name == "home" else name, **rig)
+        found[name] = record_of(recording, beacon=name in ("home", "training", "choice"))
     return found
+
+
+def record_of(recording: Recording, beacon: bool) -> Record:
+    """What the rig's sensors read, with the beacon or without it."""
+    c = recording.channels
+    home = c["home"] if beacon else np.zeros_like(c["home"])
+    return Record({"x_pe": c["x_pe"], "theta": c["theta"], "home": home}, {"e": c["e"]})
 
 
 def drum(hidden: tuple[int, ...], seed: int) -> Network:
@@ -63,28 +71,39 @@ def fit(network: Network, training: Record) -> Network:
     return network.with_parameters(found.network.parameters())
 
 
+def starts(progress: Progress = silent, **rig: float) -> tuple[dict[tuple[int, int], Network], dict]:
+    """Every size and seed trained, and their RMS [um] on the record `choice`, by (neurons, seed). rig: as `records`."""
+    known = records(**rig)
+    networks, scores = {}, {}
+    for size, seed in product(SIZES, SEEDS):
+        networks[size, seed] = fit(drum((size,), seed), known["training"])
+        scores[size, seed] = 1e6 * rmse(networks[size, seed], known["choice"])
+        progress(f"{size} neurons, seed {seed}: {scores[size, seed]:.1f} um on the record choice")
+    return networks, scores
+
+
+def chosen(scores: dict[tuple[int, int], float]) -> tuple[int, int]:
+    """The size by the median of its seeds on the record `choice`, then its best seed."""
+    size = min(SIZES, key=lambda n: median(scores[n, seed] for seed in SEEDS))
+    return size, min(SEEDS, key=lambda s: scores[size, s])
+
+
 def train_snn(progress: Progress = silent) -> tuple[Network, dict]:
-    """Choose the size by the median of its seeds on the record `choice`, then its best seed, and judge it on the rest.
+    """Choose size and seed on the record `choice`, and judge the network on the rest.
 
     Returns the network and its figures: RMS in um, drift at rest, every table of chapter 7, seconds.
     """
-    began, choice = monotonic(), records()["choice"]
-    networks, scores = {}, {}
-    for size in SIZES:
-        for seed in SEEDS:
-            networks[size, seed] = fit(drum(size, seed), records()["training"])
-            scores[size, seed] = 1e6 * rmse(networks[size, seed], choice)
-            progress(f"{size[0]} neurons, seed {seed}: {scores[size, seed]:.1f} um on the record choice")
-    size = min(SIZES, key=lambda n: median(scores[n, seed] for seed in SEEDS))
-    seed = min(SEEDS, key=lambda s: scores[size, s])
+    began = monotonic()
+    networks, scores = starts(progress)
+    size, seed = chosen(scores)
     network, seconds = networks[size, seed], monotonic() - began
     figures = {
         "um": {name: micrometres(network, name) for name in (*SCENARIOS, "choice")},
         "largest_um": {name: 1e6 * float(np.abs(residual(network, name)).max()) for name in ("validation", "home")},
         "at_rest_um": drift_at_rest(network, records()["training"]),
         "unswitched": unswitched(network),
-        "choice_um": {n[0]: [scores[n, s] for s in SEEDS] for n in SIZES},
-        "neurons": size[0],
+        "choice_um": {n: [scores[n, s] for s in SEEDS] for n in SIZES},
+        "neurons": size,
         "seed": seed,
         "seconds": seconds,
         "tables": tables(progress),
@@ -109,9 +128,9 @@ def residual(network: Network, name: str) -> np.ndarray:
     return float_error(network, records()[name])["e"]
 
 
-def micrometres(network: Network, name: str) -> float:
-    """RMS error of a free run on one of `records`, um."""
-    return 1e6 * rmse(network, records()[name])
+def micrometres(network: Network, name: str, **rig: float) -> float:
+    """RMS error of a free run on one of `records`, um. rig: as there."""
+    return 1e6 * rmse(network, records(**rig)[name])
 
 
 def at_rest(network: Network, record: Record) -> np.ndarray:
@@ -186,22 +205,3 @@ def tables(progress: Progress = silent) -> dict:
             "at_rest_um": drift_at_rest(network, black_box(records()["training"])),
         }
     return found
-
-
-# ---- a rig that slips more
-
-
-def more_slip(f_bias: float = 0.5) -> dict:
-    """FNN #1 and #9 and the SNN's four seeds on a rig whose guide wheels pull until the FNNs err as in the thesis.
-
-    RMS in um: of the FNNs in training, and of each seed by record.
-    """
-    found = records(f_bias=f_bias)
-    judged = black_box(found["training"])
-    figures: dict = {
-        "fnn": [1e6 * rmse(train(fnn(*a), [judged], epochs=100).network, judged) for a in ((1, 10), (3, 30))]
-    }
-    for seed in SEEDS:
-        network = fit(drum((10,), seed), found["training"])
-        figures[seed] = {n: 1e6 * rmse(network, found[n]) for n in ("training", "choice", "validation", "home")}
-    return figures

@@ -1,0 +1,104 @@
+"""The rig of the timing belt: what it does at a turn, and what the machine's errors on it are made of.
+
+    python benchmarks/belt_rig.py [turn repeated shares]
+
+    turn       one turn in time; closing distances by speed and inertia (fig. 4.6)
+    repeated   12 round trips of one day: how well a boundary repeats, how far apart the two are
+    shares     the stored machine on s1 to s4 of rigs that lack one effect, nothing trained anew
+
+What is found is kept in results/belt_rig.json, from which `make pages` writes the tables of the page.
+"""
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from made import keep
+
+from greygate.machines.belt_drive import plant as rig
+from greygate.machines.belt_drive.study import ENGAGED, SCENARIOS, legs
+from greygate.machines.catalog import entry
+from greygate.models.accuracy import rms
+from greygate.plants.simulate import simulate
+
+FINE = 1e-3  # s
+SPEEDS = (0.02, 0.04, 0.08)  # m/s
+MASSES = (4.0, 8.0, 16.0)  # kg, of the carriage
+
+
+def driven(speed: float, **values: float) -> dict[str, np.ndarray]:
+    """A turn at 150 mm by steps of 1 ms: out to it and 50 mm back, without the tooth wave. values: of the rig."""
+    v = rig.velocity(rig.Motion((0.15, 0.1), speed, day=5, by_hand=False))
+    v = np.repeat(v, round(rig.SAMPLE_TIME / FINE))
+    plant = rig.belt_drive(tooth=0.0, **values)
+    found = simulate(plant, {"v": v, "slip": 0 * v}, sample_time=FINE, channels=(*plant.outputs, "x_carriage"))
+    return dict(found.channels)
+
+
+def closing(at: dict[str, np.ndarray]) -> float:
+    """Travel from the turn until every group of teeth is on its other flank, m."""
+    turn = int(np.argmax(at["x"]))
+    there = np.min([at[f"w{n}"] for n in (1, 2, 3)], axis=0)[turn:] >= 1
+    return float(at["x"][turn] - at["x"][turn + int(np.argmax(there))])
+
+
+def turn() -> dict:
+    at = driven(rig.TRAINING_SPEED)
+    turned = int(np.argmax(at["x"]))
+    free = turned + np.flatnonzero(np.abs(at["gap"][turned:]) < 0.99 * rig.PLAY / 2)
+    stands = turned + int(np.argmax(np.abs(at["x_carriage"][turned:] - at["x_carriage"][turned]) > 1e-5))
+    return {
+        "play_ms": 1e3 * FINE * (len(free) + 1),
+        "stands_ms": 1e3 * FINE * (stands - turned),
+        "stands_um": 1e6 * float(at["x"][turned] - at["x"][stands]),
+        "closing_mm": {f"{1e3 * speed:g} mm/s": 1e3 * closing(driven(speed)) for speed in SPEEDS}
+        | {f"{m:g} kg": 1e3 * closing(driven(rig.TRAINING_SPEED, m_carriage=m)) for m in MASSES},
+    }
+
+
+def repeated() -> dict:
+    """Of places every millimetre where the belt is engaged, in um."""
+    recording = rig.record("boundaries")
+    x, e = recording["x"], recording["e"]
+    at = np.arange(2 * ENGAGED, rig.TRAVEL - 2 * ENGAGED, 1e-3)
+    found: dict[str, list[np.ndarray]] = {"forward": [], "backward": []}
+    for a, b, way in legs(x):
+        order = np.argsort(x[a:b])
+        found[way].append(np.interp(at, x[a:b][order], e[a:b][order]))
+    trips = {way: np.array(rows[1:]) for way, rows in found.items()}
+    apart = np.mean(trips["backward"], axis=0) - np.mean(trips["forward"], axis=0)
+    return {
+        "deviation_um": 1e6 * float(np.mean([np.std(rows, axis=0) for rows in trips.values()])),
+        "apart_um": 1e6 * float(np.mean(apart)),
+        "constant_um": {name: 1e6 * rms(rig.record(name)["e"]) for name in SCENARIOS},
+    }
+
+
+def shares() -> dict:
+    """RMS in um over all and on a boundary (major), of s1 to s4."""
+    lacking: dict[str, dict] = {
+        "as it is": {},
+        "15 µm of tooth wave from peak to peak": {"tooth": 7.5e-6},
+        "no tooth wave": {"tooth": 0.0},
+        "slip that does not vary": {"varying": 0.0},
+        "neither": {"tooth": 0.0, "varying": 0.0},
+    }
+    found = {what: [scored(name, **values) for name in SCENARIOS] for what, values in lacking.items()}
+    found["at training's speed"] = [scored(name, rig.TRAINING_SPEED) for name in SCENARIOS]
+    return {"um": found}
+
+
+def scored(name: str, speed: float | None = None, **values: float) -> dict[str, float]:
+    motion = rig.MOTIONS[name]
+    recording = rig.measure(replace(motion, speed=speed or motion.speed), **values)
+    error = 1e6 * (entry("belt_drive").network().run({"x": recording["x"]})["e"] - recording["e"])
+    major = np.abs(recording["engaged"]) > 0.999
+    return {"overall": rms(error), "major": rms(error[major]), "minor": rms(error[~major])}
+
+
+PARTS: dict[str, Callable[[], dict]] = {p.__name__: p for p in (turn, repeated, shares)}
+
+if __name__ == "__main__":
+    for part in sys.argv[1:] or PARTS:
+        keep("belt_rig", part, PARTS[part]())

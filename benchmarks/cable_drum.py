@@ -1,0 +1,143 @@
+"""The cable-drum sensor beside the thesis (chapter 7): `python benchmarks/cable_drum.py [PART ...]`.
+
+    trips       slip of the round trips of figure 7.3
+    noe         table 7.3, five starts of each network
+    starts      every size and seed that `greygate train cable_drum` chooses among, on every record
+    less_slip   the same on a rig whose guide wheels pull a fourth as hard
+    days        the kept network on the course of validation, with what differs on that day changed one by one
+    spread      the kept network on 20 days and courses drawn at random
+
+What is found is kept in results/cable_drum.json, from which `make pages` writes the tables of the page.
+"""
+
+import sys
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from made import keep
+from threadpoolctl import threadpool_limits
+
+from greygate.machines import catalog
+from greygate.machines.cable_drum import plant as rig
+from greygate.machines.cable_drum.study import (
+    ARCHITECTURES,
+    black_box,
+    chosen,
+    micrometres,
+    record_of,
+    records,
+    recurrent,
+    starts,
+)
+from greygate.machines.identification import rmse
+from greygate.models.network import Network
+from greygate.models.training.levenberg import train
+from greygate.plants.recording import Recording
+
+JUDGED = ("training", "choice", "validation", "home")
+LESS = 0.12  # N, of the guide wheels
+DRAWN = 20
+STARTS = 5  # of a black box
+
+
+def trips() -> dict:
+    """By speed in mm/s: mean slip of a trip and its deviation, there and back, and the sum after all; in um."""
+    found = {}
+    for speed in rig.SPEEDS:
+        e = 1e6 * rig.record(f"trips_{round(1e3 * speed)}")["e_true"]
+        turns = np.linspace(0, len(e) - round(1 / rig.SAMPLE_TIME), 2 * rig.ROUND_TRIPS + 1).astype(int)
+        there, back = np.diff(e[turns])[::2], np.diff(e[turns])[1::2]
+        found[f"{1e3 * speed:g}"] = {
+            "mean": [float(np.mean(there)), float(np.mean(back))],
+            "deviation": [float(np.std(there)), float(np.std(back))],
+            "sum": float(e[-1]),
+        }
+    return {"um": found}
+
+
+def noe() -> dict:
+    """Training error in um of networks 1 to 9: 100 epochs one step ahead, then 10 in free run; every start."""
+    training = black_box(records()["training"])
+    found = []
+    for taps, neurons in ARCHITECTURES:
+        rows = []
+        for seed in range(STARTS):
+            ahead = train(recurrent(taps, neurons, seed), [training], epochs=100, teacher=True).network
+            rows.append(1e6 * rmse(train(ahead, [training], epochs=10).network, training))
+        found.append(rows)
+        print(f"NOE {taps} taps, {neurons}: {rows}", file=sys.stderr, flush=True)
+    return {"um": found}
+
+
+def every_start(**values: float) -> dict:
+    """RMS in um of each size and seed by record, and which one the record `choice` takes."""
+    networks, scores = starts(lambda line: print(line, file=sys.stderr, flush=True), **values)
+    rows = [
+        {"neurons": n, "seed": s} | {name: micrometres(net, name, **values) for name in JUDGED}
+        for (n, s), net in networks.items()
+    ]
+    size, seed = chosen(scores)
+    return {"rows": rows, "neurons": size, "seed": seed, "slip_mm": 1e3 * slipped(**values)}
+
+
+def slipped(**values: float) -> float:
+    """Error at the end of the training run, m."""
+    return float(rig.record("training", **values)["e"][-1])
+
+
+def less_slip() -> dict:
+    return every_start(f_bias=LESS)
+
+
+def both(network: Network, recording: Recording) -> list[float]:
+    """RMS in um, without the beacon and with it."""
+    return [1e6 * rmse(network, record_of(recording, beacon)) for beacon in (False, True)]
+
+
+def days() -> dict:
+    """RMS in um of the course of validation: on training's day, with one thing changed, and with all."""
+    network, seed = catalog.entry("cable_drum").network(), rig.SEEDS["validation"]
+    half = {name: (1 + factor) / 2 for name, factor in rig.ANOTHER_DAY.items()}
+    changes: dict[str, Mapping[str, float]] = {"none": {}, "half": half, "all": rig.ANOTHER_DAY}
+    changes |= {name: {name: factor} for name, factor in rig.ANOTHER_DAY.items()}
+    found = {n: both(network, rig.validation(rig.another_day(rig.cable_drum(), c), seed)) for n, c in changes.items()}
+    found["no_drift"] = both(network, rig.validation(rig.cable_drum(), seed, warmth=0.0))
+    return {"um": found, "factors": rig.ANOTHER_DAY}
+
+
+def spread() -> dict:
+    """RMS in um of 20 courses on training's day, and on days that differ by as much as validation's, either way."""
+    network, seeds = catalog.entry("cable_drum").network(), range(1000, 1000 + DRAWN)
+    deviation = {name: abs(factor - 1) for name, factor in rig.ANOTHER_DAY.items()}
+
+    def drawn(seed: int) -> dict[str, float]:
+        rng = np.random.default_rng(seed)
+        return {name: 1 + d * rng.standard_normal() for name, d in deviation.items()}
+
+    plant = rig.cable_drum()
+    same = [both(network, rig.validation(plant, seed)) for seed in seeds]
+    other = [both(network, rig.validation(rig.another_day(plant, drawn(seed)), seed)) for seed in seeds]
+    picked = [micrometres(network, name) for name in ("validation", "home")]
+    return {"picked": picked, "same_day": ranked(same, picked), "another_day": ranked(other, picked)}
+
+
+def ranked(rows: list[list[float]], picked: list[float]) -> dict:
+    """Median, worst, and how many are better than the picked one, without and with the beacon."""
+    values = np.array(rows)
+    return {
+        "median": np.median(values, axis=0).tolist(),
+        "worst": values.max(axis=0).tolist(),
+        "better": (values < np.array(picked)).sum(axis=0).tolist(),
+        "of": len(rows),
+        "each": rows,
+    }
+
+
+PARTS: dict[str, Callable[[], dict]] = {"starts": every_start} | {
+    p.__name__: p for p in (trips, noe, less_slip, days, spread)
+}
+
+if __name__ == "__main__":
+    with threadpool_limits(1, "blas"):
+        for part in sys.argv[1:] or PARTS:
+            keep("cable_drum", part, PARTS[part]())

@@ -1,0 +1,59 @@
+"""What fixed point costs networks of the catalogue, and whether the Verilog agrees with the emulator, bit by bit.
+
+    python benchmarks/hardware.py NAME ...
+
+RMS error of every record in float and in words of 12, 16 and 18 bits, in the unit of each output; then both
+architectures at 16 bits in Verilator on the network's scenarios. Kept in results/hardware.json, a part for each name.
+"""
+
+import sys
+import tempfile
+from pathlib import Path
+
+from made import keep
+from threadpoolctl import threadpool_limits
+
+from greygate.compiler.pipeline import compile_network, fixed_error
+from greygate.machines.catalog import CATALOG
+from greygate.models.accuracy import float_error, rms
+from greygate.project import Project, compile_project, verify_project
+from greygate.source import Source
+
+WIDTHS = (12, 16, 18)
+
+
+def errors(name: str) -> dict:
+    """Record -> "float" or bits of a word -> output -> RMS error."""
+    source = Source(name)
+    network, records = source.network(), source.records()
+    found = {n: {"float": {o: rms(e) for o, e in float_error(network, r).items()}} for n, r in records.items()}
+    for width in WIDTHS:
+        formats = source.formats(width)
+        program = compile_network(network, records, formats, ranged_on=source.training, period=source.period).program
+        for record, judged in records.items():
+            found[record][str(width)] = {o: rms(e) for o, e in fixed_error(program, judged).items()}
+    return found
+
+
+def verified(name: str) -> dict:
+    """Architecture -> clocks of a step, steps, and how many scenarios differ from the emulator in any bit."""
+    with tempfile.TemporaryDirectory() as folder:
+        where = Path(folder) / name
+        compile_project(Source(name), where)
+        project = Project.open(where)
+        verify_project(project, seed=1)
+        return {
+            architecture: {
+                "clocks": facts["clocks_per_step"],
+                "steps": sum(s["steps"] for s in facts["scenarios"].values()),
+                "scenarios": len(facts["scenarios"]),
+                "differing": sum(s["mismatch"] is not None for s in facts["scenarios"].values()),
+            }
+            for architecture, facts in (project.hardware or {}).items()
+        }
+
+
+if __name__ == "__main__":
+    with threadpool_limits(1, "blas"):
+        for name in sys.argv[1:] or CATALOG:
+            keep("hardware", name, {"rms": errors(name), "verified": verified(name)})
