@@ -278,8 +278,9 @@ def velocity(motion: Motion) -> np.ndarray:
 def measure(motion: Motion, source: str = "belt_drive", varying: float = 1.0, **values: float) -> Recording:
     """Drive the rig on the motion's day and read it every 5 ms.
 
-    varying: factor on how slip varies from moment to moment. values: other parameters of the rig. Channels: `x` of the encoder (10 um per count), `e` = linear scale (1 um per count, noisy) minus encoder; the true
-    values `x_true`, `e_smooth`, `v`; and `engaged`: 1 on the lower boundary, -1 on the upper one, between them inside.
+    varying: factor on how slip varies from moment to moment. values: other parameters of the rig. Channels: `x` of the
+    encoder (10 um per count), `e` = linear scale (1 um per count, noisy) minus encoder; the true values `x_true`,
+    `e_smooth`, `v`; and `engaged`: 1 on the lower boundary, -1 on the upper one, between them inside.
     """
     rng = np.random.default_rng(1000 + motion.day)
     day = {
@@ -290,8 +291,8 @@ def measure(motion: Motion, source: str = "belt_drive", varying: float = 1.0, **
     }
     plant = belt_drive(**(day | values))
     v = velocity(motion)
-    slip = varying * np.clip(band_limited_noise(len(v), SLIP, 0.02, 0.5, SAMPLE_TIME, seed=2000 + motion.day), -0.6, 0.6)
-    true = simulate(plant, {"v": v, "slip": slip}, sample_time=SAMPLE_TIME)
+    slip = np.clip(band_limited_noise(len(v), SLIP, 0.02, 0.5, SAMPLE_TIME, seed=2000 + motion.day), -0.6, 0.6)
+    true = simulate(plant, {"v": v, "slip": varying * slip}, sample_time=SAMPLE_TIME)
     x = ENCODER * np.round(true["x"] / ENCODER)
     scale = SCALE * np.round((true["x"] + true["e"] + SCALE_NOISE * rng.standard_normal(true.samples)) / SCALE)
     channels = {
