@@ -87,6 +87,7 @@ def valve_srnn(
     taps: int = 4,
     stretch: float = 8.0,
     leakage: tuple[Network, str, float, float] | None = None,
+    oil: tuple[Port, Network, Network] | None = None,
 ) -> Network:
     """Join flow, divider and spool networks into the SRNN of fig. 5.4.
 
@@ -96,12 +97,14 @@ def valve_srnn(
     taps: backward differences of position from which the speed is computed. stretch: see `pressure`.
     leakage: (module from port `s` to `y`, reads, reach, size). If it reads "between", s is (p_a - p_b) / reach, and the
     flow size q_max y leaves chamber A and enters B; if "outward", it leaves each chamber, and s is its p / reach.
+    oil: (port of the temperature, soft, leak), both networks from port `t` to `y`. The oil is soft's answer times as
+    compressible as nominally, and leak's answer times (p_a - p_b) / p_s is a leakage from A to B over q_max.
     Inputs `drive` and `position` [m]; outputs `p_a`, `p_b` [Pa].
     """
     g1 = k["k_valve"] * k["u_max"] * np.sqrt(k["p_s"]) / k["q_max"]
     network = Network(
         "valve_srnn",
-        [drive, position],
+        [drive, position, *([oil[0]] if oil else [])],
         [Port("p_a", "Pa", k["p_s"]), Port("p_b", "Pa", k["p_s"])],
     )
     network.add("spool", spool)
@@ -124,11 +127,49 @@ def valve_srnn(
         for n in range(taps):
             network.connect("velocity", f"{speed}.d{n}", delay=n)
         network.connect(speed, f"{p}.omega", gain=-sign * displaced / (k["q_max"] * sample_time))
-        network.connect(position.name, f"{p}.gamma", gain=sign * displaced / volume)
+        if not oil:
+            network.connect(position.name, f"{p}.gamma", gain=sign * displaced / volume)
         network.connect(p, f"p_{chamber}")
     if leakage:
         _leak(network, *leakage, k["p_s"])
+    if oil:
+        _warm(network, *oil, position, k)
     return network.check()
+
+
+def _product(network: Network, name: str) -> None:
+    """Add the product of the ports `NAME.a` and `NAME.b`; it is 0 where one of them is, in the hardware too."""
+    sums = {"a": [[1.0], [1.0]], "b": [[1.0], [-1.0]]}
+    product = Network(name, [Port("a"), Port("b")], [Port("y")])
+    product.add("squares", Layer(sums, np.zeros(2), "square", frozen={*sums, "bias"}))
+    product.add("product", Layer({"squares": [[0.25, -0.25]]}, [0.0], frozen={"squares", "bias"}))
+    for port in sums:
+        product.connect(port, f"squares.{port}")
+    product.connect("squares", "product.squares")
+    product.connect("product", "y")
+    network.add(name, product)
+
+
+def _warm(network: Network, oil: Port, soft: Network, leak: Network, position: Port, k: Mapping[str, float]) -> None:
+    """Let the temperature act on the stiffness of both chambers and on a leakage between them; see `valve_srnn`."""
+    for name, module in (("soft", soft), ("leak", leak)):
+        network.add(name, module)
+        network.connect(oil.name, f"{name}.t")
+    _product(network, "leaked")
+    network.connect("leak", "leaked.a")
+    for chamber, sign in (("a", 1.0), ("b", -1.0)):
+        network.connect(f"p{chamber}", "leaked.b", delay=1, gain=sign)
+        network.connect("leaked", f"p{chamber}.omega", gain=-sign)
+        volume, stored = f"volume_{chamber}", f"stored_{chamber}"
+        displaced = sign * k[f"area_{chamber}"] * position.scale / k[f"v_{chamber}0"]
+        network.add(volume, Layer({"x": [[displaced]]}, [1.0], frozen={"x", "bias"}))
+        network.connect(position.name, f"{volume}.x")
+        _product(network, stored)
+        network.connect(volume, f"{stored}.a")
+        network.connect("soft", f"{stored}.b")
+        network.add(f"gamma_{chamber}", Layer({"stored": [[1.0]]}, [-1.0], frozen={"stored", "bias"}))
+        network.connect(stored, f"gamma_{chamber}.stored")
+        network.connect(f"gamma_{chamber}", f"p{chamber}.gamma")
 
 
 def _leak(network: Network, module: Network, reads: str, reach: float, size: float, p_s: float) -> None:
