@@ -187,16 +187,17 @@ def pump_cylinder(**values: float) -> Plant:
 
 
 @lru_cache
-def record(name: str) -> Recording:
+def record(name: str, seed: int | None = None) -> Recording:
     """One of `RECORDS`: `training` and `chirp` of table 6.1, the others of the rig; 1 kHz; see `measure`.
 
     Training, choice and random: a staircase of pump speed, held 0.03 to 0.4 s, one of position and one of the sum of
     the pressures. Chirp: 10 mm of position, 0.1 to 10 Hz in 50 s, at 12 MPa. Open: the chirp at 4 mm with the sum of
-    the pressures fed forward alone. Raises InputError for another name.
+    the pressures fed forward alone. seed: of another run of the same kind. Raises InputError for another name.
     """
     if name not in RECORDS:
         raise InputError(f"record {name!r} is unknown; give one of {', '.join(RECORDS)}")
-    samples, seed = RECORDS[name]
+    samples, own = RECORDS[name]
+    seed = own if seed is None else seed
     values = DIFFERENCES if name.startswith("rig") else {}
     total, still = samples + SETTLING, np.zeros(SETTLING)
     n_ref, p_ref = np.zeros(total), np.full(total, 12e6)
