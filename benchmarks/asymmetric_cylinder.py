@@ -3,8 +3,9 @@
     filters       the kept network behind the thesis's filters and others, looking ahead and causal
     white_box     the equations (5.2), (5.5) with the data sheet's numbers, in the network's place (fig. 5.18)
     black_boxes   NARX with the taps of (5.14), 10 neurons, and output error from its weights (table 5.6); two starts
+    changes       how far training moved the weights
 
-What is found is kept in results/asymmetric_cylinder.json, from which `make pages` writes the tables of the page. A black
+What is found is kept in results/asymmetric_cylinder.json, from which `make pages` writes the tables. A black
 box is chosen among its starts by its free run over the last fifth of the training run.
 """
 
@@ -21,7 +22,14 @@ from valve_cylinder import TAIL, at_rest, free_run, one_step
 from greygate.machines import catalog
 from greygate.machines.asymmetric_cylinder.plant import SAMPLE_TIME, SENSORS, asymmetric_cylinder
 from greygate.machines.asymmetric_cylinder.plant import record as read
-from greygate.machines.asymmetric_cylinder.study import SCENARIOS, records
+from greygate.machines.asymmetric_cylinder.study import (
+    ADOPTED,
+    SCENARIOS,
+    assemble,
+    first_machine,
+    records,
+)
+from greygate.models.adaptation import adopt, weight_changes
 from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.regression import noe
 from greygate.models.network import Port
@@ -135,7 +143,21 @@ def _black_box(chamber: str, port: Port) -> dict:
     return {"chosen": min(starts, key=lambda s: s["tail"]), "starts": starts}
 
 
-PARTS: dict[str, Callable[[], dict]] = {p.__name__: p for p in (filters, white_box, black_boxes)}
+# -- how far training moved the weights (figs. 5.14 to 5.16) ----------------------------------------------------------
+
+
+def changes() -> dict:
+    """Of the weights and biases of a module, in %: the median change, and how many changed by less than a tenth."""
+    network = catalog.entry("asymmetric_cylinder").network()
+    moved = weight_changes(adopt(assemble(), first_machine(), ADOPTED), network)
+    found = {}
+    for module in ADOPTED:
+        each = np.abs(np.concatenate([v.ravel() for name, v in moved.items() if name.startswith(f"{module}.")]))
+        found[module] = {"median": float(np.median(each)), "within a tenth": float(100 * np.mean(each < 10))}
+    return found
+
+
+PARTS: dict[str, Callable[[], dict]] = {p.__name__: p for p in (filters, white_box, black_boxes, changes)}
 
 if __name__ == "__main__":
     with threadpool_limits(1, "blas"):

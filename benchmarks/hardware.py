@@ -2,8 +2,9 @@
 
     python benchmarks/hardware.py NAME ...
 
-RMS error of every record in float and in words of 12, 16 and 18 bits, in the unit of each output; then both
-architectures at 16 bits in Verilator on the network's scenarios. Kept in results/hardware.json, a part for each name.
+RMS error of every record in float and in words of 12, 16 and 18 bits, in the unit of each output; where the catalogue
+gives weights and neurons bits beyond the word (`finer`), at 16 bits also without them. Then both architectures at 16
+bits in Verilator on the network's scenarios. Kept in results/hardware.json, a part for each name.
 """
 
 import sys
@@ -27,11 +28,13 @@ def errors(name: str) -> dict:
     source = Source(name)
     network, records = source.network(), source.records()
     found = {n: {"float": {o: rms(e) for o, e in float_error(network, r).items()}} for n, r in records.items()}
-    for width in WIDTHS:
-        formats = source.formats(width)
+    words = {str(width): source.formats(width) for width in WIDTHS}
+    if CATALOG[name].finer:
+        words["16, finer 0"] = source.formats(16, 0)
+    for word, formats in words.items():
         program = compile_network(network, records, formats, ranged_on=source.training, period=source.period).program
         for record, judged in records.items():
-            found[record][str(width)] = {o: rms(e) for o, e in fixed_error(program, judged).items()}
+            found[record][word] = {o: rms(e) for o, e in fixed_error(program, judged).items()}
     return found
 
 
