@@ -12,14 +12,14 @@ from typing import Annotated, Any
 import typer
 
 from greygate import __version__
-from greygate.cli import bench, boards, builds, networks, rigs
+from greygate.cli import bench, boards, builds, expert, networks, rigs
 from greygate.cli.terminal import say
 from greygate.errors import InputError
 
 INTERRUPTED, TERMINATED = 130, 143  # exit codes after Ctrl-C and after `kill`, as shells give them
 UsageError: Any = typer.BadParameter.__base__  # raised for an argument or option that is missing, unknown or wrong
 COMMANDS = (
-    *(networks.train, networks.compile),
+    *(networks.train, expert.build_snn, networks.compile),
     *(builds.emulate, builds.verify, builds.prove, builds.synthesize, builds.report),
     *(boards.board, boards.play),
     networks.validate,
@@ -33,7 +33,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for command in COMMANDS:
-    app.command(command.__name__.rstrip("_"))(command)
+    app.command(command.__name__.rstrip("_").replace("_", "-"))(command)
 app.add_typer(bench.app, name="bench-concealed")
 
 

@@ -140,7 +140,8 @@ class Wiring:
         return ends[1] - ends[0]
 
     def over_interval(self, symbol: str) -> Form:
-        held = symbol in self.choices.held
+        turned = self.plant.unit(symbol) == "rad" and np.abs(np.diff(self.signals[symbol])).max() > np.pi
+        held = symbol in self.choices.held or turned
         name = f"mean_{symbol}"
         weights = {"now": [[0.0 if held else 0.5]], "before": [[1.0 if held else 0.5]]}
         self.network.add(name, Layer(weights, [0.0], frozen={"now", "before", "bias"}))
@@ -264,6 +265,8 @@ class Wiring:
         forms += [self.resolve(s, now) for s in self.task.inputs]
         for library in declared.libraries if declared else ():
             for function, said in self.plant.closure.libraries.get(library, {}).items():
+                if not names([said]) <= self.plant.symbols:
+                    continue  # it reads the limits of a recording
                 forms.append(self.built(f"{name}_{function}", parse(said).tree, now))
         signals = sorted({key for form in forms for key in form.weights})
         network = feedforward(name, signals, [neurons], 0)
