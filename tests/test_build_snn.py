@@ -1,14 +1,10 @@
 """`greygate build-snn`: a motor with friction that its plant file leaves out, and what is refused."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from greygate.cli import app
-from greygate.errors import InputError
 from greygate.expert.files import build_files
 from greygate.plants.plant import Plant
 from greygate.plants.recording import Recording

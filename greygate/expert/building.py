@@ -1,10 +1,11 @@
-"""The expert of thesis figures 3.1 and 3.3: proposes a structure, trains it, tests every step, and takes back what fails.
+"""The expert of thesis figures 3.1 and 3.3: proposes a structure, trains it, tests each step, takes back what fails.
 
 It decides on the end of each recording to train on, which no step is fitted to. Recordings to test on are judged once,
 when all is decided.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from time import monotonic
@@ -18,24 +19,28 @@ from greygate.compiler.simplify import parameter_count, simplify
 from greygate.errors import InputError
 from greygate.expert.decisions import Log
 from greygate.expert.parts import Part
+from greygate.expert.rivals import Compared, scores
 from greygate.expert.task import Task
-from greygate.expert.wiring import Choices, Joined, Wiring
-from greygate.models.accuracy import free_run_rms
-from greygate.models.families.regression import noe
-from greygate.models.network import Network, Port
-from greygate.models.training.levenberg import narx_noe, train
+from greygate.expert.wiring import WIDE, Choices, Joined, Wiring
+from greygate.models.accuracy import float_error, free_run_rms
+from greygate.models.network import Network
+from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
 from greygate.plants.plant import Plant
 from greygate.plants.recording import Recording
-from greygate.progress import Progress, silent, titled
+from greygate.progress import Progress, silent
 
-JUDGED, TESTED = 0.25, 0.2  # shares at the end of each recording: for decisions, and to test where nothing else is given
+JUDGED, TESTED = (
+    0.25,
+    0.2,
+)  # shares at the end of each recording: for decisions, and to test where nothing else is given
 GAIN = 0.98  # of the error before: what a step that adds something must reach
 ALLOWED = 1.02  # of the error before: what a step that removes something may reach
 TAPS, NEURONS = 4, (4, 8)
-EPOCHS, REFIT, REMOVAL, LINEAR = 25, 15, 4, 40
+EPOCHS, REFIT, REMOVAL = 25, 15, 4
 DECAY = 1e-6
-REHEARSAL = 1.0  # all samples of a part's own record count as much as the recordings
+EXERCISED = (0.85, 1.15)  # of an input, in an exercise
+REHEARSAL = 10.0  # times as much as the recordings count all samples of what a part stands for
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,9 @@ def build(
     task = Task.of(plant, [*recordings.values(), *tests.values()], sensors, targets)
     expert = Expert(task, recordings, tests, began + seconds, progress)
     network = expert.built()
-    return Built(network, expert.log, expert.scores(network), monotonic() - began)
+    progress("training a linear model to compare with")
+    compared = Compared(task, expert.record, expert.nominal, recordings, tests, expert.ends)
+    return Built(network, expert.log, scores(network, compared), monotonic() - began)
 
 
 class Expert:
@@ -92,16 +99,17 @@ class Expert:
         self.ends = shares
         self.heads = {n: int((1 - JUDGED) * end) for n, end in shares.items()}
         self.nominal = {n: task.nominal(r) for n, r in {**recordings, **tests}.items()}
-        self.signals = {
-            s: np.concatenate([self._known(n)[s][: self.ends[n]] for n in recordings]) for s in self._known(next(iter(recordings)))
-        }  # fmt: skip
-        self.sizes = {t: float(np.std(np.concatenate([r[t] for r in recordings.values()]))) or 1.0 for t in task.targets}
+        known = {n: self._known(n) for n in recordings}
+        names = next(iter(known.values()))
+        self.signals = {s: np.concatenate([known[n][s][: self.ends[n]] for n in known]) for s in names}
+        measured = {t: np.concatenate([r[t][: self.ends[n]] for n, r in recordings.items()]) for t in task.targets}
+        self.sizes = {t: float(np.std(v)) or 1.0 for t, v in measured.items()}
         self.parts: dict[str, Part] = {}
         self.states: Mapping[str, tuple[str, float]] = {}
         where = "the recordings given to test on" if tests else f"the last {TESTED:.0%} of each recording"
-        log = self.log
-        log("task", ", ".join(task.targets), f"predicted from {', '.join(task.inputs)}", f"{task.plant.name} has them so")
-        log("task", "recordings", f"decisions by the last {JUDGED:.0%} of what is trained on", f"{where} are kept for the end")
+        inputs, share = ", ".join(task.inputs), f"the last {JUDGED:.0%} of what is trained on"
+        self.log("task", ", ".join(task.targets), f"predicted from {inputs}", f"{task.plant.name} has them so")
+        self.log("task", "recordings", f"decisions by {share}", f"{where} are kept for the end")
 
     def _known(self, name: str) -> dict[str, np.ndarray]:
         """Every signal of a recording: as recorded or, where it is a state or a definition, as simulated."""
@@ -111,11 +119,10 @@ class Expert:
     # ---- records
 
     def record(self, name: str) -> Record:
+        """A recording as the network learns it: states that it predicts start as measured."""
         recording = {**self.recordings, **self.tests}[name]
-        found = self.task.record(recording)
-        start = {
-            layer: np.array([recording[s][0] / scale]) for layer, (s, scale) in self.states.items() if s in self.task.targets
-        }  # fmt: skip
+        found, targets = self.task.record(recording), self.task.targets
+        start = {path: np.array([recording[s][0] / size]) for path, (s, size) in self.states.items() if s in targets}
         return replace(found, initial={**found.initial, **start})
 
     def fitted(self) -> list[Record]:
@@ -129,6 +136,25 @@ class Expert:
         found = [free_run_rms(network, r)[t] / self.sizes[t] for r in records for t in self.task.targets]
         return float(np.sqrt(np.mean(np.square(found))))
 
+    # ---- exercises
+
+    def exercises(self, network: Network) -> list[Record]:
+        """Runs that nobody recorded, with a network's own answers: every second input smaller, then larger.
+
+        They keep what it does beyond the recordings while it is pruned. One on which it diverges is left out.
+        """
+        found = []
+        for name, head in self.heads.items():
+            for factor in EXERCISED:
+                record = self.record(name).cut(0, head // 2)
+                moved = list(record.inputs)[::2]
+                inputs = {n: v * (factor if n in moved else 1.0) for n, v in record.inputs.items()}
+                first = {n: float(v[0]) for n, v in inputs.items()}
+                record = replace(record, inputs=inputs, initial=record.initial | first)
+                with suppress(InputError):
+                    found.append(replace(record, targets=_answers(network, record)))
+        return found
+
     # ---- steps
 
     def join(self, choices: Choices) -> Joined:
@@ -141,13 +167,10 @@ class Expert:
         samples = sum(len(r) for r in records)
         rehearse = {n: replace(r, weight=REHEARSAL * samples / len(r)) for n, r in joined.rehearse.items()}
         fit = train(
-            joined.network, records, epochs=epochs, decay=DECAY, rehearse=rehearse, bounds=self._moving(joined),
+            joined.network, records, epochs=epochs, decay=DECAY, rehearse=rehearse, bounds=joined.bounds,
             seconds=self.left(), progress=self.progress,
         )  # fmt: skip
         return joined.network.with_parameters(fit.network.parameters())
-
-    def _moving(self, joined: Joined) -> Mapping[str, tuple]:
-        return joined.bounds
 
     def left(self) -> float:
         return max(self.until - monotonic(), 1.0)
@@ -158,14 +181,14 @@ class Expert:
     def built(self) -> Network:
         best = self.trained(self.assembled())
         best = self.widened(best)
-        network = self.smaller(best)
-        return self.refitted(best.joined, network)
+        return self.smaller(self.refitted(best))
 
     def assembled(self) -> Candidate:
         """The plant's own equations as a network, with every input as it is best read."""
         self.progress("joining")
-        joined = self.join(Choices())
-        best = Candidate(joined, joined.network, Choices(), self.error(joined.network, self.fitted()))
+        choices = Choices(free=not self.join(Choices()).rehearse)
+        joined = self.join(choices)
+        best = Candidate(joined, joined.network, choices, self.error(joined.network, self.fitted()))
         for name in self.task.inputs:
             if name not in self.task.plant.inputs or f"mean_{name}" not in joined.network.modules:
                 continue
@@ -173,12 +196,14 @@ class Expert:
             other = self.join(choices)
             error = self.error(other.network, self.fitted())
             held = error < best.error
-            said = f"the plant's own error is {min(error, best.error):.3g} so and {max(error, best.error):.3g} otherwise"
+            less, more = sorted((error, best.error))
+            said = f"the plant's own error is {less:.3g} so and {more:.3g} otherwise"
             self.log("join", name, "held over a sample" if held else "straight from sample to sample", said)
             best = Candidate(other, other.network, choices, error) if held else best
         judged = self.error(best.network, self.judges())
-        self.log("join", self.task.plant.name, f"{len(best.network.layers())} layers, {parameter_count(best.network)} parameters",
-                 f"its equations ask for them; error {judged:.3g} of the deviation of the targets before training")  # fmt: skip
+        size = f"{len(best.network.layers())} layers, {parameter_count(best.network)} parameters"
+        why = f"its equations ask for them; error {judged:.3g} of the deviation of the targets before training"
+        self.log("join", self.task.plant.name, size, why)
         return replace(best, error=judged)
 
     def trained(self, start: Candidate) -> Candidate:
@@ -186,7 +211,8 @@ class Expert:
         network = self.train(start.joined, self.fitted())
         error = self.error(network, self.judges())
         worse = not error < start.error
-        self.log("train", "the whole, in free run", f"{EPOCHS} epochs", f"error {start.error:.3g} to {error:.3g} where it did not learn", worse)  # fmt: skip
+        why = f"error {start.error:.3g} to {error:.3g} where it did not learn"
+        self.log("train", "the whole, in free run", f"{EPOCHS} epochs", why, worse)
         return start if worse else Candidate(replace(start.joined, network=network), network, start.choices, error)
 
     def widened(self, best: Candidate) -> Candidate:
@@ -196,13 +222,14 @@ class Expert:
             best = self.tried(best, wider, ", ".join(self.task.rates), f"each rate from {TAPS} differences")
         for place in self.places():
             for neurons in NEURONS:
-                unknown = {**best.choices.unknown, place: neurons}
-                before = best
-                best = self.tried(best, replace(best.choices, unknown=unknown), place, f"an unknown term of {neurons} neurons")
+                wider = replace(best.choices, unknown={**best.choices.unknown, place: neurons})
+                before, best = best, self.tried(best, wider, place, f"an unknown term of {neurons} neurons")
                 if best is before:
                     break
-        trained = [n for n, p in self.parts.items() if not n.startswith("unknown") and "library" not in p.network.modules]
-        if trained:
+        if not best.choices.free:
+            what = f"uncertain parameters within {WIDE:g} tolerances"
+            best = self.tried(best, replace(best.choices, free=True), "data sheet", what)
+        if trained := [n for n, p in self.parts.items() if not p.of_library]:
             best = self.tried(best, replace(best.choices, larger=1), ", ".join(trained), "more neurons")
         return best
 
@@ -212,8 +239,8 @@ class Expert:
         here = {*self.task.definitions, *self.task.equations.values()}
         if plant.closure.places:
             return [p for p in plant.closure.places if p in here]
-        positions = {e.state for e in plant.equations.values() if list(e.terms.values())[0] in plant.states and len(e.terms) == 1}  # fmt: skip
-        return [n for s, n in self.task.equations.items() if s not in positions]
+        rates = [n for n, e in plant.equations.items() if all(term in plant.states for term in e.terms.values())]
+        return [n for n in self.task.equations.values() if n not in rates]
 
     def tried(self, best: Candidate, choices: Choices, about: str, what: str) -> Candidate:
         """The candidate with other choices if it is better where it did not learn, else the one before."""
@@ -223,20 +250,21 @@ class Expert:
         self.progress(f"trying {what} ({about})")
         parts = self.parts
         if choices.larger != best.choices.larger:
-            self.parts = {n: p for n, p in parts.items() if "library" in p.network.modules}
+            self.parts = {n: p for n, p in parts.items() if p.of_library}
         try:
             joined = self.join(choices)
-            known = best.network.parameters()
-            same = {n: known[n] for n, v in joined.network.parameters().items() if n in known and known[n].shape == v.shape}
+            known, now = best.network.parameters(), joined.network.parameters()
+            same = {n: known[n] for n, v in now.items() if n in known and known[n].shape == v.shape}
             joined.network = joined.network.with_parameters(same)
             network = self.train(joined, self.fitted())
-        except InputError as error:
+        except InputError as problem:
             self.parts, self.states = parts, best.joined.states
-            self.log("widen", about, what, str(error), undone=True)
+            self.log("widen", about, what, str(problem), undone=True)
             return best
         error = self.error(network, self.judges())
         undone = not error < GAIN * best.error
-        self.log("widen", about, what, f"error {best.error:.3g} to {error:.3g}" + (f", not below {GAIN:g} of it" if undone else ""), undone)  # fmt: skip
+        why = f", not below {GAIN:g} of it" if undone else ""
+        self.log("widen", about, what, f"error {best.error:.3g} to {error:.3g}{why}", undone)
         if undone:
             self.parts, self.states = parts, best.joined.states
             return best
@@ -247,8 +275,10 @@ class Expert:
     def smaller(self, best: Candidate) -> Network:
         """The generic network without the neurons and weights that it can do without."""
         network = simplify(best.network)
-        self.log("simplify", "linear layers", f"{len(network.layers())} layers of {len(best.network.flatten().layers())}", "the function stays the same")  # fmt: skip
-        fitted, judges = self.fitted(), self.judges()
+        size = f"{len(network.layers())} layers of {len(best.network.flatten().layers())}"
+        self.log("simplify", "linear layers", size, "the function stays the same")
+        own = self.exercises(best.network)
+        fitted, judges = [*self.fitted(), *own], [*self.judges(), *own]
         retrain = partial(retrained, records=fitted, epochs=REMOVAL, decay=DECAY)
         passes: dict[str, Callable] = {
             "neurons, by entropy": entropy_pruning(fitted, retrain, ALLOWED, held=judges),
@@ -267,61 +297,25 @@ class Expert:
         smaller, rounds = prune(network)
         error = self.error(smaller, judges)
         kept = sum(r.kept for r in rounds)
-        counts = f"{network.neurons()} to {smaller.neurons()} neurons, {parameter_count(network)} to {parameter_count(smaller)} parameters"  # fmt: skip
+        sizes = [f"{n.neurons()} neurons and {parameter_count(n)} parameters" for n in (network, smaller)]
         undone = not error <= ALLOWED * before
-        self.log("prune", about, counts, f"error {before:.3g} to {error:.3g}; {kept} of {len(rounds)} rounds held, the others were undone", undone)  # fmt: skip
+        why = f"error {before:.3g} to {error:.3g}, exercises included; of {len(rounds)} rounds {kept} held"
+        self.log("prune", about, " to ".join(sizes), why, undone)
         return network if undone else smaller
 
-    def refitted(self, joined: Joined, network: Network) -> Network:
-        """The network that is decided on, trained on the whole of the recordings."""
+    def refitted(self, best: Candidate) -> Candidate:
+        """The structure that is decided on, trained on the whole of the recordings."""
         self.progress("training on the whole recordings")
         whole = [self.record(n).cut(0, end) for n, end in self.ends.items()]
-        before = self.error(network, whole)
-        held = {n: v != 0 for n, v in network.parameters().items()}
-        fit = train(network, whole, epochs=REFIT, decay=DECAY, free=held, seconds=self.left(), progress=self.progress)
-        after = self.error(fit.network, whole)
+        before = self.error(best.network, whole)
+        network = self.train(replace(best.joined, network=best.network), whole, REFIT)
+        after = self.error(network, whole)
         undone = not after < before
-        self.log("train", "the whole recordings", f"{REFIT} epochs", f"nothing is left to decide; error {before:.3g} to {after:.3g} on them", undone)  # fmt: skip
-        return network if undone else fit.network
-
-    # ---- test
-
-    def scores(self, network: Network) -> dict[str, dict[str, dict[str, float]]]:
-        """RMS by who, recording and target: the network, the plant's simulation, and linear models, on what was kept."""
-        found: dict[str, dict[str, dict[str, float]]] = {"network": {}, "nominal": {}, "linear": {}}
-        rivals = self.linear()
-        for name, recording in {**self.recordings, **self.tests}.items():
-            record = self.record(name)
-            spans = {name: (0, self.ends[name])} if name in self.recordings else {name: (0, len(record))}
-            if not self.tests:
-                spans[f"{name} end"] = (self.ends[name], len(record))
-            for label, (start, stop) in spans.items():
-                cut = record.cut(0, stop, skip=start)
-                found["network"][label] = free_run_rms(network, cut)
-                found["nominal"][label] = {
-                    t: float(np.sqrt(np.mean((self.nominal[name][t] - recording[t])[start:stop] ** 2))) for t in self.task.targets
-                }  # fmt: skip
-                found["linear"][label] = {t: v for rival in rivals for t, v in _plain_rms(rival, cut).items()}
-        return found
-
-    def linear(self) -> list[Network]:
-        """A linear model of each target on two samples of every input and of itself: ARX, then output error."""
-        self.progress("training a linear model to compare with")
-        task, found = self.task, []
-        for target in task.targets:
-            taps = {Port(n, scale=float(np.abs(self.signals[n]).max()) or 1.0): (0, 1) for n in task.inputs}
-            values = np.concatenate([r[target][: self.ends[n]] for n, r in self.recordings.items()])
-            output = Port(target, task.plant.unit(target), self.sizes[target] * 3, offset=float(values.mean()), initial=float(values[0]))
-            network = noe("linear", taps, output, (1, 2))
-            records = [_plain(self.record(n).cut(0, end), target) for n, end in self.ends.items()]
-            found.append(narx_noe(network, records, epochs=LINEAR, progress=titled(self.progress, target)).network)
-        return found
+        why = f"the structure is decided; error {before:.3g} to {after:.3g}"
+        self.log("train", "the whole recordings", f"{REFIT} epochs", why, undone)
+        return best if undone else replace(best, network=network)
 
 
-def _plain(record: Record, target: str) -> Record:
-    initial = {n: v for n, v in record.initial.items() if n in record.inputs}
-    return replace(record, targets={target: record.targets[target]}, initial=initial)
-
-
-def _plain_rms(network: Network, record: Record) -> dict[str, float]:
-    return free_run_rms(network, _plain(record, network.outputs[0].name))
+def _answers(network: Network, record: Record) -> dict[str, np.ndarray]:
+    errors = float_error(network, record)
+    return {n: record.targets[n] + e for n, e in errors.items()}

@@ -61,10 +61,9 @@ def _written(built: Built, files: Mapping[str, str], out: Path) -> dict:
             path.write_text(built.log.text, encoding="utf-8")
     judged = [n for n in built.rms["network"] if n not in files or n != first]
     command = f"greygate compile {out / name}.toml --record {next(iter(files.values()))} --out {out / 'compiled'}"
-    return plain(
-        {**kept, "better": _better(built, judged), "seconds": round(built.seconds, 1), "neurons": built.network.neurons(),
-         "out": str(out / f"{name}.toml"), "next": f"next: {command}", "text": built.log.text.splitlines()}
-    )  # fmt: skip
+    about = {"better": _better(built, judged), "seconds": round(built.seconds, 1), "neurons": built.network.neurons()}
+    text = built.log.text.splitlines()
+    return plain({**kept, **about, "out": str(out / f"{name}.toml"), "next": f"next: {command}", "text": text})
 
 
 def _better(built: Built, judged: Sequence[str]) -> bool:

@@ -13,12 +13,12 @@ from greygate.plants.functions import FUNCTIONS
 class Form:
     """constant + sum of weights[signal] * signal.
 
-    free: the signals whose weight the data sheet leaves uncertain, "" for the constant.
+    free: signal whose weight the data sheet leaves uncertain, "" for the constant -> its relative tolerance.
     """
 
     constant: float = 0.0
     weights: Mapping[str, float] = field(default_factory=dict)
-    free: frozenset[str] = frozenset()
+    free: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def is_constant(self) -> bool:
@@ -26,19 +26,21 @@ class Form:
 
     def __add__(self, other: "Form") -> "Form":
         weights = {n: self.weights.get(n, 0.0) + other.weights.get(n, 0.0) for n in {**self.weights, **other.weights}}
-        return Form(self.constant + other.constant, {n: w for n, w in weights.items() if w}, self.free | other.free)
+        free = {n: max(self.free.get(n, 0.0), other.free.get(n, 0.0)) for n in {**self.free, **other.free}}
+        return Form(self.constant + other.constant, {n: w for n, w in weights.items() if w}, free)
 
     def times(self, factor: "Form") -> "Form":
         """The product with a constant."""
         k = factor.constant
         if k == 0.0:
             return Form()
-        free = frozenset({*self.weights, ""}) if factor.free else self.free
+        more = factor.free.get("", 0.0)
+        free = {n: self.free.get(n, 0.0) + more for n in ({*self.weights, ""} if more else self.free)}
         return Form(self.constant * k, {n: w * k for n, w in self.weights.items()}, free)
 
-    def over(self, values: Mapping[str, np.ndarray]) -> np.ndarray | float:
+    def over(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
         """Its value, with the shape of the signals."""
-        return self.constant + sum(w * values[n] for n, w in self.weights.items())
+        return np.asarray(self.constant + sum(w * values[n] for n, w in self.weights.items()))
 
 
 Resolve = Callable[[str], Form]
@@ -83,5 +85,6 @@ def _constant(function: Callable, forms: list[Form | None]) -> Form | None:
     known = [form for form in forms if form is not None and form.is_constant]
     if len(known) < len(forms):
         return None
-    free = frozenset({""}) if any(form.free for form in known) else frozenset()
-    return Form(float(function(*(form.constant for form in known))), free=free)
+    tolerance = sum(form.free.get("", 0.0) for form in known)
+    value = float(function(*(form.constant for form in known)))
+    return Form(value, free={"": tolerance} if tolerance else {})

@@ -37,7 +37,7 @@ def lags(task: Task, constant: Callable[[str], Form | None]) -> list[Lag]:
     found, left = [], list(forms)
     while left:
         group = {left[0]}
-        while grown := {s for s in left if s not in group and (group & set(forms[s].weights) or any(s in forms[g].weights for g in group))}:  # fmt: skip
+        while grown := {s for s in left if s not in group and _joined(s, group, forms)}:
             group |= grown
         states = tuple(s for s in task.states if s in group)
         left = [s for s in left if s not in group]
@@ -45,6 +45,11 @@ def lags(task: Task, constant: Callable[[str], Form | None]) -> list[Lag]:
         if lag is not None:
             found.append(lag)
     return found
+
+
+def _joined(state: str, group: set[str], forms: dict[str, Form]) -> bool:
+    """Whether a state drives one of the group, or is driven by one."""
+    return bool(group & set(forms[state].weights)) or any(state in forms[other].weights for other in group)
 
 
 def _linear_states(task: Task, constant: Callable[[str], Form | None]) -> dict[str, Form]:

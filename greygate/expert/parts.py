@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from itertools import permutations, product
 
 import numpy as np
+from scipy.stats import qmc
 
 from greygate.expert.decisions import Log
 from greygate.models.families.blocks import feedforward
 from greygate.models.families.library import LibraryNetwork, entry
-from greygate.models.network import Network
+from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
 
@@ -29,17 +30,23 @@ Function = Callable[[Mapping[str, np.ndarray]], np.ndarray]
 class Part:
     """network: from ports named as the signals to `y`; the term is size * y of the signals over `scales`.
 
-    rehearsal: what it learnt, in its own ports; None of one that is exact.
+    rehearsal: what it learnt, in its own ports. of_library: whether it is a library network.
     """
 
     network: Network
     scales: Mapping[str, float]
     size: float
-    rehearsal: Record | None
+    rehearsal: Record
+    of_library: bool = False
 
 
 def part(
-    name: str, function: Function, on_record: Mapping[str, np.ndarray], ends: Mapping[str, Sequence[float]], step: int, log: Log
+    name: str,
+    function: Function,
+    on_record: Mapping[str, np.ndarray],
+    ends: Mapping[str, Sequence[float]],
+    step: int,
+    log: Log,
 ) -> Part:
     """The network of a term.
 
@@ -59,22 +66,25 @@ def _of_library(
         known = entry(curve)
         ports = list(known.ranges)
         for order in permutations(on_record):
-            spans = [_spans(on_record[signal], known.ranges[port], ends[signal]) for signal, port in zip(order, ports, strict=True)]
+            pairs = zip(order, ports, strict=True)
+            spans = [_spans(on_record[signal], known.ranges[port], ends[signal]) for signal, port in pairs]
             for scales in product(*spans):
                 size = _ratio(known, function, dict(zip(order, scales, strict=True)))
                 if size is None:
                     continue
                 said = ", ".join(f"{s} over {v:.4g}" for s, v in zip(order, scales, strict=True))
                 log("part", name, f"library network {curve} of {said}", f"the term is {size:.4g} times {known.text}")
-                return Part(_renamed(known.network, dict(zip(ports, order, strict=True))),
-                            dict(zip(order, scales, strict=True)), size, _grid(known, dict(zip(ports, order, strict=True))))  # fmt: skip
+                names = dict(zip(ports, order, strict=True))
+                sizes = dict(zip(order, scales, strict=True))
+                return Part(_renamed(known.network, names), sizes, size, _grid(known, names), of_library=True)
     return None
 
 
 def _spans(values: np.ndarray, within: tuple[float, float], ends: Sequence[float]) -> list[float]:
     """The sizes that bring what is on record into the range of a port, either way round."""
-    low, high = float(values.min()), float(values.max())
-    return [s for end in ends for s in (end, -end) if within[0] <= min(low / s, high / s) and max(low / s, high / s) <= within[1]]  # fmt: skip
+    span = np.array([values.min(), values.max()])
+    sizes = [s for end in ends for s in (end, -end)]
+    return [s for s in sizes if within[0] <= (span / s).min() and (span / s).max() <= within[1]]
 
 
 def _ratio(known: LibraryNetwork, function: Function, scales: Mapping[str, float]) -> float | None:
@@ -88,8 +98,6 @@ def _ratio(known: LibraryNetwork, function: Function, scales: Mapping[str, float
 
 def _renamed(network: Network, names: Mapping[str, str]) -> Network:
     """The network behind ports of other names."""
-    from greygate.models.network import Port
-
     outer = Network(network.name, [Port(n) for n in names.values()], [Port("y")])
     outer.add("library", network)
     for port, name in names.items():
@@ -105,8 +113,6 @@ def _grid(known: LibraryNetwork, names: Mapping[str, str]) -> Record:
 
 def sampled(on_record: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Points of the recording, and as many spread over its box and a margin around it (Halton), (POINTS,) each."""
-    from scipy.stats import qmc
-
     count = len(next(iter(on_record.values())))
     seen = np.unique(np.linspace(0, count - 1, POINTS // 2).astype(int))
     spread = qmc.Halton(len(on_record), scramble=False).random(POINTS // 2 + 1)[1:]
@@ -134,7 +140,13 @@ def _trained(name: str, function: Function, on_record: Mapping[str, np.ndarray],
         best = (fit.network, error, neurons)
         if error <= GOAL:
             break
-        log("part", name, f"{neurons} neurons", f"RMS {error:.2g} of its size misses {GOAL:g}", undone=neurons != SIZES[-1])
+        log(
+            "part",
+            name,
+            f"{neurons} neurons",
+            f"RMS {error:.2g} of its size misses {GOAL:g}",
+            undone=neurons != SIZES[-1],
+        )
     assert best is not None, "there are sizes"
     network, error, neurons = best
     plain = feedforward(name, list(points), [neurons], 0).with_parameters(network.parameters())

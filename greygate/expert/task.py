@@ -31,7 +31,9 @@ class Task:
     step: float
 
     @classmethod
-    def of(cls, plant: Plant, recordings: Sequence[Recording], sensors: Sequence[str], targets: Sequence[str]) -> "Task":
+    def of(
+        cls, plant: Plant, recordings: Sequence[Recording], sensors: Sequence[str], targets: Sequence[str]
+    ) -> "Task":
         """sensors: outputs that are measured in the field too. targets: by default every other output on record.
 
         Raises InputError for a signal that is not there or a plant that no network is made of.
@@ -63,7 +65,7 @@ class Task:
                     raise InputError(f"{recording.source}: {name} is in {unit}; convert it to {plant.unit(name)}")
         if not inputs:
             raise InputError(f"plant {plant.name}: {', '.join(targets)} depends on no recorded input; name a --sensor")
-        return replace(task, inputs=inputs)
+        return replace(task, inputs=inputs, rates={n: v for n, v in task.rates.items() if n in needed})
 
     def _needed(self, measured: set[str]) -> set[str]:
         """Every symbol on which the targets depend, up to what is measured."""
@@ -81,10 +83,26 @@ class Task:
         return found
 
     def _texts(self, symbol: str) -> set[str]:
+        """What its sum reads, and what an unknown term of it would."""
+        return self._known_texts(symbol) | self._unknown_texts(symbol)
+
+    def _unknown_texts(self, symbol: str) -> set[str]:
+        closure, found = self.plant.closure, set()
+        for where, place in closure.places.items():
+            sums = (self.plant.equations.get(where), self.plant.definitions.get(where))
+            if symbol in {sums[0] and sums[0].state, sums[1] and sums[1].symbol}:
+                texts = [t for name in place.libraries for t in closure.libraries.get(name, {}).values()]
+                found |= names([t for t in texts if names([t]) <= self.plant.symbols])
+                found |= names([place.term]) - {"f"}
+        return found - {symbol}
+
+    def _known_texts(self, symbol: str) -> set[str]:
         if symbol in self.plant.states:
             equation = next(e for e in self.plant.equations.values() if e.state == symbol)
             if equation.couples:
-                raise InputError(f"plant {self.plant.name}: {symbol} has coupled rates; solve its equation for the rate")
+                raise InputError(
+                    f"plant {self.plant.name}: {symbol} has coupled rates; solve its equation for the rate"
+                )
             return names(equation.texts)
         found = next((d for d in self.plant.definitions.values() if d.symbol == symbol), None)
         return names(found.terms.values()) if found else set()
@@ -111,7 +129,7 @@ class Task:
     @cached_property
     def reduced(self) -> Plant:
         """The plant with the measured signals, and their rates, as inputs."""
-        given = [*self.inputs, *(r for r in self.rates if r in self.needed)]
+        given = [*self.inputs, *self.rates]
         kept = {s: self.plant.states[s] for s in self.states}
         states = {s: replace(v, rate=v.rate if v.rate in kept else None, start=None) for s, v in kept.items()}
         equations = {n: self.plant.equations[n] for n in self.equations.values()}
@@ -125,9 +143,8 @@ class Task:
         """What the network reads and the rates of it, as the plant has them over the interval after each sample."""
         found = {n: recording[n] for n in self.inputs}
         for rate, (source, how) in self.rates.items():
-            if rate in self.needed:
-                moved = np.diff(recording[source], append=recording[source][-1:]) / self.step
-                found[rate] = np.gradient(moved, self.step) if "acceleration" in how else moved
+            moved = np.diff(recording[source], append=recording[source][-1:]) / self.step
+            found[rate] = np.gradient(moved, self.step) if "acceleration" in how else moved
         return found
 
     def nominal(self, recording: Recording) -> dict[str, np.ndarray]:

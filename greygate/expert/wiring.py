@@ -1,12 +1,13 @@
 """Joins a network from the equations of a plant: exact linear layers, parts for what is not linear, states by delays.
 
 Over the interval from sample k-1 to k a state s moves by step * (sum of its terms) / storage. In these sums stand the
-network's own states at k-1, measured signals by their mean over the interval, and of a measured position its difference.
+network's own states at k-1, measured signals by their mean over the interval, of a measured position its difference.
 Stiff linear states are one layer, exact for inputs that are held (`lags`).
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from greygate.expert.forms import Form, linear
 from greygate.expert.lags import Lag, lags
 from greygate.expert.parts import MOST_SIGNALS, Part, part
 from greygate.expert.task import Task
+from greygate.models.adaptation import frozen
 from greygate.models.families.blocks import feedforward
 from greygate.models.families.library import library
 from greygate.models.network import Layer, Network, Port
@@ -24,20 +26,25 @@ from greygate.plants.expressions import Call, Name, Node, Number, Operation, Sig
 from greygate.plants.functions import FUNCTIONS
 
 ROOM = 1.25  # factor of a port's scale over what is on record
-SIGN_KEPT = (0.2, 5.0)  # of its nominal value, what training may make of a weight
+UNTOLD = 0.25  # relative tolerance of a parameter, where the plant tells none of any
+WIDE = 3.0  # tolerances by which training may move a weight
+LEAST = 0.2  # of its nominal value, what is left of a weight: its sign is known
 
 
 @dataclass(frozen=True)
 class Choices:
-    """What the expert may choose anew. held: inputs that are held over a sample; others go straight from one to the next.
+    """What the expert may choose anew.
 
+    held: inputs that are held over a sample; others go straight from one sample to the next.
     taps: differences from which a rate is taken. larger: how many sizes of the parts to pass over.
+    free: whether training may move the weights that the data sheet leaves uncertain.
     unknown: place (equation or definition) -> neurons of a network for what its terms leave out.
     """
 
     held: frozenset[str] = frozenset()
     taps: int = 1
     larger: int = 0
+    free: bool = False
     unknown: Mapping[str, int] = field(default_factory=dict)
 
 
@@ -68,7 +75,9 @@ class Joined:
 class Wiring:
     """One joining. signals: every signal along the recordings, by the plant's own simulation (N,)."""
 
-    def __init__(self, task: Task, signals: Mapping[str, np.ndarray], choices: Choices, parts: dict[str, Part], log: Log):
+    def __init__(
+        self, task: Task, signals: Mapping[str, np.ndarray], choices: Choices, parts: dict[str, Part], log: Log
+    ):
         self.task, self.signals, self.choices, self.parts, self.log = task, signals, choices, parts, log
         self.plant = task.plant
         self.wires: dict[str, Wire] = {}
@@ -106,8 +115,8 @@ class Wiring:
         parameter = self.plant.parameters.get(symbol)
         if parameter is None:
             return None
-        uncertain = parameter.tolerance > 0 or not self.told
-        return Form(parameter.value, free=frozenset({""}) if uncertain else frozenset())
+        tolerance = parameter.tolerance if self.told else UNTOLD
+        return Form(parameter.value, free={"": tolerance} if tolerance else {})
 
     def _resolved(self, symbol: str, now: bool) -> Form:
         if (constant := self.constant_form(symbol)) is not None:
@@ -121,7 +130,9 @@ class Wiring:
         if symbol in self.task.states:
             if self.limited(symbol) == 0.0:
                 return Form(self.plant.constant(self.plant.states[symbol].initial))
-            return self.wired(symbol if now else f"{symbol}_before", f"state_{symbol}", self.size(symbol), int(not now), symbol)
+            return self.wired(
+                symbol if now else f"{symbol}_before", f"state_{symbol}", self.size(symbol), int(not now), symbol
+            )
         found = next((n, d) for n, d in self.plant.definitions.items() if d.symbol == symbol)
         return self.sum(found[0], found[1].terms, now)
 
@@ -136,7 +147,9 @@ class Wiring:
     def limited(self, state: str) -> float:
         """The room of a state between its limits."""
         limits = self.plant.states[state]
-        ends = [self.plant.constant(e) if e is not None else np.inf * s for e, s in ((limits.low, -1), (limits.high, 1))]
+        ends = [
+            self.plant.constant(e) if e is not None else np.inf * s for e, s in ((limits.low, -1), (limits.high, 1))
+        ]
         return ends[1] - ends[0]
 
     def over_interval(self, symbol: str) -> Form:
@@ -144,23 +157,26 @@ class Wiring:
         held = symbol in self.choices.held or turned
         name = f"mean_{symbol}"
         weights = {"now": [[0.0 if held else 0.5]], "before": [[1.0 if held else 0.5]]}
-        self.network.add(name, Layer(weights, [0.0], frozen={"now", "before", "bias"}))
+        measured = self.choices.free and not held and symbol in self.plant.inputs
+        self.network.add(name, Layer(weights, [0.0], frozen={"bias"} if measured else {"now", "before", "bias"}))
         self.network.connect(symbol, f"{name}.now")
         self.network.connect(symbol, f"{name}.before", delay=1)
         return self.wired(f"{symbol}_mean", name, self.size(symbol), symbol=symbol)
 
     def rate(self, symbol: str) -> Form:
-        source, how = self.task.rates[symbol]
+        source, _ = self.task.rates[symbol]
         scale, ratio = self.size(symbol), self.size(source) / (self.task.step * self.size(symbol))
-        self.network.add(f"moved_{symbol}", Layer({"now": [[1.0]], "before": [[-1.0]]}, [0.0], frozen={"now", "before", "bias"}))  # fmt: skip
+        difference = Layer({"now": [[1.0]], "before": [[-1.0]]}, [0.0], frozen={"now", "before", "bias"})
+        self.network.add(f"moved_{symbol}", difference)
         self.network.connect(source, f"moved_{symbol}.now")
         self.network.connect(source, f"moved_{symbol}.before", delay=1)
         first = {f"d{n}": [[float(n == 0)]] for n in range(self.choices.taps)}
-        frozen = {"bias"} if self.choices.taps > 1 else {"bias", *first}
-        self.network.add(f"rate_{symbol}", Layer(first, [0.0], frozen=frozen))
+        known = {"bias"} if self.choices.taps > 1 else {"bias", *first}
+        self.network.add(f"rate_{symbol}", Layer(first, [0.0], frozen=known))
         for n in range(self.choices.taps):
             self.network.connect(f"moved_{symbol}", f"rate_{symbol}.d{n}", delay=n, gain=ratio)
-        self.log("decompose", symbol, f"difference of {source} over the step", f"{source} is measured, and {symbol} is its rate")  # fmt: skip
+        why = f"{source} is measured, and {symbol} is its rate"
+        self.log("decompose", symbol, f"difference of {source} over the step", why)
         return self.wired(symbol, f"rate_{symbol}", scale)
 
     def lag(self, lag: Lag, symbol: str, now: bool) -> Form:
@@ -180,7 +196,8 @@ class Wiring:
             for u in lag.inputs_from:
                 self.network.connect(u, f"{name}.{u}", delay=1)
                 self.network.connect(u, f"{name}_mean.{u}", delay=1)
-            self.log("decompose", ", ".join(lag.states), "one linear layer, exact for a held input, and its mean over the step", lag.why)  # fmt: skip
+            what = "one linear layer, exact for a held input, and its mean over the step"
+            self.log("decompose", ", ".join(lag.states), what, lag.why)
         key, source = (symbol, name) if now else (f"{symbol}_mean", f"{name}_mean")
         pick = f"{key}_of"
         row = np.array([[float(s == symbol) for s in lag.states]])
@@ -239,8 +256,7 @@ class Wiring:
         for signal in signals:
             wire = self.wires[signal]
             self.network.connect(wire.source, f"{name}.{signal}", wire.delay, wire.scale / made.scales[signal])
-        if made.rehearsal is not None:
-            self.joined.rehearse[name] = made.rehearsal
+        self.joined.rehearse[name] = made.rehearsal
         return self.made(name, name, made.size, function(on_record))
 
     def made_part(self, name: str, function, on_record: Mapping[str, np.ndarray], ends: Mapping) -> Part:
@@ -256,15 +272,15 @@ class Wiring:
         return list(dict.fromkeys(abs(e) for e in found if e))
 
     def unknown(self, place: str, terms: Mapping[str, str], now: bool) -> Form:
-        """A network for what the terms of a place leave out; it starts at zero, and enters as the plant's closure says."""
+        """A network for what the terms of a place leave out; it starts at zero, and enters as the closure says."""
         neurons, name = self.choices.unknown[place], f"unknown_{place}"
         declared = self.plant.closure.places.get(place)
         text = declared.term if declared else "f"
         factors = sorted(names([text]) - {"f"})
         forms = [self.resolve(s, now) for s in (*sorted(names(terms.values())), *factors)]
         forms += [self.resolve(s, now) for s in self.task.inputs]
-        for library in declared.libraries if declared else ():
-            for function, said in self.plant.closure.libraries.get(library, {}).items():
+        for chosen in declared.libraries if declared else ():
+            for function, said in self.plant.closure.libraries.get(chosen, {}).items():
                 if not names([said]) <= self.plant.symbols:
                     continue  # it reads the limits of a recording
                 forms.append(self.built(f"{name}_{function}", parse(said).tree, now))
@@ -309,13 +325,14 @@ class Wiring:
             move = total.times(Form(self.task.step / storage.constant, free=storage.free))
             why = "its storage is constant"
         else:
-            move = self.quotient(f"{name}_over", total.times(step), storage)
+            move = self.quotient(f"{name}_over", total.times(step), storage, offset=True)
             why = "its storage changes with " + ", ".join(storage.weights)
         size = float(np.abs(move.over(self._values())).max()) or scale
-        source = self.layer(f"move_{state}", move, size)
+        source = self.layer(f"move_{state}", move, size, storage.is_constant)
         limits = self._reached(state)
         kept = frozenset({"move", "before", "bias"})
-        level = Layer({"move": [[size / scale]], "before": [[1.0]]}, [0.0], initial=float(self.signals[state][0]) / scale, frozen=kept)  # fmt: skip
+        first = float(self.signals[state][0]) / scale
+        level = Layer({"move": [[size / scale]], "before": [[1.0]]}, [0.0], initial=first, frozen=kept)
         self.joined.states[f"state_{state}"] = (state, scale)
         if limits is None:
             self.network.add(f"state_{state}", level)
@@ -323,8 +340,8 @@ class Wiring:
             self.network.connect(f"state_{state}", f"state_{state}.before", delay=1)
         else:
             self._clipped(state, source, level, limits, scale)
-        self.log("decompose", f"{name} ({state})", "sum, divided and added up by exact layers" if not storage.is_constant
-                 else "sum and integrator, exact layers", why)  # fmt: skip
+        what = "sum and integrator" if storage.is_constant else "sum, divider and integrator"
+        self.log("decompose", f"{name} ({state})", f"{what}, exact layers", why)
 
     def _reached(self, state: str) -> tuple[float, float] | None:
         """The limits of a state that it reaches in the plant's own simulation."""
@@ -337,7 +354,9 @@ class Wiring:
     def _clipped(self, state: str, source: str, level: Layer, limits: tuple[float, float], scale: float) -> None:
         low, span = limits[0] / scale, (limits[1] - limits[0]) / scale
         first = float(level.initial[0])
-        part = Layer({"level": [[1 / span]]}, [-low / span], "satlin", np.clip((first - low) / span, 0, 1), {"level", "bias"})
+        part = Layer(
+            {"level": [[1 / span]]}, [-low / span], "satlin", np.clip((first - low) / span, 0, 1), {"level", "bias"}
+        )
         self.network.add(f"free_{state}", level)
         self.network.add(f"part_{state}", part)
         self.network.add(f"state_{state}", Layer({"part": [[span]]}, [low], initial=first, frozen={"part", "bias"}))
@@ -373,28 +392,27 @@ class Wiring:
         raise InputError(f"plant {self.plant.name}: {name}: no network is made of this power; write it as a function")
 
     def called(self, name: str, function: str, given: list[Form]) -> Form:
-        values = self._values()
+        values, call = self._values(), cast(Callable[..., np.ndarray], FUNCTIONS[function])
         forms = {f"x{i}": form for i, form in enumerate(given) if not form.is_constant}
         known = {"abs": "absolute", "sign": "sign", "sin": "sine", "cos": "cosine"}.get(function)
         at = {n: form.over(values) for n, form in forms.items()}
         if known and (function in ("abs", "sign") or np.abs(at["x0"]).max() <= np.pi):
             scale = float(np.abs(at["x0"]).max()) if function in ("abs", "sign") else 1.0
-            self.network.add(name, replace(library(known)))
+            self.network.add(name, library(known))
             self.network.connect(self.layer(f"{name}_in", given[0], scale), f"{name}.x")
             self.log("part", name, f"library network {known}", f"the term holds {function}()")
             size = scale if function == "abs" else 1.0
-            return self.made(name, name, size, FUNCTIONS[function](at["x0"]))
+            return self.made(name, name, size, call(at["x0"]))
         held = [None if not f.is_constant else f.constant for f in given]
 
         def of(signals: Mapping[str, np.ndarray]) -> np.ndarray:
-            return FUNCTIONS[function](*(signals[f"x{i}"] if h is None else h for i, h in enumerate(held)))
+            return call(*(signals[f"x{i}"] if h is None else h for i, h in enumerate(held)))
 
-        made = self.made_part(name, of, at, dict.fromkeys(at, []))
+        made = self.made_part(name, of, at, {n: [] for n in at})
         self.network.add(name, made.network)
         for n, form in forms.items():
             self.network.connect(self.layer(f"{name}_{n}", form, made.scales[n]), f"{name}.{n}")
-        if made.rehearsal is not None:
-            self.joined.rehearse[name] = made.rehearsal
+        self.joined.rehearse[name] = made.rehearsal
         return self.made(name, name, made.size, of(at))
 
     def product(self, name: str, a: Form, b: Form) -> Form:
@@ -410,7 +428,7 @@ class Wiring:
         self.log("part", name, "a product by two squares", "the term multiplies two signals")
         return self.made(name, name, sizes[0] * sizes[1], a.over(values) * b.over(values))
 
-    def quotient(self, name: str, a: Form, b: Form) -> Form:
+    def quotient(self, name: str, a: Form, b: Form, offset: bool = False) -> Form:
         """By the library's divider, omega / (1 + gamma), with omega over its whole range."""
         values = self._values()
         over = b.over(values)
@@ -419,25 +437,31 @@ class Wiring:
         if reach > 0.9:
             raise InputError(f"plant {self.plant.name}: {name}: what is divided by comes near zero; write it otherwise")
         size = float(np.abs(a.over(values)).max()) or 1.0
-        frozen = library("divider")
-        layers = {n: replace(v, frozen=frozenset({*v.weights, "bias"})) for n, v in frozen.modules.items()}
-        self.network.add(name, replace(frozen, modules=layers))
-        self.network.connect(self.layer(f"{name}_of", a, size), f"{name}.omega")
+        self.network.add(name, frozen(library("divider")))
+        self.network.connect(self.layer(f"{name}_of", a, size, offset), f"{name}.omega")
         gamma = b.times(Form(1 / centre)) + Form(-1.0)
         self.network.connect(self.layer(f"{name}_by", gamma, 1.0), f"{name}.gamma")
         self.log("part", name, "library network divider", f"what is divided by varies by {reach:.2g} of its mean")
         return self.made(name, name, size / centre, a.over(values) / over)
 
-    def layer(self, name: str, form: Form, scale: float) -> str:
-        """A linear layer that gives a form over a scale; what the data sheet leaves uncertain may be trained."""
+    def layer(self, name: str, form: Form, scale: float, offset: bool = False) -> str:
+        """A linear layer that gives a form over a scale; what the data sheet leaves uncertain may be trained.
+
+        offset: whether a constant may be added.
+        """
         weights = {key: [[w * self.wires[key].scale / scale]] for key, w in form.weights.items()}
-        frozen = {key for key in weights if key not in form.free}
-        self.network.add(name, Layer(weights, [form.constant / scale], frozen={*frozen, "bias"}))
+        known = {key for key in weights if key not in form.free or not self.choices.free}
+        self.network.add(
+            name,
+            Layer(weights, [form.constant / scale], frozen=known if offset and self.choices.free else {*known, "bias"}),
+        )
         for key, ((w,),) in weights.items():
             wire = self.wires[key]
             self.network.connect(wire.source, f"{name}.{key}", wire.delay)
-            if key not in frozen and w:
-                self.joined.bounds[f"{name}.{key}"] = tuple(sorted(w * end for end in SIGN_KEPT))  # type: ignore[assignment]
+            if key not in known and w:
+                moved = WIDE * form.free[key]
+                low, high = sorted((w * max(1 - moved, LEAST), w * (1 + moved)))
+                self.joined.bounds[f"{name}.{key}"] = (low, high)
         return name
 
 

@@ -1,0 +1,68 @@
+"""What a network that was built is compared with: the plant's own simulation, and linear models."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greygate.expert.task import Task
+from greygate.models.accuracy import free_run_rms, rms
+from greygate.models.families.regression import noe
+from greygate.models.network import Network, Port
+from greygate.models.training.levenberg import narx_noe
+from greygate.models.training.record import Record
+from greygate.plants.recording import Recording
+
+EPOCHS = 40
+ROOM = 3.0  # deviations of a target, which the scale of its port is
+
+Rms = dict[str, dict[str, dict[str, float]]]
+
+
+@dataclass(frozen=True)
+class Compared:
+    """record: of a recording, by name. nominal: the plant's simulation of each. ends: samples of it that are learnt."""
+
+    task: Task
+    record: Callable[[str], Record]
+    nominal: Mapping[str, Mapping[str, np.ndarray]]
+    recordings: Mapping[str, Recording]
+    tests: Mapping[str, Recording]
+    ends: Mapping[str, int]
+
+
+def scores(network: Network, of: Compared) -> Rms:
+    """RMS error by who, recording and target, in its unit; of a recording that is learnt in part, its end apart."""
+    found: Rms = {"network": {}, "nominal": {}, "linear": {}}
+    rivals = linear(of)
+    for name, recording in {**of.recordings, **of.tests}.items():
+        record = of.record(name)
+        spans = {name: (0, of.ends.get(name, len(record)))}
+        if name in of.recordings and not of.tests:
+            spans[f"{name} end"] = (of.ends[name], len(record))
+        for label, (start, stop) in spans.items():
+            cut, simulated = record.cut(0, stop, skip=start), of.nominal[name]
+            errors = {t: (simulated[t] - recording[t])[start:stop] for t in of.task.targets}
+            found["network"][label] = free_run_rms(network, cut)
+            found["nominal"][label] = {t: rms(e) for t, e in errors.items()}
+            found["linear"][label] = {t: free_run_rms(rival, _plain(cut, t))[t] for t, rival in rivals.items()}
+    return found
+
+
+def linear(of: Compared) -> dict[str, Network]:
+    """Target -> a linear model on two samples of every input and of itself: ARX, then output error."""
+    found = {}
+    for target in of.task.targets:
+        learnt = [_plain(of.record(n).cut(0, end), target) for n, end in of.ends.items()]
+        sizes = {n: max(float(np.abs(r.inputs[n]).max()) for r in learnt) or 1.0 for n in of.task.inputs}
+        values = np.concatenate([r.targets[target] for r in learnt])
+        scale, first = ROOM * float(np.std(values)) or 1.0, float(values[0])
+        output = Port(target, of.task.plant.unit(target), scale, offset=float(values.mean()), initial=first)
+        network = noe("linear", {Port(n, scale=s): (0, 1) for n, s in sizes.items()}, output, (1, 2))
+        found[target] = narx_noe(network, learnt, epochs=EPOCHS).network
+    return found
+
+
+def _plain(record: Record, target: str) -> Record:
+    initial = {n: v for n, v in record.initial.items() if n in record.inputs}
+    return replace(record, targets={target: record.targets[target]}, initial=initial)
