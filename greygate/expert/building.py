@@ -21,7 +21,7 @@ from greygate.expert.decisions import Log
 from greygate.expert.parts import Part
 from greygate.expert.rivals import Compared, scores
 from greygate.expert.task import Task
-from greygate.expert.wiring import WIDE, Choices, Joined, Wiring
+from greygate.expert.wiring import WIDE, Choices, Joined, Wiring, poor
 from greygate.models.accuracy import float_error, free_run_rms
 from greygate.models.network import Network
 from greygate.models.training.levenberg import train
@@ -217,9 +217,9 @@ class Expert:
 
     def widened(self, best: Candidate) -> Candidate:
         """Other inputs, unknown terms and larger parts, one after the other; what gains nothing is undone."""
-        if self.task.rates:
+        if rates := [rate for rate in self.task.rates if not poor(self.signals[rate])]:
             wider = replace(best.choices, taps=TAPS)
-            best = self.tried(best, wider, ", ".join(self.task.rates), f"each rate from {TAPS} differences")
+            best = self.tried(best, wider, ", ".join(rates), f"each rate from {TAPS} differences")
         for place in self.places():
             for neurons in NEURONS:
                 wider = replace(best.choices, unknown={**best.choices.unknown, place: neurons})

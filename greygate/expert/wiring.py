@@ -28,6 +28,7 @@ from greygate.plants.functions import FUNCTIONS
 ROOM = 1.25  # factor of a port's scale over what is on record
 UNTOLD = 0.25  # relative tolerance of a parameter, where the plant tells none of any
 WIDE = 3.0  # tolerances by which training may move a weight
+BETWEEN, RICH = (0.1, 0.8), 0.2  # of a rate's largest value; share of the samples in between from which it tells
 LEAST = 0.2  # of its nominal value, what is left of a weight: its sign is known
 
 
@@ -285,6 +286,9 @@ class Wiring:
                     continue  # it reads the limits of a recording
                 forms.append(self.built(f"{name}_{function}", parse(said).tree, now))
         signals = sorted({key for form in forms for key in form.weights})
+        for key in [n for n in signals if n in self.task.rates and poor(self.wires[n].values)]:
+            signals.remove(key)
+            self.log("widen", name, f"does not read {key}", "on record it is at rest or at its largest, seldom between")
         network = feedforward(name, signals, [neurons], 0)
         network.modules["out"] = Layer({"hidden1": np.zeros((1, neurons))}, [0.0])
         self.network.add(name, network)
@@ -463,6 +467,12 @@ class Wiring:
                 low, high = sorted((w * max(1 - moved, LEAST), w * (1 + moved)))
                 self.joined.bounds[f"{name}.{key}"] = (low, high)
         return name
+
+
+def poor(rate: np.ndarray) -> bool:
+    """Whether a rate is seldom on record between rest and its largest, so that nothing tells what depends on it."""
+    part = np.abs(rate) / (np.abs(rate).max() or 1.0)
+    return float(np.mean((part > BETWEEN[0]) & (part < BETWEEN[1]))) < RICH
 
 
 def _is_exact(node: Node) -> bool:
