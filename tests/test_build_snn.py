@@ -1,11 +1,18 @@
 """`greygate build-snn`: a motor with friction that its plant file leaves out, and what is refused."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from greygate.cli import app
+from greygate.errors import InputError
+from greygate.expert.decisions import Log
 from greygate.expert.files import build_files
+from greygate.expert.parts import part
+from greygate.plants.functions import orifice
 from greygate.plants.plant import Plant
 from greygate.plants.recording import Recording
 from greygate.plants.simulate import simulate
@@ -73,3 +80,64 @@ def test_the_same_inputs_give_the_same_bytes(files, found, tmp_path):
     built(files, tmp_path / "again")
     for path in sorted(found[1].iterdir()):
         assert (tmp_path / "again" / path.name).read_bytes() == path.read_bytes(), path.name
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"sensors": ("speed",)}, "plant motor: has no signal speed"),
+        ({"targets": ("w",), "sensors": ("w",)}, "w is both --sensor and --target"),
+        ({"sensors": ("w",)}, "no output is on record but those of a sensor"),
+        ({"tests": {"training": "training.csv"}}, "training is both a recording to train on and one to test on"),
+    ],
+)
+def test_what_cannot_be_built_is_refused_before_anything_is_written(files, tmp_path, changed, says):
+    with pytest.raises(InputError, match=says):
+        built(files, tmp_path / "out", **changed)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "says"),
+    [
+        ("t_s,u_V", 100, "no output is on record"),
+        ("t_s,w_rad_s", 100, "no channel u, which motor needs"),
+        ("t_s,u_V,w_V", 100, "w is in V; convert it to rad/s"),
+        ("t_s,u_V,w_rad_s", 20, "20 samples; give at least 40"),
+    ],
+)
+def test_a_recording_that_does_not_do_is_refused_by_name(files, tmp_path, header, rows, says):
+    columns = header.count(",")
+    lines = [",".join([f"{0.02 * k:.2f}", *["0.5"] * columns]) for k in range(rows)]
+    (tmp_path / "bad.csv").write_text("\n".join([header, *lines]) + "\n")
+    given = ({"bad": str(tmp_path / "bad.csv")}, {}, (), (), np.inf, tmp_path / "out")
+    with pytest.raises(InputError, match=says):
+        build_files(files / "motor.toml", *given)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_command_gives_json_and_the_next_command(files, tmp_path):
+    arguments = ["build-snn", str(files / "motor.toml"), str(files / "training.csv"), "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, [*arguments, "--json"])
+    assert done.exit_code == 0
+    found = json.loads(done.stdout)
+    assert found["next"].startswith("next: greygate compile ")
+    assert set(found["rms"]["network"]) == {"training", "training end"}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {
+        "motor.toml", "motor.safetensors", "motor.json", "motor.decisions.txt"
+    }  # fmt: skip
+
+
+def test_a_valve_is_found_in_the_library_and_a_curve_is_trained():
+    log = Log()
+    seen = {"u": np.linspace(-1e-3, 1e-3, 500), "p": np.linspace(2e5, 8e5, 500)[::-1]}
+
+    def flow(at):
+        return 3e-5 * (orifice(at["u"], 1e6, at["p"]) - orifice(-at["u"], at["p"], 0.0))
+
+    found = part("flow", flow, seen, {"u": [1e-3], "p": [1e6]}, 0, log)
+    assert found.of_library
+    assert found.scales == {"u": 1e-3, "p": 1e6}
+    other = part("curve", lambda at: np.exp(-at["u"] * 1e3), {"u": seen["u"]}, {"u": []}, 0, log)
+    assert not other.of_library
+    assert "no library network is this term" in log.decisions[-1].reason

@@ -21,7 +21,7 @@ from greygate.expert.decisions import Log
 from greygate.expert.parts import Part
 from greygate.expert.rivals import Compared, scores
 from greygate.expert.task import Task
-from greygate.expert.wiring import WIDE, Choices, Joined, Wiring, poor
+from greygate.expert.wiring import Choices, Joined, Wiring, poor
 from greygate.models.accuracy import float_error, free_run_rms
 from greygate.models.network import Network
 from greygate.models.training.levenberg import train
@@ -150,7 +150,7 @@ class Expert:
                 moved = list(record.inputs)[::2]
                 inputs = {n: v * (factor if n in moved else 1.0) for n, v in record.inputs.items()}
                 first = {n: float(v[0]) for n, v in inputs.items()}
-                record = replace(record, inputs=inputs, initial=record.initial | first)
+                record = replace(record, inputs=inputs, initial={**record.initial, **first})
                 with suppress(InputError):
                     found.append(replace(record, targets=_answers(network, record)))
         return found
@@ -227,7 +227,7 @@ class Expert:
                 if best is before:
                     break
         if not best.choices.free:
-            what = f"uncertain parameters within {WIDE:g} tolerances"
+            what = "uncertain parameters within their tolerances"
             best = self.tried(best, replace(best.choices, free=True), "data sheet", what)
         if trained := [n for n, p in self.parts.items() if not p.of_library]:
             best = self.tried(best, replace(best.choices, larger=1), ", ".join(trained), "more neurons")

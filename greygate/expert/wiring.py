@@ -26,8 +26,7 @@ from greygate.plants.expressions import Call, Name, Node, Number, Operation, Sig
 from greygate.plants.functions import FUNCTIONS
 
 ROOM = 1.25  # factor of a port's scale over what is on record
-UNTOLD = 0.25  # relative tolerance of a parameter, where the plant tells none of any
-WIDE = 3.0  # tolerances by which training may move a weight
+UNTOLD = 0.75  # relative tolerance of a parameter, where the plant tells none of any
 BETWEEN, RICH = (0.1, 0.8), 0.2  # of a rate's largest value; share of the samples in between from which it tells
 LEAST = 0.2  # of its nominal value, what is left of a weight: its sign is known
 
@@ -321,6 +320,7 @@ class Wiring:
         name = self.task.equations[state]
         equation, scale = self.plant.equations[name], self.size(state)
         total = self.sum(name, equation.terms, False)
+        leaks = total.weights.get(f"{state}_before", 0.0) < 0  # then a constant in its sum cannot add up for ever
         storage = linear(parse(equation.storage).tree, lambda s: self.resolve(s, False))
         if storage is None:
             storage = self.built(f"{name}_storage", parse(equation.storage).tree, False)
@@ -329,10 +329,10 @@ class Wiring:
             move = total.times(Form(self.task.step / storage.constant, free=storage.free))
             why = "its storage is constant"
         else:
-            move = self.quotient(f"{name}_over", total.times(step), storage, offset=True)
+            move = self.quotient(f"{name}_over", total.times(step), storage, leaks)
             why = "its storage changes with " + ", ".join(storage.weights)
         size = float(np.abs(move.over(self._values())).max()) or scale
-        source = self.layer(f"move_{state}", move, size, storage.is_constant)
+        source = self.layer(f"move_{state}", move, size, leaks and storage.is_constant)
         limits = self._reached(state)
         kept = frozenset({"move", "before", "bias"})
         first = float(self.signals[state][0]) / scale
@@ -463,7 +463,7 @@ class Wiring:
             wire = self.wires[key]
             self.network.connect(wire.source, f"{name}.{key}", wire.delay)
             if key not in known and w:
-                moved = WIDE * form.free[key]
+                moved = form.free[key]
                 low, high = sorted((w * max(1 - moved, LEAST), w * (1 + moved)))
                 self.joined.bounds[f"{name}.{key}"] = (low, high)
         return name
