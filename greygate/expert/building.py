@@ -139,18 +139,20 @@ class Expert:
     # ---- exercises
 
     def exercises(self, network: Network) -> list[Record]:
-        """Runs that nobody recorded, with a network's own answers: every second input smaller, then larger.
+        """Runs that nobody recorded, with a network's own answers: inputs mirrored, every second one smaller, larger.
 
         They keep what it does beyond the recordings while it is pruned. One on which it diverges is left out.
         """
+        inputs = self.task.inputs
+        signed = [n for n in inputs if self.signals[n].min() < 0 < self.signals[n].max()]
+        turns = [dict.fromkeys(signed, -1.0), *(dict.fromkeys(inputs[::2], factor) for factor in EXERCISED)]
         found = []
         for name, head in self.heads.items():
-            for factor in EXERCISED:
+            for turn in turns:
                 record = self.record(name).cut(0, head // 2)
-                moved = list(record.inputs)[::2]
-                inputs = {n: v * (factor if n in moved else 1.0) for n, v in record.inputs.items()}
-                first = {n: float(v[0]) for n, v in inputs.items()}
-                record = replace(record, inputs=inputs, initial={**record.initial, **first})
+                moved = {n: v * turn.get(n, 1.0) for n, v in record.inputs.items()}
+                first = {n: float(v[0]) for n, v in moved.items()}
+                record = replace(record, inputs=moved, initial={**record.initial, **first})
                 with suppress(InputError):
                     found.append(replace(record, targets=_answers(network, record)))
         return found
