@@ -1,7 +1,7 @@
-"""`greygate build-snn` on the four plants of the thesis, beside the networks that were built by hand.
+"""`greygate build-snn` on the four plants of the thesis and on two measured tanks, beside networks built by hand.
 
-`python benchmarks/build_snn.py [valve_cylinder | pump_cylinder | belt_drive | cable_drum]`: the simulated recordings
-are written as CSV, the command reads them with the plant's file, and the figures go to results/build_snn.json.
+`python benchmarks/build_snn.py [valve_cylinder | pump_cylinder | belt_drive | cable_drum | tanks]`: the recordings are
+written as CSV, the command reads them with the plant's file, and the figures go to results/build_snn.json.
 """
 
 import json
@@ -22,7 +22,7 @@ from greygate.machines.catalog import entry
 from greygate.machines.pump_cylinder import plant as pump_cylinder
 from greygate.machines.valve_cylinder import scenarios
 from greygate.models.accuracy import free_run_rms
-from greygate.plants.recording import Recording
+from greygate.plants.recording import Recording, read_csv
 
 MACHINES = made.ROOT / "machines"
 
@@ -39,6 +39,13 @@ class Case:
     sensors: Sequence[str]
     unit: str
     scale: float
+
+
+def tanks(name: str) -> Recording:
+    """The two tanks as they were measured (recordings/cascaded-tanks): `training` or `test`."""
+    found = read_csv(made.ROOT / "recordings" / "cascaded-tanks" / "cascaded_tanks.csv")
+    run = {"training": "train", "test": "test"}[name]
+    return Recording(found.dt, {n: found[f"{n}_{run}"] for n in "uy"}, {"u": "V", "y": "V"})
 
 
 CASES = {
@@ -58,6 +65,7 @@ CASES = {
         "cable_drum/drum_error.toml", cable_drum.record, ("x_pe", "theta", "e"), ("training",),
         ("choice", "validation"), (), "µm", 1e6,
     ),
+    "tanks": Case("../recordings/rigs/tanks/plant.toml", tanks, ("u", "y"), ("training",), ("test",), (), "V", 1.0),
 }  # fmt: skip
 
 
