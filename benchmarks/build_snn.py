@@ -42,10 +42,9 @@ class Case:
 
 
 def tanks(name: str) -> Recording:
-    """The two tanks as they were measured (recordings/cascaded-tanks): `training` or `test`."""
+    """The two tanks as they were measured (recordings/cascaded-tanks): `train` or `test`."""
     found = read_csv(made.ROOT / "recordings" / "cascaded-tanks" / "cascaded_tanks.csv")
-    run = {"training": "train", "test": "test"}[name]
-    return Recording(found.dt, {n: found[f"{n}_{run}"] for n in "uy"}, {"u": "V", "y": "V"})
+    return Recording(found.dt, {n: found[f"{n}_{name}"] for n in "uy"}, {"u": "V", "y": "V"})
 
 
 CASES = {
@@ -65,7 +64,7 @@ CASES = {
         "cable_drum/drum_error.toml", cable_drum.record, ("x_pe", "theta", "e"), ("training",),
         ("choice", "validation"), (), "µm", 1e6,
     ),
-    "tanks": Case("../recordings/rigs/tanks/plant.toml", tanks, ("u", "y"), ("training",), ("test",), (), "V", 1.0),
+    "tanks": Case("../recordings/rigs/tanks/plant.toml", tanks, ("u", "y"), ("train",), ("test",), (), "V", 1.0),
 }  # fmt: skip
 
 
