@@ -3,12 +3,13 @@
     python benchmarks/hardware.py NAME ...
 
 RMS error of every record in float and in words of 12, 16 and 18 bits, in the unit of each output; where the catalogue
-gives weights and neurons bits beyond the word (`finer`), at 16 bits also without them. Then both architectures at 16
-bits in Verilator on the network's scenarios. Kept in results/hardware.json, a part for each name.
+gives weights and neurons bits beyond the word (`finer`), at 16 bits also without them; and of what pruning left. Then both
+architectures at 16 bits in Verilator on the network's scenarios. Kept in results/hardware.json, a part for each name.
 """
 
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 
 from made import keep
@@ -16,6 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.machines.catalog import CATALOG
+from greygate.machines.kept import ALLOWED
 from greygate.models.accuracy import float_error, rms
 from greygate.project import Project, compile_project, verify_project
 from greygate.source import Source
@@ -31,10 +33,17 @@ def errors(name: str) -> dict:
     words = {str(width): source.formats(width) for width in WIDTHS}
     if CATALOG[name].finer:
         words["16, finer 0"] = source.formats(16, 0)
+    if prune := CATALOG[name].prune:
+        words["pruned, 16"] = source.formats(16)
     for word, formats in words.items():
-        program = compile_network(network, records, formats, ranged_on=source.training, period=source.period).program
+        own = partial(prune, allowed=ALLOWED) if prune and word.startswith("pruned") else None
+        compiled = compile_network(
+            network, records, formats, ranged_on=source.training, period=source.period, prune=own
+        )
         for record, judged in records.items():
-            found[record][word] = {o: rms(e) for o, e in fixed_error(program, judged).items()}
+            found[record][word] = {o: rms(e) for o, e in fixed_error(compiled.program, judged).items()}
+            if own:
+                found[record]["pruned"] = {o: rms(e) for o, e in float_error(compiled.network, judged).items()}
     return found
 
 
