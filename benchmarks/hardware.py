@@ -3,8 +3,8 @@
     python benchmarks/hardware.py NAME ...
 
 RMS error of every record in float and in words of 12, 16 and 18 bits, in the unit of each output; where the catalogue
-gives weights and neurons bits beyond the word (`finer`), at 16 bits also without them; and of what pruning left. Then both
-architectures at 16 bits in Verilator on the network's scenarios. Kept in results/hardware.json, a part for each name.
+gives weights and neurons bits beyond the word (`finer`), at 16 bits also without them; and of what pruning left.
+Then both architectures at 16 bits in Verilator on the network's scenarios. Kept in results/hardware.json, by name.
 """
 
 import sys
