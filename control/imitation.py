@@ -21,7 +21,7 @@ from greygate.progress import Progress, silent
 
 Feature = Mapping[tuple[str, int], float]
 """(input port, delay) -> weight, in the units of the ports: what the network sees, a sum."""
-AHEAD, BEFORE = "ahead", "before"
+AHEAD, LAST = "ahead", "last"
 
 
 def differences(port: str, delays: Sequence[int], gain: float = 1.0) -> list[Feature]:
@@ -33,10 +33,10 @@ def imitator(
     name: str, inputs: Sequence[Port], drive: Port, limits: Limits, features: Sequence[Feature], hidden: int, seed: int
 ) -> Network:
     """The network before training. Inputs: `ahead`, the reference so many samples ahead that delays reach the present
-    one; the measured ports; `before`, the last input. Output: `drive`.
+    one; the measured ports; `last`, the last input. Output: `drive`.
 
         wanted = W seen + V tanh(U seen + b) + c       seen: the features, fixed sums of delayed inputs
-        drive  = limit(before + limit_rate(wanted - before))
+        drive  = limit(last + limit_rate(wanted - last))
 
     The two limiters are library networks, so no training can break the limits. Raises InputError for a feature of a
     port that is not an input.
@@ -63,18 +63,18 @@ def imitator(
     network.add("wanted", Layer(start, [0.0]))
     network.connect("seen", "wanted.seen")
     network.connect("hidden", "wanted.hidden")
-    one = {"wanted": [[1.0]], "before": [[-1.0]]}
+    one = {"wanted": [[1.0]], "last": [[-1.0]]}
     network.add("change", Layer(one, [0.0], frozen={*one, "bias"}))
     network.connect("wanted", "change.wanted")
-    network.connect(BEFORE, "change.before")
+    network.connect(LAST, "change.last")
     rate = limits.rate / abs(drive.scale)
     low, high = sorted(drive.normalised(v) for v in (limits.low, limits.high))
     network.add("rate", library("limiter", lo=-rate, hi=rate))
     network.connect("change", "rate.x")
-    both = {"rate": [[1.0]], "before": [[1.0]]}
+    both = {"rate": [[1.0]], "last": [[1.0]]}
     network.add("sum", Layer(both, [0.0], frozen={*both, "bias"}))
     network.connect("rate", "sum.rate")
-    network.connect(BEFORE, "sum.before")
+    network.connect(LAST, "sum.last")
     network.add("range", library("limiter", lo=low, hi=high))
     network.connect("sum", "range.x")
     network.connect("range", drive.name)
@@ -104,7 +104,7 @@ class Imitated:
         seen = dict(measured)
         if self.sensor:
             seen |= self.sensor.step({**measured, self.driven: before})
-        return {**seen, BEFORE: before, AHEAD: float(reference[self.ahead])}
+        return {**seen, LAST: before, AHEAD: float(reference[self.ahead])}
 
     def __call__(self, measured: Mapping[str, float], before: float, reference: np.ndarray) -> float:
         return self.network.step(self.inputs(measured, before, reference))[self.drive]
