@@ -103,7 +103,7 @@ class Imitated:
         """What the network reads at a sample."""
         seen = dict(measured)
         if self.sensor:
-            seen |= self.sensor.step({**measured, self.driven: before})
+            seen |= self.sensor.step({**measured, self.driven: before} if self.driven else measured)
         return {**seen, LAST: before, AHEAD: float(reference[self.ahead])}
 
     def __call__(self, measured: Mapping[str, float], before: float, reference: np.ndarray) -> float:

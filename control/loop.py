@@ -52,12 +52,13 @@ class Run:
     period: float
 
     def figures(self, skip: int = 0) -> dict[str, float]:
-        """rms, worst: of the error [its unit]. energy: J, where the rig tells its power. microseconds: of a step,
+        """rms, worst: of the error [its unit]. effort: RMS of the input. energy: J, where the rig tells its power. microseconds: of a step,
         median."""
         error = self.error[skip:]
         found = {
             "rms": float(np.sqrt(np.mean(error**2))),
             "worst": float(np.abs(error).max()),
+            "effort": float(np.sqrt(np.mean(self.input[skip:] ** 2))),
             "violations": sum(self.violations.values()),
             "microseconds": 1e6 * float(np.median(self.seconds)),
         }
@@ -102,7 +103,7 @@ def run(
 
 
 def _violations(limits: Limits, given: np.ndarray, signals: Mapping[str, np.ndarray], start: float) -> dict[str, int]:
-    rounding = 1e-9 * (limits.high - limits.low)
+    rounding = max(limits.resolution, 1e-9 * (limits.high - limits.low))  # what the actuator rounds breaks no limit
     found = {
         "input": (given < limits.low - rounding) | (given > limits.high + rounding),
         "rate": np.abs(np.diff(given, prepend=start)) > limits.rate + rounding,

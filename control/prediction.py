@@ -91,6 +91,7 @@ class Prediction:
         self._forced = np.zeros(elements, bool)
         self._jacobian = np.zeros((steps, len(tables.shown), len(self._theta)))
         self._now[tables.depth :, : plan.size] = self.basis
+        self._remembered = {c.source for c in self.flat.connections if c.delay}
         for name in order:
             self._now[: tables.depth, self.place[name]] = self.flat.modules[name].initial  # type: ignore[union-attr]
 
@@ -104,8 +105,10 @@ class Prediction:
         return self._tables.depth
 
     def start(self, state: State) -> None:
-        """Begin from a state; a layer that is not named keeps its own."""
+        """Begin from a state. Raises InputError where it lacks a layer that the model remembers."""
         depth = self.depth
+        if missing := self._remembered - state.keys():
+            raise InputError(f"network {self.flat.name}: the state lacks {', '.join(sorted(missing))}")
         for name, past in state.items():
             lags = min(len(past), depth)
             self._now[depth - lags : depth, self.place[name]] = past[:lags][::-1]

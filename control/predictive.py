@@ -24,7 +24,7 @@ SOFT = 1e4  # weight of the square of a violation, in tolerances of the output
 
 @dataclass(frozen=True)
 class Limits:
-    """low, high: of the input, in its unit. rate: its largest change between samples.
+    """low, high: of the input, in its unit. rate: its largest change between samples. resolution: of the actuator.
 
     outputs: port -> (low, high), kept where that is possible. Raises InputError for an empty range.
     """
@@ -32,6 +32,7 @@ class Limits:
     low: float
     high: float
     rate: float = np.inf
+    resolution: float = 0.0
     outputs: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -1,14 +1,12 @@
 """Position control of a machine: what is asked of it, by whom it is done, and where the loop runs.
 
 A machine's folder gives a `Task`. The PI controller is tuned, and the predictive controller imitated, on trajectories
-of their own (`TUNING`, `LEARNING`); `python -m greygate.machines.control NAME` makes both again and keeps them in
+of their own (`TUNING`, `LEARNING`); `python -m greygate.machines.controllers NAME` makes both again and keeps them in
 models/trained/control. What is judged runs on other trajectories, and on days of the machine that no one has seen.
 """
 
 import json
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -112,7 +110,7 @@ class Task:
 
     def proportional(self) -> Proportional:
         """The PI controller as it was tuned."""
-        found = read_json(CONTROL / f"{self.name}.json", f"run python -m greygate.machines.control {self.name}")
+        found = read_json(CONTROL / f"{self.name}.json", f"run python -m greygate.machines.controllers {self.name}")
         return replace(self.first, **found["pi"])
 
     # ---- tuning and learning
@@ -195,23 +193,3 @@ def make(task: Task, folder: Path = CONTROL, progress: Progress = silent) -> Non
     network = task.learn(progress)
     kept = {n: float(v) for n, v in asdict(best).items() if n in ("gain", "reset_rate", "forward", "lead")}
     network.save(folder / task.name, json.dumps({"pi": kept}, indent=1) + "\n")
-
-
-def tasks() -> dict[str, Callable[[], Task]]:
-    """Machine -> its task; those that have one."""
-    from greygate.machines.catalog import MACHINES
-
-    return {name: given for machine in MACHINES for name, given in machine.controlled.items()}
-
-
-def task(name: str) -> Task:
-    """Raises InputError naming those there are."""
-    found = tasks()
-    if name not in found:
-        raise InputError(f"{name!r} has no position control; there are {', '.join(found)}")
-    return found[name]()
-
-
-if __name__ == "__main__":
-    for chosen in sys.argv[1:] or tasks():
-        make(task(chosen), progress=lambda line: print(line, file=sys.stderr, flush=True))

@@ -10,17 +10,39 @@ kappa = beta A (1/V_a + 1/V_b); `charge`: what the flows of the interval add to 
 although the oil's resonance (256 Hz) lies at half the sampling rate.
 """
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 
-from greygate.machines.valve_cylinder.network import VOLTAGE, X_SCALE, driven_spool, valve_srnn
+from greygate.compiler.quantize import Formats
+from greygate.control.imitation import AHEAD, LAST, differences, imitator
+from greygate.control.observer import Observer
+from greygate.control.pi import Proportional
+from greygate.control.prediction import Prediction, hats, knots, online
+from greygate.control.predictive import Aim, Limits, Predictive
+from greygate.control.stepping import Floating
+from greygate.machines.control import Task
+from greygate.machines.identification import TRAINED
+from greygate.machines.valve_cylinder.network import (
+    POSITION,
+    V_SCALE,
+    V_STEP,
+    VOLTAGE,
+    X_SCALE,
+    driven_spool,
+    valve_srnn,
+)
 from greygate.machines.valve_cylinder.plant import spool_discrete, valve_cylinder
 from greygate.machines.valve_cylinder.scenarios import RESOLUTION, SAMPLE_TIME, converted
 from greygate.models.adaptation import adopt
 from greygate.models.families.library import library
 from greygate.models.network import Layer, Network, Port
+from greygate.plants.excitation import multisine
 from greygate.plants.simulate import Stepper
 
 LOAD = 1e4  # N, the scale of the load
+BOX = (2e6, 1.8e7)  # Pa
 
 
 def constants() -> dict[str, float]:
@@ -80,27 +102,134 @@ def axis_model(trained: Network, sample_time: float = SAMPLE_TIME) -> Network:
     return network.check()
 
 
+LIMITS = Limits(-V_SCALE, V_SCALE, rate=0.2 * V_SCALE, resolution=V_STEP, outputs={"p_a": BOX, "p_b": BOX})
+"""The converter's range, a slew of its amplifier, and pressures clear of cavitation and of the relief valve."""
+
+HORIZON, KNOTS = 30, 8  # steps: five lags of the coil
+TRACKING = Aim("x", tolerance=2 * RESOLUTION, smooth=1e-2)
+SENSED = {"x": RESOLUTION, "p_a": 1e5, "p_b": 1e5}  # m, Pa: the scale's step, the soft sensor's error with some room
+DISTURBED = {"load": 50.0 / LOAD, "v": 1e-5 / X_SCALE, "pressures.pa.state": 2e-3, "pressures.pb.state": 2e-3}
+"""By step: 50 N; 10 um a step in the speed; 2e-3 of the supply's pressure."""
+
+PREVIEW = 24
+SEEN = (
+    {(AHEAD, PREVIEW): 1.0, ("x", 0): -1.0},
+    *differences(AHEAD, [PREVIEW - step for step in (0, 1, 2, 4, 6, 9, 13, 18, 24)]),
+    *differences("x", (0, 1, 2, 4)),
+    *({("p_a", delay): 1.0, ("p_b", delay): -1.0} for delay in (0, 1, 3)),
+    {("p_a", 0): 1.0, ("p_b", 0): 1.0},
+    *({(LAST, delay): 1.0} for delay in (0, 1, 2)),
+)
+"""What the imitating network sees: error, the reference's and the position's motion, load and sum of the pressures, and
+the last voltages."""
+
+SPEED, BAND = 0.06, (0.2, 3.0)  # m/s, Hz: of references; 60 % of the speed that the open valve gives
+FORCE, FORCES = 3000.0, (0.1, 5.0)  # N, Hz: of the disturbed load, as in the thesis's v2
+SAGGED = 30.0  # V, of the pump's motor, which has 240 V
+
+
+class Predicted:
+    """The predictive controller with the soft sensor and the observer that give it its state."""
+
+    def __init__(self, trained: Network):
+        model = axis_model(trained)
+        self.predictive = Predictive(Prediction(model, "v_c", hats(knots(HORIZON, KNOTS))), TRACKING, LIMITS, every=3)
+        self.observer = Observer(model, "v_c", SENSED, DISTURBED)
+        self.sensor = Floating(online(trained, "v_c"))
+        self.ahead = HORIZON
+
+    def reset(self) -> None:
+        for part in (self.predictive, self.observer, self.sensor):
+            part.reset()
+
+    def __call__(self, measured: Mapping[str, float], before: float, reference: np.ndarray) -> float:
+        self.predictive.applied(before)
+        pressures = self.sensor.step({"v_c": before, **measured})
+        state = self.observer.step(before, {**measured, **pressures})
+        return self.predictive(state, reference[1:])
+
+
 class CylinderRig:
     """The thesis's plant with its full supply under way, at 1 kHz, with its linear scale and its converter."""
 
-    def __init__(self, load: np.ndarray | None = None, voltage: np.ndarray | None = None, **values: float):
-        """load: N, (samples,), against extension. voltage: V, (samples,), of the pump's motor where it sags."""
-        self.plant = valve_cylinder(**values)
+    def __init__(self, case: str, seed: int, samples: int):
+        """case: "load" adds a random force, "supply" lets the pump's motor sag over the middle third."""
+        self.plant = valve_cylinder()
         self._stepper = Stepper(self.plant, SAMPLE_TIME)
-        self._load, self._voltage, self._sample, self._before = load, voltage, 0, 0.0
+        self._force, self._voltage = np.zeros(samples), np.full(samples, self.plant.parameters["voltage"].value)
+        if case == "load":
+            self._force = multisine(samples, FORCE, *FORCES, SAMPLE_TIME, seed)
+        if case == "supply":
+            self._voltage[samples // 3 : 2 * samples // 3] = SAGGED
+        self._sample, self._voltage_now = 0, self._voltage[0]
 
     def measured(self) -> dict[str, float]:
         return {"x": float(RESOLUTION * np.round(self._stepper["x"] / RESOLUTION))}
 
     def truth(self) -> dict[str, float]:
-        now = {n: self._stepper[n] for n in ("x", "p_a", "p_b")}
-        return {"position": now["x"], "p_a": now["p_a"], "p_b": now["p_b"]}
+        """`power`: W, that the oil of the supply gives; `supply`: Pa, at the pump."""
+        now = {n: self._stepper[n] for n in ("x", "p_a", "p_b", "u", "p_pump")}
+        return {
+            "position": now["x"], "p_a": now["p_a"], "p_b": now["p_b"], "supply": now["p_pump"],
+            "power": now["p_pump"] * self._drawn(now),
+        }  # fmt: skip
+
+    def _drawn(self, now: Mapping[str, float]) -> float:
+        """m^3/s, by the edge of the valve that opens to the supply."""
+        pressure = now["p_a"] if now["u"] > 0 else now["p_b"]
+        k = self.plant.parameters["k_valve"].value
+        return k * abs(now["u"]) * float(np.sqrt(max(now["p_pump"] - pressure, 0.0)))
 
     def actuate(self, value: float) -> float:
         v_c = float(converted(np.array(value)))
-        if self._voltage is not None:
-            self._stepper.set("voltage", float(self._voltage[self._sample]))
-        f_ext = 0.0 if self._load is None else float(self._load[self._sample])
-        self._stepper.step({"v_c": v_c, "f_ext": f_ext})
+        if self._voltage[self._sample] != self._voltage_now:
+            self._voltage_now = self._voltage[self._sample]
+            self._stepper.set("voltage", float(self._voltage_now))
+        self._stepper.step({"v_c": v_c, "f_ext": float(self._force[self._sample])})
         self._sample += 1
         return v_c
+
+
+def reference(seed: int, samples: int) -> np.ndarray:
+    """Random, of band `BAND` and peak speed `SPEED`, from rest at mid-stroke; m, (samples,)."""
+    ramp = np.clip(np.arange(samples) * SAMPLE_TIME / 0.5, 0, 1)
+    path = multisine(samples, 1.0, *BAND, SAMPLE_TIME, seed) * ramp**2 * (3 - 2 * ramp)
+    return path * SPEED * SAMPLE_TIME / np.abs(np.diff(path)).max()
+
+
+def imitating(hidden: int, seed: int) -> Network:
+    trained = stored()
+    rest = valve_cylinder().initial()["p_a"]
+    chambers = [replace(p, initial=rest) for p in trained.outputs]
+    ports = [replace(POSITION, name=AHEAD, resolution=X_SCALE * 2.0**-16), POSITION, *chambers, replace(VOLTAGE, name=LAST)]
+    return imitator("valve_cylinder_control", ports, VOLTAGE, LIMITS, SEEN, hidden, seed)
+
+
+def stored() -> Network:
+    """The network of the chamber pressures that is kept in the package."""
+    return Network.load(TRAINED / "valve_cylinder")
+
+
+def position() -> Task:
+    """Position of the piston, by valve voltage; the chamber pressures come from the soft sensor."""
+    k = constants()
+    gain = k["k_valve"] * np.sqrt(k["p_supply"] / 2) * k["k_h"] / k["r_coil"] / k["area"]  # m/s per V, in rest
+    return Task(
+        name="valve_cylinder",
+        title="Valve-controlled cylinder: position by valve voltage; pressures from the soft sensor",
+        tracked="position",
+        period=SAMPLE_TIME,
+        drive="v_c",
+        limits=LIMITS,
+        preview=PREVIEW,
+        reference=reference,
+        rig=CylinderRig,
+        predictive=lambda: Predicted(stored()),
+        first=Proportional("x", LIMITS, SAMPLE_TIME, gain=20 / gain, reset_rate=5.0, forward=1 / gain),
+        sensor=lambda: online(stored(), "v_c"),
+        sensor_drive="v_c",
+        imitator=imitating,
+        settle=500,
+        samples=5000,
+        formats=Formats(16, finer=2),
+    )
