@@ -6,6 +6,7 @@ every sample what it would have done; the network is trained on all of that, and
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -26,7 +27,7 @@ AHEAD, LAST = "ahead", "last"
 
 def differences(port: str, delays: Sequence[int], gain: float = 1.0) -> list[Feature]:
     """The changes of a port between neighbours of `delays`."""
-    return [{(port, a): gain, (port, b): -gain} for a, b in zip(delays, delays[1:], strict=False)]
+    return [{(port, a): gain, (port, b): -gain} for a, b in pairwise(delays)]
 
 
 def imitator(

@@ -52,8 +52,8 @@ class Run:
     period: float
 
     def figures(self, skip: int = 0) -> dict[str, float]:
-        """rms, worst: of the error [its unit]. effort: RMS of the input. energy: J, where the rig tells its power. microseconds: of a step,
-        median."""
+        """rms, worst: of the error [its unit]. effort: RMS of the input. energy: J, where the rig tells its power.
+        microseconds: of a step, median."""
         error = self.error[skip:]
         found = {
             "rms": float(np.sqrt(np.mean(error**2))),
@@ -86,11 +86,13 @@ def run(
         raise InputError(f"reference of shape {reference.shape}: give one sequence of finite numbers")
     samples, before = len(reference), start
     longer = np.append(reference, np.full(controller.ahead, reference[-1]))
-    given, seconds, rows = np.empty(samples), np.empty(samples), []
+    given, seconds = np.empty(samples), np.empty(samples)
+    signals: dict[str, np.ndarray] = {}
     controller.reset()
     for k in range(samples):
         measured = rig.measured()
-        rows.append(measured | rig.truth())
+        for name, value in (measured | rig.truth()).items():
+            signals.setdefault(name, np.empty(samples))[k] = value
         began = perf_counter()
         wanted = controller(measured, before, longer[k : k + controller.ahead + 1])
         seconds[k] = perf_counter() - began
@@ -98,7 +100,6 @@ def run(
         before = given[k]
         if not k % 1000:
             progress(f"sample {k} of {samples}")
-    signals = {n: np.array([row[n] for row in rows]) for n in rows[0]}
     return Run(signals[output] - reference, given, signals, seconds, _violations(limits, given, signals, start), period)
 
 

@@ -23,9 +23,7 @@ class Observer:
     not have, and where the measured outputs do not tell the state.
     """
 
-    def __init__(
-        self, model: Network, drive: str, measured: Mapping[str, float], disturbed: Mapping[str, float]
-    ):
+    def __init__(self, model: Network, drive: str, measured: Mapping[str, float], disturbed: Mapping[str, float]):
         self.flat = online(model, drive)
         tables, names = tabulate(self.flat)
         values = self.flat.parameters()

@@ -64,23 +64,18 @@ class Floating:
 
 
 class Emulated:
-    """An integer program under way in the emulator. `inputs`, `outputs`, `states`: its codes, step by step."""
+    """An integer program under way in the emulator. `inputs`, `outputs`, `state`: codes of the last step."""
 
     def __init__(self, program: Program):
         self.program = program
         self.reset()
 
     def reset(self) -> None:
-        self._state = np.array([v for s in self.program.states for v in s.initial], np.int64)
-        self.inputs: list[np.ndarray] = []
-        self.outputs: list[np.ndarray] = []
-        self.states: list[np.ndarray] = []
+        self.state = np.array([v for s in self.program.states for v in s.initial], np.int64)
+        self.inputs = self.outputs = np.zeros(0, np.int64)
 
     def step(self, inputs: Mapping[str, float]) -> dict[str, float]:
         codes = self.program.encode({n: np.asarray(v)[None] for n, v in inputs.items()})
-        done = run(self.program, codes, self._state)
-        self._state = done.states[-1]
-        self.inputs.append(codes[0])
-        self.outputs.append(done.outputs[0])
-        self.states.append(self._state)
+        done = run(self.program, codes, self.state)
+        self.inputs, self.outputs, self.state = codes[0], done.outputs[0], done.states[0]
         return {n: float(v[0]) for n, v in self.program.decode(done.outputs).items()}

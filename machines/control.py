@@ -19,18 +19,19 @@ from greygate.control.imitation import LAST, Imitated, Watched, dagger
 from greygate.control.loop import Controller, Rig, Run, run
 from greygate.control.pi import Proportional, tuned
 from greygate.control.predictive import Limits
-from greygate.control.stepping import Emulated, Floating, Stepped
+from greygate.control.stepping import Floating, Stepped
 from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.machines.identification import TRAINED
 from greygate.models.network import Network
 from greygate.models.training.record import Record
+from greygate.plants.recording import Recording
 from greygate.progress import Progress, silent
 from greygate.reading import read_json
 
 CONTROL = TRAINED / "control"
 TUNING, LEARNING = 50, 100  # seeds of trajectories and days: of the tuning, and from where on those of learning
-LAST_LEARNING = 1000  # what is judged has seeds from here on
+JUDGED = 1000  # what is judged has seeds from here on
 ROUNDS, EPOCHS, DECAY = 4, 60, 1e-6  # of DAgger
 HIDDEN, SEED = 10, 0
 
@@ -68,7 +69,7 @@ class Task:
     machine under way. predictive: the predictive controller. first: the PI controller before tuning. sensor: the
     network in place of sensors, online, and the input of it that brings the last drive ("" where it has none).
     imitator: the network before training. settle: samples before anything is judged. formats: of the program of the
-    sensor. samples: of a run by default.
+    sensor. samples: of a run by default. units: of the signals of a run that a recording keeps.
     """
 
     name: str
@@ -87,6 +88,7 @@ class Task:
     imitator: Callable[[int, int], Network]
     settle: int
     samples: int
+    units: Mapping[str, str]
     formats: Formats = Formats()
 
     def run(self, controller: Controller, case: Case, seed: int, samples: int = 0, progress: Progress = silent) -> Run:
@@ -95,6 +97,12 @@ class Task:
         reference = self.reference(seed, samples)
         rig = self.rig(case, seed, samples)
         return run(rig, controller, reference, self.tracked, self.limits, self.period, progress=progress)
+
+    def recording(self, done: Run) -> Recording:
+        """The signals of a run, with the reference and the drive."""
+        channels = {n: v for n, v in done.signals.items() if n in self.units}
+        channels |= {"reference": done.signals[self.tracked] - done.error, self.drive: done.input}
+        return Recording(self.period, channels, {"reference": self.units[self.tracked], **self.units}, self.name)
 
     # ---- the controllers
 
@@ -131,7 +139,7 @@ class Task:
         """The predictive controller, imitated by DAgger; every visit takes trajectories of its own, with and without
         a disturbance."""
         untrained = self.imitator(HIDDEN, SEED)
-        expert, visits = self.predictive(), iter(range(LEARNING, LAST_LEARNING))
+        expert, visits = self.predictive(), iter(range(LEARNING, JUDGED))
         reads = self.imitated(Floating(untrained), Floating(self.sensor()))
 
         def visit(student: Network | None) -> list[Record]:

@@ -154,8 +154,7 @@ class Stepper:
         bounds = [(s.low, s.high) for s in plant.states.values()]
         self._low = np.array([-np.inf if low is None else plant.constant(low) for low, _ in bounds])
         self._high = np.array([np.inf if high is None else plant.constant(high) for _, high in bounds])
-        self._inputs: list[list[float]] = []
-        self._states: list[np.ndarray] = []
+        self._samples = 0
 
     def __getitem__(self, state: str) -> float:
         """The value of a state now, in its unit."""
@@ -168,26 +167,17 @@ class Stepper:
     def step(self, inputs: Mapping[str, float]) -> None:
         """Hold the inputs for a sample. Raises InputError where a state is no longer finite."""
         held = np.array([[float(inputs[n]) for n in self.plant.inputs]] * 2)
-        self._inputs.append(held[0].tolist())
-        self._states.append(self._now)
         out, r = np.empty((2, len(self._now))), self._restarted
         failed = r.module.run(
             self._now.copy(), held, self._values, self._low, self._high, r.rate, r.step, r.substeps, out
         )
         if failed >= 0:
             raise InputError(
-                f"plant {self.plant.name}: a state is not finite at {len(self._states) * self.sample_time:.6g} s; "
+                f"plant {self.plant.name}: a state is not finite at {self._samples * self.sample_time:.6g} s; "
                 "check the controller, or take a smaller step"
             )
         self._now = out[1]
-
-    def recording(self, channels: Iterable[str] | None = None) -> Recording:
-        """What happened so far, as `simulate` gives it; definitions with the parameters as declared."""
-        states, held = np.array(self._states), np.array(self._inputs)
-        signals = dict(zip(self._place, states.T, strict=True)) | dict(zip(self.plant.inputs, held.T, strict=True))
-        names = [*self.plant.inputs, *(n for n in channels or self.plant.outputs if n not in self.plant.inputs)]
-        found = {n: np.broadcast_to(v, len(held)).copy() for n, v in self.plant.values(names, signals).items()}
-        return Recording(self.sample_time, found, {n: self.plant.unit(n) for n in names}, source=self.plant.name)
+        self._samples += 1
 
 
 def _inputs(plant: Plant, inputs: Mapping[str, np.ndarray], samples: int | None) -> np.ndarray:

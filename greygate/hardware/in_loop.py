@@ -1,86 +1,80 @@
 """Hardware in a closed loop: Verilator answers step by step, each word beside the emulator's, every bit of it.
 
-The designs run in one simulation. Its bench reads `DESIGN WORD` from a pipe, offers the word, and writes the answer of
-the design with all its states.
+The designs run in one simulation. Its bench reads `WHAT DESIGN WORD` from a pipe, resets the design or offers it the
+word, and writes the answer of the design with all its states, and the clocks that it took.
 """
 
 import subprocess
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 
 from greygate.control.stepping import Emulated
-from greygate.emulator.program import Program, Signal
+from greygate.emulator.program import Signal
 from greygate.errors import InputError
 from greygate.hardware.replay import PATIENCE, built
 from greygate.hardware.verify import Bench, Case, lanes, simulator_environment, width, words
 from greygate.progress import Progress, silent
 
 STDIN, STDOUT = "32'h80000000", "32'h80000001"
+OFFER, RESET = 0, 1  # what is said to the bench
+LONG = 4  # clocks of a reset
 
 
 class Clocked:
     """A design under way in the simulation: closes the loop with what the hardware answers.
 
-    differing: bits of outputs and states in which it differed from the emulator so far. compared: bits in all. first:
-    the first step that differed, or None.
+    Over all runs: differing, bits of outputs and states in which it differed from the emulator; compared, bits in all;
+    steps; clocks that it took for them. first: the first step that differed, or None.
     """
 
     def __init__(self, simulation: subprocess.Popen, bench: Bench):
         self._simulation, self._bench, self.program = simulation, bench, bench.case.program
-        self._outputs, self._states = _Lanes(bench.outputs), _Lanes(bench.states)
         self._emulated = Emulated(self.program)
-        self.differing = self.compared = self.steps = 0
+        self.differing = self.compared = self.steps = self.clocks = 0
         self.first: int | None = None
 
     def reset(self) -> None:
-        """A design is reset once, when its simulation begins."""
-        if self.steps:
-            raise InputError(f"{self.program.name}: a simulation runs once; begin another")
+        self._emulated.reset()
+        self._say(RESET, "0")
+
+    def _say(self, what: int, word: str) -> None:
+        pipe = self._simulation.stdin
+        assert pipe
+        with suppress(BrokenPipeError):  # what ended says so where it is asked for an answer
+            pipe.write(f"{what} {self._bench.index} {word}\n")
+            pipe.flush()
 
     def step(self, inputs: Mapping[str, float]) -> dict[str, float]:
         """Raises InputError where the design does not answer."""
         wanted = self._emulated.step(inputs)
-        codes = self._emulated.inputs[-1]
-        word = lanes(self._bench.inputs, codes[None])[0][::-1].tobytes().hex()
-        assert self._simulation.stdin
+        inputs, expected, state = self._emulated.inputs, self._emulated.outputs, self._emulated.state
+        self._say(OFFER, lanes(self._bench.inputs, inputs[None])[0][::-1].tobytes().hex())
         assert self._simulation.stdout
-        try:
-            self._simulation.stdin.write(f"{self._bench.index} {word}\n")
-            self._simulation.stdin.flush()
-            said = self._simulation.stdout.readline().strip()
-            seen = np.frombuffer(bytes.fromhex(said), np.uint8)[::-1]
-        except (BrokenPipeError, ValueError):
-            seen = np.zeros(0, np.uint8)
-        split = self._outputs.bytes
-        if len(seen) != split + self._states.bytes:
+        said = self._simulation.stdout.readline().split()
+        if len(said) != 2:
             raise InputError(f"{self.program.name}: no answer within {PATIENCE} clocks at step {self.steps}")
-        outputs, states = self._outputs.codes(seen[:split]), self._states.codes(seen[split:])
-        expected = lanes(self._bench.outputs, self._emulated.outputs[-1][None])[0]
-        expected = np.append(expected, lanes(self._bench.states, self._emulated.states[-1][None])[0])
-        bits = int(np.unpackbits(seen ^ expected).sum())
+        seen = np.frombuffer(bytes.fromhex(said[0]), np.uint8)[::-1]
+        split = width(self._bench.outputs) // 8
+        known = np.append(lanes(self._bench.outputs, expected[None])[0], lanes(self._bench.states, state[None])[0])
+        bits = int(np.unpackbits(seen ^ known).sum())
         if bits and self.first is None:
             self.first = self.steps
         self.differing += bits
         self.compared += 8 * len(seen)
+        self.clocks += int(said[1])
         self.steps += 1
         if not bits:
             return wanted
-        self._emulated.outputs[-1], self._emulated.states[-1] = outputs, states
-        return {n: float(v[0]) for n, v in self.program.decode(outputs[None]).items()}
+        return {n: float(v[0]) for n, v in self.program.decode(_codes(self._bench.outputs, seen[:split])).items()}
 
 
-class _Lanes:
-    """Codes in a word of lanes."""
-
-    def __init__(self, signals: Sequence[Signal]):
-        self.places, self.bytes = words(signals), width(signals) // 8
-
-    def codes(self, seen: np.ndarray) -> np.ndarray:
-        data = seen.tobytes()
-        return np.array([int.from_bytes(data[at : at + size], "little", signed=True) for _, size, at in self.places])
+def _codes(signals: Sequence[Signal], seen: np.ndarray) -> np.ndarray:
+    """The codes (1, columns) in the bytes of a word of lanes."""
+    data = seen.tobytes()
+    return np.array([[int.from_bytes(data[at : at + size], "little", signed=True) for _, size, at in words(signals)]])
 
 
 @contextmanager
@@ -112,37 +106,47 @@ def _bench(benches: Sequence[Bench]) -> str:
         i, ins, outs, states = bench.index, width(bench.inputs), width(bench.outputs), width(bench.states)
         parts.append(f"""\
     reg [{ins - 1}:0] word_{i} = 0;
-    reg offer_{i} = 0;
+    reg offer_{i} = 0, rst_{i} = 1;
     wire s_ready_{i}, m_valid_{i};
     wire [{outs - 1}:0] m_tdata_{i};
     wire [{outs + states - 1}:0] seen_{i} = {bench.seen()};
     {bench.case.program.name} design_{i} (
-        .clk(clk), .rst(rst), .s_axis_tdata(word_{i}), .s_axis_tvalid(offer_{i}), .s_axis_tready(s_ready_{i}),
+        .clk(clk), .rst(rst_{i}), .s_axis_tdata(word_{i}), .s_axis_tvalid(offer_{i}), .s_axis_tready(s_ready_{i}),
         .m_axis_tdata(m_tdata_{i}), .m_axis_tvalid(m_valid_{i}), .m_axis_tready(1'b1)
     );
 """)
-        reads.append(f"            if (which == {i}) begin\n"
-                     f'                got = $fscanf({STDIN}, "%h", word_{i});\n'
-                     f"                offer_{i} <= 1;\n            end\n")  # fmt: skip
-        acts.append(f"            if (offer_{i} && s_ready_{i}) offer_{i} <= 0;\n"
-                    f"            if (which == {i} && m_valid_{i}) begin\n"
-                    f'                $fwrite({STDOUT}, "%h\\n", seen_{i});\n'
-                    f"                $fflush({STDOUT});\n                which = -1;\n            end\n")  # fmt: skip
+        reads.append(f"""\
+            if (which == {i}) begin
+                got = $fscanf({STDIN}, "%h", word_{i});
+                if (what == {RESET}) rst_{i} <= 1; else offer_{i} <= 1;
+            end
+""")
+        acts.append(f"""\
+            if (rst_{i} && idle == {LONG}) begin
+                rst_{i} <= 0;
+                if (which == {i}) which = -1;
+            end
+            if (offer_{i} && s_ready_{i}) offer_{i} <= 0;
+            if (which == {i} && what == {OFFER} && m_valid_{i}) begin
+                $fwrite({STDOUT}, "%h %0d\\n", seen_{i}, idle);
+                $fflush({STDOUT});
+                which = -1;
+            end
+""")
+    count = len(benches)
     return f"""\
 module bench (input clk);
-    integer which = -1, got, idle = 0;
-    reg [2:0] starting = 0;
-    wire rst = starting < 4;
+    integer what = {RESET}, which = {count}, got, idle = 0;
 {"".join(parts)}    always @(posedge clk) begin
-        if (rst) starting <= starting + 1;
-        else if (which < 0) begin
+        if (which < 0) begin
             idle = 0;
-            got = $fscanf({STDIN}, "%d", which);
-            if (got != 1) $finish;
+            got = $fscanf({STDIN}, "%d %d", what, which);
+            if (got != 2) $finish;
 {"".join(reads)}        end else begin
             idle = idle + 1;
             if (idle > {PATIENCE}) $finish;
-{"".join(acts)}        end
+{"".join(acts)}            if (which == {count} && idle == {LONG}) which = -1;
+        end
     end
 endmodule
 """

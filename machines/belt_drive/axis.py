@@ -14,7 +14,7 @@ from greygate.control.pi import Proportional
 from greygate.control.prediction import Prediction, hats, knots
 from greygate.control.predictive import Aim, Limits, Predictive
 from greygate.control.stepping import Floating
-from greygate.machines.belt_drive.network import E, X, X_SCALE
+from greygate.machines.belt_drive.network import X_SCALE, E, X
 from greygate.machines.belt_drive.plant import ENCODER, SAMPLE_TIME, SLIP, belt_drive
 from greygate.machines.control import Task
 from greygate.machines.identification import TRAINED
@@ -167,4 +167,5 @@ def position() -> Task:
         imitator=imitating,
         settle=100,
         samples=4000,
+        units={"x": "m", "carriage": "m", "v": "m/s"},
     )

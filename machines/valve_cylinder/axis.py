@@ -69,9 +69,7 @@ def axis_model(trained: Network, sample_time: float = SAMPLE_TIME) -> Network:
     force = t * t / mass / inertia / X_SCALE
     flow = k["k_valve"] * k["u_max"] * np.sqrt(scale)
     charge = {c: t * beta * flow / k[f"v_{c}0"] for c in "ab"}
-    network = Network(
-        "axis", [VOLTAGE], [Port("x", "m", X_SCALE), Port("p_a", "Pa", scale), Port("p_b", "Pa", scale)]
-    )
+    network = Network("axis", [VOLTAGE], [Port("x", "m", X_SCALE), Port("p_a", "Pa", scale), Port("p_b", "Pa", scale)])
     network.add("pressures", pressures)
     weights = {"v": 2 / inertia, "p_a": force * area * scale, "p_b": -force * area * scale}
     weights |= {"q_a": force * area * charge["a"] / 2, "q_b": -force * area * charge["b"] / 2}
@@ -201,7 +199,12 @@ def imitating(hidden: int, seed: int) -> Network:
     trained = stored()
     rest = valve_cylinder().initial()["p_a"]
     chambers = [replace(p, initial=rest) for p in trained.outputs]
-    ports = [replace(POSITION, name=AHEAD, resolution=X_SCALE * 2.0**-16), POSITION, *chambers, replace(VOLTAGE, name=LAST)]
+    ports = [
+        replace(POSITION, name=AHEAD, resolution=X_SCALE * 2.0**-16),
+        POSITION,
+        *chambers,
+        replace(VOLTAGE, name=LAST),
+    ]
     return imitator("valve_cylinder_control", ports, VOLTAGE, LIMITS, SEEN, hidden, seed)
 
 
@@ -231,5 +234,6 @@ def position() -> Task:
         imitator=imitating,
         settle=500,
         samples=5000,
+        units={"x": "m", "position": "m", "p_a": "Pa", "p_b": "Pa", "supply": "Pa", "v_c": "V"},
         formats=Formats(16, finer=2),
     )
