@@ -65,8 +65,8 @@ class Prediction:
 
     def __init__(self, model: Network, drive: str, basis: np.ndarray):
         if [p.name for p in model.inputs] != [drive]:
-            names = ", ".join(p.name for p in model.inputs)
-            raise InputError(f"network {model.name}: inputs {names}; a prediction plans one, {drive}, and has no other")
+            given = ", ".join(p.name for p in model.inputs)
+            raise InputError(f"network {model.name}: inputs {given}; a prediction plans one, {drive}, and has no other")
         self.port, self.basis = model.inputs[0], np.asarray(basis, float)
         flat = online(model, drive)
         plan = Port(PLAN, size=self.basis.shape[1])

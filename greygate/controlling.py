@@ -1,4 +1,4 @@
-"""Position control of a machine by one of its controllers, computed in float, in the emulator or in simulated hardware."""
+"""Position control of a machine by one of its controllers: in float, in the emulator or in simulated hardware."""
 
 import tempfile
 from collections.abc import Iterator

@@ -7,7 +7,7 @@ models/trained/control. What is judged runs on other trajectories, and on days o
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
 
@@ -89,7 +89,7 @@ class Task:
     settle: int
     samples: int
     units: Mapping[str, str]
-    formats: Formats = Formats()
+    formats: Formats = field(default_factory=Formats)
 
     def run(self, controller: Controller, case: Case, seed: int, samples: int = 0, progress: Progress = silent) -> Run:
         """A closed loop on the trajectory and the day of that seed."""

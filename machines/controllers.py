@@ -1,4 +1,4 @@
-"""Tunes and learns the controllers that are kept in the package: `python -m greygate.machines.controllers [NAME ...]`."""
+"""Tunes and learns the controllers that the package keeps: `python -m greygate.machines.controllers [NAME ...]`."""
 
 import sys
 
@@ -7,4 +7,5 @@ from greygate.machines.control import make
 
 if __name__ == "__main__":
     for name in sys.argv[1:] or CONTROLLED:
-        make(task(name), progress=lambda line: print(f"{name}: {line}", file=sys.stderr, flush=True))
+        print(name, file=sys.stderr)
+        make(task(name), progress=lambda line: print(line, file=sys.stderr, flush=True))

@@ -37,7 +37,7 @@ def control(
     chosen = task(machine)
     with following(f"control of {machine}") as progress, built(chosen, controller, place, progress) as (made, designs):
         done = chosen.run(made, case, seed, samples, progress)
-    found = done.figures(min(chosen.settle, len(done.error) - 1)) | {"limits": dict(done.violations)}
+    found: dict = done.figures(min(chosen.settle, len(done.error) - 1)) | {"limits": dict(done.violations)}
     if designs:
         found["differing_bits"] = sum(d.differing for d in designs)
         found["compared_bits"] = sum(d.compared for d in designs)
@@ -52,9 +52,8 @@ def control(
 
 def _lines(found: dict) -> list[str]:
     lines = [f"error       RMS {1e6 * found['rms']:.2f} µm, worst {1e6 * found['worst']:.1f} µm"]
-    lines.append(
-        "limits      " + ", ".join(f"{name} {count}" for name, count in found["limits"].items()) + " violations"
-    )
+    broken = (f"{name} {count}" for name, count in found["limits"].items())
+    lines.append(f"limits      samples in which one was broken: {', '.join(broken)}")
     if "energy" in found:
         lines.append(f"energy      {found['energy']:.0f} J")
     lines.append(f"time        {found['microseconds']:.0f} µs a step on this computer")

@@ -199,12 +199,8 @@ def imitating(hidden: int, seed: int) -> Network:
     trained = stored()
     rest = valve_cylinder().initial()["p_a"]
     chambers = [replace(p, initial=rest) for p in trained.outputs]
-    ports = [
-        replace(POSITION, name=AHEAD, resolution=X_SCALE * 2.0**-16),
-        POSITION,
-        *chambers,
-        replace(VOLTAGE, name=LAST),
-    ]
+    ahead = replace(POSITION, name=AHEAD, resolution=X_SCALE * 2.0**-16)
+    ports = [ahead, POSITION, *chambers, replace(VOLTAGE, name=LAST)]
     return imitator("valve_cylinder_control", ports, VOLTAGE, LIMITS, SEEN, hidden, seed)
 
 
