@@ -32,7 +32,7 @@ from greygate.reading import read_json
 CONTROL = TRAINED / "control"
 TUNING, LEARNING = 50, 100  # seeds of trajectories and days: of the tuning, and from where on those of learning
 JUDGED = 1000  # what is judged has seeds from here on
-ROUNDS, EPOCHS, DECAY = 4, 60, 1e-6  # of DAgger
+ROUNDS, EPOCHS, DECAY = 3, 60, 1e-6  # of DAgger
 HIDDEN, SEED = 10, 0
 
 

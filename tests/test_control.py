@@ -191,7 +191,7 @@ def test_osqp_names_itself_where_it_is_missing(monkeypatch):
         (lambda: imitator("i", [Port(LAST)], U, LIMITS, [{("z", 0): 1.0}], 2, 0), "a feature reads z"),
         (lambda: Observer(lag(), "u", {"z": 1.0}, {}), "z is no output that the model remembers"),
         (lambda: Observer(lag(), "u", {"y": 1.0}, {"z": 1.0}), "z is no layer that it remembers"),
-        (lambda: task("crane"), "there are belt_drive, valve_cylinder"),
+        (lambda: task("crane"), "there are valve_cylinder, belt_drive"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_refused(wrong, said):
@@ -354,7 +354,7 @@ def test_the_command_tracks_and_keeps_the_signals(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("crane",), "no machine 'crane' has position control; there are belt_drive, valve_cylinder"),
+        (("crane",), "no machine 'crane' has position control; there are valve_cylinder, belt_drive"),
         (("belt_drive", "--controller", "pi", "--place", "rtl"), "only the imitating network is compiled"),
     ],
 )

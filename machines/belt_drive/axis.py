@@ -60,6 +60,7 @@ stands off, and the last speeds."""
 
 SPEEDS, TURNS, RESTS = (0.02, 0.06), (0.02, 0.28), (20, 60)  # m/s, m, samples: of references
 RAMP = 0.15  # s, in which a leg comes to its speed
+WHOLE = 4000  # samples, of which a shorter run is the beginning
 CALM, ROUGH = SLIP, 2 * SLIP  # RMS variation of the slip
 LOOSER = 1.15  # closing distances of the belt that is loaded
 SAGGED = 0.9  # of the speed that it is told, a drive of low supply reaches
@@ -101,7 +102,9 @@ class BeltRig:
         )
         self._stepper = Stepper(plant, SAMPLE_TIME)
         rough = ROUGH if case == "load" else CALM
-        self._slip = np.clip(band_limited_noise(samples, rough, 0.02, 0.5, SAMPLE_TIME, seed=seed), -0.6, 0.6)
+        self._slip = np.clip(
+            band_limited_noise(max(samples, WHOLE), rough, 0.02, 0.5, SAMPLE_TIME, seed=seed), -0.6, 0.6
+        )
         self._share = np.ones(samples)
         if case == "supply":
             self._share[samples // 3 : 2 * samples // 3] = SAGGED
@@ -166,6 +169,6 @@ def position() -> Task:
         sensor_drive="",
         imitator=imitating,
         settle=100,
-        samples=4000,
+        samples=WHOLE,
         units={"x": "m", "carriage": "m", "v": "m/s"},
     )

@@ -4,7 +4,7 @@ Model: the network of the chamber pressures (network.py, with the trained networ
 Newton's law. Over an interval T, by the implicit midpoint rule with the oil's stiffness at mid-stroke,
 
     moved(k) (2 + T^2 A kappa / 2m + T b / m) = 2 v(k-1) T + T^2/m (A (p_a - p_b + charge/2) - load - c x)(k-1)
-    x(k) = x(k-1) + moved(k),   v(k) = 2 moved(k) / T - v(k-1),   load(k) = load(k-1)
+    x(k) = x(k-1) + moved(k),   v(k) = 2 moved(k) / T - v(k-1),   load(k) = 2 load(k-1) - load(k-2)
 
 kappa = beta A (1/V_a + 1/V_b); `charge`: what the flows of the interval add to p_a - p_b at rest. The rule is stable
 although the oil's resonance (256 Hz) lies at half the sampling rate.
@@ -81,7 +81,8 @@ def axis_model(trained: Network, sample_time: float = SAMPLE_TIME) -> Network:
     known("moved", **weights)
     known("v", moved=2.0, before=-1.0)
     known("place", moved=1.0, before=1.0)
-    known("load", before=1.0)
+    known("load", before=1.0, change=1.0)
+    known("load_change", before=1.0)
     network.connect("v_c", "pressures.v_c")
     network.connect("place", "pressures.x")
     for c in "ab":
@@ -96,6 +97,8 @@ def axis_model(trained: Network, sample_time: float = SAMPLE_TIME) -> Network:
     network.connect("moved", "place.moved")
     network.connect("place", "place.before", delay=1)
     network.connect("load", "load.before", delay=1)
+    network.connect("load_change", "load.change", delay=1)
+    network.connect("load_change", "load_change.before", delay=1)
     network.connect("place", "x")
     return network.check()
 
@@ -106,21 +109,28 @@ LIMITS = Limits(-V_SCALE, V_SCALE, rate=0.2 * V_SCALE, resolution=V_STEP, output
 HORIZON, KNOTS = 30, 8  # steps: five lags of the coil
 TRACKING = Aim("x", tolerance=2 * RESOLUTION, smooth=1e-2)
 SENSED = {"x": RESOLUTION, "p_a": 1e5, "p_b": 1e5}  # m, Pa: the scale's step, the soft sensor's error with some room
-DISTURBED = {"load": 50.0 / LOAD, "v": 1e-5 / X_SCALE, "pressures.pa.state": 2e-3, "pressures.pb.state": 2e-3}
-"""By step: 50 N; 10 um a step in the speed; 2e-3 of the supply's pressure."""
+DISTURBED = {
+    "load": 10.0 / LOAD,
+    "load_change": 5.0 / LOAD,
+    "v": 1e-5 / X_SCALE,
+    "pressures.pa.state": 2e-3,
+    "pressures.pb.state": 2e-3,
+}
+"""By step: 10 N, and 5 N in its change; 10 um a step in the speed; 2e-3 of the supply's pressure."""
 
 PREVIEW = 24
 SEEN = (
     {(AHEAD, PREVIEW): 1.0, ("x", 0): -1.0},
     *differences(AHEAD, [PREVIEW - step for step in (0, 1, 2, 4, 6, 9, 13, 18, 24)]),
-    *differences("x", (0, 1, 2, 4)),
-    *({("p_a", delay): 1.0, ("p_b", delay): -1.0} for delay in (0, 1, 3)),
+    *differences("x", (0, 1, 2, 4, 8, 16)),
+    *({("p_a", delay): 1.0, ("p_b", delay): -1.0} for delay in (0, 1, 3, 8, 16)),
     {("p_a", 0): 1.0, ("p_b", 0): 1.0},
     *({(LAST, delay): 1.0} for delay in (0, 1, 2)),
 )
 """What the imitating network sees: error, the reference's and the position's motion, load and sum of the pressures, and
 the last voltages."""
 
+WHOLE = 5000  # samples, of which a shorter run is the beginning
 SPEED, BAND = 0.06, (0.2, 3.0)  # m/s, Hz: of references; 60 % of the speed that the open valve gives
 FORCE, FORCES = 3000.0, (0.1, 5.0)  # N, Hz: of the disturbed load, as in the thesis's v2
 SAGGED = 30.0  # V, of the pump's motor, which has 240 V
@@ -156,7 +166,7 @@ class CylinderRig:
         self._stepper = Stepper(self.plant, SAMPLE_TIME)
         self._force, self._voltage = np.zeros(samples), np.full(samples, self.plant.parameters["voltage"].value)
         if case == "load":
-            self._force = multisine(samples, FORCE, *FORCES, SAMPLE_TIME, seed)
+            self._force = multisine(max(samples, WHOLE), FORCE, *FORCES, SAMPLE_TIME, seed)
         if case == "supply":
             self._voltage[samples // 3 : 2 * samples // 3] = SAGGED
         self._sample, self._voltage_now = 0, self._voltage[0]
@@ -190,9 +200,10 @@ class CylinderRig:
 
 def reference(seed: int, samples: int) -> np.ndarray:
     """Random, of band `BAND` and peak speed `SPEED`, from rest at mid-stroke; m, (samples,)."""
-    ramp = np.clip(np.arange(samples) * SAMPLE_TIME / 0.5, 0, 1)
-    path = multisine(samples, 1.0, *BAND, SAMPLE_TIME, seed) * ramp**2 * (3 - 2 * ramp)
-    return path * SPEED * SAMPLE_TIME / np.abs(np.diff(path)).max()
+    whole = max(samples, WHOLE)
+    ramp = np.clip(np.arange(whole) * SAMPLE_TIME / 0.5, 0, 1)
+    path = multisine(whole, 1.0, *BAND, SAMPLE_TIME, seed) * ramp**2 * (3 - 2 * ramp)
+    return (path * SPEED * SAMPLE_TIME / np.abs(np.diff(path)).max())[:samples]
 
 
 def imitating(hidden: int, seed: int) -> Network:
@@ -229,7 +240,7 @@ def position() -> Task:
         sensor_drive="v_c",
         imitator=imitating,
         settle=500,
-        samples=5000,
+        samples=WHOLE,
         units={"x": "m", "position": "m", "p_a": "Pa", "p_b": "Pa", "supply": "Pa", "v_c": "V"},
         formats=Formats(16, finer=2),
     )
