@@ -18,8 +18,9 @@ import numpy as np
 from greygate.control.prediction import Prediction, State
 from greygate.errors import InputError
 
-EXACT = 1e3  # weight of a violation against its square, in tolerances: no violation where none is needed
-SOFT = 1e4  # weight of the square of a violation, in tolerances of the output
+EXACT = 10.0  # times what tracking would gain by a violation at most: there is none where none is needed
+TINY = 1e-300  # keeps a ratio finite where an output does not depend on the input
+SOFT = 10.0  # weight of the square of a violation, over that of the tracking error that the same input makes
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,8 @@ class Predictive:
         knots = self.prediction.basis.shape[1]
         self._gaps = np.diff([-1, *np.argmax(self.prediction.basis, axis=0)]).astype(float)
         self._difference = np.eye(knots) - np.eye(knots, k=-1)
-        self._weight = 1.0 / (self.aim.tolerance / abs(self._port.scale)) ** 2
+        self._step = self.aim.tolerance / abs(self._port.scale)
+        self._weight = 1.0 / self._step**2
         rate = self._rate if np.isfinite(self._rate) else self._high - self._low
         change = self._difference / (rate * np.sqrt(self._gaps))[:, None]
         self._smooth = self.aim.smooth * change.T @ change
@@ -128,10 +130,14 @@ class Predictive:
         knots, violations = len(self.plan), len(self._bounded)
         hessian = np.zeros((self._size, self._size))
         hessian[:knots, :knots] = self._weight * j.T @ j + self._smooth
-        gradient = np.full(self._size, EXACT)
-        gradient[:knots] = self._weight * j.T @ (outputs[:, self._tracked] - reference) + self._smooth @ self.plan
+        gradient = np.empty(self._size)
+        error = outputs[:, self._tracked] - reference
+        gradient[:knots] = self._weight * j.T @ error + self._smooth @ self.plan
         gradient[:knots] -= self._first * self.before
-        hessian.ravel()[knots * (self._size + 1) :: self._size + 1] = SOFT
+        for i, (column, _) in enumerate(self._bounded, knots):
+            ratio = np.abs(j).max() / max(np.abs(slopes[:, column]).max(), TINY)
+            gradient[i] = EXACT * self._weight * ratio * (np.abs(error).sum() + self._step)
+            hessian[i, i] = SOFT * self._weight * ratio**2
         rows, low, high = [np.eye(knots), self._difference], [self._low - self.plan], [self._high - self.plan]
         change = self._difference @ self.plan
         change[0] -= self.before
