@@ -157,21 +157,27 @@ def standardised(network: Network, records: Sequence[Record]) -> Network:
 
 def dagger(
     network: Network,
-    visit: Callable[[Network | None], list[Record]],
+    visit: Callable[[Network | None], tuple[list[Record], float]],
     rounds: int,
     epochs: int,
     decay: float,
     progress: Progress = silent,
 ) -> Network:
-    """Train by DAgger. visit: drives by a network (by the expert for None) and returns what was seen and answered."""
-    records = visit(None)
-    network = standardised(network, records)
-    for i in range(rounds + 1):
+    """Train by DAgger and return the network that drove best.
+
+    visit: drives by a network (by the expert for None); returns what was seen and answered, and the error of the drive.
+    """
+    records, _ = visit(None)
+    network = best = standardised(network, records)
+    least = np.inf
+    for i in range(rounds):
         trained = train(network, records, epochs=epochs, decay=decay)
         network = network.with_parameters(
             {n: v for n, v in trained.network.parameters().items() if n in network.parameters()}
         )
         progress(f"round {i}: {sum(map(len, records))} samples, loss {trained.history[-1]:.3g}")
-        if i < rounds:
-            records += visit(network)
-    return network
+        more, error = visit(network)
+        records = records + more
+        if error < least:
+            best, least = network, error
+    return best

@@ -32,7 +32,7 @@ from greygate.reading import read_json
 CONTROL = TRAINED / "control"
 TUNING, LEARNING = 50, 100  # seeds of trajectories and days: of the tuning, and from where on those of learning
 JUDGED = 1000  # what is judged has seeds from here on
-ROUNDS, EPOCHS, DECAY = 3, 60, 1e-6  # of DAgger
+ROUNDS, EPOCHS, DECAY = 4, 60, 1e-6  # of DAgger
 HIDDEN, SEED = 10, 0
 
 
@@ -142,15 +142,16 @@ class Task:
         expert, visits = self.predictive(), iter(range(LEARNING, JUDGED))
         reads = self.imitated(Floating(untrained), Floating(self.sensor()))
 
-        def visit(student: Network | None) -> list[Record]:
-            records = []
+        def visit(student: Network | None) -> tuple[list[Record], float]:
+            records, worst = [], 0.0
             for case in (Case.NOMINAL, Case.LOAD, Case.LOAD):
                 driver = self.floating(student) if student else None
                 watched = Watched(driver, expert, reads, self.limits)
                 found = self.run(watched, case, next(visits)).figures(self.settle)
                 progress(f"{'student' if student else 'expert'}, {case}: RMS {1e6 * found['rms']:.2f} µm")
                 records.append(watched.record(untrained, self.preview + self.settle // 10))
-            return records
+                worst = max(worst, found["rms"])
+            return records, worst
 
         return dagger(untrained, visit, ROUNDS, EPOCHS, DECAY, progress)
 
