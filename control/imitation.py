@@ -157,27 +157,24 @@ def standardised(network: Network, records: Sequence[Record]) -> Network:
 
 def dagger(
     network: Network,
-    visit: Callable[[Network | None], tuple[list[Record], float]],
+    visit: Callable[[Network | None], list[Record]],
     rounds: int,
     epochs: int,
     decay: float,
     progress: Progress = silent,
 ) -> Network:
-    """Train by DAgger and return the network that drove best.
+    """Train by DAgger. visit: drives by a network (by the expert for None) and returns what was seen and answered.
 
-    visit: drives by a network (by the expert for None); returns what was seen and answered, and the error of the drive.
+    rounds: for which the network itself drives; it is trained before each, and once more after the last.
     """
-    records, _ = visit(None)
-    network = best = standardised(network, records)
-    least = np.inf
-    for i in range(rounds):
+    records = visit(None)
+    network = standardised(network, records)
+    for i in range(rounds + 1):
         trained = train(network, records, epochs=epochs, decay=decay)
         network = network.with_parameters(
             {n: v for n, v in trained.network.parameters().items() if n in network.parameters()}
         )
         progress(f"round {i}: {sum(map(len, records))} samples, loss {trained.history[-1]:.3g}")
-        more, error = visit(network)
-        records = records + more
-        if error < least:
-            best, least = network, error
-    return best
+        if i < rounds:
+            records = records + visit(network)
+    return network

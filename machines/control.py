@@ -32,7 +32,7 @@ from greygate.reading import read_json
 CONTROL = TRAINED / "control"
 TUNING, LEARNING = 50, 100  # seeds of trajectories and days: of the tuning, and from where on those of learning
 JUDGED = 1000  # what is judged has seeds from here on
-ROUNDS, EPOCHS, DECAY = 4, 60, 1e-6  # of DAgger
+EPOCHS, DECAY = 60, 1e-6  # of DAgger
 HIDDEN, SEED = 10, 0
 
 
@@ -70,6 +70,7 @@ class Task:
     network in place of sensors, online, and the input of it that brings the last drive ("" where it has none).
     imitator: the network before training. settle: samples before anything is judged. formats: of the program of the
     sensor. samples: of a run by default. units: of the signals of a run that a recording keeps.
+    rounds: of DAgger.
     """
 
     name: str
@@ -89,6 +90,7 @@ class Task:
     settle: int
     samples: int
     units: Mapping[str, str]
+    rounds: int
     formats: Formats = field(default_factory=Formats)
 
     def run(self, controller: Controller, case: Case, seed: int, samples: int = 0, progress: Progress = silent) -> Run:
@@ -142,18 +144,17 @@ class Task:
         expert, visits = self.predictive(), iter(range(LEARNING, JUDGED))
         reads = self.imitated(Floating(untrained), Floating(self.sensor()))
 
-        def visit(student: Network | None) -> tuple[list[Record], float]:
-            records, worst = [], 0.0
+        def visit(student: Network | None) -> list[Record]:
+            records = []
             for case in (Case.NOMINAL, Case.LOAD, Case.LOAD):
                 driver = self.floating(student) if student else None
                 watched = Watched(driver, expert, reads, self.limits)
                 found = self.run(watched, case, next(visits)).figures(self.settle)
                 progress(f"{'student' if student else 'expert'}, {case}: RMS {1e6 * found['rms']:.2f} µm")
                 records.append(watched.record(untrained, self.preview + self.settle // 10))
-                worst = max(worst, found["rms"])
-            return records, worst
+            return records
 
-        return dagger(untrained, visit, ROUNDS, EPOCHS, DECAY, progress)
+        return dagger(untrained, visit, self.rounds, EPOCHS, DECAY, progress)
 
     # ---- fixed point
 

@@ -170,5 +170,6 @@ def position() -> Task:
         imitator=imitating,
         settle=100,
         samples=WHOLE,
+        rounds=4,
         units={"x": "m", "carriage": "m", "v": "m/s"},
     )

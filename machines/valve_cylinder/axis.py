@@ -241,6 +241,7 @@ def position() -> Task:
         imitator=imitating,
         settle=500,
         samples=WHOLE,
+        rounds=3,
         units={"x": "m", "position": "m", "p_a": "Pa", "p_b": "Pa", "supply": "Pa", "v_c": "V"},
         formats=Formats(16, finer=2),
     )
