@@ -18,9 +18,9 @@ import numpy as np
 from greygate.control.prediction import Prediction, State
 from greygate.errors import InputError
 
-EXACT = 10.0  # times what tracking would gain by a violation at most: there is none where none is needed
+EXACT = 1.0  # times the most that tracking gains by a violation: there is none where none is needed
 TINY = 1e-300  # keeps a ratio finite where an output does not depend on the input
-SOFT = 10.0  # weight of the square of a violation, over that of the tracking error that the same input makes
+SOFT = 1.0  # weight of the square of a violation, over that of the tracking error that the same input makes
 
 
 @dataclass(frozen=True)

@@ -209,7 +209,7 @@ def test_the_observer_finds_a_load_from_position_and_soft_sensor():
     rig._force[100:] = force
     done = run(rig, controller, np.zeros(300), "position", chosen.limits, chosen.period)
     found = controller.observer.value("load") * cylinder.LOAD
-    assert found == pytest.approx(force, abs=130.0)  # the dry friction, at most, is part of it
+    assert found == pytest.approx(force, abs=200.0)  # dry friction, 130 N, and half a bar in each chamber
     assert np.abs(done.error[-20:]).max() < cylinder.RESOLUTION
 
 
