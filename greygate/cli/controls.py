@@ -11,7 +11,7 @@ from greygate.machines.control import JUDGED, Case, Method, Place
 
 
 def control(
-    machine: Annotated[str, typer.Argument(help="valve_cylinder, belt_drive, or `list`.")],
+    machine: Annotated[str, typer.Argument(help="A machine of the catalogue that has position control, or `list`.")],
     controller: Annotated[Method, typer.Option(help="Who controls.")] = Method.MPC,
     place: Annotated[Place, typer.Option(help="Where the network and its soft sensor are computed.")] = Place.FLOAT,
     case: Annotated[Case, typer.Option(help="What disturbs the machine.")] = Case.NOMINAL,
