@@ -2,6 +2,7 @@
 
     MACHINE        PI, predictive control and the network that imitates it (float, emulator, RTL) on three trajectories
                    that nothing was tuned or learnt on; undisturbed, with a disturbed load, with a supply that sags
+    MACHINE_fixed  the network alone, in float, emulator and RTL, after its formats were changed
     MACHINE_long   ten minutes of the network under a disturbed load, in RTL up to 200,000 steps, else in the emulator
 
 What is found is kept in results/control.json, from which `make pages` writes the tables of docs/control.md. A time is
@@ -64,23 +65,30 @@ def bits(designs: Sequence[Clocked]) -> dict:
 
 def compared(name: str) -> dict:
     """Every controller in every case."""
+    return {**_rows(name, ROWS), "pi": pi(task(name))}
+
+
+def fixed(name: str) -> dict:
+    """The imitating network alone."""
+    return _rows(name, ROWS[2:])
+
+
+def _rows(name: str, rows: Sequence[tuple[Method, Place]]) -> dict:
     asked, found, paths = task(name), {}, {}
-    for method, place in ROWS:
+    for method, place in rows:
         with controller(asked, method, place, say) as (made, designs):
             for case in Case:
                 runs = [asked.run(made, case, seed) for seed in SEEDS]
                 paths[place, case] = [run.signals[asked.tracked] for run in runs]
                 row = pooled(runs, asked.settle)
                 if method is Method.NETWORK and place is not Place.FLOAT:
-                    apart = np.concatenate(
-                        [a - b for a, b in zip(paths[place, case], paths[Place.FLOAT, case], strict=True)]
-                    )
-                    row["apart"] = float(np.sqrt(np.mean(apart**2)))
+                    both = zip(paths[place, case], paths[Place.FLOAT, case], strict=True)
+                    row["apart"] = float(np.sqrt(np.mean(np.concatenate([a - b for a, b in both]) ** 2)))
                 found.setdefault(f"{method}_{place}", {})[case] = row
                 say(f"{name}, {method} in {place}, {case}: RMS {1e6 * row['rms']:.2f} µm")
             if designs:
                 found["bits"] = bits(designs)
-    return {"rows": found, "pi": pi(asked)}
+    return {"rows": found}
 
 
 def pi(asked: Task) -> dict:
@@ -103,6 +111,7 @@ def long(name: str) -> dict:
 PARTS: dict[str, Callable[[], dict]] = {}
 for machine in CONTROLLED:
     PARTS[machine] = partial(compared, machine)
+    PARTS[f"{machine}_fixed"] = partial(fixed, machine)
     PARTS[f"{machine}_long"] = partial(long, machine)
 
 if __name__ == "__main__":

@@ -69,7 +69,7 @@ class Task:
     machine under way. predictive: the predictive controller. first: the PI controller before tuning. sensor: the
     network in place of sensors, online, and the input of it that brings the last drive ("" where it has none).
     imitator: the network before training. settle: samples before anything is judged. formats: of the program of the
-    sensor. samples: of a run by default. units: of the signals of a run that a recording keeps.
+    sensor. own_formats: of that of the imitating network. samples: of a run by default. units: of the signals of a run that a recording keeps.
     rounds: of DAgger.
     """
 
@@ -92,6 +92,7 @@ class Task:
     units: Mapping[str, str]
     rounds: int
     formats: Formats = field(default_factory=Formats)
+    own_formats: Formats = field(default_factory=Formats)
 
     def run(self, controller: Controller, case: Case, seed: int, samples: int = 0, progress: Progress = silent) -> Run:
         """A closed loop on the trajectory and the day of that seed."""
@@ -166,10 +167,9 @@ class Task:
             controller = _Noted(self.floating(network))
             self.run(controller, case, seed)
             own[case], sensors[case] = controller.records(network, self.sensor(), self.sensor_drive, self.drive)
-        formats = replace(self.formats, finer=0)
         return tuple(
             compile_network(net, records, f, ranged_on=list(records), period=self.period).program
-            for net, records, f in ((network, own, formats), (self.sensor(), sensors, self.formats))
+            for net, records, f in ((network, own, self.own_formats), (self.sensor(), sensors, self.formats))
         )  # type: ignore[return-value]
 
 

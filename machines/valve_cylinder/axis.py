@@ -244,4 +244,5 @@ def position() -> Task:
         rounds=3,
         units={"x": "m", "position": "m", "p_a": "Pa", "p_b": "Pa", "supply": "Pa", "v_c": "V"},
         formats=Formats(16, finer=2),
+        own_formats=Formats(18),
     )
