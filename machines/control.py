@@ -68,9 +68,9 @@ class Task:
     network sees ahead. reference: (seed, samples) -> (samples,) [m], from rest. rig: (case, seed, samples) -> the
     machine under way. predictive: the predictive controller. first: the PI controller before tuning. sensor: the
     network in place of sensors, online, and the input of it that brings the last drive ("" where it has none).
-    imitator: the network before training. settle: samples before anything is judged. formats: of the program of the
-    sensor. own_formats: of that of the imitating network. samples: of a run by default. units: of the signals of a run that a recording keeps.
-    rounds: of DAgger.
+    imitator: the network before training. settle: samples before anything is judged.
+    formats: of the program of the sensor; own_formats: of that of the imitating network. samples: of a run by default.
+    units: of the signals of a run that a recording keeps. rounds: of DAgger.
     """
 
     name: str
