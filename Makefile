@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= python3
 OUT := demo
 PEERS := build/peers
-FOLDERS := models plants emulator compiler rtl mismatch machines recordings
+FOLDERS := models plants emulator compiler rtl mismatch control machines recordings
 
 .PHONY: demo docs pages test test-old lint types bench bench-training bench-diagnosis bench-rigs bench-programs fuzz faults \
     mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-tables \
@@ -148,7 +148,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(INSTALL) -e '.[dev,synthesis,proof,board,cluster]'
+	$(INSTALL) -e '.[dev,synthesis,proof,board,cluster,control]'
 	@touch $@
 
 $(VENV)/.ready-docs: $(VENV)/.ready

@@ -12,10 +12,12 @@ from markupsafe import Markup
 
 from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.compiler.quantize import Formats
+from greygate.control.stepping import Emulated
 from greygate.errors import InputError
 from greygate.files import replacing
 from greygate.machines.cable_drum import study as cable_drum
-from greygate.machines.catalog import entry
+from greygate.machines.catalog import entry, task
+from greygate.machines.control import JUDGED, Case
 from greygate.mismatch.rig import load
 from greygate.mismatch.simulation import simulate
 from greygate.models.accuracy import float_error
@@ -235,6 +237,28 @@ def explore() -> str:
     return picture(panels, [(kinds[name], name) for name in drawn])
 
 
+def control() -> str:
+    """A second of the cylinder under its load, and of the belt drive: the reference and three errors."""
+    panels = []
+    for name, case, start, stop in (
+        ("valve_cylinder", Case.LOAD, 2000, 3000),
+        ("belt_drive", Case.NOMINAL, 1000, 3000),
+    ):
+        chosen = task(name)
+        programs = chosen.programs(chosen.network())
+        controllers = {
+            "reference": chosen.proportional(),
+            "fixed": chosen.predictive(),
+            "cost": chosen.imitated(*map(Emulated, programs)),
+        }
+        runs = {kind: chosen.run(made, case, JUDGED + 1, stop) for kind, made in controllers.items()}
+        errors = [over_time(1e6 * done.error, slice(start, stop), chosen.period, kind) for kind, done in runs.items()]
+        title = f"{name.replace('_', ' ')}, {case}"
+        panels.append((title, panel(errors, "time [s]", "error [µm]")))
+    keys = [("reference", "PI, feed-forward"), ("fixed", "predictive control"), ("cost", "network, as in RTL")]
+    return picture(panels, keys)
+
+
 PICTURES: dict[str, Callable[[], str]] = {
     "greygate": greygate,
     "belt_drive": belt_drive,
@@ -243,6 +267,7 @@ PICTURES: dict[str, Callable[[], str]] = {
     "pump_cylinder": pump_cylinder,
     "cable_drum": drum,
     "explore": explore,
+    "control": control,
 }
 
 

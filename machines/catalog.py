@@ -8,6 +8,7 @@ from pathlib import Path
 
 from greygate.errors import InputError
 from greygate.machines.augmentation import Augmentation
+from greygate.machines.control import Task
 from greygate.machines.entry import Entry, Machine
 
 
@@ -25,6 +26,9 @@ AUGMENTED: dict[str, type[Augmentation]] = {
 }
 """Plant -> the augmentation of its structured network."""
 
+CONTROLLED = {name: build for machine in MACHINES for name, build in machine.controlled.items()}
+"""Machine -> what builds its task of position control."""
+
 REPORTED = tuple(
     entry.name for entry in sorted(CATALOG.values(), key=lambda entry: entry.row or 0) if entry.row is not None
 )
@@ -36,3 +40,10 @@ def entry(name: str) -> Entry:
     if name not in CATALOG:
         raise InputError(f"no network is called {name!r}; there are {', '.join(CATALOG)}, or give a NAME.toml file")
     return CATALOG[name]
+
+
+def task(name: str) -> Task:
+    """The position control of a machine. Raises InputError naming those there are."""
+    if name not in CONTROLLED:
+        raise InputError(f"no machine {name!r} has position control; there are {', '.join(CONTROLLED)}")
+    return CONTROLLED[name]()

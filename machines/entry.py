@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from greygate.machines.augmentation import Augmentation
+from greygate.machines.control import Task
 from greygate.machines.identification import TRAINED
 from greygate.machines.kept import Kept
 from greygate.models.network import Network
@@ -54,11 +55,13 @@ class Entry:
 class Machine:
     """A machine: its networks, and what stands for a plant of its folder where a diagnosis augments its network.
 
-    augmented: plant -> class of its augmentation (greygate/augment.py). place: among the machines, in lists.
+    augmented: plant -> class of its augmentation (greygate/augment.py). controlled: name -> what builds its task of
+    position control (machines/control.py). place: among the machines, in lists.
     """
 
     networks: tuple[Entry, ...] = ()
     augmented: Mapping[str, type[Augmentation]] = field(default_factory=dict)
+    controlled: Mapping[str, Callable[[], Task]] = field(default_factory=dict)
     place: int = LAST
 
 

@@ -139,6 +139,47 @@ class Restarted:
         return out
 
 
+class Stepper:
+    """A plant under way, a sample at a time, so that a controller can answer it. Arguments: as in `simulate`."""
+
+    def __init__(
+        self, plant: Plant, sample_time: float = 1e-3, step: float = 1e-4, initial: Mapping[str, float] | None = None
+    ):
+        self.plant, self.sample_time = plant, sample_time
+        self._restarted = Restarted(plant, sample_time, step)
+        self._place = {symbol: i for i, symbol in enumerate(plant.states)}
+        start = plant.initial() | dict(initial or {})
+        self._now = np.array([float(start[symbol]) for symbol in plant.states])
+        self._values = np.array([p.value for p in plant.parameters.values()])
+        bounds = [(s.low, s.high) for s in plant.states.values()]
+        self._low = np.array([-np.inf if low is None else plant.constant(low) for low, _ in bounds])
+        self._high = np.array([np.inf if high is None else plant.constant(high) for _, high in bounds])
+        self._samples = 0
+
+    def __getitem__(self, state: str) -> float:
+        """The value of a state now, in its unit."""
+        return float(self._now[self._place[state]])
+
+    def set(self, parameter: str, value: float) -> None:
+        """Change a parameter under way."""
+        self._values[list(self.plant.parameters).index(parameter)] = value
+
+    def step(self, inputs: Mapping[str, float]) -> None:
+        """Hold the inputs for a sample. Raises InputError where a state is no longer finite."""
+        held = np.array([[float(inputs[n]) for n in self.plant.inputs]] * 2)
+        out, r = np.empty((2, len(self._now))), self._restarted
+        failed = r.module.run(
+            self._now.copy(), held, self._values, self._low, self._high, r.rate, r.step, r.substeps, out
+        )
+        if failed >= 0:
+            raise InputError(
+                f"plant {self.plant.name}: a state is not finite at {self._samples * self.sample_time:.6g} s; "
+                "check the controller, or take a smaller step"
+            )
+        self._now = out[1]
+        self._samples += 1
+
+
 def _inputs(plant: Plant, inputs: Mapping[str, np.ndarray], samples: int | None) -> np.ndarray:
     if set(inputs) != set(plant.inputs):
         raise InputError(f"plant {plant.name}: inputs are {sorted(inputs)}; give {sorted(plant.inputs)}")

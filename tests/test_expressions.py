@@ -20,7 +20,7 @@ from greygate.plants.plant import Parameter, Plant, Values
 from greygate.plants.simulate import source
 
 ROOT = Path(__file__).parent.parent
-PACKAGES = ("greygate", "models", "compiler", "emulator", "rtl", "plants", "mismatch", "machines")
+PACKAGES = ("greygate", "models", "compiler", "emulator", "rtl", "plants", "mismatch", "control", "machines")
 AT_ONCE = 0.5  # s; a refusal takes a millisecond, the rest is a busy machine
 
 CANARY = "canary_of_greygate"  # a file that no text may make

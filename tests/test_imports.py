@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 LAYERS = (  # from the top; what stands on one line imports nothing of another on it
     ("greygate",),  # the command line, projects, pages: whatever is in the package and not below
     ("machines",),
-    ("compiler", "mismatch"),
+    ("compiler", "control", "mismatch"),
     ("emulator", "plants"),
     ("models",),
     ("rtl", "recordings"),

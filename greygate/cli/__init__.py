@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from greygate import __version__
-from greygate.cli import bench, boards, builds, expert, networks, rigs
+from greygate.cli import bench, boards, builds, controls, expert, networks, rigs
 from greygate.cli.terminal import say
 from greygate.errors import InputError
 
@@ -23,6 +23,7 @@ COMMANDS = (
     *(builds.emulate, builds.verify, builds.prove, builds.synthesize, builds.report),
     *(boards.board, boards.play),
     networks.validate,
+    controls.control,
     *(rigs.diagnose, rigs.next_, rigs.isolability, rigs.simulate, rigs.augment, rigs.conceal, rigs.reveal),
 )
 

@@ -9,7 +9,8 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -107,39 +108,53 @@ def simulate(
     data: files that it reads, by name. optimised: False for a large design and few clocks, which takes longer to build
     than to run. Raises InputError where a tool is missing, or Verilator cannot build it.
     """
-    environment = simulator_environment()
+    with built(files, bench, data, include, progress, optimised) as work:
+        progress("simulating")
+        _tool(work, str(work / "bench"))
+        if not (work / "result.json").exists():
+            raise InputError("the simulation ended without a result")
+        return json.loads((work / "result.json").read_text())
+
+
+@contextmanager
+def built(
+    files: Sequence[Path],
+    bench: str,
+    data: Mapping[str, str],
+    include: Sequence[Path] = (),
+    progress: Progress = silent,
+    optimised: bool = True,
+) -> Iterator[Path]:
+    """A temporary folder in which the program `bench` is built of a Verilog module of that name; as `simulate`."""
     with tempfile.TemporaryDirectory(prefix="greygate-") as temporary:
         work = Path(temporary)
         for name, text in (*data.items(), ("bench.v", bench), ("main.cpp", MAIN)):
             (work / name).write_text(text)
         for path in files:
             shutil.copy(path, work)
-
-        def tool(*command: str) -> None:
-            try:
-                run_logged([*command], work / "log", environment, work)
-            except InputError as error:
-                said = (work / "log").read_text(errors="replace").splitlines()
-                why = next((line for line in said if re.search("[Ee]rror", line)), str(error))
-                raise InputError(f"{why}; the simulation cannot be built or run") from None
-
+        environment = simulator_environment()
         progress("Verilator")
         options = ["--cc", "--exe", "--prefix", "Vbench", "--top-module", "bench", "-Mdir", ".", "-o", "bench"]
         options += ["--timescale", "1ns/1ns", "--x-initial", "unique", "-O3", "--output-split", "20000", *LINT]
         options += [f"-I{path}" for path in include]
         sources = [str(work / p.name) for p in files]  # whole paths: a bare name is looked for in -I first
-        tool("verilator", *options, "main.cpp", "bench.v", *sources)
+        _tool(work, "verilator", *options, "main.cpp", "bench.v", *sources)
         progress("compiling the simulation")
         cache, level = runtime_cache(environment, False), "-O1" if optimised else "-O0"
         borrow_runtime(cache, work, RUNTIME)
         make = ["make", "-j", str(os.cpu_count() or 1), "-f", "Vbench.mk"]
-        tool(*make, f"OPT_FAST={level}", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1")
+        _tool(work, *make, f"OPT_FAST={level}", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1")
         keep_runtime(cache, work)
-        progress("simulating")
-        tool(str(work / "bench"))
-        if not (work / "result.json").exists():
-            raise InputError("the simulation ended without a result")
-        return json.loads((work / "result.json").read_text())
+        yield work
+
+
+def _tool(work: Path, *command: str) -> None:
+    try:
+        run_logged([*command], work / "log", simulator_environment(), work)
+    except InputError as error:
+        said = (work / "log").read_text(errors="replace").splitlines()
+        why = next((line for line in said if re.search("[Ee]rror", line)), str(error))
+        raise InputError(f"{why}; the simulation cannot be built or run") from None
 
 
 def bench(top: str, steps: int, width_in: int, width_out: int) -> str:

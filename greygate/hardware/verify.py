@@ -126,7 +126,7 @@ def verify_many(
     with writing(folder, "make this folder"):
         folder.mkdir(parents=True, exist_ok=True)
     seed = int(np.random.SeedSequence().entropy % (1 << 31)) if seed is None else seed
-    designs = [_Bench(i, case) for i, case in enumerate(cases)]
+    designs = [Bench(i, case) for i, case in enumerate(cases)]
     files = {file.name: file for case in cases for file in case.sources(folder)}
     junit = folder / "results.xml"
     junit.unlink(missing_ok=True)
@@ -180,7 +180,7 @@ def lanes(signals: Sequence[Signal], codes: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class _Bench:
+class Bench:
     """One case in the bench: the Verilog around it, and what the bench must know of it."""
 
     index: int
@@ -206,9 +206,6 @@ class _Bench:
     def verilog(self) -> str:
         """The signals that the bench drives and reads, the source's handshake, the states side by side, the design."""
         i, program = self.index, self.case.program
-        state = [
-            sign_extended(f"design_{i}.{at.path}", at.low, s.fix.width, lane_width(s)) for at, s in self.registers()
-        ]
         width_in, width_out, width_state = width(self.inputs), width(self.outputs), width(self.states)
         ports = {"clk": f"clk_{i}", "rst": f"rst_{i}"}
         ports |= {f"{a}_axis_{b}": f"{a}_{b}_{i}" for a in "sm" for b in ("tdata", "tvalid", "tready")}
@@ -221,7 +218,7 @@ class _Bench:
     wire s_tready_{i} {public}, m_tvalid_{i} {public};
     wire [{width_out - 1}:0] m_tdata_{i};
     wire [{width_out + width_state - 1}:0] seen_{i} {public};
-    assign seen_{i} = {{{", ".join([*reversed(state), f"m_tdata_{i}"])}}};
+    assign seen_{i} = {self.seen()};
     reg taken_{i};
     wire s_tvalid_{i} = source_{i}[{width_in}] ^ taken_{i};
     wire [{width_in - 1}:0] s_tdata_{i} = source_{i}[{width_in - 1}:0];
@@ -229,6 +226,14 @@ class _Bench:
 {self.loading()}    {program.name} design_{i} ({", ".join(f".{k}({v})" for k, v in ports.items())});
 
 """
+
+    def seen(self) -> str:
+        """The states of the design, side by side above its answer."""
+        i = self.index
+        state = [
+            sign_extended(f"design_{i}.{at.path}", at.low, s.fix.width, lane_width(s)) for at, s in self.registers()
+        ]
+        return f"{{{', '.join([*reversed(state), f'm_tdata_{i}'])}}}"
 
     def loading(self) -> str:
         """How the states are set, where a scenario begins from states of its own."""

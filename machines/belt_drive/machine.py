@@ -1,11 +1,13 @@
 """The timing-belt drive in the catalogue."""
 
+from greygate.machines.belt_drive.axis import position
 from greygate.machines.belt_drive.plant import SAMPLE_TIME
 from greygate.machines.belt_drive.study import SCENARIOS, THESIS, records, train_machine
 from greygate.machines.entry import Entry, Machine
 
 MACHINE = Machine(
     place=5,
+    controlled={"belt_drive": position},
     networks=(
         Entry(
             "belt_drive",

@@ -4,11 +4,13 @@ from greygate.machines.entry import Entry, Machine, pressures
 from greygate.machines.kept import Kept
 from greygate.machines.valve_cylinder import warm
 from greygate.machines.valve_cylinder.augmentation import Pressures
+from greygate.machines.valve_cylinder.axis import position
 from greygate.machines.valve_cylinder.study import SCENARIOS, THESIS, prune, records, train_srnn
 
 MACHINE = Machine(
     place=1,
     augmented={"valve_hydraulic": Pressures},
+    controlled={"valve_cylinder": position},
     networks=(
         Entry(
             "valve_cylinder",

@@ -1,0 +1,180 @@
+"""A small network that imitates a controller, trained on the states that the network itself visits.
+
+DAgger (Ross, Gordon, Bagnell 2011): the controller drives first; then the network drives, and the controller says at
+every sample what it would have done; the network is trained on all of that, and drives again.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from greygate.control.loop import Controller
+from greygate.control.predictive import Limits
+from greygate.control.stepping import Stepped
+from greygate.errors import InputError
+from greygate.models.families.library import library
+from greygate.models.network import Layer, Network, Port
+from greygate.models.training.levenberg import train
+from greygate.models.training.record import Record
+from greygate.progress import Progress, silent
+
+Feature = Mapping[tuple[str, int], float]
+"""(input port, delay) -> weight, in the units of the ports: what the network sees, a sum."""
+AHEAD, LAST = "ahead", "last"
+
+
+def differences(port: str, delays: Sequence[int], gain: float = 1.0) -> list[Feature]:
+    """The changes of a port between neighbours of `delays`."""
+    return [{(port, a): gain, (port, b): -gain} for a, b in pairwise(delays)]
+
+
+def imitator(
+    name: str, inputs: Sequence[Port], drive: Port, limits: Limits, features: Sequence[Feature], hidden: int, seed: int
+) -> Network:
+    """The network before training. Inputs: `ahead`, the reference so many samples ahead that delays reach the present
+    one; the measured ports; `last`, the last input. Output: `drive`.
+
+        wanted = W seen + V tanh(U seen + b) + c       seen: the features, fixed sums of delayed inputs
+        drive  = limit(last + limit_rate(wanted - last))
+
+    The two limiters are library networks, so no training can break the limits. Raises InputError for a feature of a
+    port that is not an input.
+    """
+    ports = {p.name: p for p in inputs}
+    for feature in features:
+        for port, _ in feature:
+            if port not in ports:
+                raise InputError(f"network {name}: a feature reads {port}; its inputs are {', '.join(ports)}")
+    network = Network(name, list(inputs), [drive])
+    taps = sorted({tap for feature in features for tap in feature})
+    weights = {
+        f"{port}_z{delay}": np.array([[f.get((port, delay), 0.0) * ports[port].scale] for f in features])
+        for port, delay in taps
+    }
+    network.add("seen", Layer(weights, np.zeros(len(features)), frozen={*weights, "bias"}))
+    for port, delay in taps:
+        network.connect(port, f"seen.{port}_z{delay}", delay)
+    rng, count = np.random.default_rng(seed), len(features)
+    spread = rng.normal(size=(hidden, count)) / np.sqrt(count)
+    network.add("hidden", Layer({"seen": spread}, rng.normal(size=hidden), "tansig"))
+    network.connect("seen", "hidden.seen")
+    start = {"seen": np.zeros((1, count)), "hidden": 0.01 * rng.normal(size=(1, hidden))}
+    network.add("wanted", Layer(start, [0.0]))
+    network.connect("seen", "wanted.seen")
+    network.connect("hidden", "wanted.hidden")
+    one = {"wanted": [[1.0]], "last": [[-1.0]]}
+    network.add("change", Layer(one, [0.0], frozen={*one, "bias"}))
+    network.connect("wanted", "change.wanted")
+    network.connect(LAST, "change.last")
+    rate = limits.rate / abs(drive.scale)
+    low, high = sorted(drive.normalised(v) for v in (limits.low, limits.high))
+    network.add("rate", library("limiter", lo=-rate, hi=rate))
+    network.connect("change", "rate.x")
+    both = {"rate": [[1.0]], "last": [[1.0]]}
+    network.add("sum", Layer(both, [0.0], frozen={*both, "bias"}))
+    network.connect("rate", "sum.rate")
+    network.connect(LAST, "sum.last")
+    network.add("range", library("limiter", lo=low, hi=high))
+    network.connect("sum", "range.x")
+    network.connect("range", drive.name)
+    return network.check()
+
+
+@dataclass
+class Imitated:
+    """The network as a controller, beside the network that replaces sensors. Each in float, emulator or hardware.
+
+    ahead: samples by which port `ahead` leads. driven: the input of `sensor` that brings the last input of the plant.
+    """
+
+    network: Stepped
+    sensor: Stepped | None
+    ahead: int
+    driven: str
+    drive: str
+
+    def reset(self) -> None:
+        self.network.reset()
+        if self.sensor:
+            self.sensor.reset()
+
+    def inputs(self, measured: Mapping[str, float], before: float, reference: np.ndarray) -> dict[str, float]:
+        """What the network reads at a sample."""
+        seen = dict(measured)
+        if self.sensor:
+            seen |= self.sensor.step({**measured, self.driven: before} if self.driven else measured)
+        return {**seen, LAST: before, AHEAD: float(reference[self.ahead])}
+
+    def __call__(self, measured: Mapping[str, float], before: float, reference: np.ndarray) -> float:
+        return self.network.step(self.inputs(measured, before, reference))[self.drive]
+
+
+@dataclass
+class Watched:
+    """A controller that drives while an expert says what it would do, and what the network would have read.
+
+    The expert's answers are as its actuator would make them.
+    """
+
+    driver: Controller | None
+    expert: Controller
+    reads: Imitated
+    limits: Limits
+
+    def __post_init__(self) -> None:
+        self.ahead = max(self.expert.ahead, self.reads.ahead)
+
+    def reset(self) -> None:
+        self.expert.reset()
+        self.reads.reset()
+        if self.driver:
+            self.driver.reset()
+        self.rows: list[dict[str, float]] = []
+
+    def __call__(self, measured: Mapping[str, float], before: float, reference: np.ndarray) -> float:
+        answer = self.limits.kept(self.expert(measured, before, reference[: self.expert.ahead + 1]), before)
+        self.rows.append(self.reads.inputs(measured, before, reference) | {"answer": answer})
+        return self.driver(measured, before, reference) if self.driver else answer
+
+    def record(self, network: Network, skip: int) -> Record:
+        """What was read beside the expert's answers."""
+        columns = {n: np.array([row[n] for row in self.rows]) for n in self.rows[0]}
+        inputs = {p.name: columns[p.name] for p in network.inputs}
+        return Record(inputs, {network.outputs[0].name: columns["answer"]}, skip=skip)
+
+
+def standardised(network: Network, records: Sequence[Record]) -> Network:
+    """The network whose features have mean 0 and deviation 1 over the records; what never moves keeps its size."""
+    seen = np.concatenate([network.run(r.inputs, trace=True)["seen"][r.skip :] for r in records])
+    layer = network.modules["seen"]
+    assert isinstance(layer, Layer)
+    size = np.maximum(seen.std(axis=0), 1e-9 * np.abs(seen).max())
+    values = {f"seen.{port}": w / size[:, None] for port, w in layer.weights.items()}
+    return network.with_parameters(values | {"seen.bias": (layer.bias - seen.mean(axis=0)) / size})
+
+
+def dagger(
+    network: Network,
+    visit: Callable[[Network | None], list[Record]],
+    rounds: int,
+    epochs: int,
+    decay: float,
+    progress: Progress = silent,
+) -> Network:
+    """Train by DAgger. visit: drives by a network (by the expert for None) and returns what was seen and answered.
+
+    rounds: for which the network itself drives; it is trained before each, and once more after the last.
+    """
+    records = visit(None)
+    network = standardised(network, records)
+    for i in range(rounds + 1):
+        trained = train(network, records, epochs=epochs, decay=decay)
+        network = network.with_parameters(
+            {n: v for n, v in trained.network.parameters().items() if n in network.parameters()}
+        )
+        progress(f"round {i}: {sum(map(len, records))} samples, loss {trained.history[-1]:.3g}")
+        if i < rounds:
+            records = records + visit(network)
+    return network

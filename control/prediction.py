@@ -1,0 +1,131 @@
+"""What a network's outputs will be for a planned input, and by how much each part of the plan changes them.
+
+The plan is a layer of the network: its weights times a basis give the input at every step. So the derivatives of the
+outputs by the plan are those by weights, which training has already (models/training/kernels.py): exact, through every
+loop and delay.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from greygate.errors import InputError
+from greygate.models.network import Layer, Network, Port
+from greygate.models.training.kernels import forward, sensitivities, tabulate
+
+PLAN = "plan"
+State = Mapping[str, np.ndarray]  # layer or input -> (lags, size), newest first, normalised
+
+
+def online(network: Network, port: str) -> Network:
+    """The network as it runs beside the plant: at step k, `port` brings what acts from step k-1 to step k.
+
+    A network of a recording reads u(k-1) where it answers for step k. Raises InputError where it also reads u(k), which
+    acts only afterwards.
+    """
+    flat = network.flatten()
+    if port not in {p.name for p in flat.inputs}:
+        raise InputError(f"network {network.name}: no input {port}; it has {', '.join(p.name for p in flat.inputs)}")
+    if any(c.source == port and c.delay == 0 for c in flat.connections):
+        raise InputError(f"network {network.name}: an output at step k must depend on {port} before step k alone")
+    earlier = [replace(c, delay=c.delay - 1) if c.source == port else c for c in flat.connections]
+    return replace(flat, connections=earlier).check()
+
+
+def knots(steps: int, count: int) -> np.ndarray:
+    """Steps of a plan at which its input is free: `count` of 0..steps-1, dense at first, each gap no smaller than the
+    one before. Raises InputError unless 2 <= count <= steps."""
+    if not 2 <= count <= steps:
+        raise InputError(f"a plan of {steps} steps with {count} knots: give 2 to {steps} knots")
+    low, high = 1.0, float(steps)
+    while high - low > 1e-9:  # the ratio of a geometric series whose sum is steps - 1, rounded
+        ratio = (low + high) / 2
+        total = sum(ratio**i for i in range(count - 1))
+        low, high = (ratio, high) if total < steps - 1 else (low, ratio)
+    at = np.cumsum([0.0, *(low**i for i in range(count - 1))])
+    found = np.unique(np.round(at).astype(int))
+    found[-1] = steps - 1
+    return found
+
+
+def hats(at: np.ndarray) -> np.ndarray:
+    """(steps, knots): the input at each step is interpolated linearly between the knots `at`."""
+    steps = np.arange(at[-1] + 1)
+    return np.stack([np.interp(steps, at, row) for row in np.eye(len(at))], axis=1)
+
+
+class Prediction:
+    """A network run from a state over a horizon, for a plan of one of its inputs.
+
+    model: network whose input `drive` [its unit] is planned and which has no other; its outputs at step k depend on
+    the drive before step k alone. basis: (steps, knots), what the plan is made of (`hats`). Inside, everything is
+    normalised as the model's ports are. Raises InputError for a model with other inputs.
+    """
+
+    def __init__(self, model: Network, drive: str, basis: np.ndarray):
+        if [p.name for p in model.inputs] != [drive]:
+            given = ", ".join(p.name for p in model.inputs)
+            raise InputError(f"network {model.name}: inputs {given}; a prediction plans one, {drive}, and has no other")
+        self.port, self.basis = model.inputs[0], np.asarray(basis, float)
+        flat = online(model, drive)
+        plan = Port(PLAN, size=self.basis.shape[1])
+        layer = Layer({PLAN: np.zeros((1, plan.size))}, [0.0], initial=self.port.rest)
+        flat = Network(flat.name, [plan], flat.outputs, {drive: layer, **flat.modules}, list(flat.connections))
+        flat.connect(PLAN, f"{drive}.{PLAN}")
+        self.flat = flat.flatten()
+        tables, names = tabulate(self.flat)
+        values = self.flat.parameters()
+        ends = np.cumsum([values[n].size for n in names])
+        last = int(ends[names.index(f"{drive}.{PLAN}")])
+        self._theta = np.concatenate([values[n].ravel() for n in names])
+        self._columns = slice(last - plan.size, last)
+        spans = np.broadcast_to([self._columns.start, self._columns.stop], (len(tables.rows), 2))
+        self._tables = tables._replace(spans=np.ascontiguousarray(spans))  # of all derivatives those by the plan
+        order = self.flat.order()
+        heads = dict(zip(order, tables.layers[:, 0].tolist(), strict=False))
+        self.place = {n: slice(heads[n], heads[n] + self.flat.modules[n].size) for n in order}  # type: ignore[union-attr]
+        self._shown = tables.rows[tables.shown]
+        elements, steps = int(tables.layers[-1, 0]), len(self.basis)
+        self._now = np.zeros((tables.depth + steps, elements))
+        self._forced = np.zeros(elements, bool)
+        self._jacobian = np.zeros((steps, len(tables.shown), len(self._theta)))
+        self._now[tables.depth :, : plan.size] = self.basis
+        self._remembered = {c.source for c in self.flat.connections if c.delay}
+        for name in order:
+            self._now[: tables.depth, self.place[name]] = self.flat.modules[name].initial  # type: ignore[union-attr]
+
+    @property
+    def steps(self) -> int:
+        return len(self.basis)
+
+    @property
+    def depth(self) -> int:
+        """The longest delay, in steps."""
+        return self._tables.depth
+
+    def start(self, state: State) -> None:
+        """Begin from a state. Raises InputError where it lacks a layer that the model remembers."""
+        depth = self.depth
+        if missing := self._remembered - state.keys():
+            raise InputError(f"network {self.flat.name}: the state lacks {', '.join(sorted(missing))}")
+        for name, past in state.items():
+            lags = min(len(past), depth)
+            self._now[depth - lags : depth, self.place[name]] = past[:lags][::-1]
+
+    def run(self, plan: np.ndarray) -> np.ndarray:
+        """Outputs (steps, outputs) for a plan (knots,): row i is the step after the input of row i of the basis began
+        to act. NaN from where the run is no longer finite."""
+        self._theta[self._columns] = plan
+        t = self._tables
+        done = forward(t.layers, t.links, t.n_inputs, t.depth, self._theta, self._now, self._now, self._forced)
+        outputs = self._now[t.depth :, self._shown].copy()
+        outputs[done:] = np.nan
+        return outputs
+
+    def derivatives(self) -> np.ndarray:
+        """(steps, outputs, knots) of the last run."""
+        t = self._tables
+        carried = np.zeros((t.depth + 1, len(t.rows), len(self._theta)))
+        sensitivities(*t, self._theta, self._now, self._now, carried, 0, self.steps, self._jacobian)
+        return self._jacobian[:, :, self._columns].copy()

@@ -1,0 +1,152 @@
+"""Hardware in a closed loop: Verilator answers step by step, each word beside the emulator's, every bit of it.
+
+The designs run in one simulation. Its bench reads `WHAT DESIGN WORD` from a pipe, resets the design or offers it the
+word, and writes the answer of the design with all its states, and the clocks that it took.
+"""
+
+import subprocess
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+
+from greygate.control.stepping import Emulated
+from greygate.emulator.program import Signal
+from greygate.errors import InputError
+from greygate.hardware.replay import PATIENCE, built
+from greygate.hardware.verify import Bench, Case, lanes, simulator_environment, width, words
+from greygate.progress import Progress, silent
+
+STDIN, STDOUT = "32'h80000000", "32'h80000001"
+OFFER, RESET = 0, 1  # what is said to the bench
+LONG = 4  # clocks of a reset
+
+
+class Clocked:
+    """A design under way in the simulation: closes the loop with what the hardware answers.
+
+    Over all runs: differing, bits of outputs and states in which it differed from the emulator; compared, bits in all;
+    steps; clocks that it took for them. first: the first step that differed, or None.
+    """
+
+    def __init__(self, simulation: subprocess.Popen, bench: Bench):
+        self._simulation, self._bench, self.program = simulation, bench, bench.case.program
+        self._emulated = Emulated(self.program)
+        self.differing = self.compared = self.steps = self.clocks = 0
+        self.first: int | None = None
+
+    def reset(self) -> None:
+        self._emulated.reset()
+        self._say(RESET, "0")
+
+    def _say(self, what: int, word: str) -> None:
+        pipe = self._simulation.stdin
+        assert pipe
+        with suppress(BrokenPipeError):  # what ended says so where it is asked for an answer
+            pipe.write(f"{what} {self._bench.index} {word}\n")
+            pipe.flush()
+
+    def step(self, inputs: Mapping[str, float]) -> dict[str, float]:
+        """Raises InputError where the design does not answer."""
+        wanted = self._emulated.step(inputs)
+        inputs, expected, state = self._emulated.inputs, self._emulated.outputs, self._emulated.state
+        self._say(OFFER, lanes(self._bench.inputs, inputs[None])[0][::-1].tobytes().hex())
+        assert self._simulation.stdout
+        said = self._simulation.stdout.readline().split()
+        if len(said) != 2:
+            raise InputError(f"{self.program.name}: no answer within {PATIENCE} clocks at step {self.steps}")
+        seen = np.frombuffer(bytes.fromhex(said[0]), np.uint8)[::-1]
+        split = width(self._bench.outputs) // 8
+        known = np.append(lanes(self._bench.outputs, expected[None])[0], lanes(self._bench.states, state[None])[0])
+        bits = int(np.unpackbits(seen ^ known).sum())
+        if bits and self.first is None:
+            self.first = self.steps
+        self.differing += bits
+        self.compared += 8 * len(seen)
+        self.clocks += int(said[1])
+        self.steps += 1
+        if not bits:
+            return wanted
+        return {n: float(v[0]) for n, v in self.program.decode(_codes(self._bench.outputs, seen[:split])).items()}
+
+
+def _codes(signals: Sequence[Signal], seen: np.ndarray) -> np.ndarray:
+    """The codes (1, columns) in the bytes of a word of lanes."""
+    data = seen.tobytes()
+    return np.array([[int.from_bytes(data[at : at + size], "little", signed=True) for _, size, at in words(signals)]])
+
+
+@contextmanager
+def clocked(cases: Sequence[Case], folder: Path | str, progress: Progress = silent) -> Iterator[list[Clocked]]:
+    """Build the designs into one simulation and start it. cases: without scenarios; names must differ.
+
+    folder: receives the Verilog. Raises InputError where a tool is missing or the Verilog cannot be built.
+    """
+    benches = [Bench(i, case) for i, case in enumerate(cases)]
+    files = {f.name: f for case in cases for f in case.sources(Path(folder).resolve())}
+    with built(list(files.values()), _bench(benches), {}, (), progress) as work:
+        simulation = subprocess.Popen(
+            [str(work / "bench")], stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=work, text=True,
+            env=simulator_environment(),
+        )  # fmt: skip
+        try:
+            yield [Clocked(simulation, bench) for bench in benches]
+        finally:
+            assert simulation.stdin
+            assert simulation.stdout
+            simulation.stdin.close()
+            simulation.stdout.close()
+            simulation.wait()
+
+
+def _bench(benches: Sequence[Bench]) -> str:
+    parts, reads, acts = [], [], []
+    for bench in benches:
+        i, ins, outs, states = bench.index, width(bench.inputs), width(bench.outputs), width(bench.states)
+        parts.append(f"""\
+    reg [{ins - 1}:0] word_{i} = 0;
+    reg offer_{i} = 0, rst_{i} = 1;
+    wire s_ready_{i}, m_valid_{i};
+    wire [{outs - 1}:0] m_tdata_{i};
+    wire [{outs + states - 1}:0] seen_{i} = {bench.seen()};
+    {bench.case.program.name} design_{i} (
+        .clk(clk), .rst(rst_{i}), .s_axis_tdata(word_{i}), .s_axis_tvalid(offer_{i}), .s_axis_tready(s_ready_{i}),
+        .m_axis_tdata(m_tdata_{i}), .m_axis_tvalid(m_valid_{i}), .m_axis_tready(1'b1)
+    );
+""")
+        reads.append(f"""\
+            if (which == {i}) begin
+                got = $fscanf({STDIN}, "%h", word_{i});
+                if (what == {RESET}) rst_{i} <= 1; else offer_{i} <= 1;
+            end
+""")
+        acts.append(f"""\
+            if (rst_{i} && idle == {LONG}) begin
+                rst_{i} <= 0;
+                if (which == {i}) which = -1;
+            end
+            if (offer_{i} && s_ready_{i}) offer_{i} <= 0;
+            if (which == {i} && what == {OFFER} && m_valid_{i}) begin
+                $fwrite({STDOUT}, "%h %0d\\n", seen_{i}, idle);
+                $fflush({STDOUT});
+                which = -1;
+            end
+""")
+    count = len(benches)
+    return f"""\
+module bench (input clk);
+    integer what = {RESET}, which = {count}, got, idle = 0;
+{"".join(parts)}    always @(posedge clk) begin
+        if (which < 0) begin
+            idle = 0;
+            got = $fscanf({STDIN}, "%d %d", what, which);
+            if (got != 2) $finish;
+{"".join(reads)}        end else begin
+            idle = idle + 1;
+            if (idle > {PATIENCE}) $finish;
+{"".join(acts)}            if (which == {count} && idle == {LONG}) which = -1;
+        end
+    end
+endmodule
+"""
