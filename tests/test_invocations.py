@@ -40,6 +40,8 @@ GOOD = {
     "augment": ["rig", "--diagnosis", "none.json", "--out", "new"],
     "conceal": ["cable_drum", "--seed", "1", "--out", "new"],
     "reveal": ["rig"],
+    "build-snn": ["rig/rig.toml", "rig/identify.csv", "--out", "new"],
+    "control": ["belt_drive", "--controller", "pi", "--samples", "3"],
     "bench-concealed make": ["new", "--cases", "1", "--plant", "tank"],
     "bench-concealed run": ["bench", "--out", "new", "--tool", "nominal"],
     "bench-concealed score": ["bench", "answers"],
@@ -67,6 +69,7 @@ TEXTS = {
     "bench": NO_RIG, "answers": ["none", "folder", "a.csv", ""], "tool": ["none", "", "none --of them", "'"],
     "condition": ["none", ""], "secret": ["none", "folder", "binary.csv", "empty.csv", "short.txt"],
     "rows": NO_PLACE, "picture": NO_PLACE, "own": ["none", ""],
+    "test": NAMED, "sensor": ["nobody", ""], "target": ["nobody", ""], "machine": ["nobody", "a.csv", ""],
 }  # fmt: skip
 """Wrong texts by the name of the option or argument."""
 
@@ -107,6 +110,9 @@ OTHERS = [
     ["conceal", *GOOD["conceal"], "--kind", "clean", "--effect", "speed_slip"],
     ["conceal", *GOOD["conceal"], "--seed", "2147483648"], ["conceal", *GOOD["conceal"][:-1], "folder"],
     ["verify", "build", "--seed", "2147483648"],
+    ["build-snn", *GOOD["build-snn"], "--target", "x_drum"], ["build-snn", *GOOD["build-snn"], "--seconds", "0"],
+    ["build-snn", "rig/rig.toml", "a.csv", "--out", "new"], ["build-snn", "line.toml", "a.csv", "--out", "new"],
+    ["control", "belt_drive", "--controller", "pi", "--place", "rtl"], ["control", "crane"],
 ]  # fmt: skip
 
 
