@@ -238,23 +238,19 @@ def explore() -> str:
 
 
 def control() -> str:
-    """A second of the cylinder under its load, and of the belt drive: the reference and three errors."""
-    panels = []
-    for name, case, start, stop in (
-        ("valve_cylinder", Case.LOAD, 2000, 3000),
-        ("belt_drive", Case.NOMINAL, 1000, 3000),
-    ):
-        chosen = task(name)
-        programs = chosen.programs(chosen.network())
-        controllers = {
-            "reference": chosen.proportional(),
-            "fixed": chosen.predictive(),
-            "cost": chosen.imitated(*map(Emulated, programs)),
-        }
+    """A second of the cylinder, alone and under its load: the errors of three controllers."""
+    chosen, panels = task("valve_cylinder"), []
+    programs = chosen.programs(chosen.network())
+    controllers = {
+        "reference": chosen.proportional(),
+        "fixed": chosen.predictive(),
+        "cost": chosen.imitated(*map(Emulated, programs)),
+    }
+    start, stop = 2000, 3000
+    for case in (Case.NOMINAL, Case.LOAD):
         runs = {kind: chosen.run(made, case, JUDGED + 1, stop) for kind, made in controllers.items()}
         errors = [over_time(1e6 * done.error, slice(start, stop), chosen.period, kind) for kind, done in runs.items()]
-        title = f"{name.replace('_', ' ')}, {case}"
-        panels.append((title, panel(errors, "time [s]", "error [µm]")))
+        panels.append((f"valve cylinder, {case}", panel(errors, "time [s]", "error [µm]")))
     keys = [("reference", "PI, feed-forward"), ("fixed", "predictive control"), ("cost", "network, as in RTL")]
     return picture(panels, keys)
 
