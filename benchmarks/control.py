@@ -3,6 +3,7 @@
     MACHINE        PI, predictive control and the network that imitates it (float, emulator, RTL) on three trajectories
                    that nothing was tuned or learnt on; undisturbed, with a disturbed load, with a supply that sags
     MACHINE_fixed  the network alone, in float, emulator and RTL, after its formats were changed
+    drawn          a second of the cylinder's errors, for the picture of the page
     MACHINE_long   ten minutes of the network under a disturbed load, in RTL up to 200,000 steps, else in the emulator
 
 What is found is kept in results/control.json, from which `make pages` writes the tables of docs/control.md. A time is
@@ -26,6 +27,7 @@ from greygate.machines.control import JUDGED, Case, Method, Place, Task
 SEEDS = tuple(range(JUDGED + 1, JUDGED + 4))
 LONG, LONG_SEED = 600.0, JUDGED + 10  # s
 AFFORDABLE = 200_000  # steps in hardware
+SECOND = 2000, 3000  # samples
 ROWS = (
     (Method.PI, Place.FLOAT),
     (Method.MPC, Place.FLOAT),
@@ -108,7 +110,18 @@ def long(name: str) -> dict:
         return {"place": place, "samples": samples, "minutes": rms, **run.figures(asked.settle), "bits": bits(designs)}
 
 
-PARTS: dict[str, Callable[[], dict]] = {}
+def drawn() -> dict:
+    """The cylinder's error, µm, of each controller, undisturbed and under its load, from the sample `start` on."""
+    asked, (start, stop), found = task("valve_cylinder"), SECOND, {}
+    for method, place in (ROWS[0], ROWS[1], ROWS[3]):
+        with controller(asked, method, place, say) as (made, _):
+            for case in (Case.NOMINAL, Case.LOAD):
+                error = asked.run(made, case, JUDGED + 1, stop).error[start:]
+                found.setdefault(case, {})[method] = [round(float(1e6 * e), 1) for e in error]
+    return {"start": start, "period": asked.period, "errors": found}
+
+
+PARTS: dict[str, Callable[[], dict]] = {"drawn": drawn}
 for machine in CONTROLLED:
     PARTS[machine] = partial(compared, machine)
     PARTS[f"{machine}_fixed"] = partial(fixed, machine)

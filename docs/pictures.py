@@ -12,12 +12,10 @@ from markupsafe import Markup
 
 from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.compiler.quantize import Formats
-from greygate.control.stepping import Emulated
 from greygate.errors import InputError
 from greygate.files import replacing
 from greygate.machines.cable_drum import study as cable_drum
-from greygate.machines.catalog import entry, task
-from greygate.machines.control import JUDGED, Case
+from greygate.machines.catalog import entry
 from greygate.mismatch.rig import load
 from greygate.mismatch.simulation import simulate
 from greygate.models.accuracy import float_error
@@ -238,21 +236,18 @@ def explore() -> str:
 
 
 def control() -> str:
-    """A second of the cylinder, alone and under its load: the errors of three controllers."""
-    chosen, panels = task("valve_cylinder"), []
-    programs = chosen.programs(chosen.network())
-    controllers = {
-        "reference": chosen.proportional(),
-        "fixed": chosen.predictive(),
-        "cost": chosen.imitated(*map(Emulated, programs)),
-    }
-    start, stop = 2000, 3000
-    for case in (Case.NOMINAL, Case.LOAD):
-        runs = {kind: chosen.run(made, case, JUDGED + 1, stop) for kind, made in controllers.items()}
-        errors = [over_time(1e6 * done.error, slice(start, stop), chosen.period, kind) for kind, done in runs.items()]
-        panels.append((f"valve cylinder, {case}", panel(errors, "time [s]", "error [µm]")))
-    keys = [("reference", "PI, feed-forward"), ("fixed", "predictive control"), ("cost", "network, as in RTL")]
-    return picture(panels, keys)
+    """A second of the cylinder, alone and under its load: the errors of three controllers, as the benchmark kept them."""
+    found = read_json(ROOT / "benchmarks" / "results" / "control.json", "run benchmarks/control.py drawn")["drawn"]
+    kinds = {"pi": "reference", "mpc": "fixed", "network": "cost"}
+    labels = {"pi": "PI, feed-forward", "mpc": "predictive control", "network": "network, as in RTL"}
+    panels = []
+    for case, errors in found["errors"].items():
+        curves = []
+        for method, kind in kinds.items():
+            error = np.array(errors[method])
+            curves.append(over_time(error, slice(0, len(error)), found["period"], kind))
+        panels.append((f"valve cylinder, {case}", panel(curves, "time [s]", "error [µm]")))
+    return picture(panels, [(kinds[method], label) for method, label in labels.items()])
 
 
 PICTURES: dict[str, Callable[[], str]] = {
