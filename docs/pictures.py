@@ -236,7 +236,7 @@ def explore() -> str:
 
 
 def control() -> str:
-    """A second of the cylinder, alone and under its load: the errors of three controllers, as the benchmark kept them."""
+    """A second of the cylinder, alone and under its load: the errors of three controllers, as they were stored."""
     found = read_json(ROOT / "benchmarks" / "results" / "control.json", "run benchmarks/control.py drawn")["drawn"]
     kinds = {"pi": "reference", "mpc": "fixed", "network": "cost"}
     labels = {"pi": "PI, feed-forward", "mpc": "predictive control", "network": "network, as in RTL"}
