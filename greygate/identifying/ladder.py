@@ -1,0 +1,130 @@
+"""The models that compete: linear ones, and networks that are grown from the best of them.
+
+A network begins as the linear model, with neurons that weigh next to nothing: its free run is stable from the first
+epoch on, and training can only improve on the linear model.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greygate.models.families.blocks import nguyen_widrow
+from greygate.models.network import Layer, Network, Port
+
+SMALL = 1e-3  # largest weight of a neuron, in what reads it, before training
+NEURONS = "neurons"
+LOOP, SHOWN = "state", "shown"  # layers: the linear dynamics, and the output
+
+
+@dataclass(frozen=True)
+class Orders:
+    """Taps of a linear model: u(k - delay - stride i), i = 0..order, by input; y(k - stride i), i = 1..order."""
+
+    order: int
+    delays: tuple[int, ...]
+    stride: int = 1
+
+    def inputs(self, ports: Sequence[Port]) -> dict[Port, tuple[int, ...]]:
+        reach = range(self.order + 1)
+        return {p: tuple(d + self.stride * i for i in reach) for p, d in zip(ports, self.delays, strict=True)}
+
+    @property
+    def feedback(self) -> tuple[int, ...]:
+        return tuple(self.stride * i for i in range(1, self.order + 1))
+
+    @property
+    def deepest(self) -> int:
+        return max(self.delays) + self.stride * self.order
+
+    def __str__(self) -> str:
+        late = "" if not any(self.delays) else f", delay {', '.join(map(str, self.delays))}"
+        return f"order {self.order}{late}" + (f", taps {self.stride} apart" if self.stride > 1 else "")
+
+
+@dataclass(frozen=True)
+class Form:
+    """A kind of network around the dynamics of a linear model.
+
+    before: neurons of a curve of each input, ahead of the dynamics (Hammerstein). after: neurons of a curve of what the
+    dynamics give (Wiener). inside: neurons within the loop, which read the taps of `reads`.
+    """
+
+    name: str
+    before: int = 0
+    after: int = 0
+    inside: int = 0
+    reads: str = "all"  # "all", "inputs" or "output"
+
+    def build(self, orders: Orders, inputs: Sequence[Port], output: Port, seed: int) -> Network:
+        """The network with neurons that weigh next to nothing, and linear weights of zero."""
+        network = Network("network", list(inputs), [output])
+        ports: dict[str, tuple[str, int]] = {}
+        for port, delays in orders.inputs(inputs).items():
+            source = port.name
+            if self.before:
+                source = f"{port.name}_curve"
+                _curve(network, port.name, source, self.before)
+            ports |= {f"{port.name}_z{d}": (source, d) for d in delays}
+        fed_in = dict(ports)
+        ports |= {f"{output.name}_z{d}": (LOOP, d) for d in orders.feedback}
+        weights = {port: np.zeros((1, 1)) for port in ports}
+        if self.inside:
+            read = {"all": ports, "inputs": fed_in}.get(self.reads, {n: p for n, p in ports.items() if n not in fed_in})
+            network.add(NEURONS, Layer({p: np.zeros((self.inside, 1)) for p in read}, np.zeros(self.inside), "tansig"))
+            _connect(network, NEURONS, read)
+            weights[NEURONS], ports = np.zeros((1, self.inside)), ports | {NEURONS: (NEURONS, 0)}
+        network.add(LOOP, Layer(weights, [0.0], initial=output.rest))
+        _connect(network, LOOP, ports)
+        if self.after:
+            _curve(network, LOOP, SHOWN, self.after)
+        network.connect(SHOWN if self.after else LOOP, output.name)
+        return _shrunk(nguyen_widrow(network.check(), seed))
+
+
+def grown(network: Network, linear: Network) -> Network:
+    """The network with the linear model's weights."""
+    return network.with_parameters(linear.parameters())
+
+
+def _connect(network: Network, layer: str, ports: Mapping[str, tuple[str, int]]) -> None:
+    for port, (source, delay) in ports.items():
+        network.connect(source, f"{layer}.{port}", delay)
+
+
+def _curve(network: Network, source: str, name: str, neurons: int) -> None:
+    """Layer `name`: the signal itself, plus neurons of it."""
+    hidden = f"{name}_{NEURONS}"
+    network.add(hidden, Layer({source: np.zeros((neurons, 1))}, np.zeros(neurons), "tansig"))
+    _connect(network, hidden, {source: (source, 0)})
+    network.add(name, Layer({"itself": [[1.0]], hidden: np.zeros((1, neurons))}, [0.0], frozen={"itself", "bias"}))
+    _connect(network, name, {"itself": (source, 0), hidden: (hidden, 0)})
+
+
+def _shrunk(network: Network) -> Network:
+    """The network whose neurons weigh SMALL at most in what reads them."""
+    feeds, layers = network.feeds(), network.layers()
+    read = {
+        f"{name}.{port}": w
+        for name, layer in layers.items()
+        if layer.is_linear
+        for port, w in layer.weights.items()
+        if (source := feeds[f"{name}.{port}"][0]) in layers and layers[source].function.is_sigmoid
+    }
+    return network.with_parameters({n: SMALL * w / np.abs(w).max() for n, w in read.items()})
+
+
+LINEAR = Form("OE")
+SIZES = (2, 4, 8)
+FORMS = tuple(
+    form
+    for n in SIZES
+    for form in (
+        Form(f"Hammerstein, {n} neurons", before=n),
+        Form(f"Wiener, {n} neurons", after=n),
+        Form(f"Hammerstein-Wiener, {n} + {n} neurons", before=n, after=n),
+        Form(f"NOE, {n} neurons", inside=n),
+        Form(f"NOE, {n} neurons on inputs", inside=n, reads="inputs"),
+        Form(f"NOE, {n} neurons on the output", inside=n, reads="output"),
+    )
+)

@@ -1,0 +1,100 @@
+"""What is identified: inputs, one output and its recordings, as ports and records that every model of the ladder takes.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greygate.errors import InputError
+from greygate.identifying.ladder import LOOP
+from greygate.machines.identification import Fold, blocked, initialised, rmse
+from greygate.models.accuracy import float_error
+from greygate.models.network import Network, Port
+from greygate.models.training.record import Record
+from greygate.plants.recording import Recording
+
+ROOM = 3.0  # deviations of a signal, which the scale of its port is
+FOLDS = 8  # each holds out an eighth of every recording
+SETTLING = 4  # blocks have at least this many times the samples that their state settles in
+
+
+@dataclass(frozen=True)
+class Task:
+    """inputs, output: ports of the models. records: by name, to train on. dt in s.
+
+    settle: first samples of each run, which only give its initial state.
+    """
+
+    inputs: tuple[Port, ...]
+    output: Port
+    records: Mapping[str, Record]
+    dt: float
+    settle: int
+
+    @property
+    def samples(self) -> int:
+        return sum(len(r) for r in self.records.values())
+
+    def record(self, recording: Recording) -> Record:
+        """The recording as a record of this task's ports, to be judged after `settle` samples."""
+        return started(
+            Record(
+                {p.name: recording[p.name] for p in self.inputs},
+                {self.output.name: recording[self.output.name]},
+                skip=self.settle,
+            ),
+            self.output,
+        )
+
+    def folds(self) -> list[Fold]:
+        """Eight folds, each without an eighth of every recording."""
+        runs = {n: replace(r, skip=0) for n, r in self.records.items()}
+        return [
+            Fold([started(p, self.output) for p in f.pieces], [started(b, self.output) for b in f.blocks])
+            for f in blocked(FOLDS, self.settle)(runs)
+        ]
+
+    def errors(self, network: Network, record: Record) -> np.ndarray | None:
+        """Errors of a free run over the record, after its state has settled, in the output's unit; None: it diverges."""
+        try:
+            return float_error(network, initialised(network, record))[self.output.name][record.skip :]
+        except InputError:
+            return None
+
+    def error(self, network: Network, record: Record) -> float:
+        """RMS error of a free run over the record, after its state has settled, in the output's unit; inf: diverges."""
+        return rmse(network, initialised(network, record))
+
+
+def started(record: Record, output: Port) -> Record:
+    """The record with a guess of its initial state: inputs and output stood where they are at its first sample."""
+    first = {n: float(v[0]) for n, v in record.inputs.items()}
+    level = float(output.normalised(record.targets[output.name][:1])[0])
+    return replace(record, initial={**first, LOOP: level})
+
+
+
+
+def task(recordings: Mapping[str, Recording], inputs: Sequence[str], output: str, settle: int | None = None) -> Task:
+    """Raises InputError for a channel that is missing or constant, and for recordings that are too short."""
+    if not recordings:
+        raise InputError("no recording; give FILE.csv")
+    joined = {n: np.concatenate([r[n] for r in recordings.values()]) for n in (*inputs, output)}
+    first = next(iter(recordings.values()))
+    for name, values in joined.items():
+        if not np.ptp(values) > 1e-12 * np.abs(values).max():
+            raise InputError(f"{first.source}: channel {name} is constant; record it while it moves, or leave it out")
+
+    def port(name: str) -> Port:
+        values = joined[name]
+        scale, mean = ROOM * float(np.std(values)), float(np.mean(values))
+        return Port(name, first.units[name], scale, offset=mean, initial=float(first[name][0]))
+
+    length = min(r.samples for r in recordings.values())
+    asked = settle if settle is not None else length // (FOLDS * SETTLING)
+    if length < FOLDS * SETTLING * max(asked, 5):
+        least = FOLDS * SETTLING * max(asked, 5)
+        raise InputError(f"{first.source}: {length} samples; give at least {least} in each recording")
+    found = Task(tuple(port(n) for n in inputs), port(output), {}, first.dt, asked)
+    return replace(found, records={n: found.record(r) for n, r in recordings.items()})
