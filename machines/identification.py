@@ -154,7 +154,10 @@ def initialised(network: Network, record: Record, prior: float = PRIOR, steps: i
         objective.squares(objective.theta)
         hessian, gradient = objective.normal_equations(objective.theta)
         gradient += prior * (objective.theta[objective.free] - rest)
-        step = -np.linalg.solve(hessian + prior * np.eye(len(rest)), gradient)
+        try:
+            step = -np.linalg.solve(hessian + prior * np.eye(len(rest)), gradient)
+        except np.linalg.LinAlgError:  # the run explodes: no state is better than another
+            break
         while (trial := cost(objective.moved(objective.theta, step))) > value and np.abs(step).max() > 1e-9:
             step /= 2
         if not trial < value:

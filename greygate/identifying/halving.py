@@ -11,7 +11,6 @@ from greygate.errors import InputError
 from greygate.identifying.ladder import FORMS, LINEAR, Form, Orders, grown
 from greygate.identifying.task import Task, started
 from greygate.machines.identification import parameters
-from greygate.models.families.regression import arx
 from greygate.models.network import Network
 from greygate.models.training.levenberg import Outcome, Trained, train
 from greygate.models.training.record import Record
@@ -22,6 +21,7 @@ DECAY = 1e-3  # a prior: no normalised weight should be far above thirty deviati
 STRONG = 3e-2  # the same for recordings whose noise would be learnt with DECAY
 SIMPLER = 1.03  # a model of fewer weights wins if no other is better by more than this factor: 4 to 8 blocks judge
 WORSE = 2.0  # factor of the held-out error that the error over everything may have: above it the last fit has failed
+REFITTED = 5  # models that are fitted to everything at most
 WINDOWS = 16  # into which a fold is cut that is too long to be trained on whole
 
 
@@ -158,17 +158,32 @@ class Halving:
         return [t for t in self.ranked() if t.rung in (0, last)]
 
     def final(self) -> tuple[Tried, Trained]:
-        """The chosen model, fitted to everything; the next best one where that fit fails."""
+        """The chosen model, fitted to everything; where its free run then drifts off, the next that does not.
+
+        Where all of the best do, it is the one that errs least: the recordings' inputs do not explain their output.
+        """
         first = self.chosen()
-        rest = [t for t in self.finalists() if t is not first]
-        records = list(self.task.records.values())
-        for tried in (first, *rest):
-            fits = [self.trained(n, records, FINAL, tried.model.decay) for n in tried.networks[:: len(self.folds) // 2]]
-            fit = min(fits, key=lambda f: (f.outcome is Outcome.DIVERGED, f.history[-1]))
+        best = [first, *(t for t in self.finalists() if t is not first)][:REFITTED]
+        found: list[tuple[float, Tried, Trained]] = []
+        for tried in best:
+            if found and self.left(FINAL.until) <= 0:
+                break
+            fit = self.complete(tried)
             error = pooled(self.task, fit.network)
-            if fit.outcome is not Outcome.DIVERGED and error <= WORSE * tried.error:
-                return tried, fit
-        raise InputError("no model can be fitted to the complete recordings; are they of one plant?")
+            found.append((error, tried, fit))
+            if error <= WORSE * tried.error:
+                break
+        error, tried, fit = found[-1] if error <= WORSE * tried.error else min(found, key=lambda f: f[0])
+        if not np.isfinite(error):
+            raise InputError("every model diverges over the complete recordings; are they of one plant?")
+        return tried, fit
+
+    def complete(self, tried: Tried) -> Trained:
+        """A model fitted to everything, from what two of its folds have made of it; the lower loss wins."""
+        records = list(self.task.records.values())
+        starts = tried.networks[:: max(len(tried.networks) // 2, 1)]
+        fits = [self.trained(n, records, FINAL, tried.model.decay) for n in starts]
+        return min(fits, key=lambda f: (f.outcome is Outcome.DIVERGED, f.history[-1]))
 
     def fit(self, model: Model, pieces: Sequence[Record], rung: Rung, place: int) -> Trained:
         """Train a model from its seeds on records; the lowest loss wins. place: of the fold, -1 for everything."""

@@ -1,5 +1,4 @@
-"""What is identified: inputs, one output and its recordings, as ports and records that every model of the ladder takes.
-"""
+"""What is identified: inputs, one output and its recordings, as ports and records for every model of the ladder."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,7 +7,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.identifying.ladder import LOOP
-from greygate.machines.identification import Fold, blocked, initialised, rmse
+from greygate.machines.identification import Fold, blocked, initialised
 from greygate.models.accuracy import float_error
 from greygate.models.network import Network, Port
 from greygate.models.training.record import Record
@@ -16,6 +15,7 @@ from greygate.plants.recording import Recording
 
 ROOM = 3.0  # deviations of a signal, which the scale of its port is
 FOLDS = 8  # each holds out an eighth of every recording
+LONGEST = 100  # samples that a state may settle in, if the user does not say: several times any model's states
 SETTLING = 4  # blocks have at least this many times the samples that their state settles in
 
 
@@ -31,10 +31,6 @@ class Task:
     records: Mapping[str, Record]
     dt: float
     settle: int
-
-    @property
-    def samples(self) -> int:
-        return sum(len(r) for r in self.records.values())
 
     def record(self, recording: Recording) -> Record:
         """The recording as a record of this task's ports, to be judged after `settle` samples."""
@@ -56,15 +52,11 @@ class Task:
         ]
 
     def errors(self, network: Network, record: Record) -> np.ndarray | None:
-        """Errors of a free run over the record, after its state has settled, in the output's unit; None: it diverges."""
+        """Errors of a free run over the record once its state has settled, in the output's unit; None: it diverges."""
         try:
             return float_error(network, initialised(network, record))[self.output.name][record.skip :]
         except InputError:
             return None
-
-    def error(self, network: Network, record: Record) -> float:
-        """RMS error of a free run over the record, after its state has settled, in the output's unit; inf: diverges."""
-        return rmse(network, initialised(network, record))
 
 
 def started(record: Record, output: Port) -> Record:
@@ -72,8 +64,6 @@ def started(record: Record, output: Port) -> Record:
     first = {n: float(v[0]) for n, v in record.inputs.items()}
     level = float(output.normalised(record.targets[output.name][:1])[0])
     return replace(record, initial={**first, LOOP: level})
-
-
 
 
 def task(recordings: Mapping[str, Recording], inputs: Sequence[str], output: str, settle: int | None = None) -> Task:
@@ -92,7 +82,7 @@ def task(recordings: Mapping[str, Recording], inputs: Sequence[str], output: str
         return Port(name, first.units[name], scale, offset=mean, initial=float(first[name][0]))
 
     length = min(r.samples for r in recordings.values())
-    asked = settle if settle is not None else length // (FOLDS * SETTLING)
+    asked = settle if settle is not None else min(length // (FOLDS * SETTLING), LONGEST)
     if length < FOLDS * SETTLING * max(asked, 5):
         least = FOLDS * SETTLING * max(asked, 5)
         raise InputError(f"{first.source}: {length} samples; give at least {least} in each recording")

@@ -1,0 +1,107 @@
+"""What a recording is like, before anything is fitted to it: numbers for each channel, and what to do about them."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.signal import welch
+
+from greygate.errors import InputError
+from greygate.plants.preparation import estimated_delay
+from greygate.plants.recording import Recording
+
+POWER = 0.95  # share of the power below a signal's bandwidth
+FAST, SLOW = 40.0, 4.0  # samples in a period of the bandwidth: more are wasteful, fewer miss what happens between them
+ENDS = 0.02  # share of samples at an end of a signal's range from which a sensor may be at its limit
+COARSE = 0.02  # of a signal's deviation: a sensor's step above it is seen in the errors
+DRIFT = 1.0  # deviations that a signal's mean may move between the first and the last quarter
+LONGEST = 50  # samples of delay that are looked for
+STRIDE = 10.0  # samples in a period of the bandwidth that taps should have
+
+
+def look(recording: Recording, inputs: Sequence[str], output: str) -> dict:
+    """Figures by channel, delays by input, and remarks that say what to do.
+
+    Each channel: unit, range, deviation, step (smallest difference, in its unit), share of samples at its ends, drift
+    between the first and last quarter in deviations, and bandwidth in Hz, below which 95 % of its power lies.
+    """
+    channels = {name: _channel(recording[name], recording.units[name], recording.dt) for name in (*inputs, output)}
+    delays = {name: _delay(recording, name, output) for name in inputs}
+    remarks = [line for name, seen in channels.items() for line in _remarks(name, seen, name == output, recording.dt)]
+    for name, delay in delays.items():
+        if delay is None:
+            remarks.append(f"{output} does not visibly answer {name}: it may be slow, or {name} without effect")
+    return {
+        "samples": recording.samples,
+        "dt": recording.dt,
+        "channels": channels,
+        "delays": delays,
+        "stride": stride(channels[output]["bandwidth"], recording.dt),
+        "remarks": remarks,
+    }
+
+
+def stride(bandwidth: float, dt: float) -> int:
+    """Distance of taps in samples, so that a period of the output's bandwidth has ten of them."""
+    return max(int(1 / (STRIDE * bandwidth * dt)), 1)
+
+
+def _channel(x: np.ndarray, unit: str, dt: float) -> dict:
+    deviation = float(np.std(x))
+    steps = np.diff(np.unique(x))
+    quarter = max(len(x) // 4, 1)
+    ends = float(np.mean((x == x.min()) | (x == x.max())))
+    return {
+        "unit": unit,
+        "range": [float(x.min()), float(x.max())],
+        "deviation": deviation,
+        "step": float(steps.min()) if len(steps) else 0.0,
+        "levels": len(steps) + 1,
+        "at_ends": ends,
+        "drift": float((x[-quarter:].mean() - x[:quarter].mean()) / deviation) if deviation else 0.0,
+        "bandwidth": bandwidth(x, dt),
+    }
+
+
+def bandwidth(x: np.ndarray, dt: float) -> float:
+    """Hz below which 95 % of the power about the mean lies (Welch 1967)."""
+    frequency, power = welch(x - x.mean(), 1 / dt, nperseg=min(len(x), 4096), detrend="constant")
+    below = np.cumsum(power)
+    return float(frequency[max(int(np.searchsorted(below, POWER * below[-1])), 1)])
+
+
+def _delay(recording: Recording, source: str, target: str) -> int | None:
+    """Samples, None where no answer is seen."""
+    longest = min(LONGEST, recording.samples // 8 - 20)
+    try:
+        return estimated_delay(recording, source, target, max(longest, 0), onset=True)
+    except InputError:
+        return None
+
+
+def _remarks(name: str, seen: Mapping, output: bool, dt: float) -> list[str]:
+    found = []
+    period = 1 / (seen["bandwidth"] * dt)
+    if output and period > FAST:
+        found.append(
+            f"{name} is sampled {period:.0f} times in a period of its bandwidth: taps are set apart; "
+            "a slower recording would do"
+        )
+    if output and period < SLOW:
+        found.append(f"{name} has power up to {seen['bandwidth']:.3g} Hz: sample faster, or filter before sampling")
+    if output and seen["at_ends"] > ENDS:
+        found.append(
+            f"{name} stands at an end of its range in {100 * seen['at_ends']:.0f} % of samples: "
+            "look whether its sensor is at a limit"
+        )
+    if output and seen["levels"] > 2 and seen["step"] > COARSE * seen["deviation"] and seen["levels"] < 200:
+        found.append(
+            f"{name} moves in steps of {seen['step']:.3g} {seen['unit']}: a model comes to a third of it at best"
+        )
+    if output and abs(seen["drift"]) > DRIFT:
+        found.append(
+            f"{name} ends {seen['drift']:+.1f} deviations from where it began: "
+            "if inputs do not explain it, take the drift off"
+        )
+    if not output and seen["levels"] == 2:
+        found.append(f"{name} has two levels only: how its size acts cannot be learnt; play more levels")
+    return found
