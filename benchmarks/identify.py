@@ -1,4 +1,4 @@
-"""What `greygate identify` finds with no knob turned, beside the best linear model: measured recordings, simulated plants.
+"""What `greygate identify` finds with no knob turned, beside the best linear model, on measured and simulated plants.
 
 python benchmarks/identify.py [dryer thermal dead_zone pendulum tanks ced crane emps mts]
 
@@ -15,7 +15,6 @@ from made import keep
 from scipy.integrate import odeint
 
 from greygate.identifying.files import figures, identify
-from greygate.identifying.halving import FINAL
 from greygate.identifying.ladder import LINEAR
 from greygate.identifying.task import started
 from greygate.machines.measured.study import STUDIES
@@ -58,7 +57,9 @@ def heater(x, t, u):
 
 
 PLANTS = {
-    "dryer": Plant(lambda x, t, u: [(x[1] - x[0]) / 0.25, (u - x[1]) / 0.08], (5, 5), 0.08, 1000, 3.4, 6.6, (3, 25), 0.05, 2),
+    "dryer": Plant(
+        lambda x, t, u: [(x[1] - x[0]) / 0.25, (u - x[1]) / 0.08], (5, 5), 0.08, 1000, 3.4, 6.6, (3, 25), 0.05, 2
+    ),
     "thermal": Plant(heater, (0, 0), 2.0, 1200, 0, 60, (10, 60), 0.2),
     "dead_zone": Plant(
         lambda x, t, u: [x[1], 2 * np.sign(u) * max(abs(u) - 0.7, 0) - 0.8 * x[1] - 3 * x[0]],
@@ -90,7 +91,7 @@ def main(name: str) -> None:
     found = identify(given, inputs, output, {}, seconds=SECONDS, jobs=JOBS)
     task, search = found.task, found.search
     line = next(t for t in search.ranked() if t.model.form is LINEAR)
-    linear = search.fit(line.model, list(task.records.values()), FINAL, -1).network
+    linear = search.complete(line).network
 
     def error(network, record: Record) -> float:
         errors = task.errors(network, started(replace(record, initial={}), task.output))

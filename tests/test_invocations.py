@@ -41,6 +41,7 @@ GOOD = {
     "conceal": ["cable_drum", "--seed", "1", "--out", "new"],
     "reveal": ["rig"],
     "build-snn": ["rig/rig.toml", "rig/identify.csv", "--out", "new"],
+    "identify": ["rig/identify.csv", "--input", "x_drum", "--output", "x_load", "--out", "new"],
     "control": ["belt_drive", "--controller", "pi", "--samples", "3"],
     "bench-concealed make": ["new", "--cases", "1", "--plant", "tank"],
     "bench-concealed run": ["bench", "--out", "new", "--tool", "nominal"],
@@ -70,6 +71,7 @@ TEXTS = {
     "condition": ["none", ""], "secret": ["none", "folder", "binary.csv", "empty.csv", "short.txt"],
     "rows": NO_PLACE, "picture": NO_PLACE, "own": ["none", ""],
     "test": NAMED, "sensor": ["nobody", ""], "target": ["nobody", ""], "machine": ["nobody", "a.csv", ""],
+    "input": ["nobody", ""], "output": ["nobody", "x_drum", ""],
 }  # fmt: skip
 """Wrong texts by the name of the option or argument."""
 
@@ -112,6 +114,9 @@ OTHERS = [
     ["verify", "build", "--seed", "2147483648"],
     ["build-snn", *GOOD["build-snn"], "--target", "x_drum"], ["build-snn", *GOOD["build-snn"], "--seconds", "0"],
     ["build-snn", "rig/rig.toml", "a.csv", "--out", "new"], ["build-snn", "line.toml", "a.csv", "--out", "new"],
+    ["identify", *GOOD["identify"], "--settle", "1000000000"], ["identify", *GOOD["identify"], "--test", "a.csv"],
+    ["identify", *GOOD["identify"], "--test", "rig/identify.csv"], ["identify", *GOOD["identify"][:-1], "folder"],
+    ["identify", "rig/identify.csv", "--output", "x_load", "--out", "new"],
     ["control", "belt_drive", "--controller", "pi", "--place", "rtl"], ["control", "crane"],
 ]  # fmt: skip
 

@@ -1,0 +1,146 @@
+"""`greygate identify`: which model wins, what is said of a recording, what is written, and what is refused."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from greygate.errors import InputError
+from greygate.identifying import halving
+from greygate.identifying.files import figures, identify, read
+from greygate.identifying.ladder import FORMS, LINEAR, Orders, grown
+from greygate.identifying.looking import look
+from greygate.identifying.task import task
+from greygate.models.network import Network
+from greygate.plants.excitation import prms
+from greygate.plants.recording import Recording
+
+NOISE = 0.01
+
+
+def recorded(seed: int, samples: int = 400, gap: float = 0.0, noise: float = NOISE) -> Recording:
+    """A lag of two states behind a dead zone, one sample late."""
+    u = prms(samples, -1.0, 1.0, (4, 25), seed)
+    driven = np.sign(u) * np.maximum(np.abs(u) - gap, 0.0)
+    x = np.zeros((2, samples))
+    for k in range(1, samples):
+        x[0, k] = 0.8 * x[0, k - 1] + 0.2 * driven[k - 1]
+        x[1, k] = 0.7 * x[1, k - 1] + 0.3 * x[0, k - 1]
+    y = x[1] + noise * np.random.default_rng(seed).normal(size=samples)
+    return Recording(0.1, {"u": u, "y": y}, {"u": "V", "y": "m"}, source=f"run{seed}")
+
+
+@pytest.fixture
+def short(monkeypatch):
+    """A ladder of few rungs and models, so that a search takes a second and never ends by time."""
+    monkeypatch.setattr(halving, "ORDERS", (1, 2))
+    monkeypatch.setattr(halving, "FORMS", [f for f in FORMS if f.before == 2 or f.inside == 2][:3])
+    monkeypatch.setattr(halving, "BASES", 1)
+    monkeypatch.setattr(halving, "RUNGS", (halving.Rung(9, 1, 10, 4000, 2, 1.0), halving.Rung(3, 1, 40, 8000, 1, 1.0)))
+
+
+def found(train: Recording, tests=(), jobs: int = 2):
+    tested = {r.name: r for r in tests}
+    return identify({"train": train}, ["u"], "y", tested, seconds=math.inf, jobs=jobs)
+
+
+def test_a_dead_zone_is_found_as_a_curve_of_the_input(short):
+    result = found(recorded(1, gap=0.4), [recorded(2, gap=0.4, noise=0.0)])
+    told = figures(result)
+    assert "Hammerstein" in told["chosen"]["model"]
+    linear = min(row["held_out"] for row in told["models"] if row["model"].startswith(LINEAR.name))
+    assert told["chosen"]["held_out"] < 0.4 * linear
+    assert told["test"]["run2"] < 1.5 * NOISE
+    assert told["confidence"]["better_than_linear"] > 0.99
+
+
+def test_a_linear_plant_keeps_a_linear_model(short):
+    told = figures(found(recorded(1), [recorded(2, noise=0.0)]))
+    assert told["chosen"]["model"].startswith(LINEAR.name)
+    assert told["test"]["run2"] < 0.3 * NOISE
+    low, high = told["expected"]
+    assert 0.8 * NOISE < low < high < 1.2 * NOISE
+
+
+def test_the_search_comes_out_the_same_however_many_trainings_run_side_by_side(short):
+    one, two = (figures(found(recorded(1, gap=0.4), jobs=jobs)) for jobs in (1, 2))
+    assert one["chosen"] | {"seconds": 0} == two["chosen"] | {"seconds": 0}
+    assert one["expected"] == two["expected"]
+
+
+def test_a_network_begins_as_its_linear_model():
+    posed = task({"a": recorded(1)}, ["u"], "y")
+    orders, record = Orders(2, (1,)), posed.records["a"]
+    start = LINEAR.build(orders, posed.inputs, posed.output, 0)
+    linear = start.with_parameters({"state.y_z1": [[0.5]], "state.u_z1": [[0.3]]})
+    expected = linear.run(record.inputs)["y"]
+    spread = np.std(expected)
+    for form in FORMS:
+        network = grown(form.build(orders, posed.inputs, posed.output, 3), linear)
+        off = np.abs(network.run(record.inputs)["y"] - expected)[30:]  # it starts from another state
+        assert off.max() < 0.02 * spread, form.name
+
+
+def test_what_is_said_of_a_recording():
+    samples = 800
+    u = np.where(prms(samples, -1, 1, (10, 40), 1) > 0, 1.0, -1.0)
+    drift = np.linspace(0, 4, samples)
+    seen = look(Recording(0.1, {"u": u, "y": np.round(drift + 0.2 * u, 0)}, {"u": "V", "y": "m"}), ["u"], "y")
+    text = " ".join(seen["remarks"])
+    assert "u has two levels" in text
+    assert "y ends +" in text
+    assert "y moves in steps of 1 m" in text
+    late = recorded(3, noise=0.0)
+    assert look(late, ["u"], "y")["delays"]["u"] in (1, 2, 3)
+
+
+def test_the_command_writes_a_network_that_validates_and_compiles(short, greygate, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for seed in (1, 2):
+        rec = recorded(seed, gap=0.4)
+        rows = "".join(f"{a!r},{b!r}\n" for a, b in zip(rec["u"].tolist(), rec["y"].tolist(), strict=True))
+        (tmp_path / f"run{seed}.csv").write_text("valve,level_m\n" + rows)
+    call = ["identify", "run1.csv", "--input", "valve", "--output", "level", "--sample-time", "0.1"]
+    code, printed, _ = greygate(*call, "--test", "run2.csv", "--out", "mine", "--json")
+    assert code == 0
+    told = json.loads(printed)
+    assert told["unit"] == "m"
+    assert json.loads((tmp_path / "mine" / "mine.json").read_text())["chosen"] == told["chosen"]
+    network = Network.load("mine/mine.toml")
+    assert ([p.name for p in network.inputs], [p.name for p in network.outputs]) == (["valve"], ["level"])
+    for command in told["next"]:
+        code, _, error = greygate(*command.split()[1:])
+        assert code == 0, error
+    code, _, error = greygate(*call, "--out", "mine")
+    assert (code, "is there already" in error) == (2, True)
+
+
+def test_a_file_without_time_needs_the_sample_time(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("u,y\n1,2\n3,4\n")
+    with pytest.raises(InputError, match="give --sample-time"):
+        read(str(path), None)
+    assert read(str(path), 0.5).units == {"u": "1", "y": "1"}
+    path.write_text("t_s,u,y_m\n0,1,2\n0.5,3,4\n")
+    assert read(str(path), None).dt == 0.5
+    with pytest.raises(InputError, match="leave out --sample-time"):
+        read(str(path), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"u": np.ones(400)}, "u is constant"),
+        ({"y": np.ones(400)}, "y is constant"),
+    ],
+)
+def test_a_channel_that_stands_still_is_refused(changed, says):
+    rec = recorded(1)
+    with pytest.raises(InputError, match=says):
+        task({"a": Recording(rec.dt, {**rec.channels, **changed}, rec.units)}, ["u"], "y")
+
+
+def test_a_short_recording_is_refused_with_the_length_that_is_needed():
+    with pytest.raises(InputError, match="100 samples; give at least 160"):
+        task({"a": recorded(1, samples=100)}, ["u"], "y")
