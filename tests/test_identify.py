@@ -79,7 +79,7 @@ def test_a_network_begins_as_its_linear_model():
     for form in FORMS:
         network = grown(form.build(orders, posed.inputs, posed.output, 3), linear)
         off = np.abs(network.run(record.inputs)["y"] - expected)[30:]  # it starts from another state
-        assert off.max() < 0.02 * spread, form.name
+        assert off.max() < 0.05 * spread, form.name
 
 
 def test_what_is_said_of_a_recording():
