@@ -41,7 +41,7 @@ THESIS = {
 ALLOWED = {"b1_30": THESIS["b1_30"]["mse"], "b2": THESIS["b2"]["pruned_mse"]}  # training MSE of a pruned network
 AGAIN = 500, 500  # epochs of a network that lost neurons: one step ahead, as in table 3.3, and in free run
 GUARDED = 150, 150  # the same, where held-out records end the free run's
-TRIES = 3  # neurons in a row that may not be removed, before the guarded loop ends
+TRIES = 8  # neurons in a row that may not be removed, before the guarded loop ends
 
 
 @dataclass(frozen=True)
