@@ -2,6 +2,7 @@
 
     identified   trained: training MSE and free-run RMSE
     neurons      pruned by the loop of figure 3.7, as in the thesis and with regression onto the other neurons
+    guarded      B2 pruned by that loop, each removal checked on held-out records in free run
     weights      B2 pruned by optimal brain surgeon
 
 A seed is the whole procedure, its starts chosen on held-out records (machines/benchmark_systems/study.py). Every seed
@@ -9,8 +10,10 @@ is kept in results/systems.json, from which `make pages` writes the table.
 """
 
 import sys
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from itertools import repeat
+from time import process_time
 
 from made import keep
 from threadpoolctl import threadpool_limits
@@ -20,6 +23,7 @@ from greygate.machines.benchmark_systems.study import (
     System,
     figures,
     identify,
+    prune_guarded,
     prune_neurons,
     prune_weights,
 )
@@ -34,11 +38,22 @@ def identified(system: System, seed: int, network: Network, found: dict) -> dict
 
 
 def neurons(system: System, seed: int, network: Network, found: dict) -> dict:
+    return _both_ways(prune_neurons, system, seed, network)
+
+
+def guarded(system: System, seed: int, network: Network, found: dict) -> dict:
+    return _both_ways(prune_guarded, system, seed, network)
+
+
+def _both_ways(loop: Callable, system: System, seed: int, network: Network) -> dict:
     out = {}
     for name, onto_others in (("mean", False), ("onto_others", True)):
-        smaller, rounds = prune_neurons(system, seed, network, onto_others)
+        began = process_time()
+        smaller, rounds = loop(system, seed, network, onto_others)
+        seconds = round(process_time() - began, 1)
         sizes = [layer.size for layer in smaller.modules.values()]
         out[f"{system.name} {name}"] = figures(system, smaller, seed) | {"layers": sizes, "rounds": len(rounds)}
+        out[f"{system.name} {name}"] |= {"cpu_seconds": seconds}
     return out
 
 
@@ -46,7 +61,7 @@ def weights(system: System, seed: int, network: Network, found: dict) -> dict:
     return {system.name: figures(system, prune_weights(system, seed, network, 1.0)[0], seed)}
 
 
-PARTS = {identified: tuple(SYSTEMS), neurons: ("b1_30", "b2"), weights: ("b2",)}
+PARTS = {identified: tuple(SYSTEMS), neurons: ("b1_30", "b2"), guarded: ("b2",), weights: ("b2",)}
 
 
 def one(part: str, name: str, seed: int) -> dict:

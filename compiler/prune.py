@@ -102,6 +102,7 @@ def prune_by_entropy(
     low: float = 0.1,
     held: Sequence[Record] = (),
     onto_others: bool = True,
+    tries: int = 1,
 ) -> tuple[Network, list[Round]]:
     """Remove neurons of low entropy and train again, round after round, until the error would exceed `allowed`.
 
@@ -109,18 +110,19 @@ def prune_by_entropy(
 
     A round removes every neuron below `low` times the greatest possible entropy, or else the one of lowest entropy.
     allowed: RMS error of each output, normalised, over the held-out records, or over `records` if none are held out. A
-    round that exceeds it, or whose network diverges on `records`, is undone, and the next one removes half as many;
-    pruning ends when not even a single neuron can be removed.
+    round that exceeds it, or whose network diverges on `records`, is undone, and the next one removes half as many.
+    Where a single neuron could not be removed, the next lowest is tried; `tries` of them in a row end the pruning.
     """
     rounds: list[Round] = []
-    largest = sum(map(len, entropies(network, records).values()))
+    largest, undone = sum(map(len, entropies(network, records).values())), 0
     while True:
         found = entropies(network, records)
         ranked = sorted((float(h), name, i) for name, values in found.items() for i, h in enumerate(values))
         removable = [r for r in ranked if len(found[r[1]]) > 1]
-        if not removable:
+        if undone >= min(tries, len(removable)):
             return network, rounds
-        batch = [r for r in removable if r[0] < low * np.log(BINS)][:largest] or removable[:1]
+        batch = [r for r in removable if r[0] < low * np.log(BINS)][:largest]
+        batch = batch if len(batch) > 1 else removable[undone : undone + 1]
         chosen: dict[str, list[int]] = {}
         for _, name, i in batch:
             if len(chosen.get(name, [])) < len(found[name]) - 1:
@@ -131,8 +133,8 @@ def prune_by_entropy(
         kept = bool(within.all() and np.isfinite(error).all())  # it may diverge on the records and not on the held-out
         rounds.append(Round(chosen, len(ranked) - sum(map(len, chosen.values())), tuple(error.tolist()), kept))
         if kept:
-            network = trial
+            network, undone = trial, 0
         elif len(batch) > 1:
             largest = len(batch) // 2
         else:
-            return network, rounds
+            undone += 1

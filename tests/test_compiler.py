@@ -296,6 +296,26 @@ def test_a_round_whose_network_diverges_on_the_records_is_undone_even_if_the_hel
     assert not any(r.kept for r in rounds)
 
 
+@pytest.mark.parametrize(("tries", "left"), [(1, 3), (2, 2)])
+def test_where_the_neuron_of_lowest_entropy_may_not_go_the_next_one_is_tried(tries, left):
+    network = feedforward("f", ["u"], [3], 1).with_parameters(
+        {
+            "hidden1.u": np.array([[0.2], [0.5], [1.0]]),  # entropy rises from one to the next
+            "hidden1.bias": np.zeros(3),
+            "out.hidden1": np.array([[9.0, 0.0, 1.0]]),  # nothing reads the second
+            "out.bias": np.zeros(1),
+        }
+    )
+    inputs = {"u": np.linspace(-1, 1, 400)}
+    record = Record(inputs, network.run(inputs))
+    rest = {"low": 0.0, "onto_others": False, "tries": tries}
+    smaller, rounds = prune_by_entropy(network, [record], lambda n: n, np.array([1e-6]), **rest)
+    assert smaller.neurons() == left
+    assert rounds[0].removed == {"hidden1": [0]}
+    assert [r.kept for r in rounds] == [False, True, False, False][: len(rounds)]
+    assert len(rounds) == (1 if tries == 1 else 4)
+
+
 def test_the_mean_of_a_removed_neuron_goes_into_the_biases_it_fed():
     network = feedforward("f", ["u", "p"], [4], 2)
     constant = network.with_parameters({"hidden1.u": np.zeros((4, 1)), "hidden1.p": np.zeros((4, 1))})

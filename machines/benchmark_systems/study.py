@@ -40,6 +40,8 @@ THESIS = {
 }
 ALLOWED = {"b1_30": THESIS["b1_30"]["mse"], "b2": THESIS["b2"]["pruned_mse"]}  # training MSE of a pruned network
 AGAIN = 500, 500  # epochs of a network that lost neurons: one step ahead, as in table 3.3, and in free run
+GUARDED = 150, 150  # the same, where held-out records end the free run's
+TRIES = 8  # neurons in a row that may not be removed, before the guarded loop ends
 
 
 @dataclass(frozen=True)
@@ -159,6 +161,28 @@ def prune_neurons(
 
     bound = np.sqrt([ALLOWED[system.name]])
     return prune_by_entropy(network, training, again, bound, onto_others=onto_others)
+
+
+def prune_guarded(
+    system: System, seed: int, network: Network, onto_others: bool = False, progress: Progress = silent
+) -> tuple[Network, list[Round]]:
+    """Remove neurons by the loop of figure 3.7, checked in free run on the held-out records.
+
+    Their RMS error may rise to `spare`, or stay where it is if that is larger, as for `prune_weights`. Training in free
+    run stops on them, too. Where the neuron of lowest entropy may not go, the next ones are tried.
+    """
+    training, held = [system.record(system.excite(seed))], [system.record(u) for u in system.held]
+
+    def again(smaller: Network) -> Network:
+        ahead = train(smaller, training, teacher=True, epochs=GUARDED[0], tolerance=1e-5).network
+        options = {"epochs": GUARDED[1], "tolerance": 1e-5, "held": held, "patience": 60}
+        runs = [train(start, training, **options).network for start in (smaller, ahead)]
+        best = min(runs, key=lambda run: np.nan_to_num(rms(run, held), nan=np.inf))
+        progress(f"{system.name}, seed {seed}: {best.neurons()} neurons, {rms(best, held):.2g} held out")
+        return best
+
+    bound = np.array([max(rms(network, held), system.spare)])
+    return prune_by_entropy(network, training, again, bound, held=held, onto_others=onto_others, tries=TRIES)
 
 
 def prune_weights(
