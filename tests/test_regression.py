@@ -282,3 +282,20 @@ def test_errors_of_a_vector_output_are_measured_each():
 def test_a_signal_that_is_missing_is_named():
     with pytest.raises(InputError, match=r"u .* is missing; given: v"):
         arx([Record({"v": GOOD}, {"y": GOOD})], *PLAIN)
+
+
+def test_names_stand_for_ports_one_number_for_a_layer_and_one_record_for_a_list():
+    short = noe("mine", {"u": (1, 2)}, "y", (1, 2), hidden=4)
+    long = noe("mine", {Port("u"): (1, 2)}, Port("y"), (1, 2), hidden=(4,))
+    assert short.inputs == long.inputs
+    assert all(np.array_equal(v, long.parameters()[n]) for n, v in short.parameters().items())
+    u = np.sin(np.arange(60.0))
+    record = Record({"u": u}, {"y": 0.5 * u})
+    one, listed = (train(short, r, epochs=2).history for r in (record, [record]))
+    assert one == listed
+
+
+@pytest.mark.parametrize("given", [{"inputs": {"u": 1}}, {"feedback": 2}, {"feedback": "12"}])
+def test_what_is_no_list_of_delays_is_refused_by_the_name_of_its_argument(given):
+    with pytest.raises(InputError, match=f"{next(iter(given))} .* is no list of delays"):
+        noe("mine", **{"inputs": {"u": (1,)}, "output": "y", "feedback": (1,), **given})

@@ -14,7 +14,7 @@ A network with e among its regressors has the measured output as a further input
 free run has no measurement, so e = 0 there; `free_run` makes that network. `box_jenkins` adds a noise filter instead.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from time import monotonic
 
@@ -27,6 +27,7 @@ from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 
 Taps = Mapping[Port, Sequence[int]]
+Named = Taps | Mapping[str, Sequence[int]]  # a name alone is a port without unit and scale
 SAME = 1e-9  # a regressor is collinear if the others explain it up to this residual, relative to its size
 INSIDE = 0.98  # radius into which the poles of an unstable start are drawn
 
@@ -35,11 +36,11 @@ INSIDE = 0.98  # radius into which the poles of an unstable start are drawn
 
 def regression(
     name: str,
-    inputs: Taps,
-    output: Port,
+    inputs: Named,
+    output: Port | str,
     feedback: Sequence[int] = (),
     noise: Sequence[int] = (),
-    hidden: Sequence[int] = (),
+    hidden: Sequence[int] | int = (),
     seed: int = 0,
     *,
     linear_loop: bool = False,
@@ -48,9 +49,10 @@ def regression(
 ) -> Network:
     """A network on the taps u(k-d), d in `inputs[port]` >= 0, and y(k-d), e(k-d), d in `feedback` and `noise` >= 1.
 
-    Several inputs are several ports; several outputs are one port of that size, and each reads the past of all.
-    hidden: neurons of each hidden layer; () gives the linear model of the same orders. Taps need not be neighbours:
-    with wider spacing, a slow plant that is sampled fast does not need large weights that cancel each other.
+    Several inputs are several ports; several outputs are one port of that size, and each reads the past of all. A name
+    stands for a port without unit and scale.
+    hidden: neurons of each hidden layer, or of the only one; () gives the linear model of the same orders. Taps need
+    not be neighbours: with wider spacing, a slow plant that is sampled fast does not need large weights that cancel.
     linear_loop: the first hidden layer reads only the inputs (Hammerstein form). Then the only loop is linear, so the
     free run is stable if its poles are.
     bypass: the taps of the hidden layers also reach the output directly (not in the thesis's networks).
@@ -58,6 +60,9 @@ def regression(
     at a size that keeps tansig near linear. Raises InputError for a tap that would look ahead or close a loop without
     delay.
     """
+    hidden = (hidden,) if isinstance(hidden, int) else hidden
+    inputs, output = {_port(p): _delays(name, "inputs", d) for p, d in inputs.items()}, _port(output)
+    feedback, noise = _delays(name, "feedback", feedback), _delays(name, "noise", noise)
     taps = {f"{port.name}_z{d}": (port.name, d) for port, delays in inputs.items() for d in delays}
     taps |= {f"{output.name}_z{d}": ("sum", d) for d in feedback} | {f"e_z{d}": ("e", d) for d in noise}
     sizes = {port.name: port.size for port in inputs} | dict.fromkeys(("sum", "e"), output.size)
@@ -89,12 +94,23 @@ def regression(
     return network.check()
 
 
+def _port(given: Port | str) -> Port:
+    return Port(given) if isinstance(given, str) else given
+
+
+def _delays(name: str, argument: str, given: Sequence[int]) -> Sequence[int]:
+    """Raises InputError, naming the argument, for what is no list of delays."""
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise InputError(f"network {name}: {argument} {given!r} is no list of delays; write ({given},) for one delay")
+    return given
+
+
 def noe(
     name: str,
-    inputs: Taps,
-    output: Port,
+    inputs: Named,
+    output: Port | str,
     feedback: Sequence[int],
-    hidden: Sequence[int] = (),
+    hidden: Sequence[int] | int = (),
     seed: int = 0,
     linear_loop: bool = False,
     **options,
@@ -108,11 +124,11 @@ narx = noe
 
 def narmax(
     name: str,
-    inputs: Taps,
-    output: Port,
+    inputs: Named,
+    output: Port | str,
     feedback: Sequence[int],
     noise: Sequence[int],
-    hidden: Sequence[int] = (),
+    hidden: Sequence[int] | int = (),
     seed: int = 0,
     **options,
 ) -> Network:
@@ -126,7 +142,9 @@ def narmax(
 nbj = narmax
 
 
-def nfir(name: str, inputs: Taps, output: Port, hidden: Sequence[int] = (), seed: int = 0, **options) -> Network:
+def nfir(
+    name: str, inputs: Named, output: Port | str, hidden: Sequence[int] | int = (), seed: int = 0, **options
+) -> Network:
     """Network on inputs only, which has no loop and so is always stable. options: of `regression`."""
     return regression(name, inputs, output, (), (), hidden, seed, **options)
 

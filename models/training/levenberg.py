@@ -20,7 +20,7 @@ from greygate.models.training.checkpoint import Checkpoint
 from greygate.models.training.gauss_newton import bounded, search
 from greygate.models.training.loss import Loss
 from greygate.models.training.objective import Objective
-from greygate.models.training.record import Record, held_out
+from greygate.models.training.record import Record, held_out, listed
 from greygate.models.training.remarks import remarks
 from greygate.progress import Progress, silent
 
@@ -73,7 +73,7 @@ class Trained:
 
 def train(
     network: Network,
-    records: Sequence[Record],
+    records: Sequence[Record] | Record,
     *,
     teacher: bool = False,
     epochs: int = 100,
@@ -85,7 +85,7 @@ def train(
     free: Mapping | None = None,
     tied: Sequence[Sequence[str]] = (),
     bounds: Mapping[str, tuple] | None = None,
-    held: Sequence[Record] = (),
+    held: Sequence[Record] | Record = (),
     tail: float = 0.0,
     patience: int = 20,
     estimate_initial: bool = False,
@@ -118,6 +118,7 @@ def train(
     ('CONVERGED', array([[0.9]]))
     """
     began = monotonic()
+    records, held = listed(records), listed(held)
     if epochs < 0:
         raise InputError(f"epochs {epochs}: give a number from 0 on")
     if np.isnan(seconds):
@@ -323,13 +324,14 @@ class LevenbergMarquardt:
         return Trained(network, outcome, tuple(at.history), seconds, tuple(at.held), remarks, initial)
 
 
-def narx_noe(network: Network, records: Sequence[Record], narx_epochs: int = 200, **options) -> Trained:
+def narx_noe(network: Network, records: Sequence[Record] | Record, narx_epochs: int = 200, **options) -> Trained:
     """Train the one-step prediction, then from its weights the free-run simulation (thesis 3.2; Norgaard 2000).
 
     options: of `train`. Where the free-run simulation diverges from the NARX weights, it is trained by multiple
     shooting, in windows of a twentieth of the shortest record, unless `options` ask for shooting: then that was tried.
     A network that feeds no output back is trained by `train` alone.
     """
+    records = listed(records)
     feeds = network.flatten().feeds()
     shown = {feeds[p.name][0] for p in network.outputs}
     if not any(source in shown and delay for source, delay in feeds.values()):

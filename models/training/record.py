@@ -41,6 +41,11 @@ class Record:
         return replace(self, **(dict(zip(("inputs", "targets"), parts, strict=True)) | changes))
 
 
+def listed(records: "Sequence[Record] | Record") -> "Sequence[Record]":
+    """One record is a list of one."""
+    return (records,) if isinstance(records, Record) else records
+
+
 def held_out(
     network: Network, records: Sequence[Record], tail: float, held: Sequence[Record]
 ) -> tuple[list[Record], list[Record]]:
