@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from greygate.baseline import linear_rms
 from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.files import making, writing
@@ -168,6 +169,7 @@ def train_source(
         "loss": fit.history[-1],
         "seconds": round(fit.seconds, 2),
         "rmse": {name: free_run_rms(trained, record) for name, record in judged.items()},
+        "linear": linear_rms(network, list(records.values()), found),
         "remarks": list(fit.remarks),
         "out": str(folder / f"{network.name}.toml"),
     }

@@ -85,21 +85,23 @@ def _train_stored(name: str, out: Path | None, as_json: bool) -> None:
 
 
 def _train_own(
-    name: str, record: list[str], held: list[str], settle: int, how: dict, out: Path | None, as_json: bool
+    network: str, record: list[str], held: list[str], settle: int, how: dict, out: Path | None, as_json: bool
 ) -> None:
     """Train a user's network."""
     from greygate.source import Source, train_source
 
     if not out:
         raise InputError("--out is missing; give the folder to write the trained network to")
-    source, others = Source(name, recordings(record), settle), recordings(held)
-    with following(f"training {Path(name).stem}") as progress:
+    source, others = Source(network, recordings(record), settle), recordings(held)
+    with following(f"training {Path(network).stem}") as progress:
         trained = train_source(source, out, others, progress=progress, **how)
     for remark in trained["remarks"]:
         say(remark)
-    lines = [
-        f"{r:12} {o:10} RMSE {finite(e, '.4g')}" for r, errors in trained["rmse"].items() for o, e in errors.items()
-    ]
+    lines = []
+    for name, errors in trained["rmse"].items():
+        for port, error in errors.items():
+            beside = f" (linear {finite(trained['linear'][name][port], '.4g')})" if name in trained["linear"] else ""
+            lines.append(f"{name:12} {port:10} RMSE {finite(error, '.4g')}{beside}")
     head = f"{trained['epochs']} epochs. {trained['sentence']}"
     give(trained, as_json, [head, *lines, f"written to {trained['out']}"])
     if trained["outcome"] == "diverged":
@@ -303,12 +305,14 @@ def validate(
     """
     from greygate.pages import templates
     from greygate.pages.validation import page
+    from greygate.pages.validation.advice import advice
     from greygate.pages.validation.judged import judge, table
     from greygate.source import Source
 
     with following(f"validating {network}") as progress:
         judged = judge(Source(network, recordings(record), settle), lags, progress)
         templates.write(page(judged), out)
-    give(judged.figures(), as_json, [*table(judged), f"written to {out}"])
+    told = advice(judged)
+    give(judged.figures() | {"advice": told}, as_json, [*table(judged), *told, f"written to {out}"])
     if not judged.bounded:
         raise typer.Exit(1)
