@@ -164,6 +164,8 @@ class Halving:
         """
         first = self.chosen()
         best = [first, *(t for t in self.finalists() if t is not first)][:REFITTED]
+        drift = {t.model: pooled(self.task, t.networks[0]) for t in best}
+        best = [t for t in best if drift[t.model] <= WORSE * t.error] or sorted(best, key=lambda t: drift[t.model])
         found: list[tuple[float, Tried, Trained]] = []
         for tried in best:
             if found and self.left(FINAL.until) <= 0:
