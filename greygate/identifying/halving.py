@@ -21,6 +21,7 @@ DECAY = 1e-3  # a prior: no normalised weight should be far above thirty deviati
 STRONG = 3e-2  # the same for recordings whose noise would be learnt with DECAY
 SIMPLER = 1.03  # a model of fewer weights wins if no other is better by more than this factor: 4 to 8 blocks judge
 WORSE = 2.0  # factor of the held-out error that the error over everything may have: above it the last fit has failed
+LEAST = 0.1  # s that a training has, where its rung has just run out of time
 REFITTED = 5  # models that are fitted to everything at most
 WINDOWS = 16  # into which a fold is cut that is too long to be trained on whole
 
@@ -172,6 +173,8 @@ class Halving:
                 break
             fit = self.complete(tried)
             error = pooled(self.task, fit.network)
+            if drift[tried.model] < error:  # more data have made it worse: as its first fold left it
+                error, fit = drift[tried.model], replace(fit, network=tried.networks[0], initial=())
             found.append((error, tried, fit))
             if error <= WORSE * tried.error:
                 break
@@ -184,7 +187,10 @@ class Halving:
         """A model fitted to everything, from what two of its folds have made of it; the lower loss wins."""
         records = list(self.task.records.values())
         starts = tried.networks[:: max(len(tried.networks) // 2, 1)]
-        fits = [self.trained(n, records, FINAL, tried.model.decay) for n in starts]
+        fits = []
+        for done, start in enumerate(starts):
+            shared = self.left(FINAL.until) / (len(starts) - done)
+            fits.append(self.trained(start, records, FINAL, tried.model.decay, shared))
         return min(fits, key=lambda f: (f.outcome is Outcome.DIVERGED, f.history[-1]))
 
     def fit(self, model: Model, pieces: Sequence[Record], rung: Rung, place: int) -> Trained:
@@ -206,8 +212,10 @@ class Halving:
         taught = train(start, pieces, teacher=True, epochs=5)
         return self.trained(taught.network, pieces, rung, 0.0)
 
-    def trained(self, start: Network, pieces: Sequence[Record], rung: Rung, decay: float) -> Trained:
-        left = max(self.left(rung.until), 0.1)
+    def trained(
+        self, start: Network, pieces: Sequence[Record], rung: Rung, decay: float, seconds: float = np.inf
+    ) -> Trained:
+        left = max(min(self.left(rung.until), seconds), LEAST)
         return train(start, pieces, estimate_initial=True, epochs=rung.epochs, decay=decay, seconds=left)
 
 
