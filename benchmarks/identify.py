@@ -4,7 +4,7 @@ python benchmarks/identify.py [dryer thermal dead_zone pendulum tanks ced crane 
 
 Simulated plants are integrated by scipy; their test runs are without noise. The first samples of a test give its state,
 as many as the command took itself, or as are published where those are more. Each part takes a minute, the default of
-the command. Recordings that are not in the repo are looked for in GREYGATE_RECORDINGS.
+the command; the linear models are fitted to the end. Recordings that are not in the repo are looked for in GREYGATE_RECORDINGS.
 """
 
 import sys
@@ -88,7 +88,7 @@ def best_linear(search: Halving) -> tuple[Tried, Network]:
 
     Where all drift, the one that errs least.
     """
-    found = []
+    found, search.seconds = [], np.inf
     for tried in [t for t in search.ranked() if t.model.form is LINEAR][:REFITTED]:
         network = search.complete(tried).network
         error = pooled(search.task, network)

@@ -166,12 +166,13 @@ class Halving:
         first = self.chosen()
         best = [first, *(t for t in self.finalists() if t is not first)][:REFITTED]
         drift = {t.model: pooled(self.task, t.networks[0]) for t in best}
-        best = [t for t in best if drift[t.model] <= WORSE * t.error] or sorted(best, key=lambda t: drift[t.model])
+        sound = [t for t in best if drift[t.model] <= WORSE * t.error]
+        best = sound or sorted(best, key=lambda t: drift[t.model])
         found: list[tuple[float, Tried, Trained]] = []
-        for tried in best:
+        for done, tried in enumerate(best):
             if found and self.left(FINAL.until) <= 0:
                 break
-            fit = self.complete(tried)
+            fit = self.complete(tried, 1 if sound else len(best) - done)
             error = pooled(self.task, fit.network)
             if drift[tried.model] < error:  # more data have made it worse: as its first fold left it
                 error, fit = drift[tried.model], replace(fit, network=tried.networks[0], initial=())
@@ -183,13 +184,16 @@ class Halving:
             raise InputError("every model diverges over the complete recordings; are they of one plant?")
         return tried, fit
 
-    def complete(self, tried: Tried) -> Trained:
-        """A model fitted to everything, from what two of its folds have made of it; the lower loss wins."""
+    def complete(self, tried: Tried, of: int = 1) -> Trained:
+        """A model fitted to everything, from what two of its folds have made of it; the lower loss wins.
+
+        of: models among which the time that is left is shared.
+        """
         records = list(self.task.records.values())
         starts = tried.networks[:: max(len(tried.networks) // 2, 1)]
         fits = []
         for done, start in enumerate(starts):
-            shared = self.left(FINAL.until) / (len(starts) - done)
+            shared = self.left(FINAL.until) / of / (len(starts) - done)
             fits.append(self.trained(start, records, FINAL, tried.model.decay, shared))
         return min(fits, key=lambda f: (f.outcome is Outcome.DIVERGED, f.history[-1]))
 
