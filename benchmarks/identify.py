@@ -4,7 +4,8 @@ python benchmarks/identify.py [dryer thermal dead_zone pendulum tanks ced crane 
 
 Simulated plants are integrated by scipy; their test runs are without noise. The first samples of a test give its state,
 as many as the command took itself, or as are published where those are more. Each part takes a minute, the default of
-the command; the linear models are fitted to the end. Recordings that are not in the repo are looked for in GREYGATE_RECORDINGS.
+the command, and the linear models are fitted to the end. Recordings that are not in the repo are looked for in
+GREYGATE_RECORDINGS.
 """
 
 import sys
