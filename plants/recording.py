@@ -115,12 +115,14 @@ def read_csv(
     *,
     units: Mapping[str, str] | None = None,
     dt: float | None = None,
+    bare: bool = False,
 ) -> Recording:
     """Read a CSV whose header is `t_s` and `name_unit` columns, such as `v_c_V,x_m,p_a_Pa`.
 
     required: channel -> unit of those that must be there.
     units: unit of each column whose header has none (`{"be_cmd": "1"}`); it takes precedence over a suffix.
     dt: sample time in s of a file whose first column is an index `k` instead of a time.
+    bare: a column without a known unit is a plain number, and a file with dt need not have an index.
 
     Raises InputError, naming the row as an editor numbers it (the header is 1) and the column.
 
@@ -130,12 +132,17 @@ def read_csv(
     table, units = read_table(path), units or {}
     path, header = table.path, table.header
     clock = "k" if dt is not None else "t_s"
-    if header[0] not in (clock, clock.removesuffix("_s")):
+    timed = header[0] in (clock, clock.removesuffix("_s"))
+    if bare and dt is not None and header[0] in ("t_s", "t"):
+        raise InputError(f"{path}: has a time column; leave out the sample time")
+    if not timed and not (bare and dt is not None):
         wish = "give dt for an index column k" if header[0] == "k" else f"name the first column {clock}"
+        wish += " (--sample-time)" if bare and header[0] == "k" else ", or give --sample-time" if bare else ""
         raise InputError(f"{path}: the first column is {header[0]!r}; {wish}")
     if len(table.cells) < FEWEST:
         raise InputError(f"{path}: the recording holds {len(table.cells)} samples; give at least {FEWEST}")
-    names, kinds = zip(*(_split(path, column, units) for column in header[1:]), strict=True)
+    columns = header[timed:]
+    names, kinds = zip(*(_split(path, column, units, bare) for column in columns), strict=True)
     if repeated := {name for name in names if names.count(name) > 1}:
         raise InputError(f"{path}: channel {min(repeated)} appears twice; rename one of its columns")
     for name, unit in (required or {}).items():
@@ -143,10 +150,10 @@ def read_csv(
             raise InputError(f"{path}: column {name}_{_SUFFIX.get(unit, unit)} is missing; it has {', '.join(header)}")
         if (found := kinds[names.index(name)]) != unit:
             raise InputError(f"{path}: column {name} is in {found}; convert it to {unit}")
-    step = _step(table)
+    step = _step(table) if timed else 1.0
     if dt is not None and step != 1:
         raise InputError(f"{path}: column k counts in steps of {step:g}; number the samples one by one")
-    channels = {name: np.ascontiguousarray(table.values[:, 1 + i]) for i, name in enumerate(names)}
+    channels = {name: np.ascontiguousarray(table.values[:, timed + i]) for i, name in enumerate(names)}
     return Recording(step if dt is None else dt, channels, dict(zip(names, kinds, strict=True)), source=str(path))
 
 
@@ -154,7 +161,7 @@ def _known() -> str:
     return ", ".join(UNITS)
 
 
-def _split(path: Path, column: str, units: Mapping[str, str]) -> tuple[str, str]:
+def _split(path: Path, column: str, units: Mapping[str, str], bare: bool = False) -> tuple[str, str]:
     """`v_true_m_s` -> (`v_true`, `m/s`): the longest suffix in UNITS is the unit."""
     if column in units:
         return column, units[column]
@@ -162,6 +169,8 @@ def _split(path: Path, column: str, units: Mapping[str, str]) -> tuple[str, str]
     for start in range(1, len(parts)):
         if (suffix := "_".join(parts[start:])) in UNITS and (name := "_".join(parts[:start])):
             return name, UNITS[suffix]
+    if bare:
+        return column, "1"
     problem = f"unit {parts[-1]!r} is unknown" if all(parts) and len(parts) > 1 else "has no name or no unit"
     raise InputError(f"{path}: column {column}: {problem}; end its name in one of _{', _'.join(UNITS)}")
 

@@ -43,3 +43,21 @@ def build(compiled, tmp_path) -> Path:
     """A copy of it, to be changed."""
     shutil.copytree(compiled, tmp_path / "b")
     return tmp_path / "b"
+
+
+@pytest.fixture(scope="session")
+def cluster():
+    """A scheduler and a worker on this machine; of one thread alone joblib would make no use."""
+    distributed = pytest.importorskip(
+        "distributed", reason="distributed is not installed: pip install 'greygate[cluster]'"
+    )
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=False, protocol="tcp://", host="127.0.0.1", dashboard_address=None
+    ) as made:
+        yield made
+
+
+@pytest.fixture
+def cluster_tasks(cluster):
+    """How many tasks the cluster has done, when it is called."""
+    return lambda: sum(to == "memory" for _, _, to, *_ in cluster.scheduler.transition_log)

@@ -3,12 +3,13 @@
 import json
 import math
 
+import joblib
 import numpy as np
 import pytest
 
 from greygate.errors import InputError
 from greygate.identifying import halving
-from greygate.identifying.files import figures, identify, read
+from greygate.identifying.files import figures, identify
 from greygate.identifying.ladder import FORMS, LINEAR, Orders, grown
 from greygate.identifying.looking import look
 from greygate.identifying.task import task
@@ -59,14 +60,24 @@ def test_a_linear_plant_keeps_a_linear_model(short):
     told = figures(found(recorded(1), [recorded(2, noise=0.0)]))
     assert told["chosen"]["model"].startswith(LINEAR.name)
     assert told["test"]["run2"] < 0.3 * NOISE
-    low, high = told["expected"]
+    low, high = told["held_out_interval"]
     assert 0.8 * NOISE < low < high < 1.2 * NOISE
 
 
 def test_the_search_comes_out_the_same_however_many_trainings_run_side_by_side(short):
     one, two = (figures(found(recorded(1, gap=0.4), jobs=jobs)) for jobs in (1, 2))
     assert one["chosen"] | {"seconds": 0} == two["chosen"] | {"seconds": 0}
-    assert one["expected"] == two["expected"]
+    assert one["held_out_interval"] == two["held_out_interval"]
+
+
+def test_a_cluster_comes_to_the_same(short, cluster, cluster_tasks):
+    from distributed import Client
+
+    alone, before = figures(found(recorded(1, gap=0.4))), cluster_tasks()
+    with Client(cluster), joblib.parallel_config(backend="dask"):
+        there = figures(found(recorded(1, gap=0.4), jobs=-1))
+    assert cluster_tasks() > before
+    assert alone["chosen"] | {"seconds": 0} == there["chosen"] | {"seconds": 0}
 
 
 def test_a_network_begins_as_its_linear_model():
@@ -114,18 +125,6 @@ def test_the_command_writes_a_network_that_validates_and_compiles(short, greygat
         assert code == 0, error
     code, _, error = greygate(*call, "--out", "mine")
     assert (code, "is there already" in error) == (2, True)
-
-
-def test_a_file_without_time_needs_the_sample_time(tmp_path):
-    path = tmp_path / "a.csv"
-    path.write_text("u,y\n1,2\n3,4\n")
-    with pytest.raises(InputError, match="give --sample-time"):
-        read(str(path), None)
-    assert read(str(path), 0.5).units == {"u": "1", "y": "1"}
-    path.write_text("t_s,u,y_m\n0,1,2\n0.5,3,4\n")
-    assert read(str(path), None).dt == 0.5
-    with pytest.raises(InputError, match="leave out --sample-time"):
-        read(str(path), 0.5)
 
 
 @pytest.mark.parametrize(

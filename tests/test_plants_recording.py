@@ -125,3 +125,21 @@ def test_an_impossible_recording_cannot_be_made(dt, channels, units, message):
 def test_asking_for_an_absent_channel_names_those_there_are():
     with pytest.raises(InputError, match="no channel p_a; it has x"):
         Recording(1.0, {"x": [0.0]}, {"x": "m"})["p_a"]
+
+
+def test_a_bare_file_is_read_where_that_is_asked(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("u,y_m\n1,2\n3,4\n")
+    with pytest.raises(InputError, match="name the first column t_s, or give --sample-time"):
+        read_csv(path, bare=True)
+    recording = read_csv(path, dt=0.5, bare=True)
+    assert recording.units == {"u": "1", "y": "m"}
+    assert recording["u"].tolist() == [1, 3]
+    path.write_text("t_s,u,y_m\n0,1,2\n0.5,3,4\n")
+    assert read_csv(path, bare=True).dt == 0.5
+    path.write_text("k,y_m,y_bar\n0,1,2\n1,3,4\n")
+    with pytest.raises(InputError, match="channel y appears twice"):
+        read_csv(path, dt=0.5, bare=True)
+    path.write_text("t_s,u\n0,1\n0.5,3\n")
+    with pytest.raises(InputError, match="leave out the sample time"):
+        read_csv(path, dt=0.5, bare=True)

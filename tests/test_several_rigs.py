@@ -28,21 +28,6 @@ def drums(tmp_path_factory) -> list[Path]:
     return [made / "fast", made / "clean"]
 
 
-@pytest.fixture(scope="module")
-def cluster():
-    """A scheduler and a worker on this machine; of one thread alone joblib would make no use."""
-    distributed = pytest.importorskip("distributed", reason=WITHOUT)
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=2, processes=False, protocol="tcp://", host="127.0.0.1", dashboard_address=None
-    ) as made:
-        yield made
-
-
-def tasks(cluster) -> int:
-    """How many the cluster has done."""
-    return sum(to == "memory" for _, _, to, *_ in cluster.scheduler.transition_log)
-
-
 def verdicts(results: dict) -> dict[str, str]:
     return {name: content["verdict"] for name, (content, _) in results.items()}
 
@@ -68,14 +53,14 @@ def test_they_run_where_joblib_is_told_to(drums, tmp_path):
     assert lines[:-1] == results["fast"][1][:-1]
 
 
-def test_a_cluster_diagnoses_them(drums, cluster, tmp_path):
+def test_a_cluster_diagnoses_them(drums, cluster, cluster_tasks, tmp_path):
     from distributed import Client
 
-    before = tasks(cluster)
+    before = cluster_tasks()
     with Client(cluster), joblib.parallel_config(backend="dask"):
         results = explain_all(drums, out=tmp_path)
     assert verdicts(results) == {"fast": "missing_physics", "clean": "consistent"}
-    assert tasks(cluster) == before + 2
+    assert cluster_tasks() == before + 2
     assert len(list(tmp_path.iterdir())) == 2
 
 
@@ -130,8 +115,8 @@ def test_rigs_that_cannot_be_diagnosed_end_no_other(spoilt, as_json, tmp_path, g
     assert {"fast", "clean"} <= set(found) if as_json else "missing physics" in printed
 
 
-def test_the_command_sends_a_rig_to_a_cluster(drums, cluster, tmp_path, greygate):
-    before = tasks(cluster)
+def test_the_command_sends_a_rig_to_a_cluster(drums, cluster, cluster_tasks, tmp_path, greygate):
+    before = cluster_tasks()
     out = tmp_path / "diagnosis.json"
     code, printed, _ = greygate(
         "diagnose", drums[1], "--backend", "dask", "--scheduler", cluster.scheduler_address, "--out", out
@@ -139,7 +124,7 @@ def test_the_command_sends_a_rig_to_a_cluster(drums, cluster, tmp_path, greygate
     assert code == 0
     assert "consistent" in printed
     assert json.loads(out.read_text())["verdict"] == "consistent"
-    assert tasks(cluster) == before + 1
+    assert cluster_tasks() == before + 1
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,9 @@ def identify(
         typer.Option(callback=options.COUNT, help="First samples that only give the initial state; found if omitted."),
     ] = None,
     seconds: Annotated[float, typer.Option(callback=options.SECONDS, help="Time limit of the search.")] = 60.0,
-    jobs: Annotated[int, typer.Option(callback=options.JOBS, help="Trainings side by side.")] = 2,
+    jobs: Annotated[
+        int, typer.Option(callback=options.JOBS, help="Trainings side by side; dask uses all its workers.")
+    ] = 2,
     backend: Annotated[Backend, typer.Option(help="Train on this computer, or on a cluster.")] = Backend.LOKY,
     scheduler: Scheduler = None,
     as_json: Json = False,
@@ -36,17 +38,12 @@ def identify(
     """
     from greygate.identifying.files import identify_files, lines
 
+    side_by_side = jobs if backend is Backend.LOKY else -1
     with joblib_on(backend, scheduler), following("identifying") as progress:
         found = identify_files(
             recordings(record), recordings(test), input, output, out,
-            dt=sample_time, seconds=seconds, jobs=jobs, settle=settle, progress=progress,
+            dt=sample_time, seconds=seconds, jobs=side_by_side, settle=settle, progress=progress,
         )  # fmt: skip
-    told = [
-        *found["recording"]["remarks"],
-        *lines(found),
-        f"written to {found['out']}",
-        *("next: " + n for n in found["next"]),
-    ]
-    give(found, as_json, told)
+    give(found, as_json, [*lines(found), f"written to {found['out']}", *(f"next: {n}" for n in found["next"])])
     if any(error is None for error in found["test"].values()):
         raise typer.Exit(1)

@@ -1,19 +1,19 @@
 """What a network that was built is compared with: the plant's own simulation, and linear models."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from greygate import baseline
+from greygate.baseline import of_one
 from greygate.expert.task import Task
 from greygate.models.accuracy import free_run_rms, rms
-from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
-from greygate.models.training.levenberg import narx_noe
 from greygate.models.training.record import Record
 from greygate.plants.recording import Recording
 
-EPOCHS = 40
+TAPS = (0, 1)  # of every input, in the linear model
 ROOM = 3.0  # deviations of a target, which the scale of its port is
 
 Rms = dict[str, dict[str, dict[str, float]]]
@@ -45,7 +45,7 @@ def scores(network: Network, of: Compared) -> Rms:
             errors = {t: (simulated[t] - recording[t])[start:stop] for t in of.task.targets}
             found["network"][label] = free_run_rms(network, cut)
             found["nominal"][label] = {t: rms(e) for t, e in errors.items()}
-            found["linear"][label] = {t: free_run_rms(rival, _plain(cut, t))[t] for t, rival in rivals.items()}
+            found["linear"][label] = {t: free_run_rms(rival, of_one(cut, t))[t] for t, rival in rivals.items()}
     return found
 
 
@@ -53,16 +53,10 @@ def linear(of: Compared) -> dict[str, Network]:
     """Target -> a linear model on two samples of every input and of itself: ARX, then output error."""
     found = {}
     for target in of.task.targets:
-        learnt = [_plain(of.record(n).cut(0, end), target) for n, end in of.ends.items()]
+        learnt = [of_one(of.record(n).cut(0, end), target) for n, end in of.ends.items()]
         sizes = {n: max(float(np.abs(r.inputs[n]).max()) for r in learnt) or 1.0 for n in of.task.inputs}
         values = np.concatenate([r.targets[target] for r in learnt])
         scale, first = ROOM * float(np.std(values)) or 1.0, float(values[0])
         output = Port(target, of.task.plant.unit(target), scale, offset=float(values.mean()), initial=first)
-        network = noe("linear", {Port(n, scale=s): (0, 1) for n, s in sizes.items()}, output, (1, 2))
-        found[target] = narx_noe(network, learnt, epochs=EPOCHS).network
+        found[target] = baseline.linear([Port(n, scale=s) for n, s in sizes.items()], output, learnt, TAPS)
     return found
-
-
-def _plain(record: Record, target: str) -> Record:
-    initial = {n: v for n, v in record.initial.items() if n in record.inputs}
-    return replace(record, targets={target: record.targets[target]}, initial=initial)

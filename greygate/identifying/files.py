@@ -10,66 +10,32 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.files import making, writing
-from greygate.identifying.halving import ORDERS, WORSE, Halving, Tried, pooled
+from greygate.identifying.halving import ORDERS, WORSE, Halving, Tried
 from greygate.identifying.ladder import LINEAR
 from greygate.identifying.looking import look
 from greygate.identifying.task import Task, task
 from greygate.machines.identification import resting
+from greygate.models.accuracy import rms
 from greygate.models.network import Network
 from greygate.plain import json_text, plain
-from greygate.plants.recording import FEWEST, UNITS, Recording, read_csv
+from greygate.plants.recording import Recording, read_csv
 from greygate.progress import Progress, silent
-from greygate.table import read_table
+from greygate.source import SAME_TIME
 
-SAME_TIME = 1e-3  # relative difference that sample times may have, because printed times are rounded
 DRAWS = 2000  # resampled sets of segments, from which confidence and interval follow
 SEGMENTS = 4  # of a held-out block: its errors are resampled in runs, because neighbours are alike
 SHOWN = 12  # models in the table of a terminal
 
 
-def read(path: str, dt: float | None) -> Recording:
-    """The recording of a CSV. A column without unit is taken as a plain number.
-
-    dt: sample time in s of a file without a time column; its columns are all channels, but for an index `k`.
-    Raises InputError as `read_csv`, and for a file without time where no dt is given.
-    """
-    table = read_table(path)
-    bare = {c: "1" for c in table.header if not _has_unit(c)}
-    if table.header[0] in ("t_s", "t"):
-        if dt is not None:
-            raise InputError(f"{path}: has a time column; leave out --sample-time")
-        return read_csv(path, units={c: u for c, u in bare.items() if c != table.header[0]})
-    if dt is None:
-        raise InputError(f"{path}: the first column is {table.header[0]!r}, no time; name it t_s or give --sample-time")
-    names = [c for c in table.header if c != "k"]
-    if len(table.cells) < FEWEST:
-        raise InputError(f"{path}: the recording holds {len(table.cells)} samples; give at least {FEWEST}")
-    split = {c: (c, "1") if c in bare else _split(c) for c in names}
-    channels = {split[c][0]: table.values[:, table.header.index(c)] for c in names}
-    return Recording(dt, channels, dict(split.values()), source=str(path))
-
-
-def _has_unit(column: str) -> bool:
-    return bool(_split(column)[1])
-
-
-def _split(column: str) -> tuple[str, str]:
-    """`v_true_m_s` -> (`v_true`, `m/s`); a column without unit -> (column, "")."""
-    parts = column.split("_")
-    for start in range(1, len(parts)):
-        if (suffix := "_".join(parts[start:])) in UNITS and all(parts[:start]):
-            return "_".join(parts[:start]), UNITS[suffix]
-    return column, ""
-
-
 @dataclass(frozen=True)
 class Identified:
-    """The chosen model, fitted to everything, and every model that was tried."""
+    """The chosen model, fitted to everything, and every model that was tried. seen: of each recording, by `look`."""
 
     task: Task
     chosen: Tried
     network: Network
     search: Halving
+    seen: Mapping[str, dict]
     tests: Mapping[str, Recording]
     seconds: float
 
@@ -87,23 +53,21 @@ def identify(
 ) -> Identified:
     """Find a network of one output from recordings. Raises InputError as `task` and `Halving`."""
     began = monotonic()
-    for recording in (*recordings.values(), *tests.values()):
-        first = next(iter(recordings.values()))
-        if abs(recording.dt - first.dt) > 1e-3 * first.dt:
-            raise InputError(
-                f"{recording.source}: sampled every {recording.dt:g} s, {first.source} every {first.dt:g} s"
-            )
+    first = next(iter(recordings.values()))
+    for other in (*recordings.values(), *tests.values()):
+        if abs(other.dt - first.dt) > SAME_TIME * first.dt:
+            raise InputError(f"{other.source}: sampled every {other.dt:g} s, {first.source} every {first.dt:g} s")
     posed = task(recordings, inputs, output, settle)
-    seen = [look(r, inputs, output) for r in recordings.values()]
-    apart = min(max(s["stride"] for s in seen), max(posed.settle // max(ORDERS), 1))
-    found = [tuple(min((s["delays"][n] for s in seen if s["delays"][n] is not None), default=0) for n in inputs)]
-    shifts = {tuple(max(d + shift, 0) for d in found[0]) for shift in (-2, -1, 0, 1)} | {(0,) * len(inputs)}
+    seen = {name: look(r, inputs, output) for name, r in recordings.items()}
+    apart = min(max(s["stride"] for s in seen.values()), max(posed.settle // max(ORDERS), 1))
+    found = [min((s["delays"][n] for s in seen.values() if s["delays"][n] is not None), default=0) for n in inputs]
+    shifts = {tuple(max(d + shift, 0) for d in found) for shift in (-2, -1, 0, 1)} | {(0,) * len(inputs)}
     search = Halving(posed, seconds - (monotonic() - began), jobs, progress)
     search.run(sorted(shifts), sorted({1, apart}))
     chosen, fit = search.final()
     initial: dict[str, np.ndarray] = {n: layer.initial[None] for n, layer in fit.network.layers().items()}
     network = resting(fit.network, initial | (fit.initial[0] if fit.initial else {}))
-    return Identified(posed, chosen, network, search, tests, monotonic() - began)
+    return Identified(posed, chosen, network, search, seen, tests, monotonic() - began)
 
 
 # ---- what is told
@@ -111,66 +75,67 @@ def identify(
 
 def figures(found: Identified) -> dict:
     """Everything that is told, as plain data."""
-    t, search = found.task, found.search
-    table = [_row(t, tried) for tried in search.finalists()]
+    t, search, folds = found.task, found.search, found.search.shared()
+    finalists = search.finalists()
+    line = next((x for x in finalists if x.model.form == LINEAR), found.chosen)
+    runner = next((x for x in finalists if x is not found.chosen), None)
     tested = {n: t.errors(found.network, t.record(r)) for n, r in found.tests.items()}
-    line = next((x for x in search.ranked() if x.model.form is LINEAR), None)
-    others = [x for x in search.finalists() if x is not found.chosen and x.errors]
-    runner = others[0] if others else None
+    sure = None if found.chosen.model.form == LINEAR else _sure(found.chosen, line, folds)
     return {
-        "chosen": _row(t, found.chosen),
-        "whole": pooled(t, found.network),
-        "expected": _interval(found.chosen),
-        "test": {n: None if e is None else float(np.sqrt(np.mean(e**2))) for n, e in tested.items()},
+        "chosen": _row(t, found.chosen, folds),
+        "whole": search.whole(found.network),
+        "held_out_interval": _interval(found.chosen, folds),
+        "test": {n: None if e is None else rms(e) for n, e in tested.items()},
         "unit": t.output.unit,
         "confidence": {
-            "better_than_linear": None
-            if line is None or found.chosen.model.form is LINEAR
-            else _sure(found.chosen, line),
-            "better_than_next": None if runner is None else _sure(found.chosen, runner),
+            "better_than_linear": sure,
+            "better_than_next": None if runner is None else _sure(found.chosen, runner, folds),
             "next": None if runner is None else runner.model.name,
         },
-        "models": table,
+        "models": [_row(t, tried, folds) for tried in finalists],
         "tried": len(search.tried),
         "settle": t.settle,
         "seconds": round(found.seconds, 1),
+        "recordings": found.seen,
     }
 
 
-def _row(t: Task, tried: Tried) -> dict:
+def _row(t: Task, tried: Tried, folds: Sequence[int]) -> dict:
     spread = float(np.std(np.concatenate([r.targets[t.output.name] for r in t.records.values()])))
+    error = tried.over(folds)
     return {
         "model": tried.model.name,
         "parameters": tried.parameters,
-        "held_out": tried.error,
-        "fit": 100 * (1 - tried.error / spread),
+        "held_out": error,
+        "fit": 100 * (1 - error / spread),
         "seconds": round(tried.seconds, 2),
     }
 
 
-def _segments(tried: Tried) -> np.ndarray:
-    """Mean squared errors of the segments of all held-out blocks."""
-    return np.array([np.mean(s**2) for block in tried.errors for s in np.array_split(block, SEGMENTS) if len(s)])
+def _segments(tried: Tried, folds: Sequence[int]) -> np.ndarray:
+    """Mean squared errors of the segments of held-out blocks; inf where a free run diverges."""
+    blocks = tried.blocks(folds)
+    if not np.isfinite(tried.over(folds)):
+        return np.full(SEGMENTS * len(blocks), np.inf)
+    return np.array([np.mean(s**2) for e in blocks if e is not None for s in np.array_split(e, SEGMENTS)])
 
 
 def _drawn(count: int) -> np.ndarray:
     return np.random.default_rng(0).integers(0, count, (DRAWS, count))
 
 
-def _sure(one: Tried, other: Tried) -> float | None:
-    """Share of resampled sets of segments over which `one` errs less; None where the two have other segments."""
-    a, b = _segments(one), _segments(other)
-    if len(a) != len(b):
-        return None
+def _sure(one: Tried, other: Tried, folds: Sequence[int]) -> float:
+    """Share of resampled sets of segments over which `one` errs less."""
+    a, b = _segments(one, folds), _segments(other, folds)
     drawn = _drawn(len(a))
     return float(np.mean(a[drawn].mean(1) < b[drawn].mean(1)))
 
 
-def _interval(tried: Tried) -> list[float]:
+def _interval(tried: Tried, folds: Sequence[int]) -> list[float]:
     """95 % of the RMS errors over resampled sets of held-out segments."""
-    a = _segments(tried)
-    rms = np.sqrt(a[_drawn(len(a))].mean(1))
-    return [float(v) for v in np.quantile(rms, (0.025, 0.975))]
+    a = _segments(tried, folds)
+    found = np.sqrt(a[_drawn(len(a))].mean(1))
+    return [float(v) for v in np.quantile(found, (0.025, 0.975))]
 
 
 def lines(found: dict) -> list[str]:
@@ -185,9 +150,12 @@ def lines(found: dict) -> list[str]:
         )
     if len(found["models"]) > SHOWN:
         rows.append(f"  and {len(found['models']) - SHOWN} more; all are in the .json")
-    low, high = found["expected"]
-    told = [*rows, f"chosen: {found['chosen']['model']}; held out {found['chosen']['held_out']:.4g}{unit}"]
-    told.append(f"expected on a recording like these: {low:.4g} to {high:.4g}{unit} (95 %)")
+    low, high = found["held_out_interval"]
+    several = len(found["recordings"]) > 1
+    told = [f"{n}: {r}" if several else r for n, seen in found["recordings"].items() for r in seen["remarks"]]
+    told = [*told, *rows, f"chosen: {found['chosen']['model']}; held out {found['chosen']['held_out']:.4g}{unit}"]
+    told.append(f"of held-out stretches, drawn again and again: {low:.4g} to {high:.4g}{unit} (95 %)")
+    told.append("these stretches chose the model too, so a new recording may well lie above")
     sure = found["confidence"]
     if sure["better_than_linear"] is not None:
         told.append(f"better than the best linear model with probability {sure['better_than_linear']:.2f}")
@@ -233,8 +201,7 @@ def identify_files(
         raise InputError("--input is missing; give the channels that drive the plant")
     if output in inputs or len(set(inputs)) < len(inputs):
         raise InputError(f"--input {', '.join(inputs)}, --output {output}: name each channel once")
-    read_in = {n: read(p, dt) for n, p in files.items()}
-    read_tests = {n: read(p, dt) for n, p in tests.items()}
+    read_in, read_tests = ({n: read_csv(p, dt=dt, bare=True) for n, p in of.items()} for of in (files, tests))
     first = next(iter(read_in.values()))
     for recording in (*read_in.values(), *read_tests.values()):
         for channel in (*inputs, output):
@@ -245,7 +212,7 @@ def identify_files(
         found = identify(
             read_in, inputs, output, read_tests, seconds=seconds, jobs=jobs, settle=settle, progress=progress
         )
-        kept = {**figures(found), "recording": look(first, inputs, output)}
+        kept = figures(found)
         replace(found.network, name=name).save(out / name, json_text(plain(kept)))
         used = (*inputs, output)
         for label, recording in {**read_in, **read_tests}.items():

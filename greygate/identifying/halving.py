@@ -1,8 +1,9 @@
 """Which model is best on blocks that it has not seen, by successive halving (Jamieson, Talwalkar 2016)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from time import monotonic
+from functools import cached_property
+from time import time
 
 import joblib
 import numpy as np
@@ -10,7 +11,8 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.identifying.ladder import FORMS, LINEAR, Form, Orders, grown
 from greygate.identifying.task import Task, started
-from greygate.machines.identification import parameters
+from greygate.machines.identification import Fold, parameters
+from greygate.models.accuracy import rms
 from greygate.models.network import Network
 from greygate.models.training.levenberg import Outcome, Trained, train
 from greygate.models.training.record import Record
@@ -19,11 +21,13 @@ from greygate.progress import Progress, silent
 ORDERS = (1, 2, 3, 4)
 DECAY = 1e-3  # a prior: no normalised weight should be far above thirty deviations of one normalised error
 STRONG = 3e-2  # the same for recordings whose noise would be learnt with DECAY
-SIMPLER = 1.03  # a model of fewer weights wins if no other is better by more than this factor: 4 to 8 blocks judge
-WORSE = 2.0  # factor of the held-out error that the error over everything may have: above it the last fit has failed
+SIMPLER = 1.03  # a model of fewer weights wins if no other is better by more than this factor: few blocks judge
+WORSE = 2.0  # factor of the held-out error that the error over everything may have: above it the free run drifts off
 LEAST = 0.1  # s that a training has, where its rung has just run out of time
 REFITTED = 5  # models that are fitted to everything at most
 WINDOWS = 16  # into which a fold is cut that is too long to be trained on whole
+TAUGHT = 5  # epochs one step ahead, which make a linear model ARX
+EPOCHS = 150  # of a fit to everything
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,6 @@ class Rung:
 
 LADDER = Rung(10**6, 1, 60, 8000, 1, 0.2)
 RUNGS = (Rung(10**6, 1, 12, 4000, 2, 0.45), Rung(16, 2, 40, 8000, 1, 0.65), Rung(5, 3, 120, 20000, 1, 0.85))
-FINAL = Rung(1, 3, 150, 10**9, 1, 1.0)
 BASES = 3  # linear models from which networks are grown
 
 
@@ -59,49 +62,78 @@ class Model:
     def name(self) -> str:
         return f"{self.form.name}, {self.orders}" + (", strong decay" if self.decay > DECAY else "")
 
+    @property
+    def line(self) -> "Model":
+        """The linear model from which it is grown."""
+        return Model(LINEAR, self.orders, 0.0)
 
-@dataclass
+
+@dataclass(frozen=True)
 class Tried:
-    """What became of a model: error on what was held out (inf: diverged), in the unit of the output.
+    """What became of a model.
 
-    errors: errors over each held-out block, (N,). networks: of each fold. seconds: that it took in all.
+    networks: fold -> network. errors: fold -> errors (N,) over each of its held-out blocks, in the unit of the output,
+    None where the free run diverges. seconds: that it took in all.
     """
 
     model: Model
-    error: float = np.inf
-    errors: tuple[np.ndarray, ...] = ()
-    networks: tuple[Network, ...] = ()
-    seconds: float = 0.0
-    parameters: int = 0
-    rung: int = 0
+    rung: int
+    networks: Mapping[int, Network]
+    errors: Mapping[int, Sequence[np.ndarray | None]]
+    seconds: float
+
+    @cached_property
+    def parameters(self) -> int:
+        return parameters(self.first)
+
+    @property
+    def first(self) -> Network:
+        """As its first fold left it."""
+        return next(iter(self.networks.values()))
+
+    def blocks(self, folds: Iterable[int]) -> list[np.ndarray | None]:
+        """Errors over the blocks that these folds hold out."""
+        return [e for place in folds for e in self.errors[place]]
+
+    @cached_property
+    def error(self) -> float:
+        """RMS error over everything that was held out; inf: diverges."""
+        return self.over(self.errors)
+
+    def over(self, folds: Iterable[int]) -> float:
+        """RMS error over the blocks of these folds; inf: diverges."""
+        return pooled(self.blocks(folds))
+
+
+def pooled(errors: Sequence[np.ndarray | None]) -> float:
+    """RMS of errors; inf where one is None."""
+    found = [e for e in errors if e is not None]
+    return rms(np.concatenate(found)) if found and len(found) == len(errors) else np.inf
 
 
 class Halving:
     """A search over one task. seconds: its time limit. jobs: trainings side by side."""
 
     def __init__(self, task: Task, seconds: float, jobs: int, progress: Progress = silent):
-        self.task, self.seconds, self.jobs, self.progress = task, seconds, jobs, progress
-        self.began = monotonic()
+        self.task, self.jobs, self.progress = task, jobs, progress
+        self.began, self.seconds = time(), seconds
         self.folds = task.folds()
         self.tried: dict[Model, Tried] = {}
-        self.linear: dict[tuple[Orders, int], Network] = {}
 
-    def left(self, until: float) -> float:
-        return until * self.seconds - (monotonic() - self.began)
+    def deadline(self, until: float = 1.0) -> float:
+        """The time at which that share of the limit is used."""
+        return self.began + until * self.seconds
 
-    def run(self, delays: Sequence[tuple[int, ...]], strides: Sequence[int]) -> list[Tried]:
-        """Every model that was tried, the best first. Raises InputError if none was."""
-        ladder = [Model(LINEAR, Orders(o, d, s), 0.0) for s in strides for o in ORDERS for d in delays]
-        self.rung(0, LADDER, ladder)
-        bases = self.bases()
-        models = [Model(form, base.model.orders) for form in FORMS for base in bases]
+    def run(self, delays: Sequence[tuple[int, ...]], strides: Sequence[int]) -> None:
+        """Try the linear models and what grows from them. Raises InputError if no linear model was finished."""
+        self.rung(0, LADDER, [Model(LINEAR, Orders(o, d, s)).line for s in strides for o in ORDERS for d in delays])
+        models = [Model(form, base.model.orders) for base in self.bases() for form in FORMS]
+        models.sort(key=lambda m: FORMS.index(m.form))  # where time ends, every base has had the same forms
         for number, rung in enumerate(RUNGS, 1):
             self.rung(number, rung, models[: rung.keep])
-            ranked = [t for t in self.ranked() if t.model.form is not LINEAR]
-            models = [t.model for t in ranked if t.rung == number]
+            models = [t.model for t in self.ranked() if t.rung == number]
             if number == len(RUNGS) - 1:
                 models = [m for model in models for m in (model, replace(model, decay=STRONG))]
-        return self.ranked()
 
     def bases(self) -> list[Tried]:
         """The best linear models that differ in order or stride, from which networks are grown."""
@@ -118,45 +150,39 @@ class Halving:
 
     def rung(self, number: int, rung: Rung, models: Sequence[Model]) -> None:
         """Train the models on every fold and judge them; those for which no time is left stay as they are."""
-
-        def one(model: Model) -> Tried | None:
-            return self.judged(model, rung, number) if self.left(rung.until) > 0 else None
-
-        work = joblib.Parallel(self.jobs, prefer="threads", return_as="generator_unordered")
-        for tried in work(joblib.delayed(one)(m) for m in models):
-            if tried is None:
-                continue
-            before = self.tried.get(tried.model)
-            if before is None or tried.rung > before.rung:
+        until = self.deadline(rung.until)
+        tasks = [
+            joblib.delayed(judged)(self.task, self.folds, m, self.tried.get(m.line), number, rung, until)
+            for m in models
+        ]
+        for tried in joblib.Parallel(self.jobs, prefer="threads", return_as="generator_unordered")(tasks):
+            if tried is not None:
                 self.tried[tried.model] = tried
-            best = min(self.tried.values(), key=lambda t: t.error)
-            self.progress(f"{len(self.tried)} models, best {best.model.name}: {best.error:.4g} held out")
+                best = self.ranked()[0]
+                self.progress(f"{len(self.tried)} models, best {best.model.name}: {best.error:.4g} held out")
 
-    def judged(self, model: Model, rung: Rung, number: int) -> Tried:
-        began = monotonic()
-        networks, errors = [], []
-        for place in range(0, len(self.folds), rung.every):
-            fold = self.folds[place]
-            fit = self.fit(model, thinned(fold.pieces, rung.samples, self.task), rung, place)
-            networks.append(fit.network)
-            errors += [self.task.errors(fit.network, block) for block in fold.blocks]
-        found = [e for e in errors if e is not None]
-        if len(found) < len(errors):
-            found = []
-        error = float(np.sqrt(np.mean(np.concatenate(found) ** 2))) if found else np.inf
-        seconds = monotonic() - began
-        return Tried(model, error, tuple(found), tuple(networks), seconds, parameters(networks[0]), number)
+    def shared(self) -> list[int]:
+        """The folds that judged every finalist."""
+        return sorted(set.intersection(*(set(t.errors) for t in self._last())))
 
-    def chosen(self) -> Tried:
-        """The best model of the last rung that is finished or of the ladder; a simpler one that is as good wins."""
-        ranked = self.finalists()
-        near = [t for t in ranked if t.error <= SIMPLER * ranked[0].error]
-        return min(near, key=lambda t: (t.parameters, t.error))
+    def _last(self) -> list[Tried]:
+        last = max(t.rung for t in self.tried.values())
+        return [t for t in self.tried.values() if t.rung in (0, last)]
 
     def finalists(self) -> list[Tried]:
-        """Linear models and the networks that reached the highest rung, the best first."""
-        last = max(t.rung for t in self.tried.values())
-        return [t for t in self.ranked() if t.rung in (0, last)]
+        """Linear models and the networks that reached the highest rung, the best first, by blocks that judged all."""
+        folds = self.shared()
+        return sorted(self._last(), key=lambda t: (t.over(folds), t.parameters))
+
+    def chosen(self) -> Tried:
+        """The best of the finalists; a simpler one that is as good wins."""
+        ranked, folds = self.finalists(), self.shared()
+        near = [t for t in ranked if t.over(folds) <= SIMPLER * ranked[0].over(folds)]
+        return min(near, key=lambda t: (t.parameters, t.over(folds)))
+
+    def whole(self, network: Network) -> float:
+        """RMS error of free runs over the complete recordings; inf: diverges."""
+        return pooled([self.task.errors(network, r) for r in self.task.records.values()])
 
     def final(self) -> tuple[Tried, Trained]:
         """The chosen model, fitted to everything; where its free run then drifts off, the next that does not.
@@ -165,69 +191,77 @@ class Halving:
         """
         first = self.chosen()
         best = [first, *(t for t in self.finalists() if t is not first)][:REFITTED]
-        drift = {t.model: pooled(self.task, t.networks[0]) for t in best}
-        sound = [t for t in best if drift[t.model] <= WORSE * t.error]
-        best = sound or sorted(best, key=lambda t: drift[t.model])
+        before = {t.model: self.whole(t.first) for t in best}
+        sound = [t for t in best if before[t.model] <= WORSE * t.error]
+        best = sound or sorted(best, key=lambda t: before[t.model])
         found: list[tuple[float, Tried, Trained]] = []
         for done, tried in enumerate(best):
-            if found and self.left(FINAL.until) <= 0:
+            left = self.deadline() - time()
+            if found and left <= 0:
                 break
-            fit = self.complete(tried, 1 if sound else len(best) - done)
-            error = pooled(self.task, fit.network)
-            if drift[tried.model] < error:  # more data have made it worse: as its first fold left it
-                error, fit = drift[tried.model], replace(fit, network=tried.networks[0], initial=())
+            fit = self.complete(tried, left if sound else left / (len(best) - done))
+            error = self.whole(fit.network)
+            if before[tried.model] < error:  # more data have made it worse: as its first fold left it
+                error, fit = before[tried.model], replace(fit, network=tried.first, initial=())
             found.append((error, tried, fit))
             if error <= WORSE * tried.error:
-                break
-        error, tried, fit = found[-1] if error <= WORSE * tried.error else min(found, key=lambda f: f[0])
+                return tried, fit
+        error, tried, fit = min(found, key=lambda f: f[0])
         if not np.isfinite(error):
             raise InputError("every model diverges over the complete recordings; are they of one plant?")
         return tried, fit
 
-    def complete(self, tried: Tried, of: int = 1) -> Trained:
-        """A model fitted to everything, from what two of its folds have made of it; the lower loss wins.
-
-        of: models among which the time that is left is shared.
-        """
-        records = list(self.task.records.values())
-        starts = tried.networks[:: max(len(tried.networks) // 2, 1)]
-        fits = []
+    def complete(self, tried: Tried, seconds: float) -> Trained:
+        """A model fitted to everything, from what two of its folds have made of it; the lower loss wins."""
+        records, starts = list(self.task.records.values()), list(tried.networks.values())
+        starts, fits = starts[:: max(len(starts) // 2, 1)], []
+        until = time() + seconds
         for done, start in enumerate(starts):
-            shared = self.left(FINAL.until) / of / (len(starts) - done)
-            fits.append(self.trained(start, records, FINAL, tried.model.decay, shared))
-        return min(fits, key=lambda f: (f.outcome is Outcome.DIVERGED, f.history[-1]))
-
-    def fit(self, model: Model, pieces: Sequence[Record], rung: Rung, place: int) -> Trained:
-        """Train a model from its seeds on records; the lowest loss wins. place: of the fold, -1 for everything."""
-        ports, output = self.task.inputs, self.task.output
-        if model.form is LINEAR:
-            found = self.line(model.orders, pieces, rung)
-            self.linear[model.orders, place] = found.network
-            return found
-        fits = []
-        for seed in range(rung.seeds):
-            start = grown(model.form.build(model.orders, ports, output, seed), self.linear[model.orders, place])
-            fits.append(self.trained(start, pieces, rung, model.decay))
-        return min(fits, key=lambda f: (f.outcome is Outcome.DIVERGED, f.history[-1]))
-
-    def line(self, orders: Orders, pieces: Sequence[Record], rung: Rung) -> Trained:
-        """The linear model: ARX, then output error."""
-        start = LINEAR.build(orders, self.task.inputs, self.task.output, 0)
-        taught = train(start, pieces, teacher=True, epochs=5)
-        return self.trained(taught.network, pieces, rung, 0.0)
-
-    def trained(
-        self, start: Network, pieces: Sequence[Record], rung: Rung, decay: float, seconds: float = np.inf
-    ) -> Trained:
-        left = max(min(self.left(rung.until), seconds), LEAST)
-        return train(start, pieces, estimate_initial=True, epochs=rung.epochs, decay=decay, seconds=left)
+            share = time() + (until - time()) / (len(starts) - done)
+            fits.append(trained(start, records, EPOCHS, tried.model.decay, share))
+        return lowest(fits)
 
 
-def pooled(task: Task, network: Network) -> float:
-    """RMS error of free runs over all recordings; inf: diverges."""
-    errors = [task.errors(network, r) for r in task.records.values()]
-    found = [e for e in errors if e is not None]
-    return float(np.sqrt(np.mean(np.concatenate(found) ** 2))) if len(found) == len(errors) else np.inf
+def judged(
+    task: Task, folds: Sequence[Fold], model: Model, line: Tried | None, number: int, rung: Rung, until: float
+) -> Tried | None:
+    """The model, trained on every fold of a rung and judged; None if the time is up. line: what it is grown from."""
+    began = time()
+    if began > until:
+        return None
+    networks, errors = {}, {}
+    for place in range(0, len(folds), rung.every):
+        pieces = thinned(folds[place].pieces, rung.samples, task)
+        if line is None:
+            fit = linear(task, model, pieces, rung, until)
+        else:
+            fit = network(task, model, line.networks[place], pieces, rung, until)
+        networks[place] = fit.network
+        errors[place] = [task.errors(networks[place], block) for block in folds[place].blocks]
+    return Tried(model, number, networks, errors, time() - began)
+
+
+def linear(task: Task, model: Model, pieces: Sequence[Record], rung: Rung, until: float) -> Trained:
+    """The linear model: ARX, then output error."""
+    zero = LINEAR.build(model.orders, task.inputs, task.output, 0)
+    taught = train(zero, pieces, teacher=True, epochs=TAUGHT)
+    return trained(taught.network, pieces, rung.epochs, model.decay, until)
+
+
+def network(task: Task, model: Model, line: Network, pieces: Sequence[Record], rung: Rung, until: float) -> Trained:
+    """The network, grown from the linear one with each seed; the lowest loss wins."""
+    builds = (model.form.build(model.orders, task.inputs, task.output, seed) for seed in range(rung.seeds))
+    return lowest([trained(grown(b, line), pieces, rung.epochs, model.decay, until) for b in builds])
+
+
+def trained(start: Network, pieces: Sequence[Record], epochs: int, decay: float, until: float) -> Trained:
+    left = max(until - time(), LEAST)
+    return train(start, pieces, estimate_initial=True, epochs=epochs, decay=decay, seconds=left)
+
+
+def lowest(fits: Sequence[Trained]) -> Trained:
+    """The fit of the lowest loss; one that diverges comes last."""
+    return min(fits, key=lambda f: (f.outcome is Outcome.DIVERGED, f.history[-1]))
 
 
 def thinned(pieces: Sequence[Record], samples: int, task: Task) -> list[Record]:

@@ -21,7 +21,7 @@ SETTLING = 4  # blocks have at least this many times the samples that their stat
 
 @dataclass(frozen=True)
 class Task:
-    """inputs, output: ports of the models. records: by name, to train on. dt in s.
+    """inputs, output: ports of the models. records: by name, to train on.
 
     settle: first samples of each run, which only give its initial state.
     """
@@ -29,7 +29,6 @@ class Task:
     inputs: tuple[Port, ...]
     output: Port
     records: Mapping[str, Record]
-    dt: float
     settle: int
 
     def record(self, recording: Recording) -> Record:
@@ -86,5 +85,5 @@ def task(recordings: Mapping[str, Recording], inputs: Sequence[str], output: str
     if length < FOLDS * SETTLING * max(asked, 5):
         least = FOLDS * SETTLING * max(asked, 5)
         raise InputError(f"{first.source}: {length} samples; give at least {least} in each recording")
-    found = Task(tuple(port(n) for n in inputs), port(output), {}, first.dt, asked)
+    found = Task(tuple(port(n) for n in inputs), port(output), {}, asked)
     return replace(found, records={n: found.record(r) for n, r in recordings.items()})

@@ -41,7 +41,7 @@ class Record:
         return replace(self, **(dict(zip(("inputs", "targets"), parts, strict=True)) | changes))
 
 
-def listed(records: "Sequence[Record] | Record") -> "Sequence[Record]":
+def listed(records: Sequence[Record] | Record) -> Sequence[Record]:
     """One record is a list of one."""
     return (records,) if isinstance(records, Record) else records
 
