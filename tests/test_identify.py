@@ -13,7 +13,10 @@ from greygate.identifying.files import figures, identify
 from greygate.identifying.ladder import FORMS, LINEAR, Orders, grown
 from greygate.identifying.looking import look
 from greygate.identifying.task import task
+from greygate.machines.identification import initialised
+from greygate.models.families.regression import noe
 from greygate.models.network import Network
+from greygate.models.training.record import Record
 from greygate.plants.excitation import prms
 from greygate.plants.recording import Recording
 
@@ -125,6 +128,47 @@ def test_the_command_writes_a_network_that_validates_and_compiles(short, greygat
         assert code == 0, error
     code, _, error = greygate(*call, "--out", "mine")
     assert (code, "is there already" in error) == (2, True)
+
+
+@pytest.fixture
+def searched(short):
+    """A search that is done but for the last fit."""
+    search = halving.Halving(task({"a": recorded(1, gap=0.4)}, ["u"], "y"), math.inf, 2)
+    search.run([(0,)], [1])
+    return search
+
+
+def test_a_model_whose_free_run_drifts_off_gives_way_to_the_next(searched, monkeypatch):
+    first, second = searched.chosen(), searched.finalists()[1]
+    assert searched.final()[0] is first
+    whole, drifting = searched.whole, first.networks.values()
+    monkeypatch.setattr(searched, "whole", lambda n: 9.0 if any(n is d for d in drifting) else whole(n))
+    assert searched.final()[0] is not first
+    monkeypatch.setattr(searched, "whole", lambda n: 9.0 if n is not second.first else 8.0)
+    tried, fit = searched.final()
+    assert tried is second  # all drift off: the one that errs least, as its fold left it
+    assert fit.network is second.first
+
+
+def test_every_model_that_diverges_is_an_error(searched, monkeypatch):
+    monkeypatch.setattr(searched, "whole", lambda network: math.inf)
+    with pytest.raises(InputError, match="every model diverges"):
+        searched.final()
+
+
+def test_the_network_starts_where_the_recording_does(short):
+    rec = recorded(1, samples=700)
+    y = rec["y"] + 5.0 * np.exp(-np.arange(700) / 5)  # from far away
+    network = found(Recording(rec.dt, {"u": rec["u"], "y": y}, rec.units)).network
+    run = network.run({"u": rec["u"]})["y"]
+    assert abs(run[3] - y[3]) < 0.5
+    assert np.abs(run - y).max() < 2.5  # it stands 5 m off if it starts from the mean
+
+
+def test_no_state_is_sought_where_the_run_explodes():
+    wild = noe("wild", {"u": (1,)}, "y", (1, 2)).with_parameters({"sum.y_z1": [[2.0]], "sum.y_z2": [[2.0]]})
+    record = Record({"u": np.ones(60)}, {"y": np.ones(60)}, skip=20)
+    assert np.isfinite(initialised(wild, record).initial["sum"]).all()
 
 
 @pytest.mark.parametrize(

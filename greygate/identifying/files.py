@@ -14,7 +14,6 @@ from greygate.identifying.halving import ORDERS, WORSE, Halving, Tried
 from greygate.identifying.ladder import LINEAR
 from greygate.identifying.looking import look
 from greygate.identifying.task import Task, task
-from greygate.machines.identification import resting
 from greygate.models.accuracy import rms
 from greygate.models.network import Network
 from greygate.plain import json_text, plain
@@ -65,9 +64,7 @@ def identify(
     search = Halving(posed, seconds - (monotonic() - began), jobs, progress)
     search.run(sorted(shifts), sorted({1, apart}))
     chosen, fit = search.final()
-    initial: dict[str, np.ndarray] = {n: layer.initial[None] for n, layer in fit.network.layers().items()}
-    network = resting(fit.network, initial | (fit.initial[0] if fit.initial else {}))
-    return Identified(posed, chosen, network, search, seen, tests, monotonic() - began)
+    return Identified(posed, chosen, fit.network, search, seen, tests, monotonic() - began)
 
 
 # ---- what is told

@@ -185,7 +185,7 @@ class Halving:
         return pooled([self.task.errors(network, r) for r in self.task.records.values()])
 
     def final(self) -> tuple[Tried, Trained]:
-        """The chosen model, fitted to everything; where its free run then drifts off, the next that does not.
+        """The chosen model, fitted to everything; the next one where its free run over everything drifts off.
 
         Where all of the best do, it is the one that errs least: the recordings' inputs do not explain their output.
         """
@@ -193,19 +193,17 @@ class Halving:
         best = [first, *(t for t in self.finalists() if t is not first)][:REFITTED]
         before = {t.model: self.whole(t.first) for t in best}
         sound = [t for t in best if before[t.model] <= WORSE * t.error]
-        best = sound or sorted(best, key=lambda t: before[t.model])
+        best = sound[:1] or sorted(best, key=lambda t: before[t.model])
         found: list[tuple[float, Tried, Trained]] = []
         for done, tried in enumerate(best):
             left = self.deadline() - time()
             if found and left <= 0:
                 break
-            fit = self.complete(tried, left if sound else left / (len(best) - done))
+            fit = self.complete(tried, left / (len(best) - done))
             error = self.whole(fit.network)
             if before[tried.model] < error:  # more data have made it worse: as its first fold left it
                 error, fit = before[tried.model], replace(fit, network=tried.first, initial=())
             found.append((error, tried, fit))
-            if error <= WORSE * tried.error:
-                return tried, fit
         error, tried, fit = min(found, key=lambda f: f[0])
         if not np.isfinite(error):
             raise InputError("every model diverges over the complete recordings; are they of one plant?")
