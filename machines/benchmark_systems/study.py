@@ -151,14 +151,7 @@ def prune_neurons(
     run alone counts, if it is better. onto_others: of `remove_neurons`.
     """
     training = [system.record(system.excite(seed))]
-
-    def again(smaller: Network) -> Network:
-        ahead = train(smaller, training, teacher=True, epochs=AGAIN[0], tolerance=1e-5).network
-        runs = [train(start, training, epochs=AGAIN[1], tolerance=1e-5).network for start in (smaller, ahead)]
-        best = min(runs, key=lambda run: np.nan_to_num(rms(run, training), nan=np.inf))
-        progress(f"{system.name}, seed {seed}: {best.neurons()} neurons, MSE {rms(best, training) ** 2:.2g}")
-        return best
-
+    again = _again(f"{system.name}, seed {seed}", training, training, AGAIN, progress)
     bound = np.sqrt([ALLOWED[system.name]])
     return prune_by_entropy(network, training, again, bound, onto_others=onto_others)
 
@@ -172,17 +165,27 @@ def prune_guarded(
     run stops on them, too. Where the neuron of lowest entropy may not go, the next ones are tried.
     """
     training, held = [system.record(system.excite(seed))], [system.record(u) for u in system.held]
-
-    def again(smaller: Network) -> Network:
-        ahead = train(smaller, training, teacher=True, epochs=GUARDED[0], tolerance=1e-5).network
-        options = {"epochs": GUARDED[1], "tolerance": 1e-5, "held": held, "patience": 60}
-        runs = [train(start, training, **options).network for start in (smaller, ahead)]
-        best = min(runs, key=lambda run: np.nan_to_num(rms(run, held), nan=np.inf))
-        progress(f"{system.name}, seed {seed}: {best.neurons()} neurons, {rms(best, held):.2g} held out")
-        return best
-
+    again = _again(f"{system.name}, seed {seed}", training, held, GUARDED, progress, held=held, patience=60)
     bound = np.array([max(rms(network, held), system.spare)])
     return prune_by_entropy(network, training, again, bound, held=held, onto_others=onto_others, tries=TRIES)
+
+
+def _again(
+    title: str, training: list[Record], judges: list[Record], epochs: tuple[int, int], progress: Progress, **options
+) -> Callable[[Network], Network]:
+    """What trains a smaller network again: in free run as it is, and after one step ahead; the better one by `judges`.
+
+    epochs: one step ahead, in free run. options: of `train` in free run.
+    """
+
+    def again(smaller: Network) -> Network:
+        ahead = train(smaller, training, teacher=True, epochs=epochs[0], tolerance=1e-5).network
+        runs = [train(n, training, epochs=epochs[1], tolerance=1e-5, **options).network for n in (smaller, ahead)]
+        best = min(runs, key=lambda run: np.nan_to_num(rms(run, judges), nan=np.inf))
+        progress(f"{title}: {best.neurons()} neurons, RMS {rms(best, judges):.2g}")
+        return best
+
+    return again
 
 
 def prune_weights(
