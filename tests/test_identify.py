@@ -2,6 +2,7 @@
 
 import json
 import math
+import time
 
 import joblib
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from greygate.errors import InputError
 from greygate.identifying import halving
-from greygate.identifying.files import figures, identify
+from greygate.identifying.files import figures, identify, lines
 from greygate.identifying.ladder import FORMS, LINEAR, Orders, grown
 from greygate.identifying.looking import look
 from greygate.identifying.task import task
@@ -128,6 +129,33 @@ def test_the_command_writes_a_network_that_validates_and_compiles(short, greygat
         assert code == 0, error
     code, _, error = greygate(*call, "--out", "mine")
     assert (code, "is there already" in error) == (2, True)
+
+
+def test_an_output_that_no_input_explains_is_exit_code_1(short, greygate, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    made = {"u": prms(400, -1, 1, (4, 25), 1), "y": np.random.default_rng(5).normal(size=400)}
+    Recording(0.1, made, {"u": "V", "y": "m"}).write_csv("a.csv")
+    code, printed, _ = greygate("identify", "a.csv", "--input", "u", "--output", "y", "--out", "mine")
+    assert (code, "no model predicts better than the output's mean" in printed) == (1, True)
+
+
+def test_a_stretch_that_is_like_no_other_is_named(short):
+    rec = recorded(1)
+    y = rec["y"].copy()
+    y[50:100] += 2.0 * np.abs(np.sin(np.arange(50) / 3))  # of eighth 2
+    told = figures(found(Recording(rec.dt, {"u": rec["u"], "y": y}, rec.units)))
+    assert max(told["eighths"], key=told["eighths"].get) == 2
+    said = [line for line in lines(told) if "happens nowhere else" in line]
+    assert [line.startswith("eighth 2 errs by") for line in said] == [True]
+
+
+def test_a_model_that_time_does_not_suffice_for_is_left_untried(short):
+    posed = task({"a": recorded(1)}, ["u"], "y")
+    model, folds = halving.Model(LINEAR, Orders(1, (0,))).line, posed.folds()
+    assert halving.judged(posed, folds, model, None, 0, halving.LADDER, 0.0) is None
+    hasty = halving.judged(posed, folds, model, None, 0, halving.LADDER, time.time() + 1e-3)
+    whole = halving.judged(posed, folds, model, None, 0, halving.LADDER, math.inf)
+    assert hasty is None or hasty.error == whole.error
 
 
 @pytest.fixture

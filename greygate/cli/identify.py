@@ -34,7 +34,7 @@ def identify(
     """Find a network from recordings: look at them, fit linear models, grow networks from the best, choose by held-out
     blocks.
 
-    Exit code 1 if the chosen network diverges on a test.
+    Exit code 1 if no network predicts better than the mean of what was held out, or the chosen one diverges on a test.
     """
     from greygate.identifying.files import identify_files, lines
 
@@ -45,5 +45,5 @@ def identify(
             dt=sample_time, seconds=seconds, jobs=side_by_side, settle=settle, progress=progress,
         )  # fmt: skip
     give(found, as_json, [*lines(found), f"written to {found['out']}", *(f"next: {n}" for n in found["next"])])
-    if any(error is None for error in found["test"].values()):
+    if not found["better_than_mean"] or any(error is None for error in found["test"].values()):
         raise typer.Exit(1)

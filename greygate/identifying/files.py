@@ -23,6 +23,7 @@ from greygate.source import SAME_TIME
 
 DRAWS = 2000  # resampled sets of segments, from which confidence and interval follow
 SEGMENTS = 4  # of a held-out block: its errors are resampled in runs, because neighbours are alike
+UNLIKE = 5.0  # times the median eighth's error, from which an eighth is taken to hold what no other does
 SHOWN = 12  # models in the table of a terminal
 
 
@@ -80,7 +81,9 @@ def figures(found: Identified) -> dict:
     sure = None if found.chosen.model.form == LINEAR else _sure(found.chosen, line, folds)
     return {
         "chosen": _row(t, found.chosen, folds),
+        "better_than_mean": bool(_row(t, found.chosen, folds)["fit"] > 0),
         "whole": search.whole(found.network),
+        "eighths": {place + 1: found.chosen.over([place]) for place in folds},
         "held_out_interval": _interval(found.chosen, folds),
         "test": {n: None if e is None else rms(e) for n, e in tested.items()},
         "unit": t.output.unit,
@@ -158,6 +161,17 @@ def lines(found: dict) -> list[str]:
         told.append(f"better than the best linear model with probability {sure['better_than_linear']:.2f}")
     if sure["better_than_next"] is not None:
         told.append(f"better than the next, {sure['next']}, with probability {sure['better_than_next']:.2f}")
+    usual = float(np.median(list(found["eighths"].values())))
+    for eighth, error in found["eighths"].items():
+        if error > UNLIKE * usual:
+            told.append(
+                f"eighth {eighth} errs by {error:.4g}{unit} where {usual:.4g}{unit} is usual: "
+                "what happens there happens nowhere else; record more of it, or cut it off"
+            )
+    if not found["better_than_mean"]:
+        told.append(
+            "no model predicts better than the output's mean: other inputs, a longer recording, or more --seconds"
+        )
     if found["whole"] > WORSE * found["chosen"]["held_out"]:
         told.append(
             f"over the complete recordings it errs by {found['whole']:.4g}{unit}: it drifts in runs longer than an "

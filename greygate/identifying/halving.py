@@ -126,7 +126,10 @@ class Halving:
 
     def run(self, delays: Sequence[tuple[int, ...]], strides: Sequence[int]) -> None:
         """Try the linear models and what grows from them. Raises InputError if no linear model was finished."""
-        self.rung(0, LADDER, [Model(LINEAR, Orders(o, d, s)).line for s in strides for o in ORDERS for d in delays])
+        ladder = [Model(LINEAR, Orders(o, d, s)).line for s in strides for o in ORDERS for d in delays]
+        self.rung(0, LADDER, ladder)
+        if not self.tried:  # not one was finished in its share of the time: the simplest has it all
+            self.rung(0, replace(LADDER, until=RUNGS[-1].until), ladder[: self.jobs])
         models = [Model(form, base.model.orders) for base in self.bases() for form in FORMS]
         models.sort(key=lambda m: FORMS.index(m.form))  # where time ends, every base has had the same forms
         for number, rung in enumerate(RUNGS, 1):
@@ -149,7 +152,7 @@ class Halving:
         return sorted(self.tried.values(), key=lambda t: (t.error, t.parameters))
 
     def rung(self, number: int, rung: Rung, models: Sequence[Model]) -> None:
-        """Train the models on every fold and judge them; those for which no time is left stay as they are."""
+        """Train the models on every fold and judge them; those that time does not suffice for stay as they are."""
         until = self.deadline(rung.until)
         tasks = [
             joblib.delayed(judged)(self.task, self.folds, m, self.tried.get(m.line), number, rung, until)
@@ -223,7 +226,7 @@ class Halving:
 def judged(
     task: Task, folds: Sequence[Fold], model: Model, line: Tried | None, number: int, rung: Rung, until: float
 ) -> Tried | None:
-    """The model, trained on every fold of a rung and judged; None if the time is up. line: what it is grown from."""
+    """The model, trained on every fold of a rung and judged; None if time is up before. line: what it is grown from."""
     began = time()
     if began > until:
         return None
@@ -234,6 +237,8 @@ def judged(
             fit = linear(task, model, pieces, rung, until)
         else:
             fit = network(task, model, line.networks[place], pieces, rung, until)
+        if fit.outcome is Outcome.TIME:
+            return None
         networks[place] = fit.network
         errors[place] = [task.errors(networks[place], block) for block in folds[place].blocks]
     return Tried(model, number, networks, errors, time() - began)
@@ -249,7 +254,8 @@ def linear(task: Task, model: Model, pieces: Sequence[Record], rung: Rung, until
 def network(task: Task, model: Model, line: Network, pieces: Sequence[Record], rung: Rung, until: float) -> Trained:
     """The network, grown from the linear one with each seed; the lowest loss wins."""
     builds = (model.form.build(model.orders, task.inputs, task.output, seed) for seed in range(rung.seeds))
-    return lowest([trained(grown(b, line), pieces, rung.epochs, model.decay, until) for b in builds])
+    fits = [trained(grown(b, line), pieces, rung.epochs, model.decay, until) for b in builds]
+    return next((f for f in fits if f.outcome is Outcome.TIME), lowest(fits))
 
 
 def trained(start: Network, pieces: Sequence[Record], epochs: int, decay: float, until: float) -> Trained:
