@@ -52,7 +52,7 @@ def cluster():
         "distributed", reason="distributed is not installed: pip install 'greygate[cluster]'"
     )
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=2, processes=False, protocol="tcp://", host="127.0.0.1", dashboard_address=None
+        n_workers=1, threads_per_worker=2, processes=False, protocol="tcp://", host="127.0.0.1", dashboard_address=":0"
     ) as made:
         yield made
 
