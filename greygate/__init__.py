@@ -1,7 +1,7 @@
 """Grey-box networks from a mechanical plant to an FPGA.
 
     network and records -> train -> validate -> compile -> emulate, emit
-    files -> Source -> build -> Project -> verify, synthesize, report
+    files -> Source -> build -> Project -> verify, synthesize, report, compare
     plant and recording -> simulate, load_rig, diagnose
 
 The names of `__all__` are what a program needs. Each is imported when it is first used, so that `import greygate` is
@@ -38,6 +38,7 @@ _PUBLIC = {  # name -> module: name there, in the order of the examples
     "verify": "greygate.project:verify_project",
     "synthesize": "greygate.project:synthesize_project",
     "report": "greygate.reporting:report",
+    "compare": "greygate.comparing:compare",
     "Plant": "greygate.plants.plant:Plant",
     "simulate": "greygate.plants.simulate:simulate",
     "load_rig": "greygate.mismatch.rig:load",

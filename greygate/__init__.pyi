@@ -1,5 +1,6 @@
 # What a type checker sees of __init__.py, which imports each of these when it is first used.
 
+from greygate.comparing import compare
 from greygate.compiler.emit import emit
 from greygate.compiler.pipeline import compile_network as compile
 from greygate.compiler.quantize import Formats
@@ -37,6 +38,7 @@ __all__ = [
     "Recording",
     "Source",
     "build",
+    "compare",
     "compile",
     "diagnose",
     "emit",

@@ -30,6 +30,8 @@ GOOD = {
     "prove": ["build"],
     "synthesize": ["build"],
     "report": ["build", "--out", "new.html"],
+    "compare": ["build", "build"],
+    "doctor": [],
     "board": ["icebreaker", "build", "--out", "new"],
     "play": ["build", "a.csv", "--port", "none"],
     "validate": ["line.toml", "--record", "a.csv", "--lags", "5", "--out", "new.html"],
@@ -70,6 +72,7 @@ TEXTS = {
     "bench": NO_RIG, "answers": ["none", "folder", "a.csv", ""], "tool": ["none", "", "none --of them", "'"],
     "condition": ["none", ""], "secret": ["none", "folder", "binary.csv", "empty.csv", "short.txt"],
     "rows": NO_PLACE, "picture": NO_PLACE, "own": ["none", ""],
+    "old": NO_BUILD, "new": NO_BUILD, "budget": NO_TOML,
     "test": NAMED, "sensor": ["nobody", ""], "target": ["nobody", ""], "machine": ["nobody", "a.csv", ""],
     "input": ["nobody", ""], "output": ["nobody", "x_drum", ""],
 }  # fmt: skip

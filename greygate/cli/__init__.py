@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from greygate import __version__
-from greygate.cli import bench, boards, builds, controls, expert, identify, networks, rigs
+from greygate.cli import bench, boards, builds, controls, doctor, expert, identify, networks, rigs
 from greygate.cli.terminal import say
 from greygate.errors import InputError
 
@@ -20,10 +20,10 @@ INTERRUPTED, TERMINATED = 130, 143  # exit codes after Ctrl-C and after `kill`, 
 UsageError: Any = typer.BadParameter.__base__  # raised for an argument or option that is missing, unknown or wrong
 COMMANDS = (
     *(identify.identify, networks.train, expert.build_snn, networks.compile),
-    *(builds.emulate, builds.verify, builds.prove, builds.synthesize, builds.report),
+    *(builds.emulate, builds.verify, builds.prove, builds.synthesize, builds.report, builds.compare),
     *(boards.board, boards.play),
     networks.validate,
-    controls.control,
+    *(controls.control, doctor.doctor),
     *(rigs.diagnose, rigs.next_, rigs.isolability, rigs.simulate, rigs.augment, rigs.conceal, rigs.reveal),
 )
 

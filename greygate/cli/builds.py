@@ -1,4 +1,4 @@
-"""Commands on folders that `greygate compile` wrote: emulate, verify, prove, synthesize, report."""
+"""Commands on folders that `greygate compile` wrote: emulate, verify, prove, synthesize, report, compare."""
 
 from dataclasses import asdict
 from enum import StrEnum
@@ -192,6 +192,38 @@ def report(
         lines = [line for table in tables for line in (*aligned(table), "")] or _errors(studies)
         print_out("\n".join([*lines, f"written to {out} and {out.with_suffix('.json')}"]))
     if not passed:
+        raise typer.Exit(1)
+
+
+def compare(
+    old: Annotated[Path, typer.Argument(help="A folder that `greygate compile` wrote: how it was.")],
+    new: Annotated[Path, typer.Argument(help="Another one: how it is.")],
+    budget: Annotated[
+        Path | None, typer.Option(help="TOML file: how much each figure may grow, and its limit. Default: not at all.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Compare two builds: error, size, resources, clocks, verified bits.
+
+    Exit code 1 if a figure of the new build is worse than the budget allows.
+    """
+    from greygate.comparing import compare as differences
+    from greygate.comparing import read_budget
+    from greygate.pages.compared import LEFT, page, rows
+    from greygate.pages.summary import aligned
+    from greygate.pages.templates import write
+    from greygate.project import Project
+
+    allowed = None if budget is None else read_budget(budget)
+    found = differences(Project.open(old), Project.open(new), allowed)
+    if out is not None:
+        write(page(found, str(old), str(new)), out)
+    worse = [one for one in found if one.worse]
+    result = {"worse": len(worse), "differences": [asdict(one) | {"growth": one.growth} for one in found]}
+    verdict = f"{len(worse)} of {len(found)} figures worse than allowed" if worse else "no figure worse than allowed"
+    give(result, as_json, [*aligned(rows(found), LEFT), verdict, *([f"written to {out}"] if out else [])])
+    if worse:
         raise typer.Exit(1)
 
 

@@ -1,0 +1,35 @@
+"""The command that looks at the machine: doctor."""
+
+from dataclasses import asdict
+
+import typer
+
+from greygate.cli.terminal import Json, give
+
+
+def doctor(as_json: Json = False) -> None:
+    """List the programs and packages that greygate uses, with their versions, and how to get what is missing.
+
+    Exit code 1 if a command of the plain installation would fail.
+    """
+    from greygate import __version__
+    from greygate.doctor import tools
+    from greygate.pages.summary import aligned
+
+    found = tools()
+    rows = [
+        {
+            "name": tool.name,
+            "version": tool.version or ("MISSING" if tool.needed else "not installed"),
+            "for": tool.needed_by,
+            "remedy": "" if tool.version else tool.remedy,
+        }
+        for tool in found
+    ]
+    healthy = all(tool.version or not tool.needed for tool in found)
+    verdict = "every command of the plain installation can run" if healthy else "some commands cannot run: see MISSING"
+    result = {"greygate": __version__, "healthy": healthy, "tools": [asdict(tool) for tool in found]}
+    lines = [f"greygate {__version__}", *aligned(rows, ("name", "version", "for", "remedy")), verdict]
+    give(result, as_json, lines)
+    if not healthy:
+        raise typer.Exit(1)
