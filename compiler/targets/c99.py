@@ -1,0 +1,367 @@
+"""A step of the program in C99: one header and one source that need nothing but <stdint.h>.
+
+It allocates nothing, and nothing in it is undefined or left to the compiler. Every intermediate result of a legal
+program has at most 62 bits, so int64_t holds it; a negative number is never shifted. The text of each operation is that
+of docs/integer-program.md.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Iterator
+from textwrap import wrap
+
+import numpy as np
+
+from greygate.compiler.targets import Target
+from greygate.emulator.numbers import ACCUMULATOR_BITS, Fix, Overflow, Rounding
+from greygate.emulator.program import Affine, Clamp, Lookup, Op, Program, Select, Signal, Terminal, Threshold
+from greygate.emulator.tables import Lines, Symmetry, Table
+
+WORDS = (8, 16, 32, 64)  # bits of the integer types
+LINE, NEW = 110, "\n"  # characters of a line of constants
+SHIFTED = """
+/* floor(a / 2^s). */
+static int64_t shifted_right(int64_t a, int32_t s)
+{
+    return (a >= 0) ? (a >> s) : (-1 - ((-1 - a) >> s));
+}
+"""
+SCALED = """
+/* a * 2^-s for s from -61 to 62, rounded: "truncate" with half 0, "half up" with half 1, "half even" with half 2. */
+static int64_t scaled(int64_t a, int32_t s, int32_t half)
+{
+    int64_t y = a;
+    if (s < 0)
+    {
+        y = a * ((int64_t)1 << -s);
+    }
+    else if ((s > 0) && (half == 0))
+    {
+        y = shifted_right(a, s);
+    }
+    else if (s > 0)
+    {
+        y = a + ((int64_t)1 << (s - 1));
+        if (half == 2)
+        {
+            y = y - 1 + (int64_t)((uint64_t)shifted_right(a, s) & 1u);
+        }
+        y = shifted_right(y, s);
+    }
+    else
+    {
+        /* as it is */
+    }
+    return y;
+}
+"""
+HALF = {Rounding.TRUNCATE: 0, Rounding.HALF_UP: 1, Rounding.HALF_EVEN: 2}
+Text = Iterator[str]
+
+
+def files(program: Program) -> dict[str, str]:
+    """File name -> text."""
+    name = program.name
+    return {f"{name}.c": "\n".join(_source(program)) + "\n", f"{name}.h": "\n".join(_header(program)) + "\n"}
+
+
+# -- names and numbers -----------------------------------------------------------------------------------------------
+
+
+def _names(prefix: str, names: Iterable[str]) -> dict[str, str]:
+    """Name -> C identifier: the prefix keeps it from every keyword, a number from every other name."""
+    found: dict[str, str] = {}
+    taken: set[str] = set()
+    for name in names:
+        plain = prefix + re.sub(r"\W", "_", name, flags=re.ASCII)
+        chosen, n = plain, 2
+        while chosen in taken:
+            chosen, n = f"{plain}_{n}", n + 1
+        taken.add(chosen)
+        found[name] = chosen
+    return found
+
+
+def _type(fix: Fix) -> str:
+    return f"int{next(w for w in WORDS if w >= fix.width)}_t"
+
+
+def _type_of(values: np.ndarray) -> str:
+    """The smallest type that holds every value."""
+    lo, hi = int(values.min()), int(values.max())
+    return f"int{next(w for w in WORDS if -(1 << (w - 1)) <= lo and hi < 1 << (w - 1))}_t"
+
+
+def _number(value: int) -> str:
+    return str(value) if abs(value) < 1 << 31 else f"INT64_C({value})"
+
+
+def _constants(name: str, values: object) -> Text:
+    """A constant array of one or two dimensions."""
+    array = np.array(values, np.int64)
+    dims = "".join(f"[{n}]" for n in array.shape)
+    yield f"static const {_type_of(array)} {name}{dims} = {{"
+    for row in array if array.ndim == 2 else [array]:
+        lines = wrap(", ".join(map(_number, row.tolist())), LINE)
+        opened, closed = ("{", "},") if array.ndim == 2 else ("", "")
+        yield from (f"    {line}" for line in f"{opened}{NEW.join(lines)}{closed}".split(NEW))
+    yield "};"
+
+
+# -- the header ------------------------------------------------------------------------------------------------------
+
+
+def _header(program: Program) -> Text:
+    name, guard = program.name, f"{program.name.upper()}_H"
+    yield f"/* {name}: one step every {program.period:g} s. Numbers are codes: value = code * step + offset. */"
+    yield from (f"#ifndef {guard}", f"#define {guard}", "", "#include <stdint.h>", "")
+    for kind, prefix, ports in (("input", "in_", program.inputs), ("output", "out_", program.outputs)):
+        fields = _names(prefix, (p.name for p in ports))
+        yield from ("typedef struct", "{")
+        yield from (f"    {_type(p.signal.fix)} {fields[p.name]}[{p.signal.size}]; {_meaning(p)}" for p in ports)
+        yield from (f"}} {name}_{kind};", "")
+    states = _names("s_", (s.signal.name for s in program.states))
+    yield from ("typedef struct", "{")
+    for s in program.states:
+        yield f"    {_type(s.signal.fix)} {states[s.signal.name]}[{s.signal.size}];"
+    yield from (() if program.states else ["    int8_t none; /* the program keeps nothing */"])
+    yield from (f"}} {name}_state;", "", "/* Before the first step, and to begin anew. */")
+    yield from (f"void {name}_reset({name}_state *state);", "", "/* One step: call it once for each sample. */")
+    yield f"void {name}_step({name}_state *state, const {name}_input *input, {name}_output *output);"
+    yield from ("", "#endif")
+
+
+def _meaning(p: Terminal) -> str:
+    """The comment behind a port: its format, and what a code stands for."""
+    unit = re.sub(r"[^\w^/%°·µ² .-]", "", p.unit)
+    return f"/* {p.signal.fix}, step {p.signal.fix.lsb * p.scale:.9g}, offset {p.offset:.9g}, unit {unit} */"
+
+
+# -- the source ------------------------------------------------------------------------------------------------------
+
+
+def _source(program: Program) -> Text:
+    name = program.name
+    signals = _names("v_", program.signals)
+    tables = _names("lookup_", (t.name for t in program.tables))
+    states = _names("s_", (s.signal.name for s in program.states))
+    yield f'#include "{name}.h"'
+    yield from ("", f"#ifndef {name.upper()}_SATURATED", "/* What happens where operation `n` saturates or wraps. */")
+    yield from (f"#define {name.upper()}_SATURATED(n) ((void)0)", "#endif", "")
+    rounds = any(o.requantizes for o in program.operations)
+    yield from SHIFTED.splitlines() if rounds or any(_on_lines(t) for t in program.tables) else ()
+    yield from SCALED.splitlines() if rounds else ()
+    for t in program.tables:
+        yield from ("", *_lookup_function(t, tables[t.name]))
+    for n, o in enumerate(program.operations):
+        if isinstance(o, Affine):
+            yield from ("", *_weights(program, n, o))
+    yield from (
+        "",
+        *(line for s in program.states for line in _constants(f"initial_{states[s.signal.name]}", s.initial)),
+    )
+    yield from (f"void {name}_reset({name}_state *state)", "{")
+    for s in program.states:
+        field = states[s.signal.name]
+        yield from _each(s.signal.size, f"state->{field}[r] = initial_{field}[r];")
+    yield from (() if program.states else ["    state->none = 0;"])
+    yield from (
+        "}",
+        "",
+        f"void {name}_step({name}_state *state, const {name}_input *input, {name}_output *output)",
+        "{",
+    )
+    yield from (f"    {_type(s.fix)} {signals[s.name]}[{s.size}];" for s in program.signals.values())
+    fields = _names("in_", (p.name for p in program.inputs))
+    for p in program.inputs:
+        yield from _each(p.signal.size, f"{signals[p.signal.name]}[r] = input->{fields[p.name]}[r];")
+    for s in program.states:
+        yield from _each(s.signal.size, f"{signals[s.signal.name]}[r] = state->{states[s.signal.name]}[r];")
+    yield from (() if program.states else ["    (void)state;"])
+    yield from (f"    (void){signals[name]};" for name in _unread(program))
+    for n, o in enumerate(program.operations):
+        yield f"    /* {n}: {o.op.value} {re.sub(r'[^ -~]', '?', o.out.name)} {o.out.fix} */"
+        yield from _BODY[o.op](program, n, o, signals, tables)
+    fields = _names("out_", (p.name for p in program.outputs))
+    for p in program.outputs:
+        yield from _each(p.signal.size, f"output->{fields[p.name]}[r] = {signals[p.signal.name]}[r];")
+    for s in program.states:
+        yield from _each(s.signal.size, f"state->{states[s.signal.name]}[r] = {signals[s.source]}[r];")
+    yield "}"
+
+
+def _on_lines(t: Table | Lines) -> bool:
+    return isinstance(t, Lines) or t.interpolated
+
+
+def _unread(program: Program) -> list[str]:
+    """Signals that no operation, state or output reads."""
+    read = {a for o in program.operations for a in o.args}
+    read |= {s.source for s in program.states} | {p.signal.name for p in program.outputs}
+    return [name for name in program.signals if name not in read]
+
+
+def _each(size: int, *body: str) -> Text:
+    """A loop over the elements r of a signal; a signal of one element needs none."""
+    if size > 1:
+        yield from (
+            f"    for (int32_t r = 0; r < {size}; r++)",
+            "    {",
+            *(f"        {line}" for line in body),
+            "    }",
+        )
+    elif len(body) == 1:
+        yield f"    {body[0].replace('[r]', '[0]')}"
+    else:
+        yield from ("    {", *(f"        {line.replace('[r]', '[0]')}" for line in body), "    }")
+
+
+def _fitted(n: int, program: Program, out: Signal, to: str, overflow: Overflow) -> list[str]:
+    """Bring the int64_t y into the format of `out`, and store it."""
+    fix, told = out.fix, f"{program.name.upper()}_SATURATED({n});"
+    lo, hi = _number(fix.lo), _number(fix.hi)
+    store = f"{to}[r] = ({_type(fix)})y;"
+    if overflow is Overflow.SATURATE:
+        ends = [
+            [f"if (y {sign} {end})", "{", f"    y = {end};", f"    {told}", "}"] for sign, end in (("<", lo), (">", hi))
+        ]
+        return [*ends[0], *ends[1], store]
+    mask, turn = (1 << fix.width) - 1, _number(1 << fix.width)
+    wrapped = [f"y = (int64_t)((uint64_t)y & UINT64_C({mask}));", f"y = (y > {hi}) ? (y - {turn}) : y;"]
+    return [f"if ((y < {lo}) || (y > {hi}))", "{", *(f"    {line}" for line in (*wrapped, told)), "}", store]
+
+
+def _drop(value: Fix, out: Fix) -> int:
+    """Fraction bits that are lost, at most ACCUMULATOR_BITS: more give the same result."""
+    return min(value.frac - out.frac, ACCUMULATOR_BITS)
+
+
+def _weights(program: Program, n: int, o: Affine) -> Text:
+    start = 0
+    for k, arg in enumerate(o.args):
+        size = program.signals[arg].size
+        yield from _constants(f"w{n}_{k}", o.weights[:, start : start + size])
+        start += size
+    yield from _constants(f"b{n}", o.bias)
+    yield from _constants(f"s{n}", np.minimum(o.frac - o.out.fix.frac, ACCUMULATOR_BITS))
+
+
+def _affine(program: Program, n: int, o: Affine, signals: dict[str, str], tables: dict[str, str]) -> Text:
+    sums = []
+    for k, arg in enumerate(o.args):
+        term = f"y += (int64_t)w{n}_{k}[r][j] * (int64_t){signals[arg]}[j];"
+        size = program.signals[arg].size
+        loop = [f"for (int32_t j = 0; j < {size}; j++)", "{", f"    {term}", "}"]
+        sums += loop if size > 1 else [term.replace("[j]", "[0]")]
+    scaled = f"y = scaled(y, (int32_t)s{n}[r], {HALF[o.rounding]});"
+    fitted = _fitted(n, program, o.out, signals[o.out.name], o.overflow)
+    yield from _each(o.out.size, f"int64_t y = (int64_t)b{n}[r];", *sums, scaled, *fitted)
+
+
+def _lookup(program: Program, n: int, o: Lookup, signals: dict[str, str], tables: dict[str, str]) -> Text:
+    answer = f"{tables[o.table]}((int64_t){signals[o.arg]}[r])"
+    yield from _each(o.out.size, f"{signals[o.out.name]}[r] = ({_type(o.out.fix)}){answer};")
+
+
+def _clamp(program: Program, n: int, o: Clamp, signals: dict[str, str], tables: dict[str, str]) -> Text:
+    lo, hi = _number(o.lo), _number(o.hi)
+    shift = _drop(program.signals[o.arg].fix, o.out.fix)
+    limited = [
+        f"int64_t y = (int64_t){signals[o.arg]}[r];",
+        f"y = (y < {lo}) ? {lo} : y;",
+        f"y = (y > {hi}) ? {hi} : y;",
+    ]
+    scaled = f"y = scaled(y, {shift}, {HALF[o.rounding]});"
+    yield from _each(o.out.size, *limited, scaled, *_fitted(n, program, o.out, signals[o.out.name], o.overflow))
+
+
+def _threshold(program: Program, n: int, o: Threshold, signals: dict[str, str], tables: dict[str, str]) -> Text:
+    chosen = f"((int64_t){signals[o.arg]}[r] >= {_number(o.at)}) ? {_number(o.above)} : {_number(o.below)}"
+    yield from _each(o.out.size, f"{signals[o.out.name]}[r] = ({_type(o.out.fix)})({chosen});")
+
+
+def _select(program: Program, n: int, o: Select, signals: dict[str, str], tables: dict[str, str]) -> Text:
+    def scaled(arg: str) -> str:
+        shift = _drop(program.signals[arg].fix, o.out.fix)
+        return f"scaled((int64_t){signals[arg]}[r], {shift}, {HALF[o.rounding]})"
+
+    chosen = f"int64_t y = ({signals[o.condition]}[r] >= 0) ? {scaled(o.above)} : {scaled(o.below)};"
+    yield from _each(o.out.size, chosen, *_fitted(n, program, o.out, signals[o.out.name], o.overflow))
+
+
+_BODY: dict[Op, Callable[..., Text]] = {
+    Op.AFFINE: _affine,
+    Op.TABLE: _lookup,
+    Op.CLAMP: _clamp,
+    Op.THRESHOLD: _threshold,
+    Op.SELECT: _select,
+}
+
+
+# -- tables ----------------------------------------------------------------------------------------------------------
+
+
+def _lookup_function(t: Table | Lines, name: str) -> Text:
+    """The answer of a table to one code."""
+    if not _on_lines(t):
+        yield from _constants(f"{name}_points", t.points)
+        body = _nearest(t, name)
+    else:
+        s = t.segments
+        parts = ("left", s.lefts), ("first", s.firsts), ("shift", s.shifts), ("drop", s.drops)
+        for part, values in (*parts, ("base", s.bases), ("slope", s.slopes)):
+            yield from _constants(f"{name}_{part}", values)
+        body = _on_line(t, name)
+    yield from (f"static int64_t {name}(int64_t x)", "{", *(f"    {line}" for line in body))
+    negative = {
+        Symmetry.ODD: "-y",
+        Symmetry.EVEN: "y",
+        Symmetry.COMPLEMENT: f"{_number(1 << max(0, t.out.frac))} - y",
+    }[t.symmetry]
+    yield from (f"    return (x < 0) ? ({negative}) : y;", "}")
+
+
+def _nearest(t: Table, name: str) -> list[str]:
+    last, half = len(t.points) - 1, _number((1 << t.shift) >> 1)
+    return [
+        "const int64_t a = (x < 0) ? -x : x;",
+        f"int64_t i = ((a >> {t.shift}) >= {last}) ? {last} : ((a + {half}) >> {t.shift});",
+        "int64_t y = 0;",
+        f"i = (i > {last}) ? {last} : i;",
+        f"y = (int64_t){name}_points[i];",
+    ]
+
+
+def _on_line(t: Table | Lines, name: str) -> list[str]:
+    s = t.segments
+    last, (lower, upper) = len(s.bases) - 1, s.halves
+    return [
+        "const int64_t m = (x < 0) ? (-1 - x) : x;",
+        "int32_t o = 0;",
+        "int64_t local = 0;",
+        "int64_t i = 0;",
+        "int64_t place = 0;",
+        "int64_t y = 0;",
+        f"while ((o < {len(s.lefts) - 1}) && (m >= (int64_t){name}_left[o + 1]))",
+        "{",
+        "    o++;",
+        "}",
+        f"local = m - (int64_t){name}_left[o];",
+        f"i = (int64_t){name}_first[o] + (local >> {name}_shift[o]);",
+        f"if (i > {last})",
+        "{",
+        f"    i = {last};",
+        f"    place = (int64_t)1 << ({name}_shift[o] - {name}_drop[o]);",
+        "}",
+        "else",
+        "{",
+        f"    place = local - ((local >> {name}_shift[o]) * ((int64_t)1 << {name}_shift[o]));",
+        f"    place = place >> {name}_drop[o];",
+        f"    place = ((x < 0) && ({name}_drop[o] == 0)) ? (place + 1) : place;",
+        "}",
+        f"y = ((int64_t){name}_slope[i] * place) + {_number(lower)};",
+        f"y = (int64_t){name}_base[i] + {_number(upper)} + shifted_right(y, {s.below});",
+        f"y = shifted_right(y, {s.guard});",
+    ]
+
+
+TARGET = Target(lambda program, design: files(program))
