@@ -1,11 +1,9 @@
-"""The C99 target on every scenario of the thesis's machines and on random legal programs: bits that differ, bytes.
+"""The C99 target on every scenario of the thesis's machines and on random legal programs: every bit, and bytes.
 
 `make bench-c99` runs it and writes benchmarks/results/c99.json. Exit code 1 if a bit differs or a sanitizer speaks.
 """
 
 import argparse
-import json
-import platform
 import subprocess
 import sys
 import tempfile
@@ -13,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from legal_programs import legal_codes, legal_program
+from made import keep
 from test_c99 import COMPILERS, agree
 
 from greygate.compiler.emit import emit
@@ -20,7 +19,6 @@ from greygate.machines.catalog import REPORTED
 from greygate.project import Project, compile_project
 from greygate.source import Source
 
-ROOT = Path(__file__).parents[1]
 STEPS = 24
 LEVELS = ("-O0", "-O2")
 
@@ -43,13 +41,13 @@ def machine(name: str, folder: Path) -> dict:
     sizes = subprocess.run(["size", "small.o"], cwd=folder, capture_output=True, text=True, check=True).stdout
     code, data, zeroed = map(int, sizes.splitlines()[1].split()[:3])
     scenarios = len(project.source.scenarios)
-    return {"machine": name, "scenarios": scenarios, "steps": steps, "differing_bits": 0, "bytes": code + data + zeroed}
+    return {"machine": name, "scenarios": scenarios, "steps": steps, "bytes": code + data + zeroed}
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--programs", type=int, default=200)
-    parser.add_argument("--out", type=Path, default=ROOT / "benchmarks/results/c99.json")
+    parser.add_argument("part", choices=["bits"], nargs="?")
     given = parser.parse_args()
     machines = []
     for name in REPORTED:
@@ -65,17 +63,9 @@ def main() -> int:
         subprocess.run([c, "--version"], capture_output=True, text=True, check=True).stdout.splitlines()[0]
         for c in COMPILERS
     ]
-    result = {
-        "command": "make bench-c99",
-        "commit": subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True).stdout.strip(),
-        "compilers": versions,
-        "levels": LEVELS,
-        "processor": platform.machine(),
-        "machines": machines,
-        "programs": {"count": given.programs, "steps": STEPS, "differing_bits": 0},
-    }
-    given.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-    print(f"no bit differs; written to {given.out}")
+    programs = {"count": given.programs, "steps": STEPS}
+    keep("c99", "bits", {"compilers": versions, "levels": LEVELS, "machines": machines, "programs": programs})
+    print("no bit differs; written to benchmarks/results/c99.json")
     return 0
 
 

@@ -302,7 +302,7 @@ _BODY: dict[Op, Callable[..., Text]] = {
 
 def _lookup_function(t: Table | Lines, name: str) -> Text:
     """The answer of a table to one code."""
-    if not _on_lines(t):
+    if isinstance(t, Table) and not t.interpolated:
         yield from _constants(f"{name}_points", t.points)
         body = _nearest(t, name)
     else:
