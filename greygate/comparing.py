@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from greygate.compiler.pipeline import fixed_error
+from greygate.compiler.targets import Architecture, target
 from greygate.errors import InputError
 from greygate.models.accuracy import rms_by_column
 from greygate.names import check_text
@@ -180,9 +181,11 @@ def _judged(plain: Difference, worse: bool, says: str) -> Difference:
 
 
 def _verified(old: Project, new: Project, budget: Budget) -> list[Difference]:
-    """A line for each architecture of the new build: how many scenarios differ in a bit."""
+    """A line for each architecture in Verilog of the new build: how many scenarios differ in a bit."""
     found = []
     for architecture in new.facts["architectures"]:
+        if not isinstance(target(architecture), Architecture):
+            continue  # a listing or a program in C: no simulation verifies it
         one, other = (_differing(p, architecture) for p in (old, new))
         missing = other is None and budget.verified
         says = "not verified; run greygate verify" if other is None else "bits differ" if other else "every bit equal"

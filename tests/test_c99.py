@@ -55,8 +55,8 @@ def fields(prefix, ports):
     return [(names[p.name], p.signal, r) for p in ports for r in range(p.signal.size)]
 
 
-def agree(program, codes, folder, compiler="gcc", level="-O2"):
-    """Compile the C of the program, run it over the codes; every output and every count of saturations is equal."""
+def built(program, folder, compiler="gcc", level="-O2"):
+    """Compile the C of the program, alone and with a harness; return the harness, which no sanitizer stops."""
     emit(program, folder, "c99")
     read = [
         f"in.{f}[{r}] = ({c99._type(s.fix)})codes[{k}];" for k, (f, s, r) in enumerate(fields("in_", program.inputs))
@@ -68,21 +68,30 @@ def agree(program, codes, folder, compiler="gcc", level="-O2"):
         name=program.name,
         upper=program.name.upper(),
         operations=len(program.operations),
-        columns=codes.shape[1],
+        columns=len(read),
         read="\n".join(read),
         write="\n".join(write),
     )
     (folder / "harness.c").write_text(text)
+    harness = folder / f"{compiler}{level}"
     alone = [compiler, *STRICT, level, "-c", f"{program.name}.c", "-o", "alone.o"]
-    for command in (alone, [compiler, *STRICT, level, "harness.c", "-o", "harness"]):
+    for command in (alone, [compiler, *STRICT, level, "harness.c", "-o", harness]):
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
-    done = subprocess.run([folder / "harness"], input=codes.astype(np.int64).tobytes(), capture_output=True)
+    return harness
+
+
+def same(program, codes, want, harness):
+    """Every output of the harness, and every count of saturations, is that of the emulator."""
+    done = subprocess.run([harness], input=codes.astype(np.int64).tobytes(), capture_output=True)
     assert done.returncode == 0, done.stderr.decode()
-    want = interpret(program, codes)
     np.testing.assert_array_equal(np.frombuffer(done.stdout, np.int64).reshape(want.outputs.shape), want.outputs)
     counts = dict(zip((o.out.name for o in program.operations), map(int, done.stderr.split()), strict=True))
     assert {name: counts[name] for name in want.saturations} == want.saturations
+
+
+def agree(program, codes, folder, compiler="gcc", level="-O2"):
+    same(program, codes, interpret(program, codes), built(program, folder, compiler, level))
 
 
 @pytest.mark.parametrize("seed", range(CHECKED))

@@ -130,6 +130,12 @@ def test_a_budget_may_ask_for_verified_bits(builds, tmp_path):
     assert {d.says for d in found if d.worse} == {"not verified; run greygate verify"}
 
 
+def test_what_is_no_verilog_needs_no_verification(builds, tmp_path):
+    compile_project(Project.open(builds["good"]).source, tmp_path / "c", architectures=("c99",))
+    project = Project.open(tmp_path / "c")
+    assert not any(d.worse for d in compare(project, project, read_budget(budget(tmp_path, "verified = true\n"))))
+
+
 def test_builds_of_other_recordings_are_not_compared(greygate, builds):
     code, out, err = greygate("compare", builds["good"], builds["other"])
     assert (code, out) == (2, "")
