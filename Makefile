@@ -152,7 +152,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(INSTALL) -e '.[dev,synthesis,proof,board,cluster,control]'
+	$(INSTALL) -e '.[dev,synthesis,proof,board,cluster,control,fmi,fusesoc]'
 	@touch $@
 
 $(VENV)/.ready-docs: $(VENV)/.ready

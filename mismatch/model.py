@@ -189,6 +189,12 @@ class Model:
         filters = self._filters.get(name, ())
         return [(kind, tuple(values[s] for s in symbols)) for kind, symbols in filters if values[symbols[0]] != 0.0]
 
+    def beside(self, values: Mapping[str, float]) -> list[str]:
+        """Recorded signals that are filtered or misread before and after the plant: no part of its equations."""
+        filtered = [name for name in self._filters if any(self._acting(name, values))]
+        read = [channel for channel in self.readings if any(self._shown(channel, values))]
+        return sorted({name.removeprefix(SENSOR) for name in filtered} | {*read})
+
     def starts(self, values: Mapping[str, float], signals: Mapping[str, np.ndarray]) -> np.ndarray:
         """Where each state begins at each restart, (restarts, states), by the comparison rule of the rigs."""
         at = self.restarts

@@ -30,6 +30,18 @@ def simulate(
     samples that are lost, the phase of a line) is left out over another.
     Raises InputError when it is of another plant, or names an effect or parameter that is unknown.
     """
+    model, values = corrected(rig, recording, diagnosis, effects, name)
+    return dict(zip(rig.predict, model.predict(values).T, strict=True))
+
+
+def corrected(
+    rig: Rig,
+    recording: Recording,
+    diagnosis: Mapping | None = None,
+    effects: Mapping[str, Effect] | None = None,
+    name: str | None = None,
+) -> tuple[Model, dict[str, float]]:
+    """The plant over `recording` with what a diagnosis names, and the values of its parameters. As for `simulate`."""
     name = recording.name if name is None else name
     learnt = name in {run_name(file) for file in rig.identify}
     known_there = rig.own.get(name, Own()).parameters
@@ -58,8 +70,7 @@ def simulate(
     for symbol in values:
         if symbol not in model.values:
             raise InputError(f"diagnosis: parameter {symbol} is unknown to {rig.plant.name}")
-    predicted = model.predict({**model.values, **values})
-    return dict(zip(rig.predict, predicted.T, strict=True))
+    return model, {**model.values, **values}
 
 
 def asked(diagnosis: Mapping | None) -> list[str]:

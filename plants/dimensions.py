@@ -70,3 +70,31 @@ def _of(symbol: str) -> Dimension | None:
     if symbol not in KNOWN.split():
         return None
     return {str(name): float(power.real) for name, power in pint.Unit(symbol).dimensionality.items()}
+
+
+BASES = {"kilogram": "kg", "meter": "m", "second": "s", "ampere": "A", "kelvin": "K", "mole": "mol", "candela": "cd"}
+
+
+@cache
+def base(unit: str) -> tuple[dict[str, int], float] | None:
+    """(powers of SI's base units and of rad, factor) of a unit: 1 of it is so many of them.
+
+    None for one that is not known, that has a broken power, or that has an offset (degC).
+    """
+    import pint
+
+    found = units.powers(unit)
+    if not found or any(s in SAME and s not in ("Ω", "l") for s in found) or dimension(found) is None:
+        return None
+    if any(power.denominator != 1 for power in found.values()) or {"%", "°", "rev", "turn", "rpm"} & set(found):
+        return None
+    powers: dict[str, int] = {}
+    factor = 1.0
+    for symbol, power in found.items():
+        quantity = pint.Quantity(1.0, SAME.get(symbol, symbol)).to_base_units()
+        factor *= float(quantity.magnitude) ** int(power)
+        dims = dict(quantity.unit_items()) or ({"rad": 1} if symbol in ("rad", "mrad", "deg") else {})
+        for name, of in dims.items():
+            key = BASES.get(str(name), "rad")
+            powers[key] = powers.get(key, 0) + int(of) * int(power)
+    return {name: power for name, power in powers.items() if power}, factor

@@ -213,7 +213,7 @@ def source(plant: Plant) -> str:
     used = names(t for equation in plant.equations.values() for t in equation.texts)
     lines += [f"    {d.symbol} = {_sum(d)}" for d in plant.needed(used)]
     states = list(plant.states)
-    for group in _coupled(plant):
+    for group in coupled(plant):
         if len(group) > 1:
             lines += _solved(group, states)
             continue
@@ -222,7 +222,7 @@ def source(plant: Plant) -> str:
     return "\n".join(lines) + _RUN
 
 
-def _coupled(plant: Plant) -> list[list[Equation]]:
+def coupled(plant: Plant) -> list[list[Equation]]:
     """The equations in groups whose rates are coupled; alone where they are not."""
     groups: list[list[Equation]] = []
     for equation in plant.equations.values():
@@ -254,10 +254,13 @@ def _sum(place: Equation | Definition) -> str:
     return " + ".join(f"({parse(expression).source()})" for expression in place.terms.values()) or "0.0"
 
 
+def weights() -> list[list[str]]:
+    """The weights of the six stages and of the solution, a row of fractions each."""
+    return [[*row, *["0"] * (len(_SOLUTION) - len(row))] for row in (*_STAGES, _SOLUTION)]
+
+
 def _rows() -> str:
-    """The weights of the stages and of the solution, a row each, as source."""
-    rows = ([*weights, *["0"] * (len(_SOLUTION) - len(weights))] for weights in (*_STAGES, _SOLUTION))
-    return ", ".join(f"[{', '.join(row)}]" for row in rows)
+    return ", ".join(f"[{', '.join(row)}]" for row in weights())
 
 
 # Loops in place of array operations, and one call of `derivative`: numba compiles that in a third of the time.

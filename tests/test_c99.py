@@ -51,7 +51,7 @@ int main(void)
 
 def fields(prefix, ports):
     """(C field, element) for each column, by the names that the header shows."""
-    names = c99._names(prefix, (p.name for p in ports))
+    names = c99.identifiers(prefix, (p.name for p in ports))
     return [(names[p.name], p.signal, r) for p in ports for r in range(p.signal.size)]
 
 
@@ -59,7 +59,7 @@ def built(program, folder, compiler="gcc", level="-O2"):
     """Compile the C of the program, alone and with a harness; return the harness, which no sanitizer stops."""
     emit(program, folder, "c99")
     read = [
-        f"in.{f}[{r}] = ({c99._type(s.fix)})codes[{k}];" for k, (f, s, r) in enumerate(fields("in_", program.inputs))
+        f"in.{f}[{r}] = ({c99.integer(s.fix)})codes[{k}];" for k, (f, s, r) in enumerate(fields("in_", program.inputs))
     ]
     write = [
         f"{{ int64_t y = out.{f}[{r}]; fwrite(&y, 8, 1, stdout); }}" for f, _, r in fields("out_", program.outputs)
@@ -118,7 +118,7 @@ def test_a_machine_of_the_thesis_gives_the_same_bits(name, tmp_path):
 
 
 def test_names_that_c_cannot_hold_are_changed_and_stay_apart():
-    assert c99._names("v_", ["a.b", "a_b", "int", "a.b_2"]) == {
+    assert c99.identifiers("v_", ["a.b", "a_b", "int", "a.b_2"]) == {
         "a.b": "v_a_b", "a_b": "v_a_b_2", "int": "v_int", "a.b_2": "v_a_b_2_2",
     }  # fmt: skip
 

@@ -67,7 +67,7 @@ def files(program: Program) -> dict[str, str]:
 # -- names and numbers -----------------------------------------------------------------------------------------------
 
 
-def _names(prefix: str, names: Iterable[str]) -> dict[str, str]:
+def identifiers(prefix: str, names: Iterable[str]) -> dict[str, str]:
     """Name -> C identifier: the prefix keeps it from every keyword, a number from every other name."""
     found: dict[str, str] = {}
     taken: set[str] = set()
@@ -81,7 +81,7 @@ def _names(prefix: str, names: Iterable[str]) -> dict[str, str]:
     return found
 
 
-def _type(fix: Fix) -> str:
+def integer(fix: Fix) -> str:
     return f"int{next(w for w in WORDS if w >= fix.width)}_t"
 
 
@@ -91,7 +91,7 @@ def _type_of(values: np.ndarray) -> str:
     return f"int{next(w for w in WORDS if -(1 << (w - 1)) <= lo and hi < 1 << (w - 1))}_t"
 
 
-def _number(value: int) -> str:
+def number(value: int) -> str:
     return str(value) if abs(value) < 1 << 31 else f"INT64_C({value})"
 
 
@@ -101,7 +101,7 @@ def _constants(name: str, values: object) -> Text:
     dims = "".join(f"[{n}]" for n in array.shape)
     yield f"static const {_type_of(array)} {name}{dims} = {{"
     for row in array if array.ndim == 2 else [array]:
-        lines = wrap(", ".join(map(_number, row.tolist())), LINE)
+        lines = wrap(", ".join(map(number, row.tolist())), LINE)
         opened, closed = ("{", "},") if array.ndim == 2 else ("", "")
         yield from (f"    {line}" for line in f"{opened}{NEW.join(lines)}{closed}".split(NEW))
     yield "};"
@@ -115,14 +115,14 @@ def _header(program: Program) -> Text:
     yield f"/* {name}: one step every {program.period:g} s. Numbers are codes: value = code * step + offset. */"
     yield from (f"#ifndef {guard}", f"#define {guard}", "", "#include <stdint.h>", "")
     for kind, prefix, ports in (("input", "in_", program.inputs), ("output", "out_", program.outputs)):
-        fields = _names(prefix, (p.name for p in ports))
+        fields = identifiers(prefix, (p.name for p in ports))
         yield from ("typedef struct", "{")
-        yield from (f"    {_type(p.signal.fix)} {fields[p.name]}[{p.signal.size}]; {_meaning(p)}" for p in ports)
+        yield from (f"    {integer(p.signal.fix)} {fields[p.name]}[{p.signal.size}]; {_meaning(p)}" for p in ports)
         yield from (f"}} {name}_{kind};", "")
-    states = _names("s_", (s.signal.name for s in program.states))
+    states = identifiers("s_", (s.signal.name for s in program.states))
     yield from ("typedef struct", "{")
     for s in program.states:
-        yield f"    {_type(s.signal.fix)} {states[s.signal.name]}[{s.signal.size}];"
+        yield f"    {integer(s.signal.fix)} {states[s.signal.name]}[{s.signal.size}];"
     yield from (() if program.states else ["    int8_t none; /* the program keeps nothing */"])
     yield from (f"}} {name}_state;", "", "/* Before the first step, and to begin anew. */")
     yield from (f"void {name}_reset({name}_state *state);", "", "/* One step: call it once for each sample. */")
@@ -141,9 +141,9 @@ def _meaning(p: Terminal) -> str:
 
 def _source(program: Program) -> Text:
     name = program.name
-    signals = _names("v_", program.signals)
-    tables = _names("lookup_", (t.name for t in program.tables))
-    states = _names("s_", (s.signal.name for s in program.states))
+    signals = identifiers("v_", program.signals)
+    tables = identifiers("lookup_", (t.name for t in program.tables))
+    states = identifiers("s_", (s.signal.name for s in program.states))
     yield f'#include "{name}.h"'
     yield from ("", f"#ifndef {name.upper()}_SATURATED", "/* What happens where operation `n` saturates or wraps. */")
     yield from (f"#define {name.upper()}_SATURATED(n) ((void)0)", "#endif", "")
@@ -162,7 +162,7 @@ def _source(program: Program) -> Text:
     yield from (f"void {name}_reset({name}_state *state)", "{")
     for s in program.states:
         field = states[s.signal.name]
-        yield from _each(s.signal.size, f"state->{field}[r] = initial_{field}[r];")
+        yield from each(s.signal.size, f"state->{field}[r] = initial_{field}[r];")
     yield from (() if program.states else ["    state->none = 0;"])
     yield from (
         "}",
@@ -170,22 +170,22 @@ def _source(program: Program) -> Text:
         f"void {name}_step({name}_state *state, const {name}_input *input, {name}_output *output)",
         "{",
     )
-    yield from (f"    {_type(s.fix)} {signals[s.name]}[{s.size}];" for s in program.signals.values())
-    fields = _names("in_", (p.name for p in program.inputs))
+    yield from (f"    {integer(s.fix)} {signals[s.name]}[{s.size}];" for s in program.signals.values())
+    fields = identifiers("in_", (p.name for p in program.inputs))
     for p in program.inputs:
-        yield from _each(p.signal.size, f"{signals[p.signal.name]}[r] = input->{fields[p.name]}[r];")
+        yield from each(p.signal.size, f"{signals[p.signal.name]}[r] = input->{fields[p.name]}[r];")
     for s in program.states:
-        yield from _each(s.signal.size, f"{signals[s.signal.name]}[r] = state->{states[s.signal.name]}[r];")
+        yield from each(s.signal.size, f"{signals[s.signal.name]}[r] = state->{states[s.signal.name]}[r];")
     yield from (() if program.states else ["    (void)state;"])
     yield from (f"    (void){signals[name]};" for name in _unread(program))
     for n, o in enumerate(program.operations):
         yield f"    /* {n}: {o.op.value} {re.sub(r'[^ -~]', '?', o.out.name)} {o.out.fix} */"
         yield from _BODY[o.op](program, n, o, signals, tables)
-    fields = _names("out_", (p.name for p in program.outputs))
+    fields = identifiers("out_", (p.name for p in program.outputs))
     for p in program.outputs:
-        yield from _each(p.signal.size, f"output->{fields[p.name]}[r] = {signals[p.signal.name]}[r];")
+        yield from each(p.signal.size, f"output->{fields[p.name]}[r] = {signals[p.signal.name]}[r];")
     for s in program.states:
-        yield from _each(s.signal.size, f"state->{states[s.signal.name]}[r] = {signals[s.source]}[r];")
+        yield from each(s.signal.size, f"state->{states[s.signal.name]}[r] = {signals[s.source]}[r];")
     yield "}"
 
 
@@ -200,7 +200,7 @@ def _unread(program: Program) -> list[str]:
     return [name for name in program.signals if name not in read]
 
 
-def _each(size: int, *body: str) -> Text:
+def each(size: int, *body: str) -> Text:
     """A loop over the elements r of a signal; a signal of one element needs none."""
     if size > 1:
         yield from (
@@ -218,14 +218,14 @@ def _each(size: int, *body: str) -> Text:
 def _fitted(n: int, program: Program, out: Signal, to: str, overflow: Overflow) -> list[str]:
     """Bring the int64_t y into the format of `out`, and store it."""
     fix, told = out.fix, f"{program.name.upper()}_SATURATED({n});"
-    lo, hi = _number(fix.lo), _number(fix.hi)
-    store = f"{to}[r] = ({_type(fix)})y;"
+    lo, hi = number(fix.lo), number(fix.hi)
+    store = f"{to}[r] = ({integer(fix)})y;"
     if overflow is Overflow.SATURATE:
         ends = [
             [f"if (y {sign} {end})", "{", f"    y = {end};", f"    {told}", "}"] for sign, end in (("<", lo), (">", hi))
         ]
         return [*ends[0], *ends[1], store]
-    mask, turn = (1 << fix.width) - 1, _number(1 << fix.width)
+    mask, turn = (1 << fix.width) - 1, number(1 << fix.width)
     wrapped = [f"y = (int64_t)((uint64_t)y & UINT64_C({mask}));", f"y = (y > {hi}) ? (y - {turn}) : y;"]
     return [f"if ((y < {lo}) || (y > {hi}))", "{", *(f"    {line}" for line in (*wrapped, told)), "}", store]
 
@@ -254,16 +254,16 @@ def _affine(program: Program, n: int, o: Affine, signals: dict[str, str], tables
         sums += loop if size > 1 else [term.replace("[j]", "[0]")]
     scaled = f"y = scaled(y, (int32_t)s{n}[r], {HALF[o.rounding]});"
     fitted = _fitted(n, program, o.out, signals[o.out.name], o.overflow)
-    yield from _each(o.out.size, f"int64_t y = (int64_t)b{n}[r];", *sums, scaled, *fitted)
+    yield from each(o.out.size, f"int64_t y = (int64_t)b{n}[r];", *sums, scaled, *fitted)
 
 
 def _lookup(program: Program, n: int, o: Lookup, signals: dict[str, str], tables: dict[str, str]) -> Text:
     answer = f"{tables[o.table]}((int64_t){signals[o.arg]}[r])"
-    yield from _each(o.out.size, f"{signals[o.out.name]}[r] = ({_type(o.out.fix)}){answer};")
+    yield from each(o.out.size, f"{signals[o.out.name]}[r] = ({integer(o.out.fix)}){answer};")
 
 
 def _clamp(program: Program, n: int, o: Clamp, signals: dict[str, str], tables: dict[str, str]) -> Text:
-    lo, hi = _number(o.lo), _number(o.hi)
+    lo, hi = number(o.lo), number(o.hi)
     shift = _drop(program.signals[o.arg].fix, o.out.fix)
     limited = [
         f"int64_t y = (int64_t){signals[o.arg]}[r];",
@@ -271,12 +271,12 @@ def _clamp(program: Program, n: int, o: Clamp, signals: dict[str, str], tables: 
         f"y = (y > {hi}) ? {hi} : y;",
     ]
     scaled = f"y = scaled(y, {shift}, {HALF[o.rounding]});"
-    yield from _each(o.out.size, *limited, scaled, *_fitted(n, program, o.out, signals[o.out.name], o.overflow))
+    yield from each(o.out.size, *limited, scaled, *_fitted(n, program, o.out, signals[o.out.name], o.overflow))
 
 
 def _threshold(program: Program, n: int, o: Threshold, signals: dict[str, str], tables: dict[str, str]) -> Text:
-    chosen = f"((int64_t){signals[o.arg]}[r] >= {_number(o.at)}) ? {_number(o.above)} : {_number(o.below)}"
-    yield from _each(o.out.size, f"{signals[o.out.name]}[r] = ({_type(o.out.fix)})({chosen});")
+    chosen = f"((int64_t){signals[o.arg]}[r] >= {number(o.at)}) ? {number(o.above)} : {number(o.below)}"
+    yield from each(o.out.size, f"{signals[o.out.name]}[r] = ({integer(o.out.fix)})({chosen});")
 
 
 def _select(program: Program, n: int, o: Select, signals: dict[str, str], tables: dict[str, str]) -> Text:
@@ -285,7 +285,7 @@ def _select(program: Program, n: int, o: Select, signals: dict[str, str], tables
         return f"scaled((int64_t){signals[arg]}[r], {shift}, {HALF[o.rounding]})"
 
     chosen = f"int64_t y = ({signals[o.condition]}[r] >= 0) ? {scaled(o.above)} : {scaled(o.below)};"
-    yield from _each(o.out.size, chosen, *_fitted(n, program, o.out, signals[o.out.name], o.overflow))
+    yield from each(o.out.size, chosen, *_fitted(n, program, o.out, signals[o.out.name], o.overflow))
 
 
 _BODY: dict[Op, Callable[..., Text]] = {
@@ -315,13 +315,13 @@ def _lookup_function(t: Table | Lines, name: str) -> Text:
     negative = {
         Symmetry.ODD: "-y",
         Symmetry.EVEN: "y",
-        Symmetry.COMPLEMENT: f"{_number(1 << max(0, t.out.frac))} - y",
+        Symmetry.COMPLEMENT: f"{number(1 << max(0, t.out.frac))} - y",
     }[t.symmetry]
     yield from (f"    return (x < 0) ? ({negative}) : y;", "}")
 
 
 def _nearest(t: Table, name: str) -> list[str]:
-    last, half = len(t.points) - 1, _number((1 << t.shift) >> 1)
+    last, half = len(t.points) - 1, number((1 << t.shift) >> 1)
     return [
         "const int64_t a = (x < 0) ? -x : x;",
         f"int64_t i = ((a >> {t.shift}) >= {last}) ? {last} : ((a + {half}) >> {t.shift});",
@@ -358,8 +358,8 @@ def _on_line(t: Table | Lines, name: str) -> list[str]:
         f"    place = place >> {name}_drop[o];",
         f"    place = ((x < 0) && ({name}_drop[o] == 0)) ? (place + 1) : place;",
         "}",
-        f"y = ((int64_t){name}_slope[i] * place) + {_number(lower)};",
-        f"y = (int64_t){name}_base[i] + {_number(upper)} + shifted_right(y, {s.below});",
+        f"y = ((int64_t){name}_slope[i] * place) + {number(lower)};",
+        f"y = (int64_t){name}_base[i] + {number(upper)} + shifted_right(y, {s.below});",
         f"y = shifted_right(y, {s.guard});",
     ]
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from greygate import __version__
-from greygate.cli import bench, boards, builds, controls, doctor, expert, identify, networks, rigs
+from greygate.cli import bench, boards, builds, controls, doctor, expert, exports, identify, networks, rigs
 from greygate.cli.terminal import say
 from greygate.errors import InputError
 
@@ -35,6 +35,7 @@ app = typer.Typer(
 )
 for command in COMMANDS:
     app.command(command.__name__.rstrip("_").replace("_", "-"))(command)
+app.add_typer(exports.app, name="export")
 app.add_typer(bench.app, name="bench-concealed")
 
 

@@ -1,0 +1,59 @@
+"""`greygate export`: c, fmu."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from greygate.cli.terminal import Json, following, give
+
+app = typer.Typer(help="Write a build, a rig or a plant for another tool.", no_args_is_help=True)
+Folder = Annotated[Path, typer.Argument(metavar="BUILD", help="A folder that `greygate compile` wrote.")]
+
+
+class Fmi(StrEnum):
+    """A version of the Functional Mock-up Interface."""
+
+    THREE = "3.0"
+    TWO = "2.0"
+
+
+@app.command()
+def c(
+    folder: Folder,
+    out: Annotated[Path, typer.Option(help="Folder to write; an earlier export is replaced.")],
+    as_json: Json = False,
+) -> None:
+    """Write the step of a build in C99, and the functions that turn physical values into codes and back."""
+    from greygate.exporting.export import export_c
+    from greygate.project import Project
+
+    files = export_c(Project.open(folder), out)
+    give({"out": str(out), "files": files}, as_json, [", ".join(files), f"written to {out}"])
+
+
+@app.command()
+def fmu(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="BUILD|RIG|PLANT.toml", help="What `greygate compile` wrote, a folder with rig.toml, or a plant."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="FMU to write.")],
+    fmi: Annotated[Fmi, typer.Option(help="Version of FMI.")] = Fmi.THREE,
+    diagnosis: Annotated[
+        Path | None, typer.Option(help="diagnosis.json of the rig: the plant with its corrections.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Write an FMU for co-simulation: a network bit for bit as compiled, or a plant, as it is or corrected."""
+    from greygate.exporting.export import export_fmu
+    from greygate.mismatch.simulation import read
+
+    with following("compiling the FMU"):
+        held = export_fmu(source, out, fmi.value, None if diagnosis is None else read(diagnosis))
+    lines = [f"{what}: {', '.join(held[what]) or 'none'}" for what in ("inputs", "parameters", "outputs")]
+    lines += [f"FMI {held['fmi']}, steps of {held['step_s']:g} s, {held['library']}", f"written to {out}"]
+    give(held, as_json, lines)

@@ -1,0 +1,1 @@
+"""What leaves for other tools: C with physical values, FMUs, sources for FPGA projects."""
