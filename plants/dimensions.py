@@ -96,5 +96,5 @@ def base(unit: str) -> tuple[dict[str, int], float] | None:
         dims = dict(quantity.unit_items()) or ({"rad": 1} if symbol in ("rad", "mrad", "deg") else {})
         for name, of in dims.items():
             key = BASES.get(str(name), "rad")
-            powers[key] = powers.get(key, 0) + int(of) * int(power)
+            powers[key] = powers.get(key, 0) + round(float(of.real)) * int(power)
     return {name: power for name, power in powers.items() if power}, factor

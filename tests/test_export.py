@@ -1,7 +1,11 @@
 """What leaves for other tools computes what the emulator and the simulation compute."""
 
 import json
+import re
+import shutil
 import subprocess
+import sys
+from pathlib import Path
 
 import fmpy
 import numpy as np
@@ -15,6 +19,7 @@ from test_cli import greygate
 from greygate.emulation import emulate
 from greygate.errors import InputError
 from greygate.exporting.export import export_c, export_fmu
+from greygate.hardware.verify import simulator_environment
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.simulation import read
 from greygate.mismatch.simulation import simulate as predicted
@@ -300,4 +305,69 @@ def test_the_command_says_what_the_fmu_holds(rig, tmp_path):
     assert json.loads(printed)["outputs"] == ["w"]
     code, _, told = greygate("export", "fmu", rig / "rig.toml", "--out", out)
     assert code == 2
+    assert "Traceback" not in told
+
+
+# -- a project for FuseSoC -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory):
+    """The folder that `export fusesoc` writes of a small network."""
+    folder = tmp_path_factory.mktemp("cores")
+    name, made = "mts", folder / "made"
+    compile_project(Source(name, {}), made, architectures=("parallel",))
+    code, _, told = greygate("export", "fusesoc", made, "--out", folder / "core")
+    assert code == 0, told
+    return folder / "core"
+
+
+def fusesoc(folder, target):
+    """Run a target of the exported core in Verilator."""
+    command = [Path(sys.executable).parent / "fusesoc", "--cores-root", ".", "run", f"--target={target}"]
+    command += ["--tool=verilator", "greygate::mts"]
+    return subprocess.run(command, cwd=folder, env=simulator_environment(), capture_output=True, text=True)
+
+
+def test_fusesoc_runs_the_scenario_and_every_bit_is_equal(project):
+    done = fusesoc(project, "sim")
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert re.search(r"PASS: \d+ steps in \d+ clocks, every bit equal", done.stdout + done.stderr)
+    assert fusesoc(project, "lint").returncode == 0
+
+
+def test_the_simulation_of_fusesoc_fails_where_a_bit_differs(project, tmp_path):
+    folder = tmp_path / "core"
+    shutil.copytree(project, folder, ignore=shutil.ignore_patterns("build"))
+    scenario = folder / "bench" / "scenario.hex"
+    lines = scenario.read_text().splitlines()
+    lines[20] = f"{int(lines[20], 16) ^ (1 << 4 * len(lines[20]) - 1):0{len(lines[20])}x}"
+    scenario.write_text("\n".join(lines) + "\n")
+    done = fusesoc(folder, "sim")
+    assert done.returncode != 0
+    assert "FAIL: step 20" in done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("spoilt", [False, True])
+def test_the_bench_in_cocotb_passes_and_fails_as_it_should(project, tmp_path, spoilt):
+    folder = tmp_path / "core"
+    shutil.copytree(project, folder, ignore=shutil.ignore_patterns("build"))
+    scenario = folder / "bench" / "scenario.hex"
+    lines = scenario.read_text().splitlines()[:60]
+    if spoilt:
+        lines[20] = f"{int(lines[20], 16) ^ (1 << 4 * len(lines[20]) - 1):0{len(lines[20])}x}"
+    scenario.write_text("\n".join(lines) + "\n")
+    environment = simulator_environment() | {"SIM": "verilator"}
+    command = [sys.executable, "bench/run.py"]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+    assert done.returncode == int(spoilt), done.stdout[-2000:] + done.stderr[-2000:]
+    assert ("TESTS=2 PASS=0 FAIL=2" if spoilt else "TESTS=2 PASS=2 FAIL=0") in done.stdout
+
+
+def test_an_export_replaces_an_export_and_nothing_else(project, tmp_path):
+    made = tmp_path / "other"
+    made.mkdir()
+    (made / "thesis.txt").write_text("mine")
+    code, _, told = greygate("export", "fusesoc", project.parent / "made", "--out", made)
+    assert (code, (made / "thesis.txt").read_text()) == (2, "mine")
     assert "Traceback" not in told

@@ -1,4 +1,4 @@
-"""`greygate export`: c, fmu."""
+"""`greygate export`: c, fmu, fusesoc."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -56,4 +56,20 @@ def fmu(
         held = export_fmu(source, out, fmi.value, None if diagnosis is None else read(diagnosis))
     lines = [f"{what}: {', '.join(held[what]) or 'none'}" for what in ("inputs", "parameters", "outputs")]
     lines += [f"FMI {held['fmi']}, steps of {held['step_s']:g} s, {held['library']}", f"written to {out}"]
+    give(held, as_json, lines)
+
+
+@app.command()
+def fusesoc(
+    folder: Folder,
+    out: Annotated[Path, typer.Option(help="Folder to write; an earlier export is replaced.")],
+    architecture: Annotated[str | None, typer.Option(help="Of the build; folded if it has that.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Write a core for FuseSoC, Vivado and Quartus, with its benches in Verilog and cocotb."""
+    from greygate.exporting.hdl import export_fusesoc
+    from greygate.project import Project
+
+    held = export_fusesoc(Project.open(folder), out, architecture)
+    lines = [f"{held['core']}, {held['architecture']}: {len(held['files'])} files", f"written to {out}"]
     give(held, as_json, lines)

@@ -1,9 +1,10 @@
 """`greygate export`: a build, a rig or a plant as files for another tool."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from greygate.errors import InputError, shown
 from greygate.exporting import fmu, network, plant, values
@@ -32,7 +33,7 @@ def export_c(project: Project, out: Path | str) -> list[str]:
 
 def export_fmu(
     source: Path | str, out: Path | str, version: str = fmu.VERSIONS[0], diagnosis: Mapping | None = None
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Write an FMU for co-simulation of what `source` is: a build, a folder with rig.toml, or a plant's TOML file.
 
     diagnosis: content of a diagnosis.json of that rig, by which its plant is corrected. Returns what the FMU holds.
@@ -73,7 +74,7 @@ def _identified(folder: Path, diagnosis: Mapping | None) -> Plant:
     return _named(replace(model.plant, parameters=kept, outputs=_outputs(rig)))
 
 
-def _outputs(rig: rigs.Rig) -> Sequence[str]:
+def _outputs(rig: rigs.Rig) -> tuple[str, ...]:
     return tuple(rig.predict)
 
 

@@ -13,6 +13,7 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 from greygate.errors import InputError
@@ -35,7 +36,7 @@ PLATFORMS = {
 SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib")}
 
 
-def write(model: Model, path: Path | str, version: str = VERSIONS[0]) -> dict[str, object]:
+def write(model: Model, path: Path | str, version: str = VERSIONS[0]) -> dict[str, Any]:
     """Write the FMU, completely or not at all, and return what it holds.
 
     Raises InputError for a version that is not there, and where no C compiler is found or it refuses.

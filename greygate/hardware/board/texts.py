@@ -1,4 +1,4 @@
-"""The templates of the files that stand beside a core: one Jinja environment, in which a missing value is an error."""
+"""The templates of the files that stand beside a core: in Jinja, where a missing value is an error."""
 
 from functools import cache
 
@@ -8,9 +8,9 @@ from greygate.compiler.verilog import remark
 
 
 @cache
-def _environment() -> Environment:
+def _environment(package: str) -> Environment:
     found = Environment(
-        loader=PackageLoader(__package__, "templates"),
+        loader=PackageLoader(package, "templates"),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -20,6 +20,6 @@ def _environment() -> Environment:
     return found
 
 
-def render(template: str, context: dict) -> str:
-    """The template of that name, filled in."""
-    return _environment().get_template(f"{template}.j2").render(context)
+def render(template: str, context: dict, package: str = __package__) -> str:
+    """The template of that name in the folder of a package, filled in."""
+    return _environment(package).get_template(f"{template}.j2").render(context)
