@@ -8,7 +8,7 @@ FOLDERS := models plants emulator compiler rtl mismatch control machines recordi
 
 .PHONY: demo docs pages test test-old lint types bench bench-training bench-diagnosis bench-rigs bench-programs fuzz faults \
     mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-tables \
-    bench-flow bench-growth bench-exploring bench-blind bench-next bench-c99
+    bench-flow bench-growth bench-exploring bench-blind bench-next bench-c99 bench-fmus
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -60,6 +60,10 @@ bench-programs: $(VENV)/.ready-dev | tools
 # The C99 target on every scenario of the thesis's machines, by every compiler here.
 bench-c99: $(VENV)/.ready-dev
 	PYTHONPATH=tests $(BIN)/python benchmarks/c99.py
+
+# Two minutes: FMUs of the thesis's machines in fmpy, every scenario.
+bench-fmus: $(VENV)/.ready-dev
+	PYTHONPATH=tests $(BIN)/python benchmarks/fmus.py
 
 # Ten minutes: what a lookup takes on each family, for every form of table.
 bench-tables: $(VENV)/.ready-dev

@@ -1,9 +1,13 @@
-"""The C99 target on every scenario of the thesis's machines and on random legal programs: every bit, and bytes.
+"""The C99 target: every bit on every scenario of the thesis's machines and on random legal programs; size and pace.
 
 `make bench-c99` runs it and writes benchmarks/results/c99.json. Exit code 1 if a bit differs or a sanitizer speaks.
+"controllers" needs gcc-arm-none-eabi, gcc-riscv64-unknown-elf and qemu-user of Debian: bytes of the object code, and
+the instructions of a step, counted by QEMU, which also checks every output.
 """
 
 import argparse
+import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -12,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from legal_programs import legal_codes, legal_program
 from made import keep
-from test_c99 import COMPILERS, agree, built, same
+from test_c99 import COMPILERS, agree, built, fields, same
 
 from greygate.compiler.emit import emit
 from greygate.emulator.engine import run
@@ -22,6 +26,49 @@ from greygate.source import Source
 
 STEPS = 24
 LEVELS = ("-O0", "-O2")
+CONTROLLERS = {  # name -> (compiler, its options, emulator, "exit" as a system call of Linux, register of its number)
+    "Cortex-M4": (
+        "arm-none-eabi-gcc",
+        ["-mcpu=cortex-m4", "-mthumb"],
+        ["qemu-arm", "-cpu", "max"],
+        ("r7", "r0", "svc 0", 1),
+    ),
+    "RISC-V (RV32IMAC)": (
+        "riscv64-unknown-elf-gcc",
+        ["-march=rv32imac", "-mabi=ilp32"],
+        ["qemu-riscv32"],
+        ("a7", "a0", "ecall", 93),
+    ),
+}
+COUNTED = (16, 48)  # steps of two runs: their difference counts no beginning and no end
+BARE = """
+#include "{name}.h"
+{arrays}
+void *memcpy(void *to, const void *from, unsigned long n)
+{{ for (unsigned long i = 0; i < n; i++) ((char *)to)[i] = ((const char *)from)[i]; return to; }}
+void *memset(void *to, int c, unsigned long n)
+{{ for (unsigned long i = 0; i < n; i++) ((char *)to)[i] = (char)c; return to; }}
+static {name}_state state;
+static int run(void)
+{{
+    {name}_input in;
+    {name}_output out;
+    {name}_reset(&state);
+    for (int k = 0; k < STEPS; k++)
+    {{
+{read}
+        {name}_step(&state, &in, &out);
+{write}
+    }}
+    return 0;
+}}
+void _start(void)
+{{
+    register int code __asm__("{code}") = run();
+    register int number __asm__("{number}") = {exits};
+    __asm__ volatile("{call}" : : "r"(code), "r"(number));
+}}
+"""
 
 
 def machine(name: str, folder: Path) -> dict:
@@ -46,11 +93,77 @@ def machine(name: str, folder: Path) -> dict:
     return {"machine": name, "scenarios": scenarios, "steps": steps, "bytes": code + data + zeroed}
 
 
+def controllers(name: str, folder: Path) -> list[dict]:
+    """Bytes, and instructions of a step, of a machine on each controller; QEMU checks the outputs."""
+    compile_project(Source(name), folder / "build", architectures=("c99",))
+    program = Project.open(folder / "build").program
+    emit(program, folder, "c99")
+    codes = program.encode(Source(name).records()[Source(name).scenarios[0]].inputs)[: COUNTED[-1]]
+    wanted = run(program, codes, states=False).outputs
+    rows = []
+    for controller, (compiler, options, emulator, (number, code, call, exits)) in CONTROLLERS.items():
+        sides = (("given", codes), ("wanted", wanted))
+        arrays = [
+            f"static const long long {what}[{len(v)}][{v.shape[1]}] = {{"
+            + ", ".join("{" + ", ".join(f"{int(x)}LL" for x in row) + "}" for row in v)
+            + "};"
+            for what, v in sides
+        ]
+        read = [f"in.{f}[{r}] = given[k][{k}];" for k, (f, _, r) in enumerate(fields("in_", program.inputs))]
+        write = [
+            f"if (out.{f}[{r}] != wanted[k][{k}]) return 1;"
+            for k, (f, _, r) in enumerate(fields("out_", program.outputs))
+        ]
+        text = BARE.format(
+            name=program.name, arrays="\n".join(arrays), read="\n".join(read), write="\n".join(write),
+            number=number, code=code, call=call, exits=exits,
+        )  # fmt: skip
+        (folder / "bare.c").write_text(text)
+        row: dict = {"machine": name, "controller": controller}
+        for level in ("-Os", "-O2"):
+            own = [compiler, *options, "-std=c99", "-ffreestanding", level]
+            subprocess.run([*own, "-c", f"{program.name}.c", "-o", "step.o"], cwd=folder, check=True)
+            sizes = subprocess.run(["size", "step.o"], cwd=folder, capture_output=True, text=True, check=True).stdout
+            row[f"bytes {level}"] = sum(map(int, sizes.splitlines()[1].split()[:3]))
+            counts = []
+            for steps in COUNTED:
+                whole = [*own, "-std=gnu99", "-fno-tree-loop-distribute-patterns", f"-DSTEPS={steps}"]
+                linked = ["-nostdlib", "-Wl,--no-relax", "bare.c", "step.o", "-lgcc", "-o", "bare.elf"]
+                subprocess.run([*whole, *linked], cwd=folder, check=True)
+                log = ["-singlestep", "-d", "exec,nochain", "-D", "log"]
+                subprocess.run([*emulator, *log, "./bare.elf"], cwd=folder, check=True)
+                counts.append(len(re.findall(r"^Trace ", (folder / "log").read_text(), re.M)))
+            row[f"instructions {level}"] = round((counts[1] - counts[0]) / (COUNTED[1] - COUNTED[0]))
+        rows.append(row)
+    return rows
+
+
+def bare() -> int:
+    """Write the part "controllers"."""
+    needed = [word for c, _, (e, *_), _ in CONTROLLERS.values() for word in (c, e)]
+    if missing := [word for word in needed if shutil.which(word) is None]:
+        print(f"missing: {', '.join(missing)}", file=sys.stderr)
+        return 2
+    rows = []
+    for name in REPORTED:
+        with tempfile.TemporaryDirectory() as folder:
+            rows += controllers(name, Path(folder))
+        print(*rows[-len(CONTROLLERS) :], sep="\n", flush=True)
+    versions = [
+        subprocess.run([word, "--version"], capture_output=True, text=True, check=True).stdout.splitlines()[0]
+        for word in needed
+    ]
+    keep("c99", "controllers", {"tools": versions, "steps": COUNTED, "rows": rows})
+    return 0
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--programs", type=int, default=100)
-    parser.add_argument("part", choices=["bits"], nargs="?")
+    parser.add_argument("part", choices=["bits", "controllers"], nargs="?")
     given = parser.parse_args()
+    if given.part == "controllers":
+        return bare()
     machines = []
     for name in REPORTED:
         with tempfile.TemporaryDirectory() as folder:

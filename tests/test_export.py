@@ -62,7 +62,7 @@ class Slave:
             instanceName="one",
         )
         self.reference = {v.name: v.valueReference for v in self.about.modelVariables}
-        self.time = 0.0
+        self.time = 0.0  # s
         self.fmu.instantiate()
 
     def begin(self, **parameters):
