@@ -156,7 +156,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(INSTALL) -e '.[dev,synthesis,proof,board,cluster,control,fmi,fusesoc]'
+	$(INSTALL) -e '.[dev,synthesis,proof,board,cluster,control,fmi,fusesoc,onnx,matlab]'
 	@touch $@
 
 $(VENV)/.ready-docs: $(VENV)/.ready

@@ -13,6 +13,7 @@ from greygate.files import making, writing
 from greygate.machines.catalog import CATALOG, entry
 from greygate.machines.identification import initialised
 from greygate.models.accuracy import free_run_rms
+from greygate.models.importers.files import foreign, load
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Outcome, narx_noe, train
 from greygate.models.training.record import Record, held_out
@@ -77,6 +78,8 @@ class Source:
 
     def network(self) -> Network:
         path = Path(self.name)
+        if foreign(self.name):
+            return load(path)
         written = self.name.endswith((".toml", ".safetensors")) or (path.name and path.with_suffix(".toml").exists())
         if self.name not in CATALOG and written:
             return Network.load(self.name)

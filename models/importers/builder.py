@@ -1,0 +1,283 @@
+"""Builds a network from the operations of another tool's graph.
+
+Every value of such a graph is a `Value`: a constant, or an affine function of signals that the network has. Affine
+operations on it cost nothing; an activation becomes a layer. So a chain of scalings, sums, slices and matrix products
+before a tanh is one layer, with the weights of all of them.
+"""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greygate.errors import InputError
+from greygate.models.importers.ports import port
+from greygate.models.network import Layer, Network, Port
+from greygate.names import check_name
+
+Signal = tuple[str, int]
+"""(module or input port, delay in steps)."""
+
+
+@dataclass(frozen=True)
+class Value:
+    """bias + sum of weights[signal] @ signal, of `shape`; its elements in row-major order."""
+
+    shape: tuple[int, ...]
+    bias: np.ndarray
+    weights: Mapping[Signal, np.ndarray]
+
+    @property
+    def size(self) -> int:
+        return len(self.bias)
+
+    @property
+    def constant(self) -> np.ndarray | None:
+        """The array that it is, if it reads no signal."""
+        return None if self.weights else self.bias.reshape(self.shape)
+
+    def rows(self, places: np.ndarray) -> "Value":
+        """The elements at `places`, an array of indices, in its shape."""
+        flat = places.reshape(-1)
+        return Value(places.shape, self.bias[flat], {s: w[flat] for s, w in self.weights.items()})
+
+    def moved(self, how: Callable[[np.ndarray], np.ndarray]) -> "Value":
+        """Its elements in other places: what `how` does to an array of this shape."""
+        return self.rows(how(np.arange(self.size).reshape(self.shape)))
+
+    def times(self, factor: np.ndarray | float) -> "Value":
+        """Element by element, with NumPy's broadcasting."""
+        shape = np.broadcast_shapes(self.shape, np.shape(factor))
+        wide = self.moved(lambda x: np.broadcast_to(x, shape))
+        by = np.broadcast_to(np.asarray(factor, float), shape).reshape(-1)
+        return Value(shape, wide.bias * by, {s: w * by[:, None] for s, w in wide.weights.items()})
+
+    def plus(self, other: "Value") -> "Value":
+        """Element by element, with NumPy's broadcasting."""
+        shape = np.broadcast_shapes(self.shape, other.shape)
+        one, two = (v.moved(lambda x: np.broadcast_to(x, shape)) for v in (self, other))
+        weights = {s: np.array(w) for s, w in one.weights.items()}
+        for s, w in two.weights.items():
+            weights[s] = weights[s] + w if s in weights else w
+        return Value(shape, one.bias + two.bias, weights)
+
+    def linear(self, matrix: np.ndarray) -> "Value":
+        """The last axis n becomes m: matrix (m, n) @ each."""
+        m, n = matrix.shape
+        count = self.size // n
+        whole = np.kron(np.eye(count), matrix) if count > 1 else matrix
+        weights = {s: whole @ w for s, w in self.weights.items()}
+        return Value((*self.shape[:-1], m), whole @ self.bias, weights)
+
+
+def constant(array: object) -> Value:
+    """A value that reads no signal."""
+    found = np.asarray(array, float)
+    return Value(found.shape, found.reshape(-1), {})
+
+
+def joined(values: Sequence[Value], axis: int) -> Value:
+    """Values one behind the other along an axis, as np.concatenate."""
+    starts = np.cumsum([0, *(v.size for v in values)])
+    places = np.concatenate(
+        [start + np.arange(v.size).reshape(v.shape) for v, start in zip(values, starts, strict=False)], axis
+    )
+    signals = [s for v in values for s in v.weights]
+    width = {s: w.shape[1] for v in values for s, w in v.weights.items()}
+    weights = {
+        s: np.concatenate([v.weights.get(s, np.zeros((v.size, width[s]))) for v in values])
+        for s in dict.fromkeys(signals)
+    }
+    whole = Value((int(starts[-1]),), np.concatenate([v.bias for v in values]), weights)
+    return whole.rows(places)
+
+
+class Builder:
+    """A network under construction.
+
+    inputs: ports, or names of ports without unit and scale. Names of layers are made from hints, and kept unique.
+    """
+
+    def __init__(self, name: str, inputs: Sequence[Port | str], outputs: Sequence[Port | str]):
+        check_name(name, "network")
+        self.inputs, self.outputs = ([_port(p) for p in ports] for ports in (inputs, outputs))
+        self.network = Network(name, self.inputs, self.outputs)
+        self._initial: dict[str, np.ndarray] = {}
+
+    def input(self, ports: Sequence[Port], shape: Sequence[int]) -> Value:
+        """The ports of an input tensor, in their units, side by side."""
+        parts = [Value((p.size,), np.full(p.size, p.offset), {(p.name, 0): p.scale * np.eye(p.size)}) for p in ports]
+        whole = joined(parts, 0)
+        if whole.size != int(np.prod(shape)):
+            names = ", ".join(p.name for p in ports)
+            raise InputError(f"inputs {names}: {whole.size} numbers, the model takes {list(shape)}; name one port each")
+        return whole.moved(lambda x: x.reshape(tuple(shape)))
+
+    def state(self, hint: str, initial: np.ndarray) -> tuple[str, Value]:
+        """(its name, what it was one step before); `keep` says what it becomes."""
+        name, values = self._free(hint), np.asarray(initial, float)
+        flat = values.reshape(-1)
+        self.network.modules[name] = Layer({}, flat)  # its place in the order; `keep` fills it
+        self._initial[name] = flat
+        return name, Value(values.shape, np.zeros(flat.size), {(name, 1): np.eye(flat.size)})
+
+    def keep(self, name: str, value: Value) -> None:
+        """The value of this step becomes the state."""
+        if value.size != len(self._initial[name]):
+            raise InputError(f"state {name}: {len(self._initial[name])} elements become {value.size}")
+        del self.network.modules[name]
+        self._layer(name, value.bias, value.weights, "linear", self._initial[name])
+
+    def activated(self, value: Value, activation: str, hint: str) -> Value:
+        """A layer of that activation; a constant stays one."""
+        name = self._free(hint)
+        self._layer(name, value.bias, value.weights, activation)
+        return Value(value.shape, np.zeros(value.size), {(name, 0): np.eye(value.size)})
+
+    def _selected(self, condition: Value, above: Value, below: Value, hint: str) -> Value:
+        """Where the condition is 0 or more, `above`; else `below`."""
+        three = joined([v.moved(np.ravel) for v in (condition, above, below)], 0)
+        name = self._free(hint)
+        self._layer(name, three.bias, three.weights, "select")
+        return Value(above.shape, np.zeros(above.size), {(name, 0): np.eye(above.size)})
+
+    def named(self, name: str, value: Value, activation: str) -> None:
+        """A layer of that name, which others may have read before it was there."""
+        self._layer(name, value.bias, value.weights, activation)
+
+    # -- functions ---------------------------------------------------------------------------------------------------
+
+    def rectified(self, value: Value, slope: float = 0.0, hint: str = "relu") -> Value:
+        """The value where it is positive, else `slope` times it."""
+        return self._selected(value, value, value.times(slope), hint)
+
+    def clipped(self, value: Value, low: float | None, high: float | None, hint: str = "clip") -> Value:
+        """Limited on one side or on both."""
+        if low is not None and high is not None:
+            if not high > low:
+                raise InputError(f"{hint}: limits {low} and {high}; the lower one comes first")
+            unit = value.plus(constant(-low)).times(1.0 / (high - low))
+            return self.activated(unit, "satlin", hint).times(high - low).plus(constant(low))
+        if low is not None:
+            return self.rectified(value.plus(constant(-low)), 0.0, hint).plus(constant(low))
+        if high is not None:
+            return self.rectified(value.times(-1.0).plus(constant(high)), 0.0, hint).times(-1.0).plus(constant(high))
+        return value
+
+    def product(self, a: Value, b: Value, hint: str = "product") -> Value:
+        """Two signals multiplied: a quarter of the difference of two squares."""
+        if (factor := b.constant) is not None:
+            return a.times(factor)
+        if (factor := a.constant) is not None:
+            return b.times(factor)
+        total, rest = a.plus(b), a.plus(b.times(-1.0))
+        both = joined([total.moved(np.ravel), rest.moved(np.ravel)], 0)
+        squares = self.activated(both, "square", hint)
+        n = total.size
+        parts = (squares.rows(np.arange(n) + k * n) for k in (0, 1))
+        one, two = parts
+        return one.times(0.25).plus(two.times(-0.25)).moved(lambda x: x.reshape(total.shape))
+
+    # -- recurrent cells ---------------------------------------------------------------------------------------------
+
+    def rnn(self, x: Value, h: Value, w: Sequence[np.ndarray], activation: str, hint: str) -> Value:
+        """h = f(W_x x + b_x + W_h h + b_h). w: W_x, W_h, b_x, b_h."""
+        total = x.linear(w[0]).plus(h.linear(w[1])).plus(constant(w[2] + w[3]))
+        return self.rectified(total, 0.0, hint) if activation == "relu" else self.activated(total, activation, hint)
+
+    def gru(self, x: Value, h: Value, w: Sequence[np.ndarray], hint: str, after: bool = True) -> Value:
+        """Gates r, z, n in this order, as torch has them. after: the reset gate acts behind the product with W_h."""
+        n = h.shape[-1]
+        of_x, of_h = x.linear(w[0]).plus(constant(w[2])), h.linear(w[1]).plus(constant(w[3]))
+
+        r, z = (
+            self.activated(_part(of_x, k, n).plus(_part(of_h, k, n)), "logsig", f"{hint}_{g}")
+            for k, g in ((0, "r"), (1, "z"))
+        )
+        if after:
+            inner = self.product(r, _part(of_h, 2, n), f"{hint}_reset")
+        else:
+            reset = self.product(r, h, f"{hint}_reset")
+            inner = reset.linear(w[1][2 * n :]).plus(constant(w[3][2 * n :]))
+        new = self.activated(_part(of_x, 2, n).plus(inner), "tansig", f"{hint}_n")
+        return new.plus(self.product(z, h.plus(new.times(-1.0)), f"{hint}_update"))
+
+    def lstm(self, x: Value, h: Value, c: Value, w: Sequence[np.ndarray], hint: str) -> tuple[Value, Value]:
+        """(h, c); gates i, f, g, o in this order, as torch has them."""
+        n = c.shape[-1]
+        total = x.linear(w[0]).plus(h.linear(w[1])).plus(constant(w[2] + w[3]))
+        gates = {}
+        for k, (gate, kind) in enumerate((("i", "logsig"), ("f", "logsig"), ("g", "tansig"), ("o", "logsig"))):
+            part = _part(total, k, n)
+            gates[gate] = self.activated(part, kind, f"{hint}_{gate}")
+        kept = self.product(gates["f"], c, f"{hint}_kept")
+        cell = kept.plus(self.product(gates["i"], gates["g"], f"{hint}_added"))
+        shown = self.activated(cell, "tansig", f"{hint}_tanh")
+        return self.product(gates["o"], shown, f"{hint}_shown"), cell
+
+    # -- the end -----------------------------------------------------------------------------------------------------
+
+    def output(self, ports: Sequence[Port], value: Value) -> None:
+        """The ports of an output tensor, in their units, side by side."""
+        if value.size != sum(p.size for p in ports):
+            names = ", ".join(p.name for p in ports)
+            raise InputError(
+                f"outputs {names}: the model gives {list(value.shape)}, {value.size} numbers; name one port each"
+            )
+        start = 0
+        for p in ports:
+            part = value.rows(start + np.arange(p.size))
+            inside = part.plus(constant(-p.offset)).times(1.0 / p.scale)
+            name = self._free(f"{p.name}_sum")
+            self._layer(name, inside.bias, inside.weights, "linear", np.full(p.size, p.rest))
+            self.network.connect(name, p.name)
+            start += p.size
+
+    def finished(self) -> Network:
+        """The network, checked. Raises InputError for a state that nothing feeds."""
+        return self.network.check()
+
+    def _layer(
+        self,
+        name: str,
+        bias: np.ndarray,
+        weights: Mapping[Signal, np.ndarray],
+        activation: str,
+        initial: np.ndarray | float = 0.0,
+    ) -> None:
+        """Add a layer that reads the signals; one that reads none would be a constant, and reads 0 times an input."""
+        if not weights:
+            first = self.inputs[0]
+            weights = {(first.name, 0): np.zeros((len(bias), first.size))}
+        ports = {
+            signal: re.sub(r"\W", "_", f"{signal[0]}_z{signal[1]}" if signal[1] else signal[0]) for signal in weights
+        }
+        layer = Layer({ports[s]: w for s, w in weights.items()}, bias, activation, initial)
+        self.network.modules[name] = layer
+        for (source, delay), inner in ports.items():
+            self.network.connect(source, f"{name}.{inner}", delay)
+
+    def _free(self, hint: str) -> str:
+        """A name for a layer, made from a hint."""
+        plain = re.sub(r"_+", "_", re.sub(r"\W", "_", hint, flags=re.ASCII)).strip("_") or "layer"
+        plain = plain if plain[0].isalpha() else f"n{plain}"
+        taken = {*self.network.modules, *(p.name for p in (*self.inputs, *self.outputs))}
+        name, k = plain[:60], 2
+        while name in taken:
+            name, k = f"{plain[:60]}_{k}", k + 1
+        return name
+
+
+def _part(value: Value, k: int, n: int) -> Value:
+    """The k-th n elements of the last axis."""
+    return value.moved(lambda i: i[..., k * n : (k + 1) * n])
+
+
+def taken(x: Value, places: Sequence[int] | np.ndarray | int, axis: int) -> Value:
+    """As np.take."""
+    return x.moved(lambda i: np.take(i, places, axis))
+
+
+def _port(given: Port | str) -> Port:
+    return port(given) if isinstance(given, str) else given

@@ -1,0 +1,39 @@
+"""A network from a file of another tool, by the ending of its name."""
+
+from pathlib import Path
+
+from greygate.errors import InputError
+from greygate.models.importers.matlab import from_matlab
+from greygate.models.importers.onnx_graph import from_onnx
+from greygate.models.importers.ports import port
+from greygate.models.network import Network
+from greygate.reading import line, listed, named, read_toml, table
+
+ENDINGS = (".onnx", ".mat")
+CODE = (".pt", ".pth", ".pkl", ".pickle", ".keras", ".h5")
+"""Files that may hold code, or that only their own tool reads."""
+
+
+def foreign(path: str) -> bool:
+    """Whether a file of that name is read here, or refused here."""
+    return path.lower().endswith((*ENDINGS, *CODE))
+
+
+def load(path: Path | str) -> Network:
+    """Read a network of another tool.
+
+    Beside model.onnx, model.ports.toml may name its ports and states: inputs = ["u [V]"], outputs = ["y [m]"],
+    state = { h = "h_next" }. Raises InputError for a file that holds code, and as the importers.
+    """
+    path = Path(path)
+    if path.suffix.lower() in CODE:
+        raise InputError(
+            f"{path}: may hold code, or needs its own tool; call greygate.from_torch in your program, or export to ONNX"
+        )
+    if path.suffix.lower() == ".mat":
+        return from_matlab(path)
+    names = path.with_suffix(".ports.toml")
+    kinds = {"inputs": listed(line), "outputs": listed(line), "state": named(line, line)}
+    told = table(read_toml(names, "name the ports"), f"{names}:", {}, kinds) if names.exists() else {}
+    ports = {key: [port(text) for text in told[key]] for key in ("inputs", "outputs") if key in told}
+    return from_onnx(path, ports.get("inputs"), ports.get("outputs"), told.get("state"))

@@ -1,0 +1,165 @@
+"""Networks of other tools answer as in their own tool."""
+
+import re
+
+import numpy as np
+import pytest
+import torch
+from imported_models import ALL, fitnet, free_run, mlp, signal, write_v5
+from torch import nn
+
+from greygate.errors import InputError
+from greygate.models.importers.files import load
+from greygate.models.importers.onnx_graph import from_onnx
+from greygate.models.importers.pytorch import from_torch, to_torch
+
+AGREED = 1e-6  # the largest difference over a free run; onnxruntime and its float32 models are the worst
+STEPS = 300
+
+
+@pytest.mark.parametrize("case", ALL, ids=lambda c: f"{c.source} {c.model}".replace(" ", "-"))
+def test_an_imported_network_answers_as_in_its_own_tool(case, tmp_path):
+    network, answer = case.make(tmp_path)
+    x = signal(STEPS, len(network.inputs))
+    expected = answer(x)
+    assert np.ptp(expected) > 0.01, "it does something"
+    assert np.abs(free_run(network, x) - expected).max() <= AGREED * max(1.0, np.abs(expected).max())
+
+
+def test_a_network_goes_to_torch_and_back_with_what_it_learnt_there(tmp_path):
+    torch.manual_seed(0)
+    network = from_torch(mlp(), ["u0", "u1"], ["y"])
+    module, x = to_torch(network), signal(80, 2)
+    assert np.abs(module(torch.tensor(x)).detach().numpy() - free_run(network, x)).max() < 1e-12
+    before = free_run(module.network(), x)
+    optimizer = torch.optim.SGD(module.parameters(), 0.05)
+    wanted = torch.tensor(x[:, :1] * x[:, 1:])
+    losses = []
+    for _ in range(5):
+        optimizer.zero_grad()
+        loss = ((module(torch.tensor(x)) - wanted) ** 2).mean()
+        loss.backward()
+        optimizer.step()
+        losses.append(loss.item())
+    assert losses[-1] < losses[0]
+    after = module.network()
+    assert np.abs(free_run(after, x) - before).max() > 1e-4
+    assert np.abs(module(torch.tensor(x)).detach().numpy() - free_run(after, x)).max() < 1e-12
+
+
+# -- what cannot be carried ------------------------------------------------------------------------------------------
+
+
+class Refused(nn.Module):
+    """An operation on the sum of a linear layer."""
+
+    def __init__(self, operation):
+        super().__init__()
+        self.first, self.operation = nn.Linear(3, 4), operation
+
+    def forward(self, x):
+        return self.operation(self.first(x))
+
+
+UNSUPPORTED = {
+    "softmax": lambda y: torch.softmax(y, -1),
+    "gelu": lambda y: torch.nn.functional.gelu(y),
+    "layer_norm": lambda y: torch.nn.functional.layer_norm(y, (4,)),
+    "exp": torch.exp,
+    "sin": torch.sin,
+    "div": lambda y: y[:2] / y[2:],
+    "max": lambda y: torch.max(y),
+    "pow": lambda y: torch.abs(y) ** 0.5,
+    "sort": lambda y: torch.sort(y)[0],
+    "cumsum": lambda y: torch.cumsum(y, 0),
+    "matmul": lambda y: y[:2] @ y[2:],
+    "softplus": torch.nn.functional.softplus,
+}
+
+
+@pytest.mark.parametrize("name", UNSUPPORTED)
+def test_an_operation_that_a_network_cannot_carry_is_named_with_its_line(name):
+    with pytest.raises(InputError) as found:
+        from_torch(Refused(UNSUPPORTED[name]), ["a", "b", "c"], [f"y{k}" for k in range(4)])
+    assert re.match(rf"operation \w*{name}\w* at .*test_importers.py:\d+: .+: .+", str(found.value)), found.value
+
+
+def test_a_recurrent_layer_of_both_directions_is_refused():
+    class Both(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.r = nn.GRU(2, 3, bidirectional=True)
+
+        def forward(self, x):
+            return self.r(x)[0]
+
+    with pytest.raises(InputError, match="both directions"):
+        from_torch(Both(), ["a", "b"], [f"y{k}" for k in range(6)])
+
+
+def test_a_step_with_another_number_of_results_is_refused():
+    class Forgetful(nn.Module):
+        def forward(self, x, state):
+            return x + state
+
+    with pytest.raises(InputError, match="forward gives 1 results; give y and 1 states"):
+        from_torch(Forgetful(), ["u"], ["y"], state=(np.zeros(1),))
+    with pytest.raises(InputError, match="name one port each"):
+        from_torch(mlp(), ["u0", "u1"], ["y", "z"])
+
+
+# -- files -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ending", ["pt", "pth", "pkl", "keras", "h5"])
+def test_a_file_that_may_hold_code_is_not_opened(tmp_path, ending):
+    path = tmp_path / f"model.{ending}"
+    path.write_bytes(b"cos\nsystem\n(S'touch owned'\ntR.")
+    with pytest.raises(InputError, match="may hold code"):
+        load(path)
+
+
+@pytest.mark.parametrize("ending", ["onnx", "mat"])
+def test_a_damaged_file_is_refused_in_one_line(tmp_path, ending):
+    case = next(c for c in ALL if c.model == ("LSTM" if ending == "onnx" else "fitnet"))
+    case.make(tmp_path)
+    path = next(tmp_path.glob(f"*.{ending}"))
+    whole, rng = path.read_bytes(), np.random.default_rng(0)
+    refused, lines = 0, set()
+    for _ in range(20 if ending == "mat" else 100):
+        data = bytearray(whole)
+        for at in rng.integers(0, len(data), 1 + int(rng.integers(4))):
+            data[at] = int(rng.integers(256))
+        path.write_bytes(bytes(data[: len(data) - int(rng.integers(2)) * int(rng.integers(len(data)))]))
+        try:
+            load(path)
+        except InputError as error:
+            refused += 1
+            lines.add(str(error).count("\n"))
+    assert refused > 5
+    assert lines == {0}
+
+
+def test_states_of_an_onnx_model_must_be_its_own(tmp_path):
+    case = next(c for c in ALL if c.model == "GRU" and c.source == "ONNX")
+    case.make(tmp_path)
+    with pytest.raises(InputError, match="inputs x, h and outputs y, h_next"):
+        from_onnx(tmp_path / "gru.onnx", state={"s": "h_next"})
+
+
+def test_a_file_of_matlab_must_name_its_ports_and_fit(tmp_path):
+    net = fitnet()
+    del net["inputs"]
+    write_v5(tmp_path / "a.mat", net)
+    with pytest.raises(InputError, match="names no inputs"):
+        load(tmp_path / "a.mat")
+    net = fitnet()
+    net["transferFcn"][0, 0] = "softmax"
+    write_v5(tmp_path / "b.mat", net)
+    with pytest.raises(InputError, match="layer 1 has transferFcn 'softmax'"):
+        load(tmp_path / "b.mat")
+    net = fitnet()
+    net["LW"][1, 0] = np.ones((1, 7))
+    write_v5(tmp_path / "c.mat", net)
+    with pytest.raises(InputError, match=r"weights of layer 2 from 1"):
+        load(tmp_path / "c.mat")
