@@ -1,7 +1,7 @@
-"""Reads MATLAB's .mat files, v5 and v7.3, in a process of its own: a damaged file may crash the libraries that read it.
+"""Reads MATLAB's .mat files, v5 and v7.3, in a process of its own: a damaged file may crash their libraries.
 
-A variable becomes a dictionary (struct), an array of objects (cells), a text, or an array of numbers. Objects, functions
-and struct arrays are left out.
+A variable becomes a dictionary (struct), an array of objects (cells), a text, or an array of numbers. Objects,
+functions and struct arrays are left out.
 """
 
 import io

@@ -262,6 +262,7 @@ class Builder:
         """A name for a layer, made from a hint."""
         plain = re.sub(r"_+", "_", re.sub(r"\W", "_", hint, flags=re.ASCII)).strip("_") or "layer"
         plain = plain if plain[0].isalpha() else f"n{plain}"
+        plain = plain if "_" in plain else f"{plain}_layer"  # so it is no keyword of a target's language
         taken = {*self.network.modules, *(p.name for p in (*self.inputs, *self.outputs))}
         name, k = plain[:60], 2
         while name in taken:

@@ -429,10 +429,10 @@ FUNCTIONS: dict[str, Callable] = {
         lambda i: np.broadcast_to(i, [i.shape[k - len(shape)] if n == -1 else n for k, n in enumerate(shape)])
     ),
     **dict.fromkeys(
-        ["clone", "detach", "detach_", "contiguous", "alias", "_to_copy", "to", "type_as", "dropout", "lift_fresh_copy"],
+        ["clone", "detach", "detach_", "contiguous", "alias", "_to_copy", "to", "type_as", "dropout"],
         _same,
     ),
-    "batch_norm": _normed, "zeros": _filled(0.0), "ones": _filled(1.0),
+    "lift_fresh_copy": _same, "batch_norm": _normed, "zeros": _filled(0.0), "ones": _filled(1.0),
     "zeros_like": lambda walk, x, **_: constant(np.zeros(x.shape)),
     "rnn_tanh": _layers("rnn_tanh", 1), "rnn_relu": _layers("rnn_relu", 1), "gru": _layers("gru", 1),
     "lstm": _layers("lstm", 2), "rnn_tanh_cell": _cells("rnn_tanh"), "rnn_relu_cell": _cells("rnn_relu"),

@@ -1,0 +1,65 @@
+"""Networks of other tools: the largest difference over a free run, and the bits of the hardware made of them.
+
+`make bench-importers` runs it and writes benchmarks/results/importers.json. Exit code 1 if a bit differs, or an answer
+by more than 1e-6 of its range.
+"""
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from imported_models import ALL, free_run, signal
+from made import keep
+
+from greygate.models.training.record import Record
+from greygate.plants.recording import Recording
+from greygate.project import Project, compile_project, fixed_and_float, verify_project
+from greygate.source import Source
+
+STEPS = 1000
+AGREED = 1e-6
+
+
+def measured(case, folder: Path) -> dict:
+    network, answer = case.make(folder)
+    x = signal(STEPS, len(network.inputs))
+    y, expected = free_run(network, x), answer(x)
+    columns = {p.name: x[:, k] for k, p in enumerate(network.inputs)}
+    columns |= {p.name: y[:, k] for k, p in enumerate(network.outputs)}
+    units = {p.name: p.unit for p in (*network.inputs, *network.outputs)}
+    Recording(1e-3, columns, units).write_csv(folder / "run.csv")
+    network.save(folder / "imported")
+    source = Source(str(folder / "imported.toml"), {"run": str(folder / "run.csv")})
+    compiled = compile_project(source, folder / "build", source.formats(16), architectures=("folded",))
+    verified = verify_project(Project.open(folder / "build"), seed=1)
+    record = Record(*({p.name: columns[p.name] for p in ports} for ports in (network.inputs, network.outputs)))
+    errors = fixed_and_float(compiled, record)
+    bits = [v.mismatch for found in verified.values() for v in found.verdicts]
+    return {
+        "source": case.source,
+        "model": case.model,
+        "operations": case.operations,
+        "parameters": int(sum(v.size for v in network.parameters().values())),
+        "largest": float(np.abs(y - expected).max() / np.ptp(expected)),
+        "fixed": max(e["fixed"] / float(np.ptp(columns[name])) for name, e in errors.items()),
+        "differing": None if any(bits) else 0,
+    }
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("part", choices=["models"], nargs="?")
+    parser.parse_args()
+    rows = []
+    for case in ALL:
+        with tempfile.TemporaryDirectory() as folder:
+            rows.append(measured(case, Path(folder)))
+        print(rows[-1], flush=True)
+    keep("importers", "models", {"steps": STEPS, "rows": rows})
+    return int(any(row["differing"] != 0 or row["largest"] > AGREED for row in rows))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
