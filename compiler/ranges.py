@@ -97,6 +97,7 @@ def _extend(seen: dict[str, tuple[float, float]], name: str, values: np.ndarray)
     seen[name] = (min(low, before[0]), max(high, before[1]))
 
 
+@np.errstate(over="ignore")  # a bound that does not settle may pass through large numbers to inf
 def _intervals(flat: Network, inputs: dict, start: dict[str, np.ndarray]) -> dict[str, tuple[float, float]]:
     """Interval bounds of every signal, by a fixed point over the delays; a bound that does not settle becomes inf."""
     low = {n: v.copy() for n, v in start.items()}

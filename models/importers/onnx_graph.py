@@ -36,6 +36,12 @@ def from_onnx(
     model's own names. state: an input of the model -> the output that it is in the next step. initial: such an input ->
     its value before the first step, 0 if not given. name: of the network, by default that of the file.
     Raises InputError for a file that is no model, and for an operation that a network cannot carry.
+
+    >>> import onnx
+    >>> step = "model (float[1] u, float[1] s) => (float[1] y, float[1] after) {after = Add(u, s) y = Tanh(after)}"
+    >>> onnx.save(onnx.parser.parse_model(f'<ir_version: 9, opset_import: ["": 18]> {step}'), "sum.onnx")
+    >>> from_onnx("sum.onnx", state={"s": "after"})
+    <Network sum: u [1] -> y [1]; 3 layers, 8 parameters>
     """
     model, state = _read(Path(path)), dict(state or {})
     graph = model.graph

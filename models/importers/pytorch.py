@@ -76,9 +76,11 @@ def to_torch(network: Network) -> "torch.nn.Module":
 
     Its `network()` is the network with the parameters as they are now, to go on with here.
 
-    >>> module = to_torch(axis_model)
+    >>> module = to_torch(from_torch(net, ["u"], ["y"]))
     >>> module(torch.zeros(3, 1, dtype=torch.float64)).shape
     torch.Size([3, 1])
+    >>> module.network()
+    <Network imported: u [1] -> y [1]; 2 layers, 13 parameters>
     """
     import torch
 
