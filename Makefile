@@ -160,7 +160,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(INSTALL) -e '.[dev,synthesis,proof,board,cluster,control,fmi,fusesoc,onnx,matlab]'
+	$(INSTALL) -e '.[dev,synthesis,proof,board,cluster,control,fmi,fusesoc,onnx,matlab,parquet,mdf,tdms,mcap]'
 	@touch $@
 
 $(VENV)/.ready-docs: $(VENV)/.ready

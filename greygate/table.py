@@ -83,6 +83,32 @@ def read_table(path: Path | str, nan: bool = False) -> CsvTable:
     return CsvTable(path, header, *_numbers(path, header, rows, lines, _is_plain(text, separator), nan), lines)
 
 
+def read_header(path: Path | str) -> tuple[list[str], bool]:
+    """(the names of the columns, whether a row of units follows them: no cell of it is a number)."""
+    path = Path(path)
+    _, rows, _ = _rows(path, _text(path))
+    names = [name.strip() for name in rows[0]]
+    below = [cell.strip() for cell in rows[1]] if len(rows) > 1 else []
+    follows = len(below) == len(names) and any(below) and not any(_NUMBER.fullmatch(c) for c in below)
+    return names, follows and all(re.search(r"[^\W\d_]|^[-%°]?$", c) for c in below) and "nan" not in map(
+        str.lower, below
+    )
+
+
+def read_united(path: Path | str) -> tuple[CsvTable, list[str]]:
+    """(the table, the units in the row below its names), as `read_table`."""
+    path = Path(path)
+    text = _text(path)
+    lines, rows, _ = _rows(path, text)
+    header = _header(path, [name.strip() for name in rows.pop(0)])
+    units = [cell.strip().strip("[]()") for cell in rows.pop(0)]
+    lines = lines[2:]
+    for line, row in zip(lines, rows, strict=True):
+        if len(row) != len(header):
+            raise InputError(f"{path}: row {line} has {len(row)} cells, the header {len(header)}; correct the row")
+    return CsvTable(path, header, *_numbers(path, header, rows, lines, False, False), lines), units
+
+
 def _text(path: Path) -> str:
     data: bytes | None
     try:

@@ -21,7 +21,19 @@ LAYERS = (  # from the top; what stands on one line imports nothing of another o
     ("rtl", "recordings"),
     ("base",),
 )
-BASE = ("contents", "errors", "files", "generated", "matfile", "names", "plain", "progress", "reading", "table", "version")
+BASE = (
+    "contents",
+    "errors",
+    "files",
+    "generated",
+    "foreign",
+    "names",
+    "plain",
+    "progress",
+    "reading",
+    "table",
+    "version",
+)
 FOLDERS = ("greygate", *(name for layer in LAYERS[1:-1] for name in layer))
 
 CONCEALED = "mismatch/concealed"  # an independent second implementation of four machines, as a referee

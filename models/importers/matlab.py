@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from greygate.errors import InputError, shown
-from greygate.matfile import read_mat
+from greygate.foreign import read_mat
 from greygate.models.importers.builder import Builder, Value, constant
 from greygate.models.importers.ports import port
 from greygate.models.network import Network, Port

@@ -1,4 +1,4 @@
-"""Reads MATLAB's .mat files, v5 and v7.3, in a process of its own: a damaged file may crash their libraries.
+"""Reads .mat files, HDF5 and MDF in a process of its own: a damaged file may crash their libraries.
 
 A variable becomes a dictionary (struct), an array of objects (cells), a text, or an array of numbers. Objects,
 functions and struct arrays are left out.
@@ -6,6 +6,7 @@ functions and struct arrays are left out.
 
 import io
 import json
+import os
 import resource
 import subprocess
 import sys
@@ -26,21 +27,38 @@ ARRAY, CELLS = "array", "cells"  # how an array is told from other things in JSO
 
 def read_mat(path: Path | str) -> dict[str, Any]:
     """The variables of a .mat file. Raises InputError for a file that is none, or that crashes its reader."""
-    path = Path(path)
+    return _apart(Path(path), "mat")
+
+
+def read_hdf5(path: Path | str) -> dict[str, Any]:
+    """The datasets of an HDF5 file, groups as dictionaries; `NAME@unit` is its attribute `unit` or `units`.
+
+    Raises InputError as `read_mat`.
+    """
+    return _apart(Path(path), "hdf5")
+
+
+def read_mdf(path: Path | str) -> dict[str, Any]:
+    """The channels of an MDF file with numbers; `NAME@unit` and `NAME@time` (s) beside them. Raises as `read_mat`."""
+    return _apart(Path(path), "mdf")
+
+
+def _apart(path: Path, kind: str) -> dict[str, Any]:
+    """Read it in another process."""
     try:
         if path.stat().st_size > LARGEST:
             raise InputError(f"{path}: larger than {LARGEST >> 30} GiB; save less of it")
         path.open("rb").close()
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}; give a .mat file") from None
+        raise InputError(f"{path}: {error.strerror or error}; check the path") from None
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "greygate.matfile", str(path.resolve()), folder]
+        command = [sys.executable, "-m", "greygate.foreign", kind, str(path.resolve()), folder]
         try:
             done = subprocess.run(
                 command, capture_output=True, text=True, errors="replace", timeout=SECONDS, check=False
             )
         except subprocess.TimeoutExpired:
-            raise InputError(f"{path}: is not read within {SECONDS:g} s; save it again with -v7") from None
+            raise InputError(f"{path}: is not read within {SECONDS:g} s; save less of it") from None
         if done.returncode:
             why = one_line(" ".join(done.stdout.split()))[:150] or "its reader crashed: it is damaged"
             raise InputError(f"{path}: cannot be read ({why})")
@@ -68,21 +86,23 @@ def _built(value: Any, arrays: Any) -> Any:
 # -- in the other process --------------------------------------------------------------------------------------------
 
 
-def _main(path: str, folder: str) -> int:
+def _main(kind: str, path: str, folder: str) -> int:
     """Write names.json and arrays.npz; say on stdout why not."""
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     try:
         with open(path, "rb") as file:
             head = file.read(520)
-        found = _v73(path) if head[:10] == b"MATLAB 7.3" or head[512:520] == b"\x89HDF\r\n\x1a\n" else _v5(path)
+        newer = head[:10] == b"MATLAB 7.3" or head[512:520] == b"\x89HDF\r\n\x1a\n"
+        readers = {"hdf5": _datasets, "mdf": _measured, "mat": _v73 if newer else _v5}
+        found = readers[kind](path)
         arrays: dict[str, np.ndarray] = {}
         told = {name: kept for name, value in found.items() if (kept := _written(value, arrays, 0)) is not None}
         np.savez(Path(folder) / "arrays.npz", allow_pickle=False, **arrays)  # type: ignore[arg-type]
         (Path(folder) / "names.json").write_text(json.dumps(told), encoding="utf-8")
     except Exception as error:  # a damaged file fails in many ways
-        print(f"{error}" or type(error).__name__)
-        return 1
+        print(f"{error}" or type(error).__name__, flush=True)
+        os._exit(1)  # what the libraries left half open may fail once more
     return 0
 
 
@@ -126,12 +146,55 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _v73(path: str) -> dict[str, Any]:
+def _measured(path: str) -> dict[str, Any]:
+    try:
+        import asammdf
+    except ImportError:
+        raise InputError("asammdf is not installed; pip install 'greygate[mdf]'") from None
+    found: dict[str, Any] = {}
+    with asammdf.MDF(path) as file:
+        for signal in file.iter_channels(skip_master=True):
+            samples = np.asarray(signal.samples)
+            if samples.dtype.kind in "fiu" and samples.ndim == 1 and len(samples) > 1:
+                name = next(
+                    n for k in range(1, 10**6) if (n := f"{signal.name}_{k}" if k > 1 else signal.name) not in found
+                )
+                found[name] = samples
+                found[f"{name}@time"] = np.asarray(signal.timestamps, float)
+                found[f"{name}@unit"] = signal.unit or ""
+    return found
+
+
+def _h5py() -> Any:
     try:
         import h5py
     except ImportError:
-        raise InputError("h5py is not installed; pip install 'greygate[matlab]', or save with -v7") from None
+        raise InputError("h5py is not installed; pip install 'greygate[matlab]'") from None
+    return h5py
 
+
+def _datasets(path: str) -> dict[str, Any]:
+    h5py = _h5py()
+
+    def plain(group: Any, depth: int = 0) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for name, item in group.items() if depth <= DEEPEST else ():
+            if isinstance(item, h5py.Group):
+                found[name] = plain(item, depth + 1)
+            elif item.dtype.kind in "fiub":
+                found[name] = np.asarray(item[()])
+                unit = item.attrs.get("unit", item.attrs.get("units"))
+                unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
+                if isinstance(unit, str):
+                    found[f"{name}@unit"] = unit
+        return found
+
+    with h5py.File(path, "r") as file:
+        return plain(file)
+
+
+def _v73(path: str) -> dict[str, Any]:
+    h5py = _h5py()
     with h5py.File(path, "r") as file:
 
         def plain(item: Any, depth: int = 0) -> Any:

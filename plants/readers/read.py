@@ -1,0 +1,128 @@
+"""One reader for every recording: `read_recording`."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greygate.errors import InputError, shown
+from greygate.plants.readers.columns import Channel, Column, Told, channels, recording
+from greygate.plants.readers.formats import FORMATS
+from greygate.plants.readers.formats import columns as of_file
+from greygate.plants.readers.units import PLAIN
+from greygate.plants.recording import Recording, read_csv
+from greygate.reading import line, named, read_toml, table
+from greygate.table import read_header, read_table, read_united
+
+SIDECAR = ".units.toml"  # beside a recording: [units], and the name of the time
+_STYLED = re.compile(r"[\[\](){}/:]| in |\S\s+\S")
+
+
+def read_recording(
+    source: Any,
+    required: Mapping[str, str] | None = None,
+    *,
+    units: Mapping[str, str] | None = None,
+    time: str | None = None,
+    dt: float | None = None,
+    resample: float | bool = False,
+    told: Told | None = None,
+) -> Recording:
+    """Read a recording: a file by its ending, a frame of pandas or polars, or a dictionary of arrays.
+
+    A header is `p_a_Pa`, `p_a [bar]`, `p_a (bar)`, `p_a / bar`; or a row of units follows; or NAME.units.toml beside
+    the file says them. Units other than the house's are converted to SI.
+    required: channel -> unit of those that must be there; they are converted to it. units: channel -> unit, which take
+    precedence. time: the name of the time. dt: sample time in s, where there is no time. resample: True or a step in s.
+    told: gets a line for each conversion.
+    Raises InputError for a format, a header, a unit or times that cannot be read in one way.
+
+    >>> lag = read_recording({"t": 1e-3 * np.arange(3), "n [rpm]": [0.0, 30.0, 60.0]})
+    >>> lag
+    <Recording recording: n [rad/s]; 3 samples, one every 0.001 s>
+    """
+    path = Path(source) if isinstance(source, str | Path) else None
+    if path is not None and not _styled(path, units, time, resample):
+        return read_csv(path, required, dt=dt)
+    found = read_channels(source, required, units=units, time=time, dt=dt)
+    name = str(path) if path is not None else "recording"
+    for channel, unit in (required or {}).items():
+        if channel not in {c.name for c in found}:
+            raise InputError(
+                f"{name}: channel {channel} [{unit}] is missing; it has {', '.join(c.name for c in found)}"
+            )
+    return recording(found, name, resample, told)
+
+
+def read_channels(
+    source: Any,
+    required: Mapping[str, str] | None = None,
+    *,
+    units: Mapping[str, str] | None = None,
+    time: str | None = None,
+    dt: float | None = None,
+) -> list[Channel]:
+    """The channels of a recording, each with its own times. Arguments and errors: as of `read_recording`."""
+    if not isinstance(source, str | Path):
+        return channels(_of_python(source), "recording", units, required, dt, time)
+    path = Path(source)
+    beside, clock = _beside(path)
+    columns = of_file(path) if path.suffix.lower() in FORMATS else _of_csv(path)
+    return channels(columns, str(path), {**beside, **(units or {})}, required, dt, time or clock)
+
+
+def _styled(path: Path, *asked: Any) -> bool:
+    """Whether a file is anything but a CSV of the house's own form."""
+    if path.suffix.lower() in FORMATS or any(asked) or _sidecar(path).exists():
+        return True
+    header, second = read_header(path)
+    if not header or header[0] not in ("t", "t_s", "k"):
+        return any(_STYLED.search(h) for h in header) or (bool(header) and header[0].lower() in ("time", "time_s"))
+    return any(_STYLED.search(h) or _plain(h) for h in header) or second
+
+
+def _plain(header: str) -> bool:
+    """Whether a name ends in a unit that the house's own form has not."""
+    parts = header.split("_")
+    return any("_".join(parts[k:]) in PLAIN for k in range(1, len(parts)))
+
+
+def _of_csv(path: Path) -> list[Column]:
+    _, second = read_header(path)
+    found, units = read_united(path) if second else (read_table(path), None)
+    return [
+        Column(name, np.ascontiguousarray(found.values[:, k]), None if units is None else units[k])
+        for k, name in enumerate(found.header)
+    ]
+
+
+def _sidecar(path: Path) -> Path:
+    return path.with_name(path.name.removesuffix(".gz").rpartition(".")[0] + SIDECAR)
+
+
+def _beside(path: Path) -> tuple[dict[str, str], str | None]:
+    """(units, name of the time) of the file beside, if there is one."""
+    place = _sidecar(path)
+    if not place.exists():
+        return {}, None
+    told = table(read_toml(place, "name the units"), f"{place}:", {}, {"units": named(line, line), "time": line})
+    return told.get("units", {}), told.get("time")
+
+
+def _of_python(source: Any) -> list[Column]:
+    """A mapping of names to arrays, or a frame with `columns`."""
+    names = list(source) if isinstance(source, Mapping) else list(getattr(source, "columns", ()))
+    if not names:
+        raise InputError(f"{shown(type(source).__name__)} is no recording; give a path, a frame, or a dict of arrays")
+    found = []
+    for name in names:
+        column = source[name]
+        values = np.asarray(column.to_numpy() if hasattr(column, "to_numpy") else column)
+        if values.dtype.kind == "M":
+            values = (values - values[0]) / np.timedelta64(1, "s")
+        if values.dtype.kind not in "fiu" or values.ndim != 1:
+            raise InputError(f"column {shown(str(name))}: holds no vector of numbers; leave it out")
+        found.append(Column(str(name), values.astype(float)))
+    return found

@@ -1,0 +1,235 @@
+"""One reader for the recordings of other tools: the same numbers from every format and every header."""
+
+import gzip
+import json
+
+import h5py
+import numpy as np
+import pytest
+from imported_models import write_v73
+from scipy.io import savemat
+
+from greygate.errors import InputError
+from greygate.plants.readers.read import read_recording
+from greygate.plants.readers.units import converted, split
+
+DT, N = 1e-3, 50
+RNG = np.random.default_rng(0)
+VALUES = {"v_c": RNG.standard_normal(N), "x": RNG.standard_normal(N) / 3, "p_a": 1e5 + 1e4 * RNG.standard_normal(N)}
+UNITS = {"v_c": "V", "x": "m", "p_a": "Pa"}
+TIME = DT * np.arange(N)
+
+
+def text(headers, units_row=None, separator=","):
+    rows = [separator.join(headers), *([separator.join(units_row)] if units_row else [])]
+    rows += [separator.join(f"{v!r}" for v in map(float, row)) for row in zip(TIME, *VALUES.values(), strict=True)]
+    return "\n".join(rows) + "\n"
+
+
+def csv_house(path):
+    path.write_text(text(["t_s", "v_c_V", "x_m", "p_a_Pa"]))
+
+
+def csv_brackets(path):
+    path.write_text(text(["t [s]", "v_c [V]", "x [m]", "p_a [Pa]"]))
+
+
+def csv_row(path):
+    path.write_text(text(["time", "v_c", "x", "p_a"], ["s", "V", "m", "Pa"], ";"))
+
+
+def csv_beside(path):
+    path.write_bytes(gzip.compress(text(["seconds", "v_c", "x", "p_a"]).encode()))
+    lines = "\n".join(f'{n} = "{u}"' for n, u in UNITS.items())
+    path.with_name("record.units.toml").write_text(f'time = "seconds"\n[units]\n{lines}\n')
+
+
+def mat5(path):
+    savemat(path, {"t": TIME, **VALUES, "units": UNITS})
+
+
+def mat73(path):
+    write_v73(path, {"data": {"time": TIME, **VALUES, "units": UNITS}})
+
+
+def hdf5(path):
+    with h5py.File(path, "w") as file:
+        file["t"] = TIME
+        for name, values in VALUES.items():
+            file[name] = values
+            file[name].attrs["unit"] = UNITS[name]
+
+
+def parquet(path):
+    import pyarrow
+    import pyarrow.parquet
+
+    fields = [pyarrow.field(n, pyarrow.float64(), metadata={"unit": u}) for n, u in UNITS.items()]
+    table = pyarrow.table(
+        [pyarrow.array(TIME), *map(pyarrow.array, VALUES.values())],
+        schema=pyarrow.schema([pyarrow.field("t", pyarrow.float64()), *fields]),
+    )
+    pyarrow.parquet.write_table(table, path)
+
+
+def mdf4(path):
+    from asammdf import MDF, Signal
+
+    with MDF(version="4.10") as file:
+        file.append([Signal(v, TIME, name=n, unit=UNITS[n]) for n, v in VALUES.items()])
+        file.save(path)
+
+
+def tdms(path):
+    from nptdms import ChannelObject, TdmsWriter
+
+    with TdmsWriter(path) as writer:
+        properties = {"wf_increment": DT, "wf_start_offset": 0.0}
+        writer.write_segment(
+            [ChannelObject("run", n, v, properties={**properties, "unit_string": UNITS[n]}) for n, v in VALUES.items()]
+        )
+
+
+def mcap(path):
+    from mcap.writer import Writer
+
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("sample", "jsonschema", b"{}")
+        channel = writer.register_channel("/rig", "json", schema)
+        for k in range(N):
+            sample = {f"{n}_{UNITS[n]}": float(v[k]) for n, v in VALUES.items()}
+            at = k * 1_000_000
+            writer.add_message(channel, at, json.dumps(sample).encode(), at)
+        writer.finish()
+
+
+FORMATS = {
+    "record.csv": csv_house, "brackets.csv": csv_brackets, "row.csv": csv_row, "record.csv.gz": csv_beside,
+    "v5.mat": mat5, "v73.mat": mat73, "record.h5": hdf5, "record.parquet": parquet, "record.mf4": mdf4,
+    "record.tdms": tdms, "record.mcap": mcap,
+}  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", FORMATS)
+def test_one_record_gives_the_same_array_in_every_format(name, tmp_path):
+    FORMATS[name](tmp_path / name)
+    found = read_recording(tmp_path / name)
+    assert (found.dt, dict(found.units)) == (DT, UNITS)
+    assert {n: v.tolist() for n, v in found.channels.items()} == {n: v.tolist() for n, v in VALUES.items()}
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_frames_and_dictionaries_are_recordings_too():
+    import pandas
+
+    columns = {"t [s]": TIME, **{f"{n} [{UNITS[n]}]": v for n, v in VALUES.items()}}
+    for source in (columns, pandas.DataFrame(columns)):
+        found = read_recording(source)
+        assert {n: v.tolist() for n, v in found.channels.items()} == {n: v.tolist() for n, v in VALUES.items()}
+    stamped = pandas.DataFrame({**columns, "t [s]": pandas.to_datetime(TIME, unit="s")})
+    assert read_recording(stamped).dt == DT
+    with pytest.raises(InputError, match="'float' is no recording"):
+        read_recording(1.5)
+
+
+HEADERS = [  # header, name, unit as the recording has it, what 2 becomes
+    ("p_a_Pa", "p_a", "Pa", 2.0), ("p_a_bar", "p_a", "bar", 2.0), ("p_a [bar]", "p_a", "bar", 2.0),
+    ("p_a (bar)", "p_a", "bar", 2.0), ("p_a / bar", "p_a", "bar", 2.0), ("p_a in bar", "p_a", "bar", 2.0),
+    ("p_a, bar", "p_a", "bar", 2.0), ("p_a: kPa", "p_a", "Pa", 2000.0), ("p_a{MPa}", "p_a", "Pa", 2e6),
+    ("p_psi", "p", "Pa", 13789.514586), ("Pressure A [psi]", "Pressure_A", "Pa", 13789.514586),
+    ("n_rpm", "n", "rad/s", 0.20943951), ("n [1/min]", "n", "rad/s", 0.20943951), ("n [rpm]", "n", "rad/s", 0.20943951),
+    ("phi_deg", "phi", "rad", 0.034906585), ("phi [°]", "phi", "rad", 0.034906585),
+    ("w [deg/s]", "w", "rad/s", 0.034906585),
+    ("T_degC", "T", "K", 275.15), ("T [°C]", "T", "K", 275.15), ("T (degF)", "T", "K", 256.483333333),
+    ("Q_L_min", "Q", "m^3/s", 3.3333333e-5), ("Q [l/min]", "Q", "m^3/s", 3.3333333e-5),
+    ("Q [m³/h]", "Q", "m^3/s", 5.5555556e-4), ("x_mm", "x", "m", 0.002), ("x [µm]", "x", "m", 2e-6),
+    ("a [m/s²]", "a", "m/s^2", 2.0), ("F [kN]", "F", "N", 2000.0), ("M [Nm]", "M", "N m", 2.0),
+    ("M [mN m]", "M", "N m", 0.002), ("duty [%]", "duty", "1", 0.02), ("P_kW", "P", "W", 2000.0),
+    ("s [-]", "s", "1", 2.0),
+    ("v [km/h]", "v", "m/s", 0.5555556), ("E [J]", "E", "J", 2.0), ("U [mV]", "U", "V", 0.002),
+    ("w [rad s^-1]", "w", "rad/s", 2.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("header", "name", "unit", "two"), HEADERS, ids=[h[0] for h in HEADERS])
+def test_a_header_of_any_usual_style_is_read_and_converted(header, name, unit, two):
+    said = []
+    found = read_recording({"t": [0.0, 1.0], header: [0.0, 2.0]}, told=said.append)
+    assert dict(found.units) == {name: unit}
+    assert found[name][1] == pytest.approx(two, rel=1e-6)
+    changed = two != 2.0
+    assert not changed or any(f"{name}: " in line and line.endswith(f" to {unit}") for line in said)
+
+
+REFUSED = {
+    "x [C]": "coulomb or degree Celsius", "m [g]": "gram or the acceleration", "p [bar(g)]": "gauge pressure",
+    "L [dB]": "logarithm", "x [foo]": "'foo' is not known", "x": "has no unit", "p_a_bar [psi]": "names two units",
+    "x [__import__('os')]": "not known", "x [m^99]": "not known", "T [h]": "an hour or",
+    "c [mol/L]": "without a unit here",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("header", REFUSED)
+def test_a_header_with_two_readings_or_none_is_refused_with_what_to_write(header):
+    with pytest.raises(InputError, match=REFUSED[header].replace("(", r"\(")):
+        read_recording({"t": [0.0, 1.0], header: [0.0, 2.0]})
+
+
+def test_a_required_unit_is_what_comes(tmp_path):
+    csv_house(tmp_path / "record.csv")
+    mat5(tmp_path / "v5.mat")
+    found = read_recording(tmp_path / "v5.mat", {"p_a": "bar"})
+    assert found["p_a"].tolist() == (VALUES["p_a"] * 1e-5).tolist()
+    with pytest.raises(InputError, match="cannot be converted to V"):
+        read_recording(tmp_path / "v5.mat", {"p_a": "V"})
+    with pytest.raises(InputError, match=r"channel q \[V\] is missing"):
+        read_recording(tmp_path / "v5.mat", {"q": "V"})
+
+
+def test_gaps_and_jitter_are_refused_and_resampled_on_request():
+    time = TIME + 1e-4 * np.sin(np.arange(N))
+    keep = np.r_[0:20, 25:N]
+    source = {"t": time[keep], "x [m]": np.sin(20 * time[keep])}
+    with pytest.raises(InputError, match="not uniform: 1 gaps, jitter"):
+        read_recording(source)
+    said = []
+    found = read_recording(source, resample=True, told=said.append)
+    assert any("1 gaps" in line for line in said)
+    assert np.abs(found["x"] - np.sin(20 * (time[0] + found.time))).max() < 5e-3
+    slow = read_recording(source, resample=4e-3)
+    assert slow.dt == 4e-3
+
+
+def test_two_clocks_are_told_apart_or_refused():
+    with pytest.raises(InputError, match="may both be the time"):
+        read_recording({"t": [0.0, 1.0], "time": [0.0, 1.0], "x [m]": [1.0, 2.0]})
+    found = read_recording({"t": [0.0, 1.0], "time [s]": [0.0, 2.0], "x [m]": [1.0, 2.0]}, time="t")
+    assert found.units == {"time": "s", "x": "m"}
+    assert read_recording({"time [ms]": [0.0, 1.0], "x [m]": [1.0, 2.0]}).dt == 1e-3
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", [n for n in FORMATS if ".csv" not in n])
+def test_a_damaged_file_is_refused_in_one_line(name, tmp_path):
+    FORMATS[name](tmp_path / name)
+    whole, rng, lines = (tmp_path / name).read_bytes(), np.random.default_rng(1), set()
+    apart = name.endswith((".mat", ".h5", ".mf4"))  # read in another process, which takes its time
+    for _ in range(4 if apart else 60):
+        data = bytearray(whole)
+        for at in rng.integers(0, len(data), 1 + int(rng.integers(8))):
+            data[at] = int(rng.integers(256))
+        (tmp_path / name).write_bytes(bytes(data[: len(data) - int(rng.integers(2)) * int(rng.integers(len(data)))]))
+        try:
+            read_recording(tmp_path / name)
+        except InputError as error:
+            lines.add(str(error).count("\n"))
+    assert lines <= {0}
+
+
+def test_a_unit_is_converted_by_factor_and_zero():
+    values, unit = converted(np.array([0.0, 100.0]), "degC", "x")
+    assert (values.tolist(), unit) == ([273.15, 373.15], "K")
+    assert split("Stellung Kolben [mm]", "x") == ("Stellung_Kolben", "mm")
