@@ -58,7 +58,7 @@ from greygate.models.network import Network
 from greygate.models.training.record import Record
 from greygate.pages.report.study import size
 from greygate.plain import json_text
-from greygate.plants.recording import read_csv
+from greygate.plants.readers.read import is_recording, read_recording
 from greygate.progress import Progress, silent, titled
 from greygate.reading import read_json
 from greygate.source import Source, read_record
@@ -279,8 +279,8 @@ class Project:
 
         Raises InputError for a file that cannot be read, and for a name that is neither.
         """
-        if Path(recording).exists() or recording.endswith(".csv"):
-            return read_record(self.network, recording, targets=False).inputs, read_csv(recording).dt
+        if Path(recording).exists() or is_recording(recording):
+            return read_record(self.network, recording, targets=False).inputs, read_recording(recording).dt
         if recording not in (records := self.source.records()):
             raise InputError(f"{recording}: no such file, and no scenario of this build; it has {', '.join(records)}")
         return records[recording].inputs, self.program.period

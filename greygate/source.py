@@ -18,14 +18,14 @@ from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Outcome, narx_noe, train
 from greygate.models.training.record import Record, held_out
 from greygate.plain import json_text, plain
-from greygate.plants.recording import read_csv
-from greygate.progress import Progress, silent
+from greygate.plants.readers.read import read_recording
+from greygate.progress import Progress, once, silent
 
 SAME_TIME = 1e-3  # relative difference that sample times may have, because printed times are rounded
 
 
 def read_record(network: Network, path: Path | str, targets: bool = True) -> Record:
-    """Read a recording for a network: columns named `port_unit`, time in `t_s`.
+    """Read a recording for a network: a column for each port, in its unit or one that is converted to it, and the time.
 
     targets: read the network's outputs too. Raises InputError for a missing column or unit, NaN, non-uniform time, and
     an empty file.
@@ -50,7 +50,7 @@ def _read(network: Network, path: Path | str, targets: bool = True) -> tuple[Rec
         if port.size > 1:
             raise InputError(f"port {port.name} has {port.size} elements, but a CSV column holds one; use scalar ports")
     wanted = network.inputs + (network.outputs if targets else [])
-    recording = read_csv(path, {p.name: p.unit for p in wanted})
+    recording = read_recording(path, {p.name: p.unit for p in wanted}, told=once)
 
     def channels(ports: list[Port]) -> dict[str, np.ndarray]:
         return {p.name: recording[p.name] for p in ports}
@@ -101,7 +101,7 @@ class Source:
     def period(self) -> float:
         if self.name in CATALOG:
             return entry(self.name).period
-        return read_csv(next(iter(self.recordings.values()))).dt if self.recordings else 1e-3
+        return read_recording(next(iter(self.recordings.values()))).dt if self.recordings else 1e-3
 
     @property
     def training(self) -> tuple[str, ...]:

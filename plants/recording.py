@@ -14,7 +14,8 @@ from greygate.table import CsvTable, read_table
 UNITS = {
     "s": "s", "m": "m", "m_s": "m/s", "m_s2": "m/s^2", "m3_s": "m^3/s", "rad": "rad", "rad_s": "rad/s",
     "rev_s": "rev/s", "N": "N", "Nm": "N m", "Pa": "Pa", "bar": "bar", "V": "V", "A": "A", "K": "K",
-    "counts": "count", "raw": "count", "ticks_per_s": "tick/s", "1": "1",
+    "counts": "count", "raw": "count", "ticks_per_s": "tick/s", "W": "W", "J": "J", "kg": "kg", "Hz": "Hz",
+    "m2": "m^2", "m3": "m^3", "rad_s2": "rad/s^2", "kg_s": "kg/s", "1": "1",
 }  # fmt: skip
 """Unit suffix of a CSV column name -> unit."""
 

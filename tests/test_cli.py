@@ -227,7 +227,7 @@ def swapped(rows, row, column, text):
         (lambda p: recording(p, header="t_s,u,y_m"), "unit"),
         (lambda p: recording(p, header="t_s,u_A,y_m"), "u"),
         (lambda p: recording(p, header="t_s,w_V,y_m"), "u"),
-        (lambda p: recording(p, header="time,u_V,y_m"), "t_s"),
+        (lambda p: recording(p, header="clock,u_V,y_m"), "t_s"),
         (lambda p: recording(p, spoil=lambda r: swapped(r, 5, 0, "0.0055")), "uniform"),
         (lambda p: recording(p, spoil=lambda r: swapped(r, 5, 1, "nan")), "nan"),
         (lambda p: recording(p, spoil=lambda r: swapped(r, 5, 2, "inf")), "inf"),

@@ -23,6 +23,7 @@ from greygate.source import Source
 
 LEAST = 400  # invocations
 GOOD = {
+    "look": ["a.csv", "--out", "new.csv"],
     "train": ["line.toml", "--record", "a.csv", "--out", "new"],
     "compile": ["line.toml", "--record", "a.csv", "--out", "new"],
     "emulate": ["build", "a.csv", "--out", "new.csv"],
@@ -77,6 +78,8 @@ TEXTS = {
     "rows": NO_PLACE, "picture": NO_PLACE, "own": ["none", ""],
     "old": NO_BUILD, "new": NO_BUILD, "budget": NO_TOML,
     "test": NAMED, "sensor": ["nobody", ""], "target": ["nobody", ""], "machine": ["nobody", "a.csv", ""],
+    "unit": ["", "u", "u=", "=V", "u=foo", "nobody=V"], "time": ["nobody", ""],
+    "resample": ["", "x", "0", "-1", "nan", "inf", "1e9"],
     "input": ["nobody", ""], "output": ["nobody", "x_drum", ""],
 }  # fmt: skip
 """Wrong texts by the name of the option or argument."""

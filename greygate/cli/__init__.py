@@ -12,14 +12,14 @@ from typing import Annotated, Any
 import typer
 
 from greygate import __version__
-from greygate.cli import bench, boards, builds, controls, doctor, expert, exports, identify, networks, rigs
+from greygate.cli import bench, boards, builds, controls, doctor, expert, exports, identify, networks, recordings, rigs
 from greygate.cli.terminal import say
 from greygate.errors import InputError
 
 INTERRUPTED, TERMINATED = 130, 143  # exit codes after Ctrl-C and after `kill`, as shells give them
 UsageError: Any = typer.BadParameter.__base__  # raised for an argument or option that is missing, unknown or wrong
 COMMANDS = (
-    *(identify.identify, networks.train, expert.build_snn, networks.compile),
+    *(recordings.look, identify.identify, networks.train, expert.build_snn, networks.compile),
     *(builds.emulate, builds.verify, builds.prove, builds.synthesize, builds.report, builds.compare),
     *(boards.board, boards.play),
     networks.validate,

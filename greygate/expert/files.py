@@ -9,8 +9,9 @@ from greygate.files import making, replacing, writing
 from greygate.mismatch.rig import load
 from greygate.plain import json_text, plain
 from greygate.plants.plant import Plant
-from greygate.plants.recording import Recording, read_csv
-from greygate.progress import Progress, silent
+from greygate.plants.readers.read import read_recording
+from greygate.plants.recording import Recording
+from greygate.progress import Progress, once, silent
 
 RIG = "rig.toml"
 
@@ -48,7 +49,7 @@ def read(where: Path, files: Mapping[str, str]) -> tuple[Plant, dict[str, Record
     if where.is_dir() or where.name == RIG:
         rig = load(folder)
         return rig.plant, {name: rig.recording(Path(path)) for name, path in files.items()}
-    return Plant.read(where), {name: read_csv(path) for name, path in files.items()}
+    return Plant.read(where), {name: read_recording(path, told=once) for name, path in files.items()}
 
 
 def _written(built: Built, files: Mapping[str, str], out: Path) -> dict:

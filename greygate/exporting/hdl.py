@@ -24,7 +24,8 @@ def export_fusesoc(project: Project, out: Path | str, architecture: str | None =
 
     Raises InputError for an architecture that the build has not, and for Verilog that was changed.
     """
-    chosen = architecture or (FOLDED if FOLDED in project.designs else project.designs[0])
+    usual = FOLDED if FOLDED in project.designs else project.designs[0]
+    chosen = usual if architecture is None else architecture
     if chosen not in project.designs:
         raise InputError(f"{project.folder}: has no architecture {chosen!r}; it has {', '.join(project.designs)}")
     if edited := project.edited():

@@ -17,8 +17,9 @@ from greygate.identifying.task import Task, task
 from greygate.models.accuracy import rms
 from greygate.models.network import Network
 from greygate.plain import json_text, plain
-from greygate.plants.recording import Recording, read_csv
-from greygate.progress import Progress, silent
+from greygate.plants.readers.read import read_recording
+from greygate.plants.recording import Recording
+from greygate.progress import Progress, once, silent
 from greygate.source import SAME_TIME
 
 DRAWS = 2000  # resampled sets of segments, from which confidence and interval follow
@@ -212,7 +213,9 @@ def identify_files(
         raise InputError("--input is missing; give the channels that drive the plant")
     if output in inputs or len(set(inputs)) < len(inputs):
         raise InputError(f"--input {', '.join(inputs)}, --output {output}: name each channel once")
-    read_in, read_tests = ({n: read_csv(p, dt=dt, bare=True) for n, p in of.items()} for of in (files, tests))
+    read_in, read_tests = (
+        {n: read_recording(p, dt=dt, bare=True, told=once) for n, p in of.items()} for of in (files, tests)
+    )
     first = next(iter(read_in.values()))
     for recording in (*read_in.values(), *read_tests.values()):
         for channel in (*inputs, output):

@@ -62,11 +62,13 @@ def channels(
     required: Mapping[str, str] | None = None,
     dt: float | None = None,
     clock: str | None = None,
+    bare: bool = False,
 ) -> list[Channel]:
     """Channels in SI or the house's units; in the required ones, where they are required.
 
     units: name -> unit as written, before what the header says. dt: sample time in s of columns without a time.
-    clock: name of the time. Raises InputError for a header or a unit that cannot be read in one way.
+    clock: name of the time. bare: a column without a unit is a plain number.
+    Raises InputError for a header or a unit that cannot be read in one way.
     """
     units, required = dict(units or {}), required or {}
     named = [(column, *split(column.header, source)) for column in columns]
@@ -85,7 +87,7 @@ def channels(
         time, _ = converted(np.asarray(column.values, float), written, f"{source}: time {name}", "s")
     found = []
     for column, name, unit in named:
-        where, told = f"{source}: column {name}", units.pop(name, "") or column.unit or unit
+        where, told = f"{source}: column {name}", units.pop(name, "") or column.unit or unit or ("1" if bare else None)
         if told is None:
             raise InputError(f"{where}: has no unit; write {name} [unit] in its header, or name the unit beside")
         values, kind = converted(np.asarray(column.values, float), told, where, required.get(name))

@@ -28,6 +28,7 @@ def read_recording(
     time: str | None = None,
     dt: float | None = None,
     resample: float | bool = False,
+    bare: bool = False,
     told: Told | None = None,
 ) -> Recording:
     """Read a recording: a file by its ending, a frame of pandas or polars, or a dictionary of arrays.
@@ -36,7 +37,7 @@ def read_recording(
     the file says them. Units other than the house's are converted to SI.
     required: channel -> unit of those that must be there; they are converted to it. units: channel -> unit, which take
     precedence. time: the name of the time. dt: sample time in s, where there is no time. resample: True or a step in s.
-    told: gets a line for each conversion.
+    bare: a column without a unit is a plain number. told: gets a line for each conversion.
     Raises InputError for a format, a header, a unit or times that cannot be read in one way.
 
     >>> lag = read_recording({"t": 1e-3 * np.arange(3), "n [rpm]": [0.0, 30.0, 60.0]})
@@ -45,8 +46,8 @@ def read_recording(
     """
     path = Path(source) if isinstance(source, str | Path) else None
     if path is not None and not _styled(path, units, time, resample):
-        return read_csv(path, required, dt=dt)
-    found = read_channels(source, required, units=units, time=time, dt=dt)
+        return read_csv(path, required, dt=dt, bare=bare)
+    found = read_channels(source, required, units=units, time=time, dt=dt, bare=bare)
     name = str(path) if path is not None else "recording"
     for channel, unit in (required or {}).items():
         if channel not in {c.name for c in found}:
@@ -56,6 +57,11 @@ def read_recording(
     return recording(found, name, resample, told)
 
 
+def is_recording(name: str) -> bool:
+    """Whether a name is one of a recording's file, by its ending."""
+    return name.removesuffix(".gz").endswith((".csv", *FORMATS))
+
+
 def read_channels(
     source: Any,
     required: Mapping[str, str] | None = None,
@@ -63,14 +69,15 @@ def read_channels(
     units: Mapping[str, str] | None = None,
     time: str | None = None,
     dt: float | None = None,
+    bare: bool = False,
 ) -> list[Channel]:
     """The channels of a recording, each with its own times. Arguments and errors: as of `read_recording`."""
     if not isinstance(source, str | Path):
-        return channels(_of_python(source), "recording", units, required, dt, time)
+        return channels(_of_python(source), "recording", units, required, dt, time, bare)
     path = Path(source)
     beside, clock = _beside(path)
     columns = of_file(path) if path.suffix.lower() in FORMATS else _of_csv(path)
-    return channels(columns, str(path), {**beside, **(units or {})}, required, dt, time or clock)
+    return channels(columns, str(path), {**beside, **(units or {})}, required, dt, time or clock, bare)
 
 
 def _styled(path: Path, *asked: Any) -> bool:
@@ -99,7 +106,7 @@ def _of_csv(path: Path) -> list[Column]:
 
 
 def _sidecar(path: Path) -> Path:
-    return path.with_name(path.name.removesuffix(".gz").rpartition(".")[0] + SIDECAR)
+    return path.parent / (path.name.removesuffix(".gz").rpartition(".")[0] + SIDECAR)
 
 
 def _beside(path: Path) -> tuple[dict[str, str], str | None]:

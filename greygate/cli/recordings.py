@@ -1,0 +1,92 @@
+"""The command that looks at a recording: look."""
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from greygate.cli import options
+from greygate.cli.terminal import Json, give, say
+from greygate.errors import InputError
+
+AUTO = "auto"
+
+
+def look(
+    recording: Annotated[Path, typer.Argument(help="CSV, .mat, .h5, .parquet, .mf4, .tdms or .mcap.")],
+    unit: Annotated[list[str], typer.Option(help="NAME=UNIT for a channel whose header does not say it.")] = [],
+    time: Annotated[str | None, typer.Option(help="Name of the time, if it is not t or time.")] = None,
+    sample_time: Annotated[
+        float | None, typer.Option(callback=options.SECONDS, help="Seconds between samples, where there is no time.")
+    ] = None,
+    resample: Annotated[
+        str | None, typer.Option(help="auto, or a step in s: bring all channels to one uniform time.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="CSV to write, as every command reads it.")] = None,
+    html: Annotated[Path | None, typer.Option(help="HTML page to write, which draws every channel.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Print the channels of a recording: units, rates, ranges, gaps; draw them; write them as a CSV.
+
+    Units other than the house's are converted to SI. Exit code 2 for a unit or a time that cannot be read in one way.
+    """
+    from greygate.files import replacing
+    from greygate.pages.recorded import COLUMNS, page, rows
+    from greygate.pages.summary import aligned
+    from greygate.plants.readers.columns import recording as uniform
+    from greygate.plants.readers.read import read_channels
+
+    step = _step(resample)
+    if time == "":
+        raise InputError("--time: give the name of the column that holds the time")
+    found = read_channels(recording, units=dict(map(_unit, unit)), time=time, dt=sample_time, bare=False)
+    if step and out is None:
+        raise InputError("--resample changes what is written; give --out FILE.csv")
+    made = None if out is None else uniform(found, str(recording), step, say)
+    with ExitStack() as both:  # or neither
+        if html is not None:
+            drawn = both.enter_context(replacing(html))
+            drawn.write_text(page(found, recording.name), encoding="utf-8")
+        if made is not None and out is not None:
+            made.write_csv(out)
+    lines = aligned(rows(found), COLUMNS[:3]) + [f"written to {path}" for path in (out, html) if path is not None]
+    channels = [
+        {
+            "name": c.name,
+            "unit": c.unit,
+            "given": c.given or c.unit,
+            "samples": len(c.values),
+            "from_s": float(c.time[0]),
+            "to_s": float(c.time[-1]),
+            "step_s": c.step,
+            "jitter_s": c.jitter,
+            "gaps": c.gaps,
+            "least": float(c.values.min()),
+            "greatest": float(c.values.max()),
+        }
+        for c in found
+    ]
+    give({"recording": str(recording), "channels": channels}, as_json, lines)
+
+
+def _unit(text: str) -> tuple[str, str]:
+    name, equals, unit = text.partition("=")
+    if not equals or not name or not unit:
+        raise InputError(f"--unit {text}: write NAME=UNIT, such as p_a=bar")
+    return name, unit
+
+
+def _step(text: str | None) -> float | bool:
+    """What `columns.recording` takes."""
+    if text is None:
+        return False
+    if text == AUTO:
+        return True
+    try:
+        step = float(text)
+    except ValueError:
+        step = 0.0
+    if not 0.0 < step < float("inf"):
+        raise InputError(f"--resample {text}: give auto, or a step in seconds above 0")
+    return step
