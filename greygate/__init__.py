@@ -24,6 +24,7 @@ _PUBLIC = {  # name -> module: name there, in the order of the examples
     "Record": "greygate.models.training.record:Record",
     "Recording": "greygate.plants.recording:Recording",
     "read_csv": "greygate.plants.recording:read_csv",
+    "read_recording": "greygate.plants.readers.read:read_recording",
     "from_torch": "greygate.models.importers.pytorch:from_torch",
     "to_torch": "greygate.models.importers.pytorch:to_torch",
     "from_onnx": "greygate.models.importers.onnx_graph:from_onnx",

@@ -17,6 +17,7 @@ from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
 from greygate.models.validation import validate
 from greygate.plants.plant import Plant
+from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import Recording, read_csv
 from greygate.plants.simulate import simulate
 from greygate.project import Project
@@ -51,6 +52,7 @@ __all__ = [
     "from_torch",
     "load_rig",
     "read_csv",
+    "read_recording",
     "report",
     "simulate",
     "synthesize",

@@ -51,7 +51,7 @@ def from_torch(
     size = sum(p.size for p in builder.inputs)
     sequence = any(type(m).__name__ in SEQUENCES for m in own.modules())
     x = torch.zeros((1, size) if sequence and not state else (size,), dtype=torch.float64)
-    starts = [torch.as_tensor(np.array(s, float)) for s in state]
+    starts = [torch.as_tensor(s, dtype=torch.float64) for s in state]
     try:
         with torch.no_grad(), warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of torch, about its own recurrent modules

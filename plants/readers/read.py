@@ -40,8 +40,8 @@ def read_recording(
     bare: a column without a unit is a plain number. told: gets a line for each conversion.
     Raises InputError for a format, a header, a unit or times that cannot be read in one way.
 
-    >>> lag = read_recording({"t": 1e-3 * np.arange(3), "n [rpm]": [0.0, 30.0, 60.0]})
-    >>> lag
+    >>> shaft = read_recording({"t": 1e-3 * np.arange(3), "n [rpm]": [0.0, 30.0, 60.0]})
+    >>> shaft
     <Recording recording: n [rad/s]; 3 samples, one every 0.001 s>
     """
     path = Path(source) if isinstance(source, str | Path) else None
