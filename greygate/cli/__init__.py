@@ -25,6 +25,7 @@ COMMANDS = (
     networks.validate,
     *(controls.control, doctor.doctor),
     *(rigs.diagnose, rigs.next_, rigs.isolability, rigs.simulate, rigs.augment, rigs.conceal, rigs.reveal),
+    rigs.fit_fmu,
 )
 
 app = typer.Typer(

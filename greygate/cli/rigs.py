@@ -206,3 +206,37 @@ def reveal(
     give(found, as_json, lines)
     if not right:
         raise typer.Exit(1)
+
+
+def fit_fmu(
+    fmu: Annotated[Path, typer.Argument(help="FMU for co-simulation, FMI 2.0 or 3.0.")],
+    recording: Annotated[Path, typer.Argument(help="Recording with every input of the FMU, and outputs.")],
+    parameter: Annotated[list[str], typer.Option(help="NAME of a parameter to fit; may be given several times.")] = [],
+    trust: Annotated[bool, typer.Option("--trust", help="Run the FMU: it is a program of whoever made it.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Fit the parameters of an FMU to a recording, and say whether the recording is late, off or scaled.
+
+    The last part of the recording is held out, and judges.
+    """
+    from greygate.exporting.calibrate import calibrate
+
+    if not trust:
+        raise InputError(f"{fmu}: an FMU is a program and runs with your rights; if you trust its maker, give --trust")
+    with following("fitting") as progress:
+        found = calibrate(fmu, recording, parameter, progress)
+    lines = [
+        f"{n:16} {p['value']:.6g} [{p['interval'][0]:.6g}, {p['interval'][1]:.6g}] {p['unit']}  (start {p['start']:g})"
+        for n, p in found["parameters"].items()
+    ]
+    for n, e in found["rms"].items():
+        parts = ", ".join(
+            f"{word.replace('_', ' ')} {e[word]['held_out']:.4g}" for word in ("start", "calibrated", "with_faults")
+        )
+        lines.append(f"{n:16} RMS held out {e['unit']}: {parts}")
+    for f in found["faults"]:
+        low, high = f["interval"]
+        lines.append(
+            f"the recording     {f['kind']} of {f['channel']}: {f['size']:.4g} [{low:.4g}, {high:.4g}] {f['unit']}"
+        )
+    give(found, as_json, [*lines, f"cannot show       {found['cannot_show']}"])
