@@ -27,7 +27,7 @@ PERIOD, SAMPLES = 1e-3, 1500
 def commands() -> list[str]:
     """Lines of the README's blocks that begin with greygate, without their remarks."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    blocks = "".join(re.findall(r"^```\n(.*?)^```", text, re.S | re.M))
+    blocks = "".join(body for kind, body in re.findall(r"^```(\w*)[^\n]*\n(.*?)^```", text, re.S | re.M) if not kind)
     found = [line.partition(" #")[0].strip() for line in re.findall(r"^greygate .*$", blocks, re.M)]
     return [line for line in found if not line.startswith(LEFT_OUT)]
 
