@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 import torch
 from imported_models import ALL, fitnet, free_run, mlp, signal, write_v5
+from test_cli import greygate
 from torch import nn
 
 from greygate.errors import InputError
 from greygate.models.importers.files import load
 from greygate.models.importers.onnx_graph import from_onnx
 from greygate.models.importers.pytorch import from_torch, to_torch
+from greygate.plants.recording import Recording
+from greygate.project import Project
 
 AGREED = 1e-6  # the largest difference over a free run; onnxruntime and its float32 models are the worst
 STEPS = 300
@@ -163,3 +166,20 @@ def test_a_file_of_matlab_must_name_its_ports_and_fit(tmp_path):
     write_v5(tmp_path / "c.mat", net)
     with pytest.raises(InputError, match=r"weights of layer 2 from 1"):
         load(tmp_path / "c.mat")
+
+
+@pytest.mark.parametrize("model", ["GRU", "fitnet"])
+def test_a_file_of_another_tool_stands_wherever_a_network_does(model, tmp_path):
+    case = next(c for c in ALL if c.model == model and c.source != "torch")
+    network, _ = case.make(tmp_path)
+    x = signal(100, len(network.inputs))
+    columns = {p.name: x[:, k] for k, p in enumerate(network.inputs)}
+    columns |= {p.name: v for p, v in zip(network.outputs, free_run(network, x).T, strict=True)}
+    units = {p.name: p.unit for p in (*network.inputs, *network.outputs)}
+    Recording(1e-3, columns, units).write_csv(tmp_path / "run.csv")
+    file = next(p for p in tmp_path.iterdir() if p.suffix in (".onnx", ".mat"))
+    code, out, told = greygate(
+        "compile", file, "--record", tmp_path / "run.csv", "--architecture", "folded", "--out", tmp_path / "build"
+    )
+    assert code == 0, told
+    assert Project.open(tmp_path / "build").program.name == file.stem
