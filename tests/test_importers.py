@@ -178,7 +178,7 @@ def test_a_file_of_another_tool_stands_wherever_a_network_does(model, tmp_path):
     units = {p.name: p.unit for p in (*network.inputs, *network.outputs)}
     Recording(1e-3, columns, units).write_csv(tmp_path / "run.csv")
     file = next(p for p in tmp_path.iterdir() if p.suffix in (".onnx", ".mat"))
-    code, out, told = greygate(
+    code, _, told = greygate(
         "compile", file, "--record", tmp_path / "run.csv", "--architecture", "folded", "--out", tmp_path / "build"
     )
     assert code == 0, told
