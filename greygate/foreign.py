@@ -63,31 +63,30 @@ def _apart(path: Path, kind: str) -> dict[str, Any]:
             why = one_line(" ".join(done.stdout.split()))[:150] or "its reader crashed: it is damaged"
             raise InputError(f"{path}: cannot be read ({why})")
         told = json.loads((Path(folder) / "names.json").read_text(encoding="utf-8"))
-        with np.load(Path(folder) / "arrays.npz", allow_pickle=False) as arrays:
-            return {name: _built(value, arrays) for name, value in told.items()}
+        return {name: _built(value, Path(folder)) for name, value in told.items()}
 
 
-def _built(value: Any, arrays: Any) -> Any:
+def _built(value: Any, folder: Path) -> Any:
     """A value from what the other process wrote."""
     if isinstance(value, str):
         return value
     kind, content = value
     if kind == ARRAY:
-        return arrays[content]
+        return np.load(folder / f"{content}.npy", allow_pickle=False)
     if kind == CELLS:
         shape, inner = content
         found = np.empty(len(inner), object)
         for k, one in enumerate(inner):
-            found[k] = _built(one, arrays)
+            found[k] = _built(one, folder)
         return found.reshape(shape)
-    return {name: _built(inner, arrays) for name, inner in content.items()}
+    return {name: _built(inner, folder) for name, inner in content.items()}
 
 
 # -- in the other process --------------------------------------------------------------------------------------------
 
 
 def _main(kind: str, path: str, folder: str) -> int:
-    """Write names.json and arrays.npz; say on stdout why not."""
+    """Write names.json and the arrays; say on stdout why not."""
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     try:
@@ -98,7 +97,8 @@ def _main(kind: str, path: str, folder: str) -> int:
         found = readers[kind](path)
         arrays: dict[str, np.ndarray] = {}
         told = {name: kept for name, value in found.items() if (kept := _written(value, arrays, 0)) is not None}
-        np.savez(Path(folder) / "arrays.npz", allow_pickle=False, **arrays)  # type: ignore[arg-type]
+        for name, array in arrays.items():
+            np.save(Path(folder) / f"{name}.npy", array, allow_pickle=False)
         (Path(folder) / "names.json").write_text(json.dumps(told), encoding="utf-8")
     except Exception as error:  # a damaged file fails in many ways
         print(f"{error}" or type(error).__name__, flush=True)

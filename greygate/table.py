@@ -17,6 +17,7 @@ from greygate.errors import InputError
 LARGEST = 1e30  # in a cell: above any quantity; its eighth power, in correlations of squares, stays within float64
 MOST_BYTES = 2**31  # of a file: a recording is far smaller, a device may never end
 MOST_UNPACKED = 2**28  # bytes of a gzipped file: two seconds of unpacking; a larger one is taken for an attack
+HEAD, FIRST = 1 << 18, 20  # bytes and lines in which the names and units of a table stand
 SHOWN = 40  # characters of a cell that a message quotes
 
 _PLAIN = b"0123456789+-.eE \r\n"  # the characters of a file of decimal numbers, beside its separator
@@ -84,13 +85,23 @@ def read_table(path: Path | str, nan: bool = False) -> CsvTable:
 
 
 def read_header(path: Path | str) -> tuple[list[str], bool]:
-    """(the names of the columns, whether a row of units follows them: no cell of it is a number)."""
-    path = Path(path)
-    _, rows, _ = _rows(path, _text(path))
+    """(the names of the columns, whether a row of units follows them: no cell of it is a number).
+
+    Only the first lines are read. A file that is no table has no names; `read_table` says why.
+    """
+    try:
+        with open(path, "rb") as file:
+            data = file.read(HEAD)
+        if data.startswith(_GZIP):
+            with gzip.open(path) as file:
+                data = file.read(HEAD)
+        _, rows, _ = _rows(Path(path), "\n".join(data.decode("utf-8-sig", "replace").splitlines()[:FIRST]))
+    except (OSError, EOFError, ValueError, zlib.error, InputError):
+        return [], False
     names = [name.strip() for name in rows[0]]
     below = [cell.strip() for cell in rows[1]] if len(rows) > 1 else []
-    follows = len(below) == len(names) and any(below) and not any(_NUMBER.fullmatch(c) for c in below)
-    return names, follows and all(re.search(r"[^\W\d_]|^[-%°]?$", c) for c in below) and "nan" not in map(
+    written = len(below) == len(names) and any(below) and not any(_NUMBER.fullmatch(c) for c in below)
+    return names, written and all(re.search(r"[^\W\d_]|^[-%°]?$", c) for c in below) and "nan" not in map(
         str.lower, below
     )
 

@@ -226,7 +226,7 @@ def test_an_fmu_of_a_plant_follows_the_simulation(tmp_path, version):
     assert validate_fmu(path) == []
     assert held["parameters"] == list(plant.parameters)
     rng = np.random.default_rng(3)
-    given = {"u": np.repeat(rng.uniform(-3, 3, 30), 10), "double": np.repeat(rng.uniform(-1, 1, 60), 5)}
+    given = {"u": np.repeat(rng.uniform(-9, 9, 30), 10), "double": np.repeat(rng.uniform(-1, 1, 60), 5)}
     slave = Slave(path, tmp_path / "x").begin(mass=1.5, start=0.02)
     names = ["x", "v", "w", "z", "force"]
     found = []

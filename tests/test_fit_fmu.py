@@ -61,6 +61,16 @@ def test_a_late_sensor_with_an_offset_is_told_from_the_parameters(fmu):
     assert found["rms"]["w"]["with_faults"]["held_out"] < 0.25
 
 
+def test_what_does_not_help_on_data_that_was_held_out_is_no_fault(fmu):
+    given = recorded(fmu)
+    shifted = given["w"] + 2.0 * (np.arange(600) < 360)  # a sensor that was mended where the held-out part begins
+    found = calibrate(
+        fmu / "motor.fmu", Recording(DT, {"u": given["u"], "w": shifted}, given.units), ["inertia", "viscous"]
+    )
+    assert found["rms"]["w"]["with_faults"] == found["rms"]["w"]["calibrated"]
+    assert found["faults"] == []
+
+
 def test_what_an_fmu_has_not_is_named(fmu, tmp_path):
     with pytest.raises(InputError, match="no parameter mass; it has inertia, gain, viscous"):
         calibrate(fmu / "motor.fmu", recorded(fmu), ["mass"])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from imported_models import write_v73
 from scipy.io import savemat
+from test_cli import greygate
 
 from greygate.errors import InputError
 from greygate.plants.readers.read import read_recording
@@ -140,7 +141,9 @@ HEADERS = [  # header, name, unit as the recording has it, what 2 becomes
     ("p_a (bar)", "p_a", "bar", 2.0), ("p_a / bar", "p_a", "bar", 2.0), ("p_a in bar", "p_a", "bar", 2.0),
     ("p_a, bar", "p_a", "bar", 2.0), ("p_a: kPa", "p_a", "Pa", 2000.0), ("p_a{MPa}", "p_a", "Pa", 2e6),
     ("p_psi", "p", "Pa", 13789.514586), ("Pressure A [psi]", "Pressure_A", "Pa", 13789.514586),
-    ("n_rpm", "n", "rad/s", 0.20943951), ("n [1/min]", "n", "rad/s", 0.20943951), ("n [rpm]", "n", "rad/s", 0.20943951),
+    ("speed_rad/s", "speed", "rad/s", 2.0), ("slope_m/s²", "slope", "m/s^2", 2.0),
+    ("n_rpm", "n", "rad/s", 0.20943951), ("n [1/min]", "n", "rad/s", 0.20943951),
+    ("n [rpm]", "n", "rad/s", 0.20943951),
     ("phi_deg", "phi", "rad", 0.034906585), ("phi [°]", "phi", "rad", 0.034906585),
     ("w [deg/s]", "w", "rad/s", 0.034906585),
     ("T_degC", "T", "K", 275.15), ("T [°C]", "T", "K", 275.15), ("T (degF)", "T", "K", 256.483333333),
@@ -233,3 +236,16 @@ def test_a_unit_is_converted_by_factor_and_zero():
     values, unit = converted(np.array([0.0, 100.0]), "degC", "x")
     assert (values.tolist(), unit) == ([273.15, 373.15], "K")
     assert split("Stellung Kolben [mm]", "x") == ("Stellung_Kolben", "mm")
+
+
+def test_a_file_without_units_can_be_looked_at_and_is_written_once_they_are_told(tmp_path):
+    path = tmp_path / "bare.csv"
+    path.write_text("time,pos,vel\n0,1,2\n0.1,2,3\n0.2,3,5\n")
+    code, out, told = greygate("look", path, "--json")
+    assert code == 0
+    assert [c["unit"] for c in json.loads(out)["channels"]] == ["?", "?"]
+    assert "no unit is told of pos, vel" in told
+    assert greygate("look", path, "--out", tmp_path / "x.csv")[0] == 2
+    words = ["--unit", "pos=deg", "--unit", "vel=1", "--out", tmp_path / "x.csv"]
+    assert greygate("look", path, *words)[0] == 0
+    assert (tmp_path / "x.csv").read_text().startswith("t_s,pos_rad,vel_1\n")

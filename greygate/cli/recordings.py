@@ -11,6 +11,7 @@ from greygate.cli.terminal import Json, give, say
 from greygate.errors import InputError
 
 AUTO = "auto"
+SHOWN = 6  # names in a message
 
 
 def look(
@@ -34,13 +35,16 @@ def look(
     from greygate.files import replacing
     from greygate.pages.recorded import COLUMNS, page, rows
     from greygate.pages.summary import aligned
+    from greygate.plants.readers.columns import UNKNOWN
     from greygate.plants.readers.columns import recording as uniform
     from greygate.plants.readers.read import read_channels
 
     step = _step(resample)
     if time == "":
         raise InputError("--time: give the name of the column that holds the time")
-    found = read_channels(recording, units=dict(map(_unit, unit)), time=time, dt=sample_time, bare=False)
+    found = read_channels(
+        recording, units=dict(map(_unit, unit)), time=time, dt=sample_time, unitless=UNKNOWN if out is None else None
+    )
     if step and out is None:
         raise InputError("--resample changes what is written; give --out FILE.csv")
     made = None if out is None else uniform(found, str(recording), step, say)
@@ -51,6 +55,9 @@ def look(
         if made is not None and out is not None:
             made.write_csv(out)
     lines = aligned(rows(found), COLUMNS[:3]) + [f"written to {path}" for path in (out, html) if path is not None]
+    if missing := [c.name for c in found if c.unit == UNKNOWN]:
+        names = ", ".join(missing[:SHOWN]) + (", ..." if len(missing) > SHOWN else "")
+        say(f"no unit is told of {names}; give --unit {missing[0]}=UNIT, or =1 for none, for each")
     channels = [
         {
             "name": c.name,

@@ -1,5 +1,7 @@
 """The model of a compiled network: its step in C99, bit for bit the emulator's, between values in physical units."""
 
+from dataclasses import replace
+
 from greygate.emulator.program import Program, Terminal
 from greygate.exporting import values
 from greygate.exporting.model import Model, Variable
@@ -75,7 +77,7 @@ def model(program: Program, title: str) -> Model:
         written="\n".join(f"        m->value[{n + i}] = {answer};" for i, answer in enumerate(answers)),
     )
     files = {k: text for k, text in values.files(program).items() if k != values.EXAMPLE}
-    return Model(**{**vars(made), "sources": {**files, "model.c": source}})
+    return replace(made, sources={**files, "model.c": source})
 
 
 def _variables(p: Terminal, start: float | None) -> list[Variable]:

@@ -1,6 +1,7 @@
 """The model of a plant: its equations in C, and the steps of `plants.simulate`, with its parameters to be set."""
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 
 from greygate.errors import InputError
 from greygate.exporting.model import Model, Variable
@@ -174,7 +175,7 @@ def model(plant: Plant) -> Model:
         includes=(),
         sources={},
     )
-    return Model(**{**vars(made), "sources": {"model.c": _source(plant, made)}})
+    return replace(made, sources={"model.c": _source(plant, made)})
 
 
 def _source(plant: Plant, made: Model) -> str:

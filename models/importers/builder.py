@@ -8,6 +8,7 @@ before a tanh is one layer, with the weights of all of them.
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -62,6 +63,26 @@ class Value:
             weights[s] = weights[s] + w if s in weights else w
         return Value(shape, one.bias + two.bias, weights)
 
+    def summed(self, axes: Sequence[int] = (), keep: bool = False) -> "Value":
+        """The sum along some axes, along all if none is named. keep: they stay, with one element."""
+        count = len(self.shape)
+        chosen = sorted({a % count for a in axes}) if axes else list(range(count))
+        rest = [k for k in range(count) if k not in chosen]
+        size = int(np.prod([self.shape[k] for k in chosen]))
+        flat = self.moved(lambda i: i.transpose(*rest, *chosen).reshape(-1, size))
+        shape = [1 if k in chosen else n for k, n in enumerate(self.shape) if keep or k not in chosen]
+        return flat.linear(np.ones((1, size))).moved(lambda i: i.reshape(shape))
+
+    def mean(self, axes: Sequence[int] = (), keep: bool = False) -> "Value":
+        """As `summed`, of the mean."""
+        total = self.summed(axes, keep)
+        return total.times(total.size / self.size)
+
+    def parts(self, lengths: Sequence[int], axis: int) -> list["Value"]:
+        """Pieces of such lengths along an axis; the last one has what is left."""
+        ends = np.minimum(np.cumsum([0, *lengths]), self.shape[axis]).tolist()
+        return [taken(self, range(a, b), axis) for a, b in pairwise(ends)]
+
     def linear(self, matrix: np.ndarray) -> "Value":
         """The last axis n becomes m: matrix (m, n) @ each."""
         m, n = matrix.shape
@@ -102,6 +123,8 @@ class Builder:
     def __init__(self, name: str, inputs: Sequence[Port | str], outputs: Sequence[Port | str]):
         check_name(name, "network")
         self.inputs, self.outputs = ([_port(p) for p in ports] for ports in (inputs, outputs))
+        if not self.inputs or not self.outputs:
+            raise InputError(f"network {name}: has no {'input' if self.outputs else 'output'}; name one")
         self.network = Network(name, self.inputs, self.outputs)
         self._initial: dict[str, np.ndarray] = {}
 
@@ -178,6 +201,13 @@ class Builder:
         parts = (squares.rows(np.arange(n) + k * n) for k in (0, 1))
         one, two = parts
         return one.times(0.25).plus(two.times(-0.25)).moved(lambda x: x.reshape(total.shape))
+
+    def power(self, value: Value, exponent: float, hint: str = "power") -> Value:
+        """Its square or its cube. Raises InputError for another exponent."""
+        if exponent not in (2, 3):
+            raise InputError(f"the power {exponent:g}; 2 and 3 can be carried")
+        square = self.activated(value, "square", hint)
+        return square if exponent == 2 else self.product(value, square, hint)
 
     # -- recurrent cells ---------------------------------------------------------------------------------------------
 
@@ -273,6 +303,20 @@ class Builder:
 def _part(value: Value, k: int, n: int) -> Value:
     """The k-th n elements of the last axis."""
     return value.moved(lambda i: i[..., k * n : (k + 1) * n])
+
+
+def matmul(a: Value, b: Value) -> Value | None:
+    """As NumPy's, where one of them is constant; None where none is."""
+    if (matrix := b.constant) is not None:
+        matrix = matrix.reshape(matrix.shape[-2:])
+        out = a.linear(np.atleast_2d(matrix.T))
+        return out if matrix.ndim > 1 else out.moved(lambda i: i[..., 0])
+    if (matrix := a.constant) is None:
+        return None
+    if len(b.shape) == 1:
+        return b.linear(np.atleast_2d(matrix))
+    turned = b.moved(lambda i: np.swapaxes(i, -1, -2))
+    return turned.linear(matrix).moved(lambda i: np.swapaxes(i, -1, -2))
 
 
 def taken(x: Value, places: Sequence[int] | np.ndarray | int, axis: int) -> Value:

@@ -24,7 +24,6 @@ TRANSFER = {
     "radbas": "radbas",
 }  # fmt: skip
 """Transfer function -> activation, where they are the same."""
-KEPT = ("removeconstantrows", "fixunknowns")  # settings that change nothing, if `no_change` says so
 
 
 def from_matlab(
@@ -103,12 +102,12 @@ class _Layout:
             start += size
         if start != len(builder.inputs):
             raise InputError(f"{self.path}: {sum(sizes)} input elements and {len(self.ports[0])} names; name each")
-        outs = self._outputs(builder)
+        outs = self._outputs()
         for k in range(self.layers):
             self._layer(builder, k, entered)
         start = 0
         for k in outs:
-            value = self._past(builder, f"layer{k + 1}", self._size(k), 0)
+            value = _of_layer(f"layer{k + 1}", self._size(k))
             value = self._unprocessed(value, "outputProcess", k)
             builder.output(builder.outputs[start : start + value.size], value)
             start += value.size
@@ -136,14 +135,11 @@ class _Layout:
             raise InputError(f"{self.path}: layer {k + 1} reads nothing")
         return np.atleast_2d(np.asarray(of[0], float)).shape[0]
 
-    def _outputs(self, builder: Builder) -> list[int]:
+    def _outputs(self) -> list[int]:
         """The layers that are outputs: those of `outputConnect`, else the last."""
         given = self.found.get("outputConnect")
         chosen = [k for k, on in enumerate(np.ravel(np.asarray(given, float))) if on] if given is not None else []
         return chosen or [self.layers - 1]
-
-    def _past(self, builder: Builder, source: str, size: int, delay: int) -> Value:
-        return Value((size,), np.zeros(size), {(source, delay): np.eye(size)})
 
     def _layer(self, builder: Builder, k: int, entered: Sequence[Value]) -> None:
         size = self._size(k)
@@ -154,7 +150,7 @@ class _Layout:
                 total = total.plus(self._weighted(k, j, weight, entered[j], "inputDelays"))
         for j in range(self.lw.shape[1]):
             if _filled(self.lw[k, j]):
-                value = self._past(builder, f"layer{j + 1}", self._size(j), 0)
+                value = _of_layer(f"layer{j + 1}", self._size(j))
                 total = total.plus(self._weighted(k, j, self.lw[k, j], value, "layerDelays"))
         kind, name = self.transfer[k], f"layer{k + 1}"
         if kind == "purelin":
@@ -210,7 +206,7 @@ class _Layout:
             elif not (s.get("no_change") is not None and np.all(s["no_change"])):
                 raise InputError(
                     f"{self.path}: {field}{{{k + 1}}} is of a function that is not carried; use mapminmax or mapstd, "
-                    f"or remove {', '.join(KEPT)} before training"
+                    "or remove the others before training"
                 )
         return found
 
@@ -223,6 +219,11 @@ class _Layout:
         for offset, gain, low in reversed(self._steps(field, k)):
             value = value.plus(constant(-low)).times(1.0 / gain).plus(constant(offset))
         return value
+
+
+def _of_layer(name: str, size: int) -> Value:
+    """A layer's output now."""
+    return Value((size,), np.zeros(size), {(name, 0): np.eye(size)})
 
 
 # -- what the file holds ---------------------------------------------------------------------------------------------

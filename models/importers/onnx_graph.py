@@ -5,14 +5,13 @@ GRU, LSTM and Scan goes on from step to step. Source: https://onnx.ai/onnx/opera
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from greygate.errors import InputError, one_line, shown
-from greygate.models.importers.builder import Builder, Value, constant, joined, taken
+from greygate.models.importers.builder import Builder, Value, constant, joined, matmul, taken
 from greygate.models.network import Network, Port
 
 if TYPE_CHECKING:
@@ -47,7 +46,7 @@ def from_onnx(
     graph = model.graph
     fixed = {t.name: constant(_array(t)) for t in graph.initializer}
     entered = [i for i in graph.input if i.name not in fixed]
-    shapes = {i.name: _shape(i) for i in (*entered, *graph.output)}
+    shapes = {i.name: _shape(i, path) for i in (*entered, *graph.output)}
     names = [i.name for i in entered], [o.name for o in graph.output]
     for inner, after in state.items():
         if inner not in names[0] or after not in names[1]:
@@ -75,6 +74,8 @@ def from_onnx(
         start = (initial or {}).get(n, np.zeros(shapes[n]))
         kept[n], values[n] = builder.state(n, np.asarray(start, float).reshape(shapes[n]))
     walk.run(graph, values)
+    if missing := [n for n in names[1] if n not in values]:
+        raise InputError(f"{path}: output {missing[0]} is of an operation that gives it only in training; leave it out")
     left = list(builder.outputs)
     for n in free[1]:
         builder.output(_taken(left, values[n].size, f"{path}: output {n}"), values[n])
@@ -109,8 +110,10 @@ def _read(path: Path) -> "onnx.ModelProto":
     return model
 
 
-def _shape(tensor: Any) -> tuple[int, ...]:
-    """Of an input or output; every axis but the last is 1."""
+def _shape(tensor: Any, path: Path | str) -> tuple[int, ...]:
+    """Of an input or output; every axis but the last is 1. Raises InputError for what is no tensor."""
+    if not tensor.type.HasField("tensor_type"):
+        raise InputError(f"{path}: {tensor.name} is no tensor; a network has ports of numbers")
     dims = [d.dim_value for d in tensor.type.tensor_type.shape.dim]
     return (*(1 for _ in dims[:-1]), *(max(d, 1) for d in dims[-1:]))
 
@@ -252,13 +255,9 @@ def _gemm(
 
 
 def _matmul(walk: _Walk, a: Value, b: Value) -> Value:
-    if (matrix := b.constant) is not None:
-        if matrix.ndim > 2:
-            matrix = matrix.reshape(matrix.shape[-2:])
-        out = a.linear(np.atleast_2d(matrix.T))
-        return out if matrix.ndim > 1 else out.moved(lambda x: x[..., 0])
-    matrix = walk.fixed(a, "one of the matrices")
-    return b.moved(lambda x: np.swapaxes(x, -1, -2)).linear(matrix).moved(lambda x: np.swapaxes(x, -1, -2))
+    if (found := matmul(a, b)) is None:
+        raise walk.refused("both factors are signals; one must be constant")
+    return found
 
 
 def _divide(walk: _Walk, a: Value, b: Value) -> Value:
@@ -276,11 +275,10 @@ def _clip(walk: _Walk, x: Value, low: Value | None = None, high: Value | None = 
 
 
 def _power(walk: _Walk, x: Value, n: Value) -> Value:
-    exponent = float(walk.fixed(n, "the exponent").ravel()[0])
-    if exponent not in (2.0, 3.0):
-        raise walk.refused(f"the power {exponent:g}; 2 and 3 can be carried")
-    square = walk.builder.activated(x, "square", walk.hint)
-    return square if exponent == 2.0 else walk.builder.product(x, square, walk.hint)
+    try:
+        return walk.builder.power(x, float(walk.fixed(n, "the exponent").ravel()[0]), walk.hint)
+    except InputError as error:
+        raise walk.refused(str(error)) from None
 
 
 def _slice(walk: _Walk, x: Value, *rest: Value | None) -> Value:
@@ -295,11 +293,9 @@ def _slice(walk: _Walk, x: Value, *rest: Value | None) -> Value:
 
 
 def _split(walk: _Walk, x: Value, sizes: Value | None = None, axis: int = 0, num_outputs: int = 0) -> list[Value]:
-    whole = x.shape[axis]
     parts = num_outputs or len(walk.node.output)
-    lengths = walk.whole(sizes, "the sizes") if sizes is not None else [-(-whole // parts)] * parts
-    ends = np.minimum(np.cumsum([0, *lengths]), whole)
-    return [taken(x, range(a, b), axis) for a, b in pairwise(ends)]
+    lengths = walk.whole(sizes, "the sizes") if sizes is not None else [-(-x.shape[axis] // parts)] * parts
+    return x.parts(lengths, axis)
 
 
 def _gather(walk: _Walk, x: Value, places: Value, axis: int = 0) -> Value:
@@ -333,16 +329,11 @@ def _normed(walk: _Walk, x: Value, *rest: Value, epsilon: float = 1e-5, **_: Any
     return x.plus(constant(-mean)).times(by).plus(constant(bias))
 
 
-def _reduced(scale: Callable[[int], float]) -> Callable:
-    def reduce(walk: _Walk, x: Value, axes: Value | None = None, keepdims: int = 1, **_: Any) -> Value:
-        chosen = walk.whole(axes, "the axes") if axes is not None else list(range(len(x.shape)))
-        chosen = [a % len(x.shape) for a in chosen]
-        rest = [k for k in range(len(x.shape)) if k not in chosen]
-        count = int(np.prod([x.shape[k] for k in chosen]))
-        flat = x.moved(lambda i: i.transpose(*rest, *chosen).reshape(-1, count))
-        total = flat.linear(np.full((1, count), scale(count)))
-        shape = [1 if k in chosen else s for k, s in enumerate(x.shape) if keepdims or k not in chosen]
-        return total.moved(lambda i: i.reshape(shape))
+def _reduced(of: Callable) -> Callable:
+    def reduce(walk: _Walk, x: Value, axes: Value | None = None, keepdims: int = 1, **options: Any) -> Value:
+        if axes is None and options.get("noop_with_empty_axes"):
+            return x
+        return of(x, walk.whole(axes, "the axes") if axes is not None else (), bool(keepdims))
 
     return reduce
 
@@ -430,7 +421,24 @@ def _scan(walk: _Walk, *given: Value, body: Any, num_scan_inputs: int, **options
     return [*found[:count], *(v.moved(lambda i: i[None]) for v in found[count:])]
 
 
-def _same(walk: _Walk, x: Value, *_: Any, **__: Any) -> Value:
+def _cast(walk: _Walk, x: Value, to: int, **_: Any) -> Value:
+    """To another kind of number: of a signal only between floats that are exact here."""
+    from onnx import TensorProto
+
+    if to in (TensorProto.FLOAT, TensorProto.DOUBLE):
+        return x
+    if (fixed := x.constant) is not None and to in (TensorProto.INT32, TensorProto.INT64):
+        return constant(np.trunc(fixed))
+    raise walk.refused(f"a signal becomes {TensorProto.DataType.Name(to)}, which rounds it; keep it in FLOAT or DOUBLE")
+
+
+def _dropout(walk: _Walk, x: Value, ratio: Value | None = None, training: Value | None = None, **_: Any) -> Value:
+    if training is not None and bool(walk.fixed(training, "training_mode").any()):
+        raise walk.refused("it is in training mode; export the model in eval mode")
+    return x
+
+
+def _same(walk: _Walk, x: Value) -> Value:
     return x
 
 
@@ -470,15 +478,17 @@ FUNCTIONS: dict[str, Callable] = {
     "Shape": lambda walk, x, **_: constant(np.array(x.shape)),
     "Constant": _constant,
     "ConstantOfShape": _filled,
-    "ReduceSum": _reduced(lambda n: 1.0),
-    "ReduceMean": _reduced(lambda n: 1.0 / n),
+    "ReduceSum": _reduced(Value.summed),
+    "ReduceMean": _reduced(Value.mean),
     "BatchNormalization": _normed,
     "RNN": _recurrent("rnn", 1, [0]),
     "GRU": _recurrent("gru", 3, [1, 0, 2]),
     "LSTM": _recurrent("lstm", 4, [0, 2, 3, 1]),
     "Scan": _scan,
     "Scaler": _scaler,
-    **dict.fromkeys(("Identity", "Cast", "Dropout", "CastLike"), _same),
+    "Cast": _cast,
+    "Dropout": _dropout,
+    "Identity": _same,
 }
 """What a network can carry: operation of ONNX -> how."""
 

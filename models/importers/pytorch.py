@@ -9,13 +9,12 @@ import operator
 import re
 import warnings
 from collections.abc import Callable, Sequence
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from greygate.errors import InputError, shown
-from greygate.models.importers.builder import Builder, Value, constant, joined, taken
+from greygate.models.importers.builder import Builder, Value, constant, joined, matmul, taken
 from greygate.models.network import Network, Port
 
 if TYPE_CHECKING:
@@ -236,13 +235,9 @@ def _linear(walk: _Walk, x: Value, w: Value, b: Value | None = None) -> Value:
 
 
 def _matmul(walk: _Walk, a: Value, b: Value) -> Value:
-    if (matrix := b.constant) is not None:
-        out = a.linear(np.atleast_2d(matrix.T))
-        return out if matrix.ndim > 1 else out.moved(lambda x: x[..., 0])
-    matrix = walk.signal(a, "matmul")
-    column = b if len(b.shape) == 1 else b.moved(np.transpose)
-    out = column.linear(np.atleast_2d(matrix))
-    return out if len(b.shape) == 1 else out.moved(np.transpose)
+    if (found := matmul(a, b)) is None:
+        raise walk.refused("matmul", "both factors are signals; one must be constant")
+    return found
 
 
 def _addmm(walk: _Walk, c: Value, a: Value, b: Value, beta: float = 1.0, alpha: float = 1.0) -> Value:
@@ -263,24 +258,18 @@ def _clamped(walk: _Walk, x: Value, low: float | None = None, high: float | None
 
 
 def _power(walk: _Walk, x: Value, n: float) -> Value:
-    if n == 2:
-        return walk.builder.activated(x, "square", walk.hint())
-    if n == 3:
-        return walk.builder.product(x, walk.builder.activated(x, "square", walk.hint()), walk.hint())
-    raise walk.refused("pow", f"the power {n}; 2 and 3 can be carried")
+    try:
+        return walk.builder.power(x, n, walk.hint())
+    except InputError as error:
+        raise walk.refused("pow", str(error)) from None
 
 
-def _reduced(scale: Callable[[int], float]) -> Callable:
-    def reduced(walk: _Walk, x: Value, dims: Sequence[int] | None = None, keepdim: bool = False, **_: Any) -> Value:
-        axes = tuple(range(len(x.shape))) if not dims else tuple(_axis(d, x.shape) for d in dims)
-        rest = [k for k in range(len(x.shape)) if k not in axes]
-        count = int(np.prod([x.shape[k] for k in axes]))
-        flat = x.moved(lambda i: i.transpose(*rest, *axes).reshape(-1, count))
-        total = flat.linear(np.full((1, count), scale(count))).moved(np.ravel)
-        shape = [1 if k in axes else s for k, s in enumerate(x.shape) if keepdim or k not in axes]
-        return total.moved(lambda i: i.reshape(shape))
+def _reduced(walk: _Walk, x: Value, dims: Sequence[int] | None = None, keepdim: bool = False, **_: Any) -> Value:
+    return x.summed(dims or (), keepdim)
 
-    return reduced
+
+def _mean(walk: _Walk, x: Value, dims: Sequence[int] | None = None, keepdim: bool = False, **_: Any) -> Value:
+    return x.mean(dims or (), keepdim)
 
 
 def _slice(
@@ -291,10 +280,8 @@ def _slice(
 
 def _split(walk: _Walk, x: Value, sizes: Any, dim: int = 0) -> list[Value]:
     axis = _axis(dim, x.shape)
-    whole = x.shape[axis]
-    lengths = sizes if isinstance(sizes, list) else [min(sizes, whole - k) for k in range(0, whole, sizes)]
-    ends = np.cumsum([0, *lengths])
-    return [taken(x, range(a, b), axis) for a, b in pairwise(ends)]
+    lengths = sizes if isinstance(sizes, list) else [sizes] * -(-x.shape[axis] // sizes)
+    return x.parts(lengths, axis)
 
 
 def _chunk(walk: _Walk, x: Value, parts: int, dim: int = 0) -> list[Value]:
@@ -415,7 +402,7 @@ FUNCTIONS: dict[str, Callable] = {
     "clamp_min": lambda walk, x, low: walk.builder.clipped(x, low, None, walk.hint()),
     "clamp_max": lambda walk, x, high: walk.builder.clipped(x, None, high, walk.hint()),
     "hardsigmoid": lambda walk, x: walk.builder.clipped(x.times(1 / 6).plus(constant(0.5)), 0.0, 1.0, walk.hint()),
-    "sum": _reduced(lambda n: 1.0), "mean": _reduced(lambda n: 1.0 / n),
+    "sum": _reduced, "mean": _mean,
     "cat": lambda walk, values, dim=0: joined(values, dim), "stack": _stack, "slice": _slice,
     "select": lambda walk, x, dim, k: taken(x, k, dim),
     "index_select": lambda walk, x, dim, k: taken(x, walk.signal(k, "index").astype(int), dim),

@@ -11,6 +11,7 @@ from greygate.plants.recording import FEWEST, Recording
 
 Told = Callable[[str], None]
 CLOCKS = ("time", "times", "timestamp", "timestamps", "zeit", "elapsed", "seconds", "time_s", "x_value")
+UNKNOWN = "?"  # the unit of a column that is merely looked at
 UNIFORM = 1e-3  # of a step: the largest error of a printed time
 GAP = 1.5  # of a median step: a longer one is a gap
 FINER = 1.5  # of a median step: a wanted step that is longer needs a filter first
@@ -62,12 +63,12 @@ def channels(
     required: Mapping[str, str] | None = None,
     dt: float | None = None,
     clock: str | None = None,
-    bare: bool = False,
+    unitless: str | None = None,
 ) -> list[Channel]:
     """Channels in SI or the house's units; in the required ones, where they are required.
 
     units: name -> unit as written, before what the header says. dt: sample time in s of columns without a time.
-    clock: name of the time. bare: a column without a unit is a plain number.
+    clock: name of the time. unitless: the unit of a column that has none.
     Raises InputError for a header or a unit that cannot be read in one way.
     """
     units, required = dict(units or {}), required or {}
@@ -87,10 +88,12 @@ def channels(
         time, _ = converted(np.asarray(column.values, float), written, f"{source}: time {name}", "s")
     found = []
     for column, name, unit in named:
-        where, told = f"{source}: column {name}", units.pop(name, "") or column.unit or unit or ("1" if bare else None)
+        where, told = f"{source}: column {name}", units.pop(name, "") or column.unit or unit or unitless
         if told is None:
             raise InputError(f"{where}: has no unit; write {name} [unit] in its header, or name the unit beside")
-        values, kind = converted(np.asarray(column.values, float), told, where, required.get(name))
+        values, kind = np.asarray(column.values, float), told
+        if told != UNKNOWN:
+            values, kind = converted(values, told, where, required.get(name))
         own = column.time if column.time is not None else time
         if own is None and dt is not None:
             own = dt * np.arange(len(values))

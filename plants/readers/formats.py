@@ -1,6 +1,7 @@
 """The formats of recordings: what reads a file, by the ending of its name; every reader gives columns."""
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -135,19 +136,14 @@ def _one_clock(found: list[Column]) -> list[Column]:
     return [c for c in found if c.header.lower() not in clocks] or found
 
 
-class _module:
+@contextmanager
+def _module(extra: str) -> Iterator[None]:
     """An import that names the extra when it fails."""
-
-    def __init__(self, extra: str):
-        self.extra = extra
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
-        if isinstance(error, ImportError):
-            name = (error.name or self.extra).partition(".")[0]
-            raise InputError(f"{name} is not installed; pip install 'greygate[{self.extra}]'") from None
+    try:
+        yield
+    except ImportError as error:
+        name = (error.name or extra).partition(".")[0]
+        raise InputError(f"{name} is not installed; pip install 'greygate[{extra}]'") from None
 
 
 FORMATS: dict[str, Callable[[Path], list[Column]]] = {

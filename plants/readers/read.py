@@ -47,7 +47,7 @@ def read_recording(
     path = Path(source) if isinstance(source, str | Path) else None
     if path is not None and not _styled(path, units, time, resample):
         return read_csv(path, required, dt=dt, bare=bare)
-    found = read_channels(source, required, units=units, time=time, dt=dt, bare=bare)
+    found = read_channels(source, required, units=units, time=time, dt=dt, unitless="1" if bare else None)
     name = str(path) if path is not None else "recording"
     for channel, unit in (required or {}).items():
         if channel not in {c.name for c in found}:
@@ -69,15 +69,18 @@ def read_channels(
     units: Mapping[str, str] | None = None,
     time: str | None = None,
     dt: float | None = None,
-    bare: bool = False,
+    unitless: str | None = None,
 ) -> list[Channel]:
-    """The channels of a recording, each with its own times. Arguments and errors: as of `read_recording`."""
+    """The channels of a recording, each with its own times. unitless: the unit of a column that has none.
+
+    Other arguments and errors: as of `read_recording`.
+    """
     if not isinstance(source, str | Path):
-        return channels(_of_python(source), "recording", units, required, dt, time, bare)
+        return channels(_of_python(source), "recording", units, required, dt, time, unitless)
     path = Path(source)
     beside, clock = _beside(path)
     columns = of_file(path) if path.suffix.lower() in FORMATS else _of_csv(path)
-    return channels(columns, str(path), {**beside, **(units or {})}, required, dt, time or clock, bare)
+    return channels(columns, str(path), {**beside, **(units or {})}, required, dt, time or clock, unitless)
 
 
 def _styled(path: Path, *asked: Any) -> bool:

@@ -42,6 +42,8 @@ SPELT = {
     "m3/h": "m^3/hour", "mm²": "mm^2", "km/h": "km/hour", "kWh": "kW hour",
 }  # fmt: skip
 """Ways to write a unit -> pint's."""
+WRITTEN = frozenset({u for u in (*UNITS.values(), *PLAIN.values(), *SPELT) if re.search(r"[/^%°²³]", u)})
+"""Units with a sign, which no name has: `speed_rad/s`."""
 SI = (
     "1", "m", "s", "kg", "A", "K", "rad", "N", "Pa", "J", "W", "V", "coulomb", "farad", "ohm", "H", "T", "Hz", "m/s",
     "m/s^2", "m^2", "m^3", "m^3/s", "kg/s", "N/m", "N s/m", "kg m^2", "kg/m^3", "Pa s",
@@ -78,6 +80,8 @@ def suffixed(header: str) -> tuple[str, str | None]:
         suffix = "_".join(parts[start:])
         if suffix in UNITS or suffix in PLAIN:
             return "_".join(parts[:start]), UNITS.get(suffix) or PLAIN[suffix]
+        if suffix in WRITTEN:
+            return "_".join(parts[:start]), suffix
     return header.strip(), None
 
 
