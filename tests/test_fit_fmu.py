@@ -8,7 +8,7 @@ from small_plants import MOTOR, steps
 from test_cli import greygate
 
 from greygate.errors import InputError
-from greygate.exporting.calibrate import calibrate
+from greygate.exporting.calibrate import Fault, Unit, _Fit, calibrate
 from greygate.exporting.export import export_fmu
 from greygate.plants.plant import Plant
 from greygate.plants.recording import Recording
@@ -55,10 +55,20 @@ def test_a_late_sensor_with_an_offset_is_told_from_the_parameters(fmu):
     found = calibrate(fmu / "motor.fmu", recorded(fmu, late=3, offset=4.0), ["inertia", "viscous"])
     faults = {(f["channel"], f["kind"]): f for f in found["faults"]}
     assert {kind for _, kind in faults} == {"delay", "offset"}
-    late = next(f for (_, kind), f in faults.items() if kind == "delay")
-    assert abs(late["size"]) == pytest.approx(0.03, abs=0.002)
+    (channel, _), late = next(item for item in faults.items() if item[0][1] == "delay")
+    assert late["size"] == pytest.approx({"u": -0.03, "w": 0.03}[channel], abs=0.002)  # an early input, a late output
     assert all(abs(found["parameters"][n]["value"] / true - 1) < 0.02 for n, true in TRUE.items())
     assert found["rms"]["w"]["with_faults"]["held_out"] < 0.25
+
+
+@pytest.mark.parametrize(("kind", "size"), [("gain", 0.25), ("offset", -0.4), ("delay", 3.0)])
+def test_a_fault_of_an_input_is_undone_before_the_fmu_sees_it(fmu, kind, size):
+    unit, given = Unit(fmu / "motor.fmu"), recorded(fmu)
+    fit = _Fit(unit, given, ["u"], ["w"], ["viscous"])
+    fault = Fault("u", kind, True)
+    shown = fit._changed(given["u"], fault, size)
+    assert np.abs(shown - given["u"]).max() > 0.5
+    assert np.abs(fit._changed(shown, fault, size, undone=True) - given["u"])[3:-3].max() < 1e-12
 
 
 def test_what_does_not_help_on_data_that_was_held_out_is_no_fault(fmu):

@@ -191,7 +191,7 @@ class _Fit:
         signals = {n: self.given[n] for n in self.entered}
         for fault, size in zip(faults, values[count:], strict=True):
             if fault.entered:
-                signals[fault.channel] = self._changed(signals[fault.channel], fault, -size)
+                signals[fault.channel] = self._changed(signals[fault.channel], fault, size, undone=True)
         out = self.unit.run(
             dict(zip(self.parameters, values[:count], strict=True)), signals, self.given.dt, self.outputs
         )
@@ -201,14 +201,17 @@ class _Fit:
                 out[:, k] = self._changed(out[:, k], fault, size)
         return out
 
-    def _changed(self, signal: np.ndarray, fault: Fault, size: float) -> np.ndarray:
-        """offset in deviations, gain as a share, delay in samples: what the sizes of faults are."""
+    def _changed(self, signal: np.ndarray, fault: Fault, size: float, undone: bool = False) -> np.ndarray:
+        """The signal as a fault records it; undone: the signal that was there before. Offsets are in deviations of the
+        channel, gains are shares, delays are samples.
+        """
+        back = -1.0 if undone else 1.0
         if fault.kind == "offset":
-            return signal + size * (self.given[fault.channel].std() or 1.0)
+            return signal + back * size * (self.given[fault.channel].std() or 1.0)
         if fault.kind == "gain":
-            return signal * (1.0 + size)
-        at = np.arange(len(signal)) - size
-        return np.interp(at, np.arange(len(signal)), signal)
+            return signal * (1.0 + size) ** back
+        places = np.arange(len(signal))
+        return np.interp(places - back * size, places, signal)
 
     def fitted(self, start: Sequence[float] | np.ndarray, faults: Sequence[Fault]) -> tuple[np.ndarray, np.ndarray]:
         """(values, standard deviations)."""
