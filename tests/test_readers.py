@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import re
 
 import h5py
 import numpy as np
@@ -249,3 +250,12 @@ def test_a_file_without_units_can_be_looked_at_and_is_written_once_they_are_told
     words = ["--unit", "pos=deg", "--unit", "vel=1", "--out", tmp_path / "x.csv"]
     assert greygate("look", path, *words)[0] == 0
     assert (tmp_path / "x.csv").read_text().startswith("t_s,pos_rad,vel_1\n")
+
+
+def test_the_page_draws_every_channel_in_a_colour_that_the_style_has(tmp_path):
+    csv_brackets(tmp_path / "record.csv")
+    assert greygate("look", tmp_path / "record.csv", "--html", tmp_path / "page.html")[0] == 0
+    page = (tmp_path / "page.html").read_text()
+    drawn = re.findall(r'<path class="line (\w+)" d="M[^"]{50,}"', page)
+    assert len(drawn) == len(VALUES)
+    assert all(re.search(rf"svg \.{kind} {{ stroke: var", page) for kind in drawn)

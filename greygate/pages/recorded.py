@@ -9,7 +9,7 @@ from greygate.pages.figures import Curve, chart, envelope
 from greygate.pages.units import display, figure
 from greygate.plants.readers.columns import Channel
 
-WIDTH, HEIGHT = 1160, 150
+WIDTH, HEIGHT = 760, 170  # of a channel's drawing; wider, its numbers could not be read on a telephone
 COLUMNS = ("channel", "unit", "in the file", "samples", "step", "jitter", "gaps", "least", "greatest")
 
 
