@@ -24,7 +24,7 @@ test: $(VENV)/.ready-dev | tools
 # The same on the processor of another age: its BLAS and its numpy compute other last bits. Verilog has no floats.
 test-old: $(VENV)/.ready-dev | tools
 	$(BIN)/python benchmarks/processors.py --setting "old BLAS and numpy" --run \
-	  $(BIN)/python -m pytest -n 2 $(patsubst %,--ignore=tests/test_%.py,rtl random_hardware synthesis engine)
+	  $(BIN)/python -m pytest -n 2 $(patsubst %,--ignore=tests/test_%.py,rtl random_hardware synthesis engine browser)
 
 # The pages as a site, build/site/index.html. A link that leads nowhere stops it.
 docs: $(VENV)/.ready-docs
@@ -164,7 +164,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(INSTALL) -e '.[dev,synthesis,proof,board,cluster,control,fmi,fusesoc,onnx,matlab,parquet,mdf,tdms,mcap]'
+	$(INSTALL) -e '.[dev,synthesis,proof,board,cluster,control,browser,fmi,fusesoc,onnx,matlab,parquet,mdf,tdms,mcap]'
 	@touch $@
 
 $(VENV)/.ready-docs: $(VENV)/.ready

@@ -472,5 +472,5 @@ def test_a_rig_whose_simulation_explodes_is_refused_in_a_line(rig, greygate):
     (rig / "run.csv").rename(rig / "identify.csv")
     code, printed, error = greygate("diagnose", rig)
     assert (code, printed) == (2, "")
-    assert "the simulation of y diverges, whatever the parameters" in error
-    assert error.count("\n") == 1
+    (said,) = [line for line in error.splitlines() if not line.startswith("diagnosing: ")]  # progress of a slow machine
+    assert "the simulation of y diverges, whatever the parameters" in said

@@ -219,7 +219,7 @@ def test_no_text_of_a_validation_becomes_a_tag_or_ends_a_script():
         assert Tags(html).found == plain, text
         data = re.search(r'<script type="application/json">(.*?)</script>', html, re.S)[1]
         assert "<" not in data
-        assert "<" not in json.loads(data)["labels"]["y"]  # Plotly takes it as HTML
+        assert "<" not in json.loads(data)["labels"][0]  # Plotly takes it as HTML
 
 
 def test_no_text_of_a_drawing_becomes_a_tag():

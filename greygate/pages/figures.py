@@ -17,6 +17,7 @@ from greygate.pages.units import number
 LEFT, RIGHT, TOP, BOTTOM = 58, 10, 8, 34  # margins of a chart, px
 BINS = 400  # of the drawing of a complete run; each shows its least and its largest value
 APART = 1e-9  # of a limit: limits of an axis that are nearer to each other are moved apart
+BROAD, SHRUNK = 500, 0.8  # a chart that is wider [px] is not shrunk further, as it could not be read, but scrolled
 ROW = 19  # height of one signal in `formats`, px
 TRUSTED = 0.8  # coherence below which a frequency response is not drawn
 CHANGE_DECADES, CHANGE_HEIGHT = 6, 66  # scale and height [px] of a row of `weight_changes`
@@ -125,7 +126,7 @@ def chart(
     every_y = [v for line in lines for v in line.y] + [v for v, _ in levels]
     sx = Scale(*_apart(x_limits or (every_x and (min(every_x), max(every_x)))), inner_w, x_log)
     sy = Scale(*_apart(y_limits or span(every_y, y_log)), inner_h, y_log)
-    parts = [f'<svg class="chart" viewBox="0 0 {width} {height}" role="img" aria-label="{escape(y)} over {escape(x)}">']
+    parts = [_opened(width, height, f"{y} over {x}")]
     x_ticks, y_ticks = x_ticks or sx.ticks(), sy.ticks(min(34, inner_h / 3))
     for t, label in zip(y_ticks, _labels(y_ticks, y_log), strict=True):
         at = TOP + inner_h - sy(t)
@@ -151,6 +152,11 @@ def chart(
     if x:
         parts.append(f'<text class="label" x="{LEFT + inner_w / 2:.0f}" y="{height - 4}">{escape(x)}</text>')
     return Markup("".join(parts) + "</svg>")
+
+
+def _opened(width: int, height: int, label: str) -> str:
+    least = f' style="min-width:{SHRUNK * width:.0f}px"' if width > BROAD else ""
+    return f'<svg class="chart" viewBox="0 0 {width} {height}" role="img" aria-label="{escape(label)}"{least}>'
 
 
 def accuracy(
@@ -222,10 +228,10 @@ def formats(signals: Sequence[dict], width: int = 1160) -> Markup:
     low, high = min(lows) - 1, max(highs) + 4
     scale = Scale(low, high, inner)
     height = ROW * len(signals) + 38
-    parts = [f'<svg class="chart" viewBox="0 0 {width} {height}" role="img" aria-label="formats against ranges">']
+    parts = [_opened(width, height, "formats against ranges")]
     for bit in range(math.ceil(low / 4) * 4, high + 1, 4):
         at = left + scale(bit)
-        power = "1" if bit == 0 else f'2<tspan dy="-4" font-size="8">{str(bit).replace("-", "−")}</tspan>'
+        power = "1" if bit == 0 else f'2<tspan dy="-4" font-size="10.2">{str(bit).replace("-", "−")}</tspan>'
         parts.append(f'<path class="{"mark" if bit == 0 else "grid"}" d="M{at:.1f} 0V{height - 34}"/>')
         parts.append(f'<text class="tick" x="{at:.1f}" y="{height - 20}" text-anchor="middle">{power}</text>')
     for row, s in enumerate(signals):
@@ -283,7 +289,7 @@ def weight_changes(changes: Mapping[str, np.ndarray], width: int = 1160) -> Mark
     places = max((sum(map(len, layers.values())) + 2 * len(layers) for layers in rows.values()), default=1)
     step = min((width - left - right) / places, 14.0)
     height = pitch * len(rows)
-    parts = [f'<svg class="chart" viewBox="0 0 {width} {height}" role="img" aria-label="changes of weights">']
+    parts = [_opened(width, height, "changes of weights")]
     for row, (module, layers) in enumerate(rows.items()):
         base, x = row * pitch + CHANGE_HEIGHT + 10, float(left)
         middle = base - CHANGE_HEIGHT / 2

@@ -1,15 +1,14 @@
-"""Shows a recording: as rows for a terminal, and as a page that draws every channel as its envelope."""
+"""Shows a recording: as rows for a terminal, and as a page that draws every channel."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
 from greygate.pages import templates
-from greygate.pages.figures import Curve, chart, envelope
 from greygate.pages.units import display, figure
+from greygate.pages.zoomable import DRAWN, Trace, curves
 from greygate.plants.readers.columns import Channel
 
-WIDTH, HEIGHT = 760, 170  # of a channel's drawing; wider, its numbers could not be read on a telephone
 COLUMNS = ("channel", "unit", "in the file", "samples", "step", "jitter", "gaps", "least", "greatest")
 
 
@@ -34,13 +33,19 @@ def _row(c: Channel) -> dict[str, str]:
 
 
 def page(found: Sequence[Channel], source: str) -> str:
-    """Make one self-contained HTML page."""
+    """Make one self-contained HTML page, on which each channel can be zoomed."""
     drawn = []
     for c in found:
         factor, unit = display(c.unit, float(np.abs(c.values).max()))
-        shape = envelope(factor * c.values)
-        line = Curve([float(f"{c.time[k]:.6g}") for k in shape["step"]], shape["value"], "recorded")
-        drawn.append(chart([line], x="t [s]", y=f"{c.name} [{unit or '1'}]", width=WIDTH, height=HEIGHT))
+        drawn.append(
+            (c.name, len(c.values), curves({c.name: Trace(factor * c.values, "float")}, c.time, [unit or "1"]))
+        )
     return templates.render(
-        "recorded.html", title=f"greygate look: {source}", columns=COLUMNS, rows=rows(found), drawn=drawn
+        "recorded.html",
+        title=f"greygate look: {source}",
+        columns=COLUMNS,
+        rows=rows(found),
+        drawn=drawn,
+        most=DRAWN,
+        plotly=templates.plotly(),
     )

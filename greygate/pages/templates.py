@@ -32,6 +32,13 @@ def render(template: str, **context: object) -> Markup:
     return Markup(environment().get_template(template).render(context))
 
 
+def plotly() -> Markup:
+    """The script of Plotly, 5 MB, for a page that must work without a network."""
+    from plotly.offline import get_plotlyjs  # slow to import
+
+    return Markup(get_plotlyjs())
+
+
 def render_sections(sections: Sequence[ModuleType], *subject: object) -> list[Markup]:
     """Render each section of a page's subject; a section whose `context` is None is left out, as it shows nothing."""
     contexts = [(section, section.context(*subject)) for section in sections]

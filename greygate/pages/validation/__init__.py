@@ -1,8 +1,5 @@
 """The results of `greygate validate` as one HTML page (docs/validation.md says how to read it)."""
 
-from markupsafe import Markup
-from plotly.offline import get_plotlyjs
-
 from greygate.pages import templates
 from greygate.pages.validation import head, ranges, records
 from greygate.pages.validation.judged import Judged
@@ -16,5 +13,5 @@ def page(judged: Judged) -> str:
         "validation/page.html",
         title=f"greygate validation: {judged.title}",
         sections=templates.render_sections(SECTIONS, judged),
-        plotly=Markup(get_plotlyjs()),
+        plotly=templates.plotly(),
     )

@@ -1,9 +1,7 @@
 """Each record: the run, its error, accuracy, steps ahead, the long run, and the residual tests."""
 
-import base64
 import math
-from html import escape
-from itertools import groupby, pairwise
+from itertools import groupby
 
 import numpy as np
 from markupsafe import Markup
@@ -13,9 +11,9 @@ from greygate.pages import figures
 from greygate.pages.figures import Curve
 from greygate.pages.units import display, labelled
 from greygate.pages.validation.judged import Judged, long_run
+from greygate.pages.zoomable import DRAWN, Trace, curves
 from greygate.plain import plain
 
-DRAWN = 20_000  # longest run that is drawn sample by sample; a longer one is drawn by least and largest of bins
 BARS = 40  # of the error's histogram
 WIDTH = 285  # px of a small picture
 SYMBOLS = {"phi_ee": "φ(e, e)", "phi_ue": "φ({}, e)", "phi_u2e": "φ({}², e)", "phi_u2e2": "φ({}², e²)",
@@ -65,37 +63,18 @@ def _response(v: Validation) -> Markup:
 
 
 def run_data(v: Validation, period: float) -> dict:
-    """The data for Plotly: measured, predicted and error over time, JSON-able, with binary float32.
-
-    Plotly takes labels as HTML, so they are escaped; the template's `tojson` then keeps them inside <script>.
-    """
+    """Measured, predicted and, below, error over time, to zoom."""
     factor, unit = display(v.unit, float(np.abs(v.measured).max()))
     small, small_unit = display(v.unit, v.rms if math.isfinite(v.rms) else v.spread)
     reach = LEASH * (np.ptp(v.measured) or np.inf)  # a run that diverges is drawn up to here
     leash = np.mean(v.measured) + reach * np.array([-1, 1])
     near = np.where((v.predicted > leash[0]) & (v.predicted < leash[1]), v.predicted, np.nan)
-    traces = {"measured": v.measured * factor, "predicted": near * factor, "error": (v.measured - near) * small}
-    drawn = {}
-    for name, y in traces.items():
-        steps = _thinned(y)
-        time = {"x0": 0.0, "dx": period} if len(steps) == len(y) else {"x": _binary(steps * period)}
-        drawn[name] = {"y": _binary(y[steps])} | time
-    labels = {"y": labelled(v.output, unit), "error": labelled("error", small_unit)}
-    return {"traces": drawn, "labels": {axis: escape(label, quote=False) for axis, label in labels.items()}}
-
-
-def _thinned(y: np.ndarray) -> np.ndarray:
-    """Indices of the samples to draw: all, or those of the least and largest value of each of DRAWN / 2 bins."""
-    if len(y) <= DRAWN:
-        return np.arange(len(y))
-    edges = np.linspace(0, len(y), DRAWN // 2 + 1).astype(int)
-    y = np.nan_to_num(y)
-    bins = ((a, y[a:b]) for a, b in pairwise(edges))
-    return np.unique([a + k for a, part in bins for k in (part.argmin(), part.argmax())])
-
-
-def _binary(values: np.ndarray) -> dict:
-    return {"dtype": "f4", "bdata": base64.b64encode(np.asarray(values, "<f4").tobytes()).decode()}
+    traces = {
+        "measured": Trace(v.measured * factor, "reference", 3.0),
+        "predicted": Trace(near * factor, "float"),
+        "error": Trace((v.measured - near) * small, "fixed", 1.2, below=True),
+    }
+    return curves(traces, period, (labelled(v.output, unit), labelled("error", small_unit)))
 
 
 def histogram(error: np.ndarray, unit: str) -> Markup:
