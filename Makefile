@@ -8,7 +8,7 @@ FOLDERS := models plants emulator compiler rtl mismatch control machines recordi
 
 .PHONY: demo docs pages test test-old lint types bench bench-training bench-diagnosis bench-rigs bench-programs fuzz faults \
     mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-tables \
-    bench-flow bench-growth bench-exploring bench-blind bench-next bench-c99 bench-fmus bench-importers bench-wheel
+    bench-flow bench-growth bench-exploring bench-blind bench-next bench-c99 bench-fmus bench-importers bench-wheel bench-browser
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -72,6 +72,10 @@ bench-importers: $(VENV)/.ready-dev | tools
 # Ten minutes: the wheel in an empty environment and folder, every command of the README.
 bench-wheel: $(VENV)/.ready-dev | tools
 	$(BIN)/python benchmarks/wheel.py
+
+# Five minutes: every kind of page and the site of the documentation in Chromium, which must be installed.
+bench-browser: $(VENV)/.ready-dev docs | tools
+	PYTHONPATH=tests $(BIN)/python benchmarks/browser.py
 
 # Ten minutes: what a lookup takes on each family, for every form of table.
 bench-tables: $(VENV)/.ready-dev

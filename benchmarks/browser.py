@@ -1,0 +1,94 @@
+"""Every kind of page, of real machines, and the documentation's site, in Chromium: sizes x themes, paper, keyboard.
+
+`make bench-browser` runs it and writes benchmarks/results/browser.json and the pictures of docs/browser.md. Exit code 1
+if a page has a fault of tests/browsing.py. On the site, whose theme is not ours, the console, the requests and the width
+are looked at.
+"""
+
+import subprocess
+import sys
+import tempfile
+from itertools import product
+from pathlib import Path
+
+import browsing
+from made import ROOT, keep
+
+SITE = ROOT / "build" / "site"
+PICTURES = ROOT / "docs" / "pictures"
+SHOWN = {
+    "report": ("desk", "light"),
+    "diagnosis": ("desk", "dark"),
+    "validate": ("tablet", "light"),
+    "look": ("telephone", "dark"),
+}
+GREYGATE = [sys.executable, "-m", "greygate"]
+
+
+def greygate(*words: object, folder: Path, code: int = 0) -> None:
+    done = subprocess.run([*GREYGATE, *map(str, words)], cwd=folder, capture_output=True, text=True)
+    if done.returncode != code:
+        sys.exit(f"greygate {' '.join(map(str, words))}: exit code {done.returncode}\n{done.stderr}")
+
+
+def pages(folder: Path) -> dict[str, Path]:
+    """Make one page of each kind; which command -> page."""
+    greygate("compile", "valve_cylinder", "--out", "whole", folder=folder)
+    greygate("compile", "valve_cylinder", "--prune", "1.0", "--out", "pruned", folder=folder)
+    greygate("verify", "pruned", folder=folder)
+    greygate("report", "pruned", "--out", "report.html", folder=folder)
+    greygate("compare", "whole", "pruned", "--out", "compare.html", folder=folder, code=1)
+    greygate("validate", "valve_cylinder", "--out", "validate.html", folder=folder)
+    recording = ROOT / "recordings" / "servohydraulic-mts" / "mts_15Hz0A.csv"
+    greygate("look", recording, "--html", "look.html", folder=folder)
+    greygate(
+        "conceal",
+        "cable_drum",
+        "--seed",
+        "3",
+        "--kind",
+        "one",
+        "--effect",
+        "speed_slip",
+        "--out",
+        "case",
+        folder=folder,
+    )
+    greygate("diagnose", "case", "--html", "diagnosis.html", folder=folder)
+    return {name: folder / f"{name}.html" for name in ("report", "compare", "validate", "look", "diagnosis")}
+
+
+def of_site(browser, page: Path) -> list[str]:
+    wrong = []
+    for (name, size), theme in product(browsing.SIZES.items(), browsing.THEMES):
+        with browsing.opened(browser, page, size, theme) as (tab, told):
+            wider = tab.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+            wrong += [f"{name}, {theme}: {what}" for what in told + [f"{wider} px too wide"] * (wider > 0)]
+    return wrong
+
+
+def main() -> int:
+    if browsing.missing():
+        sys.exit(f"missing: {browsing.missing()}")
+    rows = []
+    with tempfile.TemporaryDirectory() as folder, browsing.chromium() as browser:
+        for name, page in pages(Path(folder)).items():
+            found = browsing.faults(browser, page)
+            wrong = [f"{where}: {what}" for where, all_ in found.items() for what in all_]
+            rows.append({"page": f"greygate {name}", "pages": 1, "opened": len(found), "faults": wrong})
+            print(rows[-1], flush=True)
+            if name in SHOWN:
+                size, theme = SHOWN[name]
+                with browsing.opened(browser, page, browsing.SIZES[size], theme) as (tab, _):
+                    tab.screenshot(path=PICTURES / f"page_{name}.png")
+        site = sorted(SITE.rglob("*.html"))
+        wrong = [f"{page.name}: {what}" for page in site for what in of_site(browser, page)]
+        times = len(site) * len(browsing.SIZES) * len(browsing.THEMES)
+        rows.append({"page": "the documentation's site", "pages": len(site), "opened": times, "faults": wrong})
+        print(rows[-1])
+        keep("browser", "pages", {"browser": browser.version, "rows": rows})
+    return any(row["faults"] for row in rows)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
