@@ -22,7 +22,7 @@ SHOWN = {
     "validate": ("tablet", "light"),
     "look": ("telephone", "dark"),
 }
-GREYGATE = [sys.executable, "-m", "greygate"]
+GREYGATE = [str(Path(sys.executable).with_name("greygate"))]
 
 
 def greygate(*words: object, folder: Path, code: int = 0) -> None:
