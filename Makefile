@@ -5,6 +5,8 @@ PYTHON ?= python3
 OUT := demo
 PEERS := build/peers
 FOLDERS := models plants emulator compiler rtl mismatch control machines recordings
+NO_FLOATS := rtl random_hardware adders_hardware synthesis proofs engine board c99 browser fuzz fuzzing faults attacks \
+    names escapes
 
 .PHONY: demo docs pages test test-old lint types bench bench-training bench-diagnosis bench-rigs bench-programs fuzz faults \
     mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-tables \
@@ -21,10 +23,11 @@ demo: $(VENV)/.ready | tools
 test: $(VENV)/.ready-dev | tools
 	$(BIN)/python -m pytest -n 2
 
-# The same on the processor of another age: its BLAS and its numpy compute other last bits. Verilog has no floats.
+# The same on the processor of another age: its BLAS and its numpy compute other last bits. Left out is what has no floats:
+# Verilog, C, browsers, files that break and strangers that break in.
 test-old: $(VENV)/.ready-dev | tools
 	$(BIN)/python benchmarks/processors.py --setting "old BLAS and numpy" --run \
-	  $(BIN)/python -m pytest -n 2 $(patsubst %,--ignore=tests/test_%.py,rtl random_hardware synthesis engine browser)
+	  $(BIN)/python -m pytest -n 2 $(patsubst %,--ignore=tests/test_%.py,$(NO_FLOATS))
 
 # The pages as a site, build/site/index.html. A link that leads nowhere stops it.
 docs: $(VENV)/.ready-docs

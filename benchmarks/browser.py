@@ -1,15 +1,20 @@
 """Every kind of page, of real machines, and the documentation's site, in Chromium: sizes x themes, paper, keyboard.
 
 `make bench-browser` runs it and writes benchmarks/results/browser.json and the pictures of docs/browser.md. Exit code 1
-if a page has a fault of tests/browsing.py. On the site, whose theme is not ours, the console, the requests and the width
-are looked at.
+if a page has a fault of tests/browsing.py. On the site, whose theme is not ours, console, requests and width are looked
+at.
 """
 
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from itertools import product
 from pathlib import Path
+from threading import Thread
 
 import browsing
 from made import ROOT, keep
@@ -58,7 +63,21 @@ def pages(folder: Path) -> dict[str, Path]:
     return {name: folder / f"{name}.html" for name in ("report", "compare", "validate", "look", "diagnosis")}
 
 
-def of_site(browser, page: Path) -> list[str]:
+@contextmanager
+def served(folder: Path) -> Iterator[str]:
+    """The address of a server of this folder."""
+
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, *_):
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=folder)) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+
+
+def of_site(browser, page: str) -> list[str]:
     wrong = []
     for (name, size), theme in product(browsing.SIZES.items(), browsing.THEMES):
         with browsing.opened(browser, page, size, theme) as (tab, told):
@@ -82,7 +101,9 @@ def main() -> int:
                 with browsing.opened(browser, page, browsing.SIZES[size], theme) as (tab, _):
                     tab.screenshot(path=PICTURES / f"page_{name}.png")
         site = sorted(SITE.rglob("*.html"))
-        wrong = [f"{page.name}: {what}" for page in site for what in of_site(browser, page)]
+        with served(SITE) as home:
+            names = [page.relative_to(SITE).as_posix() for page in site]
+            wrong = [f"{name}: {what}" for name in names for what in of_site(browser, f"{home}/{name}")]
         times = len(site) * len(browsing.SIZES) * len(browsing.THEMES)
         rows.append({"page": "the documentation's site", "pages": len(site), "opened": times, "faults": wrong})
         print(rows[-1])

@@ -39,15 +39,20 @@ def chromium() -> Iterator:
 
 
 @contextmanager
-def opened(browser, page: Path, size: tuple[int, int], theme: str) -> Iterator:
-    """The page in a window of its own, and the list of what its console said and what it asked the network for."""
+def opened(browser, page: Path | str, size: tuple[int, int], theme: str) -> Iterator:
+    """The page in a window of its own, and the list of what its console said and what it asked another host for.
+
+    page: a file, or the address of a page on a server of this machine.
+    """
+    address = page if isinstance(page, str) else page.absolute().as_uri()
+    own = ("file:", "data:", "blob:", "/".join(address.split("/")[:3]))
     context = browser.new_context(viewport=dict(zip(("width", "height"), size, strict=True)), color_scheme=theme)
     told: list[str] = []
     tab = context.new_page()
     tab.on("console", lambda message: told.append(f"console {message.type}: {message.text}"))
     tab.on("pageerror", lambda error: told.append(f"error: {error}"))
-    tab.on("request", lambda asked: asked.url.startswith(("file:", "data:", "blob:")) or told.append(asked.url))
-    tab.goto(page.absolute().as_uri())
+    tab.on("request", lambda asked: asked.url.startswith(own) or told.append(asked.url))
+    tab.goto(address)
     tab.wait_for_timeout(SETTLED)
     yield tab, told
     context.close()
