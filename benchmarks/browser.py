@@ -71,7 +71,11 @@ def served(folder: Path) -> Iterator[str]:
         def log_message(self, *_):
             pass
 
-    with ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=folder)) as server:
+    class Patient(ThreadingHTTPServer):
+        def handle_error(self, *_):  # a page that is left ends its downloads
+            pass
+
+    with Patient(("127.0.0.1", 0), partial(Quiet, directory=folder)) as server:
         Thread(target=server.serve_forever, daemon=True).start()
         yield f"http://127.0.0.1:{server.server_port}"
         server.shutdown()

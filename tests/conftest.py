@@ -5,12 +5,16 @@ import sys
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 from networks import delay_line
 
 from greygate import cli
 from greygate.compiler.quantize import Formats
 from greygate.project import compile_project
 from greygate.source import Source
+
+settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any machine")  # how fast an example is drawn says nothing of the product
 
 
 @pytest.fixture

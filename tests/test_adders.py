@@ -51,7 +51,7 @@ def values(graph: Graph, x: np.ndarray) -> list[int]:
     return found[graph.columns :]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(problems())
 def test_a_graph_is_its_matrix(problem):
     weights, widths, constants = problem
@@ -64,7 +64,7 @@ def test_a_graph_is_its_matrix(problem):
     assert (graph.evaluate(x) == x.astype(object) @ weights.T.astype(object) + constants).all()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(problems())
 def test_ranges_are_exact(problem):
     weights, widths, constants = problem
@@ -83,7 +83,7 @@ def test_every_input_of_a_small_graph_stays_within_its_ranges():
     assert seen.max(axis=0).tolist() == [n.hi for n in graph.nodes]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(problems())
 def test_operands_stand_before_their_users_and_shifts_are_plain(problem):
     weights, widths, constants = problem
@@ -100,7 +100,7 @@ def test_operands_stand_before_their_users_and_shifts_are_plain(problem):
         assert graph.negations == 0  # a constant can always be added so that the sign comes out
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(problems(), st.integers(0, 2))
 def test_a_bound_on_the_depth_is_kept(problem, more):
     weights, widths, constants = problem

@@ -57,7 +57,7 @@ def random_program(seed: int) -> tuple[Program, np.ndarray]:
     return program, program.encode(random_inputs(network, 25, seed + 1))
 
 
-@settings(max_examples=220, deadline=None)
+@settings(max_examples=220)
 @given(st.integers(0, 10**9))
 def test_engine_and_interpreter_agree_in_every_bit_of_every_signal_of_random_networks(seed):
     program, codes = random_program(seed)
@@ -69,7 +69,7 @@ def test_engine_and_interpreter_agree_in_every_bit_of_every_signal_of_random_net
     assert fast.saturations == slow.saturations
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 10**9))
 def test_a_batch_from_given_states_is_the_same_as_its_sequences(seed):
     program, codes = random_program(seed)
@@ -79,7 +79,7 @@ def test_a_batch_from_given_states_is_the_same_as_its_sequences(seed):
         np.testing.assert_array_equal(both.outputs[i], interpret(program, codes, initial[i]).outputs)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.integers(0, 10**9))
 def test_simplification_changes_no_output_by_more_than_1e_9(seed):
     network = random_network(seed)
@@ -91,7 +91,7 @@ def test_simplification_changes_no_output_by_more_than_1e_9(seed):
     assert multiplications(simplify(network)) <= multiplications(network)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 10**9))
 def test_sound_bounds_hold_for_other_inputs_within_the_observed_ones(seed):
     network = simplify(random_network(seed))

@@ -52,7 +52,7 @@ def moved(network: Network, fit) -> np.ndarray:
     return np.concatenate([(after[n] - before[n]).ravel() for n in before])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10**9))
 def test_the_sweep_back_through_time_equals_torch_for_any_topology(seed):
     network = random_network(seed, activations=SMOOTH)

@@ -37,7 +37,7 @@ SIMULATE = importlib.import_module("greygate.plants.simulate")  # the package ha
 PROJECT = importlib.import_module("greygate.project")
 ARITHMETIC = (ast.Module, ast.Expr, ast.Name, ast.Constant, ast.Call, ast.UnaryOp, ast.BinOp, ast.expr_context,
               ast.UAdd, ast.USub, ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow)  # fmt: skip
-SHARE = 0.1  # of the mutants that shall be accepted, and refused: else the fuzz reaches nothing, or mends nothing
+SHARE = 0.05  # of the mutants that shall be accepted, and refused: else the fuzz reaches nothing, or mends nothing
 
 
 # ---- what the product does first with each file: functions of the folder in which it lies

@@ -49,7 +49,7 @@ def test_every_activation_is_its_definition(name):
     np.testing.assert_allclose(ACTIVATIONS[name].value(np, n), by_hand[name], atol=1e-15)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 10**9))
 def test_numpy_and_torch_agree_step_by_step_in_sequence_and_in_batch(seed):
     network = random_network(seed)
@@ -63,7 +63,7 @@ def test_numpy_and_torch_agree_step_by_step_in_sequence_and_in_batch(seed):
         np.testing.assert_allclose(batch[name][1], y, rtol=0, atol=1e-12)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 10**9))
 def test_a_flat_network_is_the_same_network_and_flattening_it_changes_nothing(seed):
     network = random_network(seed)
@@ -74,7 +74,7 @@ def test_a_flat_network_is_the_same_network_and_flattening_it_changes_nothing(se
         np.testing.assert_array_equal(flat.run(inputs)[name], y)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10**9))
 def test_a_saved_network_comes_back_the_same(tmp_path_factory, seed):
     network = random_network(seed)

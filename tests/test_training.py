@@ -25,7 +25,7 @@ def as_record(network: Network, steps: int, seed: int) -> Record:
     return Record(inputs, targets, skip=int(rng.integers(0, 3)))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.integers(0, 10**9))
 def test_gradients_through_time_equal_those_of_torch_for_any_topology(seed):
     network = random_network(seed, activations=SMOOTH)

@@ -7,6 +7,7 @@ A command is a function of `networks`, `builds` or `rigs`; it imports what it ne
 import io
 import signal
 import sys
+from threading import Timer, get_ident
 from typing import Annotated, Any
 
 import typer
@@ -17,6 +18,7 @@ from greygate.cli.terminal import say
 from greygate.errors import InputError
 
 INTERRUPTED, TERMINATED = 130, 143  # exit codes after Ctrl-C and after `kill`, as shells give them
+AGAIN_S = 0.05  # so long a signal that was ignored waits: longer than a callback, shorter than one notices
 UsageError: Any = typer.BadParameter.__base__  # raised for an argument or option that is missing, unknown or wrong
 COMMANDS = (
     *(recordings.look, identify.identify, networks.train, expert.build_snn, networks.compile),
@@ -58,6 +60,7 @@ def main(
 def run() -> None:
     """Entry point: a user's mistake is one line on stderr and exit code 2, Ctrl-C one line and 130, `kill` 143."""
     signal.signal(signal.SIGTERM, _terminated)
+    sys.unraisablehook = _ignored
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a path may hold bytes that are no text
     try:
@@ -79,6 +82,19 @@ def _terminated(number: int, frame: object) -> None:
     """Exit through every `finally`, so that temporary files are removed; a second signal ends the process at once."""
     signal.signal(number, signal.SIG_DFL)
     sys.exit(TERMINATED)
+
+
+def _ignored(error: Any) -> None:
+    """Send a Ctrl-C or `kill` again that came while Python ran a callback, whose errors it ignores."""
+    number = {KeyboardInterrupt: signal.SIGINT, SystemExit: signal.SIGTERM}.get(error.exc_type)
+    if number is None:
+        sys.__unraisablehook__(error)
+    else:
+        if number == signal.SIGTERM:
+            signal.signal(number, _terminated)
+        again = Timer(AGAIN_S, signal.pthread_kill, [get_ident(), number])
+        again.daemon = True
+        again.start()
 
 
 def _mistake(error: Exception) -> str | None:
