@@ -18,11 +18,12 @@ import numpy as np
 from made import keep
 from threadpoolctl import threadpool_limits
 
+from greygate.control.choices import JUDGED, Case, Method, Place
 from greygate.control.loop import Run
 from greygate.controlling import controller
 from greygate.hardware.in_loop import Clocked
 from greygate.machines.catalog import CONTROLLED, task
-from greygate.machines.control import JUDGED, Case, Method, Place, Task
+from greygate.machines.control import Task
 
 SEEDS = tuple(range(JUDGED + 1, JUDGED + 4))
 LONG, LONG_SEED = 600.0, JUDGED + 10  # s

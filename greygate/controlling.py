@@ -4,12 +4,13 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from greygate.control.choices import Method, Place
 from greygate.control.loop import Controller
 from greygate.control.stepping import Emulated
 from greygate.errors import InputError
 from greygate.hardware.in_loop import Clocked, clocked
 from greygate.hardware.verify import Case as Built
-from greygate.machines.control import Method, Place, Task
+from greygate.machines.control import Task
 from greygate.progress import Progress, silent
 
 

@@ -8,13 +8,13 @@ models/trained/control. What is judged runs on other trajectories, and on days o
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
 
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
+from greygate.control.choices import JUDGED, Case
 from greygate.control.imitation import LAST, Imitated, Watched, dagger
 from greygate.control.loop import Controller, Rig, Run, run
 from greygate.control.pi import Proportional, tuned
@@ -31,33 +31,8 @@ from greygate.reading import read_json
 
 CONTROL = TRAINED / "control"
 TUNING, LEARNING = 50, 100  # seeds of trajectories and days: of the tuning, and from where on those of learning
-JUDGED = 1000  # what is judged has seeds from here on
 EPOCHS, DECAY = 60, 1e-6  # of DAgger
 HIDDEN, SEED = 10, 0
-
-
-class Case(StrEnum):
-    """What disturbs the machine."""
-
-    NOMINAL = "nominal"
-    LOAD = "load"
-    SUPPLY = "supply"
-
-
-class Method(StrEnum):
-    """Who controls."""
-
-    PI = "pi"
-    MPC = "mpc"
-    NETWORK = "network"
-
-
-class Place(StrEnum):
-    """Where soft sensor and imitating network are computed."""
-
-    FLOAT = "float"
-    EMULATOR = "emulator"
-    RTL = "rtl"
 
 
 @dataclass(frozen=True)

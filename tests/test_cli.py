@@ -516,3 +516,32 @@ def test_a_rig_whose_simulation_explodes_is_refused_in_a_line(rig, greygate):
     assert (code, printed) == (2, "")
     (said,) = [line for line in error.splitlines() if not line.startswith("diagnosing: ")]  # progress of a slow machine
     assert "the simulation of y diverges, whatever the parameters" in said
+
+
+def completed(words: str) -> list[str]:
+    """What bash offers for the last of these words."""
+    wish = {"_GREYGATE_COMPLETE": "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(words.count(" "))}
+    done = subprocess.run([GREYGATE], env={**os.environ, **wish}, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("greygate comp", ["compile", "compare"]),
+        ("greygate export f", ["fmu", "fusesoc"]),
+        ("greygate compile build --max-l", ["--max-latency", "--max-luts"]),
+        ("greygate synthesize build --target ice", ["ice40"]),
+        ("greygate compile valve", [name for name in CATALOG if name.startswith("valve")]),
+        ("greygate compile ./mi", []),  # left to the shell: a file
+    ],
+)
+def test_the_shell_completes_commands_options_and_names(words, offered):
+    assert completed(words) == offered
+
+
+def test_a_command_loads_only_what_it_needs():
+    heavy = "{'numba', 'scipy', 'torch', 'plotly', 'pint'} & set(sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", f"import greygate.cli, sys; print({heavy})"], capture_output=True)
+    assert loaded.stdout == b"set()\n"

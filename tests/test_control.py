@@ -10,6 +10,7 @@ import pytest
 
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
+from greygate.control.choices import JUDGED, Case, Method, Place
 from greygate.control.imitation import AHEAD, LAST, Imitated, Watched, dagger, differences, imitator
 from greygate.control.loop import run
 from greygate.control.observer import Observer
@@ -22,7 +23,6 @@ from greygate.hardware.in_loop import clocked
 from greygate.hardware.verify import Case as Built
 from greygate.machines.belt_drive import axis as belt
 from greygate.machines.catalog import task
-from greygate.machines.control import JUDGED, Case, Method, Place
 from greygate.machines.valve_cylinder import axis as cylinder
 from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port

@@ -16,7 +16,7 @@ from greygate.machines.catalog import CATALOG, entry
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 BLOCKS = {
-    page.name: re.findall(r'```(python|sh|toml title="([\w/.]+)")\n(.*?)```', page.read_text(), re.S) for page in PAGES
+    page.name: re.findall(r'```(python|sh|\w+ title="([\w/.]+)")\n(.*?)```', page.read_text(), re.S) for page in PAGES
 }
 """Of each page, in order: Python and shell that is run, and files that it tells the reader to write."""
 

@@ -13,7 +13,20 @@ from typing import Annotated, Any
 import typer
 
 from greygate import __version__
-from greygate.cli import bench, boards, builds, controls, doctor, expert, exports, identify, networks, recordings, rigs
+from greygate.cli import (
+    bench,
+    boards,
+    builds,
+    ci,
+    controls,
+    doctor,
+    expert,
+    exports,
+    identify,
+    networks,
+    recordings,
+    rigs,
+)
 from greygate.cli.terminal import say
 from greygate.errors import InputError
 
@@ -27,13 +40,13 @@ COMMANDS = (
     networks.validate,
     *(controls.control, doctor.doctor),
     *(rigs.diagnose, rigs.next_, rigs.isolability, rigs.simulate, rigs.augment, rigs.conceal, rigs.reveal),
-    rigs.fit_fmu,
+    *(rigs.fit_fmu, ci.ci_template),
 )
 
 app = typer.Typer(
     help="Grey-box networks from a mechanical plant to an FPGA.",
     no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
 )
 for command in COMMANDS:

@@ -7,7 +7,7 @@ import typer
 
 from greygate.cli import options
 from greygate.cli.terminal import Json, following, give
-from greygate.machines.control import JUDGED, Case, Method, Place
+from greygate.control.choices import JUDGED, Case, Method, Place
 
 
 def control(

@@ -24,7 +24,17 @@ Architecture = StrEnum("Architecture", _architectures)  # type: ignore[misc]  # 
 EVERY = Architecture("both")
 OWN_TRAINING = ("tail", "narx", "epochs", "decay", "settle", "shooting", "seconds")  # options of a user's network
 
-Network = Annotated[str, typer.Argument(help="A name of the catalogue, or NAME.toml with --record.")]
+
+def catalogued(begun: str) -> list[str]:
+    """For the shell's completion: names of the catalogue that begin so; if there are none, it completes files."""
+    from greygate.machines.catalog import CATALOG
+
+    return [name for name in CATALOG if name.startswith(begun)]
+
+
+Network = Annotated[
+    str, typer.Argument(help="A name of the catalogue, or NAME.toml with --record.", autocompletion=catalogued)
+]
 Settle = Annotated[
     int, typer.Option(callback=options.SAMPLES, help="First samples of each record: they give only its initial state.")
 ]
@@ -32,7 +42,12 @@ Settle = Annotated[
 
 def train(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(help="A network of the catalogue, `list`, or NAME.toml with --record.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="A network of the catalogue, `list`, or NAME.toml with --record.", autocompletion=catalogued
+        ),
+    ],
     record: Annotated[list[str], typer.Option(help="FILE.csv to train on; several may be given.")] = [],
     held: Annotated[list[str], typer.Option(help="FILE.csv that is not trained on: it chooses the epoch.")] = [],
     tail: Annotated[
