@@ -21,7 +21,7 @@ _JOINED = {"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operato
 _ABOVE, _BELOW = ("StrictGreaterThan", "GreaterThan"), ("StrictLessThan", "LessThan")
 
 
-def _sympy() -> ModuleType:
+def sympy_module() -> ModuleType:
     try:
         import sympy
     except ImportError:
@@ -42,7 +42,7 @@ def texts(declaration: Any) -> Any:
     >>> texts({"h": {"outflow": -k * sympy.sqrt(sympy.Max(h, 0))}})
     {'h': {'outflow': '-k*sqrt(max(0, h))'}}
     """
-    sympy = _sympy()
+    sympy = sympy_module()
     if isinstance(declaration, Mapping):
         return {str(name): texts(value) for name, value in declaration.items()}
     if isinstance(declaration, list | tuple):
@@ -54,7 +54,7 @@ def texts(declaration: Any) -> Any:
 
 def written(expression: Any) -> str:
     """The text of a sympy expression. Raises InputError for what an expression of a plant cannot say."""
-    sympy = _sympy()
+    sympy = sympy_module()
     if expression.free_symbols and not all(isinstance(s, sympy.Symbol) for s in expression.free_symbols):
         raise InputError(f"{shown(str(expression))}: only symbols can stand for quantities")
 
@@ -125,7 +125,7 @@ def balances(mass: Any, forces: Sequence[Mapping[str, Any]], rates: Sequence[str
 
 def symbolic(expression: str) -> Any:
     """The text of an expression as a sympy expression, in sympy's order of factors."""
-    return _made(parse(expression).tree, _sympy())
+    return _made(parse(expression).tree, sympy_module())
 
 
 def _made(node: Node, sympy: ModuleType) -> Any:
@@ -161,7 +161,7 @@ def latex(plant: Plant, names: bool = True) -> str:
     \mathrm{mass} \, \dot{v} &= \mathrm{force} - v \mathrm{viscous}
     \end{align}
     """
-    sympy = _sympy()
+    sympy = sympy_module()
 
     def shown_(text: str) -> str:
         found = symbolic(text)

@@ -17,6 +17,7 @@ class Service(StrEnum):
 
 
 def ci_template(
+    context: typer.Context,
     service: Service,
     network: Network,
     options: Annotated[
@@ -37,9 +38,6 @@ def ci_template(
 
     Run it in the repository's folder. An earlier workflow is replaced if greygate wrote it.
     """
-    from typer.main import get_command
-
-    from greygate.cli import app
     from greygate.exporting.ci import BUILD, write_workflow
     from greygate.machines.catalog import CATALOG
     from greygate.source import Source
@@ -47,7 +45,7 @@ def ci_template(
     words = [network, *(options or [])]
     if any(word.startswith("--out") for word in words):
         raise InputError(f"--out: the workflow compiles into {BUILD}; leave it out")
-    command = get_command(app).commands["compile"]  # type: ignore[attr-defined]
+    command = context.find_root().command.commands["compile"]  # type: ignore[attr-defined]
     given = command.make_context("compile", [*words, "--out", BUILD]).params
     source = Source(network, recordings([*given["record"], *given["held"]]))
     source.records()

@@ -1,4 +1,4 @@
-"""`greygate export`: c, fmu, fusesoc."""
+"""`greygate export`: c, fmu, fusesoc, modelica, mjcf, latex."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -10,6 +10,9 @@ from greygate.cli.terminal import Json, following, give
 
 app = typer.Typer(help="Write a build, a rig or a plant for another tool.", no_args_is_help=True)
 Folder = Annotated[Path, typer.Argument(metavar="BUILD", help="A folder that `greygate compile` wrote.")]
+
+PlantOf = Annotated[Path, typer.Argument(metavar="RIG|PLANT.toml", help="A folder with rig.toml, or a plant.")]
+Corrected = Annotated[Path | None, typer.Option(help="diagnosis.json of the rig: the plant with its corrections.")]
 
 
 class Fmi(StrEnum):
@@ -43,9 +46,7 @@ def fmu(
     ],
     out: Annotated[Path, typer.Option(help="FMU to write.")],
     fmi: Annotated[Fmi, typer.Option(help="Version of FMI.")] = Fmi.THREE,
-    diagnosis: Annotated[
-        Path | None, typer.Option(help="diagnosis.json of the rig: the plant with its corrections.")
-    ] = None,
+    diagnosis: Corrected = None,
     as_json: Json = False,
 ) -> None:
     """Write an FMU for co-simulation: a network bit for bit as compiled, or a plant, as it is or corrected."""
@@ -73,3 +74,59 @@ def fusesoc(
     held = export_fusesoc(Project.open(folder), out, architecture)
     lines = [f"{held['core']}, {held['architecture']}: {len(held['files'])} files", f"written to {out}"]
     give(held, as_json, lines)
+
+
+@app.command()
+def modelica(
+    source: PlantOf,
+    out: Annotated[Path, typer.Option(help="FILE.mo to write.")],
+    diagnosis: Corrected = None,
+    as_json: Json = False,
+) -> None:
+    """Write a plant's equations as a Modelica model, as they are or corrected."""
+    from greygate.exporting.export import export_modelica
+    from greygate.mismatch.simulation import read
+
+    name = export_modelica(source, out, None if diagnosis is None else read(diagnosis))
+    give({"model": name, "out": str(out)}, as_json, [f"model {name}", f"written to {out}"])
+
+
+@app.command()
+def latex(
+    source: PlantOf,
+    out: Annotated[Path, typer.Option(help="FILE.tex to write.")],
+    diagnosis: Corrected = None,
+    as_json: Json = False,
+) -> None:
+    """Write a plant's equations in LaTeX, each term with its name under it, as they are or corrected."""
+    from greygate.exporting.export import export_latex
+    from greygate.mismatch.simulation import read
+
+    name = export_latex(source, out, None if diagnosis is None else read(diagnosis))
+    give({"plant": name, "out": str(out)}, as_json, [f"plant {name}", f"written to {out}"])
+
+
+@app.command()
+def mjcf(
+    source: PlantOf,
+    out: Annotated[Path, typer.Option(help="FILE.xml to write, which a model includes.")],
+    joint: Annotated[
+        list[str], typer.Option(help="VELOCITY=NAME: the class of its joint; may be given several times.")
+    ] = [],
+    diagnosis: Corrected = None,
+    as_json: Json = False,
+) -> None:
+    """Write damping, dry friction and added inertia of a plant as joint classes of MuJoCo, as it is or corrected."""
+    from dataclasses import asdict
+
+    from greygate.exporting.export import export_mjcf
+    from greygate.mismatch.simulation import read
+
+    names = {v: name or v for v, _, name in (text.partition("=") for text in joint)}
+    found = export_mjcf(source, out, names, None if diagnosis is None else read(diagnosis))
+    lines = []
+    for one in found:
+        sizes = [f"{what} {getattr(one, what):.6g} ({', '.join(terms)})" for what, terms in one.carried.items()]
+        lines.append(f"{one.name}: {'; '.join(sizes) or 'nothing resists'}")
+        lines += [f"  not here: {', '.join(one.left)}"] * bool(one.left)
+    give({"out": str(out), "joints": [asdict(one) for one in found]}, as_json, [*lines, f"written to {out}"])
