@@ -40,7 +40,7 @@ from greygate.progress import Progress, silent
 SHARE = 0.99  # of what can be explained: an effect that explains so much is all that is missing,
 ADEQUATE = 4.0  # where the squared errors are at most so many times those that the told noise makes
 SOME = 0.1  # of the squared error in free run, likewise where no noise is told
-CLOSED = 0.25  # of the misfit, that a fitted term must take: of what takes less, every other one does harm elsewhere
+CLOSED = PART  # of the misfit, that a fitted term must take, as a name must: what takes less does harm elsewhere
 NOISES = 3  # noises under which a recording is explained, at most: each is what the explanation before it left
 BLOWN = 100.0  # times what was recorded: a run that is so far off diverges, and nothing can be read from it
 
@@ -174,6 +174,8 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
     if verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
         progress("calibrating to the run itself")
         claims.calibrated = to_the_run(search, Judge(corrected.likelihood), claims.calibrated)
+    if verdict == Verdict.PARTLY_EXPLAINED and _carries_not_over(search, claims):
+        verdict, best, unlike = Verdict.UNEXPLAINED, Hypothesis(), ""
     unknown: dict = {}
     if verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED) and not unlike:
         progress("looking for the equation")
@@ -235,8 +237,12 @@ def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
     if verdict == Verdict.MISSING_PHYSICS and (unlike := _unlike(search, best, lambda: False)):
         verdict, left = Verdict.PARTLY_EXPLAINED, unlike
     unexplained = {}
+    if verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
+        claims.calibrated = to_the_run(search, Judge(fit.likelihood), claims.calibrated)
+    if verdict == Verdict.PARTLY_EXPLAINED and _carries_not_over(search, claims):
+        verdict = Verdict.UNEXPLAINED
     if verdict == Verdict.UNEXPLAINED:
-        best, fit = Hypothesis(), to_the_run(search, Judge(fit.likelihood), claims.calibrated)
+        best, fit = Hypothesis(), claims.calibrated
         left = _goes_on(fit) or left
         unexplained = {"where": [_likeliest(search, selection.fits, left, best)]}
     elif verdict == Verdict.PARTLY_EXPLAINED and left == goes_on:
@@ -279,9 +285,19 @@ def _no_term(claims: Claims, unknown: dict, closed: Fit | None) -> str:
         return ""
     if _taken(unknown) < CLOSED:
         return f"it takes {_taken(unknown):.0%} of the misfit"
-    judge = Judge(closed.likelihood)
+    judge, halves = Judge(closed.likelihood), Judge(closed.likelihood, halves=True)
     losses = judge.losses(claims.calibrated, closed) or judge.throughout(claims.calibrated, closed)
+    losses = losses or halves.losses(claims.calibrated, closed)
     return f"with it {losses[0]}" if losses else ""
+
+
+def _carries_not_over(search: Search, claims: Claims) -> bool:
+    """Whether what is claimed beside something unexplained is refused: learnt from one half, it spoils the other."""
+    losses = Judge(claims.fit.likelihood, halves=True).losses(claims.calibrated, claims.fit)
+    if losses:
+        names = " + ".join(named(search, key) for key in (*claims.best.effects, *claims.best.released))
+        claims.refused.append(f"{names} is not claimed: something is left, and with it {losses[0]}")
+    return bool(losses)
 
 
 def _unknown(search: Search, claims: Claims, unknown: dict, closed: Fit | None, refused: str) -> tuple[dict, Fit]:
