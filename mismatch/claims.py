@@ -116,10 +116,19 @@ def _rounded(effect: Effect, fit: Fit) -> bool:
 
 
 def by_rule(search: Search, hypothesis: Hypothesis, fit: Fit) -> Fit | None:
-    """The hypothesis fitted to the error of the run by the rig's rule, as it is; None where that cannot be run.
+    """The hypothesis fitted to the error of the run by the rig's rule, as it is; None where `fit` is that already.
 
-    An autoregression weighs fast errors most, short windows forget slow ones, and where something is missing the
-    channel of least noise counts for all; here each channel counts by what is left in it.
+    An autoregression weighs fast errors most, and short windows forget slow ones; this weighs them as they are.
+    """
+    likelihood = fit.likelihood
+    coloured = isinstance(likelihood, Coloured) and likelihood.order
+    return _to_the_run(search, hypothesis, fit) if coloured or likelihood.model.window != search.rig.window else None
+
+
+def _to_the_run(search: Search, hypothesis: Hypothesis, fit: Fit) -> Fit | None:
+    """The same for any fit, each channel weighed by what is left in it; None where it cannot be run.
+
+    Weighed by the sensors' noise, where something is missing the channel of least noise would count for all.
     """
     likelihood = fit.likelihood
     if isinstance(likelihood, Coloured):
@@ -131,9 +140,9 @@ def by_rule(search: Search, hypothesis: Hypothesis, fit: Fit) -> Fit | None:
     return again if np.isfinite(again.cost) else None
 
 
-def to_the_run(search: Search, judge: Judge, fit: Fit) -> Fit:
+def calibrated_to_the_run(search: Search, judge: Judge, fit: Fit) -> Fit:
     """The calibrated plant `fit`, or that fitted to the run itself where it errs less on blocks not learnt from."""
-    again = by_rule(search, Hypothesis(), fit)
+    again = _to_the_run(search, Hypothesis(), fit)
     if again is None or not (1.0 + MORE) ** 2 * judge.total(again) < judge.total(fit):
         return fit
     return fit.likelihood.fit(fit.unknowns, again.values, iterations=0)

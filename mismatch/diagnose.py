@@ -16,7 +16,7 @@ from greygate.errors import InputError
 from greygate.mismatch import effects as table
 from greygate.mismatch.adequacy import dependent
 from greygate.mismatch.blocks import Judge
-from greygate.mismatch.claims import Claims, earned, named, to_the_run
+from greygate.mismatch.claims import Claims, calibrated_to_the_run, earned, named
 from greygate.mismatch.closure import closure, left_beside
 from greygate.mismatch.coloured import Coloured, remaining
 from greygate.mismatch.coloured_selection import ColouredSelection
@@ -73,7 +73,7 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
     progress("calibrating")
     result = (_of_stated_noise if rig.stated else _of_coloured_noise)(search, progress)
     result.not_shown = not_shown
-    if result.verdict == Verdict.MISSING_PHYSICS and all(search.effects[key].fault for key in result.best.effects):
+    if result.verdict == Verdict.MISSING_PHYSICS and _faults(search, result.best):
         result.verdict = Verdict.RECORDING_FAULT
     if result.verdict == Verdict.CONSISTENT:
         progress("bounding what is not there")
@@ -89,6 +89,11 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
         result.alone = _each_alone(rig, effects, progress)
     result.seconds = time.perf_counter() - began
     return result
+
+
+def _faults(search: Search, best: Hypothesis) -> bool:
+    """Whether only faults of the recording are claimed."""
+    return bool(best.effects) and all(search.effects[key].fault for key in best.effects)
 
 
 def _each_alone(rig: Rig, effects: Mapping[str, Effect], progress: Progress) -> dict[str, dict]:
@@ -167,13 +172,14 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
     best, corrected = claims.best, claims.fit
     left, explained = structure(corrected), selection.explained(current)
     unfinished = _open(corrected, current)
-    verdict = _verdict(search, best, unfinished, explained, corrected.cost / corrected.likelihood.count)
+    per_sample = corrected.cost / corrected.likelihood.count
+    verdict = _verdict(best, unfinished, explained, per_sample, faults=_faults(search, best))
     missing = verdict == Verdict.MISSING_PHYSICS
     unlike = _unlike(search, best, lambda: unfinished or _pays(search, best, corrected)) if missing else ""
     verdict = Verdict.PARTLY_EXPLAINED if unlike else verdict
     if verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
         progress("calibrating to the run itself")
-        claims.calibrated = to_the_run(search, Judge(corrected.likelihood), claims.calibrated)
+        claims.calibrated = calibrated_to_the_run(search, Judge(corrected.likelihood), claims.calibrated)
     if verdict == Verdict.PARTLY_EXPLAINED and _carries_not_over(search, claims):
         verdict, best, unlike = Verdict.UNEXPLAINED, Hypothesis(), ""
     unknown: dict = {}
@@ -233,12 +239,12 @@ def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
     best, fit = claims.best, claims.fit
     left = goes_on = _goes_on(fit)
     explained = removed(claims.calibrated, fit)
-    verdict = _verdict(search, best, bool(left), explained, np.inf, SOME)
+    verdict = _verdict(best, bool(left), explained, np.inf, SOME)
     if verdict == Verdict.MISSING_PHYSICS and (unlike := _unlike(search, best, lambda: False)):
         verdict, left = Verdict.PARTLY_EXPLAINED, unlike
     unexplained = {}
     if verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
-        claims.calibrated = to_the_run(search, Judge(fit.likelihood), claims.calibrated)
+        claims.calibrated = calibrated_to_the_run(search, Judge(fit.likelihood), claims.calibrated)
     if verdict == Verdict.PARTLY_EXPLAINED and _carries_not_over(search, claims):
         verdict = Verdict.UNEXPLAINED
     if verdict == Verdict.UNEXPLAINED:
@@ -260,13 +266,13 @@ def _open(corrected: Fit, current: Fit) -> bool:
 
 
 def _verdict(
-    search: Search, best: Hypothesis, open_: bool, explained: float, left: float, part: float = PART
+    best: Hypothesis, open_: bool, explained: float, left: float, part: float = PART, faults: bool = False
 ) -> Verdict:
     """open_: whether structure is left. left: squared errors over those of the noise, infinite where none is told.
 
-    However large a fault of the recording is, what it leaves is of the machine.
+    faults: whether nothing but faults of the recording are claimed: what those leave is of the machine, however large
+    they are.
     """
-    faults = bool(best.effects) and all(search.effects[key].fault for key in best.effects)
     if open_ and (faults or explained < SHARE or left > ADEQUATE):
         return Verdict.PARTLY_EXPLAINED if best.effects and explained >= part else Verdict.UNEXPLAINED
     if best.effects:
