@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from checking import valid_files
 
 from greygate.errors import InputError
 from greygate.machines.catalog import CATALOG, entry
@@ -41,6 +42,7 @@ def test_the_python_and_the_commands_in_a_page_run(page, tmp_path, monkeypatch):
         else:
             (tmp_path / name).parent.mkdir(exist_ok=True)
             (tmp_path / name).write_text(text)
+    valid_files(tmp_path)
 
 
 def test_figures_of_the_pages_are_those_of_the_stored_results():

@@ -33,6 +33,7 @@ GOOD = {
     "report": ["build", "--out", "new.html"],
     "compare": ["build", "build"],
     "doctor": [],
+    "schema": ["verify"],
     "board": ["icebreaker", "build", "--out", "new"],
     "play": ["build", "a.csv", "--port", "none"],
     "validate": ["line.toml", "--record", "a.csv", "--lags", "5", "--out", "new.html"],
