@@ -231,6 +231,12 @@ def test_every_command_is_swept_and_400_invocations_at_least():
     print(f"{len(ALL)} invocations")
 
 
+@pytest.mark.parametrize("command", commands())
+def test_every_command_takes_json(command):
+    entry, _ = commands()[command]
+    assert "--json" in [word for option in entry.params for word in option.opts]
+
+
 def test_a_command_line_of_nothing_is_answered_by_help(greygate):
     code, printed, error = greygate()
     assert code == 2
