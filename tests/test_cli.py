@@ -74,7 +74,7 @@ def test_a_users_network_is_trained_on_a_users_recordings(tmp_path, network):
     assert code == 0, error
     figures = json.loads(text)
     assert figures["rmse"]["a"]["y"] < 1e-4
-    assert json.loads((out / "line.json").read_text()) == figures
+    assert {"schema": "greygate/train/1"} | json.loads((out / "line.json").read_text()) == figures
     u = np.linspace(-1, 1, 50)
     assert Network.load(out / "line").run({"u": u})["y"] == pytest.approx(delay_line().run({"u": u})["y"], abs=1e-3)
 
