@@ -33,6 +33,7 @@ GOOD = {
     "report": ["build", "--out", "new.html"],
     "compare": ["build", "build"],
     "doctor": [],
+    "schema": ["verify"],
     "board": ["icebreaker", "build", "--out", "new"],
     "play": ["build", "a.csv", "--port", "none"],
     "validate": ["line.toml", "--record", "a.csv", "--lags", "5", "--out", "new.html"],
@@ -239,6 +240,12 @@ def test_every_command_is_swept_and_400_invocations_at_least():
     assert set(GOOD) == set(commands())
     assert len({tuple(a) for a in ALL}) >= LEAST
     print(f"{len(ALL)} invocations")
+
+
+@pytest.mark.parametrize("command", commands())
+def test_every_command_takes_json(command):
+    entry, _ = commands()[command]
+    assert "--json" in [word for option in entry.params for word in option.opts]
 
 
 def test_a_command_line_of_nothing_is_answered_by_help(greygate):

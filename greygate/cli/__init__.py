@@ -26,6 +26,7 @@ from greygate.cli import (
     networks,
     recordings,
     rigs,
+    schemas,
 )
 from greygate.cli.terminal import say
 from greygate.errors import InputError
@@ -40,7 +41,7 @@ COMMANDS = (
     networks.validate,
     *(controls.control, doctor.doctor),
     *(rigs.diagnose, rigs.next_, rigs.isolability, rigs.simulate, rigs.augment, rigs.conceal, rigs.reveal),
-    *(rigs.fit_fmu, ci.ci_template),
+    *(rigs.fit_fmu, ci.ci_template, schemas.schema),
 )
 
 app = typer.Typer(
