@@ -82,6 +82,7 @@ TEXTS = {
     "fmu": ["none", "folder", "a.csv", "build", ""], "parameter": ["nobody", ""],
     "unit": ["", "u", "u=", "=V", "u=foo", "nobody=V"], "time": ["nobody", ""],
     "resample": ["", "x", "0", "-1", "nan", "inf", "1e9"],
+    "settle": ["x", "", "-1", "1.5", "nan", "9" * 20, "autos"],
     "input": ["nobody", ""], "output": ["nobody", "x_drum", ""],
 }  # fmt: skip
 """Wrong texts by the name of the option or argument."""
