@@ -12,7 +12,7 @@ from greygate.baseline import linear_rms
 from greygate.errors import InputError
 from greygate.files import making, writing
 from greygate.machines.identification import initialised
-from greygate.models.accuracy import free_run_rms, pooled_rms, rms
+from greygate.models.accuracy import float_error, free_run_rms, pooled_rms, rms
 from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.network import Network
 from greygate.models.training.levenberg import Outcome, Start, Trained, multistart, narx_noe, train
@@ -36,6 +36,7 @@ def train_source(
     seeds: int = 1,
     jobs: int = 2,
     find_settle: bool = False,
+    offset: Sequence[str] = (),
     seconds: float = math.inf,
     progress: Progress = silent,
     **options,
@@ -45,7 +46,8 @@ def train_source(
     held: scenario -> CSV of a held-out record, which chooses the epoch. narx: train the one-step prediction first.
     seeds: starts, of which the first has the weights of the file and the others draw those of the neurons; what is held
     out chooses one. jobs: starts side by side. find_settle: instead of the source's `settle`, as `settling` finds it.
-    seconds: for all starts together. options: of `train`. If the source settles, the state before each recording is
+    offset: outputs whose sensor has an offset of its own in every recording but the first. seconds: for all starts
+    together. options: of `train`. If the source settles, the state before each recording is
     estimated, in training and for the figures. Raises InputError as `train`, before anything is written.
     """
     network, records, others = _read(source, held)
@@ -54,6 +56,7 @@ def train_source(
         raise InputError(
             f"--seeds {seeds}: nothing is held out that could choose a start; give --held FILE.csv or --tail 0.2"
         )
+    records, others = _offset(network, records, others, offset)
     remarks = []
     if find_settle:
         chosen = settling(network, records)
@@ -93,7 +96,9 @@ def train_source(
             starts = multistart(started, held_error, range(seeds), jobs, progress)
     best = starts[0].fit
     trained = network.with_parameters(best.network.parameters())  # not flat: modules and meanings stay as declared
-    judged = {name: initialised(trained, record) for name, record in (records | others).items()}
+    offsets = {n: own_offsets(trained, r) for n, r in (records | others).items() if r.own_offset}
+    level = {n: without_offsets(r, offsets.get(n, {})) for n, r in (records | others).items()}
+    judged = {name: initialised(trained, record) for name, record in level.items()}
     judged |= {f"{name} tail": replace(judged[name], skip=end.skip) for name, end in zip(records, ends, strict=False)}
     figures = {
         **_told(best),
@@ -101,6 +106,7 @@ def train_source(
         "linear": linear_rms(network, list(records.values()), records | others),
         "remarks": [*remarks, *best.remarks, *of_starts(starts)],
         "settle": source.settle,
+        "offsets": offsets,
         "starts": [{"start": s.seed, **_told(s.fit), "held_out": s.score} for s in starts],
         "out": str(folder / f"{network.name}.toml"),
     }
@@ -121,6 +127,35 @@ def _read(source: Source, held: Mapping[str, str]) -> tuple[Network, dict[str, R
         raise InputError("one file is given twice, under two names; hold out another file")
     found = replace(source, recordings=files).records()
     return source.network(), *({name: found[name] for name in names} for names in (source.recordings, held))
+
+
+def _offset(
+    network: Network, records: Mapping[str, Record], others: Mapping[str, Record], outputs: Sequence[str]
+) -> tuple[dict[str, Record], dict[str, Record]]:
+    """The records, with offsets of these outputs of their own; the first one is what the others are compared to."""
+    for name in outputs:
+        if name not in (known := [p.name for p in network.outputs]):
+            raise InputError(f"--offset {name}: {network.name} has no such output; it has {', '.join(known)}")
+    if outputs and len(records) + len(others) < 2:
+        raise InputError(f"--offset {outputs[0]}: the first recording is the reference; give another one beside it")
+    first, own = next(iter(records)), frozenset(outputs)
+    given = {n: r if n == first else replace(r, own_offset=own) for n, r in records.items()}
+    return given, {n: replace(r, own_offset=own) for n, r in others.items()}
+
+
+def own_offsets(network: Network, record: Record) -> dict[str, float]:
+    """Mean of measured less predicted from `skip` on, of each output with an offset of the record's own; in its unit."""
+    try:
+        errors = float_error(network, replace(record, own_offset=frozenset()))
+    except InputError:  # the free run diverges
+        return {}
+    return {name: -float(errors[name][record.skip :].mean()) for name in sorted(record.own_offset)}
+
+
+def without_offsets(record: Record, offsets: Mapping[str, float]) -> Record:
+    """The record with its offsets taken off."""
+    targets = {n: v - offsets.get(n, 0.0) for n, v in record.targets.items()}
+    return replace(record, targets=targets, own_offset=frozenset())
 
 
 def drawn(network: Network, seed: int) -> Network:

@@ -85,6 +85,7 @@ TEXTS = {
     "unit": ["", "u", "u=", "=V", "u=foo", "nobody=V"], "time": ["nobody", ""],
     "resample": ["", "x", "0", "-1", "nan", "inf", "1e9"],
     "new_name": ["", "x y", "none/new", "a.csv/new", "2nd", "con"], "block": ["none", "product", ""],
+    "offset": ["nobody", "y", ""],
     "settle": ["x", "", "-1", "1.5", "nan", "9" * 20, "autos"],
     "input": ["nobody", ""], "output": ["nobody", "x_drum", ""],
 }  # fmt: skip

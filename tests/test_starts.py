@@ -1,6 +1,7 @@
 """`greygate train --seeds` and `--settle auto`: several starts, and how many samples only give the initial state."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from greygate.models.families.library import library
 from greygate.models.families.regression import noe
 from greygate.models.linearised import linearised
 from greygate.models.network import Layer, Network, Port
+from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 from greygate.plants.excitation import prms
 from greygate.plants.recording import Recording
@@ -123,3 +125,49 @@ def test_what_the_starts_say_depends_on_how_far_they_are_apart():
     assert "2 times as much" in said(1.0, 2.0)
     assert "1 of 3 starts diverge" in said(1.0, 1.2, np.inf)
     assert of_starts([]) == []
+
+
+def test_offsets_of_single_recordings_are_found_beside_the_weights_and_taken_off(greygate, folder):
+    write("low.csv", record(4, offset=-0.3))
+    write("high.csv", record(5, offset=0.2))
+    words = ["train", "mine.toml", "--record", "rest.csv", "--record", "low.csv", "--held", "high.csv"]
+    errors = {}
+    for asked in ([], ["--offset", "y"]):
+        code, printed, _ = greygate(*words, "--epochs", "40", *asked, "--out", f"out{len(asked)}", "--json")
+        assert code == 0
+        errors[len(asked)] = json.loads(printed)
+    assert errors[2]["offsets"]["low"]["y"] == pytest.approx(-0.3, abs=0.002)
+    assert errors[2]["offsets"]["high"]["y"] == pytest.approx(0.2, abs=0.002)
+    assert errors[2]["rmse"]["high"]["y"] < 1.5 * NOISE
+    assert errors[0]["rmse"]["high"]["y"] > 0.1
+
+
+def test_the_gradient_and_the_gauss_newton_matrix_are_of_errors_about_their_mean():
+    model = drawn(noe("mine", {Port("u"): (1,)}, Port("y"), (1,), hidden=3), 2)
+    own = replace(record(4, offset=-0.3, samples=60), own_offset=frozenset({"y"}), skip=5)
+    objective = Objective(model, [own])
+    theta, step = objective.theta, 1e-6
+    errors = []
+    for i in range(len(theta)):
+        ends = [objective.errors(theta + side * step * np.eye(len(theta))[i])[0][5:, 0].copy() for side in (1, -1)]
+        errors.append((ends[0] - ends[1]) / (2 * step))
+    assert objective.errors(theta)[0][5:].mean() == pytest.approx(0, abs=1e-14)
+    jacobian, error = np.array(errors).T, objective.errors(theta)[0][5:, 0]
+    hessian, gradient = objective.normal_equations(theta)
+    assert hessian == pytest.approx(jacobian.T @ jacobian, rel=1e-6, abs=1e-6)
+    assert gradient == pytest.approx(jacobian.T @ error, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--offset", "u", "--held", "held.csv"], "no such output"),
+        (["--offset", "y"], "give another one beside it"),
+        (["--offset", "y", "--record", "away.csv", "--shooting", "40"], "leave one out"),
+        (["--held", "slow.csv"], "greygate look slow.csv --resample 0.01 --out FILE.csv"),
+    ],
+)
+def test_what_several_recordings_cannot_be_is_refused_with_what_to_do(greygate, folder, words, said):
+    write("slow.csv", record(4), dt=0.02)
+    code, _, told = greygate("train", "mine.toml", "--record", "rest.csv", *words, "--out", "out")
+    assert (code, said in told, (folder / "out").exists()) == (2, True, False)

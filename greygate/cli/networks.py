@@ -24,7 +24,7 @@ Architecture = StrEnum("Architecture", _architectures)  # type: ignore[misc]  # 
 EVERY = Architecture("both")
 OWN_TRAINING = (  # options of a user's network
     *("tail", "narx", "epochs", "decay", "settle", "shooting", "seconds"),
-    *("seeds", "jobs"),
+    *("seeds", "jobs", "offset"),
 )
 
 
@@ -65,6 +65,9 @@ def train(
     shooting: Annotated[
         int | None, typer.Option(callback=options.COUNT, help="Multiple shooting, in windows of this many samples.")
     ] = None,
+    offset: Annotated[
+        list[str], typer.Option(help="Output whose sensor has an offset of its own in each recording but the first.")
+    ] = [],
     seeds: Annotated[
         int, typer.Option(callback=options.STARTS, help="Starts: the file's weights, and others that are drawn.")
     ] = 1,
@@ -84,7 +87,7 @@ def train(
         give({n: e.title for n, e in CATALOG.items()}, as_json, [f"{n:20} {e.title}" for n, e in CATALOG.items()])
     elif name not in CATALOG and (record or name.endswith(".toml")):
         how = {"narx": narx, "tail": tail, "epochs": epochs, "decay": decay, "shooting": shooting, "seconds": seconds}
-        _train_own(name, record, held, settle, how | {"seeds": seeds, "jobs": jobs}, out, as_json)
+        _train_own(name, record, held, settle, how | {"seeds": seeds, "jobs": jobs, "offset": offset}, out, as_json)
     else:
         if record or held:
             raise InputError(f"{name} is trained on its own records; give --record only with a NAME.toml file")
@@ -130,6 +133,8 @@ def _train_own(
         for port, error in errors.items():
             beside = f" (linear {finite(trained['linear'][name][port], '.4g')})" if name in trained["linear"] else ""
             lines.append(f"{name:12} {port:10} RMSE {finite(error, '.4g')}{beside}")
+    for name, offsets in trained["offsets"].items():
+        lines += [f"{name:12} {port:10} offset {value:.4g}, taken off" for port, value in offsets.items()]
     head = f"{trained['epochs']} epochs. {trained['sentence']}"
     if len(trained["starts"]) > 1:
         lines += [*aligned(table(trained["starts"]), ("start", "outcome")), "* chosen by what was held out, normalised"]
