@@ -35,7 +35,8 @@ def read_records(network: Network, paths: Mapping[str, Path | str]) -> dict[str,
         first, expected = next(iter(times.items()))
         if abs(dt - expected) > SAME_TIME * expected:
             raise InputError(
-                f"{path}: sampled every {dt:g} s, {first} every {expected:g} s; resample it: greygate look {path} --resample {expected:g} --out FILE.csv"
+                f"{path}: sampled every {dt:g} s, {first} every {expected:g} s; resample it: "
+                f"greygate look {path} --resample {expected:g} --out FILE.csv"
             )
     return {scenario: record for scenario, (record, _) in found.items()}
 

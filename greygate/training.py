@@ -144,7 +144,7 @@ def _offset(
 
 
 def own_offsets(network: Network, record: Record) -> dict[str, float]:
-    """Mean of measured less predicted from `skip` on, of each output with an offset of the record's own; in its unit."""
+    """Mean of measured less predicted from `skip` on, of outputs with offsets of the record's own; in their units."""
     try:
         errors = float_error(network, replace(record, own_offset=frozenset()))
     except InputError:  # the free run diverges
