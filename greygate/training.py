@@ -14,13 +14,17 @@ from greygate.files import making, writing
 from greygate.machines.identification import initialised
 from greygate.models.accuracy import float_error, free_run_rms, pooled_rms, rms
 from greygate.models.families.blocks import nguyen_widrow
+from greygate.models.linearised import linearised
 from greygate.models.network import Network
 from greygate.models.training.levenberg import Outcome, Start, Trained, multistart, narx_noe, train
 from greygate.models.training.record import Record, held_out
+from greygate.pages import templates
+from greygate.pages.training import page
 from greygate.plain import json_text, plain
 from greygate.progress import Progress, silent, titled
 from greygate.settling import settling
 from greygate.source import Source
+from greygate.trained import evidence
 
 ALIKE = 1.05  # factor between the held-out errors of the two best starts, up to which they end alike
 APART = 1.5  # factor from which the best one is luck
@@ -37,6 +41,7 @@ def train_source(
     jobs: int = 2,
     find_settle: bool = False,
     offset: Sequence[str] = (),
+    html: Path | None = None,
     seconds: float = math.inf,
     progress: Progress = silent,
     **options,
@@ -46,7 +51,8 @@ def train_source(
     held: scenario -> CSV of a held-out record, which chooses the epoch. narx: train the one-step prediction first.
     seeds: starts, of which the first has the weights of the file and the others draw those of the neurons; what is held
     out chooses one. jobs: starts side by side. find_settle: instead of the source's `settle`, as `settling` finds it.
-    offset: outputs whose sensor has an offset of its own in every recording but the first. seconds: for all starts
+    offset: outputs whose sensor has an offset of its own in every recording but the first. html: a page of
+    the same to write. seconds: for all starts
     together. options: of `train`. If the source settles, the state before each recording is
     estimated, in training and for the figures. Raises InputError as `train`, before anything is written.
     """
@@ -100,6 +106,10 @@ def train_source(
     level = {n: without_offsets(r, offsets.get(n, {})) for n, r in (records | others).items()}
     judged = {name: initialised(trained, record) for name, record in level.items()}
     judged |= {f"{name} tail": replace(judged[name], skip=end.skip) for name, end in zip(records, ends, strict=False)}
+    known = [judged[name] for name in records]
+    shown = evidence(
+        network, trained, held_out(trained, known, tail, ())[0], judged, source.period, options.get("decay", 0.0)
+    )
     figures = {
         **_told(best),
         "rmse": {name: free_run_rms(trained, record) for name, record in judged.items()},
@@ -107,14 +117,18 @@ def train_source(
         "remarks": [*remarks, *best.remarks, *of_starts(starts)],
         "settle": source.settle,
         "offsets": offsets,
-        "starts": [{"start": s.seed, **_told(s.fit), "held_out": s.score} for s in starts],
+        "starts": [_start(s, known[0]) for s in starts],
+        "evidence": shown.figures(),
         "out": str(folder / f"{network.name}.toml"),
     }
-    trained.save(folder / network.name, json_text(plain(figures)))
+    figures = plain(figures)
+    if html is not None:
+        templates.write(page(figures, shown), html)
+    trained.save(folder / network.name, json_text(figures))
     if not any(s.fit.outcome in (Outcome.INTERRUPTED, Outcome.TIME) for s in starts):
         for left in (f"{p}{suffix}" for p in paths for suffix in CHECKPOINTS):
             Path(left).unlink(missing_ok=True)
-    return plain(figures)
+    return figures
 
 
 def _read(source: Source, held: Mapping[str, str]) -> tuple[Network, dict[str, Record], dict[str, Record]]:
@@ -193,6 +207,14 @@ def _told(fit: Trained) -> dict:
         "history": list(fit.history),
         "held": [math.sqrt(v) for v in fit.held],
     }
+
+
+def _start(start: Start, record: Record) -> dict:
+    """One start, for the comparison of all. pole: modulus of the slowest one, about the means of the record."""
+    about = linearised(start.fit.network, record)
+    poles = np.abs(about.poles()) if about else np.zeros(0)
+    slowest = float(poles[0]) if len(poles) else None
+    return {"start": start.seed, **_told(start.fit), "held_out": start.score, "pole": slowest}
 
 
 def of_starts(starts: Sequence[Start]) -> list[str]:

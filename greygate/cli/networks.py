@@ -24,7 +24,7 @@ Architecture = StrEnum("Architecture", _architectures)  # type: ignore[misc]  # 
 EVERY = Architecture("both")
 OWN_TRAINING = (  # options of a user's network
     *("tail", "narx", "epochs", "decay", "settle", "shooting", "seconds"),
-    *("seeds", "jobs", "offset"),
+    *("seeds", "jobs", "offset", "html"),
 )
 
 
@@ -74,6 +74,7 @@ def train(
     jobs: Annotated[int, typer.Option(callback=options.JOBS, help="Starts side by side.")] = 2,
     seconds: Annotated[float, typer.Option(callback=options.SECONDS, help="Time limit of all starts.")] = float("inf"),
     out: Annotated[Path | None, typer.Option(help="Folder for NAME.toml, .safetensors, .json.")] = None,
+    html: Annotated[Path | None, typer.Option(help="HTML page to write: curves, weights, poles, residuals.")] = None,
     as_json: Json = False,
 ) -> None:
     """Train a network by Levenberg-Marquardt: one of the catalogue from scratch, or your own on your recordings.
@@ -87,7 +88,15 @@ def train(
         give({n: e.title for n, e in CATALOG.items()}, as_json, [f"{n:20} {e.title}" for n, e in CATALOG.items()])
     elif name not in CATALOG and (record or name.endswith(".toml")):
         how = {"narx": narx, "tail": tail, "epochs": epochs, "decay": decay, "shooting": shooting, "seconds": seconds}
-        _train_own(name, record, held, settle, how | {"seeds": seeds, "jobs": jobs, "offset": offset}, out, as_json)
+        _train_own(
+            name,
+            record,
+            held,
+            settle,
+            how | {"seeds": seeds, "jobs": jobs, "offset": offset, "html": html},
+            out,
+            as_json,
+        )
     else:
         if record or held:
             raise InputError(f"{name} is trained on its own records; give --record only with a NAME.toml file")
@@ -138,7 +147,8 @@ def _train_own(
     head = f"{trained['epochs']} epochs. {trained['sentence']}"
     if len(trained["starts"]) > 1:
         lines += [*aligned(table(trained["starts"]), ("start", "outcome")), "* chosen by what was held out, normalised"]
-    give(trained, as_json, [head, *lines, f"written to {trained['out']}"])
+    lines += [f"written to {path}" for path in (trained["out"], how["html"]) if path is not None]
+    give(trained, as_json, [head, *lines])
     if trained["outcome"] == "diverged":
         raise typer.Exit(1)
 
