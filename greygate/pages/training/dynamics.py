@@ -7,7 +7,7 @@ from greygate.pages.figures import Curve
 from greygate.pages.units import labelled
 from greygate.trained import Evidence
 
-WIDTH, HEIGHT = 380, 330  # px
+WIDTH, HEIGHT = 285, 250  # px
 DOT = 1e-3  # half the length of the stroke that is a pole
 SHOWN = 12  # poles in the table
 
