@@ -10,7 +10,7 @@ NO_FLOATS := rtl random_hardware adders_hardware synthesis proofs engine board c
 
 .PHONY: demo docs pages test test-old lint types bench bench-training bench-diagnosis bench-rigs bench-programs fuzz faults \
     mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-tables \
-    bench-flow bench-growth bench-exploring bench-blind bench-next bench-c99 bench-fmus bench-importers bench-wheel bench-browser
+    bench-flow bench-growth bench-exploring bench-blind bench-next bench-c99 bench-fmus bench-importers bench-wheel bench-browser bench-memory
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -79,6 +79,10 @@ bench-wheel: $(VENV)/.ready-dev | tools
 # Five minutes: every kind of page and the site of the documentation in Chromium, which must be installed.
 bench-browser: $(VENV)/.ready-dev docs | tools
 	PYTHONPATH=tests $(BIN)/python benchmarks/browser.py
+
+# Ten minutes: the most memory of train on a million rows, of emulate and validate on five.
+bench-memory: $(VENV)/.ready-dev
+	$(BIN)/python benchmarks/memory.py
 
 # Ten minutes: what a lookup takes on each family, for every form of table.
 bench-tables: $(VENV)/.ready-dev

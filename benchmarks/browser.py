@@ -26,6 +26,7 @@ SHOWN = {
     "diagnosis": ("desk", "dark"),
     "validate": ("tablet", "light"),
     "look": ("telephone", "dark"),
+    "train": ("desk", "light"),
 }
 GREYGATE = [str(Path(sys.executable).with_name("greygate"))]
 
@@ -46,6 +47,9 @@ def pages(folder: Path) -> dict[str, Path]:
     greygate("validate", "valve_cylinder", "--out", "validate.html", folder=folder)
     recording = ROOT / "recordings" / "servohydraulic-mts" / "mts_15Hz0A.csv"
     greygate("look", recording, "--html", "look.html", folder=folder)
+    greygate("init", "mine", "--record", recording, "--input", "x_cmd", "--output", "x_meas", folder=folder)
+    words = ["--record", recording, "--tail", 0.2, "--seeds", 3, "--epochs", 20]
+    greygate("train", "mine.toml", *words, "--out", "trained", "--html", "train.html", folder=folder)
     greygate(
         "conceal",
         "cable_drum",
@@ -60,7 +64,7 @@ def pages(folder: Path) -> dict[str, Path]:
         folder=folder,
     )
     greygate("diagnose", "case", "--html", "diagnosis.html", folder=folder)
-    return {name: folder / f"{name}.html" for name in ("report", "compare", "validate", "look", "diagnosis")}
+    return {name: folder / f"{name}.html" for name in ("report", "compare", "validate", "look", "train", "diagnosis")}
 
 
 @contextmanager

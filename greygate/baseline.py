@@ -36,4 +36,5 @@ def linear_rms(network: Network, learnt: Sequence[Record], judged: Mapping[str, 
 def of_one(record: Record, output: str) -> Record:
     """The record with that target alone, and no state but of its inputs."""
     initial = {n: v for n, v in record.initial.items() if n in record.inputs}
-    return replace(record, targets={output: record.targets[output]}, initial=initial)
+    own = record.own_offset & {output}
+    return replace(record, targets={output: record.targets[output]}, initial=initial, own_offset=own)

@@ -6,20 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.baseline import linear_rms
 from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
-from greygate.files import making, writing
 from greygate.machines.catalog import CATALOG, entry
-from greygate.machines.identification import initialised
-from greygate.models.accuracy import free_run_rms
 from greygate.models.importers.files import foreign, load
 from greygate.models.network import Network, Port
-from greygate.models.training.levenberg import Outcome, narx_noe, train
-from greygate.models.training.record import Record, held_out
-from greygate.plain import json_text, plain
+from greygate.models.training.record import Record
 from greygate.plants.readers.read import read_recording
-from greygate.progress import Progress, once, silent
+from greygate.progress import once
 
 SAME_TIME = 1e-3  # relative difference that sample times may have, because printed times are rounded
 
@@ -40,7 +34,10 @@ def read_records(network: Network, paths: Mapping[str, Path | str]) -> dict[str,
     for path, dt in times.items():
         first, expected = next(iter(times.items()))
         if abs(dt - expected) > SAME_TIME * expected:
-            raise InputError(f"{path}: sampled every {dt:g} s, {first} every {expected:g} s; resample one of them")
+            raise InputError(
+                f"{path}: sampled every {dt:g} s, {first} every {expected:g} s; resample it: "
+                f"greygate look {path} --resample {expected:g} --out FILE.csv"
+            )
     return {scenario: record for scenario, (record, _) in found.items()}
 
 
@@ -123,61 +120,3 @@ class Source:
     @property
     def references(self) -> Mapping[str, Mapping]:
         return entry(self.name).references if self.name in CATALOG else {}
-
-
-def train_source(
-    source: Source,
-    folder: Path,
-    held: Mapping[str, str],
-    *,
-    narx: bool = True,
-    progress: Progress = silent,
-    **options,
-) -> dict:
-    """Train the network on its recordings, and write it with the returned figures into the folder.
-
-    held: scenario -> CSV of a held-out record, which chooses the epoch. narx: train the one-step prediction first.
-    options: of `train`. If the source has `settle`, the state before each recording is estimated, in training and for
-    the figures. Raises InputError as `train`, before anything is written.
-    """
-    if both := set(source.recordings) & set(held):
-        raise InputError(f"{min(both)} is both a record to train on and a held-out record; rename one of them")
-    files = {**source.recordings, **held}
-    paths = {name: Path(path).resolve() for name, path in files.items()}
-    if len(set(paths.values())) < len(paths):
-        raise InputError("one file is given twice, under two names; hold out another file")
-    network, found = source.network(), replace(source, recordings=files).records()
-    records, others = ({name: found[name] for name in names} for names in (source.recordings, held))
-    learn = narx_noe if narx and not options.get("shooting") else train
-    checkpoint = folder / f"{network.name}.checkpoint"
-    with making(folder), writing(folder):
-        fit = learn(
-            network,
-            list(records.values()),
-            held=list(others.values()),
-            checkpoint=checkpoint,
-            keep=True,
-            progress=progress,
-            estimate_initial=source.settle > 0,
-            **options,
-        )
-    trained = network.with_parameters(fit.network.parameters())  # not flat: modules and meanings stay as declared
-    _, ends = held_out(network, list(records.values()), options.get("tail", 0.0), ())
-    judged = {name: initialised(trained, record) for name, record in found.items()}
-    judged |= {f"{name} tail": replace(judged[name], skip=end.skip) for name, end in zip(records, ends, strict=False)}
-    figures = {
-        "outcome": fit.outcome.name.lower(),
-        "sentence": fit.outcome.value,
-        "epochs": len(fit.history) - 1,
-        "loss": fit.history[-1],
-        "seconds": round(fit.seconds, 2),
-        "rmse": {name: free_run_rms(trained, record) for name, record in judged.items()},
-        "linear": linear_rms(network, list(records.values()), found),
-        "remarks": list(fit.remarks),
-        "out": str(folder / f"{network.name}.toml"),
-    }
-    trained.save(folder / network.name, json_text(plain(figures)))
-    if fit.outcome not in (Outcome.INTERRUPTED, Outcome.TIME):
-        for left in ("", ".shooting"):
-            Path(f"{checkpoint}{left}").unlink(missing_ok=True)
-    return plain(figures)

@@ -3,7 +3,9 @@
 The functions are methods of `models.network.Network`, whose file stands above this one.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TypeVar
 
 import numpy as np
@@ -25,17 +27,27 @@ def _files(path: Path | str) -> list[Path]:
     return [Path(path).with_suffix(suffix) for suffix in (".toml", ".safetensors", ".json")]
 
 
-def save(network, path: Path | str, figures: str = "") -> None:
+def save(network, path: Path | str, figures: str = "", comments: Mapping[str, str] = MappingProxyType({})) -> None:
     """Write `path`.toml, which a person can read, and `path`.safetensors with the numbers; all or nothing.
 
-    figures: text of `path`.json, if it goes with them. `load` sees all of one writing, wherever it was broken off.
+    figures: text of `path`.json, if it goes with them. comments: module -> a line above it; "" for the top.
+    `load` sees all of one writing, wherever it was broken off.
     """
     tensors = safetensors.numpy.save({n: np.ascontiguousarray(v) for n, v in network.parameters().items()})
     with replacing_all(_files(path)) as (text, numbers, more):
-        text.write_text(tomli_w.dumps(to_toml(network)), encoding="utf-8")
+        text.write_text(_commented(tomli_w.dumps(to_toml(network)), comments), encoding="utf-8")
         numbers.write_bytes(tensors)
         if figures:
             more.write_text(figures, encoding="utf-8")
+
+
+def _commented(text: str, comments: Mapping[str, str]) -> str:
+    """TOML with lines of comment at its top and above modules."""
+    for module, said in comments.items():
+        lines = "".join(f"# {line}\n" for line in said.splitlines())
+        head = f"[modules.{module}]\n"
+        text = text.replace(f"\n{head}", f"\n{lines}{head}", 1) if module else lines + text
+    return text
 
 
 def load(kind: type[Kept], path: Path | str) -> Kept:

@@ -9,6 +9,8 @@ from test_cli import recording
 from greygate.mismatch import rig
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.diagnose import diagnose
+from greygate.models.families.regression import noe
+from greygate.models.network import Port
 from greygate.pages import changes as changed
 from greygate.pages.diagnosis import page as diagnosis_page
 
@@ -59,11 +61,17 @@ def diagnosis(greygate, folder):
     (folder / "page.html").write_text(diagnosis_page(diagnose(rig.load(concealed))))
 
 
+def train(greygate, folder):
+    noe("lag", {Port("u", "V"): (1,)}, Port("y", "m"), (1,), hidden=2).save(folder / "lag")
+    words = ["--record", folder / "run.csv", "--tail", "0.3", "--seeds", "2", "--epochs", "5"]
+    assert greygate("train", folder / "lag.toml", *words, "--out", folder, "--html", folder / "page.html")[0] == 0
+
+
 def changes(greygate, folder):
     changed.draw_changes(delay_line(), delay_line(), folder / "page.html")
 
 
-@pytest.mark.parametrize("made", [report, compare, validate, look, diagnosis, changes])
+@pytest.mark.parametrize("made", [report, compare, validate, look, diagnosis, train, changes])
 def test_a_page_is_right_in_every_size_and_theme_on_paper_and_by_keyboard(made, greygate, build, browser):
     made(greygate, build)
     found = browsing.faults(browser, build / "page.html")

@@ -24,6 +24,8 @@ from greygate.source import Source
 LEAST = 400  # invocations
 GOOD = {
     "look": ["a.csv", "--out", "new.csv"],
+    "init": ["new", "--record", "a.csv", "--output", "y"],
+    "init-rig": ["new", "--record", "a.csv", "--output", "y"],
     "train": ["line.toml", "--record", "a.csv", "--out", "new"],
     "compile": ["line.toml", "--record", "a.csv", "--out", "new"],
     "emulate": ["build", "a.csv", "--out", "new.csv"],
@@ -87,6 +89,9 @@ TEXTS = {
     "fmu": ["none", "folder", "a.csv", "build", ""], "parameter": ["nobody", ""],
     "unit": ["", "u", "u=", "=V", "u=foo", "nobody=V"], "time": ["nobody", ""],
     "resample": ["", "x", "0", "-1", "nan", "inf", "1e9"],
+    "new_name": ["", "x y", "none/new", "a.csv/new", "2nd", "con"], "block": ["none", "product", ""],
+    "offset": ["nobody", "y", ""],
+    "settle": ["x", "", "-1", "1.5", "nan", "9" * 20, "autos"],
     "input": ["nobody", ""], "output": ["nobody", "x_drum", ""],
     "joint": ["", "v", "v=", "=hinge", "nobody=hinge", "v=a b"], "options": ["--nope", "--width=3", "--out=x"],
     "install": ["", "a\nb", "${{ x }}"], "ci-template accepted": ["", "../x", "/x"],

@@ -12,7 +12,8 @@ from greygate.errors import InputError
 from greygate.files import write_manifest
 from greygate.models.network import Network
 from greygate.project import Project, synthesize_project, verify_project
-from greygate.source import Source, train_source
+from greygate.source import Source
+from greygate.training import train_source
 
 
 def edited(build: Path, name: str, **entries) -> None:

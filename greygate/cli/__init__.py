@@ -27,6 +27,7 @@ from greygate.cli import (
     recordings,
     rigs,
     schemas,
+    starts,
 )
 from greygate.cli.terminal import say
 from greygate.errors import InputError
@@ -35,13 +36,13 @@ INTERRUPTED, TERMINATED = 130, 143  # exit codes after Ctrl-C and after `kill`, 
 AGAIN_S = 0.05  # so long a signal that was ignored waits: longer than a callback, shorter than one notices
 UsageError: Any = typer.BadParameter.__base__  # raised for an argument or option that is missing, unknown or wrong
 COMMANDS = (
-    *(recordings.look, identify.identify, networks.train, expert.build_snn, networks.compile),
+    *(recordings.look, starts.init, identify.identify, networks.train, expert.build_snn, networks.compile),
     *(builds.emulate, builds.verify, builds.prove, builds.synthesize, builds.report, builds.compare),
     *(boards.board, boards.play),
     networks.validate,
     *(controls.control, doctor.doctor),
-    *(rigs.diagnose, rigs.next_, rigs.isolability, rigs.simulate, rigs.augment, rigs.conceal, rigs.reveal),
-    *(rigs.fit_fmu, ci.ci_template, schemas.schema),
+    *(starts.init_rig, rigs.diagnose, rigs.next_, rigs.isolability, rigs.simulate, rigs.augment),
+    *(rigs.conceal, rigs.reveal, rigs.fit_fmu, ci.ci_template, schemas.schema),
 )
 
 app = typer.Typer(

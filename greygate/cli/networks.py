@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 _architectures = {name.upper(): name for name in (*NAMES, "both")}
 Architecture = StrEnum("Architecture", _architectures)  # type: ignore[misc]  # members that NAMES lists
 EVERY = Architecture("both")
-OWN_TRAINING = ("tail", "narx", "epochs", "decay", "settle", "shooting", "seconds")  # options of a user's network
+OWN_TRAINING = (  # options of a user's network
+    *("tail", "narx", "epochs", "decay", "settle", "shooting", "seconds"),
+    *("seeds", "jobs", "offset", "html"),
+)
 
 
 def catalogued(begun: str) -> list[str]:
@@ -56,12 +59,22 @@ def train(
     narx: Annotated[bool, typer.Option(help="Train the one-step prediction first, then the free run.")] = True,
     epochs: Annotated[int, typer.Option(callback=options.COUNT, help="Most epochs of training in free run.")] = 200,
     decay: Annotated[float, typer.Option(callback=options.DECAY, help="Weight decay D of the loss.")] = 0.0,
-    settle: Settle = 0,
+    settle: Annotated[
+        str, typer.Option(help="First samples of each record that give only its initial state; auto finds how many.")
+    ] = "0",
     shooting: Annotated[
         int | None, typer.Option(callback=options.COUNT, help="Multiple shooting, in windows of this many samples.")
     ] = None,
-    seconds: Annotated[float, typer.Option(callback=options.SECONDS, help="Time limit.")] = float("inf"),
+    offset: Annotated[
+        list[str], typer.Option(help="Output whose sensor has an offset of its own in each recording but the first.")
+    ] = [],
+    seeds: Annotated[
+        int, typer.Option(callback=options.STARTS, help="Starts: the file's weights, and others that are drawn.")
+    ] = 1,
+    jobs: Annotated[int, typer.Option(callback=options.JOBS, help="Starts side by side.")] = 2,
+    seconds: Annotated[float, typer.Option(callback=options.SECONDS, help="Time limit of all starts.")] = float("inf"),
     out: Annotated[Path | None, typer.Option(help="Folder for NAME.toml, .safetensors, .json.")] = None,
+    html: Annotated[Path | None, typer.Option(help="HTML page to write: curves, weights, poles, residuals.")] = None,
     as_json: Json = False,
 ) -> None:
     """Train a network by Levenberg-Marquardt: one of the catalogue from scratch, or your own on your recordings.
@@ -80,7 +93,15 @@ def train(
         )
     elif name not in CATALOG and (record or name.endswith(".toml")):
         how = {"narx": narx, "tail": tail, "epochs": epochs, "decay": decay, "shooting": shooting, "seconds": seconds}
-        _train_own(name, record, held, settle, how, out, as_json)
+        _train_own(
+            name,
+            record,
+            held,
+            settle,
+            how | {"seeds": seeds, "jobs": jobs, "offset": offset, "html": html},
+            out,
+            as_json,
+        )
     else:
         if record or held:
             raise InputError(f"{name} is trained on its own records; give --record only with a NAME.toml file")
@@ -105,14 +126,18 @@ def _train_stored(name: str, out: Path | None, as_json: bool) -> None:
 
 
 def _train_own(
-    network: str, record: list[str], held: list[str], settle: int, how: dict, out: Path | None, as_json: bool
+    network: str, record: list[str], held: list[str], settle: str, how: dict, out: Path | None, as_json: bool
 ) -> None:
     """Train a user's network."""
-    from greygate.source import Source, train_source
+    from greygate.pages.summary import aligned
+    from greygate.source import Source
+    from greygate.training import table, train_source
 
     if not out:
         raise InputError("--out is missing; give the folder to write the trained network to")
-    source, others = Source(network, recordings(record), settle), recordings(held)
+    samples = _settle(settle)
+    how["find_settle"] = samples is None
+    source, others = Source(network, recordings(record), samples or 0), recordings(held)
     with following(f"training {Path(network).stem}") as progress:
         trained = train_source(source, out, others, progress=progress, **how)
     for remark in trained["remarks"]:
@@ -122,10 +147,26 @@ def _train_own(
         for port, error in errors.items():
             beside = f" (linear {finite(trained['linear'][name][port], '.4g')})" if name in trained["linear"] else ""
             lines.append(f"{name:12} {port:10} RMSE {finite(error, '.4g')}{beside}")
+    for name, offsets in trained["offsets"].items():
+        lines += [f"{name:12} {port:10} offset {value:.4g}, taken off" for port, value in offsets.items()]
     head = f"{trained['epochs']} epochs. {trained['sentence']}"
-    give("train", trained, as_json, [head, *lines, f"written to {trained['out']}"])
+    if len(trained["starts"]) > 1:
+        lines += [*aligned(table(trained["starts"]), ("start", "outcome")), "* chosen by what was held out, normalised"]
+    lines += [f"written to {path}" for path in (trained["out"], how["html"]) if path is not None]
+    give("train", trained, as_json, [head, *lines])
     if trained["outcome"] == "diverged":
         raise typer.Exit(1)
+
+
+def _settle(text: str) -> int | None:
+    """Samples; None where they are to be found. Raises InputError for another text."""
+    from greygate.settling import AUTO
+
+    if text == AUTO:
+        return None
+    if not (text.isascii() and text.isdigit() and len(text) < 10):
+        raise InputError(f"--settle {text}: give a whole number of samples from 0 to {options.MOST}, or {AUTO}")
+    return int(text)
 
 
 def compile(

@@ -32,6 +32,7 @@ class _Window:
     weight: float
     state: slice
     follows: bool  # its initial state should be what the window before ends with
+    own: tuple[int, ...] = ()  # output columns whose sensor has an offset of its own
 
 
 class Objective:
@@ -81,6 +82,10 @@ class Objective:
         self.forced = self._outputs if teacher else np.zeros(elements, bool)
         self._state = self._state_elements()
         runs = [self._arrays(r, i, first) for i, r in enumerate(records)]
+        if shooting is not None and any(w.own for w in runs):
+            raise InputError(
+                f"network {network.name}: shooting does not go with offsets of a recording's own; leave one out"
+            )
         if not any(0 <= r.skip < len(w.target) for r, w in zip(records, runs, strict=True)):
             check_skips(network, records)
         longest = max((len(w.target) for w in runs), default=0)
@@ -161,7 +166,11 @@ class Objective:
         past = now.copy()
         if self.teacher:
             past[depth:, self.forced] = target
-        return _Window(now, past, target, record.skip, record.weight, slice(0, 0), False)
+        if unknown := record.own_offset - {p.name for p in flat.outputs}:
+            raise InputError(f"network {flat.name}: no output {min(unknown)}, whose offset is to be a recording's own")
+        owned = np.concatenate([np.full(p.size, p.name in record.own_offset) for p in flat.outputs])
+        own = tuple(np.flatnonzero(owned).tolist())
+        return _Window(now, past, target, record.skip, record.weight, slice(0, 0), False, own)
 
     def _state_elements(self) -> np.ndarray:
         """(X, 2): element and lag of every past value of a layer that is read."""
@@ -260,12 +269,18 @@ class Objective:
         return [w.now[t.depth :] for w in self.windows]
 
     def errors(self, theta: np.ndarray) -> list[np.ndarray] | None:
-        """Normalised prediction less target, (N, outputs) per record or window; None if the free run diverges."""
-        runs = self.simulate(theta)
-        if runs is None:
-            return None
-        shown = self.tables.rows[self.tables.shown]
-        return [run[:, shown] - w.target for run, w in zip(runs, self.windows, strict=True)]
+        """Normalised prediction less target, (N, outputs) per record or window; None if the free run diverges.
+
+        Where an output has an offset of its own in a record, it is taken off: the mean from `skip` on is zero.
+        """
+        return None if self.simulate(theta) is None else [self._error(w) for w in self.windows]
+
+    def _error(self, w: _Window) -> np.ndarray:
+        """Of the run that the window holds."""
+        error = w.now[self.tables.depth :, self.tables.rows[self.tables.shown]] - w.target
+        for output in w.own:
+            error[:, output] -= error[w.skip :, output].mean()
+        return error
 
     def squares(self, theta: np.ndarray) -> float:
         """Weighted sum of squared errors, gaps between windows included; inf where the run diverges."""
@@ -287,7 +302,7 @@ class Objective:
 
     def fingerprint(self) -> str:
         """A digest of the records, of what is free, and of where theta starts: equal objectives have equal ones."""
-        scalars = (self._names, self._shapes, self.teacher, [(w.skip, w.weight) for w in self.windows])
+        scalars = (self._names, self._shapes, self.teacher, [(w.skip, w.weight, w.own) for w in self.windows])
         found = hashlib.sha256(repr(scalars).encode())
         for array in (self.theta, self.variable, *(a for w in self.windows for a in (w.past, w.target))):
             found.update(array.tobytes())
@@ -346,18 +361,21 @@ class Objective:
         used = np.flatnonzero(columns >= 0)
         targets, where = np.unique(columns[used], return_inverse=True)
         spans = [self._span(row, used, n) for row in t.shown]
-        error = w.now[t.depth :, t.rows[t.shown]] - w.target
+        error = self._error(w)
         length = len(w.target)
         rows = min(CHUNK, length)
         alone = alone or length * len(used) ** 2 < WORTH or length <= CHUNK
         blocks = [np.zeros((rows, len(t.shown), n + own)) for _ in range(1 if alone else 2)]
         hessian, gradient = np.zeros((n + own, n + own)), np.zeros(n + own)
+        sums = {output: np.zeros(n + own) for output in w.own}  # of the rows of J
 
         def add(block: np.ndarray, start: int, stop: int) -> None:
             use = slice(max(w.skip - start, 0), stop - start)
             for output, span in enumerate(spans):
                 j, e = block[use, output, span], error[start:stop][use, output]
                 here = (span, span) if isinstance(span, slice) else np.ix_(span, span)
+                if output in sums:
+                    sums[output][span] += j.sum(axis=0)
                 if self.portable:
                     joint = gram(np.column_stack([j, e]))
                     hessian[here] += joint[:-1, :-1]
@@ -379,15 +397,18 @@ class Objective:
             under_way = CORES.submit(add, block, start, stop)  # while the next block is filled
         if under_way:
             under_way.result()
+        for total in sums.values():  # of J about its mean: the offset that is best at every theta (Golub, Pereyra 1973)
+            hessian -= np.outer(total, total) / (length - w.skip)
         if len(used) < len(columns):
             hessian, gradient = hessian[np.ix_(used, used)], gradient[used]
         end = None
         if wants_end:
             end = carried[(length - self._state[:, 1]) % (t.depth + 1), t.row_of[self._state[:, 0]]][:, used]
         if self._tied:
-            sums = np.zeros((len(used), len(targets)))  # each free column of theta to its variable
-            sums[np.arange(len(used)), where] = 1.0
-            hessian, gradient, end = sums.T @ hessian @ sums, sums.T @ gradient, end if end is None else end @ sums
+            joined = np.zeros((len(used), len(targets)))  # each free column of theta to its variable
+            joined[np.arange(len(used)), where] = 1.0
+            hessian, gradient = joined.T @ hessian @ joined, joined.T @ gradient
+            end = end if end is None else end @ joined
         if w.weight != 1.0:
             hessian *= w.weight
             gradient *= w.weight

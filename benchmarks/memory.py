@@ -1,0 +1,81 @@
+"""Most memory of a training epoch on 1,000,000 rows, and of emulate and validate on 5,000,000, of a small NOE.
+
+`make bench-memory`, ten minutes, writes benchmarks/results/memory.json. Each command runs in a process of its own. The
+aims: 2 GB for the training, 4 GB for the others. `python benchmarks/memory.py train` measures one of them.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from made import keep
+
+from greygate.models.families.regression import noe
+from greygate.models.network import Network, Port
+from greygate.plants.excitation import prms
+
+GREYGATE = str(Path(sys.executable).with_name("greygate"))
+ROWS = {"train": 1_000_000, "emulate": 5_000_000, "validate": 5_000_000}
+AIMS_GB = {"train": 2.0, "emulate": 4.0, "validate": 4.0}
+BLOCK = 100_000  # rows that are written at once
+PERIOD, NOISE = 1e-3, 1e-3
+
+
+def plant() -> Network:
+    """A lag behind a curve, in the form of the network that is trained on it."""
+    start = noe("mine", {Port("u", "V"): (1, 2)}, Port("y", "m"), (1,), hidden=4)
+    return start.with_parameters({"sum.y_z1": [[0.9]]})  # else it integrates
+
+
+def write(path: Path, rows: int) -> None:
+    """A recording of the lag, block by block."""
+    rng, last = np.random.default_rng(0), 0.0
+    with path.open("w") as file:
+        file.write("t_s,u_V,y_m\n")
+        for start in range(0, rows, BLOCK):
+            u = prms(BLOCK, -1.0, 1.0, (5, 40), start)
+            y = np.empty(BLOCK)
+            for k, drive in enumerate(np.tanh(2 * u)):
+                y[k] = last = 0.95 * last + 0.05 * drive
+            table = np.column_stack([PERIOD * np.arange(start, start + BLOCK), u, y + NOISE * rng.normal(size=BLOCK)])
+            np.savetxt(file, table[: rows - start], "%.3f,%.6f,%.6f")
+
+
+def measured(words: list, folder: Path) -> dict:
+    """Run a command in the folder: its most memory in GB (resident, of the process), and its seconds."""
+    began = time.monotonic()
+    done = subprocess.Popen([GREYGATE, *words], cwd=folder, stdout=subprocess.DEVNULL)
+    _, status, used = os.wait4(done.pid, 0)
+    if code := os.waitstatus_to_exitcode(status):
+        sys.exit(f"greygate {' '.join(words)}: exit code {code}")
+    return {"gb": round(used.ru_maxrss / 1e6, 2), "seconds": round(time.monotonic() - began)}
+
+
+def prepared(part: str, folder: Path) -> list[str]:
+    """Write what a command needs; its words."""
+    plant().save(folder / "mine")
+    write(folder / "long.csv", ROWS[part])
+    if part == "train":
+        return ["train", "mine.toml", "--record", "long.csv", "--no-narx", "--epochs", "1", "--out", "out"]
+    if part == "validate":
+        return ["validate", "mine.toml", "--record", "long.csv", "--out", "page.html"]
+    write(folder / "short.csv", 10_000)
+    measured(["compile", "mine.toml", "--record", "short.csv", "--out", "build"], folder)
+    return ["emulate", "build", "long.csv", "--out", "predicted.csv"]
+
+
+def main(parts: list[str]) -> None:
+    for part in parts or ROWS:
+        with tempfile.TemporaryDirectory() as folder:
+            words = prepared(part, Path(folder))
+            found = {"command": part, "rows": ROWS[part], "aim_gb": AIMS_GB[part], **measured(words, Path(folder))}
+        print(found, flush=True)
+        keep("memory", part, found)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

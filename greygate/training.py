@@ -1,0 +1,254 @@
+"""Training of a user's network on recordings, from one start or several: what comes of it, as figures and files."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from greygate.baseline import linear_rms
+from greygate.errors import InputError
+from greygate.files import making, writing
+from greygate.machines.identification import initialised
+from greygate.models.accuracy import float_error, free_run_rms, pooled_rms, rms
+from greygate.models.families.blocks import nguyen_widrow
+from greygate.models.linearised import linearised
+from greygate.models.network import Network
+from greygate.models.training.levenberg import Outcome, Start, Trained, multistart, narx_noe, train
+from greygate.models.training.record import Record, held_out
+from greygate.pages import templates
+from greygate.pages.training import page
+from greygate.plain import json_text, plain
+from greygate.progress import Progress, silent, titled
+from greygate.settling import settling
+from greygate.source import Source
+from greygate.trained import evidence
+
+ALIKE = 1.05  # factor between the held-out errors of the two best starts, up to which they end alike
+APART = 1.5  # factor from which the best one is luck
+CHECKPOINTS = ("", ".narx", ".shooting")
+
+
+def train_source(
+    source: Source,
+    folder: Path,
+    held: Mapping[str, str],
+    *,
+    narx: bool = True,
+    seeds: int = 1,
+    jobs: int = 2,
+    find_settle: bool = False,
+    offset: Sequence[str] = (),
+    html: Path | None = None,
+    seconds: float = math.inf,
+    progress: Progress = silent,
+    **options,
+) -> dict:
+    """Train the network on its recordings, and write it with the returned figures into the folder.
+
+    held: scenario -> CSV of a held-out record, which chooses the epoch. narx: train the one-step prediction first.
+    seeds: starts, of which the first has the weights of the file and the others draw those of the neurons; what is held
+    out chooses one. jobs: starts side by side. find_settle: instead of the source's `settle`, as `settling` finds it.
+    offset: outputs whose sensor has an offset of its own in every recording but the first. html: a page of
+    the same to write. seconds: for all starts
+    together. options: of `train`. If the source settles, the state before each recording is
+    estimated, in training and for the figures. Raises InputError as `train`, before anything is written.
+    """
+    network, records, others = _read(source, held)
+    tail = options.get("tail", 0.0)
+    if seeds > 1 and not (others or tail):
+        raise InputError(
+            f"--seeds {seeds}: nothing is held out that could choose a start; give --held FILE.csv or --tail 0.2"
+        )
+    records, others = _offset(network, records, others, offset)
+    remarks = []
+    if find_settle:
+        chosen = settling(network, records)
+        source = replace(source, settle=chosen.samples)
+        records, others = ({n: replace(r, skip=chosen.samples) for n, r in of.items()} for of in (records, others))
+        remarks.append(f"--settle {chosen.samples}: {chosen.why}")
+    ends = held_out(network, list(records.values()), tail, ())[1]
+    begun = [network, *(drawn(network, seed) for seed in range(1, seeds))]
+    path = folder / f"{network.name}.checkpoint"
+    paths = [path if seeds == 1 else path.with_suffix(f".start{seed}.checkpoint") for seed in range(seeds)]
+    learn = narx_noe if narx and not options.get("shooting") else train
+    fit = partial(
+        learn,
+        records=list(records.values()),
+        held=list(others.values()),
+        keep=True,
+        estimate_initial=source.settle > 0,
+        seconds=seconds / math.ceil(seeds / jobs),
+        **options,
+    )
+
+    def started(seed: int) -> Trained:
+        told = progress if seeds == 1 else titled(progress, f"start {seed}")
+        return fit(begun[seed], checkpoint=paths[seed], progress=told)
+
+    judges = {f"{name} tail": end for name, end in zip(records, ends, strict=False)} | others
+
+    def held_error(trained: Network) -> float:
+        """RMS over everything held out, normalised."""
+        return rms(pooled_rms(trained, [initialised(trained, r) for r in judges.values()])) if judges else math.nan
+
+    with making(folder), writing(folder):
+        if seeds == 1:
+            found = started(0)
+            starts = [Start(0, found, held_error(found.network))]
+        else:
+            starts = multistart(started, held_error, range(seeds), jobs, progress)
+    best = starts[0].fit
+    trained = network.with_parameters(best.network.parameters())  # not flat: modules and meanings stay as declared
+    offsets = {n: own_offsets(trained, r) for n, r in (records | others).items() if r.own_offset}
+    level = {n: without_offsets(r, offsets.get(n, {})) for n, r in (records | others).items()}
+    judged = {name: initialised(trained, record) for name, record in level.items()}
+    judged |= {f"{name} tail": replace(judged[name], skip=end.skip) for name, end in zip(records, ends, strict=False)}
+    known = [judged[name] for name in records]
+    shown = evidence(
+        network, trained, held_out(trained, known, tail, ())[0], judged, source.period, options.get("decay", 0.0)
+    )
+    figures = {
+        **_told(best),
+        "rmse": {name: free_run_rms(trained, record) for name, record in judged.items()},
+        "linear": linear_rms(network, list(records.values()), records | others),
+        "remarks": [*remarks, *best.remarks, *of_starts(starts)],
+        "settle": source.settle,
+        "offsets": offsets,
+        "starts": [_start(s, known[0]) for s in starts],
+        "evidence": shown.figures(),
+        "out": str(folder / f"{network.name}.toml"),
+    }
+    figures = plain(figures)
+    if html is not None:
+        templates.write(page(figures, shown), html)
+    trained.save(folder / network.name, json_text(figures))
+    if not any(s.fit.outcome in (Outcome.INTERRUPTED, Outcome.TIME) for s in starts):
+        for left in (f"{p}{suffix}" for p in paths for suffix in CHECKPOINTS):
+            Path(left).unlink(missing_ok=True)
+    return figures
+
+
+def _read(source: Source, held: Mapping[str, str]) -> tuple[Network, dict[str, Record], dict[str, Record]]:
+    """The network, the records to train on and the held-out ones."""
+    if both := set(source.recordings) & set(held):
+        raise InputError(f"{min(both)} is both a record to train on and a held-out record; rename one of them")
+    files = {**source.recordings, **held}
+    paths = {name: Path(path).resolve() for name, path in files.items()}
+    if len(set(paths.values())) < len(paths):
+        raise InputError("one file is given twice, under two names; hold out another file")
+    found = replace(source, recordings=files).records()
+    return source.network(), *({name: found[name] for name in names} for names in (source.recordings, held))
+
+
+def _offset(
+    network: Network, records: Mapping[str, Record], others: Mapping[str, Record], outputs: Sequence[str]
+) -> tuple[dict[str, Record], dict[str, Record]]:
+    """The records, with offsets of these outputs of their own; the first one is what the others are compared to."""
+    for name in outputs:
+        if name not in (known := [p.name for p in network.outputs]):
+            raise InputError(f"--offset {name}: {network.name} has no such output; it has {', '.join(known)}")
+    if outputs and len(records) + len(others) < 2:
+        raise InputError(f"--offset {outputs[0]}: the first recording is the reference; give another one beside it")
+    first, own = next(iter(records)), frozenset(outputs)
+    given = {n: r if n == first else replace(r, own_offset=own) for n, r in records.items()}
+    return given, {n: replace(r, own_offset=own) for n, r in others.items()}
+
+
+def own_offsets(network: Network, record: Record) -> dict[str, float]:
+    """Mean of measured less predicted from `skip` on, of outputs with offsets of the record's own; in their units."""
+    try:
+        errors = float_error(network, replace(record, own_offset=frozenset()))
+    except InputError:  # the free run diverges
+        return {}
+    return {name: -float(errors[name][record.skip :].mean()) for name in sorted(record.own_offset)}
+
+
+def without_offsets(record: Record, offsets: Mapping[str, float]) -> Record:
+    """The record with its offsets taken off."""
+    targets = {n: v - offsets.get(n, 0.0) for n, v in record.targets.items()}
+    return replace(record, targets=targets, own_offset=frozenset())
+
+
+def drawn(network: Network, seed: int) -> Network:
+    """The network with new weights of its neurons, as `nguyen_widrow` draws them; library networks stay as they are.
+
+    Raises InputError for a network without a neuron that can be drawn: all of its starts would be one.
+    """
+    own = network.parameters()
+    known = tuple(f"{path}." for path in _library(network))
+    new = nguyen_widrow(network, seed).parameters()
+    moved = {n: v for n, v in new.items() if n in own and not n.startswith(known) and not np.array_equal(v, own[n])}
+    if not moved:
+        raise InputError(f"network {network.name}: has no neurons to draw, so all starts are one; leave out --seeds")
+    return network.with_parameters(moved)
+
+
+def _library(network: Network, prefix: str = "") -> list[str]:
+    """Paths of the modules that have a meaning."""
+    found = []
+    for name, module in network.modules.items():
+        if isinstance(module, Network):
+            path = f"{prefix}{name}"
+            found += [path] if module.meaning else _library(module, f"{path}.")
+    return found
+
+
+def _told(fit: Trained) -> dict:
+    """How a training went. held: root mean square by epoch, normalised."""
+    return {
+        "outcome": fit.outcome.name.lower(),
+        "sentence": fit.outcome.value,
+        "epochs": len(fit.history) - 1,
+        "loss": fit.history[-1],
+        "seconds": round(fit.seconds, 2),
+        "history": list(fit.history),
+        "held": [math.sqrt(v) for v in fit.held],
+    }
+
+
+def _start(start: Start, record: Record) -> dict:
+    """One start, for the comparison of all. pole: modulus of the slowest one, about the means of the record."""
+    about = linearised(start.fit.network, record)
+    poles = np.abs(about.poles()) if about else np.zeros(0)
+    slowest = float(poles[0]) if len(poles) else None
+    return {"start": start.seed, **_told(start.fit), "held_out": start.score, "pole": slowest}
+
+
+def of_starts(starts: Sequence[Start]) -> list[str]:
+    """What the starts say together, a sentence each with what to do; `starts` are ranked."""
+    if len(starts) < 2:
+        return []
+    found, (first, second) = [], starts[:2]
+    if wild := [s.seed for s in starts if s.fit.outcome is Outcome.DIVERGED or not math.isfinite(s.score)]:
+        found.append(f"{len(wild)} of {len(starts)} starts diverge: try --decay 1e-4, or --shooting 40")
+    if second.score > APART * first.score:
+        found.append(f"the next start errs {second.score / first.score:.2g} times as much: give more --seeds")
+    elif second.score <= ALIKE * first.score:
+        found.append("the two best starts end alike: more --seeds would hardly help")
+    found.append(
+        "held-out data chose the epoch and the start, so their error flatters: judge on another recording with "
+        "greygate validate"
+    )
+    return found
+
+
+def table(starts: Sequence[Mapping]) -> list[dict[str, str]]:
+    """The rows of `pages.summary.aligned`: one for each entry of the figures' `starts`, the chosen one first."""
+
+    def cell(value: float | None) -> str:
+        return "–" if value is None else f"{value:.4g}"
+
+    return [
+        {
+            "start": f"{s['start']}{'*' if s is starts[0] else ''}",
+            "held out": cell(s["held_out"]),
+            "loss": cell(s["loss"]),
+            "epochs": str(s["epochs"]),
+            "s": f"{s['seconds']:.1f}",
+            "outcome": s["outcome"],
+        }
+        for s in starts
+    ]
