@@ -13,7 +13,8 @@ from greygate.files import making, writing
 from greygate.machines.catalog import CATALOG, entry
 from greygate.machines.identification import initialised
 from greygate.models.accuracy import free_run_rms
-from greygate.models.importers.files import foreign, load
+from greygate.models.importers.files import foreign, load, load_quantized
+from greygate.models.importers.qonnx import Quantized
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Outcome, narx_noe, train
 from greygate.models.training.record import Record, held_out
@@ -84,6 +85,10 @@ class Source:
         if self.name not in CATALOG and written:
             return Network.load(self.name)
         return entry(self.name).network()
+
+    def quantized(self) -> Quantized | None:
+        """The network and the formats of its signals, of a file that declares them (QONNX); else None."""
+        return load_quantized(self.name) if foreign(self.name) else None
 
     def records(self) -> dict[str, Record]:
         if not self.recordings:

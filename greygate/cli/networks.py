@@ -215,7 +215,7 @@ def compile(
             compiled = compile_project(
                 source,
                 out,
-                formats,
+                formats if given & {"width", "finer"} else None,
                 budget=budget,
                 prune=prune,
                 weights=weights,
