@@ -171,6 +171,7 @@ def test_the_page_loads_nothing_and_shows_every_scenario_and_output(found):
     for text in ("Small &amp; measured", "training", "other &lt;run&gt;", "p[0]", "p[1]", "x [µm]", "paper", "1,234"):
         assert text in html, text
     assert "other <run>" not in html
+    assert html.index('"reference": {') < html.index('"fixed": {'), "fixed point is drawn over the reference"
     assert "3 bits differ" in html
     assert "nan" not in re.sub(r"<(style|script).*?</\1>", "", html, flags=re.S).lower().replace("nano", "")
     assert html.count("<svg") == html.count("</svg>")
