@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greygate.compiler.centre import centre_biases
+from greygate.compiler.declared import declared_program
 from greygate.compiler.meaning import Replaced, prove, use_meanings
 from greygate.compiler.prune import Pruning, Round, prune_by_entropy
 from greygate.compiler.quantize import Formats, quantize
@@ -16,6 +17,7 @@ from greygate.emulator.numbers import Fix
 from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.models.accuracy import float_error, pooled_rms, portable_rms
+from greygate.models.importers.qonnx import Quantized
 from greygate.models.network import Network
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
@@ -101,6 +103,18 @@ def compile_network(
         if meanings:
             passes.remark("use_meanings", remarks | proved)
         return Compiled(small, found, program, tuple(passes.done), tuple(rounds))
+
+
+def compile_declared(
+    quantized: Quantized, records: Mapping[str, Record], ranged_on: Sequence[str], period: float
+) -> Compiled:
+    """The program of a network whose signals have declared formats; its ranges, for reports, on `ranged_on`.
+
+    Raises InputError as `declared_program`.
+    """
+    program, flat = declared_program(quantized, period), quantized.network.flatten()
+    found = ranges(flat, [records[name] for name in ranged_on])
+    return Compiled(flat, found, program, (_summary("as declared", flat, 0.0),))
 
 
 class _Passes:

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from greygate.compiler.emit import emit, emitted, sources
-from greygate.compiler.pipeline import Compiled, Pass, compile_network, entropy_pruning, fixed_error
+from greygate.compiler.pipeline import Compiled, Pass, compile_declared, compile_network, entropy_pruning, fixed_error
 from greygate.compiler.prune import Round, retrained
 from greygate.compiler.quantize import Formats
 from greygate.compiler.ranges import ranges
@@ -106,20 +106,29 @@ def compile_project(
     """
     if weights is not None and weights not in METHODS:
         raise InputError(f"no pruning method {weights!r}; there are {', '.join(METHODS)}")
+    quantized = source.quantized()
+    if quantized and (formats or budget or prune or weights or generic or explorer):
+        raise InputError(
+            f"{source.name}: its Quant nodes fix every weight and format; leave out the width, finer, budget, pruning, "
+            "generic and device, or export it without them"
+        )
     formats = formats or source.formats()
     with replacing_folder(folder, "compile", LATER) as new:
-        network, records = source.network(), source.records()
-        compiled = compile_network(
-            network,
-            records,
-            formats,
-            ranged_on=source.training,
-            budget=budget,
-            prune=_pruning(source, records, prune, weights, held, progress),
-            generic=generic,
-            choose=partial(explorer.choose, records, source.period) if explorer else None,
-            period=source.period,
-        )
+        records = source.records()
+        if quantized:
+            compiled = compile_declared(quantized, records, source.training, source.period)
+        else:
+            compiled = compile_network(
+                source.network(),
+                records,
+                formats,
+                ranged_on=source.training,
+                budget=budget,
+                prune=_pruning(source, records, prune, weights, held, progress),
+                generic=generic,
+                choose=partial(explorer.choose, records, source.period) if explorer else None,
+                period=source.period,
+            )
         facts = {}
         if explorer:
             formats, architectures, design = explorer.formats, (explorer.architecture,), explorer.design

@@ -9,7 +9,8 @@ import numpy as np
 from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.machines.catalog import CATALOG, entry
-from greygate.models.importers.files import foreign, load
+from greygate.models.importers.files import foreign, load, load_quantized
+from greygate.models.importers.qonnx import Quantized
 from greygate.models.network import Network, Port
 from greygate.models.training.record import Record
 from greygate.plants.readers.read import read_recording
@@ -81,6 +82,10 @@ class Source:
         if self.name not in CATALOG and written:
             return Network.load(self.name)
         return entry(self.name).network()
+
+    def quantized(self) -> Quantized | None:
+        """The network and the formats of its signals, of a file that declares them (QONNX); else None."""
+        return load_quantized(self.name) if foreign(self.name) else None
 
     def records(self) -> dict[str, Record]:
         if not self.recordings:

@@ -3,9 +3,12 @@
 import browsing
 import numpy as np
 import pytest
+import test_report as small
 from networks import delay_line
 from test_cli import recording
 
+from greygate.compiler.pipeline import compile_network
+from greygate.compiler.quantize import Formats
 from greygate.mismatch import rig
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.diagnose import diagnose
@@ -13,6 +16,8 @@ from greygate.models.families.regression import noe
 from greygate.models.network import Port
 from greygate.pages import changes as changed
 from greygate.pages.diagnosis import page as diagnosis_page
+from greygate.pages.report import page as report_page
+from greygate.pages.report.study import study
 
 pytestmark = pytest.mark.skipif(bool(browsing.missing()), reason=f"a browser needs {browsing.missing()}")
 PAGE = """<!doctype html><html lang=en><meta name=viewport content='width=device-width'><title>x</title>
@@ -101,6 +106,24 @@ def test_what_is_wrong_is_seen(said, browser, tmp_path):
 def test_a_page_without_a_fault_has_none(browser, tmp_path):
     (tmp_path / "page.html").write_text(PAGE.format("<p>x</p><a href='#y'>y</a>"))
     assert not any(browsing.faults(browser, tmp_path / "page.html").values())
+
+
+def test_a_drop_down_leaves_one_output_on_the_screen_and_paper_has_all(browser, tmp_path):
+    records = {"training": small.record(1, 300)}
+    compiled = compile_network(small.network(), records, Formats(14), period=small.PERIOD)
+    found = study("small", compiled, records, ranged_on=["training"], period=small.PERIOD, widths=())
+    (tmp_path / "page.html").write_text(report_page([found]))
+    with browsing.opened(browser, tmp_path / "page.html", browsing.SIZES["desk"], "light") as (tab, told):
+        seen = "[...document.querySelectorAll('[data-output]')].filter(e => e.offsetWidth).map(e => e.dataset.output)"
+        everything = ["x", "p[0]", "p[1]"]
+        assert tab.evaluate(seen) == everything
+        tab.focus(".choice select")
+        for shown in ([name] for name in everything):
+            tab.keyboard.press("ArrowDown")
+            tab.wait_for_function(f"{seen}.join() === '{shown[0]}'")
+        tab.emulate_media(media="print")
+        assert tab.evaluate(seen) == everything
+        assert told == []
 
 
 def test_keys_zoom_move_and_return(greygate, build, browser):

@@ -1,13 +1,18 @@
 """Networks of other tools answer as in their own tool."""
 
+import os
 import re
+import subprocess
+import sys
 import warnings
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
 import torch
 from imported_models import ALL, fitnet, free_run, mlp, signal, write_v5
 from test_cli import greygate
+from test_docs import BLOCKS
 from torch import nn
 
 from greygate.errors import InputError
@@ -49,6 +54,21 @@ def test_a_network_goes_to_torch_and_back_with_what_it_learnt_there(tmp_path):
     after = module.network()
     assert np.abs(free_run(after, x) - before).max() > 1e-4
     assert np.abs(module(torch.tensor(x)).detach().numpy() - free_run(after, x)).max() < 1e-12
+
+
+@pytest.mark.skipif(find_spec("keras") is None, reason="keras is not installed; pip install 'greygate[dev]'")
+def test_the_recipe_for_keras_gives_a_network_that_answers_as_keras(tmp_path):
+    x = signal(STEPS, 2).astype(np.float32)
+    np.save(tmp_path / "x.npy", x)
+    recipe = next(text for _, name, text in BLOCKS["importers.md"] if name == "keras_network.py")
+    script = f'{recipe}np.save("y.npy", model.predict(np.load("x.npy"), verbose=0))'
+    subprocess.run(
+        [sys.executable, "-c", script], cwd=tmp_path, check=True, env={**os.environ, "KERAS_HOME": str(tmp_path)}
+    )
+    network = load(tmp_path / "observer.onnx")
+    assert [p.name for p in network.inputs] == ["keras_tensor_1", "keras_tensor_2"]
+    assert network.outputs[0].name[0] == "n", "Keras calls it by a number"
+    assert np.abs(free_run(network, x) - np.load(tmp_path / "y.npy")).max() < AGREED
 
 
 # -- what cannot be carried ------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ import pytest
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
 from greygate.emulator.interpreter import interpret
+from greygate.emulator.program import Affine
 from greygate.errors import InputError
 from greygate.models.network import Layer, Network, Port
 from greygate.models.spectra import frequency_response
@@ -145,15 +146,34 @@ def test_inputs_beyond_their_format_are_counted(compiled, records):
     assert "None</span>, of any signal" not in page([s])
 
 
+def test_the_weights_of_a_layer_stand_in_the_least_format_that_holds_them(compiled, found):
+    sums = [o for o in compiled.program.operations if isinstance(o, Affine)]
+    shown = {w["name"]: w for w in found["weights"]}
+    assert sum(w["size"] for w in shown.values()) == sum(
+        np.count_nonzero(o.weights) + np.count_nonzero(o.bias) for o in sums
+    )
+    for o in sums:
+        columns = np.cumsum([0, *(compiled.program.signals[a].size for a in o.args)])
+        for k, arg in enumerate(o.args):
+            codes = o.weights[:, columns[k] : columns[k + 1]]
+            exact = codes * 2.0 ** (compiled.program.signals[arg].fix.frac - o.frac)[:, None]
+            w = shown[f"{o.out.name}: {arg}"]
+            held = exact * 2.0 ** w["frac"]
+            assert np.array_equal(held, np.floor(held))
+            assert (held % 2).any(), "a bit less behind the point would not do"
+            assert 2 ** (w["width"] - 2) <= np.abs(held).max() < 2 ** (w["width"] - 1)
+
+
 def test_the_page_loads_nothing_and_shows_every_scenario_and_output(found):
-    html = page([found])
+    html = re.sub(r"<script>/\*.*?</script>", "", page([found]), flags=re.S)  # without Plotly
     assert "://" not in html
-    assert not re.search(r"<(script|link|img|iframe)|@import|url\(", html)
+    assert not re.search(r"<(link|img|iframe)|@import|url\(|src=", html)
     for text in ("Small &amp; measured", "training", "other &lt;run&gt;", "p[0]", "p[1]", "x [µm]", "paper", "1,234"):
         assert text in html, text
     assert "other <run>" not in html
+    assert html.index('"reference": {') < html.index('"fixed": {'), "fixed point is drawn over the reference"
     assert "3 bits differ" in html
-    assert "nan" not in re.sub(r"<style>.*</style>", "", html, flags=re.S).lower().replace("nano", "")
+    assert "nan" not in re.sub(r"<(style|script).*?</\1>", "", html, flags=re.S).lower().replace("nano", "")
     assert html.count("<svg") == html.count("</svg>")
 
 

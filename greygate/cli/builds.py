@@ -241,7 +241,7 @@ def _errors(studies: list[dict]) -> list[str]:
         lines.append(study["title"])
         for name, scenario in study["scenarios"].items():
             for label, figures in scenario["outputs"].items():
-                factor, unit = display(figures["unit"])
+                factor, unit = display(figures["unit"], figures["rmse"]["fixed"])
                 float_, fixed = (factor * figures["rmse"][kind] for kind in ("float", "fixed"))
                 unit = unit and f" {unit}"
                 lines.append(f"  {name:10} {label:8} RMSE float {float_:8.4g}{unit}, fixed {fixed:8.4g}{unit}")

@@ -261,7 +261,7 @@ def compile(
             compiled = compile_project(
                 source,
                 out,
-                formats,
+                formats if given & {"width", "finer"} else None,
                 budget=budget,
                 prune=prune,
                 weights=weights,
@@ -339,14 +339,16 @@ def _steps(compiled: "Compiled") -> list[str]:
 
 
 def _errors(rmse: dict) -> list[str]:
-    """RMSE of the float network and of fixed point, one line for each scenario and output."""
+    """RMSE of the float network and of fixed point, one line for each scenario and output, in the pages' units."""
+    from greygate.pages.units import display
+
     lines = []
     for scenario, outputs in rmse.items():
         for output, e in outputs.items():
-            once = f" ({e['before']:.4g} before pruning)" if "before" in e else ""
-            lines.append(
-                f"{scenario:12} {output:10} RMSE float {e['float']:.4g}{once}, fixed {e['fixed']:.4g} [{e['unit']}]"
-            )
+            factor, unit = display(e["unit"], e["fixed"])
+            once = f" ({factor * e['before']:.4g} before pruning)" if "before" in e else ""
+            floating, fixed = (f"{factor * e[kind]:.4g}" for kind in ("float", "fixed"))
+            lines.append(f"{scenario:12} {output:10} RMSE float {floating}{once}, fixed {fixed} [{unit or '1'}]")
     return lines
 
 

@@ -215,11 +215,11 @@ def _path(line: Curve, sx: Scale, sy: Scale, height: float) -> str:
     return "".join(text)
 
 
-def formats(signals: Sequence[dict], width: int = 1160) -> Markup:
+def formats(signals: Sequence[dict], width: int = 1160, of: str = "|signal|, normalised") -> Markup:
     """Draw the range of every format (from its LSB to full scale) and the values of its signal, on a log2 scale.
 
-    signals: entries of a study's `signals`. Box: quartiles of |signal|; whiskers: from 5 % to the largest value. A
-    diamond is the proved bound; an arrow is a bound beyond the right edge.
+    signals: entries of a study's `signals` or `weights`. of: the label. Box: quartiles of |signal|; whiskers: from 5 %
+    to the largest value. A diamond is the proved bound; an arrow is a bound beyond the right edge.
     """
     left, right = 180, 120
     inner = width - left - right
@@ -236,7 +236,7 @@ def formats(signals: Sequence[dict], width: int = 1160) -> Markup:
         parts.append(f'<text class="tick" x="{at:.1f}" y="{height - 20}" text-anchor="middle">{power}</text>')
     for row, s in enumerate(signals):
         parts.append(_format_row(s, row * ROW + ROW / 2, left, inner, scale))
-    parts.append(f'<text class="label" x="{left + inner / 2}" y="{height - 4}">|signal|, normalised</text>')
+    parts.append(f'<text class="label" x="{left + inner / 2}" y="{height - 4}">{of}</text>')
     return Markup("".join(parts) + "</svg>")
 
 

@@ -5,7 +5,7 @@ Both are lists of rows, {column: cell}, for the terminal (`aligned`) and for the
 
 from collections.abc import Collection, Iterator, Sequence
 
-from greygate.pages.units import NONE, display, figure, shown
+from greygate.pages.units import NONE, display, figure, heading, shown
 
 WIDTHS = (12, 16, 18)
 COUNTED = ("luts", "flip_flops", "dsps", "block_rams", "lut_rams", "clock_mhz")
@@ -58,7 +58,7 @@ def designs(studies: Sequence[dict]) -> list[dict[str, str]]:
             "word": word(s),
             "clocks a step": figure(s["hardware"].get(architecture, {}).get("clocks_per_step")),
             "target": target,
-            **{name.replace("_", " "): figure(counts.get(name)) for name in counted},
+            **{heading(name): figure(counts.get(name)) for name in counted},
         }
         for s in studies
         for architecture, target, counts in _synthesized(s)

@@ -22,7 +22,8 @@ PACKAGE = __package__
 def environment() -> Environment:
     """The templates of every page; they escape every value except `Markup`."""
     found = Environment(loader=PackageLoader(PACKAGE, "."), autoescape=True, trim_blocks=True, lstrip_blocks=True)
-    found.filters |= {"number": units.number, "figure": units.figure}
+    found.filters |= {"number": units.number, "figure": units.figure, "heading": units.heading}
+    found.policies["json.dumps_kwargs"] = {}  # not sorted: curves are drawn in their order
     found.globals |= {"differing": units.differing, "display": units.display, "shown": units.shown}
     return found
 

@@ -4,6 +4,13 @@ import math
 from collections.abc import Sequence
 
 NONE = "–"
+MEASURED = {
+    "clock_mhz": "clock [MHz]",
+    "us_per_step": "a step [µs]",
+    "clocks": "clocks a step",
+    "stopped_after_s": "stopped after [s]",
+}
+"""Figures of synthesis that have a unit, or are for a step -> their heading."""
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -26,6 +33,11 @@ def figure(value: float | str | None) -> str:
     if isinstance(value, str):
         return value
     return f"{value:,.0f}" if value is not None and value == int(value) else number(value, 4)
+
+
+def heading(name: str) -> str:
+    """The heading of a figure of synthesis: what is counted, or what is measured with its unit."""
+    return MEASURED.get(name, name.replace("_", " "))
 
 
 def per_cent(value: float | None) -> str:

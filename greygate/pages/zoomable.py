@@ -13,12 +13,16 @@ DRAWN = 20_000  # longest curve that is drawn sample by sample; a longer one is 
 
 @dataclass(frozen=True)
 class Trace:
-    """A curve: values (n,) in the unit of its label. colour: a variable of style.html. below: on the axis below."""
+    """A curve: values (n,) in the unit of its label. colour: a variable of style.html. below: on the axis below.
+
+    time: of its samples [s], where they are not those of the other curves.
+    """
 
     values: np.ndarray
     colour: str
     width: float = 1.3
     below: bool = False
+    time: np.ndarray | None = None
 
 
 def curves(traces: Mapping[str, Trace], time: float | np.ndarray, labels: Sequence[str]) -> dict:
@@ -28,7 +32,8 @@ def curves(traces: Mapping[str, Trace], time: float | np.ndarray, labels: Sequen
     template's `tojson` then keeps them inside <script>.
     """
     drawn = {
-        name: _placed(trace.values, time) | {"colour": trace.colour, "width": trace.width, "below": trace.below}
+        name: _placed(trace.values, time if trace.time is None else trace.time)
+        | {"colour": trace.colour, "width": trace.width, "below": trace.below}
         for name, trace in traces.items()
     }
     return {"traces": drawn, "labels": [escape(label, quote=False) for label in labels]}

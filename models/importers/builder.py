@@ -92,6 +92,12 @@ class Value:
         return Value((*self.shape[:-1], m), whole @ self.bias, weights)
 
 
+def word(text: str) -> str:
+    """A name of another tool as letters, digits and _, no digit first; "" if it has none of these."""
+    plain = re.sub(r"_+", "_", re.sub(r"\W", "_", text, flags=re.ASCII)).strip("_")
+    return f"n{plain}" if plain[:1].isdigit() else plain
+
+
 def constant(array: object) -> Value:
     """A value that reads no signal."""
     found = np.asarray(array, float)
@@ -290,8 +296,7 @@ class Builder:
 
     def _free(self, hint: str) -> str:
         """A name for a layer, made from a hint."""
-        plain = re.sub(r"_+", "_", re.sub(r"\W", "_", hint, flags=re.ASCII)).strip("_") or "layer"
-        plain = plain if plain[0].isalpha() else f"n{plain}"
+        plain = word(hint) or "layer"
         plain = plain if "_" in plain else f"{plain}_layer"  # so it is no keyword of a target's language
         taken = {*self.network.modules, *(p.name for p in (*self.inputs, *self.outputs))}
         name, k = plain[:60], 2

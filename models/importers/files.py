@@ -1,11 +1,13 @@
 """A network from a file of another tool, by the ending of its name."""
 
 from pathlib import Path
+from typing import Any
 
 from greygate.errors import InputError
 from greygate.models.importers.matlab import from_matlab
-from greygate.models.importers.onnx_graph import from_onnx
+from greygate.models.importers.onnx_graph import from_onnx, from_qonnx
 from greygate.models.importers.ports import port
+from greygate.models.importers.qonnx import Quantized
 from greygate.models.network import Network
 from greygate.reading import line, listed, named, read_toml, table
 
@@ -32,8 +34,20 @@ def load(path: Path | str) -> Network:
         )
     if path.suffix.lower() == ".mat":
         return from_matlab(path)
+    return from_onnx(path, **_told(path))
+
+
+def load_quantized(path: Path | str) -> Quantized | None:
+    """A QONNX model with the formats of its signals; None for any other file. Raises InputError as `load`."""
+    path = Path(path)
+    if path.suffix.lower() != ".onnx":
+        return None
+    return from_qonnx(path, **_told(path))
+
+
+def _told(path: Path) -> dict[str, Any]:
+    """What the file of ports beside a model says, if there is one: inputs, outputs, state."""
     names = path.with_suffix(".ports.toml")
     kinds = {"inputs": listed(line), "outputs": listed(line), "state": named(line, line)}
     told = table(read_toml(names, "name the ports"), f"{names}:", {}, kinds) if names.exists() else {}
-    ports = {key: [port(text) for text in told[key]] for key in ("inputs", "outputs") if key in told}
-    return from_onnx(path, ports.get("inputs"), ports.get("outputs"), told.get("state"))
+    return told | {key: [port(text) for text in told[key]] for key in ("inputs", "outputs") if key in told}

@@ -6,19 +6,17 @@ GRU, LSTM and Scan goes on from step to step. Source: https://onnx.ai/onnx/opera
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from greygate.errors import InputError, one_line, shown
 from greygate.models.importers.builder import Builder, Value, constant, joined, matmul, taken
+from greygate.models.importers.onnx_file import array, first, ports_of, read, shape
+from greygate.models.importers.qonnx import QUANTIZERS, Declaring, Quantized
 from greygate.models.network import Network, Port
 
-if TYPE_CHECKING:
-    import onnx
-
-OLDEST = 17  # opset
-LARGEST = 64 << 20  # bytes of a file
+Kind = TypeVar("Kind", bound=Builder)
 
 
 def from_onnx(
@@ -42,11 +40,49 @@ def from_onnx(
     >>> from_onnx("sum.onnx", state={"s": "after"})
     <Network sum: u [1] -> y [1]; 3 layers, 8 parameters>
     """
-    model, state = _read(Path(path)), dict(state or {})
-    graph = model.graph
-    fixed = {t.name: constant(_array(t)) for t in graph.initializer}
+    model = read(Path(path))
+    kind = Declaring if _quantizes(model) else Builder
+    return _built(model, path, kind, inputs, outputs, state, initial, name).finished()
+
+
+def from_qonnx(
+    path: Path | str,
+    inputs: Sequence[Port | str] | None = None,
+    outputs: Sequence[Port | str] | None = None,
+    state: Mapping[str, str] | None = None,
+    name: str | None = None,
+) -> Quantized | None:
+    """A QONNX model: the network without its rounding, and every signal in the format that its Quant nodes declare.
+
+    inputs, outputs, state, name: as of `from_onnx`. None for a model without Quant nodes. Raises InputError as that,
+    and for a Quant node that no format expresses, with what to do.
+    """
+    model = read(Path(path))
+    if not _quantizes(model):
+        return None
+    builder = _built(model, path, Declaring, inputs, outputs, state, None, name)
+    return Quantized(builder.finished(), tuple(builder.steps))
+
+
+def _quantizes(model: Any) -> bool:
+    return any(node.op_type in QUANTIZERS for node in model.graph.node)
+
+
+def _built(
+    model: Any,
+    path: Path | str,
+    kind: type[Kind],
+    inputs: Sequence[Port | str] | None,
+    outputs: Sequence[Port | str] | None,
+    state: Mapping[str, str] | None,
+    initial: Mapping[str, np.ndarray] | None,
+    name: str | None,
+) -> Kind:
+    """The builder of a model's network, with all but the last check."""
+    graph, state = model.graph, dict(state or {})
+    fixed = {t.name: constant(array(t)) for t in graph.initializer}
     entered = [i for i in graph.input if i.name not in fixed]
-    shapes = {i.name: _shape(i, path) for i in (*entered, *graph.output)}
+    shapes = {i.name: shape(i, path) for i in (*entered, *graph.output)}
     names = [i.name for i in entered], [o.name for o in graph.output]
     for inner, after in state.items():
         if inner not in names[0] or after not in names[1]:
@@ -56,17 +92,16 @@ def from_onnx(
             )
     free = [n for n in names[0] if n not in state], [n for n in names[1] if n not in state.values()]
     ports = [
-        list(given) if given is not None else [p for n in tensors for p in _ports(n, shapes[n])]
+        list(given) if given is not None else [p for n in tensors for p in ports_of(n, shapes[n])]
         for given, tensors in zip((inputs, outputs), free, strict=True)
     ]
-    builder = Builder(name or Path(path).stem, *ports)
+    builder = kind(name or Path(path).stem, *ports)
     walk = _Walk(builder, str(path))
     values = dict(fixed)
     left = list(builder.inputs)
     for n in free[0]:
         count = int(np.prod(shapes[n]))
-        taken = _taken(left, count, f"{path}: input {n}")
-        values[n] = builder.input(taken, shapes[n])
+        values[n] = builder.input(first(left, count, f"{path}: input {n}"), shapes[n])
     if left:
         raise InputError(f"{path}: port {left[0].name} is one too many; the model takes fewer numbers")
     kept = {}
@@ -78,68 +113,12 @@ def from_onnx(
         raise InputError(f"{path}: output {missing[0]} is of an operation that gives it only in training; leave it out")
     left = list(builder.outputs)
     for n in free[1]:
-        builder.output(_taken(left, values[n].size, f"{path}: output {n}"), values[n])
+        builder.output(first(left, values[n].size, f"{path}: output {n}"), values[n])
     if left:
         raise InputError(f"{path}: port {left[0].name} is one too many; the model gives fewer numbers")
     for n, after in state.items():
         builder.keep(kept[n], values[after])
-    return builder.finished()
-
-
-def _read(path: Path) -> "onnx.ModelProto":
-    try:
-        import onnx
-    except ImportError:
-        raise InputError("onnx is not installed; pip install 'greygate[onnx]'") from None
-    try:
-        if path.stat().st_size > LARGEST:
-            raise InputError(f"{path}: larger than {LARGEST >> 20} MiB; a network here has a few hundred weights")
-        model = onnx.load(path, load_external_data=False)
-        onnx.checker.check_model(model)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror or error}; give an .onnx file") from None
-    except InputError:
-        raise
-    except Exception as error:  # of protobuf or of the checker
-        raise InputError(f"{path}: is no valid ONNX model ({one_line(' '.join(str(error).split()))[:200]})") from None
-    opset = next((o.version for o in model.opset_import if o.domain in ("", "ai.onnx")), OLDEST)
-    if opset < OLDEST:
-        raise InputError(f"{path}: opset {opset}; convert it to {OLDEST} or newer (onnx.version_converter)")
-    if outside := [t.name for t in model.graph.initializer if t.external_data]:
-        raise InputError(f"{path}: the numbers of {outside[0]} are in another file; save the model in one file")
-    return model
-
-
-def _shape(tensor: Any, path: Path | str) -> tuple[int, ...]:
-    """Of an input or output; every axis but the last is 1. Raises InputError for what is no tensor."""
-    if not tensor.type.HasField("tensor_type"):
-        raise InputError(f"{path}: {tensor.name} is no tensor; a network has ports of numbers")
-    dims = [d.dim_value for d in tensor.type.tensor_type.shape.dim]
-    return (*(1 for _ in dims[:-1]), *(max(d, 1) for d in dims[-1:]))
-
-
-def _ports(name: str, shape: Sequence[int]) -> list[str]:
-    count = int(np.prod(shape))
-    return [name] if count == 1 else [f"{name}_{k + 1}" for k in range(count)]
-
-
-def _taken(ports: list[Port], count: int, where: str) -> list[Port]:
-    """The first ports that hold so many numbers; they are removed."""
-    found: list[Port] = []
-    while sum(p.size for p in found) < count and ports:
-        found.append(ports.pop(0))
-    if sum(p.size for p in found) != count:
-        raise InputError(f"{where}: holds {count} numbers; name a port for each, and no more")
-    return found
-
-
-def _array(tensor: Any) -> np.ndarray:
-    from onnx import numpy_helper
-
-    try:
-        return np.asarray(numpy_helper.to_array(tensor), float)
-    except Exception as error:  # a tensor of texts, or one whose bytes and shape do not agree
-        raise InputError(f"tensor {shown(tensor.name)}: holds no numbers ({one_line(str(error))[:100]})") from None
+    return builder
 
 
 class _Walk:
@@ -340,12 +319,12 @@ def _reduced(of: Callable) -> Callable:
 
 def _constant(walk: _Walk, **given: Any) -> Value:
     if "value" in given:
-        return constant(_array(given["value"]))
+        return constant(array(given["value"]))
     return constant(next(iter(given.values())))
 
 
 def _filled(walk: _Walk, shape: Value, value: Any = None) -> Value:
-    number = 0.0 if value is None else float(_array(value).ravel()[0])
+    number = 0.0 if value is None else float(array(value).ravel()[0])
     return constant(np.full(walk.whole(shape, "the shape"), number))
 
 
@@ -402,7 +381,7 @@ def _scan(walk: _Walk, *given: Value, body: Any, num_scan_inputs: int, **options
     if any(options.get("scan_input_axes") or []) or any(options.get("scan_output_axes") or []):
         raise walk.refused("the steps are not its first axis")
     count = len(given) - num_scan_inputs
-    values = {t.name: constant(_array(t)) for t in body.initializer}
+    values = {t.name: constant(array(t)) for t in body.initializer}
     kept = []
     for inner, start in zip(body.input[:count], given[:count], strict=True):
         first = walk.fixed(start, "the initial state")
@@ -489,6 +468,7 @@ FUNCTIONS: dict[str, Callable] = {
     "Cast": _cast,
     "Dropout": _dropout,
     "Identity": _same,
+    **QUANTIZERS,
 }
 """What a network can carry: operation of ONNX -> how."""
 

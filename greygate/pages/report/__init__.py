@@ -19,13 +19,15 @@ SECTIONS = (head, explored, widths, formats, runs, inside)
 
 
 def page(studies: Sequence[dict], tables: Sequence[Sequence[dict]] = ()) -> str:
-    """Make one self-contained HTML page, with styles and pictures (SVG) inside. studies: by `study`.
+    """Make one self-contained HTML page, with styles, pictures (SVG) and Plotly inside. studies: by `study`.
 
     tables: of `greygate.pages.summary`, shown on top.
     """
     title = f"greygate report: {', '.join(s['title'] for s in studies)}"
     sections = [(s["title"], templates.render_sections(SECTIONS, s)) for s in studies]
-    return templates.render("report/page.html", title=title, studies=sections, tables=tables, LEFT=LEFT)
+    return templates.render(
+        "report/page.html", title=title, studies=sections, tables=tables, LEFT=LEFT, plotly=templates.plotly()
+    )
 
 
 def write(

@@ -6,9 +6,15 @@ from greygate.pages import figures
 
 
 def context(study: dict) -> dict:
-    """The picture of every input and operation, and the notes of the compiler on some of them."""
+    """The pictures of every input and operation, and of the weights; and the notes of the compiler on some signals."""
     signals = [s for s in study["signals"] if s["kind"] != "state"]
-    return {"ranged_on": study["ranged_on"], "picture": figures.formats(signals), "noted": noted(study["signals"])}
+    return {
+        "ranged_on": study["ranged_on"],
+        "picture": figures.formats(signals),
+        "noted": noted(study["signals"]),
+        "weights": study["weights"],
+        "weights_picture": figures.formats(study["weights"], of="|weight|"),
+    }
 
 
 def noted(signals: Sequence[dict]) -> list[tuple[str, str]]:

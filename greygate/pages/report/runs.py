@@ -2,29 +2,34 @@
 
 import math
 
+import numpy as np
 from markupsafe import Markup
 
 from greygate.pages import figures
 from greygate.pages.figures import Curve
+from greygate.pages.report.study import RUN_BINS
 from greygate.pages.units import display, labelled
+from greygate.pages.zoomable import Trace, curves
 
 KINDS = ("float", "fixed")
 
 
 def context(study: dict) -> dict:
     """Pictures by scenario and output."""
+    steps = {name: s["steps"] for name, s in study["scenarios"].items()}
     drawn = {
         name: {label: pictures(label, o, s["steps"], study["period"]) for label, o in s["outputs"].items()}
         for name, s in study["scenarios"].items()
     }
-    return {"title": study["title"], "scenarios": drawn}
+    names = list(dict.fromkeys(label for outputs in drawn.values() for label in outputs))
+    return {"title": study["title"], "scenarios": drawn, "outputs": names, "steps": steps, "drawn": 2 * RUN_BINS}
 
 
-def pictures(name: str, o: dict, steps: int, period: float) -> dict[str, Markup]:
+def pictures(name: str, o: dict, steps: int, period: float) -> dict:
     """Every drawing of one output on one scenario. o: as in a study. period: s."""
     span = (0.0, steps * period)
     return {
-        "run": _run(name, o, span, period),
+        "run": _run(name, o, period),
         "zoom": _zoom(name, o, period),
         "cost": figures.chart(
             [_over_time(o, "cost", "cost", period)],
@@ -52,22 +57,20 @@ def _over_time(o: dict, trace: str, kind: str, period: float) -> Curve:
     return Curve([k * period for k in points["step"]], [v * factor for v in points["value"]], kind)
 
 
-def _run(name: str, o: dict, span: tuple[float, float], period: float) -> Markup:
-    """Reference and fixed point, and the error of fixed point below."""
-    return figures.chart(
-        [_over_time(o, trace, trace, period) for trace in ("reference", "fixed")],
-        y=labelled(name, _display(o, "reference")[1]),
-        x_limits=span,
-        width=770,
-        height=170,
-    ) + figures.chart(
-        [_over_time(o, "error", "fixed", period)],
-        x="time [s]",
-        y=labelled("error", _display(o, "error")[1]),
-        x_limits=span,
-        width=770,
-        height=120,
-    )
+def _run(name: str, o: dict, period: float) -> dict:
+    """Reference and fixed point, and the error of fixed point below: what a reader can zoom."""
+    factors = {trace: _display(o, trace) for trace in ("reference", "fixed", "error")}
+    drawn = {
+        trace: Trace(
+            np.array(o["drawn"][trace]["value"]) * factor,
+            "reference" if trace == "reference" else "fixed",
+            width=3.0 if trace == "reference" else 1.0,
+            below=trace == "error",
+            time=np.array(o["drawn"][trace]["step"]) * period,
+        )
+        for trace, (factor, _) in factors.items()
+    }
+    return curves(drawn, period, [labelled(name, factors["reference"][1]), labelled("error", factors["error"][1])])
 
 
 def _zoom(name: str, o: dict, period: float) -> Markup:

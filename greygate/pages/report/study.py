@@ -4,12 +4,14 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
+from itertools import count
 
 import numpy as np
 
 from greygate.compiler.pipeline import Compiled, quantize_centred
 from greygate.compiler.quantize import Formats
 from greygate.emulator.engine import run
+from greygate.emulator.numbers import Fix, signed_width
 from greygate.emulator.program import Affine, Lookup, Program, Terminal
 from greygate.emulator.tables import Lines, Table
 from greygate.errors import InputError
@@ -21,6 +23,7 @@ from greygate.pages.figures import envelope, shortened
 from greygate.plain import plain
 from greygate.progress import Progress, silent
 
+RUN_BINS = 2000  # of a whole run, into which a reader can zoom; each has its least and its largest value
 ZOOM = 200  # steps drawn around the largest error
 QUANTILES = (5, 25, 50, 75, 100)  # of |signal|, in per cent
 
@@ -74,6 +77,7 @@ def study(
             "scenarios": scenarios,
             "widths": _curve(compiled, records, scenarios, ranged_on, widths, formats or Formats(), progress),
             "signals": _signals(compiled, records[ranged_on[0]], saturations),
+            "weights": [w for o in program.operations if isinstance(o, Affine) for w in _weights(o, program)],
             "tables": [_table(t, program) for t in program.tables],
             "passes": [asdict(p) for p in compiled.passes],
             "references": references,
@@ -147,9 +151,10 @@ def _output(reference: np.ndarray, floating: np.ndarray, fixed: np.ndarray, skip
         "model_psd": spectrum(e_float[used], period)[1],
         "frf": frequency_response(reference[used], {"float": floating[used], "fixed": fixed[used]}, period),
         "drawn": {
-            name: envelope(values)
-            for name, values in [("reference", reference), ("fixed", fixed), ("error", e_fixed), ("cost", cost)]
-        },
+            name: envelope(values, RUN_BINS)
+            for name, values in [("reference", reference), ("fixed", fixed), ("error", e_fixed)]
+        }
+        | {"cost": envelope(cost)},
         "zoom": {"start": start, "worst": worst} | {n: shortened(v[window]) for n, v in traces.items()},
     }
 
@@ -239,6 +244,38 @@ def _signals(compiled: Compiled, record: Record, saturations: Mapping[str, Mappi
                 "note": program.notes.get(name),
             }
         )
+    return found
+
+
+def _weights(o: Affine, program: Program) -> list[dict]:
+    """The weights by which a sum reads each of its arguments, and its biases: the least format that holds all of them.
+
+    An entry has keys of `_signals`; quantiles are those of |weight|, where it is not zero. size: how many those are.
+    """
+    signals = [program.signals[a] for a in o.args]
+    parts = np.split(o.weights, np.cumsum([s.size for s in signals])[:-1], axis=1)
+    named = [(s.name, s.fix.frac, part) for s, part in zip(signals, parts, strict=True)]
+    found = []
+    for name, frac, codes in [*named, ("bias", 0, o.bias[:, None])]:
+        values = np.ldexp(codes.astype(float), (frac - o.frac)[:, None])
+        size = np.abs(values[values != 0])
+        if size.size:
+            bits = next(b for b in count(-62) if np.array_equal(scaled := np.ldexp(values, b), np.floor(scaled)))
+            fix = Fix(max(2, signed_width(int(np.ldexp(size.max(), bits)))), bits)
+            found.append(
+                {
+                    "name": f"{o.out.name}: {name}",
+                    "size": size.size,
+                    "fix": str(fix),
+                    "width": fix.width,
+                    "frac": fix.frac,
+                    "holds": (fix.lo * fix.lsb, fix.hi * fix.lsb),
+                    "observed": (values.min(), values.max()),
+                    "sound": None,
+                    "quantiles": np.percentile(size, QUANTILES),
+                    "saturations": {},
+                }
+            )
     return found
 
 

@@ -27,7 +27,8 @@ def context(judged: Judged) -> dict:
         name: [(v, pictures(v, judged.period)) for v in group]
         for name, group in groupby(judged.validations, key=lambda v: v.record)
     }
-    return {"records": records, "long_run": long_run, "drawn": DRAWN}
+    names = list(dict.fromkeys(v.output for v in judged.validations))
+    return {"records": records, "names": names, "long_run": long_run, "drawn": DRAWN}
 
 
 def label(test: Correlation) -> str:

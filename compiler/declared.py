@@ -1,0 +1,219 @@
+"""From a network whose signals have declared formats, such as QONNX's, to the program that equals it in every bit.
+
+Nothing is chosen here: every weight is kept exactly, every sum is exact, and a Quant rounds it once. A sum stays within
+the 24 bits that float32 holds exactly, so a tool that computes in float32 gets the same, in whatever order it adds.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from greygate.compiler.tables import LARGEST_BITS
+from greygate.emulator.numbers import FRACTIONS, Fix, Overflow, Rounding, signed_width
+from greygate.emulator.program import Affine, Clamp, Lookup, Operation, Program, Signal, Terminal
+from greygate.emulator.tables import Symmetry, Table
+from greygate.errors import InputError
+from greygate.models.activations import ACTIVATIONS
+from greygate.models.arithmetic import xp
+from greygate.models.importers.builder import Value
+from greygate.models.importers.qonnx import Format, Quantized, Step
+from greygate.models.network import Port
+
+FLOAT32 = 24  # bits of its significand: integers up to 2^24, and their sums, are exact
+DOUBT = 2.0**-21  # error that a tanh or a sigmoid in float32 may have: eight units in the last place of 1
+
+
+class Bounded(NamedTuple):
+    """A signal and the codes that it can take."""
+
+    signal: Signal
+    lo: int
+    hi: int
+
+
+class Sums(NamedTuple):
+    """Exact sums of signals: integers as in AFFINE, and the largest magnitude of one in units of the finest row."""
+
+    args: tuple[str, ...]
+    weights: np.ndarray
+    bias: np.ndarray
+    frac: int
+    reach: int
+
+
+def declared_program(quantized: Quantized, period: float = 1e-3) -> Program:
+    """The program of a network with declared formats. period: s, of a step.
+
+    Raises InputError for an input without a format, for a sum that float32 does not hold, and for a tanh or a sigmoid
+    without formats around it, each with what to do.
+    """
+    return _Declared(quantized).program(period)
+
+
+class _Declared:
+    def __init__(self, quantized: Quantized):
+        self.network, self.steps = quantized
+        self.known: dict[str, Bounded] = {}
+        self.curves: dict[str, Step] = {}  # a tanh or a sigmoid, until the Quant that reads it gives its format
+        self.tables: dict[str, Table] = {}
+        self.operations: list[Operation] = []
+
+    def program(self, period: float) -> Program:
+        inputs = [self._input(p) for p in self.network.inputs]
+        shown = [getattr(self, f"_{KINDS[step.kind]}")(step) for step in self.steps]
+        ends = [s for s, step in zip(shown, self.steps, strict=True) if step.kind == "output"]
+        outputs = [Terminal(p.name, s, p.unit, 1.0, 0.0) for p, s in zip(self.network.outputs, ends, strict=True)]
+        parts = tuple(inputs), (), tuple(self.operations), tuple(outputs), tuple(self.tables.values())
+        return Program(self.network.name, *parts, period).check()
+
+    def _input(self, port: Port) -> Terminal:
+        """An input in the format of the Quant that reads it; the host rounds to the nearest code."""
+        readers = [s for s in self.steps if (port.name, 0) in s.value.weights]
+        forms = {s.format for s in readers if s.format and _picks(s.value)}
+        if len(forms) != 1 or any(s.format not in forms or not _picks(s.value) for s in readers):
+            raise InputError(f"input {port.name}: its format would be a guess; put one Quant directly behind it")
+        (form,) = forms
+        if form.rounding == Rounding.TRUNCATE:
+            raise InputError(f"input {port.name}: is rounded to the nearest code; give its Quant rounding_mode ROUND")
+        signal = Signal(port.name, port.size, Fix(form.width, form.frac))
+        self.known[port.name] = Bounded(signal, signal.fix.lo, signal.fix.hi)
+        return Terminal(port.name, signal, port.unit, 1.0, 0.0)
+
+    # -- steps; each returns its signal --------------------------------------------------------------------------------
+
+    def _quant(self, step: Step) -> Signal:
+        form = step.format
+        assert form is not None, "a Quant has a format"
+        if (source := _copied(step.value)) in self.curves:
+            self._curve(self.curves[source], form)
+        out = Signal(step.name, step.value.size, Fix(form.width, form.frac))
+        full = (form.lo, form.hi) == (out.fix.lo, out.fix.hi)
+        if source and self.known[source].signal.fix.frac >= form.frac:
+            return self._clamped(out, source, form)
+        first = out if full else Signal(f"{step.name}.n", out.size, out.fix)
+        self._affine(first, step.value, Rounding(form.rounding))
+        return self._define(out, form.lo, form.hi) if full else self._clamped(out, first.name, form)
+
+    def _clamped(self, out: Signal, source: str, form: Format) -> Signal:
+        """A signal that is as fine as the format, or finer, limited and rounded to it."""
+        arg, lo, hi = self.known[source]
+        finer = arg.fix.frac - form.frac
+        low, high = (min(max(code << finer, arg.fix.lo), arg.fix.hi) for code in (form.lo, form.hi))
+        self.operations.append(Clamp(out, source, low, high, Rounding(form.rounding)))
+        return self._define(out, max(form.lo, lo >> finer), min(form.hi, -(-hi >> finer)))
+
+    def _relu(self, step: Step) -> Signal:
+        source = self._exact(f"{step.name}.n", step.value)
+        signal, _, hi = self.known[source]
+        out = Signal(step.name, signal.size, signal.fix)
+        self.operations.append(Clamp(out, source, 0, max(hi, 0)))
+        return self._define(out, 0, max(hi, 0))
+
+    def _later(self, step: Step) -> Signal:
+        """A tanh or a sigmoid: its argument now, its table when its format is known."""
+        arg = self.known[self._exact(f"{step.name}.n", step.value)].signal
+        if arg.fix.width > LARGEST_BITS + 1:
+            raise InputError(
+                f"{step.name}: its argument has {arg.fix.width} bits, a table at most {LARGEST_BITS + 1}; "
+                "put a Quant of fewer bits in front of it"
+            )
+        self.curves[step.name] = step
+        return arg
+
+    def _curve(self, step: Step, form: Format) -> None:
+        """A table with a point for every code, before the Quant limits it."""
+        arg = self.known[self._exact(f"{step.name}.n", step.value)].signal
+        if form.frac < 1 or form.rounding != Rounding.HALF_EVEN:
+            raise InputError(f"{step.name}: give the Quant behind it ROUND and a scale of 1/2 or less")
+        f, fix = ACTIVATIONS[step.kind], Fix(form.frac + 2, form.frac)
+        assert f.symmetry, "a table holds half of a symmetric function"
+        exact = f.value(xp, np.arange(-arg.fix.lo + 1) * arg.fix.lsb)
+        scaled = exact * 2.0**form.frac
+        doubtful = np.abs(scaled - np.floor(scaled) - 0.5) < DOUBT * 2.0**form.frac
+        if doubtful.any():
+            raise InputError(
+                f"{step.name}: of {np.argmax(doubtful) * arg.fix.lsb:g} it lies between two codes, where float32 does "
+                "not say which; give the Quant before or behind it one bit less"
+            )
+        points = np.round(scaled)
+        worst = float(np.abs(points * fix.lsb - exact).max())
+        name = f"{step.kind}_{arg.fix.width}_{arg.fix.frac}_{fix.width}_each"
+        codes = tuple(int(p) for p in points)
+        table = Table(name, step.kind, Symmetry(f.symmetry), 0, codes, False, arg.fix, fix, worst)
+        self.tables[name] = table
+        out = Signal(step.name, arg.size, fix)
+        self.operations.append(Lookup(out, arg.name, name))
+        self._define(out, *table.extremes)
+
+    def _output(self, step: Step) -> Signal:
+        return self.known[self._exact(step.name, step.value)].signal
+
+    # -- sums ----------------------------------------------------------------------------------------------------------
+
+    def _define(self, signal: Signal, lo: int, hi: int) -> Signal:
+        self.known[signal.name] = Bounded(signal, lo, hi)
+        return signal
+
+    def _exact(self, name: str, value: Value) -> str:
+        """The signal that holds a value as it is: an earlier one, or a sum in a format that holds every bit of it."""
+        if name in self.known:
+            return name
+        source = _copied(value)
+        if source in self.known:
+            return source
+        sums = self._sums(name, value)
+        out = Signal(name, value.size, Fix(max(2, signed_width(sums.reach)), sums.frac))
+        self._affine(out, value, Rounding.TRUNCATE)
+        self._define(out, -sums.reach, sums.reach)
+        return name
+
+    def _affine(self, out: Signal, value: Value, rounding: Rounding) -> None:
+        sums = self._sums(out.name, value)
+        frac = np.full(out.size, sums.frac, np.int64)
+        self.operations.append(Affine(out, sums.args, sums.weights, sums.bias, frac, rounding, Overflow.SATURATE))
+        self._define(out, out.fix.lo, out.fix.hi)
+
+    def _sums(self, name: str, value: Value) -> Sums:
+        for source, _ in value.weights:
+            if source in self.curves and source not in self.known:
+                raise InputError(f"{source}: {name} reads it as it is; put a Quant directly behind it")
+        read = [self.known[source] for source, _ in value.weights] or list(self.known.values())[:1]
+        matrices = list(value.weights.values()) or [np.zeros((value.size, read[0].signal.size))]
+        fracs = [_bits(name, w) + r.signal.fix.frac for w, r in zip(matrices, read, strict=True)]
+        frac = max(*fracs, _bits(name, value.bias), FRACTIONS.start)
+        bias = np.ldexp(value.bias, frac)
+        codes = [np.ldexp(w, frac - r.signal.fix.frac) for w, r in zip(matrices, read, strict=True)]
+        reach = np.abs(bias) + sum(np.abs(w).sum(1) * max(-r.lo, r.hi) for w, r in zip(codes, read, strict=True))
+        if (most := float(reach.max())) > 2.0**FLOAT32:
+            raise InputError(
+                f"{name}: its sum needs {int(np.ceil(np.log2(most)))} bits, more than the {FLOAT32} that float32 holds "
+                "exactly; give the Quants of its weights, its bias or its inputs fewer bits"
+            )
+        weights = np.concatenate(codes, axis=1).astype(np.int64)
+        return Sums(tuple(r.signal.name for r in read), weights, bias.astype(np.int64), frac, int(most))
+
+
+KINDS = {"quant": "quant", "relu": "relu", "tansig": "later", "logsig": "later", "output": "output"}
+
+
+def _bits(name: str, numbers: np.ndarray) -> int:
+    """Fraction bits that hold every number exactly. Raises InputError if there are none."""
+    for bits in FRACTIONS:
+        codes = np.ldexp(numbers, bits)
+        if np.array_equal(codes, np.floor(codes)):
+            return bits
+    raise InputError(f"{name}: a weight or a bias is on no grid; put a Quant behind each constant")
+
+
+def _picks(value: Value) -> bool:
+    """Whether each element is one element of a signal, as it is."""
+    rows = np.concatenate(list(value.weights.values()), axis=1)
+    return not value.bias.any() and bool((((rows == 0) | (rows == 1)).all(1) & (rows.sum(1) == 1)).all())
+
+
+def _copied(value: Value) -> str:
+    """The signal that a value is, element by element; "" if it is none."""
+    if len(value.weights) != 1 or value.bias.any():
+        return ""
+    (((source, _), w),) = value.weights.items()
+    return source if np.array_equal(w, np.eye(value.size)) else ""

@@ -1,0 +1,154 @@
+"""QONNX: Quant nodes declare the formats of signals. Source: https://github.com/fastmachinelearning/qonnx, docs."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+
+from greygate.errors import InputError, shown
+from greygate.models.importers.builder import Builder, Value, constant
+from greygate.models.network import Network, Port
+
+ROUNDINGS: Mapping[str, tuple[str, Callable]] = {
+    "ROUND": ("half_even", np.round),
+    "HALF_EVEN": ("half_even", np.round),
+    "FLOOR": ("truncate", np.floor),
+}
+"""rounding_mode of a Quant node -> the rounding of the integer program that is the same, and NumPy's."""
+WIDEST = 24  # bits of a Quant node: what float32, in which QONNX computes, holds
+
+
+@dataclass(frozen=True)
+class Format:
+    """Two's complement of `width` bits with `frac` fraction bits, of which the codes lo to hi are used.
+
+    rounding: of the integer program, by which a value becomes a code.
+    """
+
+    width: int
+    frac: int
+    lo: int
+    hi: int
+    rounding: str
+
+
+class Step(NamedTuple):
+    """A signal that is computed: its name, that of a layer of the network; what of; and the exact sum that it reads.
+
+    kind: "quant", which has a format; "relu", "tansig", "logsig"; "output".
+    """
+
+    name: str
+    kind: str
+    value: Value
+    format: Format | None = None
+
+
+class Quantized(NamedTuple):
+    """A network without its rounding, and the signals that it has with it, in the order of computation."""
+
+    network: Network
+    steps: tuple[Step, ...]
+
+
+class Declaring(Builder):
+    """Builds the network of a QONNX model, and notes its signals."""
+
+    def __init__(self, name: str, inputs: Sequence[Port | str], outputs: Sequence[Port | str]):
+        super().__init__(name, inputs, outputs)
+        self.steps: list[Step] = []
+
+    def quantized(self, value: Value, form: Format, hint: str) -> Value:
+        """A layer that limits the value as the format does."""
+        low, span = (codes * 2.0**-form.frac for codes in (form.lo, form.hi - form.lo))
+        unit = value.plus(constant(-low)).times(1 / span)
+        inside = super().activated(unit, "satlin", f"{hint}_limit").times(span).plus(constant(low))
+        name = self._free(hint)
+        self._layer(name, inside.bias, inside.weights, "linear")
+        self.steps.append(Step(name, "quant", value, form))
+        return Value(value.shape, np.zeros(value.size), {(name, 0): np.eye(value.size)})
+
+    def rectified(self, value: Value, slope: float = 0.0, hint: str = "relu") -> Value:
+        if slope:
+            _cannot(hint)
+        return self._noted("relu", value, super().rectified(value, 0.0, hint))
+
+    def activated(self, value: Value, activation: str, hint: str) -> Value:
+        if activation not in ("tansig", "logsig"):
+            _cannot(hint)
+        return self._noted(activation, value, super().activated(value, activation, hint))
+
+    def clipped(self, value: Value, low: float | None, high: float | None, hint: str = "clip") -> Value:
+        _cannot(hint)
+
+    def state(self, hint: str, initial: np.ndarray) -> tuple[str, Value]:
+        _cannot(hint)
+
+    def output(self, ports: Sequence[Port], value: Value) -> None:
+        super().output(ports, value)
+        made = {c.target: c.source for c in self.network.connections}
+        parts = value.moved(np.ravel).parts([p.size for p in ports], 0)
+        self.steps += [Step(made[p.name], "output", part) for p, part in zip(ports, parts, strict=True)]
+
+    def _noted(self, kind: str, value: Value, result: Value) -> Value:
+        ((name, _),) = result.weights
+        self.steps.append(Step(name, kind, value))
+        return result
+
+
+def _cannot(hint: str) -> NoReturn:
+    raise InputError(
+        f"{hint}: beside Quant nodes a network carries sums, products with constants, Relu, Tanh and Sigmoid; "
+        "replace it by a Quant with its limits, or export without Quant nodes"
+    )
+
+
+def _quant(
+    walk: Any,
+    x: Value,
+    scale: Value,
+    zero: Value,
+    bits: Value,
+    signed: int = 1,
+    narrow: int = 0,
+    rounding_mode: str = "ROUND",
+) -> Value:
+    """A constant is rounded here; a signal gets a format."""
+    if (mode := ROUNDINGS.get(rounding_mode.upper())) is None:
+        raise walk.refused(
+            f"rounding_mode {shown(rounding_mode)}; the hardware has ROUND and FLOOR, choose one of them"
+        )
+    if walk.fixed(zero, "the zero point").any():
+        raise walk.refused("a zero point that is not 0; export with symmetric quantization")
+    widths, steps = walk.fixed(bits, "the bit width").ravel(), walk.fixed(scale, "the scale")
+    width = int(widths[0])
+    if (widths != width).any() or not 1 + signed <= width <= WIDEST:
+        raise walk.refused(f"bit width {widths[0]:g}; give one whole number from {1 + signed} to {WIDEST}")
+    lo, hi = (narrow - (1 << width - 1), (1 << width - 1) - 1) if signed else (0, (1 << width) - 1 - narrow)
+    if hi <= lo:
+        raise walk.refused("one bit of a narrow range holds only 0; give it two")
+    if not ((steps > 0) & (np.frexp(steps)[0] == 0.5)).all():  # np.frexp gives a mantissa from 0.5 to 1
+        raise walk.refused(
+            f"scale {steps.ravel()[0]:.6g} is no power of two; restrict scales to them (in Brevitas: "
+            "restrict_scaling_type=RestrictValueType.POWER_OF_TWO)"
+        )
+    rounding, numpys = mode
+    if (found := x.constant) is not None:
+        return constant(numpys(np.clip(found / steps, lo, hi)) * steps)
+    if (steps != steps.flat[0]).any():
+        raise walk.refused("several scales for one signal, whose elements share a format; give it one scale")
+    form = Format(width + (not signed), 1 - int(np.frexp(steps.flat[0])[1]), lo, hi, rounding)
+    return walk.builder.quantized(x, form, walk.hint)
+
+
+def _bipolar(walk: Any, *given: Value | None) -> Value:
+    raise walk.refused("-1 and 1 have no 0 between them; use a Quant of 2 bits with narrow = 1, which has -1, 0 and 1")
+
+
+def _trunc(walk: Any, *given: Value | None, **options: Any) -> Value:
+    raise walk.refused("it drops bits of a sum; use a Quant with rounding_mode FLOOR")
+
+
+QUANTIZERS: Mapping[str, Callable] = {"Quant": _quant, "IntQuant": _quant, "BipolarQuant": _bipolar, "Trunc": _trunc}
+"""Operations of QONNX."""

@@ -1,0 +1,174 @@
+"""A QONNX model becomes a program that gives every bit of QONNX's own executor."""
+
+import numpy as np
+import pytest
+from test_cli import greygate
+
+from greygate.compiler.declared import declared_program
+from greygate.emulation import emulate
+from greygate.emulator.engine import run
+from greygate.errors import InputError
+from greygate.models.importers.files import load_quantized
+from greygate.plants.recording import Recording
+from greygate.project import Project, compile_project
+from greygate.source import Source
+
+N = 400
+"""Samples: the batch of a model, of which one step of a network is one."""
+
+
+class Model:
+    """A QONNX model under construction: every constant is a power of two, if nothing else is asked for."""
+
+    def __init__(self, seed=0):
+        self.rng, self.nodes, self.fixed = np.random.default_rng(seed), [], []
+
+    def constant(self, values):
+        from onnx import numpy_helper
+
+        self.fixed.append(numpy_helper.from_array(np.asarray(values, np.float32), f"c{len(self.fixed)}"))
+        return self.fixed[-1].name
+
+    def node(self, kind, *given, **options):
+        from onnx import helper
+
+        name = f"{kind}_{len(self.nodes)}"
+        self.nodes.append(helper.make_node(kind, [*given], [f"{name}_out"], name=name, **options))
+        return f"{name}_out"
+
+    def quant(self, x, scale, bits, kind="Quant", zero=0.0, signed=1, narrow=0, mode="ROUND"):
+        given = x, *(self.constant(v) for v in (scale, zero, bits))
+        options = {"signed": signed, "narrow": narrow, "rounding_mode": mode}
+        return self.node(kind, *given, **options, domain="qonnx.custom_op.general")
+
+    def layer(self, x, n, m, scale=2.0**-5, bits=6):
+        """x @ W + b of quantized constants; each column of W has a scale of its own."""
+        scales = scale * 2.0 ** self.rng.integers(-1, 2, (1, m))
+        w = self.quant(self.constant(self.rng.normal(size=(n, m)) / 2), scales, bits, narrow=1)
+        b = self.quant(self.constant(self.rng.normal(size=(1, m)) / 2), 2.0**-8, 8, mode="FLOOR")
+        return self.node("Add", self.node("MatMul", x, w), b)
+
+    def saved(self, path, y, inputs=3, outputs=2):
+        from onnx import TensorProto, helper
+
+        ports = [
+            [helper.make_tensor_value_info(n, TensorProto.FLOAT, [N, c])] for n, c in (("x", inputs), (y, outputs))
+        ]
+        graph = helper.make_graph(self.nodes, "quantized", *ports, self.fixed)
+        domains = [helper.make_opsetid("", 17), helper.make_opsetid("qonnx.custom_op.general", 1)]
+        made = helper.make_model(graph, opset_imports=domains, ir_version=9)
+        path.write_bytes(made.SerializeToString())
+        return path
+
+
+def rectified(m, **first):
+    x = m.quant("x", 2.0**-5, 8, **first)
+    h = m.quant(m.node("Relu", m.layer(x, 3, 6)), 2.0**-4, 5, signed=0)
+    h = m.quant(m.node("Relu", m.layer(h, 6, 5)), 2.0**-4, 4, narrow=1)
+    return m.quant(m.layer(h, 5, 2), 2.0**-6, 8, mode="FLOOR")
+
+
+def curved(m, kind, bits=8, scale=2.0**-6):
+    n = m.quant(m.layer(m.quant("x", 2.0**-5, 8), 3, 6), 2.0**-4, bits)
+    return m.layer(m.quant(m.node(kind, n), scale, 7, signed=int(kind == "Tanh")), 6, 2)
+
+
+def gemm(m):
+    x = m.quant("x", 2.0**-2, 5, signed=0)
+    w = m.quant(m.constant(m.rng.normal(size=(2, 3))), 2.0**-3, 5, kind="IntQuant")
+    return m.node("Gemm", x, w, m.constant(np.array([0.25, -0.5])), transB=1, alpha=2.0)
+
+
+def linked(m):
+    """Two roads that meet, and a Quant of a sum, without any function."""
+    x = m.quant("x", 2.0**-5, 8, narrow=1)
+    h = m.quant(m.layer(x, 3, 3), 2.0**-3, 4)
+    return m.layer(m.node("Sub", h, m.node("Mul", x, m.constant(0.5))), 3, 2)
+
+
+CARRIED = {
+    "relu": rectified,
+    "relu, unsigned input": lambda m: rectified(m, signed=0),
+    "tanh": lambda m: curved(m, "Tanh"),
+    "sigmoid": lambda m: curved(m, "Sigmoid"),
+    "gemm": gemm,
+    "two roads": linked,
+}
+
+
+def executed(path, x):
+    """What QONNX's own executor answers."""
+    pytest.importorskip("qonnx", reason="qonnx is not installed; pip install 'greygate[dev]'")
+    from qonnx.core.modelwrapper import ModelWrapper
+    from qonnx.core.onnx_exec import execute_onnx
+    from qonnx.transformation.infer_shapes import InferShapes
+
+    (found,) = execute_onnx(ModelWrapper(str(path)).transform(InferShapes()), {"x": x}).values()
+    return found
+
+
+@pytest.mark.parametrize("model", CARRIED)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_program_gives_every_bit_of_the_executor_of_qonnx(model, seed, tmp_path):
+    m = Model(seed)
+    path = m.saved(tmp_path / "model.onnx", CARRIED[model](m))
+    x = (np.random.default_rng(9).normal(size=(N, 3)) * 2).astype(np.float32)  # beyond the format of the input, too
+    expected, program = executed(path, x), declared_program(load_quantized(path))
+    codes = program.encode({p.name: x[:, k] for k, p in enumerate(program.inputs)})
+    answer = program.decode(run(program, codes, states=False).outputs)
+    found = np.stack([answer[p.name] for p in program.outputs], 1)
+    assert len(np.unique(expected)) > 10, "it does something"
+    assert np.array_equal(found, expected)
+
+
+def test_a_qonnx_model_is_compiled_and_emulated_as_any_network(tmp_path):
+    m = Model()
+    path = m.saved(tmp_path / "model.onnx", curved(m, "Tanh"))
+    path.with_suffix(".ports.toml").write_text('inputs = ["u [V]", "x [m]", "f [N]"]\noutputs = ["p [Pa]", "q [m]"]\n')
+    x = np.random.default_rng(9).normal(size=(N, 3)).astype(np.float32)
+    columns = dict(zip("uxfpq", [*x.T, np.zeros(N), np.zeros(N)], strict=True))
+    Recording(1e-3, columns, dict(zip("uxfpq", ["V", "m", "N", "Pa", "m"], strict=True))).write_csv(tmp_path / "r.csv")
+    source = Source(str(path), {"r": str(tmp_path / "r.csv")})
+    compile_project(source, tmp_path / "build", architectures=("folded",))
+    project = Project.open(tmp_path / "build")
+    found = emulate(project.program, project.inputs("r")[0]).outputs
+    assert np.array_equal(np.stack([found["p"], found["q"]], 1), executed(path, x))
+    code, _, err = greygate("compile", path, "--record", tmp_path / "r.csv", "--out", tmp_path / "b", "--width", "12")
+    assert code == 2
+    assert "Quant nodes fix every weight and format; leave out the width" in err
+    assert not (tmp_path / "b").exists()
+
+
+def behind(operation):
+    """An operation behind the first Quant."""
+    return lambda m: operation(m, m.quant("x", 2.0**-5, 8))
+
+
+REFUSED = {  # what is said -> the model's output
+    "scale 0.3 is no power of two": lambda m: m.quant("x", 0.3, 8),
+    "several scales for one signal": lambda m: m.quant("x", [[0.5, 0.25, 0.5]], 8),
+    "a zero point that is not 0": lambda m: m.quant("x", 0.5, 8, zero=3.0),
+    "rounding_mode 'CEIL'; the hardware has ROUND and FLOOR": lambda m: m.quant("x", 0.5, 8, mode="CEIL"),
+    "bit width 1; give one whole number from 2 to 24": lambda m: m.quant("x", 0.5, 1),
+    "bit width 4.5": lambda m: m.quant("x", 0.5, 4.5),
+    "input x_1: is rounded to the nearest code": lambda m: m.quant("x", 0.5, 8, mode="FLOOR"),
+    "input x_1: its format would be a guess": lambda m: m.quant(m.node("Relu", "x"), 0.5, 8),
+    "BipolarQuant.* use a Quant of 2 bits": behind(
+        lambda m, x: m.node("BipolarQuant", x, m.constant(1.0), domain="qonnx.custom_op.general")
+    ),
+    "a weight or a bias is on no grid": behind(lambda m, x: m.node("Mul", x, m.constant(1e-30))),
+    "needs 25 bits, more than the 24 that float32 holds": behind(lambda m, x: m.node("Mul", x, m.constant(1 + 2**-17))),
+    "Mul_1: beside Quant nodes": behind(lambda m, x: m.node("Mul", x, x)),
+    "put a Quant directly behind it": behind(lambda m, x: m.node("Tanh", x)),
+    "ROUND and a scale of 1/2 or less": behind(lambda m, x: m.quant(m.node("Tanh", x), 1.0, 2)),
+    "its argument has 15 bits, a table at most 13": lambda m: m.quant(m.node("Tanh", m.quant("x", 1.0, 15)), 0.5, 4),
+    "lies between two codes, where float32": lambda m: m.quant(m.node("Tanh", m.quant("x", 2.0**-9, 12)), 2.0**-14, 16),
+}
+
+
+@pytest.mark.parametrize("why", REFUSED)
+def test_what_a_format_cannot_express_is_refused_with_what_to_do(why, tmp_path):
+    m = Model()
+    path = m.saved(tmp_path / "model.onnx", REFUSED[why](m), outputs=3)
+    with pytest.raises(InputError, match=why):
+        declared_program(load_quantized(path))
