@@ -1,4 +1,4 @@
-"""The site's start page, Python reference and links, and a check that it fetches nothing.
+"""The site's start page, Python reference, notebooks and links, and a check that it fetches nothing.
 
 mkdocs calls the functions `on_...` while `make docs` runs (hooks of mkdocs.yml).
 """
@@ -10,6 +10,7 @@ import shutil
 import tomllib
 from pathlib import Path
 
+import notebooks
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File
 
@@ -54,11 +55,13 @@ def on_files(files, config):
     files.append(File.generated(config, "index.md", content=start_page()))
     for source, shown in FIGURES.items():
         files.append(File.generated(config, shown, abs_src_path=str(ROOT / "docs" / source)))
+    for name in notebooks.TUTORIALS:
+        files.append(File.generated(config, f"{name}.ipynb", content=notebooks.text(name)))
     return files
 
 
 def on_page_markdown(markdown, page, config, files) -> str:
-    """The public names, pictures from elsewhere, and files of the repository, which are named and not linked.
+    """The public names, pictures from elsewhere, notebooks, and files of the repository, which are named, not linked.
 
     README.md is the site's first page.
     """
@@ -66,6 +69,9 @@ def on_page_markdown(markdown, page, config, files) -> str:
     for source, shown in FIGURES.items():
         markdown = markdown.replace(source, shown)
     markdown = re.sub(r"\[[^\]]*\]\(\.\./([^)]+)\)", r"`\1`", markdown)
+    if (name := page.file.src_uri.removesuffix(".md")) in notebooks.TUTORIALS:
+        title, _, rest = markdown.partition("\n")
+        markdown = f"{title}\n\n[Download as a notebook]({name}.ipynb){{ download }}\n{rest}"
     return markdown.replace(NAMES, public_names()) if NAMES in markdown else markdown
 
 

@@ -44,6 +44,7 @@ _PUBLIC = {  # name -> module: name there, in the order of the examples
     "synthesize": "greygate.project:synthesize_project",
     "report": "greygate.reporting:report",
     "compare": "greygate.comparing:compare",
+    "to_pandas": "greygate.frames:to_pandas",
     "Plant": "greygate.plants.plant:Plant",
     "simulate": "greygate.plants.simulate:simulate",
     "load_rig": "greygate.mismatch.rig:load",

@@ -7,6 +7,7 @@ from greygate.compiler.quantize import Formats
 from greygate.emulation import emulate
 from greygate.emulator.program import Program
 from greygate.errors import InputError
+from greygate.frames import to_pandas
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.rig import load as load_rig
 from greygate.models.importers.matlab import from_matlab
@@ -56,6 +57,7 @@ __all__ = [
     "report",
     "simulate",
     "synthesize",
+    "to_pandas",
     "to_torch",
     "train",
     "validate",

@@ -51,6 +51,7 @@ from greygate.hardware.board.benches import core_bench
 from greygate.hardware.replay import replay
 from greygate.hardware.synthesis import synthesize
 from greygate.hardware.verify import Case, Scenario, Verification, stop_tools, verify_many
+from greygate.hardware.waveform import with_waveform
 from greygate.machines.catalog import CATALOG, entry
 from greygate.machines.identification import TRAINED
 from greygate.models.accuracy import float_error, rms
@@ -350,9 +351,9 @@ def verify_project(
 ) -> dict[str, Verification]:
     """Compare each emitted design in Verilator with the emulator; the architectures run in parallel.
 
-    Writes verify.json and a results-ARCHITECTURE.xml (JUnit) for each architecture into the folder. as_is: also verify
-    Verilog that differs from what `emit` makes of the program. It is code, and Verilator runs it; without `as_is` it
-    raises InputError.
+    Writes verify.json and a results-ARCHITECTURE.xml (JUnit) for each architecture into the folder, and a waveform of
+    the first step that differs. as_is: also verify Verilog that differs from what `emit` makes of the program. It is
+    code, and Verilator runs it; without `as_is` it raises InputError.
 
     >>> found = verify(project, seed=1)
     >>> {architecture: one.passed for architecture, one in found.items()}
@@ -387,7 +388,8 @@ def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[
     architectures = project.designs
 
     def check(architecture: str) -> Verification:
-        return verify_many([project.case(architecture, names)], project.folder / "simulation" / architecture, seed)
+        case, folder = project.case(architecture, names), project.folder / "simulation" / architecture
+        return with_waveform(case, verify_many([case], folder, seed), folder)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         futures = [pool.submit(check, architecture) for architecture in architectures]

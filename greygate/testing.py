@@ -44,17 +44,19 @@ def assert_bits_equal(project: "Project", *scenarios: str, seed: int | None = No
     """Simulate every design of a build, and fail if a bit of a step differs from the emulator.
 
     scenarios: those of the build, all if none is named. seed: of resets and pauses, drawn if not given. as_is: Verilog
-    that you have changed, too. The failure names design, scenario, step and signal, and the seed that plays it again.
-    Raises InputError as `greygate.verify`.
+    that you have changed, too. The failure names design, scenario, step and signal, the seed that plays it again, and
+    a waveform of that step. Raises InputError as `greygate.verify`.
     """
     __tracebackhide__ = True
     from greygate.project import verify_project
 
-    wrong = [
-        f"{design}, {verdict.scenario} (seed {found.seed}): {verdict.mismatch}"
-        for design, found in verify_project(project, scenarios, seed, as_is).items()
-        for verdict in found.verdicts
-        if verdict.mismatch is not None
-    ]
+    wrong = []
+    for design, found in verify_project(project, scenarios, seed, as_is).items():
+        wrong += [
+            f"{design}, {verdict.scenario} (seed {found.seed}): {verdict.mismatch}"
+            for verdict in found.verdicts
+            if verdict.mismatch is not None
+        ]
+        wrong += [] if found.waveform is None else [f"waveform: {found.waveform}"]
     if wrong:
         pytest.fail("\n".join([f"{project.folder}: the Verilog differs from the emulator", *wrong]), pytrace=False)

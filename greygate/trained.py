@@ -59,7 +59,7 @@ class Evidence:
             "poles": [] if self.about is None else [[p.real, p.imag] for p in self.about.poles()],
             "response": {
                 "frequency": self.frequency,
-                **{
+                "pairs": {
                     f"{self.after.outputs[o].name}/{self.after.inputs[u].name}": [
                         [v.real, v.imag] for v in response[:, o, u]
                     ]

@@ -1,5 +1,8 @@
 """Whether a fit simulates worse than a plainer one, on blocks of identify.csv that neither of them learnt from.
 
+What leaves something unexplained is judged on halves, too: from one it must carry over to the other, as it must to the
+next recording.
+
 The recording is cut into pieces; every `FOLDS`-th of them is one block. Of several recordings each one is a block, if
 the others show what the fit has beyond the plainer one; else it is cut, as one recording is. The parameters of both
 fits are fitted again to the other pieces, and both simulations run by the rule of the rig, free or with its restarts. A
@@ -20,6 +23,7 @@ from greygate.mismatch.shown_by import SHOWN, margin, recording_of
 FOLDS, ROUNDS = 5, 2  # blocks, and pieces of each: spread, so that no regime of the plant is held out entirely
 PERCENT = 100
 PARTS = 8  # of a piece, each of them one draw of the difference of the squared errors
+HALF = 0.1  # of its RMS error on a half, by which another fit may be worse: slow errors are few draws of chance
 MORE = 0.01  # of the plainer fit's RMS error, by which another fit may be worse
 SURE = 3.0  # standard errors of the difference of the squared errors, below which it may be chance
 REFIT = 4  # iterations of a fit to the other pieces, which begins at that of the whole recording
@@ -53,11 +57,12 @@ class Loss:
 class Judge:
     """The rule of a rig over identify.csv, by which fits are compared.
 
+    halves: whether a recording is cut into its two halves, and not into blocks that are spread.
     fold: number of the block in which each sample lies (samples,); of several recordings, of the recording.
     """
 
-    def __init__(self, likelihood: Likelihood):
-        model = likelihood.model
+    def __init__(self, likelihood: Likelihood, halves: bool = False):
+        model, self.halves = likelihood.model, halves
         again = model.window != model.rig.window
         self.model = modelled(model.rig, model.recording, model.effects) if again else model
         runs = self.model.pieces
@@ -65,7 +70,7 @@ class Judge:
         if self.several:
             self.fold = np.repeat(np.arange(len(runs)), [run.stop - run.start for run in runs])
         else:
-            self.fold = _turns(len(self.model.target))
+            self.fold = _turns(len(self.model.target), *((2, 1) if halves else ()))
 
     @np.errstate(over="ignore", invalid="ignore")  # a run may diverge
     def errors(self, values: Mapping[str, float]) -> np.ndarray:
@@ -128,7 +133,8 @@ class Judge:
         out = []
         for i, channel in enumerate(rig.predict):
             was, now = (float(np.sqrt(np.mean(e[:, i] ** 2))) for e in (before, after))
-            if np.isfinite(was) and _worse(before[:, i], after[:, i]):
+            worse = not now <= (1.0 + HALF) * was if self.halves else _worse(before[:, i], after[:, i])
+            if np.isfinite(was) and worse:
                 out.append(Loss(channel, rig.channels[channel].unit, spans, was, now, name))
         return out
 
@@ -203,6 +209,6 @@ def _own(fit: Fit, held: np.ndarray) -> dict[str, float]:
     return {symbol: fit.values[symbol] for symbol in own}
 
 
-def _turns(samples: int) -> np.ndarray:
+def _turns(samples: int, folds: int = FOLDS, rounds: int = ROUNDS) -> np.ndarray:
     """The number of the block in which each sample lies (samples,): blocks are spread, by turns."""
-    return np.arange(samples) * FOLDS * ROUNDS // samples % FOLDS
+    return np.arange(samples) * folds * rounds // samples % folds

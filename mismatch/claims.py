@@ -31,6 +31,7 @@ from greygate.progress import Progress, silent
 PERCENT = 100
 ALONE = 0.1  # of what an effect saves beside another: what it saves without that one is at least so much, mostly
 LITTLE = 0.05  # of the calibrated plant's squared error, that two which undo each other must take together
+REFIT = 6  # iterations of a fit to the run itself, which begins near
 WORST = 3  # losses that are named in a refusal
 
 
@@ -120,15 +121,31 @@ def by_rule(search: Search, hypothesis: Hypothesis, fit: Fit) -> Fit | None:
     An autoregression weighs fast errors most, and short windows forget slow ones; this weighs them as they are.
     """
     likelihood = fit.likelihood
-    if isinstance(likelihood, Coloured) and likelihood.order:
+    coloured = isinstance(likelihood, Coloured) and likelihood.order
+    return _to_the_run(search, hypothesis, fit) if coloured or likelihood.model.window != search.rig.window else None
+
+
+def _to_the_run(search: Search, hypothesis: Hypothesis, fit: Fit) -> Fit | None:
+    """The same for any fit, each channel weighed by what is left in it; None where it cannot be run.
+
+    Weighed by the sensors' noise, where something is missing the channel of least noise would count for all.
+    """
+    likelihood = fit.likelihood
+    if isinstance(likelihood, Coloured):
         white = likelihood.learnt(likelihood.residual(fit.values), 0)
         again = Likelihood.fit(white, search.unknowns(hypothesis), fit.values)
-        return again if np.isfinite(again.cost) else None
-    if likelihood.model.window != search.rig.window:
-        model = modelled(search.rig, likelihood.model.recording, likelihood.model.effects)
-        again = Likelihood(model).fit(search.unknowns(hypothesis), fit.values)
-        return again if np.isfinite(again.cost) else None
-    return None
+    else:
+        model = modelled(search.rig, likelihood.model.recording, likelihood.model.effects).as_recorded()
+        again = Likelihood(model).fit(search.unknowns(hypothesis), fit.values, tempered=True, iterations=REFIT)
+    return again if np.isfinite(again.cost) else None
+
+
+def calibrated_to_the_run(search: Search, judge: Judge, fit: Fit) -> Fit:
+    """The calibrated plant `fit`, or that fitted to the run itself where it errs less on blocks not learnt from."""
+    again = _to_the_run(search, Hypothesis(), fit)
+    if again is None or not (1.0 + MORE) ** 2 * judge.total(again) < judge.total(fit):
+        return fit
+    return fit.likelihood.fit(fit.unknowns, again.values, iterations=0)
 
 
 def earned(

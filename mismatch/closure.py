@@ -5,13 +5,13 @@ stretches of the recording that their coefficients were not fitted to. What is m
 most of the misfit; in an equation the sum becomes the term called `unknown`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
-from greygate.mismatch.effects import Effect, Free
+from greygate.mismatch.effects import SENSOR, Effect, Free
 from greygate.mismatch.fit import HELD, NORMAL, Fit
 from greygate.mismatch.libraries import Basis, Candidate, declared
 from greygate.mismatch.model import TINY, lagged
@@ -163,7 +163,7 @@ def _sensors(search: Search, base: Fit) -> dict[tuple[str, str], np.ndarray]:
             column = np.zeros_like(base.errors)
             size = max(float(np.std(shape)), FLAT * float(np.abs(shape).max()) + TINY)
             column[:, i] = -shape / size
-            out[f"sensor_{channel}", name] = likelihood.white(column)
+            out[SENSOR + channel, name] = likelihood.white(column)
     return out
 
 
@@ -182,7 +182,7 @@ class _Unknowns:
     columns: np.ndarray
 
     @classmethod
-    def of(cls, search: Search) -> "_Unknowns":
+    def of(cls, search: Search, given: Hypothesis, values: Mapping[str, float]) -> "_Unknowns":
         rig = search.rig
         signals = _signals(search)
         low, high = SEEN
@@ -194,7 +194,7 @@ class _Unknowns:
         again = Search(rig, search.final.model.recording, joined, noise=search.noise)
         again.effects = joined
         likelihood = again.final
-        base = again.base(likelihood)
+        base = again.fit(likelihood, given, values) if given.size else again.base(likelihood)
         keys = [(effect.equations[0], key) for key, effect in effects.items()]
         columns = []
         for _, key in keys:
@@ -223,6 +223,14 @@ class _Unknowns:
         share = float(np.clip(gain / max(total, LEAST), 0.0, 1.0))
         return place, [self.keys[j - halves.k][1] for j in sorted(at)], share
 
+    def where(self, place: str, chosen: Sequence[str]) -> dict:
+        """The equation of a place as a diagnosis reports it, and the signals on which the chosen functions depend."""
+        if place.startswith(SENSOR):
+            return {"equation": place, "depends_on": [place.removeprefix(SENSOR)]}
+        declared = self.search.rig.plant.closure.places.get(place)
+        depends = dict.fromkeys(v for key in chosen for v in self.effects[key].depends_on)
+        return {"equation": (declared and declared.reported) or place, "depends_on": list(depends)}
+
     def fit(self, chosen: list[str]) -> tuple[list[str], Fit]:
         """The functions of which the fit with all that are chosen is sure, and the fit with them."""
         fit = self.search.fit(self.search.final, Hypothesis(tuple(chosen)), self.base.values, self.base.shifts)
@@ -246,34 +254,43 @@ def _effects(rig: Rig, found: Mapping[str, Basis]) -> dict[str, Effect]:
     return effects
 
 
+def left_beside(search: Search, given: Hypothesis, values: Mapping[str, float]) -> list[dict]:
+    """Where something is missing beside the hypothesis `given`, which was fitted with `values`."""
+    try:
+        unknowns = _Unknowns.of(search, given, values)
+    except NowhereError:
+        return []
+    place, chosen, share = unknowns.chosen()
+    where = unknowns.where(place, chosen)
+    on = ", ".join(where["depends_on"]) or "nothing that was recorded"
+    return [{**where, "regime": f"left beside it: something that depends on {on}, {share:.0%} of what is left"}]
+
+
 def closure(search: Search) -> tuple[dict, Fit | None]:
     """(where and effect for the diagnosis, fit with the unknown term; None where a sensor is at fault).
 
     Both are empty for a plant that has no place in which a term may be missing.
     """
     try:
-        unknowns = _Unknowns.of(search)
+        unknowns = _Unknowns.of(search, Hypothesis(), {})
     except NowhereError:
         return {"where": [], "effect": None}, None
     place, chosen, share = unknowns.chosen()
-    declared = search.rig.plant.closure.places.get(place)
-    reported = (declared and declared.reported) or place
+    where = unknowns.where(place, chosen)
     effect, fit = None, None
-    if place.startswith("sensor_"):
-        depends = [place.removeprefix("sensor_")]
-    else:
+    if not place.startswith(SENSOR):
         chosen, fit = unknowns.fit(chosen)
-        depends = list(dict.fromkeys(v for key in chosen for v in unknowns.effects[key].depends_on))
+        where = unknowns.where(place, chosen)
         effect = {
             "id": "unknown",
-            "equations": [reported],
+            "equations": [where["equation"]],
             "confidence": round(share, CONFIDENCE_DIGITS),
             "parameters": {s: _parameter(unknowns.effects[s], fit, unknowns.seen) for s in chosen},
             "not_told_apart_from": [],
         }
-    regime = f"a term of {', '.join(depends) or 'constant size'}, which takes {share:.0%} of the misfit"
-    where = [{"equation": reported, "depends_on": depends, "regime": regime}]
-    return {"where": where, "effect": effect, "share": share}, fit
+    depends = ", ".join(where["depends_on"])
+    regime = f"a term of {depends or 'constant size'}, which takes {share:.0%} of the misfit"
+    return {"where": [{**where, "regime": regime}], "effect": effect, "share": share}, fit
 
 
 def _signals(search: Search) -> dict[str, np.ndarray]:

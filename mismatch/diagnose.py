@@ -16,8 +16,8 @@ from greygate.errors import InputError
 from greygate.mismatch import effects as table
 from greygate.mismatch.adequacy import dependent
 from greygate.mismatch.blocks import Judge
-from greygate.mismatch.claims import Claims, earned, named
-from greygate.mismatch.closure import closure
+from greygate.mismatch.claims import Claims, calibrated_to_the_run, earned, named
+from greygate.mismatch.closure import closure, left_beside
 from greygate.mismatch.coloured import Coloured, remaining
 from greygate.mismatch.coloured_selection import ColouredSelection
 from greygate.mismatch.diagnosis import Diagnosis
@@ -29,7 +29,7 @@ from greygate.mismatch.noise import Noise, learnt
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.ruled_out import ruled_out
 from greygate.mismatch.search import Hypothesis, Search
-from greygate.mismatch.selection import EVIDENCE, STRUCTURE, Selection, complete, inflation, structure
+from greygate.mismatch.selection import EVIDENCE, PART, STRUCTURE, Selection, complete, inflation, structure
 from greygate.mismatch.several import by_rule, modelled
 from greygate.mismatch.verdict import Verdict
 from greygate.plants.expressions import names
@@ -39,9 +39,8 @@ from greygate.progress import Progress, silent
 
 SHARE = 0.99  # of what can be explained: an effect that explains so much is all that is missing,
 ADEQUATE = 4.0  # where the squared errors are at most so many times those that the told noise makes
-PART = 0.5  # of what can be explained: an effect that explains so much is named beside what is left
 SOME = 0.1  # of the squared error in free run, likewise where no noise is told
-CLOSED = 0.25  # of the misfit, that a fitted term must take: of what takes less, every other one does harm elsewhere
+CLOSED = PART  # of the misfit, that a fitted term must take, as a name must: what takes less does harm elsewhere
 NOISES = 3  # noises under which a recording is explained, at most: each is what the explanation before it left
 BLOWN = 100.0  # times what was recorded: a run that is so far off diverges, and nothing can be read from it
 
@@ -74,7 +73,7 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
     progress("calibrating")
     result = (_of_stated_noise if rig.stated else _of_coloured_noise)(search, progress)
     result.not_shown = not_shown
-    if result.verdict == Verdict.MISSING_PHYSICS and all(search.effects[key].fault for key in result.best.effects):
+    if result.verdict == Verdict.MISSING_PHYSICS and _faults(search, result.best):
         result.verdict = Verdict.RECORDING_FAULT
     if result.verdict == Verdict.CONSISTENT:
         progress("bounding what is not there")
@@ -90,6 +89,11 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
         result.alone = _each_alone(rig, effects, progress)
     result.seconds = time.perf_counter() - began
     return result
+
+
+def _faults(search: Search, best: Hypothesis) -> bool:
+    """Whether only faults of the recording are claimed."""
+    return bool(best.effects) and all(search.effects[key].fault for key in best.effects)
 
 
 def _each_alone(rig: Rig, effects: Mapping[str, Effect], progress: Progress) -> dict[str, dict]:
@@ -137,7 +141,7 @@ def shown_noise(fit: Fit) -> Noise:
 def _explained(search: Search, progress: Progress) -> Diagnosis:
     base = search.base(search.screen)
     short = Selection(search, search.screen, base, progress)
-    best, current = short.forward(Hypothesis(), short.plain, base)
+    best, current = short.rivalled(*short.forward(Hypothesis(), short.plain, base))
     if not complete(current):
         best, current = short.paired(best, current, base)
     best, current = short.settled(*short.backward(best, current))
@@ -168,10 +172,16 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
     best, corrected = claims.best, claims.fit
     left, explained = structure(corrected), selection.explained(current)
     unfinished = _open(corrected, current)
-    verdict = _verdict(best, unfinished, explained, corrected.cost / corrected.likelihood.count)
+    per_sample = corrected.cost / corrected.likelihood.count
+    verdict = _verdict(best, unfinished, explained, per_sample, faults=_faults(search, best))
     missing = verdict == Verdict.MISSING_PHYSICS
     unlike = _unlike(search, best, lambda: unfinished or _pays(search, best, corrected)) if missing else ""
     verdict = Verdict.PARTLY_EXPLAINED if unlike else verdict
+    if verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
+        progress("calibrating to the run itself")
+        claims.calibrated = calibrated_to_the_run(search, Judge(corrected.likelihood), claims.calibrated)
+    if verdict == Verdict.PARTLY_EXPLAINED and _carries_not_over(search, claims):
+        verdict, best, unlike = Verdict.UNEXPLAINED, Hypothesis(), ""
     unknown: dict = {}
     if verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED) and not unlike:
         progress("looking for the equation")
@@ -183,6 +193,8 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
             verdict, best = Verdict.UNEXPLAINED, Hypothesis()
             unknown, corrected = _unknown(search, claims, *found, refused)
             left = structure(corrected)
+        else:
+            unknown = {"where": left_beside(search, best, corrected.values)}
     rivals = {hypothesis: cost / inflation(current) for hypothesis, cost in costs.items()}
     rivals |= {hypothesis: rivals[best] for hypothesis in short.unfitted if best in rivals and hypothesis not in rivals}
     return Diagnosis(
@@ -225,16 +237,22 @@ def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
     if claims.best not in selection.fits:
         selection.fits[claims.best] = claims.fit
     best, fit = claims.best, claims.fit
-    left = _goes_on(fit)
+    left = goes_on = _goes_on(fit)
     explained = removed(claims.calibrated, fit)
     verdict = _verdict(best, bool(left), explained, np.inf, SOME)
     if verdict == Verdict.MISSING_PHYSICS and (unlike := _unlike(search, best, lambda: False)):
         verdict, left = Verdict.PARTLY_EXPLAINED, unlike
     unexplained = {}
+    if verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
+        claims.calibrated = calibrated_to_the_run(search, Judge(fit.likelihood), claims.calibrated)
+    if verdict == Verdict.PARTLY_EXPLAINED and _carries_not_over(search, claims):
+        verdict = Verdict.UNEXPLAINED
     if verdict == Verdict.UNEXPLAINED:
         best, fit = Hypothesis(), claims.calibrated
         left = _goes_on(fit) or left
-        unexplained = {"where": [_likeliest(search, selection.fits, left)]}
+        unexplained = {"where": [_likeliest(search, selection.fits, left, best)]}
+    elif verdict == Verdict.PARTLY_EXPLAINED and left == goes_on:
+        unexplained = {"where": [_likeliest(search, selection.fits, f"left beside it: {left}", best)]}
     return Diagnosis(
         search.rig, verdict, best, claims.calibrated, fit, {h: f.cost for h, f in selection.fits.items()}, {},
         explained, search, unexplained, left=left, refused=claims.refused, evidence=claims.evidence,
@@ -247,9 +265,15 @@ def _open(corrected: Fit, current: Fit) -> bool:
     return max(structure(corrected).values()) > STRUCTURE and not complete(current)
 
 
-def _verdict(best: Hypothesis, open_: bool, explained: float, left: float, part: float = PART) -> Verdict:
-    """open_: whether structure is left. left: squared errors over those of the noise, infinite where none is told."""
-    if open_ and (explained < SHARE or left > ADEQUATE):
+def _verdict(
+    best: Hypothesis, open_: bool, explained: float, left: float, part: float = PART, faults: bool = False
+) -> Verdict:
+    """open_: whether structure is left. left: squared errors over those of the noise, infinite where none is told.
+
+    faults: whether nothing but faults of the recording are claimed: what those leave is of the machine, however large
+    they are.
+    """
+    if open_ and (faults or explained < SHARE or left > ADEQUATE):
         return Verdict.PARTLY_EXPLAINED if best.effects and explained >= part else Verdict.UNEXPLAINED
     if best.effects:
         return Verdict.MISSING_PHYSICS
@@ -267,9 +291,19 @@ def _no_term(claims: Claims, unknown: dict, closed: Fit | None) -> str:
         return ""
     if _taken(unknown) < CLOSED:
         return f"it takes {_taken(unknown):.0%} of the misfit"
-    judge = Judge(closed.likelihood)
+    judge, halves = Judge(closed.likelihood), Judge(closed.likelihood, halves=True)
     losses = judge.losses(claims.calibrated, closed) or judge.throughout(claims.calibrated, closed)
+    losses = losses or halves.losses(claims.calibrated, closed)
     return f"with it {losses[0]}" if losses else ""
+
+
+def _carries_not_over(search: Search, claims: Claims) -> bool:
+    """Whether what is claimed beside something unexplained is refused: learnt from one half, it spoils the other."""
+    losses = Judge(claims.fit.likelihood, halves=True).losses(claims.calibrated, claims.fit)
+    if losses:
+        names = " + ".join(named(search, key) for key in (*claims.best.effects, *claims.best.released))
+        claims.refused.append(f"{names} is not claimed: something is left, and with it {losses[0]}")
+    return bool(losses)
 
 
 def _unknown(search: Search, claims: Claims, unknown: dict, closed: Fit | None, refused: str) -> tuple[dict, Fit]:
@@ -309,10 +343,11 @@ def removed(calibrated: Fit, corrected: Fit) -> float:
     return float(np.mean(1.0 - after / np.maximum(before, TINY)))
 
 
-def _likeliest(search: Search, fitted: Mapping[Hypothesis, Fit], left: str) -> dict:
-    """The equation of what is unexplained: where the single effect acts that comes nearest, else of a channel."""
-    tried = sorted((h for h in fitted if h.size == 1 and h.effects), key=lambda h: fitted[h].cost)
-    nearest = [(search.effects[h.effects[0]].equations, search.effects[h.effects[0]].depends_on) for h in tried]
+def _likeliest(search: Search, fitted: Mapping[Hypothesis, Fit], left: str, best: Hypothesis) -> dict:
+    """The equation of what is missing beside `best`: where the effect acts that comes nearest, else of a channel."""
+    more = (h for h in fitted if h.size == best.size + 1 and {*best.effects} < {*h.effects})
+    added = ((*({*h.effects} - {*best.effects}),)[0] for h in sorted(more, key=lambda h: fitted[h].cost))
+    nearest = [(search.effects[key].equations, search.effects[key].depends_on) for key in added]
     plant, whole = search.rig.plant, [(search.rig.predict, ())]
     for places, depends_on in (*nearest, *whole):
         for place in places:

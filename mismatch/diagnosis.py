@@ -114,10 +114,9 @@ class Diagnosis:
             place["regime"] += f"; {what}" if place["regime"] else what
             acting.setdefault(equation, []).extend([tuple(symbols)] if symbols else [])
 
-        if self.verdict == Verdict.UNEXPLAINED:
-            fitted = (self.unknown.get("effect") or {}).get("parameters", {})
-            for place in self.unknown["where"]:
-                acts(place["equation"], place["regime"], place["depends_on"], fitted)
+        fitted = (self.unknown.get("effect") or {}).get("parameters", {})
+        for place in self.unknown.get("where", ()):
+            acts(place["equation"], place["regime"], place["depends_on"], fitted)
         drawn = self.verdict == Verdict.PARTLY_EXPLAINED
         says = "is drawn beyond its tolerance" if drawn else "is not what the data sheet says"
         for symbol in self.best.released:

@@ -110,7 +110,26 @@ SENSOR: dict[str, Callable[..., np.ndarray]] = {
 }
 
 
+def _in_time(signal: np.ndarray, by: float, dt: float) -> np.ndarray:
+    return late(signal, -by, dt)
+
+
+def _even(signal: np.ndarray, by: float, dt: float) -> np.ndarray:
+    return _at(signal, np.arange(len(signal)) / (1.0 + by))
+
+
+def _whole(signal: np.ndarray, span: float, since: float, dt: float) -> np.ndarray:
+    """Of what was lost, the last reading before it."""
+    k = np.arange(len(signal), dtype=float)
+    return _at(signal, np.maximum(np.minimum(k, since / dt), k - span / dt))
+
+
+UNDONE: dict[str, Callable[..., np.ndarray]] = {"late": _in_time, "clock": _even, "lost": _whole}
+"""The inverse of a filter that moves a reading in time."""
+
+
 def unfiltered(kind: str, signal: np.ndarray, parameters: tuple[float, ...], dt: float) -> np.ndarray:
-    """An estimate of what a sensor was shown, from its reading: the inverse of its filter, to first order."""
-    shown = SENSOR[kind](signal, *parameters, dt)
-    return 2.0 * signal - shown
+    """What a sensor was shown, from its reading: the inverse of its filter, where it has one; else to first order."""
+    if kind in UNDONE:
+        return UNDONE[kind](signal, *parameters, dt)
+    return 2.0 * signal - SENSOR[kind](signal, *parameters, dt)

@@ -95,6 +95,12 @@ class Model:
         """The samples of each recording."""
         return pieces(self.recording)
 
+    def as_recorded(self) -> "Model":
+        """This model, begun at every restart as recorded: no fit may shift where it begins."""
+        for model in (self, *self.each):
+            model.locals = []
+        return self
+
     def spread(self, values: Mapping[str, float]) -> dict[str, float | np.ndarray]:
         """`values` along the recording: an array (samples,) where they differ from recording to recording."""
         return dict(values)
@@ -125,7 +131,7 @@ class Model:
         self.target = np.stack([recording[name] for name in self.rig.predict], axis=1)
         self._last = (None, None)
         self._made: dict[tuple, dict[str, np.ndarray]] = {}
-        self._rate: dict[str, np.ndarray] = {}
+        self._smooth_channels: dict[tuple[str, int], np.ndarray] = {}
 
     def _moving(self) -> list[str]:
         """Parameters that change the states: all but those that only outputs and sensors use."""
@@ -217,10 +223,16 @@ class Model:
 
     def smooth_rate(self, channel: str) -> np.ndarray:
         """Velocity of a recorded channel (samples,), in its unit a second, as a restart takes it."""
-        if channel not in self._rate:
+        return self._smoothed(channel, 1)
+
+    def _smoothed(self, channel: str, derivative: int) -> np.ndarray:
+        """A recorded channel (samples,), smoothed as at a restart, or its derivative."""
+        key = channel, derivative
+        if key not in self._smooth_channels:
             half, signal = reach(self.recording[channel], SMOOTH_START), self.recording[channel]
-            self._rate[channel] = savgol_filter(signal, 2 * half + 1, PARABOLA, deriv=1, delta=self.rig.dt)
-        return self._rate[channel]
+            smooth = savgol_filter(signal, 2 * half + 1, PARABOLA, deriv=derivative, delta=self.rig.dt)
+            self._smooth_channels[key] = smooth
+        return self._smooth_channels[key]
 
     def pace(self, rate: str) -> float:
         """RMS of a rate as a restart takes it, in its unit; where it rests, its sensor's noise a sample."""
@@ -236,11 +248,17 @@ class Model:
         return state
 
     def _unfiltered(self, channel: str, values: Mapping[str, float]) -> np.ndarray:
-        """The channel as recorded, less what filters of its sensor make of it."""
+        """The channel as recorded, less what filters of its sensor make of its smoothed course.
+
+        So its noise stays what it is: one that a filter's parameter made larger or smaller would be fitted by it.
+        """
         read = self.recording[channel]
-        for kind, given in self._acting(SENSOR + channel, values):
-            read = of.unfiltered(kind, read, given, self.rig.dt)
-        return read
+        if not (filters := self._acting(SENSOR + channel, values)):
+            return read
+        shown = smooth = self._smoothed(channel, 0)
+        for kind, given in filters:
+            shown = of.unfiltered(kind, shown, given, self.rig.dt)
+        return read + (shown - smooth)
 
     def _reading(self, channel: str, state: np.ndarray, values: Mapping[str, float], at=slice(None)) -> np.ndarray:
         """What the channel's sensor adds to the state, at the samples `at`."""

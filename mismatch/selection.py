@@ -36,6 +36,7 @@ APART = 12.0  # of cost: two hypotheses that differ by less are not told apart
 EXCHANGED, ROUNDS = 4, 3  # hypotheses that are fitted in the place of an effect; times that all are exchanged
 PROMISING = 0.5  # of the gain that the scores promise of what is there, which they must promise of another
 OWN = 0.05  # of what can be explained: a second effect must explain that much where the fit is not complete,
+PART = 0.5  # of what can be explained: an effect that explains so much is named beside what is left
 PAIR = 0.5  # or so much of what the first effect leaves
 LEAST = 5e-3  # of what can be explained: an effect must explain that much beside one that acts by acceleration,
 AHEAD = 0.1  # and be better than any other by so much of what it saves, where it saves less than OWN
@@ -109,6 +110,29 @@ class Selection:
             self.progress(f"best so far: {best}")
             start = current
         return best, current
+
+    def rivalled(self, best: Hypothesis, current: Fit) -> tuple[Hypothesis, Fit]:
+        """The same, or what grows from another single effect that saves nearly as much as the first that was taken.
+
+        Of two that do alike the wrong one may come first, and no exchange of one for one leads back from what is added
+        to it.
+        """
+        if not best.size or complete(current):
+            return best, current
+        mine = {self.search.effects[key].id for key in best.effects} | {*best.released}
+        singles = {h: f for h, f in self.fits.items() if h.size == 1}
+        names = {h: (*(self.search.effects[k].id for k in h.effects), *h.released)[0] for h in singles}
+        first = min((f.cost for h, f in singles.items() if names[h] in mine), default=current.cost)
+        others = {h: f for h, f in singles.items() if names[h] not in mine}
+        if not others:
+            return best, current
+        rival, fit = min(others.items(), key=_cost)
+        if self.explained(fit) < PART or self.plain.cost - fit.cost < NEARLY * (self.plain.cost - first):
+            return best, current
+        self.progress(f"from {rival} on")
+        rival, fit = self.forward(rival, fit, fit)
+        price = EVIDENCE * inflation(fit) * (rival.size - best.size)
+        return (rival, fit) if fit.cost + price < current.cost else (best, current)
 
     def done(self, best: Hypothesis, current: Fit) -> bool:
         """Whether no further effect is looked for."""

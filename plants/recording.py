@@ -75,6 +75,14 @@ class Recording:
         return len(next(iter(self.channels.values())))
 
     @property
+    def header(self) -> list[str]:
+        """`name_unit` of each channel. Raises InputError for a unit without suffix in `UNITS`."""
+        for name in self.channels:
+            if (unit := self.units[name]) not in _SUFFIX:
+                raise InputError(f"{self.source}: channel {name}: unit {unit} has no suffix; use one of {_known()}")
+        return [f"{name}_{_SUFFIX[self.units[name]]}" for name in self.channels]
+
+    @property
     def runs(self) -> tuple["Recording", ...]:
         """The recordings that it is made of, one after the other; here it is one."""
         return (self,)
@@ -94,10 +102,7 @@ class Recording:
 
         Raises InputError for a unit without suffix in `UNITS`, or a folder that cannot be written.
         """
-        for name, unit in self.units.items():
-            if name in self.channels and unit not in _SUFFIX:
-                raise InputError(f"{self.source}: channel {name}: unit {unit} has no suffix; use one of {_known()}")
-        header = ["t_s", *(f"{name}_{_SUFFIX[self.units[name]]}" for name in self.channels)]
+        header = ["t_s", *self.header]
         columns = [[f"{t:.12g}" for t in self.time], *(values.tolist() for values in self.channels.values())]
         with replacing(path) as temporary, temporary.open("w", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")

@@ -4,17 +4,33 @@ import shutil
 import sys
 from pathlib import Path
 
+import checking
 import pytest
 from hypothesis import HealthCheck, settings
 from networks import delay_line
 
-from greygate import cli
+from greygate import cli, schemas
 from greygate.compiler.quantize import Formats
 from greygate.project import compile_project
 from greygate.source import Source
 
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any machine")  # how fast an example is drawn says nothing of the product
+
+
+@pytest.fixture(scope="session", autouse=True)
+def every_json_that_a_command_prints_follows_its_schema():
+    """In all tests: the validation costs milliseconds."""
+    marked = schemas.marked
+
+    def checked(name, result):
+        found = marked(name, result)
+        checking.validator(name).validate(found)
+        return found
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(schemas, "marked", checked)
+        yield
 
 
 @pytest.fixture

@@ -8,7 +8,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import notebooks
 import pytest
+from checking import valid_files
 
 from greygate.errors import InputError
 from greygate.machines.catalog import CATALOG, entry
@@ -19,19 +21,26 @@ BLOCKS = {
     page.name: re.findall(r'```(python|sh|\w+ title="([\w/.]+)")\n(.*?)```', page.read_text(), re.S) for page in PAGES
 }
 """Of each page, in order: Python and shell that is run, and files that it tells the reader to write."""
+NOTEBOOKS = [f"{name}.md" for name in notebooks.TUTORIALS]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Where a reader works: the recordings are there, and `greygate` is that of this environment."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
+    (tmp_path / "recordings").symlink_to(ROOT / "recordings")
+    return tmp_path
 
 
 def run(command: str) -> None:
-    """A shell block, with the `greygate` of this environment."""
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    done = subprocess.run(["bash", "-euc", command], capture_output=True, text=True, env={**os.environ, "PATH": path})
+    """A shell block."""
+    done = subprocess.run(["bash", "-euc", command], capture_output=True, text=True)
     assert done.returncode == 0, f"{command}{done.stdout}{done.stderr}"
 
 
-@pytest.mark.parametrize("page", [name for name, blocks in BLOCKS.items() if blocks])
-def test_the_python_and_the_commands_in_a_page_run(page, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "recordings").symlink_to(ROOT / "recordings")
+@pytest.mark.parametrize("page", [name for name, blocks in BLOCKS.items() if blocks and name not in NOTEBOOKS])
+def test_the_python_and_the_commands_in_a_page_run(page, folder):
     namespace = {}
     for kind, name, text in BLOCKS[page]:
         if kind == "python":
@@ -39,8 +48,32 @@ def test_the_python_and_the_commands_in_a_page_run(page, tmp_path, monkeypatch):
         elif kind == "sh":
             run(text)
         else:
-            (tmp_path / name).parent.mkdir(exist_ok=True)
-            (tmp_path / name).write_text(text)
+            (folder / name).parent.mkdir(exist_ok=True)
+            (folder / name).write_text(text)
+    valid_files(folder)
+
+
+@pytest.mark.filterwarnings("ignore")  # of Jupyter's own
+@pytest.mark.parametrize("page", NOTEBOOKS)
+def test_the_notebook_of_a_tutorial_runs(page, folder):
+    nbclient = pytest.importorskip("nbclient")
+    notebook = notebooks.notebook(page.removesuffix(".md"))
+    blocks = [text.rstrip() for _, _, text in BLOCKS[page]]
+    code = [cell.source for cell in notebook.cells if cell.cell_type == "code"]
+    assert all(any(cell.endswith(block) for cell in code) for block in blocks)
+    nbclient.NotebookClient(notebook, timeout=600, resources={"metadata": {"path": str(folder)}}).execute()
+    shown = [path for cell in code for path in re.findall(r'IFrame\("([^"]+)"', cell)]
+    assert all((folder / path).stat().st_size for path in shown)
+    valid_files(folder)
+
+
+def test_a_notebook_says_what_its_page_says():
+    for page in NOTEBOOKS:
+        notebook = notebooks.notebook(page.removesuffix(".md"))
+        told = "".join(cell.source for cell in notebook.cells if cell.cell_type == "markdown")
+        for heading in re.findall(r"^#+ .*$", (ROOT / "docs" / page).read_text(), re.M):
+            assert heading in told
+        assert "](" not in re.sub(r"\]\(http", "", told)
 
 
 def test_figures_of_the_pages_are_those_of_the_stored_results():

@@ -225,6 +225,13 @@ def test_a_reading_that_is_never_negative_may_be_of_a_motion_that_is(tmp_path):
 # -- what is left, and how much --------------------------------------------------------------------------------------
 
 
+def test_what_a_fault_of_the_recording_leaves_is_of_the_machine_however_large_the_fault():
+    late = Hypothesis(("late",))
+    assert _verdict(late, True, 0.999, 2.0) == Verdict.MISSING_PHYSICS
+    assert _verdict(late, True, 0.999, 2.0, faults=True) == Verdict.PARTLY_EXPLAINED
+    assert _verdict(late, False, 0.999, 2.0, faults=True) == Verdict.MISSING_PHYSICS
+
+
 @pytest.mark.parametrize(
     ("effects", "open_", "explained", "left", "verdict"),
     [

@@ -31,6 +31,7 @@ BASE = (
     "plain",
     "progress",
     "reading",
+    "schemas",
     "table",
     "version",
 )

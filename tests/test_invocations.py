@@ -35,6 +35,7 @@ GOOD = {
     "report": ["build", "--out", "new.html"],
     "compare": ["build", "build"],
     "doctor": [],
+    "schema": ["verify"],
     "board": ["icebreaker", "build", "--out", "new"],
     "play": ["build", "a.csv", "--port", "none"],
     "validate": ["line.toml", "--record", "a.csv", "--lags", "5", "--out", "new.html"],
@@ -51,6 +52,10 @@ GOOD = {
     "export c": ["build", "--out", "new"],
     "export fmu": ["build", "--out", "new.fmu"],
     "export fusesoc": ["build", "--out", "new"],
+    "export modelica": ["rig", "--out", "new.mo"],
+    "export latex": ["rig", "--out", "new.tex"],
+    "export mjcf": ["rig", "--out", "new.xml"],
+    "ci-template": ["github", "line.toml", "--out", "new.yml", "--", "--record", "a.csv"],
     "control": ["belt_drive", "--controller", "pi", "--samples", "3"],
     "bench-concealed make": ["new", "--cases", "1", "--plant", "tank"],
     "bench-concealed run": ["bench", "--out", "new", "--tool", "nominal"],
@@ -88,8 +93,11 @@ TEXTS = {
     "offset": ["nobody", "y", ""],
     "settle": ["x", "", "-1", "1.5", "nan", "9" * 20, "autos"],
     "input": ["nobody", ""], "output": ["nobody", "x_drum", ""],
+    "joint": ["", "v", "v=", "=hinge", "nobody=hinge", "v=a b"], "options": ["--nope", "--width=3", "--out=x"],
+    "install": ["", "a\nb", "${{ x }}"], "ci-template accepted": ["", "../x", "/x"],
+    "ci-template budget": ["", "../x", "/x", "folder", "a.csv"],
 }  # fmt: skip
-"""Wrong texts by the name of the option or argument."""
+"""Wrong texts by the name of the option or argument, or by command and name."""
 
 WHOLE = ["x", "", "1.5", "nan", "inf", "-1", "1e30", "9" * 20, "9" * 5000]
 FLAG = ["1", "no"]
@@ -137,8 +145,10 @@ OTHERS = [
 ]  # fmt: skip
 
 
-def wrong(name: str, hint) -> list[str]:
+def wrong(command: str, name: str, hint) -> list[str]:
     """Values that an option or argument of that name and type cannot have."""
+    if texts := TEXTS.get(f"{command} {name}"):
+        return texts
     kinds = {hint, *typing.get_args(hint)}
     if any(isinstance(kind, type) and issubclass(kind, Enum) for kind in kinds):
         return ["none", "", "PARALLEL"]
@@ -166,13 +176,15 @@ def sweep() -> list[list[str]]:
         good = [*words, *GOOD[command]]
         arguments = [p for p in entry.params if p.param_type_name == "argument"]
         for at, argument in enumerate(arguments, len(words)):
-            values = wrong(argument.name, hints[argument.name])
+            values = wrong(command, argument.name, hints[argument.name])
             found += [[*good[:at], value, *good[at + 1 :]] for value in values]
             found += [[*words, *good[at + 1 :]]] if argument.required else []
+        last = good.index("--") if "--" in good else len(good)
         for option in [p for p in entry.params if p not in arguments]:
-            values, word = wrong(option.name, hints[option.name]), option.opts[-1]
-            found += [[*good, name + "x"] for name in (*option.opts, *option.secondary_opts)]
-            found += [[*good, f"{word}={value}"] for value in values]
+            values, word = wrong(command, option.name, hints[option.name]), option.opts[-1]
+            spoilt = [name + "x" for name in (*option.opts, *option.secondary_opts)]
+            spoilt += [f"{word}={value}" for value in values]
+            found += [[*good[:last], text, *good[last:]] for text in spoilt]
             found += [] if option.is_flag else [[*good, word]]
         if all(argument.nargs == 1 for argument in arguments):
             found.append([*good, "toomuch"])
@@ -233,6 +245,12 @@ def test_every_command_is_swept_and_400_invocations_at_least():
     assert set(GOOD) == set(commands())
     assert len({tuple(a) for a in ALL}) >= LEAST
     print(f"{len(ALL)} invocations")
+
+
+@pytest.mark.parametrize("command", commands())
+def test_every_command_takes_json(command):
+    entry, _ = commands()[command]
+    assert "--json" in [word for option in entry.params for word in option.opts]
 
 
 def test_a_command_line_of_nothing_is_answered_by_help(greygate):

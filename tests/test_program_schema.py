@@ -1,8 +1,7 @@
-"""docs/program.schema.json accepts what `Program.load` accepts, and says what is wrong with the rest."""
+"""The schema of program.json accepts what `Program.load` accepts, and says what is wrong with the rest."""
 
 import json
 from copy import deepcopy
-from pathlib import Path
 
 import pytest
 from legal_programs import legal_program
@@ -11,10 +10,11 @@ from programs import cylinder_program
 from greygate.emulator.program import Program
 from greygate.emulator.tables import Lines
 from greygate.errors import InputError
+from greygate.schemas import load
 
 jsonschema = pytest.importorskip("jsonschema")
 
-SCHEMA = json.loads((Path(__file__).parents[1] / "docs" / "program.schema.json").read_text(encoding="utf-8"))
+SCHEMA = load("program")
 SEEDS = range(60)
 
 

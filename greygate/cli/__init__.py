@@ -26,6 +26,7 @@ from greygate.cli import (
     networks,
     recordings,
     rigs,
+    schemas,
     starts,
 )
 from greygate.cli.terminal import say
@@ -50,7 +51,7 @@ COMMANDS = (
         rigs.conceal,
         rigs.reveal,
     ),
-    *(rigs.fit_fmu, ci.ci_template),
+    *(rigs.fit_fmu, ci.ci_template, schemas.schema),
 )
 
 app = typer.Typer(

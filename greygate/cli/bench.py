@@ -42,7 +42,7 @@ def make(
     lines = [f"{len(commitment['cases'])} cases ({commitment['split']}) written to {out}"]
     lines += [f"publish {out / COMMITMENT}; keep {out / 'sealed'} until the answers are in"] if word else []
     facts = {"out": str(out), "split": commitment["split"], "cases": len(commitment["cases"])}
-    give(facts | {"secret_sha256": commitment["secret_sha256"]}, as_json, lines)
+    give("bench-concealed-make", facts | {"secret_sha256": commitment["secret_sha256"]}, as_json, lines)
 
 
 @app.command()
@@ -66,7 +66,12 @@ def run(
     with following("explaining") as progress:
         found = answer(bench, tool, out, limit, cases, jobs, progress)
     failed = {name: facts["error"] for name, facts in found.items() if facts["error"]}
-    give({"out": str(out), "cases": len(found), "errors": failed}, as_json, [f"{len(found)} answers in {out}"])
+    give(
+        "bench-concealed-run",
+        {"out": str(out), "cases": len(found), "errors": failed},
+        as_json,
+        [f"{len(found)} answers in {out}"],
+    )
     for name, error in failed.items():
         say(f"greygate: {name}: {error}")
     if failed:
@@ -96,4 +101,4 @@ def score(
                 write(scores[names[0]], temporary)
     found = {name: tables.summary(part) for name, part in scores.items()}
     content = {name: found[name] | {"reliability": tables.reliability(part)} for name, part in scores.items()}
-    give(content, as_json, tables.lines(found))
+    give("bench-concealed-score", content, as_json, tables.lines(found))

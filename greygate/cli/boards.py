@@ -59,7 +59,7 @@ def board(
         )
     lines = [f"{key.replace('_', ' ')}: {value}" for key, value in facts.items() if key != "cells"]
     lines += [f"  {cell}: {used}" for cell, used in facts.get("cells", {}).items()]
-    give({"folder": str(out)} | facts, as_json, [*lines, f"written to {out}"])
+    give("board", {"folder": str(out)} | facts, as_json, [*lines, f"written to {out}"])
     if not facts.get("meets", True):
         reached, wanted = facts["reached_mhz"], facts["clock_mhz"]
         say(f"no bitstream: reaches {reached:.1f} MHz on this board, not {wanted:g}; give --mhz {int(reached)} or less")
@@ -89,7 +89,7 @@ def play(
         played = through(project.program, codes, answer.outputs, line, told)
     saturations = {name: count for name, count in answer.saturations.items() if count}
     counted = {"saturations": saturations, "clipped": clipped}
-    give(asdict(played) | counted, as_json, _lines(played, saturations, clipped))
+    give("play", asdict(played) | counted, as_json, _lines(played, saturations, clipped))
     if played.differing_bits:
         raise typer.Exit(1)
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from greygate.cli import options
-from greygate.cli.terminal import Json, following, give, print_out
+from greygate.cli.terminal import Json, following, give
 from greygate.errors import InputError
 from greygate.hardware.families import PLACED, TARGETS
 
@@ -43,7 +43,7 @@ def emulate(
     lines += [_clipping(p, answer.clipped[p.name]) for p in project.program.inputs if p.name in answer.clipped]
     result = {"steps": answer.steps, "saturations": answer.saturations}
     result |= {"clipped": {name: asdict(found) for name, found in answer.clipped.items()}, "out": str(out)}
-    give(result, as_json, [*lines, f"written to {out}"])
+    give("emulate", result, as_json, [*lines, f"written to {out}"])
 
 
 def _clipping(port: "Terminal", found: "Clipped") -> str:
@@ -65,7 +65,8 @@ def verify(
 ) -> None:
     """Simulate the emitted Verilog in Verilator and compare every output and every state with the emulator.
 
-    Exit code 1 if a bit differs; results-ARCHITECTURE.xml in the folder is JUnit.
+    Exit code 1 if a bit differs: simulation/ARCHITECTURE/dump.vcd is then a waveform of the first step that does.
+    results-ARCHITECTURE.xml in the folder is JUnit.
     """
     from greygate.project import Project, verify_project
 
@@ -79,7 +80,9 @@ def verify(
         for v in verdicts
     ]
     passed = all(r.passed for r in results.values())
-    give({"passed": passed, "verdicts": [vars(v) for v in verdicts]}, as_json, lines)
+    waveforms = {name: str(r.waveform) for name, r in results.items() if r.waveform is not None}
+    lines += [f"waveform of the first step that differs: {path}" for path in waveforms.values()]
+    give("verify", {"passed": passed, "verdicts": [vars(v) for v in verdicts], "waveforms": waveforms}, as_json, lines)
     if not passed:
         raise typer.Exit(1)
 
@@ -106,7 +109,12 @@ def prove(
     with following(f"proving {project.program.name}") as progress:
         proofs = run(project, tuple(only), target.value, tuple(architecture), steps, limit, progress)
     holds = all(proof.holds is not False for proof in proofs)
-    give({"holds": holds, "proofs": [asdict(proof) for proof in proofs]}, as_json, [proof.line() for proof in proofs])
+    give(
+        "prove",
+        {"holds": holds, "proofs": [asdict(proof) for proof in proofs]},
+        as_json,
+        [proof.line() for proof in proofs],
+    )
     if not holds:
         raise typer.Exit(1)
 
@@ -134,7 +142,7 @@ def synthesize(
     project = Project.open(folder)
     with following(f"synthesizing {project.program.name} for {target.value}") as progress:
         found = synthesize_project(project, target.value, clock_rate, limit, keep, mhz, progress)
-    give(found, as_json, [f"{name}: {_counted(figures)}" for name, figures in found.items()])
+    give("resources", found, as_json, [f"{name}: {_counted(figures)}" for name, figures in found.items()])
     met = [figures.get("meets") for name, figures in found.items() if name.endswith(f", {target.value}")]
     if mhz is not None and not all(met):
         raise typer.Exit(1)
@@ -186,11 +194,8 @@ def report(
                 passed &= all(result.passed for result in verify_project(project).values())
         studies = measure(projects, out, side_by_side=every, progress=progress)
     tables = [results(studies), designs(studies)] if every else []
-    if as_json:
-        print_out(out.with_suffix(".json").read_text(encoding="utf-8"))
-    else:
-        lines = [line for table in tables for line in (*aligned(table), "")] or _errors(studies)
-        print_out("\n".join([*lines, f"written to {out} and {out.with_suffix('.json')}"]))
+    lines = [line for table in tables for line in (*aligned(table), "")] or _errors(studies)
+    give("report", studies, as_json, [*lines, f"written to {out} and {out.with_suffix('.json')}"])
     if not passed:
         raise typer.Exit(1)
 
@@ -222,7 +227,7 @@ def compare(
     worse = [one for one in found if one.worse]
     result = {"worse": len(worse), "differences": [asdict(one) | {"growth": one.growth} for one in found]}
     verdict = f"{len(worse)} of {len(found)} figures worse than allowed" if worse else "no figure worse than allowed"
-    give(result, as_json, [*aligned(rows(found), LEFT), verdict, *([f"written to {out}"] if out else [])])
+    give("compare", result, as_json, [*aligned(rows(found), LEFT), verdict, *([f"written to {out}"] if out else [])])
     if worse:
         raise typer.Exit(1)
 

@@ -52,4 +52,4 @@ def ci_template(
     files = [*source.recordings.values(), *([] if network in CATALOG else [network])]
     kept = {} if install is None else {"install": install}
     found = write_workflow(service.value, words, files, accepted=accepted, budget=budget, out=out, **kept)
-    give(found, as_json, [f"written: {', '.join(found['written'])}", "then, once:", *found["next"]])
+    give("ci-template", found, as_json, [f"written: {', '.join(found['written'])}", "then, once:", *found["next"]])

@@ -32,7 +32,7 @@ def control(
 
     if machine == "list":
         titles = {name: build().title for name, build in CONTROLLED.items()}
-        give(titles, as_json, [f"{name:20} {title}" for name, title in titles.items()])
+        give("catalogue", titles, as_json, [f"{name:20} {title}" for name, title in titles.items()])
         return
     chosen = task(machine)
     with following(f"control of {machine}") as progress, built(chosen, controller, place, progress) as (made, designs):
@@ -44,8 +44,8 @@ def control(
         found["clocks"] = {d.program.name: d.clocks / d.steps for d in designs}
     if out:
         chosen.recording(done).write_csv(out)
-    give({"machine": machine, "controller": controller, "place": place, "case": case, "seed": seed, **found}, as_json,
-         _lines(found))  # fmt: skip
+    of = {"machine": machine, "controller": controller, "place": place, "case": case, "seed": seed}
+    give("control", of | found, as_json, _lines(found))
     if found.get("differing_bits"):
         raise typer.Exit(1)
 

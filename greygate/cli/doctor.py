@@ -30,6 +30,6 @@ def doctor(as_json: Json = False) -> None:
     verdict = "every command of the plain installation can run" if healthy else "some commands cannot run: see MISSING"
     result = {"greygate": __version__, "healthy": healthy, "tools": [asdict(tool) for tool in found]}
     lines = [f"greygate {__version__}", *aligned(rows, ("name", "version", "for", "remedy")), verdict]
-    give(result, as_json, lines)
+    give("doctor", result, as_json, lines)
     if not healthy:
         raise typer.Exit(1)

@@ -37,7 +37,10 @@ def build_snn(
             others = ", ".join(f"{who} {finite(found['rms'][who][name][port], '.4g')}" for who in ("nominal", "linear"))
             lines.append(f"{name:12} {port:10} RMSE {finite(error, '.4g')} ({others})")
     give(
-        {n: v for n, v in found.items() if n != "text"}, as_json, [*lines, f"written to {found['out']}", found["next"]]
+        "build-snn",
+        {n: v for n, v in found.items() if n != "text"},
+        as_json,
+        [*lines, f"written to {found['out']}", found["next"]],
     )
     if not found["better"]:
         raise typer.Exit(1)

@@ -33,7 +33,7 @@ def c(
     from greygate.project import Project
 
     files = export_c(Project.open(folder), out)
-    give({"out": str(out), "files": files}, as_json, [", ".join(files), f"written to {out}"])
+    give("export-c", {"out": str(out), "files": files}, as_json, [", ".join(files), f"written to {out}"])
 
 
 @app.command()
@@ -57,7 +57,7 @@ def fmu(
         held = export_fmu(source, out, fmi.value, None if diagnosis is None else read(diagnosis))
     lines = [f"{what}: {', '.join(held[what]) or 'none'}" for what in ("inputs", "parameters", "outputs")]
     lines += [f"FMI {held['fmi']}, steps of {held['step_s']:g} s, {held['library']}", f"written to {out}"]
-    give(held, as_json, lines)
+    give("export-fmu", held, as_json, lines)
 
 
 @app.command()
@@ -73,7 +73,7 @@ def fusesoc(
 
     held = export_fusesoc(Project.open(folder), out, architecture)
     lines = [f"{held['core']}, {held['architecture']}: {len(held['files'])} files", f"written to {out}"]
-    give(held, as_json, lines)
+    give("export-fusesoc", held, as_json, lines)
 
 
 @app.command()
@@ -88,7 +88,7 @@ def modelica(
     from greygate.mismatch.simulation import read
 
     name = export_modelica(source, out, None if diagnosis is None else read(diagnosis))
-    give({"model": name, "out": str(out)}, as_json, [f"model {name}", f"written to {out}"])
+    give("export-modelica", {"model": name, "out": str(out)}, as_json, [f"model {name}", f"written to {out}"])
 
 
 @app.command()
@@ -103,7 +103,7 @@ def latex(
     from greygate.mismatch.simulation import read
 
     name = export_latex(source, out, None if diagnosis is None else read(diagnosis))
-    give({"plant": name, "out": str(out)}, as_json, [f"plant {name}", f"written to {out}"])
+    give("export-latex", {"plant": name, "out": str(out)}, as_json, [f"plant {name}", f"written to {out}"])
 
 
 @app.command()
@@ -129,4 +129,9 @@ def mjcf(
         sizes = [f"{what} {getattr(one, what):.6g} ({', '.join(terms)})" for what, terms in one.carried.items()]
         lines.append(f"{one.name}: {'; '.join(sizes) or 'nothing resists'}")
         lines += [f"  not here: {', '.join(one.left)}"] * bool(one.left)
-    give({"out": str(out), "joints": [asdict(one) for one in found]}, as_json, [*lines, f"written to {out}"])
+    give(
+        "export-mjcf",
+        {"out": str(out), "joints": [asdict(one) for one in found]},
+        as_json,
+        [*lines, f"written to {out}"],
+    )

@@ -44,6 +44,11 @@ def identify(
             recordings(record), recordings(test), input, output, out,
             dt=sample_time, seconds=seconds, jobs=side_by_side, settle=settle, progress=progress,
         )  # fmt: skip
-    give(found, as_json, [*lines(found), f"written to {found['out']}", *(f"next: {n}" for n in found["next"])])
+    give(
+        "identify",
+        found,
+        as_json,
+        [*lines(found), f"written to {found['out']}", *(f"next: {n}" for n in found["next"])],
+    )
     if not found["better_than_mean"] or any(error is None for error in found["test"].values()):
         raise typer.Exit(1)

@@ -85,7 +85,12 @@ def train(
     from greygate.machines.catalog import CATALOG
 
     if name == "list":
-        give({n: e.title for n, e in CATALOG.items()}, as_json, [f"{n:20} {e.title}" for n, e in CATALOG.items()])
+        give(
+            "catalogue",
+            {n: e.title for n, e in CATALOG.items()},
+            as_json,
+            [f"{n:20} {e.title}" for n, e in CATALOG.items()],
+        )
     elif name not in CATALOG and (record or name.endswith(".toml")):
         how = {"narx": narx, "tail": tail, "epochs": epochs, "decay": decay, "shooting": shooting, "seconds": seconds}
         _train_own(
@@ -117,7 +122,7 @@ def _train_stored(name: str, out: Path | None, as_json: bool) -> None:
     with following(f"training {name}") as progress:
         network, figures = chosen.train(progress)
     chosen.save(network, figures, out)
-    give(figures, as_json, [json.dumps(figures, indent=1), f"written to {out / name}.toml"])
+    give("catalogue-training", figures, as_json, [json.dumps(figures, indent=1), f"written to {out / name}.toml"])
 
 
 def _train_own(
@@ -148,7 +153,7 @@ def _train_own(
     if len(trained["starts"]) > 1:
         lines += [*aligned(table(trained["starts"]), ("start", "outcome")), "* chosen by what was held out, normalised"]
     lines += [f"written to {path}" for path in (trained["out"], how["html"]) if path is not None]
-    give(trained, as_json, [head, *lines])
+    give("train", trained, as_json, [head, *lines])
     if trained["outcome"] == "diverged":
         raise typer.Exit(1)
 
@@ -270,7 +275,7 @@ def compile(
         except Unmet as unmet:
             found = unmet.found
     if found is not None:
-        give(facts(found), as_json, lines(found))
+        give("explored", facts(found), as_json, lines(found))
         raise typer.Exit(1)
     before = source.network() if pruned else None
     rmse = {scenario: fixed_and_float(compiled, judged, before) for scenario, judged in source.records().items()}
@@ -286,7 +291,7 @@ def compile(
     if explorer:
         result["explored"] = explorer.facts
         told += explorer.lines
-    give(result, as_json, [*told, f"written to {out}, top module {top}"])
+    give("compile", result, as_json, [*told, f"written to {out}, top module {top}"])
 
 
 def _check_design(given: set[str], architecture: Architecture) -> None:
@@ -369,6 +374,6 @@ def validate(
         judged = judge(Source(network, recordings(record), settle), lags, progress)
         templates.write(page(judged), out)
     told = advice(judged)
-    give(judged.figures() | {"advice": told}, as_json, [*table(judged), *told, f"written to {out}"])
+    give("validate", judged.figures() | {"advice": told}, as_json, [*table(judged), *told, f"written to {out}"])
     if not judged.bounded:
         raise typer.Exit(1)

@@ -74,7 +74,7 @@ def look(
         }
         for c in found
     ]
-    give({"recording": str(recording), "channels": channels}, as_json, lines)
+    give("look", {"recording": str(recording), "channels": channels}, as_json, lines)
 
 
 def _unit(text: str) -> tuple[str, str]:

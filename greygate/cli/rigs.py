@@ -52,7 +52,7 @@ def diagnose(
         found = found if len(rigs) > 1 else next(iter(found.values()))
         lines = [line for _, text in results.values() for line in (*text, "")][:-1]
     lines += [f"written to {path}" for path in (out, html) if path is not None]
-    give(found, as_json, lines)
+    give("diagnosis", found, as_json, lines)
     for name in failed:
         say(f"greygate: {name}: {found[name]['error']}")
     if failed:
@@ -79,7 +79,7 @@ def isolability(
         raise InputError(f"--range {' '.join(ranges)}: one input is given twice; give one range of each")
     with following("simulating"):
         found, lines = isolable(rig, effects, dict(spans))
-    give(found, as_json, lines)
+    give("isolability", found, as_json, lines)
 
 
 def next_(
@@ -100,7 +100,7 @@ def next_(
 
     with following("looking for an experiment") as progress:
         found, lines, tells = propose(rig, diagnosis, out, effects, longest, progress)
-    give(found, as_json, [*lines, f"written to {out}"] if tells and out is not None else lines)
+    give("next", found, as_json, [*lines, f"written to {out}"] if tells and out is not None else lines)
     if not tells:
         raise typer.Exit(1)
 
@@ -140,7 +140,7 @@ def simulate(
     lines = [
         f"{name:10} RMS of simulated minus recorded {finite(e['rms'], '.5g')} {e['unit']}" for name, e in rms.items()
     ]
-    give({"out": str(out), "rms": rms}, as_json, [*lines, f"written to {out}"])
+    give("simulate", {"out": str(out), "rms": rms}, as_json, [*lines, f"written to {out}"])
     if not all(e["finite"] for e in rms.values()):
         say("greygate: the simulation diverges")
         raise typer.Exit(1)
@@ -166,7 +166,7 @@ def augment(
         lines.append(f"{name}: {figures['neurons']} neurons, {figures['seconds']} s. {figures['outcome']}")
         for recording, errors in figures["trained"].items():
             lines += [f"  {recording:10} {output:8} RMSE {e:.4g}" for output, e in errors.items()]
-    give(facts, as_json, [*lines, f"written to {out}"])
+    give("augment", facts, as_json, [*lines, f"written to {out}"])
 
 
 def conceal(
@@ -184,7 +184,12 @@ def conceal(
     with following(f"recording {plant}"):
         write(plant, seed, out, kind=kind, effect=effect, under=condition)
     seal = (out / "sealed.json.sha256").read_text(encoding="utf-8").split()[0]
-    give({"out": str(out), "sha256": seal}, as_json, [f"written to {out}", f"answer sealed with SHA-256 {seal}"])
+    give(
+        "conceal",
+        {"out": str(out), "sha256": seal},
+        as_json,
+        [f"written to {out}", f"answer sealed with SHA-256 {seal}"],
+    )
 
 
 def reveal(
@@ -203,7 +208,7 @@ def reveal(
     from greygate.explain import score
 
     found, lines, right = score(folder, diagnosis, effects)
-    give(found, as_json, lines)
+    give("reveal", found, as_json, lines)
     if not right:
         raise typer.Exit(1)
 
@@ -239,4 +244,4 @@ def fit_fmu(
         lines.append(
             f"the recording     {f['kind']} of {f['channel']}: {f['size']:.4g} [{low:.4g}, {high:.4g}] {f['unit']}"
         )
-    give(found, as_json, [*lines, f"cannot show       {found['cannot_show']}"])
+    give("fit-fmu", found, as_json, [*lines, f"cannot show       {found['cannot_show']}"])

@@ -31,7 +31,7 @@ def init(
     from greygate.starting import init as write
 
     found = write(new_name, record, input, output, block, order, python)
-    give(found, as_json, [*(f"written to {file}" for file in found["written"]), f"next: {found['next']}"])
+    give("init", found, as_json, [*(f"written to {file}" for file in found["written"]), f"next: {found['next']}"])
 
 
 def init_rig(
@@ -45,4 +45,4 @@ def init_rig(
     from greygate.starting_rig import init_rig as write
 
     found = write(new_name, record, input, output)
-    give(found, as_json, [*(f"written to {file}" for file in found["written"]), f"next: {found['next']}"])
+    give("init-rig", found, as_json, [*(f"written to {file}" for file in found["written"]), f"next: {found['next']}"])

@@ -1,6 +1,5 @@
 """Shared by all commands: results on stdout, messages on stderr, and arguments that name recordings."""
 
-import json
 import os
 import sys
 import time
@@ -12,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from greygate import schemas
 from greygate.errors import InputError, one_line
 from greygate.names import check_text
 from greygate.progress import Progress
@@ -20,9 +20,9 @@ SILENCE = 5.0  # s between two lines of long work, where stderr is no terminal
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
-def give(result: object, as_json: bool, lines: list[str]) -> None:
-    """Print the result of a command: as JSON, or the lines that a person reads."""
-    print_out(json.dumps(result, indent=1) if as_json else "\n".join(lines))
+def give(schema: str, result: object, as_json: bool, lines: list[str]) -> None:
+    """Print the result of a command: as JSON of that schema, or the lines that a person reads."""
+    print_out(schemas.text(schema, result) if as_json else "\n".join(lines))
 
 
 def print_out(text: str) -> None:

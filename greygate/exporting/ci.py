@@ -51,13 +51,9 @@ def write_workflow(
     place = Path(PLACES[service] if out is None else out)
     if place.exists() and not place.read_text(encoding="utf-8", errors="replace").startswith(MARK):
         raise InputError(f"{place}: exists and is not of greygate; give --out FILE, and include that file in it")
-    written = [str(place)]
-    if Path(budget).exists():
+    known = Path(budget).exists()
+    if known:
         read_budget(budget)
-    else:
-        written.append(budget)
-        with replacing(budget) as new:
-            new.write_text(BUDGET, encoding="utf-8")
     judge = [
         _greygate("report", BUILD, "--out", "build/report.html"),
         _greygate("compare", accepted, BUILD, "--budget", budget, "--out", "build/compare.html"),
@@ -65,6 +61,10 @@ def write_workflow(
     context = {"mark": MARK, "install": shlex.quote(install), "build": _making(compiling, BUILD), "judge": judge}
     with making(place.parent), replacing(place) as new:
         new.write_text(render(f"{service}.yml", context, "greygate.exporting"), encoding="utf-8")
+        if not known:
+            with replacing(budget) as limits:
+                limits.write_text(BUDGET, encoding="utf-8")
+    written = [str(place), *([] if known else [budget])]
     first = [] if Path(accepted).exists() else _making(compiling, accepted)
     return {"written": written, "next": [*first, shlex.join(["git", "add", "--force", *written, accepted])]}
 
@@ -80,6 +80,7 @@ def _making(compiling: Sequence[str], folder: str) -> list[str]:
 
 
 def _check_inside(path: str) -> None:
-    """The path must mean the same file in every clone."""
-    if PurePosixPath(path).is_absolute() or ".." in PurePosixPath(path).parts:
-        raise InputError(f"{path}: a clone has no such path; give one below the repository's folder, where you are now")
+    """The path must mean the same file, or folder, in every clone, and not all of the repository."""
+    inside = PurePosixPath(path)
+    if inside.is_absolute() or ".." in inside.parts or not inside.name:
+        raise InputError(f"{path or repr(path)}: a clone has no such path; give one below the folder where you are now")

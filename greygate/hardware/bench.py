@@ -22,6 +22,7 @@ from greygate.errors import one_line
 HALF = 1  # simulator steps in half a clock: stimulus changes at the falling edge, or right after the rising one
 CLOCK = 2 * HALF
 HANDLES = "clk rst source s_tready m_tvalid m_tready seen load initial"
+RECORDING = "recording step wanted"  # handles of a bench that records a waveform
 PAUSED = 0.1  # share of the steps before which the source pauses, and of those before which the sink does
 PATIENCE = 100_000  # clocks without an answer before the design is said to hang
 
@@ -33,14 +34,16 @@ class Mismatch(AssertionError):
 class UnderTest:
     """One design in the bench: its handles, and how to read what is seen of it: {states, m_axis_tdata}."""
 
-    def __init__(self, dut, job: dict):
+    def __init__(self, dut, job: dict, since: int | None):
         self.job = job
+        self.since = since  # the step from which on a waveform is recorded
         for name in HANDLES.split():
             setattr(self, name, getattr(dut, f"{name}_{job['index']}"))
+        self.told = {n: getattr(dut, f"{n}_{job['index']}") for n in RECORDING.split()} if job["since"] else {}
         self.rise = RisingEdge(self.m_tvalid)
         self.offered = 0  # toggled with every sample on offer
         self.offer_bit = 1 << (len(self.source) - 1)
-        self.step = -1  # the last step that ended
+        self.ended = -1  # the last step that ended
 
     async def reset(self, initial: bytes | None) -> None:
         """One clock of reset, then states as given, then everything idle at a falling edge."""
@@ -66,6 +69,12 @@ class UnderTest:
         """Put a sample on s_axis_tdata and raise s_axis_tvalid until it is taken (greygate/hardware/verify.py)."""
         self.offered ^= self.offer_bit
         self.source.value = self.offered | int.from_bytes(sample, "little")
+
+    def record(self, step: int, expected: str) -> None:
+        """Begin the waveform if it is time, and tell it the step that comes and what the emulator has after it."""
+        if self.since is not None and step >= self.since:
+            for name, value in (("step", step), ("wanted", int(expected, 2)), ("recording", 1)):
+                self.told[name].value = value
 
     def different(self, word: str, expected: str) -> str:
         """Name every element in which a word of bits differs from the expected one."""
@@ -98,8 +107,9 @@ async def play(design: UnderTest, samples: list[bytes], expected: list[str], ste
     design.m_tready.value = 1
     design.offer(samples[0])
     for k in range(steps):
+        design.record(k, expected[k])
         await design.rise
-        design.step = k
+        design.ended = k
         if k < 3:
             now = get_sim_time()
             clocks, before = (now - before) / CLOCK if before is not None else clocks, now
@@ -129,8 +139,8 @@ async def play(design: UnderTest, samples: list[bytes], expected: list[str], ste
 async def watch(design: UnderTest, verdict: dict) -> None:
     """Fail the test when no step ends for PATIENCE clocks."""
     seen = None
-    while seen != design.step:
-        seen = design.step
+    while seen != design.ended:
+        seen = design.ended
         await Timer(CLOCK * PATIENCE)
     where = f"step {seen + 1}" if seen >= 0 else "step 0"
     verdict["mismatch"] = f"{where}: no answer within {PATIENCE} clocks"
@@ -149,7 +159,8 @@ def make_test(job: dict, scenario: dict, arrays, seed: int, verdicts: list, repo
         began = np.frombuffer(bytes.fromhex(job["initial"]) if initial is None else initial, np.uint8)
         began = bit_strings(began[None])[0] if began.size else ""
         rng = np.random.default_rng(seed)
-        design = UnderTest(dut, job)
+        since = job["since"][1] if job["since"] and job["since"][0] == scenario["name"] else None
+        design = UnderTest(dut, job, since)
         design.source.value = 0
         design.load.value = 0
         clock = Clock(design.clk, CLOCK)
@@ -165,7 +176,8 @@ def make_test(job: dict, scenario: dict, arrays, seed: int, verdicts: list, repo
             watcher = cocotb.start_soon(watch(design, verdict))
             await Timer(CLOCK)
             for cut in (int(rng.integers(1, max(2, min(steps, 50)))), steps):
-                design.step = -1 - cut  # no step yet; a number that the watcher has not seen
+                design.ended = -1 - cut  # no step yet; a number that the watcher has not seen
+                design.record(0, expected[0])
                 await design.reset(initial)
                 word = str(design.seen.value)
                 if not word.startswith(began):
@@ -177,6 +189,8 @@ def make_test(job: dict, scenario: dict, arrays, seed: int, verdicts: list, repo
             verdict["mismatch"] = None
         except Mismatch as mismatch:
             verdict["mismatch"] = str(mismatch)
+            if since is not None:
+                await Timer(CLOCK)  # a waveform shows it
             raise
         finally:
             watcher.cancel()

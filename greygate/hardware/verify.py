@@ -76,16 +76,26 @@ class Comparison:
     seconds: float
     mismatch: str | None
 
+    @property
+    def step(self) -> int | None:
+        """The step that the mismatch names; None if it names none, as after a reset."""
+        named = re.match(r"step (\d+): ", self.mismatch or "")
+        return int(named[1]) if named else None
+
 
 @dataclass(frozen=True)
 class Verification:
-    """What came of it; `passed` only if every scenario of every design ran to its end without a mismatch."""
+    """What came of it; `passed` only if every scenario of every design ran to its end without a mismatch.
+
+    waveform: a VCD of the first step that differs, if one was recorded (greygate/hardware/waveform.py).
+    """
 
     verdicts: tuple[Comparison, ...]
     seed: int
     junit: Path
     build_seconds: float
     run_seconds: float
+    waveform: Path | None = None
 
     @property
     def passed(self) -> bool:
@@ -106,14 +116,19 @@ def verify(
 
 
 def verify_many(
-    cases: Sequence[Case], folder: Path | str, seed: int | None = None, waves: bool = False
+    cases: Sequence[Case],
+    folder: Path | str,
+    seed: int | None = None,
+    waves: bool = False,
+    since: tuple[str, int] | None = None,
 ) -> Verification:
     """Check every design of `cases`, all in one Verilator build, in every one of its scenarios.
 
     Each scenario is played twice: cut short by a reset at a random clock, then from the initial state to its end, with
     random pauses of source and sink. `folder` receives the emitted Verilog (rtl/, one folder a design), results.xml
-    (JUnit) and the logs of the tools; with `waves` also dump.vcd. The simulation is built in a temporary folder, whose
-    name make can read, whatever `folder` is called. The seed is drawn if not given, and printed.
+    (JUnit) and the logs of the tools; with `waves` also dump.vcd, which begins at a step of a scenario if `since` names
+    both. The simulation is built in a temporary folder, whose name make can read, whatever `folder` is called. The seed
+    is drawn if not given, and printed.
     Raises InputError when a tool is missing or the folder cannot be written.
     """
     environment = simulator_environment()
@@ -126,7 +141,7 @@ def verify_many(
     with writing(folder, "make this folder"):
         folder.mkdir(parents=True, exist_ok=True)
     seed = int(np.random.SeedSequence().entropy % (1 << 31)) if seed is None else seed
-    designs = [Bench(i, case) for i, case in enumerate(cases)]
+    designs = [Bench(i, case, since) for i, case in enumerate(cases)]
     files = {file.name: file for case in cases for file in case.sources(folder)}
     junit = folder / "results.xml"
     junit.unlink(missing_ok=True)
@@ -136,7 +151,7 @@ def verify_many(
             shutil.copy(file, work / name)
         (work / "bench.v").write_text("module bench;\n" + "".join(d.verilog() for d in designs) + "endmodule\n")
         start = time.perf_counter()
-        build(["bench.v", *files], work, folder, environment, waves)
+        build(["bench.v", *files], work, folder, environment, waves or since is not None)
         built = time.perf_counter()
         (work / "job.json").write_text(json.dumps({"seed": seed, "designs": [d.job() for d in designs]}))
         np.savez(work / "job.npz", **{k: v for d in designs for k, v in d.arrays().items()})
@@ -166,6 +181,11 @@ def words(signals: Sequence[Signal]) -> list[tuple[str, int, int]]:
     return found
 
 
+def in_waveform(name: str) -> str:
+    """The name of an element in Verilog, `a$b$0` for a.b[0]: no other has it, since $ stands in no name."""
+    return re.sub(r"[.\[]", "$", name).rstrip("]")
+
+
 def width(signals: Sequence[Signal]) -> int:
     """Bits of a word of lanes."""
     return sum(lane_width(s) * s.size for s in signals)
@@ -181,10 +201,14 @@ def lanes(signals: Sequence[Signal], codes: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Bench:
-    """One case in the bench: the Verilog around it, and what the bench must know of it."""
+    """One case in the bench: the Verilog around it, and what the bench must know of it.
+
+    since: (scenario, step) from which on the bench records a waveform.
+    """
 
     index: int
     case: Case
+    since: tuple[str, int] | None = None
 
     @property
     def states(self) -> list[Signal]:
@@ -223,7 +247,7 @@ class Bench:
     wire s_tvalid_{i} = source_{i}[{width_in}] ^ taken_{i};
     wire [{width_in - 1}:0] s_tdata_{i} = source_{i}[{width_in - 1}:0];
     always @(posedge clk_{i}) if (rst_{i} || s_tready_{i}) taken_{i} <= source_{i}[{width_in}];
-{self.loading()}    {program.name} design_{i} ({", ".join(f".{k}({v})" for k, v in ports.items())});
+{self.loading()}{self.recording()}    {program.name} design_{i} ({", ".join(f".{k}({v})" for k, v in ports.items())});
 
 """
 
@@ -234,6 +258,39 @@ class Bench:
             sign_extended(f"design_{i}.{at.path}", at.low, s.fix.width, lane_width(s)) for at, s in self.registers()
         ]
         return f"{{{', '.join([*reversed(state), f'm_tdata_{i}'])}}}"
+
+    def recording(self) -> str:
+        """What begins the waveform; in it, the step and, by name, what the design has and what the emulator has."""
+        if self.since is None:
+            return ""
+        i, scopes = self.index, ""
+        for scope, word in (("hardware", f"seen_{i}"), ("emulator", f"wanted_{i}")):
+            wires = "".join(
+                f"            wire signed [{8 * size - 1}:0] {kind}_{in_waveform(name)} = "
+                f"{word}[{8 * at} +: {8 * size}];\n"
+                for kind, name, size, at in self.words()
+            )
+            scopes += f"        if (1) begin : {scope}\n{wires}        end\n"
+        return f"""\
+    reg recording_{i} /* verilator public_flat_rw */;
+    initial recording_{i} = 1'b0;
+    reg [31:0] step_{i} /* verilator public_flat_rw */;
+    reg [{width(self.outputs) + width(self.states) - 1}:0] wanted_{i} /* verilator public_flat_rw */;
+    generate if (1) begin : compared_{i}
+        wire [31:0] step = step_{i};
+{scopes}    end endgenerate
+    always @(posedge recording_{i}) begin
+        $dumpfile("{DUMP}");
+        $dumpvars;
+    end
+"""
+
+    def words(self) -> list[tuple[str, str, int, int]]:
+        """(output or state, name, bytes, first byte) of every element of what the bench sees of the design."""
+        return [
+            *(("output", *w) for w in words(self.outputs)),
+            *(("state", n, w, width(self.outputs) // 8 + at) for n, w, at in words(self.states)),
+        ]
 
     def loading(self) -> str:
         """How the states are set, where a scenario begins from states of its own."""
@@ -254,8 +311,8 @@ class Bench:
         return {
             "index": self.index,
             "name": f"{program.name}/{self.case.architecture}",
-            "seen": [("output", *w) for w in words(self.outputs)]
-            + [("state", n, w, width(self.outputs) // 8 + at) for n, w, at in words(self.states)],
+            "seen": self.words(),
+            "since": self.since,
             "initial": lanes(self.states, initial[None]).tobytes().hex(),
             "scenarios": [
                 {"index": k, "name": name, "loads": s.initial is not None}
@@ -302,6 +359,7 @@ def simulator_environment() -> dict[str, str]:
     }
 
 
+DUMP = "dump.vcd"
 RUNTIME = ("verilated.o", "verilated_vpi.o", "verilated_threads.o")  # the same for every design
 OPTIONS = ("OPT_FAST=-O1", "OPT_SLOW=-O0", "OPT_GLOBAL=-O1")
 

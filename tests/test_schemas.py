@@ -1,0 +1,108 @@
+"""Every schema refuses its own examples where a field is missing, is one too many, or has another type."""
+
+import json
+import re
+from copy import deepcopy
+from pathlib import Path
+
+import pytest
+from checking import FILES, TRAINED, valid_files, validator
+
+from greygate import schemas
+
+ROOT = Path(__file__).parents[1]
+TYPES = (None, True, 0.5, "text", [], {})  # a value of each type
+FEWEST = 4  # of these that a field refuses: a number that may be null takes two of them
+PLAIN = {"program"}  # without an example; tests/test_program_schema.py spoils programs
+FREE = {  # fields that hold what each machine, proof or pruning has to tell
+    "catalogue-training": {"seconds", "neurons"},
+    "prove": {"rows", "figures"},
+    "report": {"frf", "references"},
+    "build": {"pruning"},
+    "reveal": {"faulty"},
+    "sealed-answer": {"faulty"},
+    "build-snn": {"undone"},
+}
+
+
+def objects(value, path=()):
+    """(path, object) of every object in a value."""
+    if isinstance(value, dict):
+        yield path, value
+    for key, inner in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+        yield from objects(inner, (*path, key))
+
+
+def changed(example, path, fields):
+    """The example in which the object at the path has other fields; those that are ... are taken away."""
+    found = deepcopy(example)
+    inner = found
+    for key in path:
+        inner = inner[key]
+    inner |= fields
+    for key in [key for key, value in fields.items() if value is ...]:
+        del inner[key]
+    return found
+
+
+def optional(schema):
+    """The names of the fields that need not be there, anywhere in a schema."""
+    for _, part in objects(schema):
+        if isinstance(part.get("properties"), dict):
+            yield from set(part["properties"]) - set(part.get("required", ()))
+
+
+@pytest.mark.parametrize("name", schemas.names())
+def test_a_missing_field_and_a_field_of_another_type_are_refused(name):
+    schema, check, tried = schemas.load(name), validator(name), 0
+    check.check_schema(schema)
+    assert schema["$id"].startswith(f"urn:greygate:{name}:")
+    for example in schema.get("examples", ()):
+        check.validate(example)
+        for path, owner in objects(example):
+            if FREE.get(name, set()) & {*path}:
+                continue
+            named = owner and check.is_valid(changed(example, path, {"another": next(iter(owner.values()))}))
+            for key in owner:
+                tried += 1
+                if not named and key not in {*optional(schema)}:
+                    assert not check.is_valid(changed(example, path, {key: ...})), (*path, key)
+                if key not in FREE.get(name, ()):
+                    refused = [not check.is_valid(changed(example, path, {key: value})) for value in TYPES]
+                    assert sum(refused) >= FEWEST, (*path, key)
+    assert tried or name in PLAIN
+
+
+def test_every_result_of_a_command_has_a_schema_and_every_schema_is_of_a_result_or_a_file():
+    sources = "".join(path.read_text() for path in (ROOT / "greygate" / "cli").glob("*.py"))
+    given = re.findall(r'\bgive\(\s*"([\w-]+)",', sources)
+    assert len(given) == len(re.findall(r"\bgive\(", sources)) - 1  # the definition
+    assert {*given, *FILES.values(), *TRAINED} == {*schemas.names()}
+
+
+def test_the_files_of_a_build_follow_their_schemas(compiled):
+    assert set(valid_files(compiled)) == {"compile.json", "manifest.json", "program.json"}
+
+
+def test_schema_prints_one_or_lists_all(greygate):
+    code, out, _ = greygate("schema", "verify")
+    assert (code, json.loads(out)) == (0, schemas.load("verify"))
+    code, out, _ = greygate("schema", "--json")
+    assert (code, list(json.loads(out))) == (0, schemas.names())
+    code, _, error = greygate("schema", "verified?")
+    assert code == 2
+    assert error.startswith("greygate: no schema 'verified?'; there are augment, ")
+
+
+def test_the_page_lists_every_schema_and_what_it_is_of():
+    page = (ROOT / "docs" / "json.md").read_text()
+    for name in schemas.names():
+        assert f"| `{name}` | {schemas.load(name)['title']} |" in page
+
+
+def test_a_figure_that_is_not_finite_is_null():
+    printed = json.loads(
+        schemas.text("simulate", {"out": "a.csv", "rms": {"x": {"rms": float("nan"), "unit": "m", "finite": False}}})
+    )
+    assert printed["schema"] == "greygate/simulate/1"
+    assert printed["rms"]["x"]["rms"] is None
