@@ -146,7 +146,7 @@ def _read(source: Source, held: Mapping[str, str]) -> tuple[Network, dict[str, R
     if len(set(paths.values())) < len(paths):
         raise InputError("one file is given twice, under two names; hold out another file")
     found = replace(source, recordings=files).records()
-    return source.network(), *({name: found[name] for name in names} for names in (source.recordings, held))
+    return source.network(), {n: found[n] for n in source.recordings}, {n: found[n] for n in held}
 
 
 def _offset(

@@ -36,7 +36,7 @@ def deviations(network: Network, records: Sequence[Record], decay: float = 0.0) 
     names = _names(objective)
     return {
         names[place]: (float(v), float("inf") if mute else float(s))
-        for place, v, s, mute in zip(objective.free, theta, sizes, silent, strict=True)
+        for place, v, s, mute in zip(objective.free.tolist(), theta, sizes, silent, strict=True)
     }
 
 
