@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from greygate.errors import InputError
+from greygate.errors import InputError, one_line
 from greygate.files import replacing
 from greygate.identifying.looking import look
 from greygate.models.families.blocks import feedforward
@@ -156,7 +156,11 @@ def init(
         with replacing(files[0]) as new:
             new.write_text(script(name, record, ins, outs, parts), encoding="utf-8")
     else:
-        top = f"A network to start from; next: {train}\nThe numbers are in {name}.safetensors, scales are of {record}."
+        said = (
+            f"A network to start from; next: {train}",
+            f"The numbers are in {name}.safetensors, scales are of {record}.",
+        )
+        top = "\n".join(map(one_line, said))
         network.save(path, comments={"": top} | {b.name: b.says for b in parts})
     first = f"python {files[0]}" if python else train
     return {"written": [str(f) for f in files], "delays": late, "next": first}

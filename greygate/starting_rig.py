@@ -95,8 +95,8 @@ def _plant(recording: Recording, inputs: Sequence[str], lags: dict[str, dict[str
     lines += [f'{y} = {{ unit = "{recording.units[y]}", initial = "start_{y}" }}' for y in lags]
     for y in lags:
         terms = [f'from_{u} = "gain_{y}_{u} * {u}"' for u in inputs]
-        terms = ", ".join([f'storage = "tau_{y}"', *terms, f'level = "level_{y}"', f'back = "-{y}"'])
-        lines += ["", f"[equations.lag_{y}]", f"{y} = {{ {terms} }}"]
+        entries = ", ".join([f'storage = "tau_{y}"', *terms, f'level = "level_{y}"', f'back = "-{y}"'])
+        lines += ["", f"[equations.lag_{y}]", f"{y} = {{ {entries} }}"]
     return "\n".join(lines) + "\n"
 
 

@@ -52,21 +52,17 @@ class Evidence:
 
     def figures(self) -> dict:
         """As data: complex numbers as [real, imaginary]."""
-        response = [] if self.about is None else self.about.response(self.frequency, self.period)
-        pairs = [(o, u) for o in range(len(self.after.outputs)) for u in range(len(self.after.inputs))]
+        frequency = self.frequency
+        pairs = {}
+        if self.about is not None:
+            response = self.about.response(frequency, self.period)
+            for o, output in enumerate(self.after.outputs):
+                for u, drive in enumerate(self.after.inputs):
+                    pairs[f"{output.name}/{drive.name}"] = [[v.real, v.imag] for v in response[:, o, u]]
         return {
             "moved": [{"weight": n, "before": a, "after": b} for n, a, b in self.moved()],
             "poles": [] if self.about is None else [[p.real, p.imag] for p in self.about.poles()],
-            "response": {
-                "frequency": self.frequency,
-                "values": {
-                    f"{self.after.outputs[o].name}/{self.after.inputs[u].name}": [
-                        [v.real, v.imag] for v in response[:, o, u]
-                    ]
-                    for o, u in pairs
-                    if len(response)
-                },
-            },
+            "response": {"frequency": frequency, "pairs": pairs},
             "weights": {n: {"value": v, "deviation": s} for n, (v, s) in self.weights.items()},
             "tests": [
                 {"record": record, "output": output, "test": t.name, "passed": t.passed, "outside": t.outside,

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 
 from greygate.baseline import linear_rms
 from greygate.errors import InputError
-from greygate.files import making, writing
+from greygate.files import making, replacing, writing
 from greygate.machines.identification import initialised
 from greygate.models.accuracy import float_error, free_run_rms, pooled_rms, rms
 from greygate.models.families.blocks import nguyen_widrow
@@ -18,7 +19,6 @@ from greygate.models.linearised import linearised
 from greygate.models.network import Network
 from greygate.models.training.levenberg import Outcome, Start, Trained, multistart, narx_noe, train
 from greygate.models.training.record import Record, held_out
-from greygate.pages import templates
 from greygate.pages.training import page
 from greygate.plain import json_text, plain
 from greygate.progress import Progress, silent, titled
@@ -51,10 +51,9 @@ def train_source(
     held: scenario -> CSV of a held-out record, which chooses the epoch. narx: train the one-step prediction first.
     seeds: starts, of which the first has the weights of the file and the others draw those of the neurons; what is held
     out chooses one. jobs: starts side by side. find_settle: instead of the source's `settle`, as `settling` finds it.
-    offset: outputs whose sensor has an offset of its own in every recording but the first. html: a page of
-    the same to write. seconds: for all starts
-    together. options: of `train`. If the source settles, the state before each recording is
-    estimated, in training and for the figures. Raises InputError as `train`, before anything is written.
+    offset: outputs whose sensor has an offset of its own in every recording but the first. html: a page of the same to
+    write. seconds: for all starts together. options: of `train`. If the source settles, the state before each recording
+    is estimated, in training and for the figures. Raises InputError as `train`, before anything is written.
     """
     network, records, others = _read(source, held)
     tail = options.get("tail", 0.0)
@@ -69,7 +68,6 @@ def train_source(
         source = replace(source, settle=chosen.samples)
         records, others = ({n: replace(r, skip=chosen.samples) for n, r in of.items()} for of in (records, others))
         remarks.append(f"--settle {chosen.samples}: {chosen.why}")
-    ends = held_out(network, list(records.values()), tail, ())[1]
     begun = [network, *(drawn(network, seed) for seed in range(1, seeds))]
     path = folder / f"{network.name}.checkpoint"
     paths = [path if seeds == 1 else path.with_suffix(f".start{seed}.checkpoint") for seed in range(seeds)]
@@ -88,47 +86,55 @@ def train_source(
         told = progress if seeds == 1 else titled(progress, f"start {seed}")
         return fit(begun[seed], checkpoint=paths[seed], progress=told)
 
-    judges = {f"{name} tail": end for name, end in zip(records, ends, strict=False)} | others
-
     def held_error(trained: Network) -> float:
         """RMS over everything held out, normalised."""
-        return rms(pooled_rms(trained, [initialised(trained, r) for r in judges.values()])) if judges else math.nan
+        judges = [r for n, r in _judged(trained, records, others, tail).items() if n not in records]
+        return rms(pooled_rms(trained, judges)) if judges else math.nan
 
-    with making(folder), writing(folder):
-        if seeds == 1:
-            found = started(0)
-            starts = [Start(0, found, held_error(found.network))]
-        else:
-            starts = multistart(started, held_error, range(seeds), jobs, progress)
-    best = starts[0].fit
-    trained = network.with_parameters(best.network.parameters())  # not flat: modules and meanings stay as declared
-    offsets = {n: own_offsets(trained, r) for n, r in (records | others).items() if r.own_offset}
-    level = {n: without_offsets(r, offsets.get(n, {})) for n, r in (records | others).items()}
-    judged = {name: initialised(trained, record) for name, record in level.items()}
-    judged |= {f"{name} tail": replace(judged[name], skip=end.skip) for name, end in zip(records, ends, strict=False)}
-    known = [judged[name] for name in records]
-    shown = evidence(
-        network, trained, held_out(trained, known, tail, ())[0], judged, source.period, options.get("decay", 0.0)
-    )
-    figures = {
-        **_told(best),
-        "rmse": {name: free_run_rms(trained, record) for name, record in judged.items()},
-        "linear": linear_rms(network, list(records.values()), records | others),
-        "remarks": [*remarks, *best.remarks, *of_starts(starts)],
-        "settle": source.settle,
-        "offsets": offsets,
-        "starts": [_start(s, known[0]) for s in starts],
-        "evidence": shown.figures(),
-        "out": str(folder / f"{network.name}.toml"),
-    }
-    figures = plain(figures)
-    if html is not None:
-        templates.write(page(figures, shown), html)
-    trained.save(folder / network.name, json_text(figures))
+    with ExitStack() as place:
+        drawn_page = None if html is None else place.enter_context(replacing(html))  # before hours of work, not after
+        with making(folder), writing(folder):
+            if seeds == 1:
+                found = started(0)
+                starts = [Start(0, found, held_error(found.network))]
+            else:
+                starts = multistart(started, held_error, range(seeds), jobs, progress)
+        trained = network.with_parameters(starts[0].fit.network.parameters())  # not flat: modules stay as declared
+        offsets = {n: own_offsets(trained, r) for n, r in (records | others).items() if r.own_offset}
+        judged = _judged(trained, records, others, tail)
+        known = [judged[name] for name in records]
+        learnt = held_out(trained, known, tail, ())[0]
+        shown = evidence(network, trained, learnt, judged, source.period, options.get("decay", 0.0))
+        figures = plain(
+            {
+                **_told(starts[0].fit),
+                "rmse": {name: free_run_rms(trained, record) for name, record in judged.items()},
+                "linear": linear_rms(network, list(records.values()), records | others),
+                "remarks": [*remarks, *starts[0].fit.remarks, *of_starts(starts)],
+                "settle": source.settle,
+                "offsets": offsets,
+                "starts": [_start(s, known[0]) for s in starts],
+                "evidence": shown.figures(),
+                "out": str(folder / f"{network.name}.toml"),
+            }
+        )
+        if drawn_page is not None:
+            drawn_page.write_text(page(figures, shown), encoding="utf-8")
+        trained.save(folder / network.name, json_text(figures))
     if not any(s.fit.outcome in (Outcome.INTERRUPTED, Outcome.TIME) for s in starts):
         for left in (f"{p}{suffix}" for p in paths for suffix in CHECKPOINTS):
             Path(left).unlink(missing_ok=True)
     return figures
+
+
+def _judged(
+    network: Network, records: Mapping[str, Record], others: Mapping[str, Record], tail: float
+) -> dict[str, Record]:
+    """Every record and held-out tail, without its own offsets, from the state that fits its beginning."""
+    level = {n: without_offsets(r, own_offsets(network, r)) for n, r in (*records.items(), *others.items())}
+    found = {name: initialised(network, record) for name, record in level.items()}
+    ends = held_out(network, list(records.values()), tail, ())[1]
+    return found | {f"{n} tail": replace(found[n], skip=e.skip) for n, e in zip(records, ends, strict=False)}
 
 
 def _read(source: Source, held: Mapping[str, str]) -> tuple[Network, dict[str, Record], dict[str, Record]]:
@@ -140,7 +146,7 @@ def _read(source: Source, held: Mapping[str, str]) -> tuple[Network, dict[str, R
     if len(set(paths.values())) < len(paths):
         raise InputError("one file is given twice, under two names; hold out another file")
     found = replace(source, recordings=files).records()
-    return source.network(), *({name: found[name] for name in names} for names in (source.recordings, held))
+    return source.network(), {n: found[n] for n in source.recordings}, {n: found[n] for n in held}
 
 
 def _offset(

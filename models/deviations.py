@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from greygate.models.network import Network
+from greygate.models.training.levenberg import RUNAWAY
 from greygate.models.training.loss import Loss
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
@@ -16,12 +17,12 @@ def deviations(network: Network, records: Sequence[Record], decay: float = 0.0) 
     """Every weight that moves, `layer.port[i, j]` -> (value, standard deviation), both normalised.
 
     For a residual that is white (Ljung 1999, 9.4): the covariance is s^2 (J'J + D)^-1 J'J (J'J + D)^-1, s^2 the sum of
-    squares over samples less weights. decay: D. Initial states count as known. Empty where a free run diverges.
-    Raises InputError as `Objective`.
+    squares over samples less weights. decay: D. Initial states count as known. Empty where a free run
+    diverges. Raises InputError as `Objective`.
     """
     objective = Objective(network, records)
     squares = objective.squares(objective.theta)
-    if not np.isfinite(squares):
+    if not squares <= RUNAWAY * 2 * objective.samples * objective.power:
         return {}
     squared, _ = objective.normal_equations(objective.theta)
     damped = squared + np.diag(Loss(objective, network, decay, {}).decay)
@@ -35,7 +36,7 @@ def deviations(network: Network, records: Sequence[Record], decay: float = 0.0) 
     names = _names(objective)
     return {
         names[place]: (float(v), float("inf") if mute else float(s))
-        for place, v, s, mute in zip(objective.free, theta, sizes, silent, strict=True)
+        for place, v, s, mute in zip(objective.free.tolist(), theta, sizes, silent, strict=True)
     }
 
 

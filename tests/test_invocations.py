@@ -89,7 +89,7 @@ TEXTS = {
     "fmu": ["none", "folder", "a.csv", "build", ""], "parameter": ["nobody", ""],
     "unit": ["", "u", "u=", "=V", "u=foo", "nobody=V"], "time": ["nobody", ""],
     "resample": ["", "x", "0", "-1", "nan", "inf", "1e9"],
-    "new_name": ["", "x y", "none/new", "a.csv/new", "2nd", "con"], "block": ["none", "product", ""],
+    "new_name": ["", "x y", "a.csv/new", "2nd", "con"], "block": ["none", "product", ""],
     "offset": ["nobody", "y", ""],
     "settle": ["x", "", "-1", "1.5", "nan", "9" * 20, "autos"],
     "input": ["nobody", ""], "output": ["nobody", "x_drum", ""],
@@ -103,6 +103,7 @@ WHOLE = ["x", "", "1.5", "nan", "inf", "-1", "1e30", "9" * 20, "9" * 5000]
 FLAG = ["1", "no"]
 REAL = ["x", "", "nan", "-inf", "-1", "1,5", "0x10"]
 OTHERS = [
+    ["init", "none/new", *GOOD["init"][1:]],
     ["nobody"], ["--nope"], ["--version=1"], ["train", "--version"], ["-x"], [""],
     ["train", "crane", "--record", "a.csv"], ["train", "crane", "--held", "a.csv"], ["train", "crane", "--epochs", "3"],
     ["train", "crane", "--no-narx"], ["train", "crane", "--out", "none"], ["train", "line.toml", "--record", "a.csv"],

@@ -45,4 +45,4 @@ def init_rig(
     from greygate.starting_rig import init_rig as write
 
     found = write(new_name, record, input, output)
-    give("init", found, as_json, [*(f"written to {file}" for file in found["written"]), f"next: {found['next']}"])
+    give("init-rig", found, as_json, [*(f"written to {file}" for file in found["written"]), f"next: {found['next']}"])

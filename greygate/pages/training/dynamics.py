@@ -1,6 +1,7 @@
 """Poles and frequency response of the linearisation about the means of the first recording."""
 
 import numpy as np
+from markupsafe import Markup
 
 from greygate.pages import figures as drawing
 from greygate.pages.figures import Curve
@@ -37,7 +38,7 @@ def _row(pole: complex, period: float) -> dict:
     }
 
 
-def _plane(poles: np.ndarray):
+def _plane(poles: np.ndarray) -> Markup:
     turn = np.linspace(0, 2 * np.pi, 100)
     reach = max(1.1, 1.1 * np.abs(poles).max(initial=0.0))
     lines = [Curve(np.cos(turn), np.sin(turn), "circle")]
@@ -46,7 +47,7 @@ def _plane(poles: np.ndarray):
     return drawing.chart(lines, x="real", y="imaginary", x_limits=limits, y_limits=limits, width=WIDTH, height=HEIGHT)
 
 
-def _responses(evidence: Evidence) -> list[tuple[str, object, object]]:
+def _responses(evidence: Evidence) -> list[tuple[str, Markup, Markup]]:
     """(pair, picture of the magnitude, picture of the phase)."""
     frequency = evidence.frequency
     found = evidence.about.response(frequency, evidence.period) if evidence.about else np.zeros((0, 0, 0))
