@@ -29,6 +29,7 @@ RELEASED = 20.0  # times or part of its value, within which a parameter whose to
 EXACT = 0.01  # of a sample, RMS: the uncertainty of the instant at which an input acts
 ROUGH = 2.0  # of cost: a fit that only ranks stops when a step gains less
 SLACK = 3e-4  # of the cost beyond that of noise: likewise
+ADDED = "offset"  # the filter that adds a constant
 LOST = 0.5  # of a channel's spread, above which its error says that the run is elsewhere
 LED = (1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the recording: to so much a lost run is fitted first
 ROUGHLY = {"tempered": True, "iterations": 4}  # a fit of the data sheet's plant, where effects can be compared
@@ -185,15 +186,16 @@ class Search:
     def joined(self, given: Hypothesis, effect: Effect) -> bool:
         """Whether an effect may stand beside the given ones.
 
-        It is no other form of one of them, shares no parameter with them, and filters none of their inputs.
+        It is no other form of one of them, shares no parameter with them, and filters none of their inputs, unless one
+        of both only adds a constant there.
         """
         others = [self.effects[key] for key in given.effects]
         symbols = {f.symbol for other in others for f in other.free}
-        filtered = {name for other in others for name in other.filters}
+        filtered = {name for other in others for name in _shaped(other)}
         return (
             effect.id not in (other.id for other in others)
             and not symbols & {f.symbol for f in effect.free}
-            and not filtered & set(effect.filters)
+            and not filtered & _shaped(effect)
         )
 
     def scores(self, likelihood: Likelihood, fit: Fit, given: Hypothesis) -> list[Score]:
@@ -348,6 +350,11 @@ class Search:
         if likelihood is self.screen and likelihood is not self.final:
             options = {"enough": ROUGH, "slack": SLACK, **options}
         return likelihood.fit(self.unknowns(hypothesis), start, shifts, **options)
+
+
+def _shaped(effect: Effect) -> set[str]:
+    """The signals that an effect filters by more than a constant."""
+    return {name for name, text in effect.filters.items() if text.split()[0] != ADDED}
 
 
 def _astray(fit: Fit) -> np.ndarray:
