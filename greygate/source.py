@@ -90,6 +90,7 @@ class Source:
     def records(self) -> dict[str, Record]:
         if not self.recordings:
             if self.name not in CATALOG:
+                self.network()  # that there is none of that name is the first mistake
                 raise InputError(f"{self.name}: no recordings; give --record FILE.csv")
             return dict(entry(self.name).records())
         records = read_records(self.network(), self.recordings)

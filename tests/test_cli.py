@@ -208,7 +208,7 @@ def test_compiling_again_replaces_the_folder_and_forgets_what_was_verified(tmp_p
     assert not (built / "rtl" / "parallel").exists()
 
 
-TWO_TIMES = "slow.csv: sampled every 0.01 s, a.csv every 0.001 s; resample one of them"
+TWO_TIMES = "slow.csv: sampled every 0.01 s, a.csv every 0.001 s; resample it: greygate look slow.csv"
 
 
 def swapped(rows, row, column, text):

@@ -15,7 +15,7 @@ import pytest
 from faults import KILLED, LEAVING, libc_has_exchange, struck, unforked, without_exchange
 from networks import delay_line
 
-from greygate import explain, files, project, reporting, source
+from greygate import explain, files, project, reporting, training
 from greygate.compiler.quantize import Formats
 from greygate.compiler.targets import Design
 from greygate.hardware.verify import Comparison, Verification
@@ -144,7 +144,7 @@ def test_train_leaves_the_old_network_or_the_new_one_with_its_figures(line, tmp_
         trained = network.with_parameters({n: 0.9 * v for n, v in network.parameters().items()})
         return Trained(trained, Outcome.CONVERGED, (1.0, 0.5), 0.0)
 
-    monkeypatch.setattr(source, "narx_noe", learn)
+    monkeypatch.setattr(training, "narx_noe", learn)
     out = tmp_path / "here"
     out.mkdir()
     delay_line().save(out / "line", "{}\n")

@@ -276,7 +276,7 @@ def test_a_term_that_makes_a_channel_worse_is_not_applied(steady, monkeypatch):
 def test_a_term_that_does_not_hold_outweighs_no_claim(slipping, monkeypatch, holds):
     """The term takes more of the misfit than the claim, where it learnt."""
     search = slipping[0]
-    monkeypatch.setattr(finding, "_verdict", lambda *given: Verdict.PARTLY_EXPLAINED)
+    monkeypatch.setattr(finding, "_verdict", lambda *given, **how: Verdict.PARTLY_EXPLAINED)
     monkeypatch.setattr(finding, "closure", closed(2.0))
     monkeypatch.setattr(finding, "_no_term", lambda *given: "" if holds else "with it x_load is 2 % worse")
     found = finding._explained(search, lambda line: None)
