@@ -12,4 +12,4 @@ def page(result: Diagnosis) -> str:
     """The page of a diagnosis."""
     case = Diagnosed(result)
     title, sections = f"greygate diagnosis: {case.title}", templates.render_sections(SECTIONS, case)
-    return templates.render("diagnosis/page.html", title=title, sections=sections)
+    return templates.render("diagnosis/page.html", title=title, sections=sections, plotly=templates.plotly())

@@ -11,18 +11,19 @@ from greygate.mismatch.several import by_rule, modelled
 from greygate.pages import figures
 from greygate.pages.diagnosis.case import Diagnosed
 from greygate.pages.diagnosis.residual import near
-from greygate.pages.figures import BINS, Curve, envelope, shortened
+from greygate.pages.figures import Curve, shortened
 from greygate.pages.units import labelled
+from greygate.pages.zoomable import DRAWN, Trace, curves
 
 ZOOM = 2000  # samples drawn where the misfit is largest; two windows where a rig has them;
 ZOOM_PART = 4  # but no more than such a part of a recording
 SHORTEST = 150  # samples that are drawn at least
-LOOK = {"calibrated": "before", "corrected": "after"}  # class of a line
+COLOUR = {"calibrated": "fixed", "corrected": "float"}
 
 
 def context(case: Diagnosed) -> dict:
     """A row of pictures per channel."""
-    return {"changed": case.changed, "runs": runs(case)}
+    return {"changed": case.changed, "runs": runs(case), "drawn": DRAWN}
 
 
 def runs(case: Diagnosed) -> list[dict]:
@@ -48,32 +49,24 @@ def runs(case: Diagnosed) -> list[dict]:
             {
                 "channel": channel,
                 "record": name,
-                "run": run_picture(errors, result, channel),
+                "samples": len(target),
+                "run": run_data(errors, result, channel),
                 "zoom": zoom_picture(result, target, drawn, channel),
             }
         )
     return rows
 
 
-def run_picture(errors: Mapping[str, np.ndarray], result: Diagnosis, channel: str) -> Markup:
-    """Draw the errors over the recording, on a scale for the part after the first window."""
-    dt = result.rig.dt
-    later = [e[result.rig.window or 0 :] for e in errors.values()]
+def run_data(errors: Mapping[str, np.ndarray], result: Diagnosis, channel: str) -> dict:
+    """The errors over the recording, to zoom. A first window far beyond the rest is left out, not to flatten it."""
+    opening = result.rig.window or 0
+    later = [e[opening:] for e in errors.values()]
     low, high = min(float(e.min()) for e in later), max(float(e.max()) for e in later)
     factor, label = display_unit(result.rig.channels[channel].unit, max(-low, high))
-    lines = []
-    for kind, error in errors.items():
-        points = envelope(error * factor, BINS)
-        lines.append(Curve([k * dt for k in points["step"]], points["value"], LOOK[kind]))
-    return figures.chart(
-        lines,
-        x="time [s]",
-        y=labelled(f"error of {channel}", label),
-        x_limits=(0.0, len(later[0]) * dt + (result.rig.window or 0) * dt),
-        y_limits=figures.span([low * factor, high * factor]),
-        width=770,
-        height=230,
-    )
+    least, largest = figures.span([low, high], margin=1.0)
+    shown = {k: np.where((e >= least) & (e <= largest), e, np.nan) * factor for k, e in errors.items()}
+    traces = {kind: Trace(error, COLOUR[kind]) for kind, error in shown.items()}
+    return curves(traces, result.rig.dt, [labelled(f"error of {channel}", label)])
 
 
 def zoom_picture(result: Diagnosis, target: np.ndarray, predicted: Mapping[str, np.ndarray], channel: str) -> Markup:
