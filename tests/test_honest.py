@@ -3,6 +3,7 @@
 import copy
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from greygate.mismatch import effects as table
 from greygate.mismatch.adequacy import dependent
 from greygate.mismatch.blocks import FOLDS, Judge, Loss
 from greygate.mismatch.claims import earned, unborne
+from greygate.mismatch.closure import left_beside
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.diagnose import _verdict, diagnose
@@ -80,6 +82,39 @@ def test_over_all_blocks_together_no_channel_may_be_worse_by_more_than_a_hundred
     (lost,) = judge.throughout(right, spoilt(right, "speed_slip", 1.5))
     assert str(lost).startswith("x_load is ")
     assert str(lost).endswith(" % worse, not learnt from")
+
+
+def test_on_halves_a_fit_may_be_worse_by_chance_but_not_by_more(slipping):
+    _, plain, _, right = slipping
+    judge = Judge(right.likelihood, halves=True)
+    assert (np.diff(judge.fold) >= 0).all()
+    assert judge.fold.mean() == pytest.approx(0.5, abs=1e-3)
+    assert judge.losses(plain, right) == []
+    error = judge.errors(right.values)[:, 0]
+    assert judge._lost(error[:, None], 1.09 * error[:, None], judge.fold == 0) == []
+    assert len(judge._lost(error[:, None], 1.11 * error[:, None], judge.fold == 0)) == 1
+    assert len(judge.losses(right, spoilt(right, "speed_slip", 1.5))) == 2
+
+
+def test_what_is_left_unexplained_is_calibrated_to_the_run_where_that_errs_less(steady):
+    search, fit = steady
+    judge = Judge(fit.likelihood)
+    assert claims.calibrated_to_the_run(search, judge, fit) is fit
+    off = fit.likelihood.fit(fit.unknowns, {**fit.values, "creep": 1.3 * fit.values["creep"]}, iterations=0)
+    assert claims.calibrated_to_the_run(search, judge, off) is off  # fitted again, on blocks it errs no more
+    as_it_is = SimpleNamespace(total=lambda fit: float(np.mean(judge.errors(fit.values) ** 2)))
+    again = claims.calibrated_to_the_run(search, as_it_is, off)
+    assert again.values["creep"] == pytest.approx(fit.values["creep"], rel=1e-3)
+    assert again.likelihood is off.likelihood
+
+
+def test_where_a_term_is_missing_beside_a_claim_is_said(slipping):
+    search, plain, best, right = slipping
+    (place,) = left_beside(search, Hypothesis(), plain.values)
+    assert (place["equation"], place["depends_on"]) == ("transmission", ["v"])
+    assert place["regime"] == "left beside it: something that depends on v, 100% of what is left"
+    (place,) = left_beside(search, best, right.values)
+    assert place["regime"].endswith(", 0% of what is left")
 
 
 def test_the_same_fit_is_no_worse_than_itself(slipping):

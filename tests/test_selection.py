@@ -205,6 +205,30 @@ def test_a_fit_that_got_worse_is_begun_again_without_the_effect_but_in_its_shape
     assert kept.cost == 600.0
 
 
+@pytest.mark.parametrize(
+    ("rival", "grown", "taken"),
+    [(120.0, 10.0, True), (120.0, 90.0, False), (200.0, 10.0, False)],
+    ids=["does more", "is not worth one more", "saved less than nearly as much"],
+)
+def test_a_first_effect_that_did_nearly_as_well_is_followed_too(chosen, monkeypatch, rival, grown, taken):
+    beside = Hypothesis(("slip", "creep"))
+    for hypothesis, cost in ((DRIFT, 100.0), (SLIP, rival)):
+        chosen.add(hypothesis, fit(cost))
+    monkeypatch.setattr(chosen, "explained", lambda fit: 1.0 - fit.cost / chosen.plain.cost)
+    monkeypatch.setattr(chosen, "forward", lambda best, *_: (beside, fit(grown)) if best == SLIP else None)
+    best, found = chosen.rivalled(DRIFT, chosen.fits[DRIFT])
+    assert (best, found.cost) == ((beside, grown) if taken else (DRIFT, 100.0))
+
+
+def test_no_rival_is_followed_where_nothing_was_taken_or_nothing_is_left(chosen, monkeypatch):
+    monkeypatch.setattr(chosen, "forward", lambda *_: pytest.fail("nothing is to be followed"))
+    assert chosen.rivalled(NOTHING, chosen.plain) == (NOTHING, chosen.plain)
+    for hypothesis, cost in ((DRIFT, 100.0), (SLIP, 101.0)):
+        chosen.add(hypothesis, fit(cost))
+    monkeypatch.setattr(selection, "complete", lambda fit: True)
+    assert chosen.rivalled(DRIFT, chosen.fits[DRIFT])[0] == DRIFT
+
+
 def test_a_second_effect_stays_where_it_explains_a_share_of_its_own(chosen, monkeypatch):
     both = Hypothesis(("drift", "slip"))
     chosen.add(DRIFT, fit(200.0))
