@@ -192,7 +192,7 @@ class _Unknowns:
         limits = tuple(Free(symbol, value, shape=True) for symbol, value in seen.items())
         joined = {**search.effects, **effects, "seen": Effect("seen", "", (rig.plant.name,), (), (), limits)}
         again = Search(rig, search.final.model.recording, joined, noise=search.noise)
-        again.effects = joined
+        again.effects, again.timing = joined, search.timing
         likelihood = again.final
         base = again.fit(likelihood, given, values) if given.size else again.base(likelihood)
         keys = [(effect.equations[0], key) for key, effect in effects.items()]

@@ -116,6 +116,9 @@ def _diverges(rms: float, recorded: np.ndarray) -> bool:
 def _of_stated_noise(search: Search, progress: Progress) -> Diagnosis:
     """Explain with the noise that was told, and once more where the recording shows another."""
     found = _explained(search, progress)
+    if search.moved_between(found.corrected):
+        progress("searching again: inputs moved between the samples")
+        found = _explained(search, progress)
     noise = shown_noise(found.corrected)
     if noise.as_told:
         return replace(found, noise=noise)

@@ -27,6 +27,8 @@ LONG_WINDOW, LONG_SHARES = 100, (0.25, 5.0)  # in the final fit: two integrators
 WITHIN, NEAR_SHEET = 4.0, 2.0  # standard deviations within which a toleranced parameter is fitted; in the first fit
 RELEASED = 20.0  # times or part of its value, within which a parameter whose tolerance is lifted is fitted
 EXACT = 0.01  # of a sample, RMS: the uncertainty of the instant at which an input acts
+EARLY = 4.0  # of that: nothing acts before its cause, so an input that seems to moved between the samples,
+BETWEEN = (12**-0.5, 0.5)  # of a sample, RMS and largest: and then its instant is anywhere within one
 ROUGH = 2.0  # of cost: a fit that only ranks stops when a step gains less
 SLACK = 3e-4  # of the cost beyond that of noise: likewise
 ADDED = "offset"  # the filter that adds a constant
@@ -105,6 +107,7 @@ class Search:
 
         self.final = over(LONG_WINDOW, LONG_SHARES) if rig.window else free_run(modelled(rig, recording, self.effects))
         self.screen = over(SHORT, SHORT_SHARES) if rig.window else self.final
+        self.timing = EXACT, np.inf  # of a sample: RMS and largest error of the instant at which an input acts
         self.fits: dict[Hypothesis, Fit] = {}  # of rivals, kept for experiments that tell them apart
         if noise is not None:
             self.under(noise)
@@ -133,7 +136,8 @@ class Search:
                 reach = within * scale
                 found.append(Unknown(symbol, p.value, scale, 1.0, p.value - reach, p.value + reach))
         if self.rig.window:
-            found.append(Unknown(TIMING, 0.0, EXACT * self.rig.dt, 1.0))
+            spread, reach = (part * self.rig.dt for part in self.timing)
+            found.append(Unknown(TIMING, 0.0, spread, 1.0, -reach, reach))
         if self.final.model.finer and any("a" in self.effects[key].depends_on for key in hypothesis.effects):
             found.append(Unknown(BLUR, 0.0, 1.0, 2.0))
         for key in hypothesis.effects:
@@ -317,9 +321,19 @@ class Search:
     # -- full fits ---------------------------------------------------------------------------------------------------
 
     def base(self, likelihood: Likelihood) -> Fit:
-        """The fit of the plant without any effect, its parameters near the data sheet."""
-        unknowns = self.unknowns(Hypothesis(), NEAR_SHEET)
-        return self.led(likelihood.fit(unknowns, **ROUGHLY), **ROUGHLY)
+        """The fit of the plant without any effect, its parameters near the data sheet.
+
+        Where it shows that inputs moved between the samples, no further fit takes their instants as exact.
+        """
+        fit = self.led(likelihood.fit(self.unknowns(Hypothesis(), NEAR_SHEET), **ROUGHLY), **ROUGHLY)
+        return self.base(likelihood) if self.moved_between(fit) else fit
+
+    def moved_between(self, fit: Fit) -> bool:
+        """Whether a fit is the first to show that inputs moved between the samples: from now on fits allow for that."""
+        if self.timing == BETWEEN or not fit.values.get(TIMING, 0.0) < -EARLY * EXACT * self.rig.dt:
+            return False
+        self.timing = BETWEEN
+        return True
 
     def lost(self, fit: Fit) -> bool:
         """Whether a free run does not follow the recording: a channel errs by half of what it moves."""

@@ -11,9 +11,9 @@ from greygate.mismatch import cores, rig, simulation
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.effects import Effect, Free
 from greygate.mismatch.fit import Fit, Likelihood, Unknown
-from greygate.mismatch.model import FILTERS, Model, delayed, lagged
+from greygate.mismatch.model import FILTERS, TIMING, Model, delayed, lagged
 from greygate.mismatch.noise import LONGEST, roughness, runs
-from greygate.mismatch.search import Hypothesis, Search, pair_gains
+from greygate.mismatch.search import BETWEEN, EXACT, Hypothesis, Search, pair_gains
 from greygate.plants.plant import Plant
 from greygate.plants.simulate import simulate
 
@@ -263,6 +263,27 @@ def test_motors_that_lag_begin_at_rest():
     half = lag / 2
     rising = t + np.exp(-t / half) * (2 * half + t)
     np.testing.assert_allclose(two, np.diff(rising) / dt, atol=1e-3)
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_an_input_that_seems_to_act_before_it_moves_moved_between_the_samples(folder, every):
+    """Of the samples at which the force moves, every second one may not be in the recording."""
+    fine, samples = 0.01 / every, 4000
+    rng = np.random.default_rng(2)
+    force = 80 * np.repeat(rng.standard_normal(samples * every // 7 + 1), 7)[: samples * every]
+    real = Plant.read(folder / "slide.toml").with_parameters(mass=TRUE["mass"], viscous=TRUE["viscous"])
+    x = simulate(real, {"force": force}, sample_time=fine, step=5e-3)["x"][::every]
+    columns = [np.arange(samples) * 0.01, force[::every], x + NOISE * rng.standard_normal(samples)]
+    np.savetxt(folder / "identify.csv", np.column_stack(columns), delimiter=",", header="t,force,x", comments="")
+    (folder / "rig.toml").write_text(RIG.replace("predict", "window_s = 0.4\npredict"))
+    loaded = rig.load(folder)
+    search = Search(loaded, loaded.recording(folder / "identify.csv"), {})
+    fit = search.base(search.screen)
+    assert search.timing == (BETWEEN if every == 2 else (EXACT, np.inf))
+    assert fit.values[TIMING] / loaded.dt == pytest.approx(-0.25 if every == 2 else 0.0, abs=0.05)
+    assert not search.moved_between(fit)  # it says so once
+    for symbol in ("mass", "viscous"):
+        assert abs(fit.values[symbol] - TRUE[symbol]) < 3 * fit.deviation(symbol), symbol
 
 
 def test_intervals_hold_the_truth_where_errors_hang_together_too(folder):
