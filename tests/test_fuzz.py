@@ -147,7 +147,7 @@ def open_project(folder: Path) -> None:
 def _recording(found: rig.Rig) -> bytes:
     """A recording of a rig at its initial state, with a swing."""
     plant = found.plant
-    samples = max(round(rig.SHORTEST / found.dt), found.window or 0, 60) + 1
+    samples = max(rig.SHORTEST, found.window or 0, 60) + 1
     rows = ["t," + ",".join(found.channels)]
     rest = [plant.constant(plant.states[name].initial) if name in plant.states else 0.0 for name in found.channels]
     for k in range(samples):

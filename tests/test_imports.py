@@ -110,6 +110,7 @@ def general() -> list[Path]:
     return [path for path in files if not path.relative_to(ROOT).as_posix().startswith(CONCEALED)]
 
 
+@cache
 def machine_names() -> set[str]:
     """Of folders and of plants."""
     folders = {path.parent.name for path in (ROOT / "machines").glob("*/__init__.py")}
@@ -132,6 +133,7 @@ def written(tree: ast.AST) -> Iterator[tuple[int, str, bool]]:
                 yield getattr(node, "lineno", 0), text, False
 
 
+@cache
 def named(text: str, doc: bool) -> set[str]:
     """Names of machines in the text; of an identifier or a string that is no docstring, words for their parts too."""
     spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text).lower()
