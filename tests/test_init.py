@@ -63,3 +63,13 @@ def test_what_is_there_is_not_overwritten(greygate, folder):
         assert code == 2
         assert "is there already" in said
         assert (folder / file).read_text() == "mine"
+
+
+def test_a_rig_to_start_from_is_diagnosed_at_once(greygate, folder):
+    """What the lag of the file leaves out is a tanh of the input, which is in no table."""
+    assert greygate("init-rig", "rig", "--record", "run.csv", "--output", "y")[0] == 0
+    code, printed, _ = greygate("diagnose", "rig", "--json")
+    found = json.loads(printed)
+    assert (code, found["verdict"], found["effects"]) == (0, "unexplained", [])
+    (where,) = found["where"]
+    assert (where["equation"], where["depends_on"]) == ("lag_y", ["u"])
