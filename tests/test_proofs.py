@@ -1,5 +1,6 @@
 """Proofs of hardware: each holds where it should, and finds what is wrong where something is."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -71,6 +72,30 @@ def test_another_rounding_is_refused_with_a_sum_on_which_it_shows(emitted, chang
     wrong, _ = sums(emitted, other)
     assert wrong.holds is False
     assert "is rounded to" in wrong.counterexample
+
+
+@pytest.fixture(scope="module")
+def carrying(tmp_path_factory):
+    """(A sum whose last adder leaves out a low bit that is always 0, and takes over its carry; its files.)"""
+    u, y = Signal("u", 3, Fix(8, 4)), Signal("y", 1, Fix(10, 4))
+    affine = Affine(y, ("u",), np.array([[-71, 141, -102]]), np.array([-88]), np.array([12]))
+    program = Program("p", (Terminal("u", u, "V", 1.0, 0.0),), (), (affine,), (Terminal("y", y, "m", 1.0, 0.0),), ())
+    files = emit(program.check(), tmp_path_factory.mktemp("carrying"))
+    return program, [path for path in files if path.suffix == ".v"]
+
+
+def test_a_sum_that_takes_over_a_carry_is_proved_and_without_it_nothing_is(carrying):
+    pytest.importorskip("z3")
+    program, files = carrying
+    rows, overflow = sums(files, program)
+    assert (rows.holds, overflow.holds) == (True, True)
+    (own,) = (path for path in files if path.name == "p_y.v")
+    text = own.read_text()
+    changed = re.sub(r"\|(\w+\[0\])\}", "1'b0}", text)
+    assert changed != text, "the sum takes over no carry; choose other weights"
+    own.write_text(changed)
+    assert sums(files, program)[0].holds is not True
+    own.write_text(text)
 
 
 NARROW = """

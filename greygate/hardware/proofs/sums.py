@@ -4,8 +4,9 @@ The emitted module is read back: its adders give the weights of each sum and the
 follows a sum, rounding and saturation, is proved by z3 for every value of the sum.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from fractions import Fraction
+from math import gcd
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from greygate.emulator.numbers import Overflow, Rounding
 from greygate.emulator.program import Affine as Operation
 from greygate.emulator.program import Lookup, Program
 from greygate.errors import InputError
-from greygate.hardware.proofs.affine import Affine, Module, Value, Vector, signed_bits
+from greygate.hardware.proofs.affine import Affine, Module, Some, Value, Vector, signed_bits
 from greygate.hardware.proofs.elaborated import elaborate
 from greygate.hardware.proofs.proof import Proof, timed
 from greygate.hardware.proofs.reach import reachable
@@ -136,13 +137,17 @@ def _row(o: Operation, r: int, wanted: Affine, module: Module, bits: Sequence) -
     solver = z3.Solver()
     solver.set("timeout", MILLISECONDS)
     solver.add(acc >= lo, acc <= hi)
+    if step := gcd(*(int(w) for w in wanted.weights.values())):  # bits of the sum that never change
+        same = (step & -step).bit_length() - 1
+        solver.add(acc & ((1 << same) - 1) == int(wanted.const) & ((1 << same) - 1))
+    rests: dict[Hashable, Any] = {}
 
     def cut(vector: Vector) -> Any:
         value = module.value(vector)
         if value is None:
             return None
         variable = z3.BitVec(f"{vector[0]}.{vector[1]}", module.width(vector))
-        _relate(solver, acc, wanted, value, variable, module.name(vector))
+        _relate(solver, acc, wanted, value, variable, rests, module.name(vector))
         return variable
 
     try:
@@ -164,27 +169,39 @@ def _row(o: Operation, r: int, wanted: Affine, module: Module, bits: Sequence) -
         got, right = (model.eval(part, model_completion=True).as_signed_long() for part in (given, answer))
         if not z3.is_true(model.eval(beyond)):
             break
+    if rests:  # what was dropped below the sum may not take the value that z3 gave it
+        raise _Unknown(f"a sum of {sum_} would be rounded to {got}, not {right}, if dropped bits could be any")
     raise _Different(f"a sum of {sum_} is rounded to {got}, not {right}")
 
 
-def _relate(solver: Any, acc: Any, wanted: Affine, value: Value, variable: Any, name: str) -> None:
-    """Tell the solver what the vector has to do with the row's sum; raise _Different if nothing."""
+def _relate(
+    solver: Any, acc: Any, wanted: Affine, value: Value, variable: Any, rests: dict[Hashable, Any], name: str
+) -> None:
+    """Tell the solver what the vector has to do with the row's sum; raise _Different if nothing.
+
+    rests: unknowns that stand for dropped bits -> their expressions; of these only the range is told.
+    """
     import z3
 
     function = value.function
-    if not function.weights:
-        solver.add(variable == int(function.const))
-        return
-    factor = _factor(function, wanted)
+    of_elements = Affine({n: w for n, w in function.weights.items() if isinstance(n, str)}, function.const)
+    others = {n: w for n, w in function.weights.items() if not isinstance(n, str)}
+    factor = _factor(of_elements, wanted) if of_elements.weights else Fraction(0)
     if factor is None:
         raise _Different(_first(function, wanted, name))
     const = function.const - factor * wanted.const
-    size = max(factor.denominator, const.denominator)
+    size = max(v.denominator for v in (factor, const, *others.values()))
     left, right = size, int(factor * size)
-    longest = max(acc.size() + abs(right).bit_length(), variable.size() + left.bit_length()) + SPARE
+    longest = max(acc.size() + abs(right).bit_length(), variable.size() + left.bit_length())
+    longest = max(longest, *(n.bits + abs(int(w * size)).bit_length() + len(others) for n, w in others.items()), 0)
+    longest += SPARE
     signed = value.fits(variable.size(), True)
     whole = (z3.SignExt if signed else z3.ZeroExt)(longest - variable.size(), variable)
-    solver.add(whole * left == z3.SignExt(longest - acc.size(), acc) * right + int(const * size))
+    found = z3.SignExt(longest - acc.size(), acc) * right + int(const * size)
+    for rest, w in others.items():
+        expression = rests.setdefault(rest, z3.BitVec(f"rest {len(rests)}", 1 if isinstance(rest, Some) else rest.bits))
+        found = found + z3.ZeroExt(longest - expression.size(), expression) * int(w * size)
+    solver.add(whole * left == found)
 
 
 def _factor(function: Affine, wanted: Affine) -> Fraction | None:
