@@ -18,7 +18,6 @@ from scipy.integrate import odeint
 
 from greygate.identifying.files import figures, identify
 from greygate.identifying.halving import REFITTED, WORSE, Halving, Tried
-from greygate.identifying.ladder import LINEAR
 from greygate.identifying.task import started
 from greygate.machines.measured.study import STUDIES
 from greygate.models.network import Network
@@ -90,7 +89,7 @@ def best_linear(search: Halving) -> tuple[Tried, Network]:
     Where all drift, the one that errs least. It is given all the time that it takes.
     """
     found = []
-    for tried in [t for t in search.ranked() if t.model.form == LINEAR][:REFITTED]:
+    for tried in [t for t in search.ranked() if t.model.form.linear][:REFITTED]:
         network = search.complete(tried, np.inf).network
         error = search.whole(network)
         if error <= WORSE * tried.error:

@@ -145,6 +145,8 @@ def initialised(network: Network, record: Record, prior: float = PRIOR, steps: i
     except InputError:  # shorter than the delays: nothing to settle in
         return record
     rest = objective.theta[objective.free]
+    if not len(rest):  # it remembers inputs alone, and those are known
+        return record
 
     def cost(theta):
         return objective.squares(theta) + prior * float(np.sum((theta[objective.free] - rest) ** 2))

@@ -3,18 +3,21 @@
 import json
 import math
 import time
+from dataclasses import replace
 
 import joblib
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from greygate.errors import InputError
 from greygate.identifying import halving
 from greygate.identifying.files import figures, identify, lines
-from greygate.identifying.ladder import FORMS, LINEAR, Orders, grown
+from greygate.identifying.ladder import ARMAX, ARX, BJ, FORMS, LINEAR, Orders, grown
 from greygate.identifying.looking import look
 from greygate.identifying.task import task
 from greygate.machines.identification import initialised
+from greygate.models.accuracy import rms
 from greygate.models.families.regression import noe
 from greygate.models.network import Network
 from greygate.models.training.record import Record
@@ -215,3 +218,32 @@ def test_a_channel_that_stands_still_is_refused(changed, says):
 def test_a_short_recording_is_refused_with_the_length_that_is_needed():
     with pytest.raises(InputError, match="100 samples; give at least 160"):
         task({"a": recorded(1, samples=100)}, ["u"], "y")
+
+
+@pytest.mark.parametrize("form", [ARX, ARMAX, BJ])
+def test_a_model_is_found_where_the_noise_is_as_it_supposes(form):
+    """Noise through the poles of the plant (ARX), which moves before (ARMAX), or through poles of its own (BJ)."""
+    samples, rng = 2000, np.random.default_rng(3)
+    u, white = prms(samples, -1.0, 1.0, (4, 25), 3), NOISE * rng.normal(size=samples)
+    plant, moving = [1.0, -1.5, 0.56], [1.0, 0.9]
+    noise = {
+        ARX: lambda: lfilter([1.0], plant, white),
+        ARMAX: lambda: lfilter(moving, plant, white),
+        BJ: lambda: lfilter(moving, [1.0, -0.95], white),
+    }[form]()
+    clean = lfilter([0.0, 0.04, 0.02], plant, u)
+    recording = Recording(0.1, {"u": u, "y": clean + noise}, {"u": "V", "y": "m"}, source="run")
+    asked, errors = task({"run": recording}, ["u"], "y"), {}
+    records, true = list(asked.records.values()), asked.record(replace(recording, channels={"u": u, "y": clean}))
+    for kind in (LINEAR, form):
+        model = halving.Model(kind, Orders(2, (0,)), 0.0)
+        start = halving.linear(asked, halving.Model(LINEAR, model.orders, 0.0), None, records, halving.LADDER, math.inf)
+        fit = halving.refitted(model, asked, start.network, records, 60, math.inf)
+        errors[kind.name] = rms(asked.errors(fit.network, true))
+    assert errors[form.name] < 0.25 * rms(noise)
+    assert errors[form.name] < errors["OE"], "output error supposes white noise"
+
+
+def test_every_idea_of_the_noise_is_in_the_ladder(short):
+    names = {row["model"].split(",")[0] for row in figures(found(recorded(1)))["models"]}
+    assert {"OE", "ARX", "ARMAX", "BJ", "FIR"} <= names

@@ -11,7 +11,6 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.files import making, writing
 from greygate.identifying.halving import ORDERS, WORSE, Halving, Tried
-from greygate.identifying.ladder import LINEAR
 from greygate.identifying.looking import look
 from greygate.identifying.task import Task, task
 from greygate.models.accuracy import rms
@@ -76,10 +75,10 @@ def figures(found: Identified) -> dict:
     """Everything that is told, as plain data."""
     t, search, folds = found.task, found.search, found.search.shared()
     finalists = search.finalists()
-    line = next((x for x in finalists if x.model.form == LINEAR), found.chosen)
+    line = next((x for x in finalists if x.model.form.linear), found.chosen)
     runner = next((x for x in finalists if x is not found.chosen), None)
     tested = {n: t.errors(found.network, t.record(r)) for n, r in found.tests.items()}
-    sure = None if found.chosen.model.form == LINEAR else _sure(found.chosen, line, folds)
+    sure = None if found.chosen.model.form.linear else _sure(found.chosen, line, folds)
     return {
         "chosen": _row(t, found.chosen, folds),
         "better_than_mean": bool(_row(t, found.chosen, folds)["fit"] > 0),

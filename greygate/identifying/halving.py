@@ -9,7 +9,8 @@ import joblib
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.identifying.ladder import FORMS, LINEAR, Form, Orders, grown
+from greygate.identifying.ladder import ARMAX, ARX, BJ, FIR, FORMS, LINEAR, Form, Orders, grown
+from greygate.identifying.linear import estimated, taught
 from greygate.identifying.task import Task, started
 from greygate.machines.identification import Fold, parameters
 from greygate.models.accuracy import rms
@@ -19,6 +20,7 @@ from greygate.models.training.record import Record
 from greygate.progress import Progress, silent
 
 ORDERS = (1, 2, 3, 4)
+PAST = (16, 48)  # taps of a FIR model
 DECAY = 1e-3  # a prior: no normalised weight should be far above thirty deviations of one normalised error
 STRONG = 3e-2  # the same for recordings whose noise would be learnt with DECAY
 SIMPLER = 1.03  # a model of fewer weights wins if no other is better by more than this factor: few blocks judge
@@ -26,7 +28,6 @@ WORSE = 2.0  # factor of the held-out error that the error over everything may h
 LEAST = 0.1  # s that a training has, where its rung has just run out of time
 REFITTED = 5  # models that are fitted to everything at most
 WINDOWS = 16  # into which a fold is cut that is too long to be trained on whole
-TAUGHT = 5  # epochs one step ahead, which make a linear model ARX
 EPOCHS = 150  # of a fit to everything
 
 
@@ -46,6 +47,7 @@ class Rung:
 
 
 LADDER = Rung(10**6, 1, 60, 8000, 1, 0.2)
+NOISES = replace(LADDER, until=0.25)  # the best of those under other ideas of the noise
 RUNGS = (Rung(10**6, 1, 12, 4000, 2, 0.45), Rung(16, 2, 40, 8000, 1, 0.65), Rung(5, 3, 120, 20000, 1, 0.85))
 BASES = 3  # linear models from which networks are grown
 
@@ -130,6 +132,9 @@ class Halving:
         self.rung(0, LADDER, ladder)
         if not self.tried:  # not one was finished in its share of the time: the simplest has it all
             self.rung(0, replace(LADDER, until=RUNGS[-1].until), ladder[: self.jobs])
+        best = [base.model.orders for base in self.bases()]
+        fir = [Model(FIR, replace(best[0], order=taps - 1), 0.0) for taps in PAST]
+        self.rung(0, NOISES, [*(Model(form, o, 0.0) for form in (ARX, ARMAX, BJ) for o in best), *fir])
         models = [Model(form, base.model.orders) for base in self.bases() for form in FORMS]
         models.sort(key=lambda m: FORMS.index(m.form))  # where time ends, every base has had the same forms
         for number, rung in enumerate(RUNGS, 1):
@@ -142,7 +147,7 @@ class Halving:
         """The best linear models that differ in order or stride, from which networks are grown."""
         found: dict[tuple[int, int], Tried] = {}
         for tried in self.ranked():
-            if np.isfinite(tried.error):
+            if np.isfinite(tried.error) and tried.model.form == LINEAR:
                 found.setdefault((tried.model.orders.order, tried.model.orders.stride), tried)
         if not found:
             raise InputError("no linear model was finished in time, or every one diverges; give more --seconds")
@@ -219,7 +224,7 @@ class Halving:
         until = time() + seconds
         for done, start in enumerate(starts):
             share = time() + (until - time()) / (len(starts) - done)
-            fits.append(trained(start, records, EPOCHS, tried.model.decay, share))
+            fits.append(refitted(tried.model, self.task, start, records, EPOCHS, share))
         return lowest(fits)
 
 
@@ -233,10 +238,11 @@ def judged(
     networks, errors = {}, {}
     for place in range(0, len(folds), rung.every):
         pieces = thinned(folds[place].pieces, rung.samples, task)
-        if line is None:
-            fit = linear(task, model, pieces, rung, until)
+        grows = line.networks[place] if line else None
+        if grows is None or model.form.linear:
+            fit = linear(task, model, grows, pieces, rung, until)
         else:
-            fit = network(task, model, line.networks[place], pieces, rung, until)
+            fit = network(task, model, grows, pieces, rung, until)
         if fit.outcome is Outcome.TIME:
             return None
         networks[place] = fit.network
@@ -244,11 +250,20 @@ def judged(
     return Tried(model, number, networks, errors, time() - began)
 
 
-def linear(task: Task, model: Model, pieces: Sequence[Record], rung: Rung, until: float) -> Trained:
-    """The linear model: ARX, then output error."""
-    zero = LINEAR.build(model.orders, task.inputs, task.output, 0)
-    taught = train(zero, pieces, teacher=True, epochs=TAUGHT)
-    return trained(taught.network, pieces, rung.epochs, model.decay, until)
+def linear(
+    task: Task, model: Model, line: Network | None, pieces: Sequence[Record], rung: Rung, until: float
+) -> Trained:
+    """The linear model under its idea of the noise. line: the output-error model of the same taps, if there is one."""
+    start = line or taught(model.form.build(model.orders, task.inputs, task.output, 0), pieces).network
+    return refitted(model, task, start, pieces, rung.epochs, until)
+
+
+def refitted(model: Model, task: Task, start: Network, records: Sequence[Record], epochs: int, until: float) -> Trained:
+    """The model fitted to records from `start` on, in free run, or as its idea of the noise asks."""
+    if model.form in (ARX, ARMAX, BJ):
+        left = max(until - time(), LEAST)
+        return estimated(model.form, model.orders, task.output, start, records, epochs, left)
+    return trained(start, records, epochs, model.decay, until)
 
 
 def network(task: Task, model: Model, line: Network, pieces: Sequence[Record], rung: Rung, until: float) -> Trained:

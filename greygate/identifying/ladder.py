@@ -47,7 +47,8 @@ class Form:
     """A kind of network around the dynamics of a linear model.
 
     before: neurons of a curve of each input, ahead of the dynamics (Hammerstein). after: neurons of a curve of what the
-    dynamics give (Wiener). inside: neurons within the loop, which read the taps of `reads`.
+    dynamics give (Wiener). inside: neurons within the loop, which read the taps of `reads`. feedback: False for a model
+    that remembers inputs alone (FIR).
     """
 
     name: str
@@ -55,6 +56,11 @@ class Form:
     after: int = 0
     inside: int = 0
     reads: str = "all"  # "all", "inputs" or "output"
+    feedback: bool = True
+
+    @property
+    def linear(self) -> bool:
+        return not self.before + self.after + self.inside
 
     def build(self, orders: Orders, inputs: Sequence[Port], output: Port, seed: int) -> Network:
         """The network with neurons that weigh next to nothing, and linear weights of zero."""
@@ -67,15 +73,15 @@ class Form:
                 _curve(network, port.name, source, self.before)
             ports |= {f"{port.name}_z{d}": (source, d) for d in delays}
         fed_in = dict(ports)
-        ports |= {f"{output.name}_z{d}": (LOOP, d) for d in orders.feedback}
+        ports |= {f"{output.name}_z{d}": (LOOP, d) for d in orders.feedback if self.feedback}
         weights = {port: np.zeros((1, 1)) for port in ports}
         if self.inside:
             read = {"all": ports, "inputs": fed_in}.get(self.reads, {n: p for n, p in ports.items() if n not in fed_in})
             network.add(NEURONS, Layer({p: np.zeros((self.inside, 1)) for p in read}, np.zeros(self.inside), "tansig"))
-            _connect(network, NEURONS, read)
+            connect(network, NEURONS, read)
             weights[NEURONS], ports = np.zeros((1, self.inside)), ports | {NEURONS: (NEURONS, 0)}
         network.add(LOOP, Layer(weights, [0.0], initial=output.rest))
-        _connect(network, LOOP, ports)
+        connect(network, LOOP, ports)
         if self.after:
             _curve(network, LOOP, SHOWN, self.after)
         network.connect(SHOWN if self.after else LOOP, output.name)
@@ -87,7 +93,8 @@ def grown(network: Network, linear: Network) -> Network:
     return network.with_parameters(linear.parameters())
 
 
-def _connect(network: Network, layer: str, ports: Mapping[str, tuple[str, int]]) -> None:
+def connect(network: Network, layer: str, ports: Mapping[str, tuple[str, int]]) -> None:
+    """Connect the layer's ports, each to a source behind a delay."""
     for port, (source, delay) in ports.items():
         network.connect(source, f"{layer}.{port}", delay)
 
@@ -96,9 +103,9 @@ def _curve(network: Network, source: str, name: str, neurons: int) -> None:
     """Layer `name`: the signal itself, plus neurons of it."""
     hidden = f"{name}_{NEURONS}"
     network.add(hidden, Layer({source: np.zeros((neurons, 1))}, np.zeros(neurons), "tansig"))
-    _connect(network, hidden, {source: (source, 0)})
+    connect(network, hidden, {source: (source, 0)})
     network.add(name, Layer({"itself": [[1.0]], hidden: np.zeros((1, neurons))}, [0.0], frozen={"itself", "bias"}))
-    _connect(network, name, {"itself": (source, 0), hidden: (hidden, 0)})
+    connect(network, name, {"itself": (source, 0), hidden: (hidden, 0)})
 
 
 def _shrunk(network: Network) -> Network:
@@ -115,6 +122,7 @@ def _shrunk(network: Network) -> Network:
 
 
 LINEAR = Form("OE")
+FIR, ARX, ARMAX, BJ = Form("FIR", feedback=False), Form("ARX"), Form("ARMAX"), Form("BJ")
 SIZES = (2, 4, 8)
 FORMS = tuple(
     form
