@@ -24,7 +24,7 @@ from greygate.plants.plant import Parameter, Values
 from greygate.plants.recording import Recording
 from greygate.plants.simulate import Restarted
 
-TIMING = "input_timing"  # s by which inputs act later than the recording says: a nuisance, known to a hundredth sample
+TIMING = "input_timing"  # s by which inputs act later than the recording says: a nuisance, known well (`Search.timing`)
 BLUR = "input_blur"  # a nuisance: at 0 an acceleration is smoothed over SMOOTH, at 1 over the shorter FINER * SMOOTH
 FINER = 0.6  # of SMOOTH
 SMOOTH = 20  # samples on either side of a sample, over which a smoothed rate is taken

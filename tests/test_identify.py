@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from greygate.errors import InputError
 from greygate.identifying import halving
 from greygate.identifying.files import figures, identify, lines
-from greygate.identifying.ladder import ARMAX, ARX, BJ, FORMS, LINEAR, Orders, grown
+from greygate.identifying.ladder import ARMAX, ARX, BJ, FIR, FORMS, LINEAR, Orders, grown
 from greygate.identifying.looking import look
 from greygate.identifying.task import task
 from greygate.machines.identification import initialised
@@ -247,3 +247,19 @@ def test_a_model_is_found_where_the_noise_is_as_it_supposes(form):
 def test_every_idea_of_the_noise_is_in_the_ladder(short):
     names = {row["model"].split(",")[0] for row in figures(found(recorded(1)))["models"]}
     assert {"OE", "ARX", "ARMAX", "BJ", "FIR"} <= names
+
+
+@pytest.mark.parametrize(("u", "y"), [("state", "error"), ("measured", "shown"), ("neurons", "rest")])
+def test_a_channel_may_have_any_name_that_parts_of_models_have(short, u, y):
+    rec = recorded(1)
+    renamed = Recording(rec.dt, {u: rec["u"], y: rec["y"]}, {u: "V", y: "m"})
+    result = identify({"run": renamed}, [u], y, {}, seconds=math.inf, jobs=2)
+    assert {t.model.form.name.split(",")[0] for t in result.search.tried.values()} >= {"BJ", "Hammerstein", "NOE"}
+
+
+@pytest.mark.parametrize("samples", [160, 300])
+def test_a_short_recording_is_identified_without_the_taps_that_it_is_too_short_for(short, samples):
+    search = found(recorded(1, samples=samples)).search
+    taps = [t.model.orders.order + 1 for t in search.tried.values() if t.model.form == FIR]
+    assert taps == [16]
+    assert search.chosen().error < 2 * NOISE

@@ -20,7 +20,7 @@ from greygate.models.training.record import Record
 from greygate.progress import Progress, silent
 
 ORDERS = (1, 2, 3, 4)
-PAST = (16, 48)  # taps of a FIR model
+PAST = (16, 48)  # taps of a FIR model: it sees a decay of three and of ten of the longest taps of the others
 DECAY = 1e-3  # a prior: no normalised weight should be far above thirty deviations of one normalised error
 STRONG = 3e-2  # the same for recordings whose noise would be learnt with DECAY
 SIMPLER = 1.03  # a model of fewer weights wins if no other is better by more than this factor: few blocks judge
@@ -133,8 +133,10 @@ class Halving:
         if not self.tried:  # not one was finished in its share of the time: the simplest has it all
             self.rung(0, replace(LADDER, until=RUNGS[-1].until), ladder[: self.jobs])
         best = [base.model.orders for base in self.bases()]
-        fir = [Model(FIR, replace(best[0], order=taps - 1), 0.0) for taps in PAST]
-        self.rung(0, NOISES, [*(Model(form, o, 0.0) for form in (ARX, ARMAX, BJ) for o in best), *fir])
+        longer = [replace(best[0], order=taps - 1) for taps in PAST]
+        shortest = min(len(p) for f in self.folds for p in thinned(f.pieces, NOISES.samples, self.task))
+        noises = [Model(form, orders, 0.0) for form in (ARX, ARMAX, BJ) for orders in best]
+        self.rung(0, NOISES, noises + [Model(FIR, orders, 0.0) for orders in longer if orders.deepest < shortest])
         models = [Model(form, base.model.orders) for base in self.bases() for form in FORMS]
         models.sort(key=lambda m: FORMS.index(m.form))  # where time ends, every base has had the same forms
         for number, rung in enumerate(RUNGS, 1):

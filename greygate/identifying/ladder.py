@@ -4,8 +4,9 @@ A network begins as the linear model, with neurons that weigh next to nothing: i
 epoch on, and training can only improve on the linear model.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 
@@ -65,27 +66,35 @@ class Form:
     def build(self, orders: Orders, inputs: Sequence[Port], output: Port, seed: int) -> Network:
         """The network with neurons that weigh next to nothing, and linear weights of zero."""
         network = Network("network", list(inputs), [output])
+        taken = [p.name for p in (*inputs, output)]
+        loop, neurons, shown = (own(name, taken) for name in (LOOP, NEURONS, SHOWN))
         ports: dict[str, tuple[str, int]] = {}
         for port, delays in orders.inputs(inputs).items():
             source = port.name
             if self.before:
-                source = f"{port.name}_curve"
+                source = own(f"{port.name}_curve", taken)
                 _curve(network, port.name, source, self.before)
             ports |= {f"{port.name}_z{d}": (source, d) for d in delays}
         fed_in = dict(ports)
-        ports |= {f"{output.name}_z{d}": (LOOP, d) for d in orders.feedback if self.feedback}
+        ports |= {f"{output.name}_z{d}": (loop, d) for d in orders.feedback if self.feedback}
         weights = {port: np.zeros((1, 1)) for port in ports}
         if self.inside:
             read = {"all": ports, "inputs": fed_in}.get(self.reads, {n: p for n, p in ports.items() if n not in fed_in})
-            network.add(NEURONS, Layer({p: np.zeros((self.inside, 1)) for p in read}, np.zeros(self.inside), "tansig"))
-            connect(network, NEURONS, read)
-            weights[NEURONS], ports = np.zeros((1, self.inside)), ports | {NEURONS: (NEURONS, 0)}
-        network.add(LOOP, Layer(weights, [0.0], initial=output.rest))
-        connect(network, LOOP, ports)
+            network.add(neurons, Layer({p: np.zeros((self.inside, 1)) for p in read}, np.zeros(self.inside), "tansig"))
+            connect(network, neurons, read)
+            weights[neurons], ports = np.zeros((1, self.inside)), ports | {neurons: (neurons, 0)}
+        network.add(loop, Layer(weights, [0.0], initial=output.rest))
+        connect(network, loop, ports)
         if self.after:
-            _curve(network, LOOP, SHOWN, self.after)
-        network.connect(SHOWN if self.after else LOOP, output.name)
+            _curve(network, loop, shown, self.after)
+        network.connect(shown if self.after else loop, output.name)
         return _shrunk(nguyen_widrow(network.check(), seed))
+
+
+def own(name: str, taken: Collection[str]) -> str:
+    """A name for a part of a model, which no channel has: `name`, with a number behind it where one has it."""
+    names = (f"{name}{k or ''}" for k in count())
+    return next(n for n in names if not {n, f"{n}_{NEURONS}"} & set(taken))
 
 
 def grown(network: Network, linear: Network) -> Network:

@@ -9,12 +9,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from greygate.identifying.ladder import ARMAX, ARX, LOOP, Form, Orders, connect
+from greygate.identifying.ladder import ARMAX, ARX, LOOP, Form, Orders, connect, own
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
 
-MEASURED, REST, PREDICTED, ERROR = "measured", "rest", "predicted", "error"  # an input, and layers
+MEASURED, REST, PREDICTED, ERROR = "measured", "rest", "predicted", "error"  # an input, and layers, of a predictor
 TAUGHT = 5  # epochs one step ahead, which make a linear model ARX
 
 
@@ -28,7 +28,7 @@ def estimated(
 ) -> Trained:
     """The linear model `start`, fitted one step ahead with the form's model of the noise: ARX, ARMAX or BJ.
 
-    pieces: of the ports of `start`, with the initial state of its layer LOOP.
+    pieces: of the ports of `start`, with the initial state of its dynamics.
     """
     if form == ARX:
         return taught(start, pieces)
@@ -46,37 +46,39 @@ def predictor(form: Form, orders: Orders, inputs: Sequence[Port], output: Port) 
     The layer LOOP has the weights of the linear model, by the same names. ARMAX: it reads the measured output and the
     errors of its own predictions. BJ: it runs free, and what it leaves is predicted from what it left and from errors.
     """
-    name = output.name
-    network = Network("predictor", [*inputs, replace(output, name=MEASURED)], [output])
+    taken = [p.name for p in (*inputs, output)]
+    loop, measured, rest, predicted, error = (own(n, taken) for n in (LOOP, MEASURED, REST, PREDICTED, ERROR))
+    network = Network("predictor", [*inputs, replace(output, name=measured)], [output])
     ports = {f"{p.name}_z{d}": (p.name, d) for p, delays in orders.inputs(inputs).items() for d in delays}
-    past = {f"{ERROR}_z{d}": (ERROR, d) for d in orders.feedback}
+    past = {f"{error}_z{d}": (error, d) for d in orders.feedback}
     if form == ARMAX:
-        ports |= {f"{name}_z{d}": (MEASURED, d) for d in orders.feedback} | past
+        ports |= {f"{output.name}_z{d}": (measured, d) for d in orders.feedback} | past
     else:
-        ports |= {f"{name}_z{d}": (LOOP, d) for d in orders.feedback}
-    network.add(LOOP, Layer({port: np.zeros((1, 1)) for port in ports}, [0.0], initial=output.rest))
-    connect(network, LOOP, ports)
-    shown = LOOP
+        ports |= {f"{output.name}_z{d}": (loop, d) for d in orders.feedback}
+    network.add(loop, Layer({port: np.zeros((1, 1)) for port in ports}, [0.0], initial=output.rest))
+    connect(network, loop, ports)
+    shown = loop
     if form != ARMAX:
-        _difference(network, REST, LOOP)
-        past |= {f"{REST}_z{d}": (REST, d) for d in orders.feedback}
-        weights = {LOOP: np.ones((1, 1)), **{port: np.zeros((1, 1)) for port in past}}
-        network.add(PREDICTED, Layer(weights, [0.0], frozen={LOOP, "bias"}))
-        connect(network, PREDICTED, {LOOP: (LOOP, 0), **past})
-        shown = PREDICTED
-    _difference(network, ERROR, shown)
-    network.connect(shown, name)
+        _difference(network, rest, measured, loop)
+        past |= {f"{rest}_z{d}": (rest, d) for d in orders.feedback}
+        weights = {loop: np.ones((1, 1)), **{port: np.zeros((1, 1)) for port in past}}
+        network.add(predicted, Layer(weights, [0.0], frozen={loop, "bias"}))
+        connect(network, predicted, {loop: (loop, 0), **past})
+        shown = predicted
+    _difference(network, error, measured, shown)
+    network.connect(shown, output.name)
     return network.check()
 
 
-def _difference(network: Network, name: str, of: str) -> None:
-    """Layer `name`: the measured output less the layer `of`."""
-    network.add(name, Layer({MEASURED: [[1.0]], of: [[-1.0]]}, [0.0], frozen={MEASURED, of, "bias"}))
-    connect(network, name, {MEASURED: (MEASURED, 0), of: (of, 0)})
+def _difference(network: Network, name: str, of: str, less: str) -> None:
+    """Layer `name`: the signal `of` less the signal `less`."""
+    network.add(name, Layer({of: [[1.0]], less: [[-1.0]]}, [0.0], frozen={of, less, "bias"}))
+    connect(network, name, {of: (of, 0), less: (less, 0)})
 
 
 def _measured(record: Record, output: Port, form: Form) -> Record:
     """The record with the measured output as an input, too."""
-    y = record.targets[output.name]
-    initial = {n: v for n, v in record.initial.items() if n != LOOP or form != ARMAX} | {MEASURED: float(y[0])}
-    return replace(record, inputs={**record.inputs, MEASURED: y}, initial=initial)
+    y, taken = record.targets[output.name], [*record.inputs, output.name]
+    loop, measured = own(LOOP, taken), own(MEASURED, taken)
+    initial = {n: v for n, v in record.initial.items() if n != loop or form != ARMAX} | {measured: float(y[0])}
+    return replace(record, inputs={**record.inputs, measured: y}, initial=initial)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.identifying.ladder import LOOP
+from greygate.identifying.ladder import LOOP, own
 from greygate.machines.identification import Fold, blocked, initialised
 from greygate.models.accuracy import float_error
 from greygate.models.network import Network, Port
@@ -62,7 +62,7 @@ def started(record: Record, output: Port) -> Record:
     """The record with a guess of its initial state: inputs and output stood where they are at its first sample."""
     first = {n: float(v[0]) for n, v in record.inputs.items()}
     level = float(output.normalised(record.targets[output.name][:1])[0])
-    return replace(record, initial={**first, LOOP: level})
+    return replace(record, initial={**first, own(LOOP, [*first, output.name]): level})
 
 
 def task(recordings: Mapping[str, Recording], inputs: Sequence[str], output: str, settle: int | None = None) -> Task:

@@ -17,7 +17,7 @@ from greygate.emulator.numbers import Overflow, Rounding
 from greygate.emulator.program import Affine as Operation
 from greygate.emulator.program import Lookup, Program
 from greygate.errors import InputError
-from greygate.hardware.proofs.affine import Affine, Module, Some, Value, Vector, signed_bits
+from greygate.hardware.proofs.affine import Affine, Module, Rest, Some, Value, Vector, signed_bits
 from greygate.hardware.proofs.elaborated import elaborate
 from greygate.hardware.proofs.proof import Proof, timed
 from greygate.hardware.proofs.reach import reachable
@@ -169,9 +169,33 @@ def _row(o: Operation, r: int, wanted: Affine, module: Module, bits: Sequence) -
         got, right = (model.eval(part, model_completion=True).as_signed_long() for part in (given, answer))
         if not z3.is_true(model.eval(beyond)):
             break
-    if rests:  # what was dropped below the sum may not take the value that z3 gave it
+    if not _occurs(sum_, {r: model.eval(e, model_completion=True).as_long() for r, e in rests.items()}, wanted, module):
         raise _Unknown(f"a sum of {sum_} would be rounded to {got}, not {right}, if dropped bits could be any")
     raise _Different(f"a sum of {sum_} is rounded to {got}, not {right}")
+
+
+def _occurs(total: int, rests: Mapping[Hashable, int], wanted: Affine, module: Module) -> bool:
+    """Whether elements within their ranges give this sum, and dropped bits of these values."""
+    import z3
+
+    if not rests:
+        return True
+    solver, elements = z3.Solver(), {}
+    solver.set("timeout", MILLISECONDS)
+    for name, (lo, hi) in module.reach.items():
+        elements[name] = z3.Int(name)
+        solver.add(elements[name] >= lo, elements[name] <= hi)
+
+    def number(name: Hashable) -> Any:
+        if not isinstance(name, Rest | Some):
+            return elements[name]
+        weights, const = name.of
+        low = (z3.Sum([w * number(n) for n, w in weights]) + const) % (1 << name.bits)
+        return z3.If(low == 0, 0, 1) if isinstance(name, Some) else low
+
+    solver.add(z3.Sum([int(w) * elements[n] for n, w in wanted.weights.items()]) + int(wanted.const) == total)
+    solver.add(*(number(rest) == value for rest, value in rests.items()))
+    return solver.check() == z3.sat
 
 
 def _relate(
