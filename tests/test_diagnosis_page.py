@@ -1,5 +1,6 @@
 """The page that argues the case of a diagnosis."""
 
+import base64
 import json
 import re
 import xml.etree.ElementTree as ElementTree
@@ -87,7 +88,11 @@ def test_the_page_needs_nothing_else_and_every_picture_is_whole(drum):
     pictures = charts(page)
     assert len(pictures) == 1 + 4 + 4 + 1  # largest misfit, x v a t, maps, ladder
     runs = re.findall(r'<script type="application/json">(.*?)</script>', page, re.S)
-    assert [list(json.loads(run)["traces"]) for run in runs] == [["calibrated", "corrected"]]  # to zoom
+    (traces,) = (json.loads(run)["traces"] for run in runs)  # to zoom
+    assert list(traces) == ["calibrated", "corrected"]
+    before, after = (np.frombuffer(base64.b64decode(t["y"]["bdata"]), "<f4") for t in traces.values())
+    assert min(np.isfinite(before).mean(), np.isfinite(after).mean()) > 0.95
+    assert np.nanstd(after) < 0.1 * np.nanstd(before)
     for picture in pictures:
         ElementTree.fromstring(picture)
         assert "nan" not in picture
