@@ -38,12 +38,14 @@ def answer(diagnosis: dict) -> dict:
         for effect in diagnosis["effects"]
         if effect["id"] != "unknown"
     ]
+    released = any("outside_tolerance" in p for p in diagnosis["parameters"].values())
     return {
         "schema": "concealed-answer/1",
         "verdict": diagnosis["verdict"],
         "claims": claims,
         "where": [{"equation": w["equation"], "depends_on": w["depends_on"]} for w in diagnosis["where"]],
         "parameters": diagnosis["parameters"],
+        "corrects": bool(diagnosis["effects"] or released),
     }
 
 

@@ -24,7 +24,7 @@ from greygate.mismatch.experiments.excitation import SEEN, unexcited
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.intervals import interval, least_share, margin
 from greygate.mismatch.model import TINY
-from greygate.mismatch.search import Hypothesis, Search
+from greygate.mismatch.search import TOLERANCE, Hypothesis, Search
 from greygate.mismatch.several import modelled
 from greygate.progress import Progress, silent
 
@@ -146,6 +146,19 @@ def calibrated_to_the_run(search: Search, judge: Judge, fit: Fit) -> Fit:
     if again is None or not (1.0 + MORE) ** 2 * judge.total(again) < judge.total(fit):
         return fit
     return fit.likelihood.fit(fit.unknowns, again.values, iterations=0)
+
+
+def held_to_tolerance(search: Search, claims: Claims) -> Claims:
+    """`claims` beside something unexplained, which draws parameters: none is taken beyond its tolerance any more.
+
+    What then no longer passes the fourth gate is dropped.
+    """
+    search.within = TOLERANCE
+    plain, less = Hypothesis(), Hypothesis(claims.best.effects)
+    calibrated = search.fit(claims.calibrated.likelihood, plain, claims.calibrated.values)
+    calibrated = calibrated_to_the_run(search, Judge(claims.fit.likelihood), calibrated)
+    fit = search.fit(claims.fit.likelihood, less, claims.fit.values) if less.size else calibrated
+    return replace(claims, best=less, fit=fit, calibrated=calibrated)
 
 
 def earned(

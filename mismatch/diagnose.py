@@ -16,7 +16,7 @@ from greygate.errors import InputError
 from greygate.mismatch import effects as table
 from greygate.mismatch.adequacy import dependent
 from greygate.mismatch.blocks import Judge
-from greygate.mismatch.claims import Claims, calibrated_to_the_run, earned, named
+from greygate.mismatch.claims import Claims, earned, held_to_tolerance, named
 from greygate.mismatch.closure import closure, left_beside
 from greygate.mismatch.coloured import Coloured, remaining
 from greygate.mismatch.coloured_selection import ColouredSelection
@@ -28,7 +28,7 @@ from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.noise import Noise, learnt
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.ruled_out import ruled_out
-from greygate.mismatch.search import Hypothesis, Search
+from greygate.mismatch.search import WITHIN, Hypothesis, Search
 from greygate.mismatch.selection import EVIDENCE, PART, STRUCTURE, Selection, complete, inflation, structure
 from greygate.mismatch.several import by_rule, modelled
 from greygate.mismatch.verdict import Verdict
@@ -42,6 +42,7 @@ ADEQUATE = 4.0  # where the squared errors are at most so many times those that 
 SOME = 0.1  # of the squared error in free run, likewise where no noise is told
 CLOSED = PART  # of the misfit, that a fitted term must take, as a name must: what takes less does harm elsewhere
 NOISES = 3  # noises under which a recording is explained, at most: each is what the explanation before it left
+OPEN_VERDICTS = Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED
 BLOWN = 100.0  # times what was recorded: a run that is so far off diverges, and nothing can be read from it
 
 
@@ -142,6 +143,7 @@ def shown_noise(fit: Fit) -> Noise:
 
 
 def _explained(search: Search, progress: Progress) -> Diagnosis:
+    search.within = WITHIN
     base = search.base(search.screen)
     short = Selection(search, search.screen, base, progress)
     best, current = short.rivalled(*short.forward(Hypothesis(), short.plain, base))
@@ -154,7 +156,7 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
         if {search.effects[key].id for key in chosen.effects} != {search.effects[key].id for key in best.effects}:
             chosen, corrected = longer.settled(chosen, corrected)  # the exchanges that were made are not those of it
         best, costs = chosen, longer.costs
-        if best.size == 1 and not complete(corrected):  # a second effect that long windows alone show
+        if best.size == 1 and not longer.done(best, corrected):  # a second effect that long windows alone show
             more, fit = longer.backward(*longer.forward(best, corrected, corrected))
             if more != best:
                 selection, best, current, corrected = longer, more, fit, fit
@@ -180,13 +182,18 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
     missing = verdict == Verdict.MISSING_PHYSICS
     unlike = _unlike(search, best, lambda: unfinished or _pays(search, best, corrected)) if missing else ""
     verdict = Verdict.PARTLY_EXPLAINED if unlike else verdict
-    if verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
+    if verdict in OPEN_VERDICTS:
         progress("calibrating to the run itself")
-        claims.calibrated = calibrated_to_the_run(search, Judge(corrected.likelihood), claims.calibrated)
+        claims = held_to_tolerance(search, claims)
+        if claims.best != best:
+            current = search.fit(search.screen, claims.best, claims.fit.values)
+            costs, explained = {**short.costs, claims.best: current.cost}, short.explained(current)
+            verdict, unlike = (verdict, unlike) if explained >= PART else (Verdict.UNEXPLAINED, "")
+        best, corrected = claims.best, claims.fit
     if verdict == Verdict.PARTLY_EXPLAINED and _carries_not_over(search, claims):
         verdict, best, unlike = Verdict.UNEXPLAINED, Hypothesis(), ""
     unknown: dict = {}
-    if verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED) and not unlike:
+    if verdict in OPEN_VERDICTS and not unlike:
         progress("looking for the equation")
         found = closure(search)
         refused = _no_term(claims, *found)
@@ -246,8 +253,13 @@ def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
     if verdict == Verdict.MISSING_PHYSICS and (unlike := _unlike(search, best, lambda: False)):
         verdict, left = Verdict.PARTLY_EXPLAINED, unlike
     unexplained = {}
-    if verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
-        claims.calibrated = calibrated_to_the_run(search, Judge(fit.likelihood), claims.calibrated)
+    if verdict in OPEN_VERDICTS:
+        claims = held_to_tolerance(search, claims)
+        if claims.best != best:
+            explained = removed(claims.calibrated, claims.fit)
+            verdict = verdict if explained >= PART else Verdict.UNEXPLAINED
+        best, fit = claims.best, claims.fit
+        selection.fits.setdefault(best, fit)
     if verdict == Verdict.PARTLY_EXPLAINED and _carries_not_over(search, claims):
         verdict = Verdict.UNEXPLAINED
     if verdict == Verdict.UNEXPLAINED:
@@ -301,8 +313,14 @@ def _no_term(claims: Claims, unknown: dict, closed: Fit | None) -> str:
 
 
 def _carries_not_over(search: Search, claims: Claims) -> bool:
-    """Whether what is claimed beside something unexplained is refused: learnt from one half, it spoils the other."""
-    losses = Judge(claims.fit.likelihood, halves=True).losses(claims.calibrated, claims.fit)
+    """Whether what is claimed beside something unexplained is refused: learnt from one half, it spoils the other.
+
+    Or it no longer passes the gate of blocks.
+    """
+    if not claims.best.size:
+        return True
+    judges = (Judge(claims.fit.likelihood, halves) for halves in (True, False))
+    losses = next((found for judge in judges if (found := judge.losses(claims.calibrated, claims.fit))), [])
     if losses:
         names = " + ".join(named(search, key) for key in (*claims.best.effects, *claims.best.released))
         claims.refused.append(f"{names} is not claimed: something is left, and with it {losses[0]}")

@@ -21,7 +21,7 @@ from greygate.mismatch.noise import PLACES, Noise
 from greygate.mismatch.rig import IN, Rig
 from greygate.mismatch.ruled_out import why
 from greygate.mismatch.search import Hypothesis, Search
-from greygate.mismatch.selection import APART, STRUCTURE
+from greygate.mismatch.selection import APART, ON_BOUND, STRUCTURE
 from greygate.mismatch.shown_by import Shown, shown_by
 from greygate.mismatch.verdict import Verdict
 from greygate.plain import plain
@@ -117,11 +117,9 @@ class Diagnosis:
         fitted = (self.unknown.get("effect") or {}).get("parameters", {})
         for place in self.unknown.get("where", ()):
             acts(place["equation"], place["regime"], place["depends_on"], fitted)
-        drawn = self.verdict == Verdict.PARTLY_EXPLAINED
-        says = "is drawn beyond its tolerance" if drawn else "is not what the data sheet says"
         for symbol in self.best.released:
             for equation in self.search.places(symbol):
-                acts(equation, f"{symbol.replace(IN, ' in ')} {says}", (), (symbol,))
+                acts(equation, f"{symbol.replace(IN, ' in ')} is not what the data sheet says", (), (symbol,))
         for key in self.best.effects:
             effect, shown = self.search.effects[key], self.shown.get(key)
             means = f"{effect.means}; {shown}" if shown else effect.means
@@ -186,10 +184,11 @@ class Diagnosis:
         for hypothesis, cost in self.rivals.items():
             if hypothesis.size != self.best.size or not set(rest) <= set(hypothesis.effects):
                 continue
-            others = [k for k in hypothesis.effects if k not in rest]
-            names = [self.search.effects[k].id for k in others] + list(hypothesis.released)
-            for name in names:
-                if name != mine and name not in self.best.released:
+            others = [self.search.effects[k].id for k in hypothesis.effects if k not in rest]
+            if mine in others:
+                continue  # it differs in a parameter that is outside its tolerance
+            for name in [*others, *hypothesis.released]:
+                if name not in self.best.released:
                     out[name] = min(out.get(name, np.inf), cost - best)
         return out
 
@@ -249,11 +248,17 @@ class Diagnosis:
         value, deviation = self.corrected.values[symbol], self.corrected.deviation(symbol)
         low, high = interval(value, deviation)
         outside = {"outside_tolerance": True} if symbol in self.best.released else {}
-        if self.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED):
+        if self.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED) or self._drawn(symbol):
             # what is missing draws a parameter, as far as it may go: no better known than on the data sheet
             reach = p.tolerance * abs(p.value)
             low, high, outside = min(low, p.value - reach), max(high, p.value + reach), {}
         return {"value": value, "ci95": [low, high], "unit": p.unit, **outside}
+
+    def _drawn(self, symbol: str) -> bool:
+        """Whether a parameter with a tolerance lies as far from the data sheet as a fit lets it go."""
+        unknown = next(u for u in self.corrected.unknowns if u.symbol == symbol)
+        value, ends = self.corrected.values[symbol], [unknown.low, unknown.high]
+        return symbol not in self.best.released and bool(np.isclose(value, ends, rtol=ON_BOUND, atol=0.0).any())
 
     def _recordings(self) -> dict[str, dict]:
         """By the name of a recording, the parameters that were fitted to it alone, and how its time was made even."""

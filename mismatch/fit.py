@@ -130,7 +130,7 @@ class Fit:
     @cached_property
     def covariance(self) -> np.ndarray:
         """Of the numbers (k, k), robust to errors that depend on each other within a window (Huber's sandwich)."""
-        bread = np.linalg.pinv(self.information, hermitian=True, rcond=BREAD_SINGULAR)
+        bread = _inverse(self.information)
         scores = np.einsum("wrk,wr->wk", self.slopes, self.projected)
         n, k = scores.shape
         scores = scores - scores.mean(axis=0)
@@ -144,7 +144,7 @@ class Fit:
     def widened(self, symbols: Collection[str]) -> float:
         """The largest factor by which errors that depend on each other widen the variance of one of `symbols`."""
         at = [j for j, u in enumerate(self.unknowns) if u.symbol in symbols]
-        bread = np.diag(np.linalg.pinv(self.information, hermitian=True))[at]
+        bread = np.diag(_inverse(self.information))[at]
         return float(np.max(np.diag(self.covariance)[at] / np.maximum(bread, TINY), initial=1.0))
 
     def held_out(self, stretch: int = HELD) -> float:
@@ -192,6 +192,13 @@ def _solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
         return np.linalg.solve(normal, right)
     except np.linalg.LinAlgError:
         return np.linalg.lstsq(normal, right, rcond=SINGULAR)[0]
+
+
+def _inverse(information: np.ndarray) -> np.ndarray:
+    """Of an information matrix (k, k), its pseudoinverse; an unknown's unit decides nothing of its rank."""
+    size = np.sqrt(np.maximum(np.diag(information), TINY))
+    units = np.outer(size, size)
+    return np.linalg.pinv(information / units, hermitian=True, rcond=BREAD_SINGULAR) / units
 
 
 def _larger(one: np.ndarray, other: np.ndarray) -> np.ndarray:

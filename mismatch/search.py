@@ -24,7 +24,7 @@ from greygate.plants.recording import Recording
 
 SHORT, SHORT_SHARES = 40, (0.1, 2.0)  # samples of a window in the screen; of the memory of the fastest channel
 LONG_WINDOW, LONG_SHARES = 100, (0.25, 5.0)  # in the final fit: two integrators' errors stay below the noise so far
-WITHIN, NEAR_SHEET = 4.0, 2.0  # standard deviations within which a toleranced parameter is fitted; in the first fit
+WITHIN, TOLERANCE = 4.0, 2.0  # standard deviations within which a toleranced parameter is fitted; its tolerance
 RELEASED = 20.0  # times or part of its value, within which a parameter whose tolerance is lifted is fitted
 EXACT = 0.01  # of a sample, RMS: the uncertainty of the instant at which an input acts
 EARLY = 4.0  # of that: nothing acts before its cause, so an input that seems to moved between the samples,
@@ -83,6 +83,7 @@ class Search:
     """All hypotheses on one recording of one rig.
 
     free_run: the likelihood of a rig without windows. noise: of every likelihood; by default as rig.toml tells it.
+    within: standard deviations that a parameter with a tolerance may go.
     """
 
     def __init__(
@@ -107,6 +108,7 @@ class Search:
 
         self.final = over(LONG_WINDOW, LONG_SHARES) if rig.window else free_run(modelled(rig, recording, self.effects))
         self.screen = over(SHORT, SHORT_SHARES) if rig.window else self.final
+        self.within = WITHIN
         self.timing = EXACT, np.inf  # of a sample: RMS and largest error of the instant at which an input acts
         self.fits: dict[Hypothesis, Fit] = {}  # of rivals, kept for experiments that tell them apart
         if noise is not None:
@@ -123,9 +125,9 @@ class Search:
 
     # -- unknowns ----------------------------------------------------------------------------------------------------
 
-    def unknowns(self, hypothesis: Hypothesis, within: float = WITHIN) -> list[Unknown]:
-        """What a hypothesis leaves free. within: standard deviations that a parameter with a tolerance may go."""
-        found = []
+    def unknowns(self, hypothesis: Hypothesis, within: float | None = None) -> list[Unknown]:
+        """What a hypothesis leaves free. within: by default that of this search."""
+        found, within = [], within or self.within
         for symbol in self.toleranced:
             p = self.sheet[symbol]
             scale = abs(p.value) * p.tolerance / 2
@@ -277,10 +279,10 @@ class Search:
         columns: (windows, rows, n), from which the windows' shifts are eliminated. They are slopes, one for each
         strength, where `point` is empty; else one secant from no effect to the sizes `point`.
         """
-        add = None if self._points(effect) != [{}] else likelihood.model.added(effect, fit.values)
+        add = None if self.points(effect) != [{}] else likelihood.model.added(effect, fit.values)
         for shape in self._shapes(effect):
             values = {**fit.values, **effect.set, **shape}
-            for point in self._points(effect):
+            for point in self.points(effect):
                 if point:
                     moved = likelihood.errors({**values, **point}, fit.shifts)
                     columns = likelihood.rows(tame(moved - fit.errors), fit.temper)[:, :, None]
@@ -294,7 +296,8 @@ class Search:
                     columns = likelihood.slopes(unknowns, start, fit.shifts, fit.errors, fit.temper)
                 yield shape, point, likelihood.eliminate(columns, None, fit.basis)[0]
 
-    def _points(self, effect: Effect) -> list[dict[str, float]]:
+    def points(self, effect: Effect) -> list[dict[str, float]]:
+        """Sizes of an effect at which it is simulated, where its slope at no effect says too little; else {}."""
         guesses = {f.symbol: f.guess for f in effect.strengths if f.guess}
         if not guesses:
             if effect.frees:
@@ -325,7 +328,7 @@ class Search:
 
         Where it shows that inputs moved between the samples, no further fit takes their instants as exact.
         """
-        fit = self.led(likelihood.fit(self.unknowns(Hypothesis(), NEAR_SHEET), **ROUGHLY), **ROUGHLY)
+        fit = self.led(likelihood.fit(self.unknowns(Hypothesis(), TOLERANCE), **ROUGHLY), **ROUGHLY)
         return self.base(likelihood) if self.moved_between(fit) else fit
 
     def moved_between(self, fit: Fit) -> bool:

@@ -34,6 +34,7 @@ FAR = 0.3  # of the most promising gain: below that, no hypothesis is tried besi
 NEARLY = 0.95  # of the gain that another form of an effect promises, which its plain form must promise to come first
 APART = 12.0  # of cost: two hypotheses that differ by less are not told apart
 EXCHANGED, ROUNDS = 4, 3  # hypotheses that are fitted in the place of an effect; times that all are exchanged
+KEPT = 0.5  # of the gain that the scores promise, of which a fit that saves less may be in a local minimum
 PROMISING = 0.5  # of the gain that the scores promise of what is there, which they must promise of another
 OWN = 0.05  # of what can be explained: a second effect must explain that much where the fit is not complete,
 PART = 0.5  # of what can be explained: an effect that explains so much is named beside what is left
@@ -135,8 +136,16 @@ class Selection:
         return (rival, fit) if fit.cost + price < current.cost else (best, current)
 
     def done(self, best: Hypothesis, current: Fit) -> bool:
-        """Whether no further effect is looked for."""
-        return best.size > 0 and complete(current)
+        """Whether no further effect is looked for: what is left is of the noise's size.
+
+        Beside a single one a second is looked for nevertheless, if it promises evidence.
+        """
+        return best.size > 0 and complete(current) and (best.size > 1 or not self.promises(best, current))
+
+    def promises(self, best: Hypothesis, current: Fit) -> bool:
+        """Whether a further effect or parameter promises a gain that is evidence, were all that is left noise."""
+        promised = max((score.gain for score in self.search.scores(current.likelihood, current, best)), default=0.0)
+        return promised > EVIDENCE * inflation(current) * max(current.cost / current.likelihood.count, 1.0)
 
     def proposed(self, best: Hypothesis, current: Fit, start: Fit) -> Iterator[tuple[Hypothesis, Fit]]:
         """Fits with one effect or parameter more, the most likely first: here the best one, in its best form."""
@@ -216,20 +225,32 @@ class Selection:
                 rival = min(map(_cost, found), default=np.inf)
                 values = {**start.values, **score.values}
                 fit, allowed = self.fit(hypothesis, values, start.shifts, score.hypothesis, rival=rival)
-                if fit.cost > current.cost and score.gain > NEARLY * most:
-                    fit, allowed = self.restarted(hypothesis, score, start, fit)
+                if current.cost - fit.cost < KEPT * score.gain and score.gain > NEARLY * most:
+                    fit, allowed = self.restarted(hypothesis, score, start, fit, current.cost)
                 if allowed:
                     found.append((hypothesis, fit))
                     break
         return found
 
-    def restarted(self, hypothesis: Hypothesis, score: Score, start: Fit, worse: Fit) -> tuple[Fit, bool]:
-        """Fit again from no effect: `worse`, which costs more than a fit with less, has ended in a local minimum."""
+    def restarted(
+        self, hypothesis: Hypothesis, score: Score, start: Fit, worse: Fit, before: float
+    ) -> tuple[Fit, bool]:
+        """Fit again: `worse`, which saves less of the cost `before` than was promised, may be in a local minimum.
+
+        It begins at every size of the effect that was tried in a simulation, on the promised side; and, where `worse`
+        saves nothing, at no effect.
+        """
         effects = [self.search.effects[key] for key in score.hypothesis.effects]
         strengths = {f.symbol for effect in effects for f in effect.strengths}
         shapes = {s: v for s, v in score.values.items() if s not in strengths and not score.hypothesis.released}
-        again, _ = self.fit(hypothesis, {**start.values, **shapes}, start.shifts, score.hypothesis)
-        better = min(worse, again, key=lambda fit: fit.cost)
+        sizes = [point for effect in effects for point in self.search.points(effect) if alike(point, score.values)]
+        found = [worse]
+        for point in sizes:
+            values = {**start.values, **shapes, **point}
+            found.append(self.fit(hypothesis, values, None, score.hypothesis, rival=min(f.cost for f in found))[0])
+        if worse.cost > before:
+            found.append(self.fit(hypothesis, {**start.values, **shapes}, start.shifts, score.hypothesis)[0])
+        better = min(found, key=lambda fit: fit.cost)
         return better, possible(self.search, score.hypothesis, better)
 
     def reshape(self, best: Hypothesis, fit: Fit) -> tuple[Hypothesis, Fit]:
@@ -425,6 +446,11 @@ def complete(fit: Fit) -> bool:
 def floor(likelihood: Likelihood) -> float:
     """The cost of a complete fit."""
     return likelihood.count * FLOOR
+
+
+def alike(point: Mapping[str, float], promised: Mapping[str, float]) -> bool:
+    """Whether sizes that were tried, if any, have the signs of those that a fit promises."""
+    return bool(point) and all(v * promised.get(symbol, v) > 0 for symbol, v in point.items())
 
 
 def _cost(found: tuple[Hypothesis, Fit]) -> float:

@@ -201,11 +201,11 @@ def test_who_knows_everything_scores_everything_and_removes_all_that_can_be_remo
     scores = score(bench, oracle(bench, tmp_path / "oracle"))
     found = tables.figures(scores)
     wrong = ("errors", "wrong names", "surely wrong names", "cases with a surely wrong name", "clean rigs with a claim",
-             "corrections worse than calibrated")  # fmt: skip
+             "corrections worse than calibrated", "calibrations worse than the benchmark's")  # fmt: skip
     good = {name: share for name, share in shares(found).items() if name not in wrong}
     assert good == dict.fromkeys(good, 1.0)
     assert len(good) == 9
-    assert not any(shares(found)[name] for name in wrong)
+    assert not any(shares(found).get(name) for name in wrong)
     assert found["median removed"] > 1  # it even knows the noise
     assert {s.kind for s in scores} == set(KINDS)
 
@@ -219,6 +219,18 @@ def test_a_sure_name_on_a_clean_rig_is_a_wrong_name_and_shows_in_the_reliability
     assert shares(found)["clean rigs with a claim"] == 1
     (bin97,) = [b for b in tables.reliability(scores) if b["claims"]]
     assert (bin97["from"], bin97["claims"], bin97["right"]) == (0.95, 20, known)
+
+
+def test_who_adds_nothing_to_a_calibrated_simulation_corrects_nothing(bench, tmp_path):
+    made = oracle(bench, tmp_path / "quiet", claims=lambda truth: [], parameters=lambda truth: {})
+    for path in made.glob("*/answer.json"):
+        path.write_text(json.dumps({"schema": "concealed-answer/1", "verdict": "unexplained", "corrects": False}))
+    found = tables.figures(score(bench, made))
+    assert found["corrections worse than calibrated"]["of"] == 0
+    assert found["calibrations worse than the benchmark's"]["of"] == 20
+    path.write_text(json.dumps({"schema": "concealed-answer/1", "corrects": False, "claims": [{"name": "leak"}]}))
+    with pytest.raises(InputError, match="corrects: false, but leak is claimed"):
+        score(bench, made)
 
 
 def test_what_no_recording_tells_apart_is_no_wrong_name():

@@ -13,6 +13,7 @@ import pytest
 from greygate.errors import InputError
 from greygate.mismatch import concealed
 from greygate.mismatch.concealed.conceal import KINDS, RIGS, conceal, reveal
+from greygate.mismatch.concealed.domains.integrate import lagging
 from greygate.mismatch.concealed.rig import rms
 
 FILES = {"rig.toml", "identify.csv", "holdout.csv", "third.csv", "sealed.json", "sealed.json.sha256"}
@@ -247,3 +248,20 @@ def test_a_broken_seal_and_a_missing_diagnosis_are_refused(belt, tmp_path):
         reveal(belt, tmp_path / "none.json")
     with pytest.raises(InputError, match="effects None is not a list"):
         reveal(belt, diagnosis(belt, effects=None))
+
+
+@pytest.mark.parametrize("lag", [0.1, 1.0, 30.0])
+def test_a_lag_of_an_input_that_is_held_has_its_exact_means(lag):
+    signal = np.array([0.0, 1.0, 1.0, -0.5, -0.5, 2.0, 0.0])
+    found = lagging(np.concatenate([[0.0], signal]), 1.0, lag)[1:]
+    fine = np.repeat(signal, 20000)
+    at, slow = np.empty(len(fine)), 0.0
+    for k, x in enumerate(fine):
+        at[k] = slow + (x - slow) * (1 - lag * 20000 * (1 - np.exp(-1 / (lag * 20000))))
+        slow += (x - slow) * (1 - np.exp(-1 / (lag * 20000)))
+    assert found == pytest.approx(at.reshape(-1, 20000).mean(axis=1), abs=1e-9)
+
+
+def test_so_has_a_lag_of_what_is_straight_between_its_readings():
+    ramp = np.arange(400.0)
+    assert lagging(ramp, 1.0, 7.0)[-1] == pytest.approx(ramp[-1] - 7.0)

@@ -10,7 +10,7 @@ import pytest
 from greygate.mismatch import cores, rig, simulation
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.effects import Effect, Free
-from greygate.mismatch.fit import Fit, Likelihood, Unknown
+from greygate.mismatch.fit import Fit, Likelihood, Unknown, _inverse
 from greygate.mismatch.model import FILTERS, TIMING, Model, delayed, lagged
 from greygate.mismatch.noise import LONGEST, roughness, runs
 from greygate.mismatch.search import BETWEEN, EXACT, Hypothesis, Search, pair_gains
@@ -463,3 +463,12 @@ def test_slopes_are_the_same_on_one_core_and_on_several(folder, monkeypatch):
         fits.append(search.fit(search.final, Hypothesis(("spring",)), {}))
     assert fits[0].values == fits[1].values
     np.testing.assert_array_equal(fits[0].slopes, fits[1].slopes)
+
+
+def test_the_unit_of_one_unknown_decides_nothing_of_what_is_known_of_the_others():
+    information = np.array([[4.0, 1.0, 0.5], [1.0, 3.0, 0.2], [0.5, 0.2, 2.0]])
+    units = np.array([1.0, 1e-7, 1e14])
+    found = _inverse(information * np.outer(units, units)) * np.outer(units, units)
+    assert found == pytest.approx(np.linalg.inv(information), rel=1e-9)
+    information[2] = information[:, 2] = 0.0
+    assert _inverse(information)[2] == pytest.approx([0.0, 0.0, 0.0])

@@ -197,12 +197,52 @@ def test_a_fit_that_got_worse_is_begun_again_without_the_effect_but_in_its_shape
         return fit(700.0, size=0.5, period=2.0), True
 
     monkeypatch.setattr(chosen, "fit", fitted)
-    better, allowed = chosen.restarted(score.hypothesis, score, fit(1000.0, mass=1.0), fit(1200.0))
+    chosen.search.points = lambda _: [{}]
+    better, allowed = chosen.restarted(score.hypothesis, score, fit(1000.0, mass=1.0), fit(1200.0), 1000.0)
     assert begun == [{"mass": 1.0, "period": 2.0}]
     assert better.cost == 700.0
     assert allowed
-    kept, _ = chosen.restarted(score.hypothesis, score, fit(1000.0), fit(600.0, size=0.5, period=2.0))
+    kept, _ = chosen.restarted(score.hypothesis, score, fit(1000.0), fit(600.0, size=0.5, period=2.0), 1000.0)
     assert kept.cost == 600.0
+
+
+def test_a_fit_that_keeps_little_of_what_was_promised_is_begun_at_every_size_that_was_tried(chosen, monkeypatch):
+    chosen.search.effects = EFFECTS | {"late": Effect("late", "", (), (), (), (Free("by", 1.0),))}
+    chosen.search.points = lambda _: [{"by": by} for by in (-1.0, 1.0, 2.0)]
+    score = Score(Hypothesis(("late",)), 80.0, {"by": 0.8})
+    costs = {0.8: 990.0, 1.0: 940.0, 2.0: 820.0}
+    begun = []
+
+    def fitted(hypothesis, values, *_, **__):
+        begun.append(values["by"])
+        made = fit(costs[values["by"]], by=values["by"])
+        chosen.add(hypothesis, made)
+        return made, True
+
+    monkeypatch.setattr(chosen, "fit", fitted)
+    chosen.search.scores = lambda *_: [score]
+    ((_, better),) = chosen._added(NOTHING, chosen.plain, chosen.plain)
+    assert (begun, better.cost) == ([0.8, 1.0, 2.0], 820.0)
+    costs[0.8], begun[:] = 1000.0 - 0.6 * score.gain, []  # more than half of what was promised
+    chosen._added(NOTHING, chosen.plain, chosen.plain)
+    assert begun == [0.8]
+
+
+@pytest.mark.parametrize(
+    ("promised", "size", "over"), [(EVIDENCE + 1, 1, False), (EVIDENCE - 1, 1, True), (99.0, 2, True)]
+)
+def test_a_complete_fit_of_one_effect_ends_the_search_where_no_second_one_promises_evidence(
+    chosen, monkeypatch, promised, size, over
+):
+    monkeypatch.setattr(selection, "complete", lambda fit: True)
+    chosen.search.scores = lambda *_: [Score(SLIP, promised, {})]
+    current = fit(90.0)
+    current.likelihood = SimpleNamespace(count=100)
+    best = Hypothesis(("drift", "creep")[:size])
+    assert chosen.done(best, current) is over
+    assert not chosen.done(NOTHING, current)
+    current.cost = 200.0  # where what is left is more than noise, so is what chance promises
+    assert chosen.done(best, current)
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,11 @@
                 "recording_fault" | null,
      "claims": [{"name": ..., "confidence": 0 to 1 or null, "parameters": {NAME: {"value": ..., "ci95": [low, high]}}}],
      "where": [{"equation": ..., "depends_on": [...]}],
-     "parameters": {NAME: {"value": ..., "ci95": [low, high], "outside_tolerance": true}}}
+     "parameters": {NAME: {"value": ..., "ci95": [low, high], "outside_tolerance": true}},
+     "corrects": false where it predicts by the simulation as it calibrated it, with nothing added}
 
-Everything but `schema` may be absent: a method that gives no names claims nothing and is scored by its prediction.
+Everything but `schema` may be absent: a method that gives no names claims nothing and is scored by its prediction. By
+default it corrects, unless its verdict is `consistent`.
 """
 
 import json
@@ -22,6 +24,7 @@ SCHEMA = "concealed-answer/1"
 VERDICTS = (
     "consistent", "parameter_error", "missing_physics", "partly_explained", "unexplained", "recording_fault",
 )  # fmt: skip
+CONSISTENT = VERDICTS[0]
 FILE, PREDICTED, RUN = "answer.json", "predicted.csv", "run.json"
 ESTIMATE = {"value": number}
 FITTED = named(
@@ -35,6 +38,7 @@ ENTRIES = {
     "claims": listed(lambda v, w: table(v, w, CLAIM, MORE, others=True)),
     "where": listed(lambda v, w: table(v, w, PLACE, {"depends_on": listed(text)}, others=True)),
     "parameters": FITTED,
+    "corrects": truth,
 }
 
 
@@ -46,6 +50,7 @@ class Answer:
     claims: tuple[dict, ...] = ()
     where: tuple[dict, ...] = ()
     parameters: dict[str, dict] = field(default_factory=dict)
+    corrects: bool = True
 
     @property
     def names(self) -> list[str]:
@@ -66,6 +71,7 @@ class Answer:
             "claims": list(self.claims),
             "where": list(self.where),
             "parameters": self.parameters,
+            "corrects": self.corrects,
         }
         (folder / FILE).write_text(json.dumps(content, indent=1) + "\n")
 
@@ -78,9 +84,17 @@ def read(folder: Path) -> Answer:
     for place, values in _intervals(found):
         if len(values) != 2 or not values[0] <= values[1]:
             raise InputError(f"{path}: {place}: ci95 {values}; give [low, high]")
-    return Answer(
-        found.get("verdict"), tuple(found.get("claims", ())), tuple(found.get("where", ())), found.get("parameters", {})
+    answer = Answer(
+        found.get("verdict"),
+        tuple(found.get("claims", ())),
+        tuple(found.get("where", ())),
+        found.get("parameters", {}),
+        found.get("corrects", found.get("verdict") != CONSISTENT),
     )
+    released = [name for name, estimate in answer.parameters.items() if estimate.get("outside_tolerance")]
+    if not answer.corrects and (named := [*answer.names, *released]):
+        raise InputError(f"{path}: corrects: false, but {named[0]} is claimed; leave one of both out")
+    return answer
 
 
 def _intervals(found: dict):

@@ -31,8 +31,8 @@ class Score:
     claims: (name, confidence, whether it is concealed). first, all: whether the first claim, and every effect, is right
     and named. fault: whether the recording's fault was named. where: whether a right equation was named. removable:
     share of the calibrated simulation's error on the unseen recording that the truth removes. removed: the share of
-    this that the tool removes. worse: its largest error over the calibrated simulation's, in one channel. inside: for
-    each interval whether it holds the true value.
+    this that the tool removes. worse: its largest error over the calibrated simulation's, in one channel; corrects:
+    whether it adds anything to a calibrated simulation. inside: for each interval whether it holds the true value.
     """
 
     case: str
@@ -53,6 +53,7 @@ class Score:
     inside: tuple[bool, ...]
     seconds: float
     error: str
+    corrects: bool = True
 
     @property
     def wrong(self) -> list[tuple[str, float | None]]:
@@ -111,6 +112,7 @@ def _score(name: str, sealed: Path, given: Path) -> Score:
         inside=tuple(_inside(answer, truth)),
         seconds=ran["seconds"],
         error=ran["error"],
+        corrects=answer.corrects,
     )
 
 

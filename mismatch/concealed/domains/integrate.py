@@ -67,11 +67,15 @@ def acting(signal: np.ndarray, dt: float, ways: Ways) -> np.ndarray:
 
 
 def lagging(signal: np.ndarray, dt: float, lag: float) -> np.ndarray:
-    """`signal` through a first-order lag in s that begins at rest."""
+    """`signal` through a first-order lag in s that begins at rest.
+
+    It is exact both for the means of an input that is held, and for readings of what is straight between them.
+    """
     if not lag:
         return signal
     keep = np.exp(-dt / lag)
-    return lfilter([1 - keep], [1, -keep], signal, zi=[keep * signal[0]])[0]
+    rise = lag / dt * (1 - keep)
+    return lfilter([1 - rise, rise - keep], [1, -keep], signal, zi=[rise * signal[0]])[0]
 
 
 def sensor(name: str, unit: str, noise: float) -> Sensor:
