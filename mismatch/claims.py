@@ -151,7 +151,7 @@ def calibrated_to_the_run(search: Search, judge: Judge, fit: Fit) -> Fit:
 def held_to_tolerance(search: Search, claims: Claims) -> Claims:
     """`claims` beside something unexplained, which draws parameters: none is taken beyond its tolerance any more.
 
-    What then no longer passes the fourth gate is dropped.
+    Neither is it in what is fitted by this search from now on.
     """
     search.within = TOLERANCE
     plain, less = Hypothesis(), Hypothesis(claims.best.effects)

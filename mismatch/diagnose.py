@@ -29,7 +29,7 @@ from greygate.mismatch.noise import Noise, learnt
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.ruled_out import ruled_out
 from greygate.mismatch.search import WITHIN, Hypothesis, Search
-from greygate.mismatch.selection import EVIDENCE, PART, STRUCTURE, Selection, complete, inflation, structure
+from greygate.mismatch.selection import PART, STRUCTURE, Selection, complete, inflation, promised, structure
 from greygate.mismatch.several import by_rule, modelled
 from greygate.mismatch.verdict import Verdict
 from greygate.plants.expressions import names
@@ -190,6 +190,7 @@ def _explained(search: Search, progress: Progress) -> Diagnosis:
             costs, explained = {**short.costs, claims.best: current.cost}, short.explained(current)
             verdict, unlike = (verdict, unlike) if explained >= PART else (Verdict.UNEXPLAINED, "")
         best, corrected = claims.best, claims.fit
+        left = structure(corrected)
     if verdict == Verdict.PARTLY_EXPLAINED and _carries_not_over(search, claims):
         verdict, best, unlike = Verdict.UNEXPLAINED, Hypothesis(), ""
     unknown: dict = {}
@@ -231,8 +232,7 @@ def _unlike(search: Search, best: Hypothesis, more: Callable[[], bool]) -> str:
 
 def _pays(search: Search, best: Hypothesis, fit: Fit) -> bool:
     """Whether a further effect or parameter promises a gain that is evidence."""
-    promised = max((score.gain for score in search.scores(fit.likelihood, fit, best)), default=0.0)
-    return promised > EVIDENCE * inflation(fit)
+    return promised(search.scores(fit.likelihood, fit, best), fit) > 1.0
 
 
 def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
@@ -260,6 +260,8 @@ def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
             verdict = verdict if explained >= PART else Verdict.UNEXPLAINED
         best, fit = claims.best, claims.fit
         selection.fits.setdefault(best, fit)
+        if left == goes_on:
+            left = goes_on = _goes_on(fit) or left
     if verdict == Verdict.PARTLY_EXPLAINED and _carries_not_over(search, claims):
         verdict = Verdict.UNEXPLAINED
     if verdict == Verdict.UNEXPLAINED:
@@ -315,10 +317,8 @@ def _no_term(claims: Claims, unknown: dict, closed: Fit | None) -> str:
 def _carries_not_over(search: Search, claims: Claims) -> bool:
     """Whether what is claimed beside something unexplained is refused: learnt from one half, it spoils the other.
 
-    Or it no longer passes the gate of blocks.
+    Or, with its parameters held to their tolerances, it no longer passes the gate of blocks.
     """
-    if not claims.best.size:
-        return True
     judges = (Judge(claims.fit.likelihood, halves) for halves in (True, False))
     losses = next((found for judge in judges if (found := judge.losses(claims.calibrated, claims.fit))), [])
     if losses:

@@ -65,6 +65,7 @@ class Selection:
         self.best: dict[int, tuple[Hypothesis, Fit]] = {}
         self.unfitted: set[Hypothesis] = set()
         self.swapped: set[tuple[frozenset[str], frozenset[str]]] = set()
+        self._scored: tuple[Fit | None, Hypothesis, list[Score]] = None, Hypothesis(), []
 
     @cached_property
     def plain(self) -> Fit:
@@ -140,12 +141,18 @@ class Selection:
 
         Beside a single one a second is looked for nevertheless, if it promises evidence.
         """
-        return best.size > 0 and complete(current) and (best.size > 1 or not self.promises(best, current))
+        if best.size != 1 or not complete(current):
+            return best.size > 0 and complete(current)
+        louder = max(current.cost / self.likelihood.count, 1.0)  # if all that is left is noise, chance promises more
+        return promised(self.scored(current, best), current) <= louder
 
-    def promises(self, best: Hypothesis, current: Fit) -> bool:
-        """Whether a further effect or parameter promises a gain that is evidence, were all that is left noise."""
-        promised = max((score.gain for score in self.search.scores(current.likelihood, current, best)), default=0.0)
-        return promised > EVIDENCE * inflation(current) * max(current.cost / current.likelihood.count, 1.0)
+    def scored(self, fit: Fit, given: Hypothesis) -> list[Score]:
+        """What every candidate beside `given` promises at `fit`; once, where it is asked again."""
+        at, beside, scores = self._scored
+        if at is not fit or beside != given:
+            scores = self.search.scores(self.likelihood, fit, given)
+            self._scored = fit, given, scores
+        return scores
 
     def proposed(self, best: Hypothesis, current: Fit, start: Fit) -> Iterator[tuple[Hypothesis, Fit]]:
         """Fits with one effect or parameter more, the most likely first: here the best one, in its best form."""
@@ -212,7 +219,7 @@ class Selection:
 
     def _added(self, best: Hypothesis, current: Fit, start: Fit) -> list[tuple[Hypothesis, Fit]]:
         """`best` with each of the most promising hypotheses added."""
-        ranked = alternatives(self.search, self.search.scores(self.likelihood, start, best))
+        ranked = alternatives(self.search, self.scored(start, best))
         self.progress(f"scored {len(ranked)} hypotheses")
         ranked = [forms for forms in ranked if forms[0].gain > PROMISED][: LATER if best.size else FIRST]
         found: list[tuple[Hypothesis, Fit]] = []
@@ -441,6 +448,11 @@ def complete(fit: Fit) -> bool:
     """Whether a fit leaves nothing to explain: no slow errors, or few and no more error than the sensors make."""
     slow = max(structure(fit).values())
     return slow < STRUCTURE or (slow < 1.0 and fit.cost < fit.likelihood.count)
+
+
+def promised(scores: Iterable[Score], fit: Fit) -> float:
+    """The largest gain that scores promise beside `fit`, over that which is evidence there."""
+    return max((score.gain for score in scores), default=0.0) / (EVIDENCE * inflation(fit))
 
 
 def floor(likelihood: Likelihood) -> float:

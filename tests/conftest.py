@@ -11,6 +11,10 @@ from networks import delay_line
 
 from greygate import cli, schemas
 from greygate.compiler.quantize import Formats
+from greygate.mismatch import effects
+from greygate.mismatch.concealed.conceal import conceal
+from greygate.mismatch.rig import load
+from greygate.mismatch.search import Hypothesis, Search
 from greygate.project import compile_project
 from greygate.source import Source
 
@@ -81,3 +85,26 @@ def cluster():
 def cluster_tasks(cluster):
     """How many tasks the cluster has done, when it is called."""
     return lambda: sum(to == "memory" for _, _, to, *_ in cluster.scheduler.transition_log)
+
+
+def _drum(folder: Path, **drawn: str) -> Search:
+    """The search on a cable drum that conceals what is drawn."""
+    rig = load(conceal("cable_drum", 3, folder / "rig", **drawn))
+    recording = rig.to_explain()
+    return Search(rig, recording, effects.known(rig, recording))
+
+
+@pytest.fixture(scope="module")
+def slipping(tmp_path_factory):
+    """The search on a cable drum that slips more when it is fast, with its calibrated and its right fit."""
+    search = _drum(tmp_path_factory.mktemp("drum"), effect="speed_slip", kind="one")
+    plain = search.fit(search.final, Hypothesis(), {})
+    best = Hypothesis(("speed_slip",))
+    return search, plain, best, search.fit(search.final, best, plain.values)
+
+
+@pytest.fixture(scope="module")
+def steady(tmp_path_factory):
+    """The search on a cable drum as its data sheet has it, and its calibrated fit."""
+    search = _drum(tmp_path_factory.mktemp("drum"), kind="clean")
+    return search, search.fit(search.final, Hypothesis(), {})

@@ -31,29 +31,6 @@ from greygate.mismatch.verdict import Verdict
 from greygate.plants.recording import Recording
 from greygate.table import read_table
 
-
-@pytest.fixture(scope="module")
-def slipping(tmp_path_factory):
-    """The search on a cable drum that slips more when it is fast, with its calibrated and its right fit."""
-    folder = conceal("cable_drum", 3, tmp_path_factory.mktemp("drum") / "rig", effect="speed_slip", kind="one")
-    rig = load(folder)
-    recording = rig.recording(folder / "identify.csv")
-    search = Search(rig, recording, table.known(rig, recording))
-    plain = search.fit(search.final, Hypothesis(), {})
-    best = Hypothesis(("speed_slip",))
-    return search, plain, best, search.fit(search.final, best, plain.values)
-
-
-@pytest.fixture(scope="module")
-def steady(tmp_path_factory):
-    """The search on a cable drum as its data sheet has it, and its calibrated fit."""
-    folder = conceal("cable_drum", 3, tmp_path_factory.mktemp("drum") / "rig", kind="clean")
-    rig = load(folder)
-    recording = rig.recording(folder / "identify.csv")
-    search = Search(rig, recording, table.known(rig, recording))
-    return search, search.fit(search.final, Hypothesis(), {})
-
-
 # -- never worse -----------------------------------------------------------------------------------------------------
 
 
@@ -420,52 +397,6 @@ def test_what_radiates_is_never_surely_called_by_the_name_of_another_curve(tmp_p
     found = diagnose(load(folder)).as_dict()
     assert "jacket" in [w["equation"] for w in found["where"]]
     assert all(e["confidence"] < 0.95 for e in found["effects"])
-
-
-def test_where_something_is_unexplained_no_parameter_is_better_known_than_before(slipping):
-    search, plain, _, right = slipping
-    rest = Diagnosis(search.rig, Verdict.UNEXPLAINED, Hypothesis(), plain, plain, {}, {}, 0.0, search, {"where": []})
-    for symbol, p in rest.as_dict()["parameters"].items():
-        sheet, (low, high) = search.sheet[symbol], p["ci95"]
-        reach = sheet.tolerance * abs(sheet.value)
-        assert low <= sheet.value - reach < sheet.value + reach <= high
-    (symbol, *_) = rest.as_dict()["parameters"]
-    for verdict, sure in ((Verdict.PARTLY_EXPLAINED, False), (Verdict.PARAMETER_ERROR, True)):
-        outside = replace(rest, verdict=verdict, best=Hypothesis((), (symbol,))).as_dict()
-        assert ("outside_tolerance" in outside["parameters"][symbol]) is sure
-    exact = replace(rest, verdict=Verdict.CONSISTENT, corrected=right).as_dict()["parameters"]
-    assert any(p["ci95"][1] < rest.as_dict()["parameters"][s]["ci95"][1] for s, p in exact.items())
-
-
-def test_nor_is_a_parameter_that_is_drawn_as_far_as_it_may_go(steady):
-    search, plain = steady
-    kept = Diagnosis(search.rig, Verdict.CONSISTENT, Hypothesis(), plain, plain, {}, {}, 0.0, search)
-    exact = kept.as_dict()["parameters"]["creep"]["ci95"]
-    sheet = search.sheet["creep"]
-    reach = sheet.tolerance * abs(sheet.value)
-    assert not exact[0] <= sheet.value - reach < sheet.value + reach <= exact[1]
-    numbers = np.array([u.number(u.high if u.symbol == "creep" else plain.values[u.symbol]) for u in plain.unknowns])
-    low, high = replace(kept, corrected=replace(plain, numbers=numbers)).as_dict()["parameters"]["creep"]["ci95"]
-    assert low <= sheet.value - reach < sheet.value + reach <= high
-
-
-def test_beside_something_unexplained_parameters_stay_within_their_tolerance(slipping):
-    search, plain, best, right = slipping
-    search = copy.copy(search)
-    wide = Hypothesis(best.effects, ("creep",))
-    kept = claims.Claims(
-        wide, search.fit(search.final, wide, {**right.values, "creep": 5 * right.values["creep"]}), plain
-    )
-    found = claims.held_to_tolerance(search, kept)
-    assert found.best == best
-    sheet = search.sheet["creep"]
-    for fit in (found.fit, found.calibrated):
-        (creep,) = (u for u in fit.unknowns if u.symbol == "creep")
-        assert abs(fit.values["creep"] - sheet.value) <= sheet.tolerance * abs(sheet.value) * (1 + 1e-9)
-        assert [creep.low, creep.high] == pytest.approx([sheet.value * (1 + s * sheet.tolerance) for s in (-1, 1)])
-    nothing = claims.held_to_tolerance(search, claims.Claims(Hypothesis((), ("creep",)), plain, plain))
-    assert nothing.best == Hypothesis()
-    assert finding._carries_not_over(search, nothing)
 
 
 def test_the_same_effect_beside_another_parameter_is_no_rival_of_it(slipping):

@@ -237,7 +237,7 @@ def test_a_complete_fit_of_one_effect_ends_the_search_where_no_second_one_promis
     monkeypatch.setattr(selection, "complete", lambda fit: True)
     chosen.search.scores = lambda *_: [Score(SLIP, promised, {})]
     current = fit(90.0)
-    current.likelihood = SimpleNamespace(count=100)
+    chosen.likelihood = SimpleNamespace(count=100)
     best = Hypothesis(("drift", "creep")[:size])
     assert chosen.done(best, current) is over
     assert not chosen.done(NOTHING, current)

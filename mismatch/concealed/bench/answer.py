@@ -8,8 +8,7 @@
      "parameters": {NAME: {"value": ..., "ci95": [low, high], "outside_tolerance": true}},
      "corrects": false where it predicts by the simulation as it calibrated it, with nothing added}
 
-Everything but `schema` may be absent: a method that gives no names claims nothing and is scored by its prediction. By
-default it corrects, unless its verdict is `consistent`.
+Everything but `schema` may be absent: a method that gives no names claims nothing and is scored by its prediction.
 """
 
 import json
@@ -24,7 +23,6 @@ SCHEMA = "concealed-answer/1"
 VERDICTS = (
     "consistent", "parameter_error", "missing_physics", "partly_explained", "unexplained", "recording_fault",
 )  # fmt: skip
-CONSISTENT = VERDICTS[0]
 FILE, PREDICTED, RUN = "answer.json", "predicted.csv", "run.json"
 ESTIMATE = {"value": number}
 FITTED = named(
@@ -89,7 +87,7 @@ def read(folder: Path) -> Answer:
         tuple(found.get("claims", ())),
         tuple(found.get("where", ())),
         found.get("parameters", {}),
-        found.get("corrects", found.get("verdict") != CONSISTENT),
+        found.get("corrects", True),
     )
     released = [name for name, estimate in answer.parameters.items() if estimate.get("outside_tolerance")]
     if not answer.corrects and (named := [*answer.names, *released]):

@@ -44,7 +44,8 @@ def figures(scores: Sequence[Score], naming: bool = True) -> dict:
     one = [s for s in speaking if s.kind == "one"]
     foreign = [s for s in speaking if s.kind == "foreign"]
     removed = [s.removed for s in ran if s.removed is not None]
-    predicted = [s for s in ran if s.worse is not None]
+    predicted = [s for s in ran if s.worse is not None and s.verdict != "consistent"]
+    bare = [s for s in predicted if not s.corrects]
     typical = np.median(removed) if removed else np.nan
     return {
         "cases": len(scores),
@@ -64,10 +65,8 @@ def figures(scores: Sequence[Score], naming: bool = True) -> dict:
             foreign, lambda s: s.verdict in ("unexplained", "partly_explained") and s.where
         ),
         "inside 95 % intervals": _share([i for s in ran for i in s.inside], bool),
-        "corrections worse than calibrated": _share([s for s in predicted if s.corrects], lambda s: s.worse > WORSE),
-        "calibrations worse than the benchmark's": _share(
-            [s for s in predicted if not s.corrects], lambda s: s.worse > WORSE
-        ),
+        "corrections worse than calibrated": _share(predicted, lambda s: s.worse > WORSE),
+        "of these, with nothing added": _share(bare, lambda s: s.worse > WORSE),
         "median removed": float(typical) if np.isfinite(typical) else None,
         "median seconds": float(np.median([s.seconds for s in ran])) if ran else None,
         "worst seconds": max((s.seconds for s in scores), default=None),

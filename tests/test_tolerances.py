@@ -1,0 +1,54 @@
+"""Parameters beside something unexplained: it draws them, so they stay within their tolerances and are no surer."""
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from greygate.mismatch.claims import Claims, held_to_tolerance
+from greygate.mismatch.diagnosis import Diagnosis
+from greygate.mismatch.search import Hypothesis
+from greygate.mismatch.verdict import Verdict
+
+
+def test_where_something_is_unexplained_no_parameter_is_better_known_than_before(slipping):
+    search, plain, _, right = slipping
+    rest = Diagnosis(search.rig, Verdict.UNEXPLAINED, Hypothesis(), plain, plain, {}, {}, 0.0, search, {"where": []})
+    for symbol, p in rest.as_dict()["parameters"].items():
+        sheet, (low, high) = search.sheet[symbol], p["ci95"]
+        reach = sheet.tolerance * abs(sheet.value)
+        assert low <= sheet.value - reach < sheet.value + reach <= high
+    (symbol, *_) = rest.as_dict()["parameters"]
+    for verdict, sure in ((Verdict.PARTLY_EXPLAINED, False), (Verdict.PARAMETER_ERROR, True)):
+        outside = replace(rest, verdict=verdict, best=Hypothesis((), (symbol,))).as_dict()
+        assert ("outside_tolerance" in outside["parameters"][symbol]) is sure
+    exact = replace(rest, verdict=Verdict.CONSISTENT, corrected=right).as_dict()["parameters"]
+    assert any(p["ci95"][1] < rest.as_dict()["parameters"][s]["ci95"][1] for s, p in exact.items())
+
+
+def test_nor_is_a_parameter_that_is_drawn_as_far_as_it_may_go(steady):
+    search, plain = steady
+    kept = Diagnosis(search.rig, Verdict.CONSISTENT, Hypothesis(), plain, plain, {}, {}, 0.0, search)
+    exact = kept.as_dict()["parameters"]["creep"]["ci95"]
+    sheet = search.sheet["creep"]
+    reach = sheet.tolerance * abs(sheet.value)
+    assert not exact[0] <= sheet.value - reach < sheet.value + reach <= exact[1]
+    numbers = np.array([u.number(u.high if u.symbol == "creep" else plain.values[u.symbol]) for u in plain.unknowns])
+    low, high = replace(kept, corrected=replace(plain, numbers=numbers)).as_dict()["parameters"]["creep"]["ci95"]
+    assert low <= sheet.value - reach < sheet.value + reach <= high
+
+
+def test_beside_something_unexplained_parameters_stay_within_their_tolerance(slipping):
+    search, plain, best, right = slipping
+    search = copy.copy(search)
+    wide = Hypothesis(best.effects, ("creep",))
+    kept = Claims(wide, search.fit(search.final, wide, {**right.values, "creep": 5 * right.values["creep"]}), plain)
+    found = held_to_tolerance(search, kept)
+    assert found.best == best
+    sheet = search.sheet["creep"]
+    for fit in (found.fit, found.calibrated):
+        (creep,) = (u for u in fit.unknowns if u.symbol == "creep")
+        assert abs(fit.values["creep"] - sheet.value) <= sheet.tolerance * abs(sheet.value) * (1 + 1e-9)
+        assert [creep.low, creep.high] == pytest.approx([sheet.value * (1 + s * sheet.tolerance) for s in (-1, 1)])
+    assert held_to_tolerance(search, Claims(Hypothesis((), ("creep",)), plain, plain)).best == Hypothesis()
