@@ -232,6 +232,17 @@ def test_who_adds_nothing_to_a_calibrated_simulation_corrects_nothing(bench, tmp
         score(bench, made)
 
 
+@pytest.mark.parametrize(
+    ("effects", "outside", "corrects"),
+    [([], {}, False), ([], {"outside_tolerance": True}, True), ([{"id": "unknown"}], {}, True)],
+    ids=["nothing", "a parameter", "a term without a name"],
+)
+def test_our_own_answer_says_whether_it_adds_anything(effects, outside, corrects):
+    parameters = {"viscous": {"value": 1.0, "ci95": [0.9, 1.1], **outside}}
+    found = our_answer({"verdict": None, "effects": effects, "where": [], "parameters": parameters})
+    assert found["corrects"] is corrects
+
+
 def test_what_no_recording_tells_apart_is_no_wrong_name():
     """A constant torque and an offset of the voltage that makes a torque are one on the motor, and not on the car."""
     assert right("motor", "input_offset", "constant_load")

@@ -27,6 +27,7 @@ from greygate.mismatch.model import Model
 from greygate.mismatch.rig import load
 from greygate.mismatch.ruled_out import ruled_out
 from greygate.mismatch.search import Hypothesis, Search
+from greygate.mismatch.selection import structure
 from greygate.mismatch.verdict import Verdict
 from greygate.plants.recording import Recording
 from greygate.table import read_table
@@ -394,9 +395,11 @@ def test_a_leak_to_a_room_that_is_warm_is_one_leak(tmp_path):
 
 def test_what_radiates_is_never_surely_called_by_the_name_of_another_curve(tmp_path):
     folder = conceal("thermal", 500085, tmp_path / "rig", kind="foreign", effect="radiation", under="quieter")
-    found = diagnose(load(folder)).as_dict()
+    diagnosis = diagnose(load(folder))
+    found = diagnosis.as_dict()
     assert "jacket" in [w["equation"] for w in found["where"]]
     assert all(e["confidence"] < 0.95 for e in found["effects"])
+    assert diagnosis.structure == structure(diagnosis.corrected)  # of the fit that is reported
 
 
 def test_the_same_effect_beside_another_parameter_is_no_rival_of_it(slipping):

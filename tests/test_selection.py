@@ -228,6 +228,14 @@ def test_a_fit_that_keeps_little_of_what_was_promised_is_begun_at_every_size_tha
     assert begun == [0.8]
 
 
+def test_scores_are_taken_once_for_a_fit_and_what_is_beside_it(chosen):
+    asked = []
+    chosen.likelihood, chosen.search.scores = "short", lambda *given: [asked.append(given)]
+    for given in (NOTHING, NOTHING, SLIP, SLIP):
+        chosen.scored(chosen.plain, given)
+    assert asked == [("short", chosen.plain, NOTHING), ("short", chosen.plain, SLIP)]
+
+
 @pytest.mark.parametrize(
     ("promised", "size", "over"), [(EVIDENCE + 1, 1, False), (EVIDENCE - 1, 1, True), (99.0, 2, True)]
 )
