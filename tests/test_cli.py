@@ -309,6 +309,11 @@ def test_a_scenario_that_does_not_exist_is_named(built):
     assert "no scenario 'v9'; there are train" in error
 
 
+def heeding():
+    """Heed Ctrl-C in a child: those of a job in the background ignore it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.parametrize(
     ("number", "code", "said"),
     [(signal.SIGINT, 130, b"greygate: interrupted\n"), (signal.SIGTERM, 143, b"")],
@@ -319,7 +324,7 @@ def test_an_interrupted_compilation_leaves_nothing_behind(tmp_path, number, code
         cwd=tmp_path,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a background job's children ignore it
+        preexec_fn=heeding,
     )
     until = time.monotonic() + 60
     while not os.listdir(tmp_path) and time.monotonic() < until:  # it is at work once its folder stands
@@ -337,7 +342,7 @@ def test_ctrl_c_while_it_starts_is_one_line_too(second):
         [sys.executable, "-c", "import greygate.__main__ as m; print(flush=True); m.run()", "doctor"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        preexec_fn=heeding,
     )
     process.stdout.readline()
     time.sleep(second)
@@ -365,7 +370,8 @@ doctor.tools = at_work
 sys.argv = ["greygate", "doctor"]
 cli.run()
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, preexec_fn=heeding)
     assert (done.returncode, done.stdout) == (code, "tidied\n")
     assert done.stderr == ("greygate: interrupted\n" if number == "SIGINT" else "")
 
