@@ -212,7 +212,8 @@ class Selection:
                 continue
             tried += 1
             self.swapped.add(names)
-            fit, allowed = self.fit(hypothesis, {**without.values, **score.values}, without.shifts, score.hypothesis)
+            values = {**without.values, **score.values}
+            fit, allowed = self.fit(hypothesis, values, without.shifts, score.hypothesis, rival=current.cost)
             if allowed:
                 found.append((hypothesis, fit))
         return found

@@ -138,6 +138,14 @@ class Expression:
         """The expression on one line, with only the brackets that it needs."""
         return _written(self.tree, _TEST, False)
 
+    @property
+    def condition(self) -> "Expression | None":
+        """The condition under which it is not 0, where it is a `when` as a whole."""
+        match self.tree:
+            case Call("when", (condition, _)):
+                return parse(_written(condition, _TEST, False))
+        return None
+
     def source(self) -> str:
         """The expression in Python for numba; the x of `when(c, x)` is computed only where c is not 0."""
         return _written(self.tree, _TEST, True)

@@ -8,6 +8,7 @@ compile again.
 
 import types
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -28,6 +29,7 @@ _STAGES = (
     ("19372/6561", "-25360/2187", "64448/6561", "-212/729"),
     ("9017/3168", "-355/33", "46732/5247", "49/176", "-5103/18656"),
 )
+BLOCK = 8  # terms that may be off, to ask for at once: of a hundred a dozen, and eight in the block of one that is on
 _SOLUTION = ("35/384", "0", "500/1113", "125/192", "-2187/6784", "11/84")
 
 
@@ -200,26 +202,63 @@ def _inputs(plant: Plant, inputs: Mapping[str, np.ndarray], samples: int | None)
 def source(plant: Plant) -> str:
     """Python source of `derivative` and `run` for `plant`; it depends on names and expressions, not on values.
 
-    It is written only from checked names and trees of checked expressions, because `Plant` refuses others.
+    Only which terms are off, `when(p, ...)` with p of 0, it takes from the values: `bare` does without these, and runs
+    while they stay off. It is written only from checked names and trees of checked expressions, because `Plant` refuses
+    others.
     """
     lines = ["import numpy as np", "from numba import njit", ""]
     lines += ["jit = njit(cache=True, error_model='numpy', nogil=True)", ""]
     for name in FUNCTIONS:
         if name != "when":  # `when` is written out in place
             lines += ["@jit", text(name)]
-    lines += ["@jit", "def derivative(_x, _u, _p, _dx):"]
-    for array, symbols in (("_p", plant.parameters), ("_u", plant.inputs), ("_x", plant.states)):
-        lines += [f"    {symbol} = {array}[{i}]" for i, symbol in enumerate(symbols)]
+    blocks: list[str] = []
+    full = _derivative("derivative", plant, blocks)
+    bare = _derivative("bare", _bare(plant), []) if blocks else ["bare = derivative", ""]
+    asked = [f"    _on[{i}] = {condition}" for i, condition in enumerate(blocks)]
+    lines += ["@jit", "def asked(_p):", *_taken("_p", plant.parameters), f"    _on = np.empty({len(blocks)}, np.bool_)"]
+    lines += [*asked, "    return _on", "", *full, *bare]
+    return "\n".join(lines) + _RUN
+
+
+def _taken(array: str, symbols: Iterable[str]) -> list[str]:
+    return [f"    {symbol} = {array}[{i}]" for i, symbol in enumerate(symbols)]
+
+
+def _derivative(name: str, plant: Plant, blocks: list[str]) -> list[str]:
+    """Lines of a function that computes the states' rates. blocks: to which the condition of each block is added."""
+    lines = ["@jit", f"def {name}(_x, _u, _p, _on, _dx):", *_taken("_p", plant.parameters)]
+    lines += [*_taken("_u", plant.inputs), *_taken("_x", plant.states)]
     used = names(t for equation in plant.equations.values() for t in equation.texts)
-    lines += [f"    {d.symbol} = {_sum(d)}" for d in plant.needed(used)]
+    for definition in plant.needed(used):
+        lines += _summed(definition.symbol, definition, plant, blocks)
     states = list(plant.states)
     for group in coupled(plant):
+        for i, equation in enumerate(group):
+            lines += _summed(f"_b{i}", equation, plant, blocks)
         if len(group) > 1:
             lines += _solved(group, states)
             continue
         storage = parse(group[0].storage).source()
-        lines.append(f"    _dx[{states.index(group[0].state)}] = ({_sum(group[0])}) / ({storage})")
-    return "\n".join(lines) + _RUN
+        lines.append(f"    _dx[{states.index(group[0].state)}] = _b0 / ({storage})")
+    return [*lines, ""]
+
+
+def _off(plant: Plant, term: str) -> str | None:
+    """The source of what turns a term on, if the plant's own parameters say that it is off."""
+    condition = parse(term).condition
+    if condition is None or not plant.parameters.keys() >= {*condition.names} or plant.constant(str(condition)):
+        return None
+    return condition.source()
+
+
+def _bare(plant: Plant) -> Plant:
+    """The plant without the terms that are off: those of a hundred effects take time, though none acts."""
+
+    def bare(place):
+        return replace(place, terms={name: term for name, term in place.terms.items() if _off(plant, term) is None})
+
+    definitions = {name: bare(place) for name, place in plant.definitions.items()}
+    return replace(plant, definitions=definitions, equations={n: bare(e) for n, e in plant.equations.items()})
 
 
 def coupled(plant: Plant) -> list[list[Equation]]:
@@ -235,7 +274,7 @@ def coupled(plant: Plant) -> list[list[Equation]]:
 def _solved(group: list[Equation], states: list[str]) -> list[str]:
     """Lines that solve the mass matrix of coupled equations for their rates, by elimination without pivots."""
     n = len(group)
-    lines = [f"    _b{i} = {_sum(e)}" for i, e in enumerate(group)]
+    lines: list[str] = []
     for i, e in enumerate(group):
         rates = {e.state: e.storage, **e.couples}
         lines += [f"    _m{i}_{j} = {parse(rates.get(o.state, '0')).source()}" for j, o in enumerate(group)]
@@ -250,8 +289,16 @@ def _solved(group: list[Equation], states: list[str]) -> list[str]:
     return lines
 
 
-def _sum(place: Equation | Definition) -> str:
-    return " + ".join(f"({parse(expression).source()})" for expression in place.terms.values()) or "0.0"
+def _summed(name: str, place: Equation | Definition, plant: Plant, blocks: list[str]) -> list[str]:
+    """Lines that set `name` to the sum of the terms; those that are off stand behind, in blocks."""
+    switched = [(parse(t).source(), c) for t in place.terms.values() if (c := _off(plant, t)) is not None]
+    always = (f"({parse(t).source()})" for t in place.terms.values() if _off(plant, t) is None)
+    lines = [f"    {name} = {' + '.join(always) or '0.0'}"]
+    for first in range(0, len(switched), BLOCK):
+        block = switched[first : first + BLOCK]
+        lines += [f"    if _on[{len(blocks)}]:", *(f"        {name} += {term}" for term, _ in block)]
+        blocks.append(" or ".join(f"({condition}) != 0.0" for _, condition in block))
+    return lines
 
 
 def weights() -> list[list[str]]:
@@ -285,6 +332,10 @@ def run(x, inputs, parameters, low, high, rate, h, substeps, out):
     k = np.empty((6, n))
     y = np.empty(n)
     bounded = np.empty(n, np.int64)
+    on = asked(parameters)
+    acting = False
+    for block in on:
+        acting |= block
     count = 0
     for j in range(n):
         out[0, j] = x[j]
@@ -300,7 +351,10 @@ def run(x, inputs, parameters, low, high, rate, h, substeps, out):
                     for i in range(stage):
                         move += WEIGHTS[stage, i] * k[i, j]
                     y[j] = x[j] + h * move
-                derivative(y, inputs[sample], parameters, k[stage])
+                if acting:
+                    derivative(y, inputs[sample], parameters, on, k[stage])
+                else:
+                    bare(y, inputs[sample], parameters, on, k[stage])
                 hold(y, k[stage], low, high, rate, bounded)
             for j in range(n):
                 move = 0.0

@@ -252,6 +252,28 @@ def test_a_run_ends_at_the_sample_at_which_a_state_leaves_the_finite_numbers():
     np.testing.assert_array_equal(states[:, 0], [0, 0, 0, 0, *[np.nan] * 4])
 
 
+def test_terms_that_are_off_cost_nothing_and_count_when_they_come_on():
+    """Nine terms, one more than a block holds; each alone adds what a plant has that always has it."""
+    terms = {f"on_{i}": f"when(abs(on_{i}), on_{i} * x**{i})" for i in range(9)}
+    parameters = {f"on_{i}": Parameter(0.0, "N") for i in range(9)}
+    plant = oscillator()
+    many = plant
+    for i, (name, text) in enumerate(terms.items()):
+        many = many.with_term("motion", name, text, {name: parameters[f"on_{i}"]})
+    module, force = _module(source(many)), {"force": np.ones(20)}
+    assert not module.asked(np.array([p.value for p in many.parameters.values()])).any()
+    np.testing.assert_array_equal(simulate(many, force)["x"], simulate(plant, force)["x"])
+    values = {symbol: p.value for symbol, p in many.parameters.items()}
+    run = Restarted(many, 1e-3, 1e-4).run
+    inputs, restarts, starts, reset = np.ones((20, 1)), np.array([0]), np.array([[0.1, 0.0]]), np.ones(2, bool)
+    for i in range(9):
+        found = run(inputs, restarts, starts, reset, {**values, f"on_{i}": 0.5})
+        alone = plant.with_term("motion", "one", f"0.5 * x**{i}")
+        np.testing.assert_array_equal(found[:, 0], simulate(alone, force)["x"])
+        on = module.asked(np.array([*({**values, f"on_{i}": 0.5}).values()]))
+        np.testing.assert_array_equal(on, [i < 8, i == 8])
+
+
 def test_a_comment_or_a_line_break_in_an_expression_changes_nothing():
     plant = oscillator(**motion(drive="(force\n  - 50 * x)  # newtons"))
     run = simulate(plant, {"force": np.ones(10)})
