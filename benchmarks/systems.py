@@ -3,6 +3,7 @@
     identified   trained: training MSE and free-run RMSE
     neurons      pruned by the loop of figure 3.7, as in the thesis and with regression onto the other neurons
     guarded      B2 pruned by that loop, each removal checked on held-out records in free run
+    penalised    trained with a group lasso, or a decay, that empties neurons: these are removed
     weights      B2 pruned by optimal brain surgeon
 
 A seed is the whole procedure, its starts chosen on held-out records (machines/benchmark_systems/study.py). Every seed
@@ -25,6 +26,7 @@ from greygate.machines.benchmark_systems.study import (
     identify,
     prune_guarded,
     prune_neurons,
+    prune_penalised,
     prune_weights,
 )
 from greygate.models.network import Network
@@ -57,11 +59,27 @@ def _both_ways(loop: Callable, system: System, seed: int, network: Network) -> d
     return out
 
 
+def penalised(system: System, seed: int, network: Network, found: dict) -> dict:
+    out = {}
+    for name, grouped in (("group lasso", True), ("decay", False)):
+        began = process_time()
+        smaller, strength = prune_penalised(system, seed, network, grouped)
+        row = figures(system, smaller, seed) | {"strength": strength, "cpu_seconds": round(process_time() - began, 1)}
+        out[f"{system.name} {name}"] = row
+    return out
+
+
 def weights(system: System, seed: int, network: Network, found: dict) -> dict:
     return {system.name: figures(system, prune_weights(system, seed, network, 1.0)[0], seed)}
 
 
-PARTS = {identified: tuple(SYSTEMS), neurons: ("b1_30", "b2"), guarded: ("b2",), weights: ("b2",)}
+PARTS = {
+    identified: tuple(SYSTEMS),
+    neurons: ("b1_30", "b2"),
+    guarded: ("b2",),
+    penalised: ("b1_30", "b2"),
+    weights: ("b2",),
+}
 
 
 def one(part: str, name: str, seed: int) -> dict:

@@ -1,4 +1,6 @@
-"""Training times of the thesis's networks beside the thesis's, as the table of docs/training_times.md.
+"""Training times of the thesis's networks beside the thesis's: `python benchmarks/training_times.py`.
+
+Writes results/training_times.json, from which `make pages` makes the table of docs/training_times.md.
 
 Networks of the thesis's sizes, epochs and samples; where a plant is still to come (chapter 7) the record is a stand-in
 of the same length, so that only the time says something. CPU seconds of both threads together; wall time beside it.
@@ -8,6 +10,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from made import keep
 
 from greygate.machines.asymmetric_cylinder import study as second
 from greygate.machines.benchmark_systems.plant import b1, b1_input, b2, b2_input
@@ -21,14 +24,23 @@ from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
 from greygate.plants.excitation import prms
 
+ROWS: list[dict[str, str]] = []  # of the table, in its order
+
+
+def row(what: str, thesis: str, reached: str, epochs: int | None = None, cpu: float | None = None, wall=None) -> None:
+    """Keep one row, and print it. cpu, wall: s, None where it was not timed."""
+    times = {name: "" if value is None else f"{value:.1f} s" for name, value in (("cpu", cpu), ("wall", wall))}
+    found = {"network": what, "thesis": thesis, **times, "epochs": "" if epochs is None else str(epochs)}
+    ROWS.append({**found, "reached": reached})
+    print(" | ".join(ROWS[-1].values()), flush=True)
+
 
 def timed(what: str, thesis: str, work: Callable[[], Trained], figure: Callable[[Trained], str]) -> Trained:
-    """Print one row: ours in CPU and wall seconds, the epochs that were used, the error that was reached."""
+    """Keep a row: ours in CPU and wall seconds, the epochs that were used, the error that was reached."""
     wall, cpu = time.perf_counter(), time.process_time()
     fit = work()
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    row = (what, thesis, f"{cpu:.1f} s", f"{wall:.1f} s", str(len(fit.history) - 1), figure(fit))
-    print(f"| {' | '.join(row)} |", flush=True)
+    row(what, thesis, figure(fit), len(fit.history) - 1, cpu, wall)
     return fit
 
 
@@ -75,9 +87,9 @@ def first_machine() -> None:
     """Tables 5.3 and 5.4."""
     figures = first.train_srnn()[1]
     seconds, (a, b) = figures["seconds"], figures["trained"]["training"]
-    print(f"| flow network | < 7 min | | {seconds['flow']:.1f} s | | {figures['flow_rms']:.3g} of Q_max |")
+    row("flow network", "< 7 min", f"{figures['flow_rms']:.3g} of Q_max", wall=seconds["flow"])
     reached = f"training {a:.3g} / {b:.3g} bar"
-    print(f"| SRNN, 10,001 samples | 85 min, 0.190 / 0.598 bar | | {seconds['srnn']:.1f} s | | {reached} |", flush=True)
+    row("SRNN, 10,001 samples", "85 min, 0.190 / 0.598 bar", reached, wall=seconds["srnn"])
 
 
 def second_machine() -> None:
@@ -86,7 +98,7 @@ def second_machine() -> None:
     start = adopt(second.assemble(), second.first_machine(), second.ADOPTED)
     starts = [("adopted weights", start, "835 min, 1.232 / 1.720 bar")]
     starts += [(f"random weights, seed {seed}", second.assemble(seed), '"totally fail"') for seed in range(3)]
-    print(f"| adopted weights, before | 18.980 / 22.064 bar | | | 0 | {bars(start, records)} |")
+    row("adopted weights, before", "18.980 / 22.064 bar", bars(start, records), 0)
     for label, network, thesis in starts:
         timed(
             f"{label}, 50,001 samples",
@@ -97,6 +109,6 @@ def second_machine() -> None:
 
 
 if __name__ == "__main__":
-    print("| network | thesis | CPU | wall | epochs | reached |\n| --- | --- | --- | --- | --- | --- |")
     for study in (regressions, slip, first_machine, second_machine):
         study()
+    keep("training_times", "all", {"rows": ROWS})

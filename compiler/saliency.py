@@ -31,6 +31,10 @@ RIDGES = (
     1e-2,
 )  # of the Hessian, times its mean diagonal; with a small one a step goes too far where the loss is no quadratic
 
+POPULATION, GENERATIONS = 16, 10  # of sets of weights that compete
+MUTATED = 0.05  # share of what both parents remove that a child gives back
+NEAR = 3  # times the weights to remove: among so many of the least saliency others are drawn
+
 
 def nonzero(network: Network) -> dict[str, np.ndarray]:
     """{parameter: bool array}, for `train(..., free=...)`: pruned weights, which are zero, stay zero."""
@@ -218,7 +222,58 @@ def smallest_variance(e: Expansion, count: int) -> Removal:
     return Removal(e.weights[removed], np.array(saliency), theta)
 
 
-METHODS: dict[str, Method] = {m.__name__: m for m in (magnitude, obd, obs, multi_obs, unit_obs, smallest_variance)}
+def perturbation(e: Expansion, count: int) -> Removal:
+    """Set each weight to zero in turn, run the network over the records, and remove those that raise the error least.
+
+    Nothing is expanded: it sees what a weight does as a whole, though not what two do together.
+    """
+    return _least(e, np.array([_rise(e, [j]) for j in range(len(e.weights))]), count)
+
+
+def evolution(e: Expansion, count: int) -> Removal:
+    """Sets of weights compete by the error of a run without them (Siebel, Boetel, Sommer 2009), from those of `obd`.
+
+    A child keeps what both parents remove, draws the rest from what either does, and exchanges a few for weights of
+    little saliency. The draws are the same on every run.
+    """
+    rng, order = np.random.default_rng(0), obd(e, len(e.weights)).weights
+    count = min(count, len(order))
+    ranked = np.searchsorted(e.weights, order)  # positions in e.weights, the least saliency first
+    near = ranked[: NEAR * count]
+
+    def drawn(sure: np.ndarray, among: np.ndarray) -> tuple[float, np.ndarray]:
+        rest = np.setdiff1d(among, sure)
+        chosen = np.union1d(sure, rng.choice(rest, min(count - len(sure), len(rest)), replace=False))
+        return _rise(e, chosen), chosen
+
+    nobody = np.zeros(0, int)
+    sets = [drawn(ranked[:count], nobody), *(drawn(nobody, near) for _ in range(POPULATION - 1))]
+    for _ in range(GENERATIONS if count < len(order) else 0):
+        for _ in range(POPULATION):
+            one, other = (sets[i][1] for i in rng.choice(len(sets), 2, replace=False))
+            both = np.intersect1d(one, other)
+            sure = both[rng.random(len(both)) >= MUTATED]
+            either = np.concatenate([np.union1d(one, other), rng.choice(near, max(count // POPULATION, 1))])
+            sets.append(drawn(sure, either))
+        sets = sorted(sets, key=lambda found: found[0])[:POPULATION]
+    rise, chosen = min(sets, key=lambda found: found[0])
+    theta = e.theta.copy()
+    theta[e.weights[chosen]] = 0.0
+    return Removal(e.weights[chosen], np.full(len(chosen), rise), theta)
+
+
+def _rise(e: Expansion, chosen: Sequence[int] | np.ndarray) -> float:
+    """By how much half the sum of squared errors rises without the weights `chosen`; inf where the run diverges."""
+    theta = e.theta.copy()
+    theta[e.weights[chosen]] = 0.0
+    return (e.objective.squares(theta) - e.objective.squares(e.theta)) / 2
+
+
+METHODS: dict[str, Method] = {
+    method.__name__: method
+    for method in (magnitude, obd, obs, multi_obs, unit_obs, smallest_variance, perturbation, evolution)
+}
+CORRECTING = obs, multi_obs, unit_obs  # methods that move the other weights, by the Hessian with its ridge
 
 
 def _least(e: Expansion, saliency: np.ndarray, count: int) -> Removal:
@@ -379,7 +434,7 @@ def saliency_pruning(
 
 def _safest(e: Expansion, method: Method, count: int) -> Removal:
     """The removal with the ridge that leaves the least error."""
-    removals = [method(replace(e, ridge=ridge), count) for ridge in RIDGES]
+    removals = [method(replace(e, ridge=ridge), count) for ridge in (RIDGES if method in CORRECTING else RIDGES[:1])]
     return min(removals, key=lambda r: e.objective.squares(r.theta))
 
 

@@ -48,7 +48,9 @@ def corrected(
     rig = rig.of(name)
     diagnosis = None if diagnosis is None else check(diagnosis)
     every = effect_table.named(rig, recording, asked(diagnosis)) if effects is None else effects
-    known = fitting(rig.plant, rig.datasheet, every)
+    ids = {entry["id"] for entry in diagnosis["effects"]} if diagnosis else set()
+    # others would only have to be compiled
+    known = {key: effect for key, effect in fitting(rig.plant, rig.datasheet, every).items() if effect.id in ids}
     values: dict[str, float] = {}
     if diagnosis is not None:
         if diagnosis["plant"] != rig.plant.name:

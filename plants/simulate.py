@@ -246,9 +246,10 @@ def _derivative(name: str, plant: Plant, blocks: list[str]) -> list[str]:
 def _off(plant: Plant, term: str) -> str | None:
     """The source of what turns a term on, if the plant's own parameters say that it is off."""
     condition = parse(term).condition
-    if condition is None or not plant.parameters.keys() >= {*condition.names} or plant.constant(str(condition)):
+    if condition is None or not plant.parameters.keys() >= {*condition.names}:
         return None
-    return condition.source()
+    on = condition.over({symbol: plant.parameters[symbol].value for symbol in condition.names})
+    return None if on != 0.0 else condition.source()
 
 
 def _bare(plant: Plant) -> Plant:

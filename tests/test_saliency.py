@@ -8,11 +8,13 @@ from greygate.compiler.pipeline import compile_network
 from greygate.compiler.saliency import (
     METHODS,
     Expansion,
+    evolution,
     magnitude,
     multi_obs,
     nonzero,
     obd,
     obs,
+    perturbation,
     prune_by_saliency,
     saliency_pruning,
     smallest_variance,
@@ -115,6 +117,33 @@ def test_the_saliency_of_obd_is_the_rise_of_the_error_without_correction(decay):
         theta = e.theta.copy()
         theta[weight] = 0.0
         np.testing.assert_allclose(saliency, e.objective.squares(theta) / 2 - loss, rtol=1e-9)
+
+
+def test_perturbation_measures_what_obd_foretells_of_a_linear_network():
+    network, record = linear()
+    e, _ = expansion(network, record, 7.0)
+    removal = perturbation(e, 9)
+    assert (np.diff(removal.saliency) >= 0).all()
+    np.testing.assert_allclose(removal.saliency, obd(e, 9).saliency, rtol=1e-9)
+    assert perturbation(e, 2).weights.tolist() == removal.weights[:2].tolist()
+
+
+def test_evolution_finds_the_pair_that_does_nothing_together():
+    rng = np.random.default_rng(6)
+    u = rng.normal(size=(300, 5))
+    u[:, 1] = u[:, 0] + 1e-3 * rng.normal(size=300)  # weights of 5 and -5 on these: together next to nothing
+    record = Record({"u": u}, {"y": u @ [5.0, -5.0, 0.4, 0.5, 0.6] + 0.3})
+    network = Network("linear", [Port("u", size=5)], [Port("y")])
+    network.add("sum", Layer({"u": np.ones((1, 5))}, [1.0]))
+    network.connect("u", "sum.u")
+    network.connect("sum", "y")
+    e, _ = expansion(network, record)
+    removal = evolution(e, 2)
+    assert set(removal.weights) == {0, 1}
+    assert set(obd(e, 2).weights) == {2, 5}
+    rise = (e.objective.squares(removal.theta) - e.objective.squares(e.theta)) / 2
+    np.testing.assert_allclose(removal.saliency, [rise, rise])
+    np.testing.assert_array_equal(evolution(e, 2).weights, removal.weights)
 
 
 def test_magnitude_sees_the_size_obd_the_effect_and_surgery_what_others_can_stand_in_for():

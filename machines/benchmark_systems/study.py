@@ -10,7 +10,8 @@ from time import process_time
 
 import numpy as np
 
-from greygate.compiler.prune import Round, prune_by_entropy
+from greygate.compiler.grouped import ROUNDS, emptied, train_grouped
+from greygate.compiler.prune import Round, prune_by_entropy, remove_neurons
 from greygate.compiler.saliency import Method, nonzero, obs, prune_by_saliency
 from greygate.compiler.simplify import parameter_count
 from greygate.machines.benchmark_systems.plant import b1, b1_input, b2, b2_input, b2_test_input
@@ -41,6 +42,9 @@ THESIS = {
 ALLOWED = {"b1_30": THESIS["b1_30"]["mse"], "b2": THESIS["b2"]["pruned_mse"]}  # training MSE of a pruned network
 AGAIN = 500, 500  # epochs of a network that lost neurons: one step ahead, as in table 3.3, and in free run
 GUARDED = 150, 150  # the same, where held-out records end the free run's
+STRENGTHS = 1e-8, 1e-7, 1e-6, 1e-5, 1e-4  # of the group lasso that makes neurons prunable,
+DECAYS = 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1  # and of a decay that does
+PULLED = 50  # epochs of each of its trainings
 TRIES = 8  # neurons in a row that may not be removed, before the guarded loop ends
 
 
@@ -168,6 +172,31 @@ def prune_guarded(
     again = _again(f"{system.name}, seed {seed}", training, held, GUARDED, progress, held=held, patience=60)
     bound = np.array([max(rms(network, held), system.spare)])
     return prune_by_entropy(network, training, again, bound, held=held, onto_others=onto_others, tries=TRIES)
+
+
+def prune_penalised(
+    system: System, seed: int, network: Network, grouped: bool, progress: Progress = silent
+) -> tuple[Network, float]:
+    """(the smallest network, the strength) of a training with a group lasso, or with a decay, that empties neurons.
+
+    These are removed, and what is left is trained without. Bound and judges are those of `prune_guarded`; nothing but
+    the strength is tried.
+    """
+    training, held = [system.record(system.excite(seed))], [system.record(u) for u in system.held]
+    title = f"{system.name}, seed {seed}"
+    again = _again(title, training, held, GUARDED, progress, held=held, patience=60)
+    bound, best = max(rms(network, held), system.spare), (network, 0.0)
+    for strength in STRENGTHS if grouped else DECAYS:
+        if grouped:
+            pulled = train_grouped(network, training, strength, epochs=PULLED)
+        else:
+            pulled = train(network, training, epochs=ROUNDS * PULLED, decay=strength).network.flatten()
+        if not (empty := emptied(pulled)):
+            continue
+        smaller = again(remove_neurons(pulled, training, empty, onto_others=False))
+        if smaller.neurons() < best[0].neurons() and rms(smaller, held) <= bound:
+            best = smaller, strength
+    return best
 
 
 def _again(

@@ -22,7 +22,7 @@ from greygate.models.activations import ACTIVATIONS
 from greygate.models.network import Network
 from greygate.models.training.kernels import Tables, forward, kernel, sensitivities, slope
 from greygate.models.training.levenberg import STOP, Outcome, Trained, blas, stands
-from greygate.models.training.loss import Loss
+from greygate.models.training.loss import Decay, Loss
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record, held_out
 from greygate.models.training.remarks import remarks
@@ -165,7 +165,7 @@ class _Descent:
     teacher: bool = False
     free: Mapping | None = None
     tied: Sequence[Sequence[str]] = ()
-    decay: float | Mapping[str, float] = 0.0
+    decay: Decay = 0.0
     held: Sequence[Record] = ()
     tail: float = 0.0
     patience: int = 100

@@ -18,7 +18,7 @@ from greygate.errors import InputError
 from greygate.models.network import Network
 from greygate.models.training.checkpoint import Checkpoint
 from greygate.models.training.gauss_newton import bounded, search
-from greygate.models.training.loss import Loss
+from greygate.models.training.loss import Decay, Loss
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record, held_out, listed
 from greygate.models.training.remarks import remarks
@@ -77,7 +77,7 @@ def train(
     *,
     teacher: bool = False,
     epochs: int = 100,
-    decay: float | Mapping[str, float] = 0.0,
+    decay: Decay = 0.0,
     rehearse: Mapping[str, Record] | None = None,
     goal: float = 0.0,
     seconds: float = np.inf,
@@ -98,7 +98,8 @@ def train(
 
     teacher, free, tied, estimate_initial, shooting: as for `Objective`. After multiple shooting, which closes the gaps
     in stages, the network is trained once more in free-run simulation.
-    decay: D of the loss, one number for every free weight (biases included), or {module, layer or parameter: number}.
+    decay: D of the loss, one number for every free weight (biases included), or {module, layer or parameter: number};
+    of a parameter also an array of its shape.
     rehearse: {module path: a record of its own ports}, weighted by `Record.weight`: a module that was right stays right
     where `records` do not reach.
     bounds: {parameter: (low, high)}, numbers or arrays of its shape, in normalised units.

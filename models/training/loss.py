@@ -8,6 +8,8 @@ from greygate.errors import InputError
 from greygate.models.network import Network
 from greygate.models.training.objective import Objective
 
+Decay = float | Mapping[str, float | np.ndarray]  # of all weights, or by module, layer or parameter
+
 
 class Loss:
     """J = (1/2N) (sum e^2 + theta' D theta), and the same for modules on records of their own, over one theta.
@@ -16,7 +18,7 @@ class Loss:
     Raises InputError for a name that the network does not have and a decay that is negative or not finite.
     """
 
-    def __init__(self, objective: Objective, network: Network, decay: float | Mapping[str, float], rehearse: Mapping):
+    def __init__(self, objective: Objective, network: Network, decay: Decay, rehearse: Mapping):
         self.objective = objective
         self.decay = self._decay(decay)
         self.parts = []
@@ -27,7 +29,7 @@ class Loss:
             moving = np.flatnonzero(objective.variable[index[part.free]] >= 0)
             self.parts.append((part, index, moving, objective.variable[index[part.free]][moving]))
 
-    def _decay(self, decay: float | Mapping[str, float]) -> np.ndarray:
+    def _decay(self, decay: Decay) -> np.ndarray:
         """D's diagonal over the variables; initial states do not decay."""
         place = self.objective.slices()
         size = sum(map(len, place.values()))
@@ -40,9 +42,13 @@ class Loss:
                     raise InputError(f"decay names {name}, which is no module, layer or parameter of the network")
             for name, columns in place.items():  # the longest name that fits counts
                 fits = [d for d in decay if name == d or name.startswith(d + ".")]
-                diagonal[columns] = decay[max(fits, key=len)] if fits else 0.0
+                given = np.ravel(decay[max(fits, key=len)] if fits else 0.0)
+                if len(given) not in (1, len(columns)):
+                    raise InputError(f"decay of {name} has {len(given)} numbers; give one, or {len(columns)}")
+                diagonal[columns] = given
         if not ((diagonal >= 0) & np.isfinite(diagonal)).all():
-            raise InputError(f"decay {decay}: give finite numbers from 0 on; a negative one rewards large weights")
+            worst = diagonal[~((diagonal >= 0) & np.isfinite(diagonal))][0]
+            raise InputError(f"decay {worst}: give finite numbers from 0 on; a negative one rewards large weights")
         return diagonal[self.objective.free]
 
     def __call__(self, theta: np.ndarray) -> float:
