@@ -14,12 +14,15 @@ from greygate.errors import InputError
 from greygate.identifying import halving
 from greygate.identifying.files import figures, identify, lines
 from greygate.identifying.ladder import ARMAX, ARX, BJ, FIR, FORMS, LINEAR, Orders, grown
+from greygate.identifying.linear import taught
 from greygate.identifying.looking import look
+from greygate.identifying.subspace import numerators, subspace
 from greygate.identifying.task import task
 from greygate.machines.identification import initialised
 from greygate.models.accuracy import rms
 from greygate.models.families.regression import noe
-from greygate.models.network import Network
+from greygate.models.network import Network, Port
+from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
 from greygate.plants.excitation import prms
 from greygate.plants.recording import Recording
@@ -246,7 +249,7 @@ def test_a_model_is_found_where_the_noise_is_as_it_supposes(form):
 
 def test_every_idea_of_the_noise_is_in_the_ladder(short):
     names = {row["model"].split(",")[0] for row in figures(found(recorded(1)))["models"]}
-    assert {"OE", "ARX", "ARMAX", "BJ", "FIR"} <= names
+    assert {"OE", "subspace", "ARX", "ARMAX", "BJ", "FIR"} <= names
 
 
 @pytest.mark.parametrize(("u", "y"), [("state", "error"), ("measured", "shown"), ("neurons", "rest")])
@@ -263,3 +266,50 @@ def test_a_short_recording_is_identified_without_the_taps_that_it_is_too_short_f
     taps = [t.model.orders.order + 1 for t in search.tried.values() if t.model.form == FIR]
     assert taps == [16]
     assert search.chosen().error < 2 * NOISE
+
+
+# ---- the subspace
+
+
+def two_inputs(noise: float, lengths=(900, 400)) -> tuple[list[Record], np.ndarray]:
+    """Records of a plant of two inputs, the second 3 samples late, and its denominator."""
+    rng, denominator = np.random.default_rng(5), np.poly([0.95 * np.exp(0.2j), 0.95 * np.exp(-0.2j)]).real
+    records = []
+    for length in lengths:
+        a, b = (np.repeat(rng.standard_normal(length // 10 + 1), 10)[:length] for _ in range(2))
+        late = np.concatenate([np.full(3, b[0]), b[:-3]])
+        y = lfilter([0.0, 0.03, 0.01], denominator, a) + lfilter([0.02, -0.01, 0.0], denominator, late) + 0.7
+        y += noise * rng.standard_normal(length)
+        records.append(Record({"a": a, "b": b}, {"y": y}))
+    return records, denominator
+
+
+ORDERS_OF_TWO = Orders(2, (0, 3))
+
+
+@pytest.mark.parametrize(("noise", "near"), [(0.0, 1e-6), (0.05, 5e-3)])
+def test_a_subspace_finds_the_poles_and_the_free_run(noise, near):
+    records, denominator = two_inputs(noise)
+    ports, y = [Port("a", scale=3.0), Port("b", scale=3.0)], Port("y", offset=0.7, scale=2.0)
+    start = LINEAR.build(ORDERS_OF_TWO, ports, y, 0)
+    found = subspace(ORDERS_OF_TWO, y, start, records)
+    weights = found.parameters()
+    np.testing.assert_allclose([-weights["state.y_z1"][0, 0], -weights["state.y_z2"][0, 0]], denominator[1:], atol=near)
+    np.testing.assert_allclose(weights["state.a_z1"][0, 0] * 2 / 3, 0.03, atol=near)
+    np.testing.assert_allclose(weights["state.b_z3"][0, 0] * 2 / 3, 0.02, atol=near)
+    fits = {name: train(n, records, estimate_initial=True, epochs=0).history[-1] for name, n in (
+        ("subspace", found), ("ARX", taught(start, records).network))}  # fmt: skip
+    assert fits["subspace"] < (0.1 * fits["ARX"] if noise else 1e-3)  # of the initial state, which nothing fits here
+
+
+def test_of_records_too_short_for_its_rows_a_subspace_says_nothing():
+    records, _ = two_inputs(0.0, (30, 12))
+    start = LINEAR.build(ORDERS_OF_TWO, [Port("a"), Port("b")], Port("y"), 0)
+    assert subspace(ORDERS_OF_TWO, Port("y"), start, records) is None
+
+
+def test_poles_outside_the_unit_circle_give_weights_all_the_same():
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal((3000, 1))
+    found = numerators([(u, rng.standard_normal(3000))], np.poly([1.5, 0.5]), 2)
+    np.testing.assert_array_equal(found, np.zeros(4))

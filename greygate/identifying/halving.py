@@ -9,8 +9,9 @@ import joblib
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.identifying.ladder import ARMAX, ARX, BJ, FIR, FORMS, LINEAR, Form, Orders, grown
+from greygate.identifying.ladder import ARMAX, ARX, BJ, FIR, FORMS, LINEAR, SUBSPACE, Form, Orders, grown
 from greygate.identifying.linear import estimated, taught
+from greygate.identifying.subspace import subspace
 from greygate.identifying.task import Task, started
 from greygate.machines.identification import Fold, parameters
 from greygate.models.accuracy import rms
@@ -135,7 +136,8 @@ class Halving:
         best = [base.model.orders for base in self.bases()]
         longer = [replace(best[0], order=taps - 1) for taps in PAST]
         shortest = min(len(p) for f in self.folds for p in thinned(f.pieces, NOISES.samples, self.task))
-        noises = [Model(form, orders, 0.0) for form in (ARX, ARMAX, BJ) for orders in best]
+        noises = [Model(SUBSPACE, orders, 0.0) for orders in best if orders.stride == 1]
+        noises += [Model(form, orders, 0.0) for form in (ARX, ARMAX, BJ) for orders in best]
         self.rung(0, NOISES, noises + [Model(FIR, orders, 0.0) for orders in longer if orders.deepest < shortest])
         models = [Model(form, base.model.orders) for base in self.bases() for form in FORMS]
         models.sort(key=lambda m: FORMS.index(m.form))  # where time ends, every base has had the same forms
@@ -255,13 +257,21 @@ def judged(
 def linear(
     task: Task, model: Model, line: Network | None, pieces: Sequence[Record], rung: Rung, until: float
 ) -> Trained:
-    """The linear model under its idea of the noise. line: the output-error model of the same taps, if there is one."""
+    """The linear model under its idea of the noise. line: the output-error model of the same taps, if there is one.
+
+    An output-error model begins as the better one of ARX and of the subspace.
+    """
     start = line or taught(model.form.build(model.orders, task.inputs, task.output, 0), pieces).network
+    if model.form == LINEAR and model.orders.stride == 1:
+        ways = [start, subspace(model.orders, task.output, start, pieces)]
+        start = lowest([as_it_is(way, pieces) for way in ways if way]).network
     return refitted(model, task, start, pieces, rung.epochs, until)
 
 
 def refitted(model: Model, task: Task, start: Network, records: Sequence[Record], epochs: int, until: float) -> Trained:
     """The model fitted to records from `start` on, in free run, or as its idea of the noise asks."""
+    if model.form == SUBSPACE:
+        return as_it_is(subspace(model.orders, task.output, start, records) or start, records)
     if model.form in (ARX, ARMAX, BJ):
         left = max(until - time(), LEAST)
         return estimated(model.form, model.orders, task.output, start, records, epochs, left)
@@ -273,6 +283,11 @@ def network(task: Task, model: Model, line: Network, pieces: Sequence[Record], r
     builds = (model.form.build(model.orders, task.inputs, task.output, seed) for seed in range(rung.seeds))
     fits = [trained(grown(b, line), pieces, rung.epochs, model.decay, until) for b in builds]
     return next((f for f in fits if f.outcome is Outcome.TIME), lowest(fits))
+
+
+def as_it_is(network: Network, records: Sequence[Record]) -> Trained:
+    """The network and its loss in free run, not trained."""
+    return train(network, records, estimate_initial=True, epochs=0)
 
 
 def trained(start: Network, pieces: Sequence[Record], epochs: int, decay: float, until: float) -> Trained:

@@ -132,6 +132,7 @@ def _shrunk(network: Network) -> Network:
 
 LINEAR = Form("OE")
 FIR, ARX, ARMAX, BJ = Form("FIR", feedback=False), Form("ARX"), Form("ARMAX"), Form("BJ")
+SUBSPACE = Form("subspace")
 SIZES = (2, 4, 8)
 FORMS = tuple(
     form

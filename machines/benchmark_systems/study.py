@@ -42,9 +42,9 @@ THESIS = {
 ALLOWED = {"b1_30": THESIS["b1_30"]["mse"], "b2": THESIS["b2"]["pruned_mse"]}  # training MSE of a pruned network
 AGAIN = 500, 500  # epochs of a network that lost neurons: one step ahead, as in table 3.3, and in free run
 GUARDED = 150, 150  # the same, where held-out records end the free run's
-STRENGTHS = 1e-8, 1e-7, 1e-6, 1e-5, 1e-4  # of the group lasso that makes neurons prunable,
-DECAYS = 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1  # and of a decay that does
-PULLED = 50  # epochs of each of its trainings
+STRENGTHS = 1e-6, 1e-5, 5e-5, 1e-4  # of the group lasso that makes neurons prunable,
+DECAYS = 1e-4, 1e-3, 1e-2, 0.1  # and of a decay that does
+PULLED = 150  # epochs of each of its trainings
 TRIES = 8  # neurons in a row that may not be removed, before the guarded loop ends
 
 
@@ -184,7 +184,7 @@ def prune_penalised(
     """
     training, held = [system.record(system.excite(seed))], [system.record(u) for u in system.held]
     title = f"{system.name}, seed {seed}"
-    again = _again(title, training, held, GUARDED, progress, held=held, patience=60)
+    again = _again(title, training, held, AGAIN, progress, held=held, patience=250)
     bound, best = max(rms(network, held), system.spare), (network, 0.0)
     for strength in STRENGTHS if grouped else DECAYS:
         if grouped:
