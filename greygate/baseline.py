@@ -36,5 +36,6 @@ def linear_rms(network: Network, learnt: Sequence[Record], judged: Mapping[str, 
 def of_one(record: Record, output: str) -> Record:
     """The record with that target alone, and no state but of its inputs."""
     initial = {n: v for n, v in record.initial.items() if n in record.inputs}
-    own = record.own_offset & {output}
-    return replace(record, targets={output: record.targets[output]}, initial=initial, own_offset=own)
+    offset, gain = record.own_offset & {output}, record.own_gain & {output}
+    targets = {output: record.targets[output]}
+    return replace(record, targets=targets, initial=initial, own_offset=offset, own_gain=gain)

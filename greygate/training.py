@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -28,6 +28,7 @@ from greygate.trained import evidence
 
 ALIKE = 1.05  # factor between the held-out errors of the two best starts, up to which they end alike
 APART = 1.5  # factor from which the best one is luck
+TINY = 1e-300  # in place of the square of an output that stands at zero
 CHECKPOINTS = ("", ".narx", ".shooting")
 
 
@@ -41,6 +42,7 @@ def train_source(
     jobs: int = 2,
     find_settle: bool = False,
     offset: Sequence[str] = (),
+    gain: Sequence[str] = (),
     html: Path | None = None,
     seconds: float = math.inf,
     progress: Progress = silent,
@@ -51,9 +53,10 @@ def train_source(
     held: scenario -> CSV of a held-out record, which chooses the epoch. narx: train the one-step prediction first.
     seeds: starts, of which the first has the weights of the file and the others draw those of the neurons; what is held
     out chooses one. jobs: starts side by side. find_settle: instead of the source's `settle`, as `settling` finds it.
-    offset: outputs whose sensor has an offset of its own in every recording but the first. html: a page of the same to
-    write. seconds: for all starts together. options: of `train`. If the source settles, the state before each recording
-    is estimated, in training and for the figures. Raises InputError as `train`, before anything is written.
+    offset, gain: outputs whose sensor has an offset, a gain, of its own in every recording but the first. html: a page
+    of the same to write. seconds: for all starts together. options: of `train`. If the source settles, the state before
+    each recording is estimated, in training and for the figures. Raises InputError as `train`, before anything is
+    written.
     """
     network, records, others = _read(source, held)
     tail = options.get("tail", 0.0)
@@ -61,7 +64,7 @@ def train_source(
         raise InputError(
             f"--seeds {seeds}: nothing is held out that could choose a start; give --held FILE.csv or --tail 0.2"
         )
-    records, others = _offset(network, records, others, offset)
+    records, others = _own(network, records, others, offset, gain)
     remarks = []
     if find_settle:
         chosen = settling(network, records)
@@ -100,7 +103,7 @@ def train_source(
             else:
                 starts = multistart(started, held_error, range(seeds), jobs, progress)
         trained = network.with_parameters(starts[0].fit.network.parameters())  # not flat: modules stay as declared
-        offsets = {n: own_offsets(trained, r) for n, r in (records | others).items() if r.own_offset}
+        sensors = {n: own_sensors(trained, r) for n, r in (records | others).items() if r.own_offset or r.own_gain}
         judged = _judged(trained, records, others, tail)
         known = [judged[name] for name in records]
         learnt = held_out(trained, known, tail, ())[0]
@@ -112,7 +115,8 @@ def train_source(
                 "linear": linear_rms(network, list(records.values()), records | others),
                 "remarks": [*remarks, *starts[0].fit.remarks, *of_starts(starts)],
                 "settle": source.settle,
-                "offsets": offsets,
+                "offsets": {n: s.offsets for n, s in sensors.items() if offset},
+                "gains": {n: s.gains for n, s in sensors.items() if gain},
                 "starts": [_start(s, known[0]) for s in starts],
                 "evidence": shown.figures(),
                 "out": str(folder / f"{network.name}.toml"),
@@ -130,8 +134,8 @@ def train_source(
 def _judged(
     network: Network, records: Mapping[str, Record], others: Mapping[str, Record], tail: float
 ) -> dict[str, Record]:
-    """Every record and held-out tail, without its own offsets, from the state that fits its beginning."""
-    level = {n: without_offsets(r, own_offsets(network, r)) for n, r in (*records.items(), *others.items())}
+    """Every record and held-out tail, without its own offsets and gains, from the state that fits its beginning."""
+    level = {n: own_sensors(network, r).undone(r) for n, r in (*records.items(), *others.items())}
     found = {name: initialised(network, record) for name, record in level.items()}
     ends = held_out(network, list(records.values()), tail, ())[1]
     return found | {f"{n} tail": replace(found[n], skip=e.skip) for n, e in zip(records, ends, strict=False)}
@@ -149,33 +153,59 @@ def _read(source: Source, held: Mapping[str, str]) -> tuple[Network, dict[str, R
     return source.network(), {n: found[n] for n in source.recordings}, {n: found[n] for n in held}
 
 
-def _offset(
-    network: Network, records: Mapping[str, Record], others: Mapping[str, Record], outputs: Sequence[str]
+def _own(
+    network: Network,
+    records: Mapping[str, Record],
+    others: Mapping[str, Record],
+    offset: Sequence[str],
+    gain: Sequence[str],
 ) -> tuple[dict[str, Record], dict[str, Record]]:
-    """The records, with offsets of these outputs of their own; the first one is what the others are compared to."""
-    for name in outputs:
-        if name not in (known := [p.name for p in network.outputs]):
-            raise InputError(f"--offset {name}: {network.name} has no such output; it has {', '.join(known)}")
-    if outputs and len(records) + len(others) < 2:
-        raise InputError(f"--offset {outputs[0]}: the first recording is the reference; give another one beside it")
-    first, own = next(iter(records)), frozenset(outputs)
-    given = {n: r if n == first else replace(r, own_offset=own) for n, r in records.items()}
-    return given, {n: replace(r, own_offset=own) for n, r in others.items()}
+    """The records, with offsets and gains of these outputs of their own; the others are compared to the first."""
+    known = [p.name for p in network.outputs]
+    for option, name in (*(("--offset", n) for n in offset), *(("--gain", n) for n in gain)):
+        if name not in known:
+            raise InputError(f"{option} {name}: {network.name} has no such output; it has {', '.join(known)}")
+        if len(records) + len(others) < 2:
+            raise InputError(f"{option} {name}: the first recording is the reference; give another one beside it")
+    first = next(iter(records))
+
+    def own(record: Record) -> Record:
+        return replace(record, own_offset=frozenset(offset), own_gain=frozenset(gain))
+
+    given = {n: r if n == first else own(r) for n, r in records.items()}
+    return given, {n: own(r) for n, r in others.items()}
 
 
-def own_offsets(network: Network, record: Record) -> dict[str, float]:
-    """Mean of measured less predicted from `skip` on, of outputs with offsets of the record's own; in their units."""
+@dataclass(frozen=True)
+class Sensors:
+    """By output, the sensor's own gain and its own offset, in the output's unit: measured is gain * true + offset."""
+
+    gains: Mapping[str, float]
+    offsets: Mapping[str, float]
+
+    def undone(self, record: Record) -> Record:
+        """The record as a sensor without them would have measured it."""
+        targets = {n: (v - self.offsets.get(n, 0.0)) / self.gains.get(n, 1.0) for n, v in record.targets.items()}
+        return replace(record, targets=targets, own_offset=frozenset(), own_gain=frozenset())
+
+
+def own_sensors(network: Network, record: Record) -> Sensors:
+    """Gains and offsets of a record's own that fit the network's free run best; none where it diverges."""
     try:
-        errors = float_error(network, replace(record, own_offset=frozenset()))
-    except InputError:  # the free run diverges
-        return {}
-    return {name: -float(errors[name][record.skip :].mean()) for name in sorted(record.own_offset)}
-
-
-def without_offsets(record: Record, offsets: Mapping[str, float]) -> Record:
-    """The record with its offsets taken off."""
-    targets = {n: v - offsets.get(n, 0.0) for n, v in record.targets.items()}
-    return replace(record, targets=targets, own_offset=frozenset())
+        errors = float_error(network, replace(record, own_offset=frozenset(), own_gain=frozenset()))
+    except InputError:
+        return Sensors({}, {})
+    gains, offsets = {}, {}
+    for name in sorted(record.own_offset | record.own_gain):
+        measured = np.asarray(record.targets[name], float)[record.skip :]
+        shown = errors[name][record.skip :] + measured
+        if name in record.own_gain:
+            about = (shown.mean(), measured.mean()) if name in record.own_offset else (0.0, 0.0)
+            along = shown - about[0]
+            gains[name] = float(np.vdot(along, measured - about[1]) / max(np.vdot(along, along), TINY))
+        if name in record.own_offset:
+            offsets[name] = float(measured.mean() - gains.get(name, 1.0) * shown.mean())
+    return Sensors(gains, offsets)
 
 
 def drawn(network: Network, seed: int) -> Network:

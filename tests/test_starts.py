@@ -158,9 +158,56 @@ def test_the_gradient_and_the_gauss_newton_matrix_are_of_errors_about_their_mean
     assert gradient == pytest.approx(jacobian.T @ error, rel=1e-6, abs=1e-6)
 
 
+def test_gains_and_offsets_of_single_recordings_are_found_beside_the_weights_and_undone(greygate, folder):
+    write("weak.csv", record(4, gain=0.8))
+    write("strong.csv", record(5, gain=1.3, offset=0.2))
+    words = ["train", "mine.toml", "--record", "rest.csv", "--record", "weak.csv", "--held", "strong.csv"]
+    code, printed, _ = greygate(*words, "--epochs", "40", "--gain", "y", "--offset", "y", "--out", "out")
+    assert code == 0
+    assert "gain" in printed
+    found = json.loads((folder / "out" / "mine.json").read_text())
+    for name, gain, offset in (("weak", 0.8, 0.0), ("strong", 1.3, 0.2)):
+        assert found["gains"][name]["y"] == pytest.approx(gain, abs=0.004)
+        assert found["offsets"][name]["y"] == pytest.approx(offset, abs=0.004)
+    assert found["rmse"]["strong"]["y"] < 1.5 * NOISE
+
+
+@pytest.mark.parametrize("offset", [False, True])
+def test_the_gradient_is_that_of_errors_at_the_best_gain(offset):
+    """Normal equations as of Kaufman: J beside what a change of gain, or of offset, could do."""
+    model = drawn(noe("mine", {Port("u"): (1,)}, Port("y", offset=0.5, scale=2.0), (1,), hidden=3), 2)
+    names = frozenset({"y"})
+    own = replace(record(4, gain=0.7, samples=60), own_gain=names, own_offset=names if offset else frozenset(), skip=5)
+    objective = Objective(model, [own])
+    theta, step = objective.theta, 1e-6
+    slope = [
+        (objective.squares(theta + step * row) - objective.squares(theta - step * row)) / (4 * step)
+        for row in np.eye(len(theta))
+    ]
+    error = objective.errors(theta)[0][5:, 0]
+    shown = model.run(own.inputs)["y"][5:] / 2.0  # about the zero of the sensor, normalised
+    assert error @ shown == pytest.approx(0, abs=1e-10)
+    assert not offset or error.mean() == pytest.approx(0, abs=1e-12)
+    hessian, gradient = objective.normal_equations(theta)
+    assert gradient == pytest.approx(slope, rel=1e-5, abs=1e-6)
+    plain = Objective(model, [replace(own, own_gain=frozenset(), own_offset=frozenset())])
+    rows = []
+    for row in np.eye(len(theta)):
+        ends = [plain.errors(theta + side * step * row)[0][5:, 0].copy() for side in (1, -1)]
+        rows.append((ends[0] - ends[1]) / (2 * step))
+    z = np.linalg.qr(np.stack([shown, np.ones(55)][: 1 + offset], axis=1))[0]
+    target = own.targets["y"][5:] / 2.0
+    a = np.stack([shown, np.ones(55)][: 1 + offset], axis=1)
+    gain = np.linalg.lstsq(a, target, rcond=None)[0][0]
+    jacobian = gain * (np.array(rows).T - z @ (z.T @ np.array(rows).T))
+    assert hessian == pytest.approx(jacobian.T @ jacobian, rel=1e-5, abs=1e-6)
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        (["--gain", "u", "--held", "held.csv"], "no such output"),
+        (["--gain", "y"], "give another one beside it"),
         (["--offset", "u", "--held", "held.csv"], "no such output"),
         (["--offset", "y"], "give another one beside it"),
         (["--offset", "y", "--record", "away.csv", "--shooting", "40"], "leave one out"),

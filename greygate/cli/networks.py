@@ -24,7 +24,7 @@ Architecture = StrEnum("Architecture", _architectures)  # type: ignore[misc]  # 
 EVERY = Architecture("both")
 OWN_TRAINING = (  # options of a user's network
     *("tail", "narx", "epochs", "decay", "settle", "shooting", "seconds"),
-    *("seeds", "jobs", "offset", "html"),
+    *("seeds", "jobs", "offset", "gain", "html"),
 )
 
 
@@ -68,6 +68,9 @@ def train(
     offset: Annotated[
         list[str], typer.Option(help="Output whose sensor has an offset of its own in each recording but the first.")
     ] = [],
+    gain: Annotated[
+        list[str], typer.Option(help="Output whose sensor has a gain of its own in each recording but the first.")
+    ] = [],
     seeds: Annotated[
         int, typer.Option(callback=options.STARTS, help="Starts: the file's weights, and others that are drawn.")
     ] = 1,
@@ -98,7 +101,7 @@ def train(
             record,
             held,
             settle,
-            how | {"seeds": seeds, "jobs": jobs, "offset": offset, "html": html},
+            how | {"seeds": seeds, "jobs": jobs, "offset": offset, "gain": gain, "html": html},
             out,
             as_json,
         )
@@ -149,6 +152,8 @@ def _train_own(
             lines.append(f"{name:12} {port:10} RMSE {finite(error, '.4g')}{beside}")
     for name, offsets in trained["offsets"].items():
         lines += [f"{name:12} {port:10} offset {value:.4g}, taken off" for port, value in offsets.items()]
+    for name, gains in trained["gains"].items():
+        lines += [f"{name:12} {port:10} gain {value:.4g}, divided by" for port, value in gains.items()]
     head = f"{trained['epochs']} epochs. {trained['sentence']}"
     if len(trained["starts"]) > 1:
         lines += [*aligned(table(trained["starts"]), ("start", "outcome")), "* chosen by what was held out, normalised"]

@@ -177,8 +177,10 @@ class _Descent:
 
     def __post_init__(self):
         self.began = monotonic()
-        if any(r.own_offset for r in (*self.records, *self.held)):
-            raise InputError(f"network {self.network.name}: an offset of a recording's own is found by `train` alone")
+        if any(r.own_offset or r.own_gain for r in (*self.records, *self.held)):
+            raise InputError(
+                f"network {self.network.name}: an offset or a gain of a recording's own is found by `train` alone"
+            )
         used, judged = held_out(self.network, self.records, self.tail, self.held)
         self.objective = _Swept(self.network, used, self.teacher, self.free, tied=self.tied)
         self.judge = Objective(self.network, judged, self.teacher) if judged else None

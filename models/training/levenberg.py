@@ -350,7 +350,7 @@ def narx_noe(network: Network, records: Sequence[Record] | Record, narx_epochs: 
     noe = train(narx.network, records, **options)
     lengths = [len(r) for r in held_out(network, records, options.get("tail", 0.0), ())[0]]
     window, spent = max(min(lengths) // SHOTS, 2), narx.seconds + noe.seconds
-    shot = options.get("shooting") or any(r.own_offset for r in records)
+    shot = options.get("shooting") or any(r.own_offset or r.own_gain for r in records)
     if noe.outcome is Outcome.DIVERGED and not shot and 2 * window <= max(lengths):
         left = options.get("seconds", np.inf) - noe.seconds
         again = {"shooting": window, "seconds": left, "checkpoint": path and f"{path}.shooting"}

@@ -3,7 +3,7 @@
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -33,6 +33,7 @@ class _Window:
     state: slice
     follows: bool  # its initial state should be what the window before ends with
     own: tuple[int, ...] = ()  # output columns whose sensor has an offset of its own
+    scaled: Mapping[int, float] = field(default_factory=dict)  # one with a gain of its own -> its zero, normalised
 
 
 class Objective:
@@ -82,9 +83,10 @@ class Objective:
         self.forced = self._outputs if teacher else np.zeros(elements, bool)
         self._state = self._state_elements()
         runs = [self._arrays(r, i, first) for i, r in enumerate(records)]
-        if shooting is not None and any(w.own for w in runs):
+        if shooting is not None and any(w.own or w.scaled for w in runs):
             raise InputError(
-                f"network {network.name}: shooting does not go with offsets of a recording's own; leave one out"
+                f"network {network.name}: shooting does not go with offsets and gains of a recording's own; "
+                "leave one out"
             )
         if not any(0 <= r.skip < len(w.target) for r, w in zip(records, runs, strict=True)):
             check_skips(network, records)
@@ -166,11 +168,15 @@ class Objective:
         past = now.copy()
         if self.teacher:
             past[depth:, self.forced] = target
-        if unknown := record.own_offset - {p.name for p in flat.outputs}:
-            raise InputError(f"network {flat.name}: no output {min(unknown)}, whose offset is to be a recording's own")
-        owned = np.concatenate([np.full(p.size, p.name in record.own_offset) for p in flat.outputs])
-        own = tuple(np.flatnonzero(owned).tolist())
-        return _Window(now, past, target, record.skip, record.weight, slice(0, 0), False, own)
+        for what, names in (("offset", record.own_offset), ("gain", record.own_gain)):
+            if unknown := names - {p.name for p in flat.outputs}:
+                raise InputError(
+                    f"network {flat.name}: no output {min(unknown)}, whose {what} is to be a recording's own"
+                )
+        columns = [p for p in flat.outputs for _ in range(p.size)]
+        own = tuple(i for i, p in enumerate(columns) if p.name in record.own_offset)
+        scaled = {i: p.offset / p.scale for i, p in enumerate(columns) if p.name in record.own_gain}
+        return _Window(now, past, target, record.skip, record.weight, slice(0, 0), False, own, scaled)
 
     def _state_elements(self) -> np.ndarray:
         """(X, 2): element and lag of every past value of a layer that is read."""
@@ -277,10 +283,38 @@ class Objective:
 
     def _error(self, w: _Window) -> np.ndarray:
         """Of the run that the window holds."""
-        error = w.now[self.tables.depth :, self.tables.rows[self.tables.shown]] - w.target
+        shown = w.now[self.tables.depth :, self.tables.rows[self.tables.shown]]
+        error = shown - w.target
+        for output, zero in w.scaled.items():
+            along = self._along(w, output)
+            size = float(along @ along)
+            target = w.target[w.skip :, output] + zero
+            gain = float(along @ target) / size if size > 0 else 1.0
+            error[:, output] = gain * (shown[:, output] + zero) - (w.target[:, output] + zero)
         for output in w.own:
             error[:, output] -= error[w.skip :, output].mean()
         return error
+
+    def _along(self, w: _Window, output: int) -> np.ndarray:
+        """What a gain multiplies: the output that the run shows where it counts, about its mean beside an offset."""
+        shown = w.now[self.tables.depth + w.skip :, self.tables.rows[self.tables.shown][output]] + w.scaled[output]
+        return shown - shown.mean() if output in w.own else shown
+
+    def _own(self, w: _Window) -> dict[int, tuple[float, np.ndarray]]:
+        """Output column -> (its gain, orthonormal signals (k, N) of what a gain and an offset of its own may add)."""
+        found = {}
+        for output in {*w.own, *w.scaled}:
+            gain, count = 1.0, len(w.target) - w.skip
+            signals = [np.full(count, count**-0.5)] if output in w.own else []
+            if output in w.scaled:
+                along = self._along(w, output)
+                if size := float(along @ along):
+                    gain = float(along @ (w.target[w.skip :, output] + w.scaled[output])) / size
+                    signals.append(along * size**-0.5)
+            whole = np.zeros((len(signals), len(w.target)))
+            whole[:, w.skip :] = signals if signals else 0.0
+            found[output] = gain, whole
+        return found
 
     def squares(self, theta: np.ndarray) -> float:
         """Weighted sum of squared errors, gaps between windows included; inf where the run diverges."""
@@ -302,7 +336,7 @@ class Objective:
 
     def fingerprint(self) -> str:
         """A digest of the records, of what is free, and of where theta starts: equal objectives have equal ones."""
-        scalars = (self._names, self._shapes, self.teacher, [(w.skip, w.weight, w.own) for w in self.windows])
+        scalars = (self._names, self._shapes, self.teacher, [(w.skip, w.weight, w.own, w.scaled) for w in self.windows])
         found = hashlib.sha256(repr(scalars).encode())
         for array in (self.theta, self.variable, *(a for w in self.windows for a in (w.past, w.target))):
             found.update(array.tobytes())
@@ -367,15 +401,18 @@ class Objective:
         alone = alone or length * len(used) ** 2 < WORTH or length <= CHUNK
         blocks = [np.zeros((rows, len(t.shown), n + own)) for _ in range(1 if alone else 2)]
         hessian, gradient = np.zeros((n + own, n + own)), np.zeros(n + own)
-        sums = {output: np.zeros(n + own) for output in w.own}  # of the rows of J
+        added = self._own(w)
+        sums = {output: np.zeros((len(z), n + own)) for output, (_, z) in added.items()}  # of J along what they add
 
         def add(block: np.ndarray, start: int, stop: int) -> None:
             use = slice(max(w.skip - start, 0), stop - start)
             for output, span in enumerate(spans):
                 j, e = block[use, output, span], error[start:stop][use, output]
                 here = (span, span) if isinstance(span, slice) else np.ix_(span, span)
-                if output in sums:
-                    sums[output][span] += j.sum(axis=0)
+                if output in added:
+                    gain, z = added[output]
+                    j = gain * j
+                    sums[output][:, span] += z[:, start:stop][:, use] @ j
                 if self.portable:
                     joint = gram(np.column_stack([j, e]))
                     hessian[here] += joint[:-1, :-1]
@@ -397,8 +434,8 @@ class Objective:
             under_way = CORES.submit(add, block, start, stop)  # while the next block is filled
         if under_way:
             under_way.result()
-        for total in sums.values():  # of J about its mean: the offset that is best at every theta (Golub, Pereyra 1973)
-            hessian -= np.outer(total, total) / (length - w.skip)
+        for total in sums.values():  # offset and gain are the best at every theta (Golub, Pereyra 1973; Kaufman 1975)
+            hessian -= total.T @ total
         if len(used) < len(columns):
             hessian, gradient = hessian[np.ix_(used, used)], gradient[used]
         end = None

@@ -14,8 +14,8 @@ class Record:
     """One sequence to learn: inputs and targets {port: (N,)} in physical units.
 
     initial: as for `Network.run`, or what `Trained.initial` found. skip: first samples that do not count. weight: of
-    this record in the loss. own_offset: outputs whose sensor has an offset of its own here; errors are
-    then about their mean.
+    this record in the loss. own_offset, own_gain: outputs whose sensor has an offset, a gain, of its own here: those
+    that fit best are taken as they come.
 
     >>> t = np.arange(500) * 1e-3
     >>> inputs = {"u": 2.0 * np.sin(40.0 * t**1.5)}
@@ -30,6 +30,7 @@ class Record:
     skip: int = 0
     weight: float = 1.0
     own_offset: frozenset[str] = frozenset()
+    own_gain: frozenset[str] = frozenset()
 
     def __repr__(self) -> str:
         return f"<Record: {', '.join(self.inputs)} -> {', '.join(self.targets)}, {len(self)} samples>"
