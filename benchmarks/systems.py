@@ -5,6 +5,7 @@
     guarded      B2 pruned by that loop, each removal checked on held-out records in free run
     penalised    trained with a group lasso, or a decay, that empties neurons: these are removed
     weights      B2 pruned by optimal brain surgeon
+    entropies    of the neurons, before and after the loop of figure 3.7, of one seed (figures 3.10 to 3.15)
 
 A seed is the whole procedure, its starts chosen on held-out records (machines/benchmark_systems/study.py). Every seed
 is kept in results/systems.json, from which `make pages` writes the table.
@@ -19,6 +20,7 @@ from time import process_time
 from made import keep
 from threadpoolctl import threadpool_limits
 
+from greygate.compiler.prune import entropies as entropies_of
 from greygate.machines.benchmark_systems.study import (
     SYSTEMS,
     System,
@@ -73,13 +75,23 @@ def weights(system: System, seed: int, network: Network, found: dict) -> dict:
     return {system.name: figures(system, prune_weights(system, seed, network, 1.0)[0], seed)}
 
 
+def entropies(system: System, seed: int, network: Network, found: dict) -> dict:
+    training = [system.record(system.excite(seed))]
+    smaller, rounds = prune_neurons(system, seed, network, False)
+    both = {"before": entropies_of(network, training), "after": entropies_of(smaller, training)}
+    named = {when: {layer: h.tolist() for layer, h in layers.items()} for when, layers in both.items()}
+    return {system.name: {**named, "rounds": len(rounds), "kept": sum(r.kept for r in rounds)}}
+
+
 PARTS = {
     identified: tuple(SYSTEMS),
     neurons: ("b1_30", "b2"),
     guarded: ("b2",),
     penalised: ("b1_30", "b2"),
     weights: ("b2",),
+    entropies: ("b1_30", "b2"),
 }
+ONE = {"entropies"}  # parts that a single seed shows
 
 
 def one(part: str, name: str, seed: int) -> dict:
@@ -94,14 +106,15 @@ def one(part: str, name: str, seed: int) -> dict:
 def main(parts: list[str]) -> None:
     for part in parts or [work.__name__ for work in PARTS]:
         names = next(systems for work, systems in PARTS.items() if work.__name__ == part)
-        jobs = [(name, seed) for name in names for seed in range(SEEDS)]
+        seeds = 1 if part in ONE else SEEDS
+        jobs = [(name, seed) for name in names for seed in range(seeds)]
         with ProcessPoolExecutor(JOBS) as pool:
             rows = list(pool.map(one, repeat(part), *zip(*jobs, strict=True)))
         found: dict[str, list] = {}
         for row in rows:
             for what, figures_ in row.items():
                 found.setdefault(what, []).append(figures_)
-        keep("systems", part, {"seeds": SEEDS, "rows": found})
+        keep("systems", part, {"seeds": seeds, "rows": found})
 
 
 if __name__ == "__main__":

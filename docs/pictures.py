@@ -250,6 +250,22 @@ def control() -> str:
     return picture(panels, [(kinds[method], label) for method, label in labels.items()])
 
 
+def entropies() -> str:
+    """Entropies of the neurons of B1 and B2, the largest first, before and after the loop of figure 3.7."""
+    found = read_json(ROOT / "benchmarks" / "results" / "systems.json", "run benchmarks/systems.py entropies")
+    panels = []
+    for name, title in (("b1_30", "B1"), ("b2", "B2")):
+        [row] = found["entropies"]["rows"][name]
+        for layer, before in row["before"].items():
+            curves = []
+            for values, kind in ((before, "reference"), (row["after"][layer], "cost")):
+                ranked = sorted(values, reverse=True)
+                curves += [Curve([n - 0.2, n + 0.2], [h] * 2, f"{kind} dot") for n, h in enumerate(ranked, 1)]
+            words = f"{title}, {layer}: {len(before)} neurons, then {len(row['after'][layer])}"
+            panels.append((words, panel(curves, "neuron, by its entropy", "entropy [nats]")))
+    return picture(panels, [("reference", "before"), ("cost", "after")])
+
+
 PICTURES: dict[str, Callable[[], str]] = {
     "greygate": greygate,
     "belt_drive": belt_drive,
@@ -259,6 +275,7 @@ PICTURES: dict[str, Callable[[], str]] = {
     "cable_drum": drum,
     "explore": explore,
     "control": control,
+    "benchmark_systems": entropies,
 }
 
 

@@ -13,7 +13,7 @@ from greygate.errors import InputError
 from greygate.models.accuracy import rms
 from greygate.models.network import Network, Port
 from greygate.models.residuals import Correlation, residual_tests
-from greygate.models.spectra import frequency_response
+from greygate.models.spectra import Octave, frequency_response, octaves
 from greygate.models.training.kernels import forward, tabulate
 from greygate.models.training.objective import CORES, Objective
 from greygate.models.training.record import Record
@@ -61,7 +61,8 @@ class Validation:
     spread: standard deviation of the measured output. rms, worst, fit: of the free run's error; fit is
     100 (1 - |e| / |y - mean y|) per cent. ahead: k -> (RMS, fit) of the prediction k steps ahead, empty where no output
     is fed back. tests: residual ("free run", "one step ahead") -> residual tests. response: `frequency_response` of the
-    free run, the accuracy A = Y_hat/Y (thesis 3.3), None if it diverges. measured, predicted, one_step: (N,), over the
+    free run, the accuracy A = Y_hat/Y (thesis 3.3), None if it diverges. octaves: of the free run's error and of the
+    measured output, empty if it diverges; at: s from `skip` on. measured, predicted, one_step: (N,), over the
     full record.
     """
 
@@ -77,6 +78,7 @@ class Validation:
     ahead: dict[int, tuple[float, float]]
     tests: dict[str, tuple[Correlation, ...]]
     response: dict | None
+    octaves: tuple[Octave, ...]
     long_run: LongRun
     measured: np.ndarray
     predicted: np.ndarray
@@ -278,6 +280,7 @@ def _validated(
             ahead={k: (rms(e[:, j]), fit_per_cent(m[:, j], m[:, j] - e[:, j])) for k, (m, e) in ahead.items()},
             tests={n: residual_tests(e, inputs, lags) for n, e in residuals.items() if np.isfinite(e).all()},
             response=_response(y, y_hat, period) if finite else None,
+            octaves=tuple(octaves(y - y_hat, y, period)) if finite else (),
             long_run=long_runs[j],
             measured=measured[:, j],
             predicted=predicted[:, j],

@@ -13,6 +13,7 @@ from greygate.errors import InputError
 from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
 from greygate.models.residuals import correlation, residual_tests
+from greygate.models.spectra import octaves
 from greygate.models.training.levenberg import train
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
@@ -365,3 +366,22 @@ def test_what_cannot_be_judged_is_named(make, message):
 
 def test_the_fit_to_a_constant_is_no_number():
     assert np.isnan(fit_per_cent(np.ones(5), np.ones(5)))
+
+
+def test_octaves_share_the_error_and_say_when():
+    rng, period = np.random.default_rng(0), 0.01
+    signal = rng.standard_normal(4096)
+    error = np.zeros(4096)
+    error[3000:3040] = 0.5 * np.sin(np.pi * (np.arange(40) + 0.5))  # at Nyquist, around 30.2 s
+    found = octaves(error, signal, period)
+    assert [(o.low, o.high) for o in found[:2]] == [(25.0, 50.0), (12.5, 25.0)]
+    assert found[-1].low == 0.0
+    assert sum(o.error**2 for o in found) == pytest.approx(np.mean(error**2))
+    assert sum(o.signal**2 for o in found) == pytest.approx(np.var(signal))
+    assert found[0].error ** 2 > 0.99 * np.mean(error**2)
+    assert found[0].at == pytest.approx(30.2, abs=0.21)
+
+
+def test_octaves_of_a_few_samples_are_one():
+    [one] = octaves(np.array([1.0, -1.0, 1.0]), np.arange(3.0), 0.1)
+    assert (one.low, one.high, one.error) == (0.0, 5.0, 1.0)
