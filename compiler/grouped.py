@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from greygate.compiler.prune import retrained, spareable
+from greygate.compiler.saliency import nonzero
 from greygate.compiler.simplify import Graph
 from greygate.errors import InputError
 from greygate.models.network import Network
@@ -21,15 +22,17 @@ ROUNDS = 10  # trainings, each with the decay that the one before asks for
 EMPTY = 1e-3  # of the longest neuron's length, below which one is empty
 LEAST = EMPTY / 10  # likewise, below which a shorter one pulls no stronger
 
+Group = list[tuple[str, np.ndarray]]  # (parameter, flat indices in it) of the weights of one neuron
+
 
 def train_grouped(
     network: Network, records: Sequence[Record], strength: float, *, rounds: int = ROUNDS, epochs: int = 50, **options
 ) -> Network:
     """Train with a group lasso over the hidden neurons; returns the flat network.
 
-    strength: what the lengths of the given network count in the loss, as a share of the squares of the targets, which
-    the error may grow towards. epochs: of each round. options: of `train`.
-    Raises InputError where no hidden neuron can be pruned, or the network diverges on a record.
+    strength: what the lengths of the given network count in the loss, divided by the sum of the targets' squares.
+    epochs: of each round. options: of `train`; weights that were pruned stay zero unless `free` says otherwise.
+    Raises InputError where no hidden neuron can be pruned or has weights, or the network diverges on a record.
     """
     network = network.flatten()
     groups = neurons(network)
@@ -40,6 +43,9 @@ def train_grouped(
         raise InputError(f"network {network.name}: diverges on a record; train it before")
     squares = 2 * objective.samples * objective.power  # of the targets
     total = sum(np.sqrt(len(of)) * length for of, length in _lengths(network, groups))
+    if not total > 0:
+        raise InputError(f"network {network.name}: its neurons have no weights yet; train it before")
+    options = {"free": nonzero(network), **options}
     for _ in range(rounds):
         decay = _decay(network, groups, strength * squares / total)
         network = retrained(network, list(records), epochs, decay=decay, **options)
@@ -48,7 +54,8 @@ def train_grouped(
 
 def emptied(network: Network) -> dict[str, list[int]]:
     """Layer -> the hidden neurons of a flat network whose weights are next to nothing, at most all but one of each."""
-    groups, found = neurons(network), {}
+    groups = neurons(network)
+    found: dict[str, list[int]] = {}
     lengths = [length for _, length in _lengths(network, groups)]
     for (layer, i), length in sorted(zip(groups, lengths, strict=True), key=lambda found: found[1]):
         if length < EMPTY * max(lengths) and len(found.get(layer, [])) < network.layers()[layer].size - 1:
@@ -56,12 +63,10 @@ def emptied(network: Network) -> dict[str, list[int]]:
     return found
 
 
-Group = list[tuple[str, np.ndarray]]  # (parameter, flat indices in it) of the weights of one neuron
-
-
 def neurons(network: Network) -> dict[tuple[str, int], Group]:
     """(layer, number) -> the weights of each hidden neuron of a flat network that may be pruned."""
-    graph, found = Graph(network), {}
+    graph = Graph(network)
+    found: dict[tuple[str, int], Group] = {}
     for name, layer in network.layers().items():
         if name in graph.shown() or not spareable(layer):
             continue

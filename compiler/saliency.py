@@ -80,6 +80,11 @@ class Expansion:
         curvature, _ = objective.normal_equations(objective.theta)
         return Expansion(objective, objective.theta, objective.free, curvature, decay, ridge)
 
+    @cached_property
+    def squares(self) -> float:
+        """Sum of squared errors of the trained weights."""
+        return self.objective.squares(self.theta)
+
     @property
     def values(self) -> np.ndarray:
         """The weights that may be removed, (M,)."""
@@ -257,6 +262,7 @@ def evolution(e: Expansion, count: int) -> Removal:
             sets.append(drawn(sure, either))
         sets = sorted(sets, key=lambda found: found[0])[:POPULATION]
     rise, chosen = min(sets, key=lambda found: found[0])
+    chosen = ranked[np.isin(ranked, chosen)]
     theta = e.theta.copy()
     theta[e.weights[chosen]] = 0.0
     return Removal(e.weights[chosen], np.full(len(chosen), rise), theta)
@@ -266,14 +272,14 @@ def _rise(e: Expansion, chosen: Sequence[int] | np.ndarray) -> float:
     """By how much half the sum of squared errors rises without the weights `chosen`; inf where the run diverges."""
     theta = e.theta.copy()
     theta[e.weights[chosen]] = 0.0
-    return (e.objective.squares(theta) - e.objective.squares(e.theta)) / 2
+    return (e.objective.squares(theta) - e.squares) / 2
 
 
 METHODS: dict[str, Method] = {
     method.__name__: method
     for method in (magnitude, obd, obs, multi_obs, unit_obs, smallest_variance, perturbation, evolution)
 }
-CORRECTING = obs, multi_obs, unit_obs  # methods that move the other weights, by the Hessian with its ridge
+UNRIDGED = magnitude, obd, smallest_variance, perturbation, evolution  # methods that ask nothing of the ridge
 
 
 def _least(e: Expansion, saliency: np.ndarray, count: int) -> Removal:
@@ -434,7 +440,7 @@ def saliency_pruning(
 
 def _safest(e: Expansion, method: Method, count: int) -> Removal:
     """The removal with the ridge that leaves the least error."""
-    removals = [method(replace(e, ridge=ridge), count) for ridge in (RIDGES if method in CORRECTING else RIDGES[:1])]
+    removals = [method(replace(e, ridge=ridge), count) for ridge in (RIDGES[:1] if method in UNRIDGED else RIDGES)]
     return min(removals, key=lambda r: e.objective.squares(r.theta))
 
 

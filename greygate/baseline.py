@@ -9,6 +9,7 @@ from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import narx_noe
 from greygate.models.training.record import Record
+from greygate.sensors import own_sensors
 
 EPOCHS = 40
 FEEDBACK = (1, 2)  # of the linear model: the least that can swing
@@ -29,7 +30,8 @@ def linear_rms(network: Network, learnt: Sequence[Record], judged: Mapping[str, 
     for output in network.outputs:
         model = linear(network.inputs, output, [of_one(r, output.name) for r in learnt])
         for name, record in judged.items():
-            found[name] |= free_run_rms(model, initialised(model, of_one(record, output.name)))
+            one = of_one(record, output.name)
+            found[name] |= free_run_rms(model, initialised(model, own_sensors(model, one).undone(one)))
     return found
 
 

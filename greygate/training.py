@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from greygate.baseline import linear_rms
 from greygate.errors import InputError
 from greygate.files import making, replacing, writing
 from greygate.machines.identification import initialised
-from greygate.models.accuracy import float_error, free_run_rms, pooled_rms, rms
+from greygate.models.accuracy import free_run_rms, pooled_rms, rms
 from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.linearised import linearised
 from greygate.models.network import Network
@@ -22,13 +22,13 @@ from greygate.models.training.record import Record, held_out
 from greygate.pages.training import page
 from greygate.plain import json_text, plain
 from greygate.progress import Progress, silent, titled
+from greygate.sensors import own_sensors
 from greygate.settling import settling
 from greygate.source import Source
 from greygate.trained import evidence
 
 ALIKE = 1.05  # factor between the held-out errors of the two best starts, up to which they end alike
 APART = 1.5  # factor from which the best one is luck
-TINY = 1e-300  # in place of the square of an output that stands at zero
 CHECKPOINTS = ("", ".narx", ".shooting")
 
 
@@ -115,8 +115,8 @@ def train_source(
                 "linear": linear_rms(network, list(records.values()), records | others),
                 "remarks": [*remarks, *starts[0].fit.remarks, *of_starts(starts)],
                 "settle": source.settle,
-                "offsets": {n: s.offsets for n, s in sensors.items() if offset},
-                "gains": {n: s.gains for n, s in sensors.items() if gain},
+                "offsets": {n: s.told(trained)[1] for n, s in sensors.items() if offset},
+                "gains": {n: s.told(trained)[0] for n, s in sensors.items() if gain},
                 "starts": [_start(s, known[0]) for s in starts],
                 "evidence": shown.figures(),
                 "out": str(folder / f"{network.name}.toml"),
@@ -174,38 +174,6 @@ def _own(
 
     given = {n: r if n == first else own(r) for n, r in records.items()}
     return given, {n: own(r) for n, r in others.items()}
-
-
-@dataclass(frozen=True)
-class Sensors:
-    """By output, the sensor's own gain and its own offset, in the output's unit: measured is gain * true + offset."""
-
-    gains: Mapping[str, float]
-    offsets: Mapping[str, float]
-
-    def undone(self, record: Record) -> Record:
-        """The record as a sensor without them would have measured it."""
-        targets = {n: (v - self.offsets.get(n, 0.0)) / self.gains.get(n, 1.0) for n, v in record.targets.items()}
-        return replace(record, targets=targets, own_offset=frozenset(), own_gain=frozenset())
-
-
-def own_sensors(network: Network, record: Record) -> Sensors:
-    """Gains and offsets of a record's own that fit the network's free run best; none where it diverges."""
-    try:
-        errors = float_error(network, replace(record, own_offset=frozenset(), own_gain=frozenset()))
-    except InputError:
-        return Sensors({}, {})
-    gains, offsets = {}, {}
-    for name in sorted(record.own_offset | record.own_gain):
-        measured = np.asarray(record.targets[name], float)[record.skip :]
-        shown = errors[name][record.skip :] + measured
-        if name in record.own_gain:
-            about = (shown.mean(), measured.mean()) if name in record.own_offset else (0.0, 0.0)
-            along = shown - about[0]
-            gains[name] = float(np.vdot(along, measured - about[1]) / max(np.vdot(along, along), TINY))
-        if name in record.own_offset:
-            offsets[name] = float(measured.mean() - gains.get(name, 1.0) * shown.mean())
-    return Sensors(gains, offsets)
 
 
 def drawn(network: Network, seed: int) -> Network:

@@ -143,7 +143,7 @@ class Expression:
         """The condition under which it is not 0, where it is a `when` as a whole."""
         match self.tree:
             case Call("when", (condition, _)):
-                return parse(_written(condition, _TEST, False))
+                return Expression(condition, tuple(_names(condition)), _quiet(_computed(condition)))
         return None
 
     def source(self) -> str:
@@ -320,6 +320,20 @@ def _raised(a, b):
 
 
 _SIGNS = {"+": operator.add, "-": operator.sub, "*": operator.mul, "/": _divided, "**": _raised}
+
+
+def _names(node: Node) -> dict[str, None]:
+    """The symbols of a tree, in their order."""
+    match node:
+        case Name(symbol):
+            return {symbol: None}
+        case Signed(_, of):
+            return _names(of)
+        case Operation(_, left, right):
+            return _names(left) | _names(right)
+        case Call(_, given):
+            return {name: None for argument in given for name in _names(argument)}
+    return {}
 
 
 def _value(node: Node) -> float | None:

@@ -3,7 +3,7 @@
 The right-hand side and a Dormand-Prince 5 step are written out as Python source and compiled by numba. The source is
 kept under its hash in `$XDG_CACHE_HOME/greygate/plants` (`~/.cache` by default) with numba's cache beside it, so that
 a plant is compiled once on a computer. Parameters, limits and initial states are arguments, so changing them does not
-compile again.
+compile again; only which terms `when(p, ...)` are off by the plant's own values stands in the source.
 """
 
 import types
@@ -200,11 +200,11 @@ def _inputs(plant: Plant, inputs: Mapping[str, np.ndarray], samples: int | None)
 
 
 def source(plant: Plant) -> str:
-    """Python source of `derivative` and `run` for `plant`; it depends on names and expressions, not on values.
+    """Python source of `derivative` and `run` for `plant`; it depends on names and expressions.
 
-    Only which terms are off, `when(p, ...)` with p of 0, it takes from the values: `bare` does without these, and runs
-    while they stay off. It is written only from checked names and trees of checked expressions, because `Plant` refuses
-    others.
+    Of the values it depends only on which terms are off, `when(p, ...)` with p of 0: `bare` does without these, and
+    runs while they stay off. It is written only from checked names and trees of checked expressions, because `Plant`
+    refuses others.
     """
     lines = ["import numpy as np", "from numba import njit", ""]
     lines += ["jit = njit(cache=True, error_model='numpy', nogil=True)", ""]

@@ -12,10 +12,11 @@ from greygate.models.families.library import library
 from greygate.models.families.regression import noe
 from greygate.models.linearised import linearised
 from greygate.models.network import Layer, Network, Port
-from greygate.models.training.objective import Objective
+from greygate.models.training.objective import Objective, best_gain
 from greygate.models.training.record import Record
 from greygate.plants.excitation import prms
 from greygate.plants.recording import Recording
+from greygate.sensors import own_sensors
 from greygate.settling import settling
 from greygate.training import drawn, of_starts
 
@@ -218,3 +219,44 @@ def test_what_several_recordings_cannot_be_is_refused_with_what_to_do(greygate, 
     write("slow.csv", record(4), dt=0.02)
     code, _, told = greygate("train", "mine.toml", "--record", "rest.csv", *words, "--out", "out")
     assert (code, said in told, (folder / "out").exists()) == (2, True, False)
+
+
+def test_a_record_of_which_nothing_counts_and_one_that_rests_do_not_stop_a_training():
+    model = drawn(noe("mine", {Port("u"): (1,)}, Port("y"), (1,), hidden=3), 2)
+    names = frozenset({"y"})
+    skipped = replace(record(5, samples=50), own_gain=names, own_offset=names, skip=50)
+    objective = Objective(model, [record(4), skipped])
+    plain = Objective(model, [record(4)])
+    assert objective.squares(objective.theta) == plain.squares(plain.theta)
+    for found, alone in zip(
+        objective.normal_equations(objective.theta), plain.normal_equations(plain.theta), strict=True
+    ):
+        np.testing.assert_array_equal(found, alone)
+    resting = replace(record(6), targets={"y": np.full(400, 0.3)}, own_gain=names, own_offset=names)
+    sensors = own_sensors(model, resting)
+    assert sensors.gains["y"] == 1.0
+    assert np.isfinite(sensors.undone(resting).targets["y"]).all()
+
+
+@pytest.mark.parametrize("about_mean", [False, True])
+def test_a_gain_of_what_stands_still_is_one(about_mean):
+    shown = np.full(100, 0.3 if about_mean else 0.0)
+    gain, along = best_gain(shown, np.random.default_rng(0).normal(size=100), about_mean)
+    assert gain == 1.0
+    assert not along.any()
+
+
+def test_each_element_of_an_output_has_a_gain_and_an_offset_of_its_own():
+    network = Network("two", [Port("u")], [Port("y", size=2)])
+    network.add("sum", Layer({"u": np.array([[1.0], [-0.5]])}, [0.0, 0.2]))
+    network.connect("u", "sum.u")
+    network.connect("sum", "y")
+    u = np.random.default_rng(1).normal(size=200)
+    y = network.run({"u": u})["y"]
+    names = frozenset({"y"})
+    seen = Record({"u": u}, {"y": y * [2.0, 5.0] + [1.0, -1.0]}, own_gain=names, own_offset=names)
+    sensors = own_sensors(network, seen)
+    np.testing.assert_allclose(sensors.gains["y"], [2.0, 5.0])
+    np.testing.assert_allclose(sensors.offsets["y"], [1.0, -1.0])
+    np.testing.assert_allclose(sensors.undone(seen).targets["y"], y)
+    assert sensors.told(network)[0] == pytest.approx({"y[0]": 2.0, "y[1]": 5.0})

@@ -271,7 +271,10 @@ def linear(
 def refitted(model: Model, task: Task, start: Network, records: Sequence[Record], epochs: int, until: float) -> Trained:
     """The model fitted to records from `start` on, in free run, or as its idea of the noise asks."""
     if model.form == SUBSPACE:
-        return as_it_is(subspace(model.orders, task.output, start, records) or start, records)
+        found = subspace(model.orders, task.output, start, records)
+        if found is None:  # too short for it: left untried, as what time does not suffice for
+            return replace(as_it_is(start, records), outcome=Outcome.TIME)
+        return as_it_is(found, records)
     if model.form in (ARX, ARMAX, BJ):
         left = max(until - time(), LEAST)
         return estimated(model.form, model.orders, task.output, start, records, epochs, left)

@@ -42,7 +42,7 @@ Part = tuple[np.ndarray, np.ndarray]  # inputs (N, m), each late by its delay, a
 
 def _part(record: Record, inputs: Sequence[Port], orders: Orders, output: Port) -> Part:
     late = [
-        np.concatenate([np.full(min(d, len(record)), s[0]), s[: len(record) - d]])
+        np.concatenate([np.full(min(d, len(record)), s[0]), s[: max(len(record) - d, 0)]])
         for s, d in ((p.normalised(record.inputs[p.name]), d) for p, d in zip(inputs, orders.delays, strict=True))
     ]
     return np.stack(late, axis=1), output.normalised(record.targets[output.name])

@@ -31,7 +31,7 @@ class Loss:
 
     def _decay(self, decay: Decay) -> np.ndarray:
         """D's diagonal over the variables; initial states do not decay."""
-        place = self.objective.slices()
+        place, shapes = self.objective.slices(), self.objective.shapes
         size = sum(map(len, place.values()))
         diagonal = np.zeros(len(self.objective.theta))
         if not isinstance(decay, Mapping):
@@ -40,12 +40,17 @@ class Loss:
             for name in decay:
                 if name not in place and not any(n.startswith(name + ".") for n in place):
                     raise InputError(f"decay names {name}, which is no module, layer or parameter of the network")
-            for name, columns in place.items():  # the longest name that fits counts
-                fits = [d for d in decay if name == d or name.startswith(d + ".")]
-                given = np.ravel(decay[max(fits, key=len)] if fits else 0.0)
-                if len(given) not in (1, len(columns)):
-                    raise InputError(f"decay of {name} has {len(given)} numbers; give one, or {len(columns)}")
-                diagonal[columns] = given
+            for parameter, columns in place.items():  # the longest name that fits counts
+                fits = [d for d in decay if parameter == d or parameter.startswith(d + ".")]
+                if not fits:
+                    continue
+                given = np.asarray(decay[name := max(fits, key=len)], float)
+                if given.ndim and (name != parameter or given.shape != shapes[parameter]):
+                    raise InputError(
+                        f"decay of {name} has the shape {given.shape}; give one number, or an array of a parameter's "
+                        f"shape ({parameter}: {shapes[parameter]})"
+                    )
+                diagonal[columns] = given.ravel()
         if not ((diagonal >= 0) & np.isfinite(diagonal)).all():
             worst = diagonal[~((diagonal >= 0) & np.isfinite(diagonal))][0]
             raise InputError(f"decay {worst}: give finite numbers from 0 on; a negative one rewards large weights")

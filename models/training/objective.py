@@ -18,6 +18,7 @@ CHUNK = 2048  # steps of Jacobian held at once
 CORES = ThreadPoolExecutor(2, "greygate")  # kernels and BLAS both let go of the interpreter
 WORTH = 2e6  # multiplications below which a second core does not pay
 NARROW = 0.9  # share of free columns above which it is faster to drop the others after J'J than before
+STILL = 1e-9  # of an output's size, below which its motion is rounding
 IN_RANGE = 10.0  # of a normalised signal: a guess beyond it has diverged
 
 
@@ -34,6 +35,20 @@ class _Window:
     follows: bool  # its initial state should be what the window before ends with
     own: tuple[int, ...] = ()  # output columns whose sensor has an offset of its own
     scaled: Mapping[int, float] = field(default_factory=dict)  # one with a gain of its own -> its zero, normalised
+
+
+def best_gain(shown: np.ndarray, measured: np.ndarray, about_mean: bool) -> tuple[float, np.ndarray]:
+    """(gain, along): the gain of `shown` (N,) that comes nearest to `measured`, and what it multiplies.
+
+    about_mean: both about their means. Where nothing is shown that a gain could multiply, it is 1, along a zero.
+    """
+    along, target = shown, measured
+    if about_mean:
+        along, target = shown - shown.mean(), measured - measured.mean()
+    size = float(along @ along)
+    if not size > STILL**2 * float(shown @ shown):
+        return 1.0, np.zeros(len(shown))
+    return float(along @ target) / size, along
 
 
 class Objective:
@@ -122,6 +137,11 @@ class Objective:
         """Where each parameter stands in theta."""
         ends = np.cumsum([int(np.prod(s)) for s in self._shapes])
         return dict(zip(self._names, np.split(np.arange(ends[-1]), ends[:-1]), strict=True))
+
+    @property
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Parameter -> its shape, in the order of theta."""
+        return dict(zip(self._names, self._shapes, strict=True))
 
     def unpack(self, theta: np.ndarray) -> Network:
         """The flat network with these parameters."""
@@ -277,7 +297,7 @@ class Objective:
     def errors(self, theta: np.ndarray) -> list[np.ndarray] | None:
         """Normalised prediction less target, (N, outputs) per record or window; None if the free run diverges.
 
-        Where an output has an offset of its own in a record, it is taken off: the mean from `skip` on is zero.
+        An offset and a gain of a record's own are the best at theta: they scale the prediction, in what was measured.
         """
         return None if self.simulate(theta) is None else [self._error(w) for w in self.windows]
 
@@ -285,32 +305,30 @@ class Objective:
         """Of the run that the window holds."""
         shown = w.now[self.tables.depth :, self.tables.rows[self.tables.shown]]
         error = shown - w.target
+        if w.skip >= len(error):
+            return error
         for output, zero in w.scaled.items():
-            along = self._along(w, output)
-            size = float(along @ along)
-            target = w.target[w.skip :, output] + zero
-            gain = float(along @ target) / size if size > 0 else 1.0
+            gain, _ = self._gain(w, output)
             error[:, output] = gain * (shown[:, output] + zero) - (w.target[:, output] + zero)
         for output in w.own:
             error[:, output] -= error[w.skip :, output].mean()
         return error
 
-    def _along(self, w: _Window, output: int) -> np.ndarray:
-        """What a gain multiplies: the output that the run shows where it counts, about its mean beside an offset."""
+    def _gain(self, w: _Window, output: int) -> tuple[float, np.ndarray]:
+        """(the gain that fits best, what it multiplies): where samples count, about the mean beside an offset."""
         shown = w.now[self.tables.depth + w.skip :, self.tables.rows[self.tables.shown][output]] + w.scaled[output]
-        return shown - shown.mean() if output in w.own else shown
+        return best_gain(shown, w.target[w.skip :, output] + w.scaled[output], about_mean=output in w.own)
 
     def _own(self, w: _Window) -> dict[int, tuple[float, np.ndarray]]:
         """Output column -> (its gain, orthonormal signals (k, N) of what a gain and an offset of its own may add)."""
-        found = {}
-        for output in {*w.own, *w.scaled}:
-            gain, count = 1.0, len(w.target) - w.skip
-            signals = [np.full(count, count**-0.5)] if output in w.own else []
+        found: dict[int, tuple[float, np.ndarray]] = {}
+        count = len(w.target) - w.skip
+        for output in {*w.own, *w.scaled} if count > 0 else ():
+            gain, signals = 1.0, [np.full(count, count**-0.5)] if output in w.own else []
             if output in w.scaled:
-                along = self._along(w, output)
-                if size := float(along @ along):
-                    gain = float(along @ (w.target[w.skip :, output] + w.scaled[output])) / size
-                    signals.append(along * size**-0.5)
+                gain, along = self._gain(w, output)
+                if size := float(np.linalg.norm(along)):
+                    signals.append(along / size)
             whole = np.zeros((len(signals), len(w.target)))
             whole[:, w.skip :] = signals if signals else 0.0
             found[output] = gain, whole

@@ -53,16 +53,17 @@ def pictures(v: Validation, period: float) -> dict:
         "run": run_data(v, period),
         "histogram": histogram(residual * small, small_unit) if math.isfinite(v.rms) else "",
         "response": _response(v) if v.response else "",
-        "octaves": [_octave(o, small, small_unit) for o in v.octaves if o.signal > 0],
+        "octaves": [_octave(o, small, small_unit, v.skip * period) for o in v.octaves],
         "ahead": ahead(v, small, small_unit) if v.ahead else "",
         "long_run": repetitions(v, small, small_unit),
         "tests": tests,
     }
 
 
-def _octave(o: Octave, factor: float, unit: str) -> tuple[str, str, float, str]:
+def _octave(o: Octave, factor: float, unit: str, start: float) -> tuple[str, str, str, str]:
     """(octave, error, its share of the signal, when it is most)"""
-    return f"{o.low:.3g} to {o.high:.3g} Hz", f"{o.error * factor:.3g} {unit}", o.error / o.signal, f"{o.at:.4g} s"
+    share = f"{100 * o.error / o.signal:.3g} %" if o.signal > 0 else "–"
+    return f"{o.low:.3g} to {o.high:.3g} Hz", f"{o.error * factor:.3g} {unit}", share, f"{start + o.at:.4g} s"
 
 
 def _response(v: Validation) -> Markup:
