@@ -6,7 +6,7 @@ OUT := demo
 PEERS := build/peers
 FOLDERS := models plants emulator compiler rtl mismatch control machines recordings
 NO_FLOATS := rtl random_hardware adders_hardware synthesis proofs engine board c99 browser fuzz fuzzing faults attacks \
-    names escapes waveform testing ci schemas invocations imports files serial pipelined targets
+    names escapes waveform testing ci schemas invocations imports files serial pipelined targets export
 
 .PHONY: demo docs pages test test-old lint types bench bench-training bench-diagnosis bench-rigs bench-programs fuzz faults \
     mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-tables \
@@ -24,7 +24,7 @@ test: $(VENV)/.ready-dev | tools
 	$(BIN)/python -m pytest -n 2
 
 # The same on the processor of another age: its BLAS and its numpy compute other last bits. Left out is what has no floats:
-# Verilog, C, browsers, wrong uses, files that break and strangers that break in.
+# Verilog, C and what is made of it, browsers, wrong uses, files that break and strangers that break in.
 test-old: $(VENV)/.ready-dev | tools
 	$(BIN)/python benchmarks/processors.py --setting "old BLAS and numpy" --run \
 	  $(BIN)/python -m pytest -n 2 $(patsubst %,--ignore=tests/test_%.py,$(NO_FLOATS))

@@ -9,6 +9,7 @@ import pytest
 from greygate.mismatch.claims import Claims, held_to_tolerance
 from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.search import Hypothesis
+from greygate.mismatch.simulation import corrected
 from greygate.mismatch.verdict import Verdict
 
 
@@ -52,3 +53,17 @@ def test_beside_something_unexplained_parameters_stay_within_their_tolerance(sli
         assert abs(fit.values["creep"] - sheet.value) <= sheet.tolerance * abs(sheet.value) * (1 + 1e-9)
         assert [creep.low, creep.high] == pytest.approx([sheet.value * (1 + s * sheet.tolerance) for s in (-1, 1)])
     assert held_to_tolerance(search, Claims(Hypothesis((), ("creep",)), plain, plain)).best == Hypothesis()
+
+
+def test_a_corrected_simulation_has_the_claimed_effect_alone(slipping):
+    """Another would only have to be compiled; what it predicts is what the search's own model does."""
+    search, plain, best, right = slipping
+    found = Diagnosis(
+        search.rig, Verdict.MISSING_PHYSICS, best, plain, right, {best: right.cost}, {}, 1.0, search, {}
+    ).as_dict()
+    recording = search.final.model.recording
+    model, values = corrected(search.rig, recording, found)
+    assert {effect.id for effect in model.effects.values()} == {"speed_slip"}
+    whole = search.final.model.predict({**search.final.model.values, **right.values})
+    alone = model.predict({**model.values, **values})
+    np.testing.assert_allclose(alone, whole, rtol=1e-9, atol=1e-12)
