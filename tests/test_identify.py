@@ -48,7 +48,7 @@ def short(monkeypatch):
     monkeypatch.setattr(halving, "ORDERS", (1, 2))
     monkeypatch.setattr(halving, "FORMS", [f for f in FORMS if f.before == 2 or f.inside == 2][:3])
     monkeypatch.setattr(halving, "BASES", 1)
-    monkeypatch.setattr(halving, "RUNGS", (halving.Rung(9, 1, 10, 4000, 2, 1.0), halving.Rung(3, 1, 40, 8000, 1, 1.0)))
+    monkeypatch.setattr(halving, "RUNGS", (halving.Rung(9, 1, 10, 4000, 2, 1.0), halving.Rung(3, 1, 100, 8000, 1, 1.0)))
 
 
 def found(train: Recording, tests=(), jobs: int = 2):

@@ -91,6 +91,7 @@ TEXTS = {
     "resample": ["", "x", "0", "-1", "nan", "inf", "1e9"],
     "new_name": ["", "x y", "a.csv/new", "2nd", "con"], "block": ["none", "product", ""],
     "offset": ["nobody", "y", ""],
+    "gain": ["nobody", "y", ""],
     "settle": ["x", "", "-1", "1.5", "nan", "9" * 20, "autos"],
     "input": ["nobody", ""], "output": ["nobody", "x_drum", ""],
     "joint": ["", "v", "v=", "=hinge", "nobody=hinge", "v=a b"], "options": ["--nope", "--width=3", "--out=x"],
