@@ -313,3 +313,13 @@ def test_poles_outside_the_unit_circle_give_weights_all_the_same():
     u = rng.standard_normal((3000, 1))
     found = numerators([(u, rng.standard_normal(3000))], np.poly([1.5, 0.5]), 2)
     np.testing.assert_array_equal(found, np.zeros(4))
+
+
+def test_an_output_error_model_begins_as_the_subspace_where_that_runs_free_better():
+    asked = task({"run": recorded(1, samples=1500, noise=0.1)}, ["u"], "y")
+    records, model = list(asked.records.values()), halving.Model(LINEAR, Orders(2, (1,)), 0.0)
+    begun = halving.linear(asked, model, None, records, replace(halving.LADDER, epochs=0), math.inf).network
+    start = LINEAR.build(model.orders, asked.inputs, asked.output, 0)
+    expected = subspace(model.orders, asked.output, start, records).parameters()
+    for name, value in begun.parameters().items():
+        np.testing.assert_allclose(value, expected[name], atol=1e-12)

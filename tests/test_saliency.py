@@ -144,6 +144,8 @@ def test_evolution_finds_the_pair_that_does_nothing_together():
     rise = (e.objective.squares(removal.theta) - e.objective.squares(e.theta)) / 2
     np.testing.assert_allclose(removal.saliency, [rise, rise])
     np.testing.assert_array_equal(evolution(e, 2).weights, removal.weights)
+    for count in range(1, 7):  # no set wins because it removes less
+        assert len(set(evolution(e, count).weights)) == count
 
 
 def test_magnitude_sees_the_size_obd_the_effect_and_surgery_what_others_can_stand_in_for():

@@ -90,8 +90,8 @@ def numerators(parts: Sequence[Part], denominator: np.ndarray, order: int) -> np
         begun[: min(order, len(u))] = np.eye(order)[: len(u)]
         free.append(lfilter([1.0], denominator, begun, axis=0))
     count, rest = known[0].shape[1], [np.zeros((len(k), order * len(parts))) for k in known]
-    for i, (whole, own_) in enumerate(zip(rest, free, strict=True)):
-        whole[:, i * order : (i + 1) * order] = own_
+    for i, (whole, response) in enumerate(zip(rest, free, strict=True)):
+        whole[:, i * order : (i + 1) * order] = response
     columns = np.hstack([np.concatenate(known), np.concatenate(rest)])
     with np.errstate(over="ignore"):
         size = np.maximum(np.linalg.norm(columns, axis=0), np.finfo(float).tiny)
