@@ -1,10 +1,11 @@
 """The rig of the timing belt: what it does at a turn, and what the machine's errors on it are made of.
 
-    python benchmarks/belt_rig.py [turn repeated shares]
+    python benchmarks/belt_rig.py [turn repeated shares black_boxes]
 
-    turn       one turn in time; closing distances by speed and inertia (fig. 4.6)
-    repeated   12 round trips of one day: how well a boundary repeats, how far apart the two are
-    shares     the stored machine on s1 to s4 of rigs that lack one effect, nothing trained anew
+    turn         one turn in time; closing distances by speed and inertia (fig. 4.6)
+    repeated     12 round trips of one day: how well a boundary repeats, how far apart the two are
+    shares       the stored machine on s1 to s4 of rigs that lack one effect, nothing trained anew
+    black_boxes  the networks of table 4.1, trained for the thesis's epochs: half an hour on one core
 
 What is found is kept in results/belt_rig.json, from which `make pages` writes the tables of the page.
 """
@@ -17,7 +18,7 @@ import numpy as np
 from made import keep
 
 from greygate.machines.belt_drive import plant as rig
-from greygate.machines.belt_drive.study import ENGAGED, SCENARIOS, legs
+from greygate.machines.belt_drive.study import ENGAGED, SCENARIOS, baselines, legs
 from greygate.machines.catalog import entry
 from greygate.models.accuracy import rms
 from greygate.plants.simulate import simulate
@@ -97,7 +98,12 @@ def scored(name: str, speed: float | None = None, **values: float) -> dict[str, 
     return {"overall": rms(error), "major": rms(error[major]), "minor": rms(error[~major])}
 
 
-PARTS: dict[str, Callable[[], dict]] = {p.__name__: p for p in (turn, repeated, shares)}
+def black_boxes() -> dict:
+    """Table 4.1: RMS in um in training and on s1 to s4, epochs, seconds."""
+    return {"found": baselines(progress=lambda text: print(text, file=sys.stderr, flush=True))}
+
+
+PARTS: dict[str, Callable[[], dict]] = {p.__name__: p for p in (turn, repeated, shares, black_boxes)}
 
 if __name__ == "__main__":
     for part in sys.argv[1:] or PARTS:

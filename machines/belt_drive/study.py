@@ -231,7 +231,7 @@ BASELINES = ("elman", "noe", "frnn")
 BASELINE_STEP = 40  # a baseline reads every 40th sample of the training recording, about the thesis's 1067 samples
 
 
-def baseline(kind: str, neurons: int, seed: int = 0, epochs: int = 125, seconds: float = 900.0) -> Trained:
+def baseline(kind: str, neurons: int, seed: int = 0, epochs: int = 125, seconds: float = 3600.0) -> Trained:
     """A black box of table 4.1 on x(k), x(k-1), x(k-2), trained for the thesis's epochs on its number of samples.
 
     seconds: time limit, after which training stops with the weights that it has.

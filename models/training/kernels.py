@@ -240,6 +240,40 @@ def forward(layers, links, n_inputs, depth, theta, now, past, forced):  # pragma
     return len(now) - depth
 
 
+@kernel(inline="always")
+def _alike(spans, row, i):  # pragma: no cover - compiled
+    """Whether the same parameters act on rows i to i + 3."""
+    a, b = spans[row[i]]
+    for j in range(i + 1, i + 4):
+        if spans[row[j], 0] != a or spans[row[j], 1] != b:
+            return False
+    return True
+
+
+@kernel(inline="always")
+def _carry(out, carried, spans, n_theta, share, slot, row, count):  # pragma: no cover - compiled
+    """out += share[i] carried[slot[i], row[i]] for i < count, in this order; four at a time, where one span serves."""
+    i = 0
+    while i < count:
+        a, b = spans[row[i]]
+        c0, s0 = share[i], carried[slot[i], row[i]]
+        if i + 4 <= count and _alike(spans, row, i):  # `out` is read and written once for four
+            c1, c2, c3 = share[i + 1], share[i + 2], share[i + 3]
+            s1, s2 = carried[slot[i + 1], row[i + 1]], carried[slot[i + 2], row[i + 2]]
+            s3 = carried[slot[i + 3], row[i + 3]]
+            for p in range(a, b):
+                out[p] = (((out[p] + c0 * s0[p]) + c1 * s1[p]) + c2 * s2[p]) + c3 * s3[p]
+            for p in range(n_theta, len(out)):
+                out[p] = (((out[p] + c0 * s0[p]) + c1 * s1[p]) + c2 * s2[p]) + c3 * s3[p]
+            i += 4
+        else:
+            for p in range(a, b):
+                out[p] += c0 * s0[p]
+            for p in range(n_theta, len(out)):
+                out[p] += c0 * s0[p]
+            i += 1
+
+
 @kernel(fastmath={"contract", "reassoc"})
 def sensitivities(
     layers,
@@ -272,6 +306,8 @@ def sensitivities(
     adjoint = np.empty(now.shape[1])
     delta = np.empty(now.shape[1])
     coupling = np.zeros((depth, len(rows)))
+    most = depth * len(rows)
+    share, slot, row = np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64)
     n_layers = len(layers) - 1
     for k in range(start, stop):
         for layer in range(n_layers):
@@ -332,17 +368,14 @@ def sensitivities(
                                 q = row_of[source + i]
                                 if q >= 0:
                                     coupling[delay - 1, q] += d * theta[v + i]
+            held = 0
             for delay in range(1, depth + 1):
                 for q in range(len(rows)):
-                    c = coupling[delay - 1, q]
-                    if c != 0.0:
+                    if coupling[delay - 1, q] != 0.0:
+                        share[held], slot[held], row[held] = coupling[delay - 1, q], (k - delay) % ring, q
                         coupling[delay - 1, q] = 0.0
-                        before = carried[(k - delay) % ring, q]
-                        a, b = spans[q]
-                        for p in range(a, b):
-                            out[p] += c * before[p]
-                        for p in range(n_theta, n_all):
-                            out[p] += c * before[p]
+                        held += 1
+            _carry(out, carried, spans, n_theta, share, slot, row, held)
         for j in range(len(shown)):
             lo, hi = spans[shown[j]]
             jacobian[k - start, j, lo:hi] = carried[k % ring, shown[j], lo:hi]
