@@ -18,6 +18,7 @@ from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
+from greygate.plants.simulate import simulate
 from greygate.progress import Progress, silent, titled
 
 TRAINING = ("rig_training",)
@@ -44,7 +45,7 @@ X_SCALE = 5e-6 * 2**14  # m; a step of the sensor is an exact binary fraction
 EPOCHS = 40
 NARX = {number: ((number - 1) // 3 + 1, (5, 10, 15)[(number - 1) % 3]) for number in range(1, 10)}
 """Table 6.2: architecture -> samples of each signal, neurons."""
-NARX_EPOCHS, NOE_EPOCHS = 100, 30
+NARX_EPOCHS, NOE_EPOCHS = 2000, 30
 THESIS_NARX = (0.07e6, 0.07e6, 0.07e6, 0.02e6, 0.01e6, 8e3, 0.01e6, 5e3, 6e3)  # Pa, in training (table 6.2)
 THESIS_NOE = 0.2e6  # Pa, in training
 
@@ -93,7 +94,7 @@ def train_srnn(progress: Progress = silent) -> tuple[Network, dict]:
     figures = {name: {r: tuple(e.values()) for r, e in snn[name].errors.items()} for name in ("joined", "nominal")}
     figures["adapted"] = {r: tuple(e.values()) for r, e in snn["adapted"].errors.items()}
     figures |= {"constant": constant(), "sensor_backup": sensor_backup(progress), "thesis": THESIS}
-    figures |= {"black_boxes": black_boxes(progress), "noisy_position": noisy_position(snn["nominal"].network)}
+    figures["noisy_position"] = noisy_position(snn["nominal"].network)
     figures["seconds"] = {name: snn[name].seconds for name in ("nominal", "adapted")}
     return snn.network, figures
 
@@ -128,11 +129,15 @@ def noisy_position(nominal: Network) -> dict[str, tuple[float, ...]]:
     return {name: tuple(free_run_rms(network, noisier(name)).values()) for name in SCENARIOS}
 
 
-def black_box(name: str) -> Record:
-    """The record of table 6.2's networks: `recording` with the speed `v` [m/s], and both pressures as one port `p`."""
-    r = recording(name)
-    v = np.diff(r.inputs["x"], prepend=r.inputs["x"][0]) / SAMPLE_TIME
-    return Record(r.inputs | {"v": v}, {"p": np.stack([r.targets["p_a"], r.targets["p_b"]], axis=1)})
+def black_box(name: str, true: bool = False) -> Record:
+    """The record of table 6.2's networks: `recording` with the speed `v` [m/s], and both pressures as one port `p`.
+
+    true: what the machine does, before sensors and converters.
+    """
+    end = "_true" if true else ""
+    c = {n: record(name).channels[n + end] for n in ("n_1", "n_2", "x", "p_a", "p_b")}
+    inputs = {n: c[n] for n in ("n_1", "n_2", "x")} | {"v": np.diff(c["x"], prepend=c["x"][0]) / SAMPLE_TIME}
+    return Record(inputs, {"p": np.stack([c["p_a"], c["p_b"]], axis=1)})
 
 
 def narx(samples: int, neurons: int, seed: int = 0) -> Network:
@@ -150,17 +155,21 @@ def narx(samples: int, neurons: int, seed: int = 0) -> Network:
 def black_boxes(progress: Progress = silent) -> dict:
     """Table 6.2 and the NOE of 6.3.1 on the nominal plant, and a linear model on the rig; RMS in Pa, both chambers.
 
-    `narx`: by architecture, one step ahead in training, and the same network's free run of the chirp (inf: diverges).
+    `narx`: by architecture, one step ahead in training, and the same network's free run of the chirp (inf: diverges);
+    `exact`: one step ahead in training, where no sensor adds noise.
     `noe`: the architecture of the lowest training error, trained on in free run, by record.
     `linear`: two samples of each signal and no neurons, ARX and then OE, trained and judged as the SRNN is.
     """
     training, chirp = black_box("training"), black_box("chirp")
     found, fits = {}, {}
     for number, (samples, neurons) in NARX.items():
+        begun = narx(samples, neurons)
         told = titled(progress, f"NARX {number}")
-        fits[number] = train(narx(samples, neurons), [training], teacher=True, epochs=NARX_EPOCHS, progress=told)
-        ahead = float(np.sqrt(2 * fits[number].history[-1])) * P_MAX
-        found[number] = {"ahead": ahead, "chirp": _both(fits[number].network, chirp), "seconds": fits[number].seconds}
+        fit = fits[number] = train(begun, [training], teacher=True, epochs=NARX_EPOCHS, progress=told)
+        told = titled(progress, f"NARX {number} without noise")
+        exact = train(begun, [black_box("training", True)], teacher=True, epochs=NARX_EPOCHS, progress=told)
+        found[number] = {"ahead": _ahead(fit), "exact": _ahead(exact), "chirp": _both(fit.network, chirp)}
+        found[number] |= {"epochs": len(fit.history) - 1, "seconds": fit.seconds}
     best = min(found, key=lambda n: found[n]["ahead"])
     fit = train(fits[best].network, [training], epochs=NOE_EPOCHS, progress=titled(progress, "NOE"))
     errors = {"training": _both(fit.network, training), "chirp": _both(fit.network, chirp)}
@@ -171,8 +180,50 @@ def black_boxes(progress: Progress = silent) -> dict:
     return {"narx": found, "noe": errors | own, "linear": rival, "thesis": {"narx": THESIS_NARX, "noe": THESIS_NOE}}
 
 
+def _ahead(fit: Trained) -> float:
+    """RMS in Pa of one step ahead in training."""
+    return float(np.sqrt(2 * fit.history[-1])) * P_MAX
+
+
 def _both(network: Network, record: Record) -> float:
     return free_run_rms(network, record)["p"]
+
+
+def flow_models() -> dict[str, dict]:
+    """Table 6.3: the linear flow networks (6.16), (6.17) from nothing, by the flows of the nominal plant.
+
+    By network `q_a`, `q_b`: RMS in m^3/s over the training record after one epoch of least mean squares (Widrow and
+    Hoff 1960, each step by the length of the regressor) and of least squares; with the pressures of the same instant,
+    and `late` with those of the sample before, which are all that the assembled network has; and the weights that least
+    squares finds, in SI units, beside those of table 6.1.
+    """
+    r, plant = record("training").channels, pump_cylinder()
+    driven = {n: r[n] for n in plant.inputs}
+    at = simulate(plant, driven, sample_time=SAMPLE_TIME, channels=("n_1", "n_2", "p_a", "p_b", "q_a", "q_b"))
+    scale = {"n_1": SENSORS["n_1"][0], "n_2": SENSORS["n_2"][0], "p_a": P_MAX, "p_b": P_MAX}
+    found = {}
+    for flow, regressors in {"q_a": ("n_1", "n_2", "p_a", "p_b"), "q_b": ("n_2", "p_a", "p_b")}.items():
+        now = np.stack([at[n][1:] / scale[n] for n in regressors], axis=1)
+        late = np.stack([at[n][: -1 if n[0] == "p" else None][-len(now) :] / scale[n] for n in regressors], axis=1)
+        wanted = at[flow][1:] / Q_MAX
+        exact = np.linalg.lstsq(now, wanted, rcond=None)[0]
+        late_exact = np.linalg.lstsq(late, wanted, rcond=None)[0]
+        found[flow] = {
+            "mean_squares": Q_MAX * rms(now @ _least_mean_squares(now, wanted) - wanted),
+            "least_squares": Q_MAX * rms(now @ exact - wanted),
+            "late": Q_MAX * rms(late @ late_exact - wanted),
+            "weights": {n: float(w) * Q_MAX / scale[n] for n, w in zip(regressors, exact, strict=True)},
+        }
+    return found
+
+
+def _least_mean_squares(regressors: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """The weights of a linear neuron after one epoch, sample by sample, begun at zero."""
+    weights = np.zeros(regressors.shape[1])
+    for row, value in zip(regressors, wanted, strict=True):
+        if length := float(row @ row):
+            weights += row * (value - row @ weights) / length
+    return weights
 
 
 def random_starts(bounded: bool, seeds: range = range(3)) -> list[tuple[float, ...]]:
