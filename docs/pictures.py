@@ -14,6 +14,8 @@ from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.files import replacing
+from greygate.machines.belt_drive import plant as belt_rig
+from greygate.machines.cable_drum import plant as drum_rig
 from greygate.machines.cable_drum import study as cable_drum
 from greygate.machines.catalog import entry
 from greygate.mismatch.rig import load
@@ -43,24 +45,29 @@ text { font: 11px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; fill
 }"""
 
 
-def picture(panels: Sequence[tuple[str, Markup]], keys: Sequence[tuple[str, str]], apart: int = 190) -> str:
-    """Panels (title, chart of WIDTH x HEIGHT) beside each other; keys: (class of a line, what it is), so many px apart.
+def picture(
+    panels: Sequence[tuple[str, Markup]], keys: Sequence[tuple[str, str]], apart: int = 190, columns: int = 0
+) -> str:
+    """Panels (title, chart of WIDTH x HEIGHT), so many beside each other, or all; keys: (class of a line, what it is).
 
-    A title's first line stands out; further ones are smaller.
+    A title's first line stands out; further ones are smaller. apart: px between keys.
     """
+    columns = columns or len(panels)
     head = HEAD + LINE * max(title.count("\n") for title, _ in panels)
-    width, height = WIDTH * len(panels), HEIGHT + HEAD + head
+    width, below = WIDTH * columns, -(-len(panels) // columns) * (head + HEIGHT)
+    height = below + HEAD
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}">',
         f'<style>{STYLE}</style><rect class="page" width="{width}" height="{height}"/>',
     ]
     for n, (title, drawn) in enumerate(panels):
+        left, top = n % columns * WIDTH, n // columns * (head + HEIGHT)
         first, *more = title.split("\n")
-        placed = f'<svg x="{n * WIDTH}" y="{head}" width="{WIDTH}" height="{HEIGHT}"'
+        placed = f'<svg x="{left}" y="{top + head}" width="{WIDTH}" height="{HEIGHT}"'
         notes = [
-            f'<text class="tick" x="{n * WIDTH + 58}" y="{17 + LINE * k}">{t}</text>' for k, t in enumerate(more, 1)
+            f'<text class="tick" x="{left + 58}" y="{top + 17 + LINE * k}">{t}</text>' for k, t in enumerate(more, 1)
         ]
-        title = f'<text x="{n * WIDTH + 58}" y="17">{first}</text>'
+        title = f'<text x="{left + 58}" y="{top + 17}">{first}</text>'
         parts += [title, *notes, str(drawn).replace("<svg", placed, 1)]
     for n, (kind, text) in enumerate(keys):
         x, y = 58 + apart * n, height - 10
@@ -101,6 +108,36 @@ def belt_drive() -> str:
     start, stop = np.flatnonzero(inside)[[0, -1]]
     panels = [("s3, out and home", plane(slice(None), 8)), ("a cascade of s3", plane(slice(start, stop), 3))]
     return picture(panels, [("reference", "linear scale less encoder"), ("fixed", "machine of experts")])
+
+
+def belt_scenarios() -> str:
+    """s1 to s4: how the carriage moves, and the error beside what the machine says (figures 4.11 to 4.15, 4.18 ...)."""
+    panels = []
+    for name in ("s1", "s2", "s3", "s4"):
+        record, truth, told = predicted("belt_drive", name, "e")
+        whole, period = slice(0, len(truth)), belt_rig.SAMPLE_TIME
+        moved = [over_time(1e3 * record.inputs["x"], whole, period, "cost")]
+        both = [over_time(1e6 * e, whole, period, kind) for e, kind in ((truth, "reference"), (told, "fixed"))]
+        panels += [(name, panel(moved, "time [s]", "encoder [mm]")), ("", panel(both, "time [s]", "error [µm]"))]
+    return picture(panels, [("reference", "linear scale less encoder"), ("fixed", "machine of experts")], columns=2)
+
+
+def drum_trips() -> str:
+    """Round trips at three speeds: the drum's error over where it stands, and over time (figure 7.3)."""
+    kinds = dict(zip(drum_rig.SPEEDS, ("reference", "fixed", "cost"), strict=True))
+    over_place, over_trips = [], []
+    for speed, kind in kinds.items():
+        record = entry("cable_drum").records()[f"trips_{1e3 * speed:.0f}"]
+        x, e = record.inputs["x_pe"], 1e6 * record.targets["e"]
+        first = 3 * len(x) // drum_rig.ROUND_TRIPS
+        every = max(first // SHOWN, 1)
+        over_place.append(Curve(list(1e3 * x[:first:every]), list(e[:first:every]), kind))
+        over_trips.append(over_time(e, slice(0, len(e)), cable_drum.SAMPLE_TIME, kind))
+    panels = [
+        ("the first three of sixteen round trips", panel(over_place, "drum [mm]", "error [µm]")),
+        ("all of them in time", panel(over_trips, "time [s]", "error [µm]")),
+    ]
+    return picture(panels, [(kind, f"{1e3 * speed:.0f} mm/s") for speed, kind in kinds.items()])
 
 
 def _pressure(
@@ -269,10 +306,12 @@ def entropies() -> str:
 PICTURES: dict[str, Callable[[], str]] = {
     "greygate": greygate,
     "belt_drive": belt_drive,
+    "belt_drive_scenarios": belt_scenarios,
     "valve_cylinder": first_cylinder,
     "asymmetric_cylinder": second_cylinder,
     "pump_cylinder": pump_cylinder,
     "cable_drum": drum,
+    "cable_drum_trips": drum_trips,
     "explore": explore,
     "control": control,
     "benchmark_systems": entropies,
