@@ -1,6 +1,7 @@
 """The valve-controlled cylinder beside the thesis (section 5.3): `python benchmarks/valve_cylinder.py [PART ...]`.
 
     black_boxes   NARX and NOE with the spool position (5.14), and with the valve's voltage in its place; three starts
+    axes          the same black boxes on differences and on principal components of the taps
     structured    our network, with the thesis's speed, and with its speed and spool, by the same trainer
     spread        both tasks over 20 scenarios drawn at random: trained on each, and the kept network judged on each
     load          correlation of the external force with the error (5.18), and the error map (fig. 5.10)
@@ -23,6 +24,7 @@ from greygate.machines.valve_cylinder.plant import valve_cylinder
 from greygate.machines.valve_cylinder.scenarios import HOLD, LEVEL, SAMPLE_TIME, SAMPLES, measure, scenario
 from greygate.machines.valve_cylinder.study import DIVIDER_SEED, FLOW_SEED, assemble, record, tuning
 from greygate.models.accuracy import free_run_rms
+from greygate.models.families.axes import KINDS, on_axes
 from greygate.models.families.blocks import fit_divider, fit_flow, nguyen_widrow
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
@@ -76,7 +78,14 @@ def black_boxes() -> dict:
     return {what: {chamber: _black_box(drive, chamber) for chamber in CHAMBERS} for what, drive in DRIVES.items()}
 
 
-def _black_box(drive: Port, chamber: str) -> dict:
+def axes() -> dict:
+    """The same with the spool position, on differences and on principal components of the taps."""
+    spool = DRIVES["spool"]
+    return {kind: {chamber: _black_box(spool, chamber, kind) for chamber in CHAMBERS} for kind in KINDS}
+
+
+def _black_box(drive: Port, chamber: str, kind: str = "") -> dict:
+    """kind: of the axes in place of taps."""
     runs = {name: regressors(name, drive, chamber) for name in SAMPLES}
     drive = replace(drive, scale=float(np.abs(runs["training"].inputs[drive.name]).max()))
     training = runs["training"]
@@ -85,6 +94,8 @@ def _black_box(drive: Port, chamber: str) -> dict:
     for seed in range(STARTS):
         began = time.perf_counter()
         network = noe("black", {drive: (0, 1), **MOTION}, CHAMBERS[chamber], (1, 2), (10,), seed, bypass=False)
+        if kind:
+            network = on_axes(network, [training], kind)
         start = at_rest(nguyen_widrow(network, seed), runs)
         narx = train(start, [training], teacher=True, epochs=300, tail=TAIL, patience=300).network
         fit = narx_noe(narx, [training], narx_epochs=0, epochs=100, tail=TAIL, patience=100)
@@ -187,7 +198,7 @@ def load() -> dict:
     }
 
 
-PARTS: dict[str, Callable[[], dict]] = {p.__name__: p for p in (black_boxes, structured, spread, load)}
+PARTS: dict[str, Callable[[], dict]] = {p.__name__: p for p in (black_boxes, axes, structured, spread, load)}
 
 if __name__ == "__main__":
     with threadpool_limits(1, "blas"):

@@ -1,0 +1,84 @@
+"""Regressors on differences and principal components of taps."""
+
+import numpy as np
+import pytest
+
+from greygate.compiler.pipeline import compile_network
+from greygate.compiler.quantize import Formats
+from greygate.errors import InputError
+from greygate.machines.benchmark_systems.plant import b1, b1_input
+from greygate.models.families.axes import KINDS, on_axes
+from greygate.models.families.blocks import nguyen_widrow
+from greygate.models.families.regression import noe
+from greygate.models.network import Port
+from greygate.models.training.levenberg import narx_noe
+from greygate.models.training.record import Record
+
+U, Y = Port("u", scale=2.0), Port("y", scale=0.5, offset=0.1)
+
+
+def record(seed: int = 0) -> Record:
+    signal = b1_input(seed=seed)
+    return Record({"u": signal}, {"y": b1(signal)})
+
+
+def network(hidden: int = 4):
+    return noe("b1", {U: (0, 1, 2)}, Y, (1, 2), (hidden,), seed=3, bypass=False)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_function_stays_as_it_was(kind):
+    given, rec = network(), record()
+    turned = on_axes(given, [rec], kind)
+    np.testing.assert_allclose(turned.run(rec.inputs)["y"], given.run(rec.inputs)["y"], rtol=1e-9, atol=1e-12)
+
+
+def test_axes_are_differences_of_each_signal_within_the_range_of_the_records():
+    rec = record()
+    axes = on_axes(network(), [rec], "differences").layers()["axes"]
+    u = axes.weights["u_z0"][:, 0], axes.weights["u_z1"][:, 0], axes.weights["u_z2"][:, 0]
+    rows = np.stack(u, axis=1)[:3]
+    np.testing.assert_allclose(rows / rows[:, :1], [[1, 0, 0], [1, -1, 0], [1, -2, 1]], atol=1e-12)
+    n = U.normalised(rec.inputs["u"])
+    moved = rows[1, 0] * (n[2:] - n[1:-1]) + axes.bias[1]
+    assert abs(moved).max() == pytest.approx(1.0, rel=0.2)  # the middle is that of the taps, not of their difference
+
+
+def test_principal_axes_do_not_correlate_and_the_weak_ones_are_left_out():
+    rec = record()
+    axes = on_axes(network(), [rec], "principal").layers()["axes"]
+    u, y = U.normalised(rec.inputs["u"]), Y.normalised(rec.targets["y"])
+    delays = {"u_z0": u[2:], "u_z1": u[1:-1], "u_z2": u[:-2], "y_z1": y[1:-1], "y_z2": y[:-2]}
+    along = sum(axes.weights[p] @ v[None, :] for p, v in delays.items())
+    seen = np.corrcoef(along)
+    np.testing.assert_allclose(seen, np.eye(5), atol=1e-9)
+    fewer = on_axes(network(), [rec], "principal", least=0.3).layers()["axes"]
+    assert 1 <= fewer.size < 5
+
+
+def test_training_from_them_goes_as_from_taps_and_leaves_the_axes():
+    rec, other = record(), record(1)
+    turned = nguyen_widrow(on_axes(network(8), [rec]), seed=0)
+    fit = narx_noe(turned, [rec], narx_epochs=60, epochs=60)
+    for name in ("axes.u_z1", "axes.bias"):
+        np.testing.assert_array_equal(fit.network.parameters()[name], turned.parameters()[name])
+    missed = fit.network.run(other.inputs)["y"] - other.targets["y"]
+    assert np.sqrt(np.mean(missed**2)) < 0.02 * np.std(other.targets["y"])
+
+
+def test_hardware_has_no_layer_of_axes():
+    rec = record()
+    compiled = compile_network(on_axes(network(), [rec]), {"a": rec}, Formats(16))
+    assert not any(name.startswith("axes") for name in compiled.network.layers())
+
+
+@pytest.mark.parametrize(
+    ("kind", "layer", "samples", "named"),
+    [("wavelets", "hidden1", 500, "differences or principal"), ("principal", "hidden9", 500, "hidden9"),
+     ("principal", "hidden1", 6, "record longer"), ("principal", "sum", 500, "no input and no output")],
+)  # fmt: skip
+def test_what_cannot_be_is_named(kind, layer, samples, named):
+    whole = record()
+    part = Record({"u": whole.inputs["u"][:samples]}, {"y": whole.targets["y"][:samples]})
+    with pytest.raises(InputError, match=named):
+        on_axes(network(), [part], kind, layer)
