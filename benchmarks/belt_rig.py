@@ -1,16 +1,18 @@
 """The rig of the timing belt: what it does at a turn, and what the machine's errors on it are made of.
 
-    python benchmarks/belt_rig.py [turn repeated shares black_boxes]
+    python benchmarks/belt_rig.py [turn repeated shares black_boxes sizes]
 
     turn         one turn in time; closing distances by speed and inertia (fig. 4.6)
     repeated     12 round trips of one day: how well a boundary repeats, how far apart the two are
     shares       the stored machine on s1 to s4 of rigs that lack one effect, nothing trained anew
     black_boxes  the networks of table 4.1, trained for the thesis's epochs: half an hour on one core
+    sizes        experts of the sizes of table 4.2, by its methods
 
 What is found is kept in results/belt_rig.json, from which `make pages` writes the tables of the page.
 """
 
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -18,7 +20,9 @@ import numpy as np
 from made import keep
 
 from greygate.machines.belt_drive import plant as rig
-from greygate.machines.belt_drive.study import ENGAGED, SCENARIOS, baselines, legs
+from greygate.machines.belt_drive import study
+from greygate.machines.belt_drive.network import DIRECTIONS, E, belt_machine
+from greygate.machines.belt_drive.study import ENGAGED, SCENARIOS, legs
 from greygate.machines.catalog import entry
 from greygate.models.accuracy import rms
 from greygate.plants.simulate import simulate
@@ -100,10 +104,31 @@ def scored(name: str, speed: float | None = None, **values: float) -> dict[str, 
 
 def black_boxes() -> dict:
     """Table 4.1: RMS in um in training and on s1 to s4, epochs, seconds."""
-    return {"found": baselines(progress=lambda text: print(text, file=sys.stderr, flush=True))}
+    return {"found": study.baselines(progress=say)}
 
 
-PARTS: dict[str, Callable[[], dict]] = {p.__name__: p for p in (turn, repeated, shares, black_boxes)}
+def sizes() -> dict:
+    """Table 4.2: experts of the thesis's sizes, by its methods: error in training of each, of the machine on s1 to s4."""
+    found = {}
+    for name, kind in (("fnn", study.thesis_fnn), ("rbf", study.thesis_rbf)):
+        began = time.perf_counter()
+        parts = study.experts(kind, say)
+        errors = {}
+        for way in DIRECTIONS:
+            data = {"e": study.boundary_data(way), "d": study.path_data(parts, way)}
+            for part, record in data.items():
+                missed = study.answer(parts[f"{part}_{way}"], **record.inputs) - record.targets["y"]
+                errors[f"{part}_{way}"] = 1e6 * E.scale * rms(missed)
+        found[name] = {"training": errors, "seconds": time.perf_counter() - began}
+        found[name]["scores"] = study.scores(belt_machine(parts))
+    return {"found": found}
+
+
+def say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+PARTS: dict[str, Callable[[], dict]] = {p.__name__: p for p in (turn, repeated, shares, black_boxes, sizes)}
 
 if __name__ == "__main__":
     for part in sys.argv[1:] or PARTS:
