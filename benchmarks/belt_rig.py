@@ -108,7 +108,7 @@ def black_boxes() -> dict:
 
 
 def sizes() -> dict:
-    """Table 4.2: experts of the thesis's sizes, by its methods: error in training of each, of the machine on s1 to s4."""
+    """Table 4.2: experts of the thesis's sizes, by its methods: errors in training, and on s1 to s4."""
     found = {}
     for name, kind in (("fnn", study.thesis_fnn), ("rbf", study.thesis_rbf)):
         began = time.perf_counter()

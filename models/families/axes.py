@@ -1,8 +1,8 @@
 """Regressors in other coordinates: differences and principal components of taps (thesis 3.2).
 
-Neighbouring taps of a signal that is sampled fast are nearly the same number, so a neuron needs large weights that cancel
-to see how the signal moves. A frozen linear layer between the taps and the first hidden layer gives the neurons axes
-that differ, each within [-1, 1] on the records. The compiler merges it into the neurons.
+Neighbouring taps of a signal that is sampled fast are nearly the same number, so a neuron needs large weights that
+cancel to see how the signal moves. A frozen linear layer between the taps and the first hidden layer gives the neurons
+axes that differ, each within [-1, 1] on the records. The compiler merges it into the neurons.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ def on_axes(
     records: what the axes are made from, with the measured outputs as the outputs' past.
     least: axes that deviate by less than this share of the one that deviates most are left out, as noise is all they
     show; of principal components only.
-    Raises InputError for another kind, a layer that the network lacks or that reads other layers, and records too short.
+    Raises InputError for another kind, a layer that is lacking or reads other layers, and records that are too short.
     """
     if kind not in KINDS:
         raise InputError(f"axes {kind!r}: give {' or '.join(KINDS)}")

@@ -244,10 +244,10 @@ def forward(layers, links, n_inputs, depth, theta, now, past, forced):  # pragma
 def _alike(spans, row, i):  # pragma: no cover - compiled
     """Whether the same parameters act on rows i to i + 3."""
     a, b = spans[row[i]]
+    alike = True
     for j in range(i + 1, i + 4):
-        if spans[row[j], 0] != a or spans[row[j], 1] != b:
-            return False
-    return True
+        alike &= spans[row[j], 0] == a and spans[row[j], 1] == b
+    return alike
 
 
 @kernel(inline="always")
@@ -299,7 +299,7 @@ def sensitivities(
     carried: (depth + 1, R, P + X) ring of sensitivities, step k in slot k % (depth + 1); it passes from one call to the
     next. Before step 0 it holds zeros, but for X columns of the initial state, if that is to be estimated too.
     """
-    n_theta, n_all = len(theta), carried.shape[2]
+    n_theta = len(theta)
     ring = depth + 1
     slopes = np.empty(now.shape[1])
     active = np.zeros(now.shape[1], np.int64)  # the row that acts on an element
