@@ -8,13 +8,14 @@ import pytest
 from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.errors import InputError
 from greygate.machines.belt_drive import study
-from greygate.machines.belt_drive.network import EXPERTS, JUMP, REACH, E, X, belt_machine
+from greygate.machines.belt_drive.network import EXPERTS, PLAY, REACH, E, X, belt_machine
 from greygate.machines.catalog import entry
 from greygate.models.accuracy import float_error
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.record import Record
 
 SLOPE = 2.0  # of a path, error over `REACH`
+TOY_PLAY = 0.2 * E.scale  # m
 
 
 def line(inputs: str, weights: list[list[float]], bias: list[float]) -> Network:
@@ -44,7 +45,11 @@ def toy() -> dict[str, Network]:
 def drive(turns_mm, step=2e-4):
     """x [m] through the turns and what the toy machine says, normalised."""
     x = np.concatenate([np.arange(a, b, step * np.sign(b - a)) for a, b in pairwise(turns_mm)])
-    return x, belt_machine(toy(), step).run({"x": x})["e"] / E.scale
+    return x, told(x)
+
+
+def told(x):
+    return belt_machine(toy(), TOY_PLAY).run({"x": x})["e"] / E.scale
 
 
 def test_a_path_leads_from_one_boundary_across_the_play_to_the_other_and_stays_there():
@@ -68,16 +73,25 @@ def test_a_motion_that_turns_inside_the_band_starts_from_the_last_error_less_the
 
 
 def test_after_a_turn_the_error_goes_as_the_motor_while_the_carriage_stands():
-    play = 0.2 * E.scale
-    x = np.concatenate([np.arange(0, 0.1, 1e-4), 0.1 - play * np.linspace(0, 1, 11)])
-    e = belt_machine(toy(), play).run({"x": x})["e"] / E.scale
-    np.testing.assert_allclose(e[-10:], -0.5 + (0.1 - x[-10:]) / E.scale, atol=0.01)
+    x = np.concatenate([np.arange(0, 0.1, 1e-4), 0.1 - TOY_PLAY * np.linspace(0, 1, 11)])
+    np.testing.assert_allclose(told(x)[-10:], -0.5 + (0.1 - x[-10:]) / E.scale, atol=0.01)
+
+
+@pytest.mark.parametrize("turns_mm", [[0.0, 0.1], [0.0, 0.1, 0.05]])
+def test_a_turn_that_is_taken_back_in_the_play_leaves_no_trace(turns_mm):
+    x, e = drive(turns_mm)
+    last, way = x[-1], np.sign(x[-1] - x[-2])
+    dither = last - way * TOY_PLAY * np.tile([0.3, 0.9, 0.5, 0.0], 5)
+    on = last + way * 2e-4 * np.arange(1, 20)
+    now = told(np.concatenate([x, dither, on]))
+    np.testing.assert_allclose(now[len(x) :][:20], e[-1] + (last - dither) / E.scale, atol=1e-6)
+    np.testing.assert_allclose(now[-19:], told(np.concatenate([x, on]))[-19:], atol=1e-6)
 
 
 def test_at_rest_it_holds_its_state_however_long():
     x, e = drive([0.0, 0.1, 0.094])
     held = np.concatenate([x, np.full(800, x[-1])])
-    still = belt_machine(toy(), 2e-4).run({"x": held})["e"] / E.scale
+    still = told(held)
     assert -0.3 < e[-1] < 0.5
     assert still[len(x) :] == pytest.approx(e[-1], abs=1e-4)
 
@@ -92,13 +106,13 @@ def test_an_expert_that_is_missing_is_named():
 def test_every_switch_xor_and_latch_of_the_stored_machine_becomes_logic_and_costs_no_accuracy():
     machine = entry("belt_drive").network()
     meant = [
-        name for name, m in machine.modules.items() if getattr(m, "meaning", "") and name not in ("away", "crossed")
+        name for name, m in machine.modules.items() if getattr(m, "meaning", "") and name not in ("away", "in_play")
     ]
     s3 = study.records()["s3"].cut(0, 4000)
     compiled = compile_network(machine, {"s3": s3}, period=5e-3)
-    told = compiled.passes[1].remarks
-    assert [r.split()[0] for r in told if "became logic" in r] == sorted(meant)
-    assert len(meant) == 17
+    said = compiled.passes[1].remarks
+    assert [r.split()[0] for r in said if "became logic" in r] == sorted(meant)
+    assert len(meant) == 16
     rms = [np.sqrt(np.mean(f(n, s3)["e"] ** 2)) for f, n in ((float_error, machine), (fixed_error, compiled.program))]
     assert rms[1] < 1.05 * rms[0]
 
@@ -118,7 +132,7 @@ def test_an_experts_data_are_those_of_its_own_part_of_the_band():
     boundary = study.boundary_data("forward")
     assert boundary.targets["y"].max() < 0 < study.boundary_data("backward").targets["y"].min()
     jumps = study.play_data("backward").targets["y"] * E.scale
-    assert 120e-6 < jumps.min() < np.mean(jumps) == pytest.approx(JUMP, rel=0.05)  # the play, and the belt's stretch
+    assert 120e-6 < jumps.min() < np.mean(jumps) == pytest.approx(PLAY, rel=0.05)  # the play, and the belt's stretch
     assert np.ptp(jumps) < 40e-6
     assert set(EXPERTS) == {f"{part}_{way}" for part in study.NEURONS for way in study.DIRECTIONS}
 

@@ -5,8 +5,10 @@ error, boundary reached. A motion that turned at position p with error q (includ
 
     path(k) = q + d(p, x(k) - p)    until it crosses    boundary(k) = e(x(k))
 
-The error at a turn does not jump: the carriage stands while the motor winds the belt back and crosses the play. As long
-as the motor has not gone so far since it turned, the path is that much closer to the error at the turn.
+The carriage stands while the motor winds the belt back and crosses the play, which a play operator follows (Krasnosel'skii
+and Pokrovskii 1989). The machine reads the position at which the motor drives the carriage, `engaged`: where it drove it
+last, until all the play is crossed. Only then the direction changes. What the motor has gone in the play is added to the
+error, so a turn that is taken back sooner leaves no trace.
 
 p and q are latched when the direction changes: on a boundary they are the last position and error; inside the band they
 are the point of the boundary from which a path would lead here (`sp`). There is one of each expert per direction.
@@ -28,19 +30,19 @@ E = Port("e", "m", 1e-6 * 2**8)
 REACH = 0.040 / X_SCALE  # of a path from where it began
 MOVED = 2.0**9  # gain from position to motion
 HALF_COUNT = MOVED * 2.0**-15
-JUMP = 200e-6  # m of the motor, over which the carriage stands after a turn
+PLAY = 20 * COUNT  # m of the motor, over which the carriage stands after a turn
 FAR = 100.0  # reach of a switch: its tanh form then keeps a latched value unchanged over thousands of steps
 DIRECTIONS = ("forward", "backward")
 EXPERTS = tuple(f"{part}_{way}" for part in ("e", "d", "sp", "b") for way in DIRECTIONS)
 
 
-def belt_machine(experts: Mapping[str, Network], jump: float = JUMP) -> Network:
+def belt_machine(experts: Mapping[str, Network], play: float = PLAY) -> Network:
     """Position error `e` [m] from encoder position `x` [m].
 
     experts, by the names of `EXPERTS`, normalised as `X` and `E`:
     `e`: `x` -> error on the boundary; `d`: `start`, `away` (over `REACH`) -> error since the start of the path;
     `sp`: `x`, `e` -> `y` (2,): start less x (over `REACH`), error there; `b`: `x` -> jump of the error at a reversal.
-    jump: m, over which the error goes after a turn. A motion that turns sooner again is not followed.
+    play: m of the motor, over which the carriage stands after a turn; whole counts, so that they add up exactly.
     It starts on the lower boundary at x = 0, moving forward. Raises InputError for an expert that is missing.
     """
     if missing := [name for name in EXPERTS if name not in experts]:
@@ -75,36 +77,39 @@ def belt_machine(experts: Mapping[str, Network], jump: float = JUMP) -> Network:
         values = {port: (f"{part}_{way}", 0, gain) for port, way in zip(("u1", "u2"), DIRECTIONS, strict=True)}
         logic(name, "switch_2", s=("direction",), **values)
 
-    total("moved", {"now": MOVED, "before": -MOVED}, now=("x",), before=("x", 1))
+    machine.add("in_play", library("limiter", lo=0.0, hi=1.0))  # 0: the motor drives forward, 1: backward
+    share = X.scale / play
+    for source, delay, gain in (("in_play", 1, 1.0), ("x", 0, -share), ("x", 1, share)):
+        machine.connect(source, "in_play.x", delay, gain)
+    step = MOVED / share
+    moved = {"now": MOVED, "before": -MOVED, "in_play": step, "was_in_play": -step}
+    total("moved", moved, now=("x",), before=("x", 1), in_play=("in_play",), was_in_play=("in_play", 1))
     logic("direction", "sign", 1.0, x=("moved",))
     machine.connect("direction", "direction.x", delay=1, gain=HALF_COUNT)  # at rest it stays what it was
     logic("changed", "xor", u1=("direction",), u2=("direction", 1))
 
-    either("play", "b", x=("x", 1))
+    behind = {"in_play": play / E.scale, "direction": 0.5 * play / E.scale}  # how far the motor has gone in the play
+    total("behind", behind, -0.5 * play / E.scale, in_play=("in_play",), direction=("direction",))
+    total("engaged", {"x": 1.0, "behind": E.scale / X.scale}, x=("x",), behind=("behind",))
+
+    either("play", "b", x=("engaged", 1))
     total("turn", {"error": 1.0, "play": 1.0}, error=("error", 1), play=("play",))
-    either("start_away", "sp", np.array([[1.0, 0.0]]), x=("x", 1), e=("turn",))
+    either("start_away", "sp", np.array([[1.0, 0.0]]), x=("engaged", 1), e=("turn",))
     either("start_error", "sp", np.array([[0.0, 1.0]]))
-    total("start", {"x": 1.0, "away": REACH}, x=("x", 1), away=("start_away",))
+    total("start", {"x": 1.0, "away": REACH}, x=("engaged", 1), away=("start_away",))
     for name, latch, here, inside, initial in (
-        ("begun_at", "position", ("x", 1), ("start",), home),
+        ("begun_at", "position", ("engaged", 1), ("start",), home),
         ("begun_with", "error_there", ("turn",), ("start_error",), rest),
     ):
         logic(name, "switch_2", u1=here, u2=inside, s=("reached", 1))
         logic(latch, "switch_2", initial, u1=(name,), u2=(latch, 1), s=("changed",))
 
-    logic("turned_at", "switch_2", home, u1=("x", 1), u2=("turned_at", 1), s=("changed",))
-    total("since", {"x": X.scale / jump, "turn": -X.scale / jump}, x=("x",), turn=("turned_at",))
-    machine.add("crossed", library("limiter", lo=-1.0, hi=1.0))
-    machine.connect("since", "crossed.x")
-    total("to_cross", {"way": jump / E.scale, "crossed": -jump / E.scale}, way=("direction",), crossed=("crossed",))
-
-    total("gone", {"x": 1 / REACH, "start": -1 / REACH}, x=("x",), start=("position",))
+    total("gone", {"x": 1 / REACH, "start": -1 / REACH}, x=("engaged",), start=("position",))
     machine.add("away", library("limiter", lo=-1.0, hi=1.0))
     machine.connect("gone", "away.x")
     either("slipped", "d", start=("position",), away=("away",))
-    parts = {"start": ("error_there",), "slipped": ("slipped",), "to_cross": ("to_cross",)}
-    total("path", dict.fromkeys(parts, 1.0), **parts)
-    either("boundary", "e", x=("x",))
+    total("path", {"start": 1.0, "slipped": 1.0}, start=("error_there",), slipped=("slipped",))
+    either("boundary", "e", x=("engaged",))
 
     total("beyond", {"boundary": 1.0, "path": -1.0}, boundary=("boundary",), path=("path",))
     logic("across", "switch_2", u1=("beyond",), u2=("beyond", 0, -1.0), s=("direction",))
@@ -114,5 +119,6 @@ def belt_machine(experts: Mapping[str, Network], jump: float = JUMP) -> Network:
     total("one_of", {"beyond": 1.0, "held": 1.0}, 1.0, beyond=("beyond_it",), held=("held",))
     logic("reached", "sign", 1.0, x=("one_of",))
     logic("error", "switch_2", rest, u1=("boundary",), u2=("path",), s=("reached",))
-    machine.connect("error", "e")
+    total("shown", {"error": 1.0, "behind": 1.0}, error=("error",), behind=("behind",))
+    machine.connect("shown", "e")
     return machine.check()
