@@ -23,6 +23,7 @@ from greygate.progress import Progress, silent
 Feature = Mapping[tuple[str, int], float]
 """(input port, delay) -> weight, in the units of the ports: what the network sees, a sum."""
 AHEAD, LAST = "ahead", "last"
+APART = 0.25  # of the most that two inputs at a sample can differ by, from which on they are apart
 
 
 def differences(port: str, delays: Sequence[int], gain: float = 1.0) -> list[Feature]:
@@ -115,7 +116,9 @@ class Imitated:
 class Watched:
     """A controller that drives while an expert says what it would do, and what the network would have read.
 
-    The expert's answers are as its actuator would make them.
+    The expert's answers are as its actuator would make them. Where the driver has been apart from them for all the time
+    that the expert looks ahead, the expert drives until they agree (Zhang and Cho 2017): what a young network that runs
+    away would see is of no use to anyone.
     """
 
     driver: Controller | None
@@ -132,11 +135,17 @@ class Watched:
         if self.driver:
             self.driver.reset()
         self.rows: list[dict[str, float]] = []
+        self.astray = 0  # samples
 
     def __call__(self, measured: Mapping[str, float], before: float, reference: np.ndarray) -> float:
         answer = self.limits.kept(self.expert(measured, before, reference[: self.expert.ahead + 1]), before)
         self.rows.append(self.reads.inputs(measured, before, reference) | {"answer": answer})
-        return self.driver(measured, before, reference) if self.driver else answer
+        if self.driver is None:
+            return answer
+        driven = self.limits.kept(self.driver(measured, before, reference), before)
+        most = min(2 * self.limits.rate, self.limits.high - self.limits.low)
+        self.astray = self.astray + 1 if abs(driven - answer) > APART * most else 0
+        return answer if self.astray > self.expert.ahead else driven
 
     def record(self, network: Network, skip: int) -> Record:
         """What was read beside the expert's answers."""

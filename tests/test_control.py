@@ -263,6 +263,27 @@ def learnt() -> Network:
     return dagger(untrained, visit, rounds=1, epochs=30, decay=1e-6)
 
 
+def test_a_network_that_runs_away_is_brought_back_by_the_controller_that_it_imitates():
+    class Away:
+        ahead = 0
+
+        def reset(self):
+            pass
+
+        def __call__(self, measured, before, reference):
+            return LIMITS.high
+
+    still = np.zeros(200)
+    alone = run(Lag(), Away(), still, "truth", LIMITS, 1e-3)
+    watched = Watched(Away(), Known(), reads(student()), LIMITS)
+    led = run(Lag(), watched, still, "truth", LIMITS, 1e-3)
+    early = slice(0, Known().ahead)
+    np.testing.assert_array_equal(led.input[early], alone.input[early])  # it is left alone at first
+    assert led.input[early.stop + 2] < alone.input[early.stop + 2]
+    assert np.abs(led.error[-100:]).mean() < 0.8 < 0.99 < np.abs(alone.error[-100:]).min()  # until they agree again
+    assert len(watched.rows) == 200  # and what it saw is kept all the while
+
+
 def test_an_imitating_network_tracks_like_the_controller_that_it_imitates(learnt):
     reference = 0.25 * np.sin(np.arange(300) / 15 + 0.5)
     rms = [run(Lag(), c, reference, "truth", LIMITS, 1e-3).figures(50)["rms"] for c in (Known(), reads(learnt))]
