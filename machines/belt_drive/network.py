@@ -5,10 +5,10 @@ error, boundary reached. A motion that turned at position p with error q (includ
 
     path(k) = q + d(p, x(k) - p)    until it crosses    boundary(k) = e(x(k))
 
-The carriage stands while the motor winds the belt back and crosses the play, which a play operator follows (Krasnosel'skii
-and Pokrovskii 1989). The machine reads the position at which the motor drives the carriage, `engaged`: where it drove it
-last, until all the play is crossed. Only then the direction changes. What the motor has gone in the play is added to the
-error, so a turn that is taken back sooner leaves no trace.
+The carriage stands while the motor winds the belt back and crosses the play, which a play operator follows
+(Krasnosel'skii and Pokrovskii 1989). The machine reads the position at which the motor drives the carriage, `engaged`:
+where it drove it last, until all the play is crossed. Only then the direction changes. What the motor has gone in the
+play is added to the error, so a turn that is taken back sooner leaves no trace.
 
 p and q are latched when the direction changes: on a boundary they are the last position and error; inside the band they
 are the point of the boundary from which a path would lead here (`sp`). There is one of each expert per direction.
