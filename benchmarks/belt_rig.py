@@ -1,11 +1,12 @@
 """The rig of the timing belt: what it does at a turn, and what the machine's errors on it are made of.
 
-    python benchmarks/belt_rig.py [turn repeated shares black_boxes sizes]
+    python benchmarks/belt_rig.py [turn repeated shares black_boxes elman sizes]
 
     turn         one turn in time; closing distances by speed and inertia (fig. 4.6)
     repeated     12 round trips of one day: how well a boundary repeats, how far apart the two are
     shares       the stored machine on s1 to s4 of rigs that lack one effect, nothing trained anew
     black_boxes  the networks of table 4.1, trained for the thesis's epochs: half an hour on one core
+    elman        what the smallest of them says, for the picture
     sizes        experts of the sizes of table 4.2, by its methods
 
 What is found is kept in results/belt_rig.json, from which `make pages` writes the tables of the page.
@@ -107,6 +108,21 @@ def black_boxes() -> dict:
     return {"found": study.baselines(progress=say)}
 
 
+def elman() -> dict:
+    """Figures 4.8 and 4.9: the error in um and what an Elman network of 10 neurons says, in training and on s2."""
+    network = study.baseline("elman", 10).network
+    found = {}
+    for name in ("training", "s2"):
+        record = study.thinned(study.records()[name])
+        told = network.run(record.inputs)["e"]
+        found[name] = {"true": _um(record.targets["e"]), "told": _um(told)}
+    return {"period": study.BASELINE_STEP * rig.SAMPLE_TIME, "um": found}
+
+
+def _um(values: np.ndarray) -> list[float]:
+    return [round(1e6 * float(v), 1) for v in values]
+
+
 def sizes() -> dict:
     """Table 4.2: experts of the thesis's sizes, by its methods: errors in training, and on s1 to s4."""
     found = {}
@@ -128,7 +144,7 @@ def say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-PARTS: dict[str, Callable[[], dict]] = {p.__name__: p for p in (turn, repeated, shares, black_boxes, sizes)}
+PARTS: dict[str, Callable[[], dict]] = {p.__name__: p for p in (turn, repeated, shares, black_boxes, elman, sizes)}
 
 if __name__ == "__main__":
     for part in sys.argv[1:] or PARTS:

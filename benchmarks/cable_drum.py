@@ -2,6 +2,7 @@
 
     trips       slip of the round trips of figure 7.3
     noe         table 7.3, five starts of each network
+    drawn       what networks 9 and 10 of table 7.3 leave in training, for the picture
     starts      every size and seed that `greygate train cable_drum` chooses among, on every record
     less_slip   the same on a rig whose guide wheels pull a fourth as hard
     days        the kept network on the course of validation, with what differs on that day changed one by one
@@ -28,16 +29,20 @@ from greygate.machines.cable_drum.study import (
     records,
     recurrent,
     starts,
+    with_angle,
 )
 from greygate.machines.identification import rmse
+from greygate.models.accuracy import float_error
 from greygate.models.network import Network
 from greygate.models.training.levenberg import train
+from greygate.pages.figures import envelope
 from greygate.plants.recording import Recording
 
 JUDGED = ("training", "choice", "validation", "home")
 LESS = 0.12  # N, of the guide wheels
 DRAWN = 20
 STARTS = 5  # of a black box
+BINS = 400  # of a curve
 
 
 def trips() -> dict:
@@ -67,6 +72,21 @@ def noe() -> dict:
         found.append(rows)
         print(f"NOE {taps} taps, {neurons}: {rows}", file=sys.stderr, flush=True)
     return {"um": found}
+
+
+def drawn() -> dict:
+    """Figures 7.8 and 7.10: what networks 9 (10 epochs) and 10 (100 more, with the angle) leave in training, um."""
+    training = black_box(records()["training"])
+    ahead = train(recurrent(*ARCHITECTURES[-1]), [training], epochs=100, teacher=True).network
+    ninth = train(ahead, [training], epochs=10).network
+    tenth = train(with_angle(ninth), [training], epochs=100).network
+    left = {name: 1e6 * float_error(network, training)["e"] for name, network in (("9", ninth), ("10", tenth))}
+    bins = {name: envelope(error, BINS) for name, error in left.items()}
+    return {
+        "um": {
+            n: {"step": [int(k) for k in b["step"]], "left": [round(v, 1) for v in b["value"]]} for n, b in bins.items()
+        }
+    }
 
 
 def every_start(**values: float) -> dict:
@@ -134,7 +154,7 @@ def ranked(rows: list[list[float]], picked: list[float]) -> dict:
 
 
 PARTS: dict[str, Callable[[], dict]] = {"starts": every_start} | {
-    p.__name__: p for p in (trips, noe, less_slip, days, spread)
+    p.__name__: p for p in (trips, noe, drawn, less_slip, days, spread)
 }
 
 if __name__ == "__main__":

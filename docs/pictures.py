@@ -28,7 +28,8 @@ from greygate.reading import read_json
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "pictures"
-KEPT = ROOT / "benchmarks" / "results" / "measured_mismatch"
+RESULTS = ROOT / "benchmarks" / "results"
+KEPT = RESULTS / "measured_mismatch"
 WIDTH, HEIGHT, HEAD, LINE = 440, 230, 26, 16  # px of a panel, of the title above it, of a further line of the title
 SHOWN = 900  # points of a curve
 DOT = 1.015  # half the length of the stroke that is a point of a logarithmic axis, as a factor
@@ -120,6 +121,29 @@ def belt_scenarios() -> str:
         both = [over_time(1e6 * e, whole, period, kind) for e, kind in ((truth, "reference"), (told, "fixed"))]
         panels += [(name, panel(moved, "time [s]", "encoder [mm]")), ("", panel(both, "time [s]", "error [µm]"))]
     return picture(panels, [("reference", "linear scale less encoder"), ("fixed", "machine of experts")], columns=2)
+
+
+def belt_elman() -> str:
+    """A black box on the belt, in training and beyond it (figures 4.8 and 4.9), as it was stored."""
+    found = read_json(RESULTS / "belt_rig.json", "run benchmarks/belt_rig.py elman")["elman"]
+    panels = []
+    for name, title in (("training", "training, one sample every 0.2 s"), ("s2", "s2")):
+        curves = []
+        for key, kind in (("true", "reference"), ("told", "fixed")):
+            values = np.array(found["um"][name][key])
+            curves.append(over_time(values, slice(0, len(values)), found["period"], kind))
+        panels.append((title, panel(curves, "time [s]", "error [µm]")))
+    return picture(panels, [("reference", "linear scale less encoder"), ("fixed", "Elman network of 10 neurons")])
+
+
+def drum_black_boxes() -> str:
+    """What networks 9 and 10 of table 7.3 leave in training (figures 7.8 and 7.10), as it was stored."""
+    found = read_json(RESULTS / "cable_drum.json", "run benchmarks/cable_drum.py drawn")["drawn"]["um"]
+    panels = []
+    for number, title in (("9", "NOE #9, 10 epochs"), ("10", "NOE #10, 100 epochs more, with the angle")):
+        time = [cable_drum.SAMPLE_TIME * step for step in found[number]["step"]]
+        panels.append((title, panel([Curve(time, found[number]["left"], "cost")], "time [s]", "left [µm]")))
+    return picture(panels, [("cost", "network less scale, in training")])
 
 
 def drum_trips() -> str:
@@ -245,9 +269,7 @@ def _panel_of(curves: Mapping[str, np.ndarray], part: slice, period: float, x: s
 
 def explore() -> str:
     """Designs worth having on a small FPGA: LUTs over error and over time, the chosen one marked."""
-    found = read_json(ROOT / "benchmarks" / "results" / "exploring.json", "run make bench-exploring")["up5k"][
-        "explored"
-    ]
+    found = read_json(RESULTS / "exploring.json", "run make bench-exploring")["up5k"]["explored"]
     front, chosen = found["front"], found["chosen"]
     kinds = {"folded": "fixed", "serial": "cost", "parallel": "reference"}
 
@@ -274,7 +296,7 @@ def explore() -> str:
 
 def control() -> str:
     """A second of the cylinder, alone and under its load: the errors of three controllers, as they were stored."""
-    found = read_json(ROOT / "benchmarks" / "results" / "control.json", "run benchmarks/control.py drawn")["drawn"]
+    found = read_json(RESULTS / "control.json", "run benchmarks/control.py drawn")["drawn"]
     kinds = {"pi": "reference", "mpc": "fixed", "network": "cost"}
     labels = {"pi": "PI, feed-forward", "mpc": "predictive control", "network": "network, as in RTL"}
     panels = []
@@ -289,7 +311,7 @@ def control() -> str:
 
 def entropies() -> str:
     """Entropies of the neurons of B1 and B2, the largest first, before and after the loop of figure 3.7."""
-    found = read_json(ROOT / "benchmarks" / "results" / "systems.json", "run benchmarks/systems.py entropies")
+    found = read_json(RESULTS / "systems.json", "run benchmarks/systems.py entropies")
     panels = []
     for name, title in (("b1_30", "B1"), ("b2", "B2")):
         [row] = found["entropies"]["rows"][name]
@@ -307,11 +329,13 @@ PICTURES: dict[str, Callable[[], str]] = {
     "greygate": greygate,
     "belt_drive": belt_drive,
     "belt_drive_scenarios": belt_scenarios,
+    "belt_drive_elman": belt_elman,
     "valve_cylinder": first_cylinder,
     "asymmetric_cylinder": second_cylinder,
     "pump_cylinder": pump_cylinder,
     "cable_drum": drum,
     "cable_drum_trips": drum_trips,
+    "cable_drum_noe": drum_black_boxes,
     "explore": explore,
     "control": control,
     "benchmark_systems": entropies,
