@@ -6,7 +6,7 @@
     repeated     12 round trips of one day: how well a boundary repeats, how far apart the two are
     shares       the stored machine on s1 to s4 of rigs that lack one effect, nothing trained anew
     black_boxes  the networks of table 4.1, trained for the thesis's epochs: half an hour on one core
-    elman        what the smallest of them says, for the picture
+    elman        what Elman 10 says, for the picture
     sizes        experts of the sizes of table 4.2, by its methods
 
 What is found is kept in results/belt_rig.json, from which `make pages` writes the tables of the page.
@@ -128,14 +128,14 @@ def sizes() -> dict:
     found = {}
     for name, kind in (("fnn", study.thesis_fnn), ("rbf", study.thesis_rbf)):
         began = time.perf_counter()
-        parts = study.experts(kind, say)
-        errors = {}
+        parts, errors = study.experts(kind, say), {}
+        seconds = time.perf_counter() - began
         for way in DIRECTIONS:
             data = {"e": study.boundary_data(way), "d": study.path_data(parts, way)}
             for part, record in data.items():
                 missed = study.answer(parts[f"{part}_{way}"], **record.inputs) - record.targets["y"]
                 errors[f"{part}_{way}"] = 1e6 * E.scale * rms(missed)
-        found[name] = {"training": errors, "seconds": time.perf_counter() - began}
+        found[name] = {"training": errors, "seconds": seconds}
         found[name]["scores"] = study.scores(belt_machine(parts))
     return {"found": found}
 

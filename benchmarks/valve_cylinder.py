@@ -95,7 +95,7 @@ def _black_box(drive: Port, chamber: str, kind: str = "") -> dict:
         began = time.perf_counter()
         network = noe("black", {drive: (0, 1), **MOTION}, CHAMBERS[chamber], (1, 2), (10,), seed, bypass=False)
         if kind:
-            network = on_axes(network, [training], kind)
+            network = on_axes(network, training.cut(0, judged.skip), kind)
         start = at_rest(nguyen_widrow(network, seed), runs)
         narx = train(start, [training], teacher=True, epochs=300, tail=TAIL, patience=300).network
         fit = narx_noe(narx, [training], narx_epochs=0, epochs=100, tail=TAIL, patience=100)

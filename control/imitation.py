@@ -117,8 +117,8 @@ class Watched:
     """A controller that drives while an expert says what it would do, and what the network would have read.
 
     The expert's answers are as its actuator would make them. Where the driver has been apart from them for all the time
-    that the expert looks ahead, the expert drives until they agree (Zhang and Cho 2017): what a young network that runs
-    away would see is of no use to anyone.
+    that the expert looks ahead, the expert drives until they have agreed for as long (Zhang and Cho 2017): what a young
+    network that runs away would see is of no use to anyone.
     """
 
     driver: Controller | None
@@ -135,7 +135,7 @@ class Watched:
         if self.driver:
             self.driver.reset()
         self.rows: list[dict[str, float]] = []
-        self.astray = 0  # samples
+        self.led, self.since = False, 0  # by the expert; samples since which that is to change
 
     def __call__(self, measured: Mapping[str, float], before: float, reference: np.ndarray) -> float:
         answer = self.limits.kept(self.expert(measured, before, reference[: self.expert.ahead + 1]), before)
@@ -144,8 +144,11 @@ class Watched:
             return answer
         driven = self.limits.kept(self.driver(measured, before, reference), before)
         most = min(2 * self.limits.rate, self.limits.high - self.limits.low)
-        self.astray = self.astray + 1 if abs(driven - answer) > APART * most else 0
-        return answer if self.astray > self.expert.ahead else driven
+        apart = abs(driven - answer) > APART * most
+        self.since = self.since + 1 if apart != self.led else 0
+        if self.since > self.expert.ahead:
+            self.led, self.since = apart, 0
+        return answer if self.led else driven
 
     def record(self, network: Network, skip: int) -> Record:
         """What was read beside the expert's answers."""

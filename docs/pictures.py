@@ -49,9 +49,9 @@ text { font: 11px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; fill
 def picture(
     panels: Sequence[tuple[str, Markup]], keys: Sequence[tuple[str, str]], apart: int = 190, columns: int = 0
 ) -> str:
-    """Panels (title, chart of WIDTH x HEIGHT), so many beside each other, or all; keys: (class of a line, what it is).
+    """Panels (title, chart of WIDTH x HEIGHT) and keys (class of a line, what it is) below them.
 
-    A title's first line stands out; further ones are smaller. apart: px between keys.
+    A title's first line stands out; further ones are smaller. apart: px between keys. columns: panels in a row; 0: all.
     """
     columns = columns or len(panels)
     head = HEAD + LINE * max(title.count("\n") for title, _ in panels)

@@ -77,7 +77,7 @@ def test_after_a_turn_the_error_goes_as_the_motor_while_the_carriage_stands():
     np.testing.assert_allclose(told(x)[-10:], -0.5 + (0.1 - x[-10:]) / E.scale, atol=0.01)
 
 
-@pytest.mark.parametrize("turns_mm", [[0.0, 0.1], [0.0, 0.1, 0.05]])
+@pytest.mark.parametrize("turns_mm", [[0.0, 0.1], [0.0, 0.1, 0.05], [0.0, 0.1, 0.092]])
 def test_a_turn_that_is_taken_back_in_the_play_leaves_no_trace(turns_mm):
     x, e = drive(turns_mm)
     last, way = x[-1], np.sign(x[-1] - x[-2])

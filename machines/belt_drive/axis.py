@@ -2,7 +2,8 @@
 
 Model: the motor goes where it is told, x(k) = x(k-1) + T v(k-1), and the trained machine (network.py) says by how much
 the carriage stands off. Inside the play the carriage does not move whatever the motor does, so a linearised model would
-see no way out of it; there the model lets the carriage creep along by a `CREEP`-th of the motor's motion.
+see no way out of it; there the model lets the carriage creep by the share `CREEP` of the motor's motion, and takes that
+back where the play is crossed.
 """
 
 from collections.abc import Mapping
@@ -25,7 +26,7 @@ from greygate.plants.excitation import band_limited_noise
 from greygate.plants.simulate import Stepper
 
 SPEED = Port("v", "m/s", 2.0**-3)
-CREEP = 0.1  # any share from 0.1 to 0.3 leads out of the play as well
+CREEP = 0.1  # 0.3 leads out of the play as well
 
 
 def axis_model(trained: Network) -> Network:
@@ -37,8 +38,10 @@ def axis_model(trained: Network) -> Network:
     network.connect("place", "place.before", delay=1)
     network.connect("v", "place.v", delay=1)
     shown = trained.modules["shown"]
-    creeping = shown.weights | {"behind": (1 - CREEP) * shown.weights["behind"]}
-    modules = trained.modules | {"shown": Layer(creeping, shown.bias, initial=shown.initial, frozen=shown.frozen)}
+    assert isinstance(shown, Layer)
+    weights = shown.weights | {"behind": (1 - CREEP) * shown.weights["behind"]}
+    creeping = Layer(weights, shown.bias, shown.activation, shown.initial, shown.frozen)
+    modules = trained.modules | {"shown": creeping}
     machine = replace(trained, inputs=[Port("x")], outputs=[Port("e")], modules=modules)  # as normalised as it is
     network.add("machine", machine)
     network.connect("place", "machine.x")

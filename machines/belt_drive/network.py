@@ -3,7 +3,7 @@
 From the encoder's position alone it tracks five states: direction, change of direction, latched position, latched
 error, boundary reached. A motion that turned at position p with error q (including the play of the gears) follows
 
-    path(k) = q + d(p, x(k) - p)    until it crosses    boundary(k) = e(x(k))
+    path(k) = q + d(p, engaged(k) - p)    until it crosses    boundary(k) = e(engaged(k))
 
 The carriage stands while the motor winds the belt back and crosses the play, which a play operator follows
 (Krasnosel'skii and Pokrovskii 1989). The machine reads the position at which the motor drives the carriage, `engaged`:
@@ -42,7 +42,7 @@ def belt_machine(experts: Mapping[str, Network], play: float = PLAY) -> Network:
     experts, by the names of `EXPERTS`, normalised as `X` and `E`:
     `e`: `x` -> error on the boundary; `d`: `start`, `away` (over `REACH`) -> error since the start of the path;
     `sp`: `x`, `e` -> `y` (2,): start less x (over `REACH`), error there; `b`: `x` -> jump of the error at a reversal.
-    play: m of the motor, over which the carriage stands after a turn; whole counts, so that they add up exactly.
+    play: m of the motor, over which the carriage stands after a turn; whole counts, as half a count is no motion.
     It starts on the lower boundary at x = 0, moving forward. Raises InputError for an expert that is missing.
     """
     if missing := [name for name in EXPERTS if name not in experts]:
@@ -59,9 +59,11 @@ def belt_machine(experts: Mapping[str, Network], play: float = PLAY) -> Network:
         machine.add(name, module)
         connect(name, sources)
 
-    def total(name: str, weights: Mapping[str, float], bias: float = 0.0, **sources: tuple) -> None:
+    def total(
+        name: str, weights: Mapping[str, float], bias: float = 0.0, initial: float = 0.0, **sources: tuple
+    ) -> None:
         ports = {port: [[weight]] for port, weight in weights.items()}
-        machine.add(name, Layer(ports, [bias], frozen={*ports, "bias"}))
+        machine.add(name, Layer(ports, [bias], initial=initial, frozen={*ports, "bias"}))
         connect(name, sources)
 
     def connect(name: str, sources: Mapping[str, tuple]) -> None:
@@ -77,20 +79,21 @@ def belt_machine(experts: Mapping[str, Network], play: float = PLAY) -> Network:
         values = {port: (f"{part}_{way}", 0, gain) for port, way in zip(("u1", "u2"), DIRECTIONS, strict=True)}
         logic(name, "switch_2", s=("direction",), **values)
 
-    machine.add("in_play", library("limiter", lo=0.0, hi=1.0))  # 0: the motor drives forward, 1: backward
-    share = X.scale / play
-    for source, delay, gain in (("in_play", 1, 1.0), ("x", 0, -share), ("x", 1, share)):
+    whole = play / X.scale
+    machine.add(
+        "in_play", library("limiter", lo=0.0, hi=whole)
+    )  # 0: on the flank that drives forward; whole: the other
+    for source, delay, gain in (("in_play", 1, 1.0), ("x", 0, -1.0), ("x", 1, 1.0)):
         machine.connect(source, "in_play.x", delay, gain)
-    step = MOVED / share
-    moved = {"now": MOVED, "before": -MOVED, "in_play": step, "was_in_play": -step}
+    moved = {"now": MOVED, "before": -MOVED, "in_play": MOVED, "was_in_play": -MOVED}
     total("moved", moved, now=("x",), before=("x", 1), in_play=("in_play",), was_in_play=("in_play", 1))
     logic("direction", "sign", 1.0, x=("moved",))
     machine.connect("direction", "direction.x", delay=1, gain=HALF_COUNT)  # at rest it stays what it was
     logic("changed", "xor", u1=("direction",), u2=("direction", 1))
 
-    behind = {"in_play": play / E.scale, "direction": 0.5 * play / E.scale}  # how far the motor has gone in the play
-    total("behind", behind, -0.5 * play / E.scale, in_play=("in_play",), direction=("direction",))
-    total("engaged", {"x": 1.0, "behind": E.scale / X.scale}, x=("x",), behind=("behind",))
+    behind = {"in_play": 1.0, "direction": 0.5 * whole}  # how far the motor has gone in the play
+    total("behind", behind, -0.5 * whole, in_play=("in_play",), direction=("direction",))
+    total("engaged", {"x": 1.0, "behind": 1.0}, initial=home, x=("x",), behind=("behind",))
 
     either("play", "b", x=("engaged", 1))
     total("turn", {"error": 1.0, "play": 1.0}, error=("error", 1), play=("play",))
@@ -119,6 +122,7 @@ def belt_machine(experts: Mapping[str, Network], play: float = PLAY) -> Network:
     total("one_of", {"beyond": 1.0, "held": 1.0}, 1.0, beyond=("beyond_it",), held=("held",))
     logic("reached", "sign", 1.0, x=("one_of",))
     logic("error", "switch_2", rest, u1=("boundary",), u2=("path",), s=("reached",))
-    total("shown", {"error": 1.0, "behind": 1.0}, error=("error",), behind=("behind",))
+    shown = {"error": 1.0, "behind": X.scale / E.scale}
+    total("shown", shown, initial=rest, error=("error",), behind=("behind",))
     machine.connect("shown", "e")
     return machine.check()

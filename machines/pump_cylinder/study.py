@@ -155,8 +155,8 @@ def narx(samples: int, neurons: int, seed: int = 0) -> Network:
 def black_boxes(progress: Progress = silent) -> dict:
     """Table 6.2 and the NOE of 6.3.1 on the nominal plant, and a linear model on the rig; RMS in Pa, both chambers.
 
-    `narx`: by architecture, one step ahead in training, and the same network's free run of the chirp (inf: diverges);
-    `exact`: one step ahead in training, where no sensor adds noise.
+    `narx`: by architecture, one step ahead in training, `exact` the same where no sensor adds noise, the free run of
+    the chirp (inf: diverges), epochs and seconds of the former.
     `noe`: the architecture of the lowest training error, trained on in free run, by record.
     `linear`: two samples of each signal and no neurons, ARX and then OE, trained and judged as the SRNN is.
     """
@@ -192,10 +192,10 @@ def _both(network: Network, record: Record) -> float:
 def flow_models() -> dict[str, dict]:
     """Table 6.3: the linear flow networks (6.16), (6.17) from nothing, by the flows of the nominal plant.
 
-    By network `q_a`, `q_b`: RMS in m^3/s over the training record after one epoch of least mean squares (Widrow and
-    Hoff 1960, each step by the length of the regressor) and of least squares; with the pressures of the same instant,
-    and `late` with those of the sample before, which are all that the assembled network has; and the weights that least
-    squares finds, in SI units, beside those of table 6.1.
+    By network `q_a`, `q_b`: RMS in m^3/s over a run with the references of training, after one epoch of least mean
+    squares (Widrow and Hoff 1960, normalised) and of least squares; with the pressures of the same instant, and `late`
+    with those of the sample before, which are all that the assembled network has; and the `weights` that least squares
+    finds, in SI units.
     """
     r, plant = record("training").channels, pump_cylinder()
     driven = {n: r[n] for n in plant.inputs}
