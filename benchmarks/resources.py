@@ -3,7 +3,8 @@
     python benchmarks/resources.py [--plant NAME ...] [--target DEVICE ...] [--limit 300] [--keep] [--count]
 
 Each tool of each design is stopped after the limit, in seconds of processor time. Writes results/resources.json and
-prints its table. --keep writes the figures for the ECP5 into the package, where `greygate report --all` finds them.
+prints its table. --keep writes the figures into the package, where `greygate report --all` finds them: those of the
+parallel and the folded design on the ECP5, unless others are asked for.
 """
 
 import argparse
@@ -35,6 +36,8 @@ def main() -> None:
     options.add_argument("--keep", action="store_true")
     options.add_argument("--count", action="store_true", help="count cells only, do not place")
     given = options.parse_args()
+    if given.keep:
+        given.target, given.architecture = given.target or ["ecp5"], given.architecture or ["parallel", "folded"]
     found = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
     for name in given.plant or REPORTED:
         found.setdefault(name, {}).update(_plant(name, given, found.get(name, {})))
