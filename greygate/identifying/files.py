@@ -10,7 +10,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.files import making, writing
-from greygate.identifying.halving import ORDERS, WORSE, Halving, Tried
+from greygate.identifying.halving import ORDERS, WORSE, Halving, Tried, interval, sure_of
 from greygate.identifying.looking import look
 from greygate.identifying.task import Task, task
 from greygate.models.accuracy import rms
@@ -21,9 +21,7 @@ from greygate.plants.recording import Recording
 from greygate.progress import Progress, once, silent
 from greygate.source import SAME_TIME
 
-DRAWS = 2000  # resampled sets of segments, from which confidence and interval follow
-SEGMENTS = 4  # of a held-out block: its errors are resampled in runs, because neighbours are alike
-UNLIKE = 5.0  # times the median eighth's error, from which an eighth is taken to hold what no other does
+UNLIKE = 5.0  # times the median part's error, from which a part is taken to hold what no other does
 SHOWN = 12  # models in the table of a terminal
 
 
@@ -65,7 +63,7 @@ def identify(
     search = Halving(posed, seconds - (monotonic() - began), jobs, progress)
     search.run(sorted(shifts), sorted({1, apart}))
     chosen, fit = search.final()
-    return Identified(posed, chosen, fit.network, search, seen, tests, monotonic() - began)
+    return Identified(search.task, chosen, fit.network, search, seen, tests, monotonic() - began)
 
 
 # ---- what is told
@@ -78,18 +76,19 @@ def figures(found: Identified) -> dict:
     line = next((x for x in finalists if x.model.form.linear), found.chosen)
     runner = next((x for x in finalists if x is not found.chosen), None)
     tested = {n: t.errors(found.network, t.record(r)) for n, r in found.tests.items()}
-    sure = None if found.chosen.model.form.linear else _sure(found.chosen, line, folds)
+    sure = None if found.chosen.model.form.linear else sure_of(found.chosen, line, folds)
     return {
         "chosen": _row(t, found.chosen, folds),
         "better_than_mean": bool(_row(t, found.chosen, folds)["fit"] > 0),
         "whole": search.whole(found.network),
-        "eighths": {place + 1: found.chosen.over([place]) for place in folds},
-        "held_out_interval": _interval(found.chosen, folds),
+        "part_count": t.parts,
+        "parts": {place + 1: found.chosen.over([place]) for place in folds},
+        "held_out_interval": interval(found.chosen, folds),
         "test": {n: None if e is None else rms(e) for n, e in tested.items()},
         "unit": t.output.unit,
         "confidence": {
             "better_than_linear": sure,
-            "better_than_next": None if runner is None else _sure(found.chosen, runner, folds),
+            "better_than_next": None if runner is None else sure_of(found.chosen, runner, folds),
             "next": None if runner is None else runner.model.name,
         },
         "models": [_row(t, tried, folds) for tried in finalists],
@@ -110,32 +109,6 @@ def _row(t: Task, tried: Tried, folds: Sequence[int]) -> dict:
         "fit": 100 * (1 - error / spread),
         "seconds": round(tried.seconds, 2),
     }
-
-
-def _segments(tried: Tried, folds: Sequence[int]) -> np.ndarray:
-    """Mean squared errors of the segments of held-out blocks; inf where a free run diverges."""
-    blocks = tried.blocks(folds)
-    if not np.isfinite(tried.over(folds)):
-        return np.full(SEGMENTS * len(blocks), np.inf)
-    return np.array([np.mean(s**2) for e in blocks if e is not None for s in np.array_split(e, SEGMENTS)])
-
-
-def _drawn(count: int) -> np.ndarray:
-    return np.random.default_rng(0).integers(0, count, (DRAWS, count))
-
-
-def _sure(one: Tried, other: Tried, folds: Sequence[int]) -> float:
-    """Share of resampled sets of segments over which `one` errs less."""
-    a, b = _segments(one, folds), _segments(other, folds)
-    drawn = _drawn(len(a))
-    return float(np.mean(a[drawn].mean(1) < b[drawn].mean(1)))
-
-
-def _interval(tried: Tried, folds: Sequence[int]) -> list[float]:
-    """95 % of the RMS errors over resampled sets of held-out segments."""
-    a = _segments(tried, folds)
-    found = np.sqrt(a[_drawn(len(a))].mean(1))
-    return [float(v) for v in np.quantile(found, (0.025, 0.975))]
 
 
 def lines(found: dict) -> list[str]:
@@ -161,11 +134,11 @@ def lines(found: dict) -> list[str]:
         told.append(f"better than the best linear model with probability {sure['better_than_linear']:.2f}")
     if sure["better_than_next"] is not None:
         told.append(f"better than the next, {sure['next']}, with probability {sure['better_than_next']:.2f}")
-    usual = float(np.median(list(found["eighths"].values())))
-    for eighth, error in found["eighths"].items():
+    usual = float(np.median(list(found["parts"].values())))
+    for part, error in found["parts"].items():
         if error > UNLIKE * usual:
             told.append(
-                f"eighth {eighth} errs by {error:.4g}{unit} where {usual:.4g}{unit} is usual: "
+                f"part {part} of {found['part_count']} errs by {error:.4g}{unit} where {usual:.4g}{unit} is usual: "
                 "what happens there happens nowhere else; record more of it, or cut it off"
             )
     if not found["better_than_mean"]:
@@ -174,8 +147,8 @@ def lines(found: dict) -> list[str]:
         )
     if found["whole"] > WORSE * found["chosen"]["held_out"]:
         told.append(
-            f"over the complete recordings it errs by {found['whole']:.4g}{unit}: it drifts in runs longer than an "
-            "eighth of a recording; give the input that is missing, or a structure (greygate build-snn)"
+            f"over the complete recordings it errs by {found['whole']:.4g}{unit}: it drifts in longer runs; "
+            "give the input that is missing, or a structure (greygate build-snn)"
         )
     for name, error in found["test"].items():
         told.append(f"test {name}: RMSE {'inf' if error is None else format(error, '.4g')}{unit}")

@@ -9,13 +9,28 @@ import joblib
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.identifying.ladder import ARMAX, ARX, BJ, FIR, FORMS, LINEAR, SUBSPACE, Form, Orders, grown
+from greygate.identifying.ladder import (
+    ARMAX,
+    ARX,
+    BJ,
+    FIR,
+    FORMS,
+    LINEAR,
+    LOOP,
+    RATE,
+    SUBSPACE,
+    Form,
+    Orders,
+    grown,
+    own,
+    slowest,
+)
 from greygate.identifying.linear import estimated, taught
 from greygate.identifying.subspace import subspace
-from greygate.identifying.task import Task, started
+from greygate.identifying.task import HALVES, Task, started
 from greygate.machines.identification import Fold, parameters
 from greygate.models.accuracy import rms
-from greygate.models.network import Network
+from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Outcome, Trained, train
 from greygate.models.training.record import Record
 from greygate.progress import Progress, silent
@@ -27,8 +42,11 @@ STRONG = 3e-2  # the same for recordings whose noise would be learnt with DECAY
 SIMPLER = 1.03  # a model of fewer weights wins if no other is better by more than this factor: few blocks judge
 WORSE = 2.0  # factor of the held-out error that the error over everything may have: above it the free run drifts off
 LEAST = 0.1  # s that a training has, where its rung has just run out of time
+DRAWS = 2000  # resampled sets of segments, from which confidence and interval follow
+SEGMENTS = 4  # of a held-out block: its errors are resampled in runs, because neighbours are alike
+EVIDENT = 0.9  # share of the sets over which a model must err less than one of fewer weights, to win over it
 REFITTED = 5  # models that are fitted to everything at most
-WINDOWS = 16  # into which a fold is cut that is too long to be trained on whole
+WINDOWS = 2  # for each part, into which a fold is cut that is too long to be trained on whole
 EPOCHS = 150  # of a fit to everything
 
 
@@ -76,7 +94,7 @@ class Tried:
     """What became of a model.
 
     networks: fold -> network. errors: fold -> errors (N,) over each of its held-out blocks, in the unit of the output,
-    None where the free run diverges. seconds: that it took in all.
+    None where the free run diverges or would in time. seconds: that it took in all.
     """
 
     model: Model
@@ -114,6 +132,32 @@ def pooled(errors: Sequence[np.ndarray | None]) -> float:
     return rms(np.concatenate(found)) if found and len(found) == len(errors) else np.inf
 
 
+def segments(tried: Tried, folds: Sequence[int]) -> np.ndarray:
+    """Mean squared errors of the segments of held-out blocks; inf where a free run diverges."""
+    blocks = tried.blocks(folds)
+    if not np.isfinite(tried.over(folds)):
+        return np.full(SEGMENTS * len(blocks), np.inf)
+    return np.array([np.mean(s**2) for e in blocks if e is not None for s in np.array_split(e, SEGMENTS)])
+
+
+def drawn_of(count: int) -> np.ndarray:
+    return np.random.default_rng(0).integers(0, count, (DRAWS, count))
+
+
+def sure_of(one: Tried, other: Tried, folds: Sequence[int]) -> float:
+    """Share of resampled sets of segments over which `one` errs less."""
+    a, b = segments(one, folds), segments(other, folds)
+    drawn = drawn_of(len(a))
+    return float(np.mean(a[drawn].mean(1) < b[drawn].mean(1)))
+
+
+def interval(tried: Tried, folds: Sequence[int]) -> list[float]:
+    """95 % of the RMS errors over resampled sets of held-out segments."""
+    a = segments(tried, folds)
+    found = np.sqrt(a[drawn_of(len(a))].mean(1))
+    return [float(v) for v in np.quantile(found, (0.025, 0.975))]
+
+
 class Halving:
     """A search over one task. seconds: its time limit. jobs: trainings side by side."""
 
@@ -133,13 +177,16 @@ class Halving:
         self.rung(0, LADDER, ladder)
         if not self.tried:  # not one was finished in its share of the time: the simplest has it all
             self.rung(0, replace(LADDER, until=RUNGS[-1].until), ladder[: self.jobs])
-        best = [base.model.orders for base in self.bases()]
-        longer = [replace(best[0], order=taps - 1) for taps in PAST]
-        shortest = min(len(p) for f in self.folds for p in thinned(f.pieces, NOISES.samples, self.task))
-        noises = [Model(SUBSPACE, orders, 0.0) for orders in best if orders.stride == 1]
-        noises += [Model(form, orders, 0.0) for form in (ARX, ARMAX, BJ) for orders in best]
-        self.rung(0, NOISES, noises + [Model(FIR, orders, 0.0) for orders in longer if orders.deepest < shortest])
-        models = [Model(form, base.model.orders) for base in self.bases() for form in FORMS]
+        if self.drifts():  # longer runs judge, longer windows train, and an output may rest anywhere
+            late = self.ranked()[0].model.orders.delays
+            step = self.task.step
+            resting = [Model(LINEAR, Orders(o, late, s, step), 0.0) for s in strides for o in ORDERS[:-1]]
+            self.task = replace(self.task, parts=HALVES)
+            self.folds, self.tried = self.task.folds(), {}
+            self.rung(0, replace(LADDER, until=NOISES.until), resting + ladder)
+        self.rung(0, NOISES, self.noises())
+        grow = [base.model.orders for base in self.bases()]
+        models = [Model(form, orders) for orders in grow for form in FORMS if form.suits(orders)]
         models.sort(key=lambda m: FORMS.index(m.form))  # where time ends, every base has had the same forms
         for number, rung in enumerate(RUNGS, 1):
             self.rung(number, rung, models[: rung.keep])
@@ -147,12 +194,30 @@ class Halving:
             if number == len(RUNGS) - 1:
                 models = [m for model in models for m in (model, replace(model, decay=STRONG))]
 
+    def noises(self) -> list[Model]:
+        """The best linear models under other ideas of the noise, of which an integrating one has none."""
+        best = [base.model.orders for base in self.bases() if not base.model.orders.integrating]
+        longer = [replace(orders, order=taps - 1) for orders in best[:1] for taps in PAST]
+        shortest = min(len(p) for f in self.folds for p in thinned(f.pieces, NOISES.samples, self.task))
+        found = [Model(SUBSPACE, orders, 0.0) for orders in best if orders.stride == 1]
+        found += [Model(form, orders, 0.0) for form in (ARX, ARMAX, BJ) for orders in best]
+        return found + [Model(FIR, orders, 0.0) for orders in longer if orders.deepest < shortest]
+
+    def drifts(self) -> bool:
+        """Whether no stable linear model settles within a held-out block without erring far more over everything."""
+        best = next((t for t in self.ranked() if t.model.form == LINEAR and np.isfinite(t.error)), None)
+        if best is None:
+            return True
+        block = max(len(b) for f in self.folds for b in f.blocks)
+        slow = max(slowest(n, best.model.orders, self.task.output) for n in best.networks.values())
+        return slow > block or self.whole(best.first) > WORSE * best.error
+
     def bases(self) -> list[Tried]:
-        """The best linear models that differ in order or stride, from which networks are grown."""
-        found: dict[tuple[int, int], Tried] = {}
+        """The best linear models that differ in more than their delays, from which networks are grown."""
+        found: dict[Orders, Tried] = {}
         for tried in self.ranked():
             if np.isfinite(tried.error) and tried.model.form == LINEAR:
-                found.setdefault((tried.model.orders.order, tried.model.orders.stride), tried)
+                found.setdefault(replace(tried.model.orders, delays=()), tried)
         if not found:
             raise InputError("no linear model was finished in time, or every one diverges; give more --seconds")
         return list(found.values())[:BASES]
@@ -189,7 +254,8 @@ class Halving:
     def chosen(self) -> Tried:
         """The best of the finalists; a simpler one that is as good wins."""
         ranked, folds = self.finalists(), self.shared()
-        near = [t for t in ranked if t.over(folds) <= SIMPLER * ranked[0].over(folds)]
+        best = ranked[0]
+        near = [t for t in ranked if t.over(folds) <= SIMPLER * best.over(folds) or sure_of(best, t, folds) < EVIDENT]
         return min(near, key=lambda t: (t.parameters, t.over(folds)))
 
     def whole(self, network: Network) -> float:
@@ -250,8 +316,14 @@ def judged(
         if fit.outcome is Outcome.TIME:
             return None
         networks[place] = fit.network
-        errors[place] = [task.errors(networks[place], block) for block in folds[place].blocks]
+        held = folds[place].blocks if stable(model, networks[place], task) else ()
+        errors[place] = [task.errors(networks[place], block) for block in held] or [None]
     return Tried(model, number, networks, errors, time() - began)
+
+
+def stable(model: Model, network: Network, task: Task) -> bool:
+    """Whether its own motions fall, as far as a linear loop says; a model whose motions grow is of no use beyond."""
+    return not model.form.loop_is_linear or np.isfinite(slowest(network, model.orders, task.output))
 
 
 def linear(
@@ -261,11 +333,37 @@ def linear(
 
     An output-error model begins as the better one of ARX and of the subspace.
     """
-    start = line or taught(model.form.build(model.orders, task.inputs, task.output, 0), pieces).network
-    if model.form == LINEAR and model.orders.stride == 1:
-        ways = [start, subspace(model.orders, task.output, start, pieces)]
-        start = lowest([as_it_is(way, pieces) for way in ways if way]).network
+    if line is None and model.orders.integrating:
+        start = summed(model, task, pieces)
+    else:
+        start = line or begun(model, task, pieces)
     return refitted(model, task, start, pieces, rung.epochs, until)
+
+
+def begun(model: Model, task: Task, pieces: Sequence[Record]) -> Network:
+    """The linear model as ARX, or by the subspace where that runs free better."""
+    start = taught(model.form.build(model.orders, task.inputs, task.output, 0), pieces).network
+    if model.form != LINEAR or model.orders.stride > 1:
+        return start
+    ways = [start, subspace(model.orders, task.output, start, pieces)]
+    return lowest([as_it_is(way, pieces) for way in ways if way]).network
+
+
+def summed(model: Model, task: Task, pieces: Sequence[Record]) -> Network:
+    """The integrating model: its rate begins as a model of the output's differences."""
+    steps = replace(task.output, scale=task.output.scale * model.orders.step, offset=0.0, initial=0.0)
+    of = replace(model, orders=replace(model.orders, step=0.0))
+    found = begun(of, replace(task, output=steps), [differences(p, steps) for p in pieces]).parameters()
+    network = model.form.build(model.orders, task.inputs, task.output, 0)
+    taken = [p.name for p in (*task.inputs, task.output)]
+    loop, rate = own(LOOP, taken), own(RATE, taken)
+    return network.with_parameters({n.replace(f"{loop}.", f"{rate}.", 1): v for n, v in found.items()})
+
+
+def differences(record: Record, output: Port) -> Record:
+    """The record from its second sample on, of the output's difference from one sample to the next."""
+    inputs = {n: v[1:] for n, v in record.inputs.items()}
+    return started(Record(inputs, {output.name: np.diff(record.targets[output.name])}), output)
 
 
 def refitted(model: Model, task: Task, start: Network, records: Sequence[Record], epochs: int, until: float) -> Trained:
@@ -308,7 +406,7 @@ def thinned(pieces: Sequence[Record], samples: int, task: Task) -> list[Record]:
     total = sum(len(p) for p in pieces)
     if total <= samples:
         return list(pieces)
-    length = max(10 * task.settle, samples // WINDOWS)
+    length = max(10 * task.settle, samples // (WINDOWS * task.parts))
     found = []
     for piece in pieces:
         count = max(int(len(piece) * samples / total / length), 1)

@@ -16,15 +16,22 @@ from greygate.models.network import Layer, Network, Port
 SMALL = 1e-3  # largest weight of a neuron, in what reads it, before training
 NEURONS = "neurons"
 LOOP, SHOWN = "state", "shown"  # layers: the linear dynamics, and the output
+RATE = "rate"  # layer: what an integrating model adds to its output in a sample
 
 
 @dataclass(frozen=True)
 class Orders:
-    """Taps of a linear model: u(k - delay - stride i), i = 0..order, by input; y(k - stride i), i = 1..order."""
+    """Taps of a linear model: u(k - delay - stride i), i = 0..order, by input; y(k - stride i), i = 1..order.
+
+    step: of an integrating model, what its output moves in a sample at most, in the output's scale; 0: it is none. Such
+    a model is one of y(k) - y(k - 1), so that its output, an axis's position or a tank's level, may rest anywhere; its
+    taps are those of this difference.
+    """
 
     order: int
     delays: tuple[int, ...]
     stride: int = 1
+    step: float = 0.0
 
     def inputs(self, ports: Sequence[Port]) -> dict[Port, tuple[int, ...]]:
         reach = range(self.order + 1)
@@ -35,12 +42,17 @@ class Orders:
         return tuple(self.stride * i for i in range(1, self.order + 1))
 
     @property
+    def integrating(self) -> bool:
+        return self.step > 0
+
+    @property
     def deepest(self) -> int:
         return max(self.delays) + self.stride * self.order
 
     def __str__(self) -> str:
         late = "" if not any(self.delays) else f", delay {', '.join(map(str, self.delays))}"
-        return f"order {self.order}{late}" + (f", taps {self.stride} apart" if self.stride > 1 else "")
+        apart = f", taps {self.stride} apart" if self.stride > 1 else ""
+        return f"order {self.order}{late}{apart}" + (", integrating" if self.integrating else "")
 
 
 @dataclass(frozen=True)
@@ -63,11 +75,25 @@ class Form:
     def linear(self) -> bool:
         return not self.before + self.after + self.inside
 
+    @property
+    def loop_is_linear(self) -> bool:
+        """Whether the weights of its fed-back taps say if it is stable."""
+        return self.feedback and (not self.inside or self.reads == "inputs")
+
+    def suits(self, orders: Orders) -> bool:
+        """Whether it may be grown from a linear model of these taps.
+
+        The rate of an integrating model may have a curve of each input now, and of itself, as friction is: what neurons
+        of more than that get wrong is summed up for ever.
+        """
+        return not (orders.integrating and self.inside and self.reads != "output")
+
     def build(self, orders: Orders, inputs: Sequence[Port], output: Port, seed: int) -> Network:
         """The network with neurons that weigh next to nothing, and linear weights of zero."""
         network = Network("network", list(inputs), [output])
         taken = [p.name for p in (*inputs, output)]
-        loop, neurons, shown = (own(name, taken) for name in (LOOP, NEURONS, SHOWN))
+        loop, rate, neurons, shown = (own(name, taken) for name in (LOOP, RATE, NEURONS, SHOWN))
+        dynamics = rate if orders.integrating else loop
         ports: dict[str, tuple[str, int]] = {}
         for port, delays in orders.inputs(inputs).items():
             source = port.name
@@ -76,15 +102,17 @@ class Form:
                 _curve(network, port.name, source, self.before)
             ports |= {f"{port.name}_z{d}": (source, d) for d in delays}
         fed_in = dict(ports)
-        ports |= {f"{output.name}_z{d}": (loop, d) for d in orders.feedback if self.feedback}
+        ports |= {f"{output.name}_z{d}": (dynamics, d) for d in orders.feedback if self.feedback}
         weights = {port: np.zeros((1, 1)) for port in ports}
         if self.inside:
             read = {"all": ports, "inputs": fed_in}.get(self.reads, {n: p for n, p in ports.items() if n not in fed_in})
             network.add(neurons, Layer({p: np.zeros((self.inside, 1)) for p in read}, np.zeros(self.inside), "tansig"))
             connect(network, neurons, read)
             weights[neurons], ports = np.zeros((1, self.inside)), ports | {neurons: (neurons, 0)}
-        network.add(loop, Layer(weights, [0.0], initial=output.rest))
-        connect(network, loop, ports)
+        network.add(dynamics, Layer(weights, [0.0], initial=0.0 if orders.integrating else output.rest))
+        connect(network, dynamics, ports)
+        if orders.integrating:
+            _summed(network, rate, loop, orders.step, output.rest)
         if self.after:
             _curve(network, loop, shown, self.after)
         network.connect(shown if self.after else loop, output.name)
@@ -102,6 +130,18 @@ def grown(network: Network, linear: Network) -> Network:
     return network.with_parameters(linear.parameters())
 
 
+def slowest(network: Network, orders: Orders, output: Port) -> float:
+    """Samples in which the slowest motion of a model's linear loop falls by e; inf for one that does not fall.
+
+    Of an integrating model: of its rate.
+    """
+    loop = own(RATE if orders.integrating else LOOP, [p.name for p in (*network.inputs, output)])
+    weights = network.parameters()
+    denominator = [1.0, *(-float(weights[f"{loop}.{output.name}_z{d}"][0, 0]) for d in orders.feedback)]
+    largest = float(np.max(np.abs(np.roots(denominator)), initial=0.0))
+    return np.inf if largest >= 1 else 0.0 if largest == 0 else -orders.stride / float(np.log(largest))
+
+
 def connect(network: Network, layer: str, ports: Mapping[str, tuple[str, int]]) -> None:
     """Connect the layer's ports, each to a source behind a delay."""
     for port, (source, delay) in ports.items():
@@ -115,6 +155,13 @@ def _curve(network: Network, source: str, name: str, neurons: int) -> None:
     connect(network, hidden, {source: (source, 0)})
     network.add(name, Layer({"itself": [[1.0]], hidden: np.zeros((1, neurons))}, [0.0], frozen={"itself", "bias"}))
     connect(network, name, {"itself": (source, 0), hidden: (hidden, 0)})
+
+
+def _summed(network: Network, source: str, name: str, step: float, initial: float) -> None:
+    """Layer `name`: the sum of a signal over all samples, `step` for each 1 of it."""
+    weights = {source: [[step]], "before": [[1.0]]}
+    network.add(name, Layer(weights, [0.0], initial=initial, frozen={*weights, "bias"}))
+    connect(network, name, {source: (source, 0), "before": (name, 1)})
 
 
 def _shrunk(network: Network) -> Network:

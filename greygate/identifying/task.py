@@ -15,6 +15,7 @@ from greygate.plants.recording import Recording
 
 ROOM = 3.0  # deviations of a signal, which the scale of its port is
 FOLDS = 8  # each holds out an eighth of every recording
+HALVES = 2  # folds where a free run over an eighth says little of one over everything
 LONGEST = 100  # samples that a state may settle in, if the user does not say: several times any model's states
 SETTLING = 4  # blocks have at least this many times the samples that their state settles in
 
@@ -23,13 +24,21 @@ SETTLING = 4  # blocks have at least this many times the samples that their stat
 class Task:
     """inputs, output: ports of the models. records: by name, to train on.
 
-    settle: first samples of each run, which only give its initial state.
+    settle: first samples of each run, which only give its initial state. parts: of each recording, one held out at a
+    time.
     """
 
     inputs: tuple[Port, ...]
     output: Port
     records: Mapping[str, Record]
     settle: int
+    parts: int = FOLDS
+
+    @property
+    def step(self) -> float:
+        """ROOM deviations of the output's difference from one sample to the next, in the output's scale."""
+        steps = [np.diff(r.targets[self.output.name]) for r in self.records.values()]
+        return ROOM * float(np.std(np.concatenate(steps))) / float(self.output.scale)
 
     def record(self, recording: Recording) -> Record:
         """The recording as a record of this task's ports, to be judged after `settle` samples."""
@@ -43,11 +52,11 @@ class Task:
         )
 
     def folds(self) -> list[Fold]:
-        """Eight folds, each without an eighth of every recording."""
+        """A fold without each part of every recording."""
         runs = {n: replace(r, skip=0) for n, r in self.records.items()}
         return [
             Fold([started(p, self.output) for p in f.pieces], [started(b, self.output) for b in f.blocks])
-            for f in blocked(FOLDS, self.settle)(runs)
+            for f in blocked(self.parts, self.settle)(runs)
         ]
 
     def errors(self, network: Network, record: Record) -> np.ndarray | None:
