@@ -148,9 +148,7 @@ def tuned(name: str) -> dict:
 
     def fit(model: Model, seed: int, records: Sequence[Record]):
         pieces = thinned(records, LARGEST, asked)
-        line = refitted(
-            model.line, asked, LINEAR.build(model.orders, asked.inputs, asked.output, 0), pieces, 60, math.inf
-        )
+        line = refitted(model.line, asked, begun(model.line, asked, pieces), pieces, LADDER.epochs, math.inf)
         network = grown(model.form.build(model.orders, asked.inputs, asked.output, seed), line.network)
         return refitted(model, asked, network, pieces, EPOCHS, math.inf).network
 
