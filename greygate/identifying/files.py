@@ -10,7 +10,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.files import making, writing
-from greygate.identifying.halving import ORDERS, WORSE, Halving, Tried, interval, sure_of
+from greygate.identifying.halving import ORDERS, WORSE, Halving, Tried, interval, segments, sure_of
 from greygate.identifying.looking import look
 from greygate.identifying.task import Task, task
 from greygate.models.accuracy import rms
@@ -59,11 +59,15 @@ def identify(
     seen = {name: look(r, inputs, output) for name, r in recordings.items()}
     apart = min(max(s["stride"] for s in seen.values()), max(posed.settle // max(ORDERS), 1))
     found = [min((s["delays"][n] for s in seen.values() if s["delays"][n] is not None), default=0) for n in inputs]
-    shifts = {tuple(max(d + shift, 0) for d in found) for shift in (-2, -1, 0, 1)} | {(0,) * len(inputs)}
     search = Halving(posed, seconds - (monotonic() - began), jobs, progress)
-    search.run(sorted(shifts), sorted({1, apart}))
+    search.run(shifted(found), sorted({1, apart}))
     chosen, fit = search.final()
     return Identified(search.task, chosen, fit.network, search, seen, tests, monotonic() - began)
+
+
+def shifted(delays: Sequence[int]) -> list[tuple[int, ...]]:
+    """Delays around those that were seen, and none: which one is best shows only with a model."""
+    return sorted({tuple(max(d + shift, 0) for d in delays) for shift in (-2, -1, 0, 1)} | {(0,) * len(delays)})
 
 
 # ---- what is told
@@ -83,7 +87,7 @@ def figures(found: Identified) -> dict:
         "whole": search.whole(found.network),
         "part_count": t.parts,
         "parts": {place + 1: found.chosen.over([place]) for place in folds},
-        "held_out_interval": interval(found.chosen, folds),
+        "held_out_interval": interval(segments(found.chosen, folds)),
         "test": {n: None if e is None else rms(e) for n, e in tested.items()},
         "unit": t.output.unit,
         "confidence": {

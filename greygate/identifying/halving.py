@@ -44,7 +44,6 @@ WORSE = 2.0  # factor of the held-out error that the error over everything may h
 LEAST = 0.1  # s that a training has, where its rung has just run out of time
 DRAWS = 2000  # resampled sets of segments, from which confidence and interval follow
 SEGMENTS = 4  # of a held-out block: its errors are resampled in runs, because neighbours are alike
-EVIDENT = 0.9  # share of the sets over which a model must err less than one of fewer weights, to win over it
 REFITTED = 5  # models that are fitted to everything at most
 WINDOWS = 2  # for each part, into which a fold is cut that is too long to be trained on whole
 EPOCHS = 150  # of a fit to everything
@@ -67,8 +66,12 @@ class Rung:
 
 LADDER = Rung(10**6, 1, 60, 8000, 1, 0.2)
 NOISES = replace(LADDER, until=0.25)  # the best of those under other ideas of the noise
-RUNGS = (Rung(10**6, 1, 12, 4000, 2, 0.45), Rung(16, 2, 40, 8000, 1, 0.65), Rung(5, 3, 120, 20000, 1, 0.85))
-BASES = 3  # linear models from which networks are grown
+RUNGS = (Rung(10**6, 1, 20, 4000, 2, 0.55), Rung(12, 2, 40, 8000, 1, 0.7), Rung(5, 3, 120, 20000, 1, 0.87))
+FULL = 2  # the first rung at which every fold judges
+BASES = 3  # linear models from which networks are grown, the best ones
+RICH = 3  # order of one more at each stride: a curve may need taps that the best linear model does without
+STILL = 1e-3  # fall of the loss over ten epochs from which a model that is only compared is done
+DONE = 1e-7  # the same where the network is kept
 
 
 @dataclass(frozen=True)
@@ -121,6 +124,12 @@ class Tried:
         """RMS error over everything that was held out; inf: diverges."""
         return self.over(self.errors)
 
+    @cached_property
+    def typical(self) -> float:
+        """Geometric mean of the errors over each fold: a half-trained network may err wildly over one of them."""
+        found = [self.over([place]) for place in self.errors]
+        return float(np.exp(np.mean(np.log(np.maximum(found, np.finfo(float).tiny)))))
+
     def over(self, folds: Iterable[int]) -> float:
         """RMS error over the blocks of these folds; inf: diverges."""
         return pooled(self.blocks(folds))
@@ -137,24 +146,29 @@ def segments(tried: Tried, folds: Sequence[int]) -> np.ndarray:
     blocks = tried.blocks(folds)
     if not np.isfinite(tried.over(folds)):
         return np.full(SEGMENTS * len(blocks), np.inf)
-    return np.array([np.mean(s**2) for e in blocks if e is not None for s in np.array_split(e, SEGMENTS)])
+    return segmented([e for e in blocks if e is not None])
 
 
-def drawn_of(count: int) -> np.ndarray:
+def segmented(blocks: Iterable[np.ndarray]) -> np.ndarray:
+    """Mean squared errors of the segments of blocks of errors (N,)."""
+    return np.array([np.mean(s**2) for e in blocks for s in np.array_split(e, SEGMENTS)])
+
+
+def draws(count: int) -> np.ndarray:
+    """Sets of `count` segments, each drawn with replacement (DRAWS, count)."""
     return np.random.default_rng(0).integers(0, count, (DRAWS, count))
 
 
 def sure_of(one: Tried, other: Tried, folds: Sequence[int]) -> float:
-    """Share of resampled sets of segments over which `one` errs less."""
+    """Share of the drawn sets of segments over which `one` errs less."""
     a, b = segments(one, folds), segments(other, folds)
-    drawn = drawn_of(len(a))
+    drawn = draws(len(a))
     return float(np.mean(a[drawn].mean(1) < b[drawn].mean(1)))
 
 
-def interval(tried: Tried, folds: Sequence[int]) -> list[float]:
-    """95 % of the RMS errors over resampled sets of held-out segments."""
-    a = segments(tried, folds)
-    found = np.sqrt(a[drawn_of(len(a))].mean(1))
+def interval(squares: np.ndarray) -> list[float]:
+    """95 % of the RMS errors over drawn sets of segments, of mean squared errors `squares` (N,)."""
+    found = np.sqrt(squares[draws(len(squares))].mean(1))
     return [float(v) for v in np.quantile(found, (0.025, 0.975))]
 
 
@@ -173,7 +187,7 @@ class Halving:
 
     def run(self, delays: Sequence[tuple[int, ...]], strides: Sequence[int]) -> None:
         """Try the linear models and what grows from them. Raises InputError if no linear model was finished."""
-        ladder = [Model(LINEAR, Orders(o, d, s)).line for s in strides for o in ORDERS for d in delays]
+        ladder = [Model(LINEAR, Orders(o, d, s)).line for o in ORDERS for s in strides for d in delays]
         self.rung(0, LADDER, ladder)
         if not self.tried:  # not one was finished in its share of the time: the simplest has it all
             self.rung(0, replace(LADDER, until=RUNGS[-1].until), ladder[: self.jobs])
@@ -185,14 +199,12 @@ class Halving:
             self.folds, self.tried = self.task.folds(), {}
             self.rung(0, replace(LADDER, until=NOISES.until), resting + ladder)
         self.rung(0, NOISES, self.noises())
-        grow = [base.model.orders for base in self.bases()]
-        models = [Model(form, orders) for orders in grow for form in FORMS if form.suits(orders)]
-        models.sort(key=lambda m: FORMS.index(m.form))  # where time ends, every base has had the same forms
+        # where time ends, every base has had the same
+        kinds = [(form, decay) for form in FORMS for decay in (DECAY, STRONG)]
+        models = [Model(form, o, decay) for form, decay in kinds for o in self.grown_from() if form.suits(o)]
         for number, rung in enumerate(RUNGS, 1):
             self.rung(number, rung, models[: rung.keep])
-            models = [t.model for t in self.ranked() if t.rung == number]
-            if number == len(RUNGS) - 1:
-                models = [m for model in models for m in (model, replace(model, decay=STRONG))]
+            models = [t.model for t in sorted(self.tried.values(), key=lambda t: t.typical) if t.rung == number]
 
     def noises(self) -> list[Model]:
         """The best linear models under other ideas of the noise, of which an integrating one has none."""
@@ -222,6 +234,16 @@ class Halving:
             raise InputError("no linear model was finished in time, or every one diverges; give more --seconds")
         return list(found.values())[:BASES]
 
+    def grown_from(self) -> list[Orders]:
+        """Taps of the linear models from which networks are grown: of the best, and of a rich one at each stride."""
+        found = [base.model.orders for base in self.bases()]
+        for tried in self.ranked():
+            orders = tried.model.orders
+            has = any(o.order >= RICH and o.stride == orders.stride for o in found)
+            if tried.model.form == LINEAR and np.isfinite(tried.error) and orders.order >= RICH and not has:
+                found.append(orders)
+        return found
+
     def ranked(self) -> list[Tried]:
         return sorted(self.tried.values(), key=lambda t: (t.error, t.parameters))
 
@@ -234,6 +256,9 @@ class Halving:
         ]
         for tried in joblib.Parallel(self.jobs, prefer="threads", return_as="generator_unordered")(tasks):
             if tried is not None:
+                before = self.tried.get(tried.model)
+                if before and set(before.errors) == set(tried.errors) and before.error < tried.error:
+                    tried = replace(before, rung=number)  # more training has made it worse on what it has not seen
                 self.tried[tried.model] = tried
                 best = self.ranked()[0]
                 self.progress(f"{len(self.tried)} models, best {best.model.name}: {best.error:.4g} held out")
@@ -243,19 +268,19 @@ class Halving:
         return sorted(set.intersection(*(set(t.errors) for t in self._last())))
 
     def _last(self) -> list[Tried]:
-        last = max(t.rung for t in self.tried.values())
-        return [t for t in self.tried.values() if t.rung in (0, last)]
+        """Linear models, and the networks that every fold has judged; where there are none, those of half the folds."""
+        least = min(max(t.rung for t in self.tried.values()), FULL)
+        return [t for t in self.tried.values() if t.rung == 0 or t.rung >= least]
 
     def finalists(self) -> list[Tried]:
-        """Linear models and the networks that reached the highest rung, the best first, by blocks that judged all."""
+        """Linear models and the networks that came far enough, the best first, by blocks that judged all."""
         folds = self.shared()
         return sorted(self._last(), key=lambda t: (t.over(folds), t.parameters))
 
     def chosen(self) -> Tried:
         """The best of the finalists; a simpler one that is as good wins."""
         ranked, folds = self.finalists(), self.shared()
-        best = ranked[0]
-        near = [t for t in ranked if t.over(folds) <= SIMPLER * best.over(folds) or sure_of(best, t, folds) < EVIDENT]
+        near = [t for t in ranked if t.over(folds) <= SIMPLER * ranked[0].over(folds)]
         return min(near, key=lambda t: (t.parameters, t.over(folds)))
 
     def whole(self, network: Network) -> float:
@@ -294,7 +319,7 @@ class Halving:
         until = time() + seconds
         for done, start in enumerate(starts):
             share = time() + (until - time()) / (len(starts) - done)
-            fits.append(refitted(tried.model, self.task, start, records, EPOCHS, share))
+            fits.append(refitted(tried.model, self.task, start, records, EPOCHS, share, DONE))
         return lowest(fits)
 
 
@@ -317,7 +342,7 @@ def judged(
             return None
         networks[place] = fit.network
         held = folds[place].blocks if stable(model, networks[place], task) else ()
-        errors[place] = [task.errors(networks[place], block) for block in held] or [None]
+        errors[place] = [task.errors(networks[place], block) for block in held] or [None] * len(folds[place].blocks)
     return Tried(model, number, networks, errors, time() - began)
 
 
@@ -366,7 +391,15 @@ def differences(record: Record, output: Port) -> Record:
     return started(Record(inputs, {output.name: np.diff(record.targets[output.name])}), output)
 
 
-def refitted(model: Model, task: Task, start: Network, records: Sequence[Record], epochs: int, until: float) -> Trained:
+def refitted(
+    model: Model,
+    task: Task,
+    start: Network,
+    records: Sequence[Record],
+    epochs: int,
+    until: float,
+    tolerance: float = STILL,
+) -> Trained:
     """The model fitted to records from `start` on, in free run, or as its idea of the noise asks."""
     if model.form == SUBSPACE:
         found = subspace(model.orders, task.output, start, records)
@@ -376,7 +409,7 @@ def refitted(model: Model, task: Task, start: Network, records: Sequence[Record]
     if model.form in (ARX, ARMAX, BJ):
         left = max(until - time(), LEAST)
         return estimated(model.form, model.orders, task.output, start, records, epochs, left)
-    return trained(start, records, epochs, model.decay, until)
+    return trained(start, records, epochs, model.decay, until, tolerance)
 
 
 def network(task: Task, model: Model, line: Network, pieces: Sequence[Record], rung: Rung, until: float) -> Trained:
@@ -391,9 +424,11 @@ def as_it_is(network: Network, records: Sequence[Record]) -> Trained:
     return train(network, records, estimate_initial=True, epochs=0)
 
 
-def trained(start: Network, pieces: Sequence[Record], epochs: int, decay: float, until: float) -> Trained:
+def trained(
+    start: Network, pieces: Sequence[Record], epochs: int, decay: float, until: float, tolerance: float = STILL
+) -> Trained:
     left = max(until - time(), LEAST)
-    return train(start, pieces, estimate_initial=True, epochs=epochs, decay=decay, seconds=left)
+    return train(start, pieces, estimate_initial=True, epochs=epochs, decay=decay, seconds=left, tolerance=tolerance)
 
 
 def lowest(fits: Sequence[Trained]) -> Trained:

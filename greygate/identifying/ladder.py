@@ -180,7 +180,7 @@ def _shrunk(network: Network) -> Network:
 LINEAR = Form("OE")
 FIR, ARX, ARMAX, BJ = Form("FIR", feedback=False), Form("ARX"), Form("ARMAX"), Form("BJ")
 SUBSPACE = Form("subspace")
-SIZES = (2, 4, 8)
+SIZES = (3, 8)
 FORMS = tuple(
     form
     for n in SIZES
