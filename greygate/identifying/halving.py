@@ -21,9 +21,9 @@ from greygate.identifying.ladder import (
     SUBSPACE,
     Form,
     Orders,
+    falling,
     grown,
     own,
-    slowest,
 )
 from greygate.identifying.linear import estimated, taught
 from greygate.identifying.subspace import subspace
@@ -69,7 +69,7 @@ NOISES = replace(LADDER, until=0.25)  # the best of those under other ideas of t
 RUNGS = (Rung(10**6, 1, 20, 4000, 2, 0.55), Rung(12, 2, 40, 8000, 1, 0.7), Rung(5, 3, 120, 20000, 1, 0.87))
 FULL = 2  # the first rung at which every fold judges
 BASES = 3  # linear models from which networks are grown, the best ones
-RICH = 3  # order of one more at each stride: a curve may need taps that the best linear model does without
+RICH = 3  # order of one more at each stride
 STILL = 1e-3  # fall of the loss over ten epochs from which a model that is only compared is done
 DONE = 1e-7  # the same where the network is kept
 
@@ -216,13 +216,14 @@ class Halving:
         return found + [Model(FIR, orders, 0.0) for orders in longer if orders.deepest < shortest]
 
     def drifts(self) -> bool:
-        """Whether no stable linear model settles within a held-out block without erring far more over everything."""
+        """Whether the best stable linear model does not settle within a recording, or errs far more over everything."""
         best = next((t for t in self.ranked() if t.model.form == LINEAR and np.isfinite(t.error)), None)
         if best is None:
             return True
-        block = max(len(b) for f in self.folds for b in f.blocks)
-        slow = max(slowest(n, best.model.orders, self.task.output) for n in best.networks.values())
-        return slow > block or self.whole(best.first) > WORSE * best.error
+        longest, networks = max(len(r) for r in self.task.records.values()), best.networks.values()
+        falls = [falling(n, best.model.orders, self.task.output) for n in networks]
+        slow = most(not 0 <= f <= longest for f in falls)
+        return slow or most(self.whole(n) > WORSE * best.error for n in networks)
 
     def bases(self) -> list[Tried]:
         """The best linear models that differ in more than their delays, from which networks are grown."""
@@ -235,14 +236,14 @@ class Halving:
         return list(found.values())[:BASES]
 
     def grown_from(self) -> list[Orders]:
-        """Taps of the linear models from which networks are grown: of the best, and of a rich one at each stride."""
+        """Taps of the linear models from which networks are grown: of the best, and of rich ones without delay.
+
+        What a linear model takes for a delay, or does without, a curve may explain.
+        """
         found = [base.model.orders for base in self.bases()]
-        for tried in self.ranked():
-            orders = tried.model.orders
-            has = any(o.order >= RICH and o.stride == orders.stride for o in found)
-            if tried.model.form == LINEAR and np.isfinite(tried.error) and orders.order >= RICH and not has:
-                found.append(orders)
-        return found
+        rich = [t.model.orders for t in self.ranked() if t.model.form == LINEAR and np.isfinite(t.error)]
+        rich = [o for o in rich if o.order == RICH and not any(o.delays)]
+        return found + [o for o in rich if o not in found]
 
     def ranked(self) -> list[Tried]:
         return sorted(self.tried.values(), key=lambda t: (t.error, t.parameters))
@@ -303,7 +304,7 @@ class Halving:
             if found and left <= 0:
                 break
             fit = self.complete(tried, left / (len(best) - done))
-            error = self.whole(fit.network)
+            error = self.whole(fit.network) if stable(tried.model, fit.network, self.task) else np.inf
             if before[tried.model] < error:  # more data have made it worse: as its first fold left it
                 error, fit = before[tried.model], replace(fit, network=tried.first, initial=())
             found.append((error, tried, fit))
@@ -341,14 +342,25 @@ def judged(
         if fit.outcome is Outcome.TIME:
             return None
         networks[place] = fit.network
-        held = folds[place].blocks if stable(model, networks[place], task) else ()
-        errors[place] = [task.errors(networks[place], block) for block in held] or [None] * len(folds[place].blocks)
+        errors[place] = [task.errors(networks[place], block) for block in folds[place].blocks]
+    if most(not stable(model, n, task) for n in networks.values()):
+        errors = {place: [None] * len(of) for place, of in errors.items()}
     return Tried(model, number, networks, errors, time() - began)
 
 
+def most(of: Iterable[bool]) -> bool:
+    """Whether more than half are true."""
+    found = list(of)
+    return 2 * sum(found) > len(found)
+
+
 def stable(model: Model, network: Network, task: Task) -> bool:
-    """Whether its own motions fall, as far as a linear loop says; a model whose motions grow is of no use beyond."""
-    return not model.form.loop_is_linear or np.isfinite(slowest(network, model.orders, task.output))
+    """Whether its own motions do not grow by e within the longest recording, as far as a linear loop says.
+
+    A model whose motions grow is of no use beyond what it was fitted to.
+    """
+    longest = max(len(r) for r in task.records.values())
+    return not (model.form.loop_is_linear and -longest < falling(network, model.orders, task.output) < 0)
 
 
 def linear(

@@ -130,8 +130,8 @@ def grown(network: Network, linear: Network) -> Network:
     return network.with_parameters(linear.parameters())
 
 
-def slowest(network: Network, orders: Orders, output: Port) -> float:
-    """Samples in which the slowest motion of a model's linear loop falls by e; inf for one that does not fall.
+def falling(network: Network, orders: Orders, output: Port) -> float:
+    """Samples in which the slowest motion of a model's linear loop falls by e; below 0: in which it grows by e.
 
     Of an integrating model: of its rate.
     """
@@ -139,7 +139,7 @@ def slowest(network: Network, orders: Orders, output: Port) -> float:
     weights = network.parameters()
     denominator = [1.0, *(-float(weights[f"{loop}.{output.name}_z{d}"][0, 0]) for d in orders.feedback)]
     largest = float(np.max(np.abs(np.roots(denominator)), initial=0.0))
-    return np.inf if largest >= 1 else 0.0 if largest == 0 else -orders.stride / float(np.log(largest))
+    return np.inf if largest == 1 else 0.0 if largest == 0 else -orders.stride / float(np.log(largest))
 
 
 def connect(network: Network, layer: str, ports: Mapping[str, tuple[str, int]]) -> None:
