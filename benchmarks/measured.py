@@ -3,9 +3,10 @@
     python benchmarks/measured.py [tanks ced emps crane mts]
 
 foretold: the chosen structure and seed are trained again on every fold, and the errors over the held-out blocks are
-drawn anew in stretches; 95 % of the RMS errors. No test enters. fixed: RMS error on each test in float and in words of
-12, 14 and 16 bits, every run from the network's rest, as hardware has it; cost: 16 bits against float. verified: both
-architectures at 16 bits in Verilator. Kept in results/measured.json, by name.
+drawn anew in stretches; 95 % of the RMS errors. No test enters. outside: share of a test's samples whose input or
+output is beyond anything in training. fixed: RMS error on each test in float and in words of 12, 14 and 16 bits, every
+run from the network's rest, as hardware has it; cost: 16 bits against float. verified: both architectures at 16 bits in
+Verilator. Kept in results/measured.json, by name.
 """
 
 import sys
@@ -43,6 +44,21 @@ def foretold(study: Study) -> list[float]:
     return interval(segmented(errors))
 
 
+def outside(study: Study) -> dict[str, float]:
+    """Test -> share of its samples with an input or output beyond the training runs' ranges."""
+    training, tests = study.runs()
+
+    def signals(record) -> dict[str, np.ndarray]:
+        return {**record.inputs, **record.targets}
+
+    low = {n: min(signals(r)[n].min() for r in training.values()) for n in signals(next(iter(training.values())))}
+    high = {n: max(signals(r)[n].max() for r in training.values()) for n in low}
+    return {
+        test: float(np.mean(np.any([(v < low[n]) | (v > high[n]) for n, v in signals(r).items() if n in low], axis=0)))
+        for test, r in tests.items()
+    }
+
+
 def fixed(study: Study) -> dict:
     """Test -> "float", a width or "cost" -> RMS error in the unit of the output."""
     training, tests = study.runs()
@@ -66,5 +82,6 @@ if __name__ == "__main__":
     with threadpool_limits(1, "blas"):
         for name in sys.argv[1:] or STUDIES:
             study = STUDIES[name]
-            keep("measured", name, {"foretold": foretold(study), "fixed": fixed(study), "verified": verified(name)})
+            found = {"foretold": foretold(study), "outside": outside(study), "fixed": fixed(study)}
+            keep("measured", name, found | {"verified": verified(name)})
             print(name, "kept", flush=True)
