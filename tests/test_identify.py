@@ -402,3 +402,23 @@ def test_a_network_is_grown_from_an_integrating_model_only_where_its_rate_stays_
     assert {f.reads for f in suiting if f.inside} == {"output"}
     assert len(suiting) == 8
     assert all(f.suits(Orders(2, (0,))) for f in FORMS)
+
+
+def test_where_time_ends_before_the_longer_runs_the_shorter_ones_have_judged(short, monkeypatch):
+    posed = task({"a": axis(1)}, ["u"], "y")
+    search = halving.Halving(posed, math.inf, 1)
+    ladder = [halving.Model(LINEAR, Orders(1, (0,)), 0.0)]
+    search.rung(0, halving.LADDER, ladder)
+    tried = search.tried
+    monkeypatch.setattr(search, "rung", lambda *given: None)
+    search.lengthen(ladder, [1])
+    assert search.task is posed
+    assert search.tried is tried
+    assert len(search.folds) == 8
+
+
+def test_no_model_in_time_is_an_error(short, monkeypatch):
+    search = halving.Halving(task({"a": axis(1)}, ["u"], "y"), math.inf, 1)
+    monkeypatch.setattr(search, "rung", lambda *given: None)
+    with pytest.raises(InputError, match="no linear model was finished in time"):
+        search.run([(0,)], [1])

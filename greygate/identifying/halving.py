@@ -191,13 +191,8 @@ class Halving:
         self.rung(0, LADDER, ladder)
         if not self.tried:  # not one was finished in its share of the time: the simplest has it all
             self.rung(0, replace(LADDER, until=RUNGS[-1].until), ladder[: self.jobs])
-        if self.drifts():  # longer runs judge, longer windows train, and an output may rest anywhere
-            late = self.ranked()[0].model.orders.delays
-            step = self.task.step
-            resting = [Model(LINEAR, Orders(o, late, s, step), 0.0) for s in strides for o in ORDERS[:-1]]
-            self.task = replace(self.task, parts=HALVES)
-            self.folds, self.tried = self.task.folds(), {}
-            self.rung(0, replace(LADDER, until=NOISES.until), resting + ladder)
+        if self.tried and self.drifts():
+            self.lengthen(ladder, strides)
         self.rung(0, NOISES, self.noises())
         # where time ends, every base has had the same
         kinds = [(form, decay) for form in FORMS for decay in (DECAY, STRONG)]
@@ -205,6 +200,19 @@ class Halving:
         for number, rung in enumerate(RUNGS, 1):
             self.rung(number, rung, models[: rung.keep])
             models = [t.model for t in sorted(self.tried.values(), key=lambda t: t.typical) if t.rung == number]
+
+    def lengthen(self, ladder: Sequence[Model], strides: Sequence[int]) -> None:
+        """Try the linear models again where longer runs judge, longer windows train and an output may rest anywhere.
+
+        Where time does not suffice for one of them, all stays as it is.
+        """
+        before, late, step = (self.task, self.folds, self.tried), self.ranked()[0].model.orders.delays, self.task.step
+        resting = [Model(LINEAR, Orders(o, late, s, step), 0.0) for s in strides for o in ORDERS[:-1]]
+        self.task = replace(self.task, parts=HALVES)
+        self.folds, self.tried = self.task.folds(), {}
+        self.rung(0, replace(LADDER, until=NOISES.until), [*resting, *ladder])
+        if not self.tried:
+            self.task, self.folds, self.tried = before
 
     def noises(self) -> list[Model]:
         """The best linear models under other ideas of the noise, of which an integrating one has none."""
