@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from greygate.compiler.pipeline import compile_network, fixed_error
+from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.identifying import halving
 from greygate.identifying.files import figures, identify, lines
@@ -19,7 +21,7 @@ from greygate.identifying.looking import look
 from greygate.identifying.subspace import numerators, subspace
 from greygate.identifying.task import task
 from greygate.machines.identification import initialised
-from greygate.models.accuracy import rms
+from greygate.models.accuracy import float_error, rms
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import train
@@ -349,6 +351,10 @@ def test_an_axis_gets_a_model_that_may_rest_anywhere(short):
     assert told["test"]["other"] < 3 * NOISE
     still = result.network.run({"u": np.zeros(500)}, initial={"state": 0.7, "rate": 0.0})["y"]
     assert np.ptp(still) < 0.05 * np.ptp(axis(1)["y"])
+    record = result.task.record(axis(1))
+    compiled = compile_network(result.network, {"train": record}, Formats(16), period=0.1)
+    fixed, free = fixed_error(compiled.program, record)["y"], float_error(result.network, record)["y"]
+    assert rms(fixed - free) < NOISE  # the sum of all rates keeps its rounding in words of 16 bits and some
 
 
 def test_friction_of_an_axis_is_a_curve_of_its_rate(short, monkeypatch):
