@@ -337,9 +337,11 @@ def test_an_interrupted_compilation_leaves_nothing_behind(tmp_path, number, code
 
 
 @pytest.mark.parametrize("second", [0.1, 0.4])
-def test_ctrl_c_while_it_starts_is_one_line_too(second):
+def test_ctrl_c_while_it_starts_is_one_line_too(second, tmp_path):
+    """Of a command that takes seconds, so that it cannot be done before."""
+    program, out = "import greygate.__main__ as m; print(flush=True); m.run()", str(tmp_path / "built")
     process = subprocess.Popen(
-        [sys.executable, "-c", "import greygate.__main__ as m; print(flush=True); m.run()", "doctor"],
+        [sys.executable, "-c", program, "compile", "valve_cylinder", "--prune", "1.0", "--out", out],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         preexec_fn=heeding,
