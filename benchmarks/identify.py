@@ -18,7 +18,7 @@ from scipy.integrate import odeint
 
 from greygate.identifying.files import figures, identify
 from greygate.identifying.halving import REFITTED, WORSE, Halving, Tried
-from greygate.identifying.task import started
+from greygate.identifying.task import Task, started
 from greygate.machines.measured.study import STUDIES
 from greygate.models.network import Network
 from greygate.models.training.record import Record
@@ -27,6 +27,7 @@ from greygate.plants.excitation import prms
 from greygate.plants.recording import Recording
 
 SECONDS, JOBS = 60.0, 2
+NAMES = ("dryer", "thermal", "dead_zone", "pendulum", "tanks", "ced", "crane", "emps", "mts")
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,21 @@ def runs(name: str) -> tuple[dict[str, Record], dict[str, Record], float, str]:
     return training, tests, study.period, study.linear.build(0).outputs[0].unit
 
 
+def recorded(name: str) -> tuple[dict[str, Recording], list[str], str, dict[str, Record]]:
+    """Training recordings, inputs, the output, and test runs."""
+    training, tests, dt, unit = runs(name)
+    first = next(iter(training.values()))
+    inputs, (output,) = list(first.inputs), first.targets
+    units = {**dict.fromkeys(inputs, "1"), output: unit}
+    given = {n: Recording(dt, {**r.inputs, **r.targets}, units, source=n) for n, r in training.items()}
+    return given, inputs, output, tests
+
+
+def judged(asked: Task, test: Record) -> Record:
+    """The test run, of which as many first samples give the state as the command took, or as are published."""
+    return started(replace(test, skip=max(test.skip, asked.settle), initial={}), asked.output)
+
+
 def best_linear(search: Halving) -> tuple[Tried, Network]:
     """The best linear model on what was held out that does not drift off over everything, fitted to everything.
 
@@ -99,18 +115,13 @@ def best_linear(search: Halving) -> tuple[Tried, Network]:
 
 
 def main(name: str) -> None:
-    training, tests, dt, unit = runs(name)
-    first = next(iter(training.values()))
-    inputs, (output,) = list(first.inputs), first.targets
-    units = {**dict.fromkeys(inputs, "1"), output: unit}
-    given = {n: Recording(dt, {**r.inputs, **r.targets}, units, source=n) for n, r in training.items()}
+    given, inputs, output, tests = recorded(name)
     found = identify(given, inputs, output, {}, seconds=SECONDS, jobs=JOBS)
     task, search = found.task, found.search
     line, linear = best_linear(search)
 
     def error(network, record: Record) -> float:
-        judged = replace(record, skip=max(record.skip, task.settle), initial={})
-        errors = task.errors(network, started(judged, task.output))
+        errors = task.errors(network, judged(task, record))
         return np.inf if errors is None else float(np.sqrt(np.mean(errors**2)))
 
     kept = figures(found)
@@ -126,5 +137,5 @@ def main(name: str) -> None:
 
 
 if __name__ == "__main__":
-    for part in sys.argv[1:] or [*PLANTS, "tanks", "ced", "crane", "emps", "mts"]:
+    for part in sys.argv[1:] or NAMES:
         main(part)

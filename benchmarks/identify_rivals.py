@@ -4,23 +4,22 @@
 
 torch: `torch.nn.RNN` (tanh) with a linear output, of as many weights as what `identify` chose (results/identify.json)
 or a few more, in float64 by Adam through windows, for the minute that `identify` has. Its weights are those of the
-lowest error on the last quarter of each recording, which it does not train on; it has as many first samples of a to
-settle in. tuned: thirty draws of form, neurons, order, delay, stride, decay and seed, each trained to the end on three
-quarters of each recording; the best on the last quarter is fitted to everything. The lowest test error of the thirty is
-given too: no person could choose by it.
+lowest error on the last quarter of each recording, which it does not train on; it has as many first samples of a test
+to settle in. tuned: thirty draws of form, neurons, order, delay, stride, decay and seed, each trained to the end on
+three quarters of each recording; the best on the last quarter is fitted to everything. The lowest test error of the
+thirty is given too: no person could choose by it.
 """
 
 import json
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 
 import numpy as np
 import torch
-from identify import JOBS, SECONDS, runs
+from identify import JOBS, NAMES, SECONDS, judged, recorded
 from made import keep
 from threadpoolctl import threadpool_limits
 
@@ -30,7 +29,6 @@ from greygate.identifying.ladder import FORMS, Orders, grown
 from greygate.identifying.looking import look
 from greygate.identifying.task import Task, started, task
 from greygate.models.training.record import Record
-from greygate.plants.recording import Recording
 
 RESULTS = Path(__file__).parent / "results"
 RATE, WINDOW, TOGETHER = 1e-2, 200, 64  # of Adam; judged samples of a window; windows of a step
@@ -40,16 +38,9 @@ LARGEST = 20000  # samples that a tuned network is trained on
 
 def posed(name: str) -> tuple[Task, dict[str, Record], dict]:
     """The task of the training runs, its tests, and what is seen of the first run."""
-    training, tests, dt, unit = runs(name)
-    first = next(iter(training.values()))
-    inputs, (output,) = list(first.inputs), first.targets
-    units = {**dict.fromkeys(inputs, "1"), output: unit}
-    given = {n: Recording(dt, {**r.inputs, **r.targets}, units, source=n) for n, r in training.items()}
+    given, inputs, output, tests = recorded(name)
     asked = task(given, inputs, output)
-    judged = {
-        n: started(replace(r, skip=max(r.skip, asked.settle), initial={}), asked.output) for n, r in tests.items()
-    }
-    return asked, judged, look(next(iter(given.values())), inputs, output)
+    return asked, {n: judged(asked, r) for n, r in tests.items()}, look(next(iter(given.values())), inputs, output)
 
 
 def parted(asked: Task) -> tuple[list[Record], list[Record]]:
@@ -94,7 +85,7 @@ def rival(name: str) -> dict:
         steps += 1
         if passed >= next_look:
             next_look = passed + SECONDS / 100
-            if (error := judged(net, asked, last)) < best[0]:
+            if (error := free_run(net, asked, last)) < best[0]:
                 best = error, {n: v.clone() for n, v in net.state_dict().items()}
     net.load_state_dict(best[1])
     return {
@@ -102,7 +93,7 @@ def rival(name: str) -> dict:
         "steps": steps,
         "held_out": best[0],
         "seconds": monotonic() - began,
-        "test": {n: judged(net, asked, [r]) for n, r in tests.items()},
+        "test": {n: free_run(net, asked, [r]) for n, r in tests.items()},
     }
 
 
@@ -126,7 +117,7 @@ def signals(asked: Task, record: Record) -> tuple[torch.Tensor, torch.Tensor]:
     return torch.as_tensor(u), torch.as_tensor(asked.output.normalised(record.targets[asked.output.name]))
 
 
-def judged(net: Net, asked: Task, records: Sequence[Record]) -> float:
+def free_run(net: Net, asked: Task, records: Sequence[Record]) -> float:
     """RMS of a free run in the output's unit."""
     errors = []
     with torch.no_grad():
@@ -181,7 +172,7 @@ def tuned(name: str) -> dict:
 if __name__ == "__main__":
     part, *names = sys.argv[1:]
     with threadpool_limits(1, "blas"):
-        for one in names or ["dryer", "thermal", "dead_zone", "pendulum", "tanks", "ced", "crane", "emps", "mts"]:
+        for one in names or NAMES:
             found = {"torch": rival, "tuned": tuned}[part](one)
             keep("identify_rivals", f"{part} {one}", found)
             print(part, one, found, flush=True)

@@ -10,16 +10,17 @@ Verilator. Kept in results/measured.json, by name.
 """
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 from hardware import verified
 from made import keep
 from threadpoolctl import threadpool_limits
 
+from greygate.compiler.pipeline import fixed_error
 from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.ranges import ranges
 from greygate.compiler.simplify import simplify
-from greygate.emulator.interpreter import interpret
 from greygate.identifying.halving import interval, segmented
 from greygate.machines.identification import Study, stored
 from greygate.machines.measured.study import STUDIES
@@ -66,15 +67,11 @@ def fixed(study: Study) -> dict:
     seen = ranges(network, list(training.values()))
     for width in WIDTHS:
         program = quantize(network, seen, Formats(width), study.period)
-        source, sink = program.inputs[0], program.outputs[0]
-        fix, step = source.signal.fix, 2.0**-sink.signal.fix.frac * sink.scale
         for name, record in tests.items():
-            value = (record.inputs[source.name] - source.offset) / source.scale
-            codes = np.clip(np.floor(value * 2.0**fix.frac + 0.5), fix.lo, fix.hi).astype(np.int64)
-            judged = slice(record.skip, None)
-            run = (interpret(program, codes[:, None]).outputs[:, 0] * step + sink.offset)[judged]
-            free, target = network.run(record.inputs)[sink.name][judged], record.targets[sink.name][judged]
-            found[name] |= {"float": rms(free - target), str(width): rms(run - target), "cost": rms(run - free)}
+            resting = replace(record, initial={})
+            (free,), (words,) = float_error(network, resting).values(), fixed_error(program, record).values()
+            free, words = free[record.skip :], words[record.skip :]
+            found[name] |= {"float": rms(free), str(width): rms(words), "cost": rms(words - free)}
     return found
 
 

@@ -402,7 +402,7 @@ def summed(model: Model, task: Task, pieces: Sequence[Record]) -> Network:
     network = model.form.build(model.orders, task.inputs, task.output, 0)
     taken = [p.name for p in (*task.inputs, task.output)]
     loop, rate = own(LOOP, taken), own(RATE, taken)
-    return network.with_parameters({n.replace(f"{loop}.", f"{rate}.", 1): v for n, v in found.items()})
+    return network.with_parameters({rate + n.removeprefix(loop): v for n, v in found.items()})
 
 
 def differences(record: Record, output: Port) -> Record:
