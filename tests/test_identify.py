@@ -428,3 +428,17 @@ def test_no_model_in_time_is_an_error(short, monkeypatch):
     monkeypatch.setattr(search, "rung", lambda *given: None)
     with pytest.raises(InputError, match="no linear model was finished in time"):
         search.run([(0,)], [1])
+
+
+def test_what_more_training_spoils_stays_as_it_was(monkeypatch):
+    posed = task({"a": recorded(1)}, ["u"], "y")
+    search, model = halving.Halving(posed, math.inf, 1), halving.Model(LINEAR, Orders(1, (0,)), 0.0)
+    network = LINEAR.build(model.orders, posed.inputs, posed.output, 0)
+    for number, (error, folds, kept) in enumerate([(1.0, 1, 1.0), (2.0, 1, 1.0), (0.5, 1, 0.5), (3.0, 2, 3.0)]):
+        places = range(folds)  # of other folds an error says nothing
+        of = {place: [np.full(9, error)] for place in places}
+        found = halving.Tried(model, number, dict.fromkeys(places, network), of, 0.0)
+        monkeypatch.setattr(halving, "judged", lambda *given, found=found: found)
+        search.rung(number, halving.LADDER, [model])
+        assert search.tried[model].error == pytest.approx(kept)
+        assert search.tried[model].rung == number
