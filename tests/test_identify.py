@@ -442,3 +442,57 @@ def test_what_more_training_spoils_stays_as_it_was(monkeypatch):
         search.rung(number, halving.LADDER, [model])
         assert search.tried[model].error == pytest.approx(kept)
         assert search.tried[model].rung == number
+
+
+def found_linear(posed, error: float, *orders, weight: float = 0.5, **more) -> halving.Tried:
+    """A linear model that a search found, with that error over everything held out."""
+    model = halving.Model(LINEAR, Orders(*orders, **more), 0.0)
+    network = LINEAR.build(model.orders, posed.inputs, posed.output, 0)
+    network = network.with_parameters({f"state.y_z{model.orders.stride}": [[weight]]})
+    return halving.Tried(model, 0, {0: network}, {0: [np.full(9, error)]}, 0.0)
+
+
+def test_networks_grow_from_the_best_and_from_rich_taps_without_delay():
+    posed = task({"a": recorded(1)}, ["u"], "y")
+    search = halving.Halving(posed, math.inf, 1)
+    told = [(0.1, 1, (2,)), (0.2, 2, (2,)), (0.3, 4, (2,)), (0.5, 3, (2,)), (0.8, 3, (0,), 8), (0.9, 3, (0,))]
+    tried = [found_linear(posed, *each) for each in told]
+    search.tried = {t.model: t for t in tried}
+    orders = [t.model.orders for t in tried]
+    assert search.grown_from() == [*orders[:3], orders[4], orders[5]]
+
+
+def test_a_half_trained_network_is_judged_by_what_is_typical_of_its_folds():
+    tried = found_linear(task({"a": recorded(1)}, ["u"], "y"), 1.0, 1, (0,))
+    wild = replace(tried, errors={0: [np.full(9, 0.1)], 1: [np.full(9, 10.0)]})
+    assert wild.typical == pytest.approx(1.0)
+    assert wild.error > 7
+
+
+def test_networks_that_every_fold_has_judged_are_finalists_and_others_only_where_there_are_none():
+    posed = task({"a": recorded(1)}, ["u"], "y")
+    line, half, full = (found_linear(posed, 1.0, order, (0,)) for order in (1, 2, 3))
+    half, full = replace(half, rung=1), replace(full, rung=2)
+    search = halving.Halving(posed, math.inf, 1)
+    search.tried = {t.model: t for t in (line, half)}
+    assert search.finalists() == [line, half]
+    search.tried = {t.model: t for t in (line, half, full)}
+    assert search.finalists() == [line, full]
+
+
+def test_a_model_that_does_not_settle_within_a_recording_drifts():
+    posed = task({"a": recorded(1)}, ["u"], "y")
+    search = halving.Halving(posed, math.inf, 1)
+    for weight, drifts in ((0.5, False), (0.99999, True)):
+        tried = found_linear(posed, 1e6, 1, (0,), weight=weight)  # no error over everything is far above that
+        search.tried = {tried.model: tried}
+        assert search.drifts() is drifts
+
+
+def test_a_last_fit_whose_motions_grow_is_left_for_what_a_fold_made(searched, monkeypatch):
+    first = searched.chosen()
+    folds = list(first.networks.values())
+    monkeypatch.setattr(halving, "stable", lambda model, network, task: any(network is n for n in folds))
+    tried, fit = searched.final()
+    assert tried is first
+    assert fit.network is first.first
