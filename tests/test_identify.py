@@ -496,3 +496,22 @@ def test_a_last_fit_whose_motions_grow_is_left_for_what_a_fold_made(searched, mo
     tried, fit = searched.final()
     assert tried is first
     assert fit.network is first.first
+
+
+def test_a_network_that_errs_wildly_over_one_fold_yet_enters_the_next_rung_first(short, monkeypatch):
+    posed, asked = task({"a": recorded(1)}, ["u"], "y"), {}
+    search = halving.Halving(posed, math.inf, 1)
+    network = found_linear(posed, 1.0, 1, (0,)).first
+
+    def rung(number, rung, models):
+        asked[number] = list(models)
+        for model in models:
+            wild = number == 1 and model is models[-1]
+            errors = {0: [np.full(9, 0.1 if wild else 3.0)], 1: [np.full(9, 10.0 if wild else 3.0)]}
+            search.tried[model] = halving.Tried(model, number, dict.fromkeys(errors, network), errors, 0.0)
+
+    monkeypatch.setattr(search, "rung", rung)
+    monkeypatch.setattr(search, "drifts", lambda: False)
+    monkeypatch.setattr(search, "noises", list)
+    search.run([(0,)], [1])
+    assert asked[2][0] == asked[1][-1]
