@@ -10,7 +10,7 @@ A fit that fails the fourth gate is fitted again to what the simulation is judge
 rule, as it is. If that fails too, the effect goes whose loss costs least.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 
@@ -72,7 +72,7 @@ def unborne(search: Search, hypothesis: Hypothesis, fit: Fit) -> dict[str, str]:
             out[key] = f"{effect.means}, but by {fit.values[slight[0]]:.2g} of that alone: some other curve"
         elif not _influence(effect, fit) > SEEN:
             out[key] = "at the size that fits, it changes nothing that the sensors show"
-        elif isinstance(fit.likelihood, Coloured) and _rounded(effect, fit):
+        elif isinstance(fit.likelihood, Coloured) and _rounded([effect], fit):
             out[key] = "it moves every channel by less than half a step of what is recorded: it smooths the steps"
     for symbol in hypothesis.released:
         sheet = search.sheet[symbol]
@@ -88,21 +88,25 @@ def _within(fit: Fit, symbol: str) -> list[float]:
 
 def _influence(effect: Effect, fit: Fit) -> float:
     """The squared change of the errors, in units of noise, that the effect makes at its found size."""
-    change = fit.likelihood.errors(_undone(effect, fit), fit.shifts) - fit.errors
+    change = fit.likelihood.errors(_undone([effect], fit), fit.shifts) - fit.errors
     return float(np.sum(np.square(np.nan_to_num(change, nan=np.inf))))
 
 
-def _undone(effect: Effect, fit: Fit) -> dict[str, float]:
-    """The values of a fit, without an effect."""
-    if effect.frees:
-        return {**fit.values, **{f.symbol: fit.likelihood.model.values[f.symbol] for f in effect.free}}
-    return {**fit.values, **{f.symbol: 0.0 for f in effect.strengths}}
+def _undone(effects: Iterable[Effect], fit: Fit) -> dict[str, float]:
+    """The values of a fit, without some effects."""
+    values = dict(fit.values)
+    for effect in effects:
+        if effect.frees:
+            values |= {f.symbol: fit.likelihood.model.values[f.symbol] for f in effect.free}
+        else:
+            values |= {f.symbol: 0.0 for f in effect.strengths}
+    return values
 
 
-def _rounded(effect: Effect, fit: Fit) -> bool:
-    """Whether an effect moves each channel by less than half a step of it, or of an input of its unit."""
+def _rounded(effects: Iterable[Effect], fit: Fit) -> bool:
+    """Whether effects move each channel by less than half a step of it, or of an input of its unit."""
     model = fit.likelihood.model
-    with_, without = (model.predict({**model.values, **v}) for v in (fit.values, _undone(effect, fit)))
+    with_, without = (model.predict({**model.values, **v}) for v in (fit.values, _undone(effects, fit)))
     moved = np.sqrt(np.mean((with_ - without) ** 2, axis=0))
     channels = model.rig.channels
     steps = [
@@ -243,9 +247,20 @@ def _unsupported(search: Search, judge: Judge, claims: Claims, refit: Callable) 
 def _undoing(search: Search, judge: Judge, claims: Claims, refit: Callable) -> bool:
     """Whether two that undo each other were dropped, as little is left of both; `claims.only_with` keeps the others.
 
-    Each of the two saves next to nothing without the other one: only their difference explains something.
+    Each of the two saves next to nothing without the other one: only their difference explains something. Or where no
+    noise is told each moves the channels, but both together by less than the steps that they smooth (a lag, and a
+    channel that comes early).
     """
     claims.only_with = {}
+    if isinstance(claims.fit.likelihood, Coloured):
+        for pair in combinations(claims.best.effects, 2):
+            if _rounded([search.effects[key] for key in pair], claims.fit):
+                names = " and ".join(named(search, key) for key in pair)
+                why = "together they move every channel by less than half a step of what is recorded"
+                claims.refused.append(f"{names} are not claimed: {why}, so they smooth the steps")
+                claims.best = claims.best.without(pair[0]).without(pair[1])
+                claims.fit = refit(claims.best, claims.fit)
+                return True
     saved = {name: fit.cost - claims.fit.cost for name, fit in claims.without.items()}
     for one, other in combinations(saved, 2):
         less = claims.best.without(one).without(other)

@@ -215,14 +215,17 @@ class Search:
         return sorted(ranked, key=lambda s: -s.gain)
 
     def pairs(self, likelihood: Likelihood, fit: Fit, count: int) -> list[Score]:
-        """The `count` pairs of effects that together promise most at `fit`; each alone may promise little."""
+        """The `count` pairs that together promise most at `fit`, where each alone may promise little.
+
+        A pair is of two effects, or of an effect and a parameter whose tolerance is lifted: `count` of each kind.
+        """
         effects = [e for e in self.effects.values() if self.joined(Hypothesis(), e)]
         blocks = [(effect, *found) for effect in effects for found in self.directions(likelihood, fit, effect)]
         if not blocks:
             return []
-        widths = [columns.shape[2] for *_, columns in blocks]
-        gains = pair_gains(fit, np.concatenate([columns for *_, columns in blocks], axis=2), widths)
-        found = []
+        columns, widths = np.concatenate([b[-1] for b in blocks], axis=2), [b[-1].shape[2] for b in blocks]
+        gains = pair_gains(fit, columns, widths)
+        two, beside = [], []
         for one, other in combinations(effects, 2):
             if self.joined(Hypothesis((one.key,)), other):
                 mine, others = (np.flatnonzero([b[0] is e for b in blocks]) for e in (one, other))
@@ -230,39 +233,59 @@ class Search:
                 if not part.size:
                     continue  # one of them has no shape that this travel could show
                 i, j = np.unravel_index(np.argmax(part), part.shape)
-                found.append((part[i, j], mine[i], others[j]))
-        out, plain = [], _plain(fit)
-        for _, *pair in sorted(found, reverse=True)[: SOLVED_PAIRS * count]:
-            values, gain = self._within(fit, [blocks[i] for i in pair])
-            out.append(Score(Hypothesis(tuple(blocks[i][0].key for i in pair)), gain - plain, values))
-        return sorted(out, key=lambda score: -score.gain)[:count]
+                two.append((part[i, j], (mine[i], others[j]), ""))
+        for symbol in self.toleranced:
+            gains = released_gains(fit, columns, widths, _at(fit, symbol))
+            for effect in effects:
+                mine = np.flatnonzero([b[0] is effect for b in blocks])
+                if mine.size:
+                    i = mine[np.argmax(gains[mine])]
+                    beside.append((gains[i], (i,), symbol))
+        plain = _plain(fit)
+
+        def most(found: list) -> list[Score]:
+            out = []
+            for _, at, symbol in sorted(found, key=lambda pair: pair[0], reverse=True)[: SOLVED_PAIRS * count]:
+                values, gain = self._within(fit, [blocks[i] for i in at], symbol)
+                hypothesis = Hypothesis(tuple(blocks[i][0].key for i in at), (symbol,) if symbol else ())
+                out.append(Score(hypothesis, gain - plain, values))
+            return sorted(out, key=lambda score: -score.gain)[:count]
+
+        return most(two) + most(beside)
 
     def _promises(self, likelihood: Likelihood, fit: Fit, candidate: Hypothesis, plain: float) -> Iterable[Score]:
         """Of a candidate in each of its shapes. plain: the cost that the unknowns save without it."""
         if candidate.released:
-            j = [u.symbol for u in fit.unknowns].index(candidate.released[0])
-            weight, wide = fit.weight.copy(), fit.room
-            weight[j], wide[j] = 0.0, (-UNBOUNDED, UNBOUNDED)
-            prior = float(fit.weight[j] * fit.numbers[j] ** 2)
-            step, gain = _solve(fit, _nothing(fit), wide, weight)
-            unknown = fit.unknowns[j]
-            yield Score(candidate, gain + prior - plain, {unknown.symbol: unknown.value(fit.numbers[j] + step[j])})
+            values, gain = self._within(fit, [], candidate.released[0])
+            yield Score(candidate, gain - plain, values)
             return
         effect = self.effects[candidate.effects[0]]
         for found in self.directions(likelihood, fit, effect):
             values, gain = self._within(fit, [(effect, *found)])
             yield Score(candidate, gain - plain, values)
 
-    def _within(self, fit: Fit, blocks: Sequence[tuple[Effect, dict, dict, np.ndarray]]) -> tuple[dict, float]:
-        """(values, gain) of the linearised fit of some effects, each in one shape, within all bounds."""
-        reach, columns = [], []
+    def _within(
+        self, fit: Fit, blocks: Sequence[tuple[Effect, dict, dict, np.ndarray]], released: str = ""
+    ) -> tuple[dict, float]:
+        """(values, gain) of the linearised fit of some effects, each in one shape, within all bounds.
+
+        released: a parameter whose tolerance is lifted beside them.
+        """
+        weight, room, prior = fit.weight, fit.room, 0.0
+        if released:
+            j = _at(fit, released)
+            weight, prior = weight.copy(), float(weight[j] * fit.numbers[j] ** 2)
+            weight[j], room[j] = 0.0, (-UNBOUNDED, UNBOUNDED)
+        reach, columns = [], [_nothing(fit)]
         for effect, _, point, made in blocks:
             strengths = effect.strengths
             reach += [(0.0, SECANT_REACH)] if point else [(f.low / f.typical, f.high / f.typical) for f in strengths]
             columns.append(made)
-        bounds = np.concatenate([fit.room, reach])
-        step, gain = _solve(fit, np.concatenate(columns, axis=2), bounds, fit.weight)
+        bounds = np.concatenate([room, np.reshape(reach, (-1, 2))])
+        step, gain = _solve(fit, np.concatenate(columns, axis=2), bounds, weight)
         values, at = {}, len(fit.unknowns)
+        if released:
+            values[released] = fit.unknowns[j].value(fit.numbers[j] + step[j])
         for effect, shape, point, made in blocks:
             size = step[at : (at := at + made.shape[2])]
             if point:
@@ -271,7 +294,7 @@ class Search:
                 found = {f.symbol: f.typical * float(x) for f, x in zip(effect.strengths, size, strict=True)}
             reach = {f.symbol: (f.low, f.high) for f in effect.free}
             values |= {**shape, **{s: float(np.clip(v, *reach[s])) for s, v in found.items()}}
-        return values, gain
+        return values, gain + prior
 
     def directions(self, likelihood: Likelihood, fit: Fit, effect: Effect) -> Iterable[tuple[dict, dict, np.ndarray]]:
         """(shape, point, columns) for every shape on the effect's grid: how the effect moves the errors there.
@@ -381,6 +404,11 @@ def _astray(fit: Fit) -> np.ndarray:
         return np.nan_to_num(np.std(error, axis=0) / (np.std(target, axis=0) + TINY), nan=np.inf, posinf=np.inf)
 
 
+def _at(fit: Fit, symbol: str) -> int:
+    """The index of an unknown."""
+    return [u.symbol for u in fit.unknowns].index(symbol)
+
+
 def _nothing(fit: Fit) -> np.ndarray:
     return np.zeros((*fit.projected.shape, 0))
 
@@ -405,25 +433,59 @@ def pair_gains(fit: Fit, columns: np.ndarray, widths: Sequence[int]) -> np.ndarr
 
     widths: how many columns each block has.
     """
-    k, m, w = len(fit.unknowns), len(widths), max(widths)
-    normal, right = _normal(fit, columns, fit.weight)
-    scale = np.sqrt(np.maximum(np.diag(normal), TINY))
-    normal, right = normal / np.outer(scale, scale), right / scale
-    known = np.linalg.solve(normal[:k, :k] + RIDGE * np.eye(k), np.column_stack([normal[:k], right[:k]]))
-    normal, right = normal[k:, k:] - normal[k:, :k] @ known[:, k:-1], right[k:] - normal[k:, :k] @ known[:, -1]
-    place = np.full((m, w), len(right))  # of each block's columns; a narrow block is filled up with zeros
-    for i, (end, width) in enumerate(zip(np.cumsum(widths), widths, strict=True)):
-        place[i, :width] = np.arange(end - width, end)
-    normal, right = np.pad(normal, (0, 1)), np.pad(right, (0, 1))[place]
-    own = normal[place[:, :, None], place[:, None, :]] + RIDGE * np.eye(w)
-    alone = np.einsum("mw,mw->m", right, np.linalg.solve(own, right[:, :, None])[:, :, 0])
-    out = np.empty((m, m))
-    for i in range(m):
+    normal, right, place, own = _blocks(*_beyond(fit, *_normal(fit, columns, fit.weight))[:2], widths)
+    alone = _saved(own, right)
+    out = np.empty((len(widths), len(widths)))
+    for i in range(len(widths)):
         across = normal[place[:, :, None], place[i]]
         by = across @ np.linalg.inv(own[i])
         rest, pull = own - by @ np.swapaxes(across, 1, 2), right - by @ right[i]
-        out[i] = alone[i] + np.einsum("mw,mw->m", pull, np.linalg.solve(rest, pull[:, :, None])[:, :, 0])
+        out[i] = alone[i] + _saved(rest, pull)
     return out
+
+
+def released_gains(fit: Fit, columns: np.ndarray, widths: Sequence[int], released: int) -> np.ndarray:
+    """The cost that each of m blocks saves together with an unknown freed of its prior, without bounds (m,).
+
+    released: the index of that unknown. The gain is beyond what all unknowns save with their priors.
+    """
+    weight, prior = fit.weight.copy(), float(fit.weight[released] * fit.numbers[released] ** 2)
+    with_prior = _beyond(fit, *_normal(fit, _nothing(fit), weight))[2]
+    weight[released] = 0.0
+    *beyond, saved = _beyond(fit, *_normal(fit, columns, weight))
+    _, right, _, own = _blocks(*beyond, widths)
+    return _saved(own, right) + saved + prior - with_prior
+
+
+def _beyond(fit: Fit, normal: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """(normal matrix (n, n) and right side (n,) of the columns, the unknowns eliminated; what those save alone).
+
+    Each column is of unit length.
+    """
+    k = len(fit.unknowns)
+    scale = np.sqrt(np.maximum(np.diag(normal), TINY))
+    normal, right = normal / np.outer(scale, scale), right / scale
+    known = np.linalg.solve(normal[:k, :k] + RIDGE * np.eye(k), np.column_stack([normal[:k], right[:k]]))
+    saved = float(right[:k] @ known[:, -1])
+    return normal[k:, k:] - normal[k:, :k] @ known[:, k:-1], right[k:] - normal[k:, :k] @ known[:, -1], saved
+
+
+def _blocks(normal: np.ndarray, right: np.ndarray, widths: Sequence[int]) -> tuple[np.ndarray, ...]:
+    """(normal matrix, right sides (m, w), place (m, w) of each block's columns there, own normal matrices (m, w, w)).
+
+    w: columns of the widest block; a narrow one is filled up with zeros.
+    """
+    m, w = len(widths), max(widths)
+    place = np.full((m, w), len(right))
+    for i, (end, width) in enumerate(zip(np.cumsum(widths), widths, strict=True)):
+        place[i, :width] = np.arange(end - width, end)
+    normal, right = np.pad(normal, (0, 1)), np.pad(right, (0, 1))[place]
+    return normal, right, place, normal[place[:, :, None], place[:, None, :]] + RIDGE * np.eye(w)
+
+
+def _saved(own: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """The cost that each block saves (m,), by its normal matrix (m, w, w) and right side (m, w)."""
+    return np.einsum("mw,mw->m", right, np.linalg.solve(own, right[:, :, None])[:, :, 0])
 
 
 def _solve(fit: Fit, columns: np.ndarray, bounds: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, float]:

@@ -271,7 +271,10 @@ class Selection:
         return best, fit
 
     def paired(self, best: Hypothesis, current: Fit, start: Fit) -> tuple[Hypothesis, Fit]:
-        """Try pairs of effects where the fit of `best` is not complete: each of the two alone may fit badly."""
+        """Try pairs where the fit of `best` is not complete: each of the two alone may fit badly.
+
+        They are of two effects, or of an effect and a parameter that is outside its tolerance.
+        """
         for score in self.search.pairs(self.likelihood, start, LATER):
             if score.hypothesis in self.costs:
                 continue

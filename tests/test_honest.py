@@ -358,7 +358,7 @@ def test_what_moves_no_channel_by_half_a_step_smooths_the_steps(slipping, step, 
     model.rig = replace(search.rig, channels=channels)
     likelihood = copy.copy(right.likelihood)
     likelihood.model = model
-    assert claims._rounded(search.effects["speed_slip"], replace(right, likelihood=likelihood)) is smoothed
+    assert claims._rounded([search.effects["speed_slip"]], replace(right, likelihood=likelihood)) is smoothed
 
 
 def test_what_fails_beside_another_claim_is_asked_alone(slipping, monkeypatch):
