@@ -193,7 +193,7 @@ class _Unknowns:
         beside = {key: search.effects[key] for key in given.effects}  # a plant with all effects takes twice the time
         joined = {**beside, **effects, "seen": Effect("seen", "", (rig.plant.name,), (), (), limits)}
         again = Search(rig, search.final.model.recording, joined, noise=search.noise)
-        again.effects, again.timing = joined, search.timing
+        again.effects, again.between = joined, search.between
         likelihood = again.final
         base = again.fit(likelihood, given, values) if given.size else again.base(likelihood)
         keys = [(effect.equations[0], key) for key, effect in effects.items()]

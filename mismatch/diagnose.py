@@ -16,7 +16,7 @@ from greygate.errors import InputError
 from greygate.mismatch import effects as table
 from greygate.mismatch.adequacy import dependent
 from greygate.mismatch.blocks import Judge
-from greygate.mismatch.claims import Claims, earned, held_to_tolerance, named
+from greygate.mismatch.claims import REFIT, Claims, earned, held_to_tolerance, named
 from greygate.mismatch.closure import closure, left_beside
 from greygate.mismatch.coloured import Coloured, remaining
 from greygate.mismatch.coloured_selection import ColouredSelection
@@ -117,7 +117,7 @@ def _diverges(rms: float, recorded: np.ndarray) -> bool:
 def _of_stated_noise(search: Search, progress: Progress) -> Diagnosis:
     """Explain with the noise that was told, and once more where the recording shows another."""
     found = _explained(search, progress)
-    if search.moved_between(found.corrected):
+    if search.moved_between(found.corrected, iterations=REFIT):
         progress("searching again: inputs moved between the samples")
         found = _explained(search, progress)
     noise = shown_noise(found.corrected)

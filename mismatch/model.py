@@ -24,7 +24,10 @@ from greygate.plants.plant import Parameter, Values
 from greygate.plants.recording import Recording
 from greygate.plants.simulate import Restarted
 
-TIMING = "input_timing"  # s by which inputs act later than the recording says: a nuisance, known well (`Search.timing`)
+TIMING = "input_timing"  # s by which inputs act later than the recording says: a nuisance, known well
+EARLY = "input_early"  # a nuisance: part of a sample by which inputs act early, in the mean, as they moved in between;
+MOST_EARLY = 0.5  # at most, which are inputs that never rest: of m moves a sample it is (1 - 1/m) / 2
+PARTS = 10  # of a sample, at most, in each of which a filtered input is constant: whole steps of the plant
 BLUR = "input_blur"  # a nuisance: at 0 an acceleration is smoothed over SMOOTH, at 1 over the shorter FINER * SMOOTH
 FINER = 0.6  # of SMOOTH
 SMOOTH = 20  # samples on either side of a sample, over which a smoothed rate is taken
@@ -55,6 +58,7 @@ class Model:
         self.plant, self.readings = join(rig.plant, effects.values())
         if rig.window:
             self._add(TIMING, "s")
+            self._add(EARLY, "1")
         self.finer = {name: how for name, how in self.plant.derived.items() if how.startswith("smooth_acceleration ")}
         if self.finer:
             self._add(BLUR, "1")
@@ -69,7 +73,9 @@ class Model:
                 self._filters.setdefault(name, []).append((kind, tuple(symbols)))
         for name in rig.inputs if rig.window else ():
             self._filters.setdefault(name, []).append(("delay", (TIMING,)))
-        self._compiled = Restarted(self.plant, rig.dt, self.plant.step)
+        steps = Restarted(self.plant, rig.dt, self.plant.step).substeps
+        self._parts = next(parts for parts in range(PARTS, 0, -1) if steps % parts == 0)
+        self._compiled = Restarted(self.plant, rig.dt / self._parts, self.plant.step)
         self._take(recording, rig.window if window is None else window)
         self.moving = self._moving()
         self.runs = 0
@@ -127,6 +133,7 @@ class Model:
             raise InputError(f"{recording.source}: {few}, record at least so many")
         self._smooth = {source: reach(recording[source], SMOOTH) for source in sources}
         self._inputs = {name: self._input(name, recording.channels) for name in self.plant.inputs}
+        self._parted = {name: np.repeat(signal, self._parts) for name, signal in self._inputs.items()}
         self._finer = {name: self._input(name, recording.channels, FINER) - self._inputs[name] for name in self.finer}
         self.target = np.stack([recording[name] for name in self.rig.predict], axis=1)
         self._last = (None, None)
@@ -144,7 +151,7 @@ class Model:
         moved = [*plant.inputs, *(SENSOR + channel for channel in self.measured)]
         filters = {symbol for name in moved for _, symbols in self._filters.get(name, ()) for symbol in symbols}
         texts += [text for channel in self.measured for text in self.readings.get(channel, {}).values()]
-        used = names(texts) | filters | {BLUR}
+        used = names(texts) | filters | {BLUR, EARLY}
         return [s for s in plant.parameters if s in used]
 
     def _input(self, name: str, recorded: Mapping[str, np.ndarray], share: float = 1.0) -> np.ndarray:
@@ -169,26 +176,45 @@ class Model:
         raise InputError(f"plant {self.plant.name}: derived {name}: {how!r}; give rate, integral, smooth_rate or so")
 
     def _signals(self, values: Mapping[str, float]) -> dict[str, np.ndarray]:
-        """The plant's inputs, filtered; the last ones are kept, for most parameters change none of them."""
-        key = (*((name, *self._acting(name, values)) for name in self.plant.inputs), values.get(BLUR, 0.0))
+        """The plant's inputs (samples * parts,), filtered; the last are kept, for most parameters change none."""
+        acting = ((name, *self._acting(name, values)) for name in self.plant.inputs)
+        key = *acting, values.get(BLUR, 0.0), values.get(EARLY, 0.0)
         made = self._made  # other threads may put another in its place
         if key not in made:
             self._made = made = dict([*made.items()][-KEPT:]) | {key: self._filtered(values)}
         return dict(made[key])
 
     def _filtered(self, values: Mapping[str, float]) -> dict[str, np.ndarray]:
-        signals = dict(self._inputs)
+        """The plant's inputs (samples * parts,)."""
+        signals = dict(self._parted)
+        early, dt = values.get(EARLY, 0.0), self.rig.dt / self._parts
         for name in self.plant.inputs:
+            if early and name in self.rig.inputs:
+                signals[name] = self._moved(self._inputs[name], early)
             for kind, given in self._acting(name, values):
-                signals[name] = FILTERS[kind](signals[name], *given, self.rig.dt)
+                signals[name] = FILTERS[kind](signals[name], *given, dt)
         for name, how in self.plant.derived.items():
             source = how.partition(" ")[2]
-            if signals.get(source) is not self._inputs.get(source):
-                signals[name] = self._input(name, {source: signals[source]})
+            if signals.get(source) is not self._parted.get(source):
+                signals[name] = np.repeat(self._input(name, {source: self._means(signals[source])}), self._parts)
         for name, more in self._finer.items():
             if values[BLUR]:
-                signals[name] = signals[name] + values[BLUR] * more
+                signals[name] = signals[name] + values[BLUR] * np.repeat(more, self._parts)
         return signals
+
+    def _means(self, signal: np.ndarray) -> np.ndarray:
+        """Of a plant's input over each sample (samples,)."""
+        return signal if self._parts == 1 else signal.reshape(-1, self._parts).mean(axis=1)
+
+    def _moved(self, signal: np.ndarray, early: float) -> np.ndarray:
+        """A recorded input that moved between the samples (samples * parts,), by so much `EARLY`.
+
+        Its mean over each sample and its first moment there are those of an input that moves in equal steps.
+        """
+        parts = self._parts
+        ramp = (np.arange(parts) + 0.5) / parts - 0.5
+        slope = 4.0 * early * (1.0 - early) / (1.0 - parts**-2) if parts > 1 else 0.0
+        return (signal[:, None] + np.append(np.diff(signal), 0.0)[:, None] * (early + slope * ramp)).ravel()
 
     def _acting(self, name: str, values: Mapping[str, float]) -> list[tuple[str, tuple[float, ...]]]:
         """The filters of an input or a sensor whose strength is not 0, with their parameters."""
@@ -268,7 +294,8 @@ class Model:
 
     def states(self, values: Mapping[str, float], shifts: np.ndarray | None = None) -> tuple[np.ndarray, dict]:
         """(states (samples, states), input signals). shifts: (restarts, locals) added to where the locals begin."""
-        signals = self._signals(values)
+        parted = self._signals(values)
+        signals = {name: self._means(signal) for name, signal in parted.items()}
         starts = self.starts(values, signals)
         if shifts is not None and len(self.locals):
             symbols = list(self.plant.states)
@@ -277,14 +304,16 @@ class Model:
         last = self._last  # other threads may put another in its place
         if key != last[0]:
             self.runs += 1
-            ran = self._compiled.run(self._columns(signals), self.restarts, starts, self.reset, values)
-            self._last = last = key, ran
+            parts = self._parts
+            ran = self._compiled.run(self._columns(parted), parts * self.restarts, starts, self.reset, values)
+            self._last = last = key, ran[::parts]
         return last[1], signals
 
     def _columns(self, signals: Mapping[str, np.ndarray]) -> np.ndarray:
-        """The plant's inputs (samples, inputs), in its order; there may be none."""
+        """The plant's inputs (samples * parts, inputs), in its order; there may be none."""
         columns = [signals[name] for name in self.plant.inputs]
-        return np.ascontiguousarray(np.stack(columns, axis=1)) if columns else np.empty((self.recording.samples, 0))
+        rows = self._parts * self.recording.samples
+        return np.ascontiguousarray(np.stack(columns, axis=1)) if columns else np.empty((rows, 0))
 
     @np.errstate(over="ignore", invalid="ignore")  # a run may diverge
     def predict(self, values: Mapping[str, float], shifts: np.ndarray | None = None) -> np.ndarray:

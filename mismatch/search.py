@@ -14,7 +14,7 @@ from scipy.optimize import lsq_linear
 from greygate.mismatch.cores import each
 from greygate.mismatch.effects import Effect, Free, fitting
 from greygate.mismatch.fit import Fit, Likelihood, Unknown, tame
-from greygate.mismatch.model import BLUR, TIMING, TINY
+from greygate.mismatch.model import BLUR, EARLY, MOST_EARLY, TIMING, TINY
 from greygate.mismatch.noise import Noise
 from greygate.mismatch.rig import FEWEST, IN, Rig
 from greygate.mismatch.scales import memory, span
@@ -26,13 +26,13 @@ SHORT, SHORT_SHARES = 40, (0.1, 2.0)  # samples of a window in the screen; of th
 LONG_WINDOW, LONG_SHARES = 100, (0.25, 5.0)  # in the final fit: two integrators' errors stay below the noise so far
 WITHIN, TOLERANCE = 4.0, 2.0  # standard deviations within which a toleranced parameter is fitted; its tolerance
 RELEASED = 20.0  # times or part of its value, within which a parameter whose tolerance is lifted is fitted
-EXACT = 0.01  # of a sample, RMS: the uncertainty of the instant at which an input acts
-EARLY = 4.0  # of that: nothing acts before its cause, so an input that seems to moved between the samples,
-BETWEEN = (12**-0.5, 0.5)  # of a sample, RMS and largest: and then its instant is anywhere within one
+EXACT, FARTHEST = 0.01, 0.05  # of a sample, RMS and at most: the uncertainty of the instant at which an input acts
+MOVED = 4.0  # standard deviations, by which inputs must act early to have moved between the samples;
+MIDDLE, SPREAD = MOST_EARLY / 2, MOST_EARLY * 12**-0.5  # then they are early by any part, up to the most, alike
 ROUGH = 2.0  # of cost: a fit that only ranks stops when a step gains less
 SLACK = 3e-4  # of the cost beyond that of noise: likewise
 ADDED = "offset"  # the filter that adds a constant
-LOST = 0.5  # of a channel's spread, above which its error says that the run is elsewhere
+LOST = 0.2  # of a channel's spread, above which its error says that the run is elsewhere
 LED = (1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the recording: to so much a lost run is fitted first
 ROUGHLY = {"tempered": True, "iterations": 4}  # a fit of the data sheet's plant, where effects can be compared
 LONG = 1.5  # of the travel: the longest period of a wave
@@ -109,7 +109,7 @@ class Search:
         self.final = over(LONG_WINDOW, LONG_SHARES) if rig.window else free_run(modelled(rig, recording, self.effects))
         self.screen = over(SHORT, SHORT_SHARES) if rig.window else self.final
         self.within = WITHIN
-        self.timing = EXACT, np.inf  # of a sample: RMS and largest error of the instant at which an input acts
+        self.between = False  # whether inputs moved between the samples
         self.fits: dict[Hypothesis, Fit] = {}  # of rivals, kept for experiments that tell them apart
         if noise is not None:
             self.under(noise)
@@ -138,8 +138,10 @@ class Search:
                 reach = within * scale
                 found.append(Unknown(symbol, p.value, scale, 1.0, p.value - reach, p.value + reach))
         if self.rig.window:
-            spread, reach = (part * self.rig.dt for part in self.timing)
-            found.append(Unknown(TIMING, 0.0, spread, 1.0, -reach, reach))
+            reach = FARTHEST * self.rig.dt
+            found.append(Unknown(TIMING, 0.0, EXACT * self.rig.dt, 1.0, -reach, reach))
+        if self.between:
+            found.append(Unknown(EARLY, MIDDLE, SPREAD, 1.0, 0.0, MOST_EARLY))
         if self.final.model.finer and any("a" in self.effects[key].depends_on for key in hypothesis.effects):
             found.append(Unknown(BLUR, 0.0, 1.0, 2.0))
         for key in hypothesis.effects:
@@ -349,17 +351,27 @@ class Search:
     def base(self, likelihood: Likelihood) -> Fit:
         """The fit of the plant without any effect, its parameters near the data sheet.
 
-        Where it shows that inputs moved between the samples, no further fit takes their instants as exact.
+        Where it shows that inputs moved between the samples, all further fits allow for that.
         """
         fit = self.led(likelihood.fit(self.unknowns(Hypothesis(), TOLERANCE), **ROUGHLY), **ROUGHLY)
-        return self.base(likelihood) if self.moved_between(fit) else fit
+        return self.base(likelihood) if self.moved_between(fit, **ROUGHLY) else fit
 
-    def moved_between(self, fit: Fit) -> bool:
-        """Whether a fit is the first to show that inputs moved between the samples: from now on fits allow for that."""
-        if self.timing == BETWEEN or not fit.values.get(TIMING, 0.0) < -EARLY * EXACT * self.rig.dt:
+    def moved_between(self, fit: Fit, **how) -> bool:
+        """Whether a fit is the first to show that inputs moved between the samples: from now on fits allow for that.
+
+        Nothing acts before its cause: an input that seems to did move in between. A delay that the fit lacks may hide
+        that, so any is allowed beside it here. how: as for `led`.
+        """
+        if self.between or not self.rig.window or not self.rig.inputs or not np.isfinite(fit.cost):
             return False
-        self.timing = BETWEEN
-        return True
+        if fit.values[TIMING] < -MOVED * EXACT * self.rig.dt:
+            self.between = True
+            return True
+        others = [u for u in fit.unknowns if u.symbol != TIMING]
+        free = Unknown(TIMING, 0.0, self.rig.dt), Unknown(EARLY, 0.0, SPREAD, np.inf, 0.0, MOST_EARLY)
+        again = fit.likelihood.fit([*others, *free], fit.values, fit.shifts, **how)
+        self.between = again.values[EARLY] > MOVED * again.deviation(EARLY)
+        return self.between
 
     def lost(self, fit: Fit) -> bool:
         """Whether a free run does not follow the recording: a channel errs by half of what it moves."""
@@ -385,7 +397,7 @@ class Search:
     ) -> Fit:
         """The full fit of a hypothesis, from `values` on."""
         free = {f.symbol for key in hypothesis.effects for f in self.effects[key].free}
-        start = {s: v for s, v in values.items() if s in free or s in self.toleranced or s in (TIMING, BLUR)}
+        start = {s: v for s, v in values.items() if s in free or s in self.toleranced or s in (TIMING, EARLY, BLUR)}
         start.update(self.constants(hypothesis))
         if likelihood is self.screen and likelihood is not self.final:
             options = {"enough": ROUGH, "slack": SLACK, **options}

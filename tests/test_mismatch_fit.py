@@ -1,5 +1,6 @@
 """The fit: shifts of windows are eliminated as a joint least squares would, and intervals hold what they say."""
 
+import copy
 import threading
 from itertools import count
 from types import SimpleNamespace
@@ -11,11 +12,11 @@ from greygate.mismatch import cores, rig, simulation
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.effects import Effect, Free
 from greygate.mismatch.fit import Fit, Likelihood, Unknown, _inverse
-from greygate.mismatch.model import FILTERS, TIMING, Model, delayed, lagged
+from greygate.mismatch.model import EARLY, FILTERS, Model, delayed, lagged
 from greygate.mismatch.noise import LONGEST, roughness, runs
-from greygate.mismatch.search import BETWEEN, EXACT, Hypothesis, Search, pair_gains
+from greygate.mismatch.search import Hypothesis, Search, pair_gains, released_gains
 from greygate.plants.plant import Plant
-from greygate.plants.simulate import simulate
+from greygate.plants.simulate import Restarted, simulate
 
 PLANT = """step = 5e-3
 outputs = ["x"]
@@ -40,6 +41,10 @@ tolerance = { mass = 0.1, viscous = 0.2 }
 channels.force = { unit = "N", role = "input" }
 channels.x = { unit = "m", role = "output", noise_rms = 1e-5 }
 """
+DELAY = Effect(
+    "delay", "a delay", ("slide",), ("motion",), ("force",), (Free("delay", 1e-3, "s", reported="delay"),),
+    filters={"force": "delay delay"},
+)  # fmt: skip
 SPRING = Effect(
     "spring", "a spring", ("slide",), ("motion",), ("x",), (Free("stiffness", 50.0, "N/m", reported="stiffness"),),
     terms={"motion.spring": "-stiffness * x"},
@@ -157,6 +162,26 @@ def test_the_gain_of_a_pair_is_that_of_the_joint_least_squares():
         assert gains[i, j] == pytest.approx(gains[j, i], rel=1e-6)
 
 
+def test_an_effect_and_a_parameter_freed_of_its_prior_save_together_what_least_squares_says():
+    rng = np.random.default_rng(4)
+    errors = rng.standard_normal((4, 30))
+    slopes, columns = rng.standard_normal((4, 30, 2)), rng.standard_normal((4, 30, 3)) + errors[:, :, None]
+    weight, numbers = np.array([9.0, 4.0]), np.array([0.3, -0.5])
+    fit = SimpleNamespace(unknowns=(0, 1), slopes=slopes, projected=errors, weight=weight, numbers=numbers)
+
+    def cost(own: list[int], weight: np.ndarray) -> float:
+        """Of the unknowns and of `own` columns, the unknowns' priors as rows."""
+        prior = np.pad(np.diag(np.sqrt(weight)), ((0, 0), (0, len(own))))
+        rows = np.concatenate([np.concatenate([slopes, columns[:, :, own]], axis=2).reshape(120, -1), prior])
+        right = np.concatenate([errors.reshape(-1), np.sqrt(weight) * numbers])
+        left = right - rows @ np.linalg.lstsq(rows, right)[0]
+        return float(left @ left)
+
+    gains = released_gains(fit, columns, (1, 2), released=1)
+    for i, own in enumerate(([0], [1, 2])):
+        assert gains[i] == pytest.approx(cost([], weight) - cost(own, weight * [1, 0]), rel=1e-6)
+
+
 def test_a_start_from_which_the_run_diverges_is_brought_nearer_to_the_data_sheet(folder):
     p = likelihood(folder, None)
     stiff = {"stiffness": 1e7}  # 700 rad/s, a step of 5 ms
@@ -265,6 +290,40 @@ def test_motors_that_lag_begin_at_rest():
     np.testing.assert_allclose(two, np.diff(rising) / dt, atol=1e-3)
 
 
+@pytest.mark.parametrize("moves", [2, 5])
+def test_an_input_that_moves_several_times_a_sample_has_its_mean_and_moment_there(folder, moves):
+    """It is commanded `moves` times as often as it is recorded, and rises evenly."""
+    likely = likelihood(folder, None)
+    model = copy.copy(likely.model)
+    model._parts = parts = 10
+    seen = np.arange(0.0, 40.0, 4.0)
+    moved = model._moved(seen, (1 - 1 / moves) / 2).reshape(-1, parts)[:-1]
+    true = np.repeat(np.arange(0.0, 40.0, 4.0 / moves), parts // moves).reshape(-1, parts)[:-1]
+    at = np.arange(parts) - (parts - 1) / 2
+    np.testing.assert_allclose(moved.mean(axis=1), true.mean(axis=1), rtol=1e-12)
+    np.testing.assert_allclose(moved @ at, true @ at, rtol=1e-12)
+    model._parts = 1
+    np.testing.assert_allclose(model._moved(seen, (1 - 1 / moves) / 2)[:-1], true.mean(axis=1), rtol=1e-12)
+
+
+@pytest.mark.parametrize("late", [0.3, 1.5])
+def test_an_input_that_comes_between_the_samples_acts_there(folder, late):
+    """The mean over a sample alone is off by far more."""
+    likely = likelihood(folder, None)
+    model, dt = likely.model, likely.model.rig.dt
+    model = Model(model.rig, model.recording, {"delay": DELAY})
+    fine = 100
+    force = np.repeat(model.recording["force"], fine)
+    wait = round(late * fine)
+    force = np.concatenate([np.full(wait, force[0]), force[:-wait]])
+    true = simulate(model.rig.plant, {"force": force}, sample_time=dt / fine, step=dt / fine)["x"][::fine]
+    found = model.predict({**model.values, "delay": late * dt})[:, 0]
+    model._parts, model._parted, model._last, model._made = 1, model.inputs, (None, None), {}
+    model._compiled = Restarted(model.plant, dt, model.plant.step)
+    coarse = model.predict({**model.values, "delay": late * dt})[:, 0]
+    assert np.std(found - true) < 0.3 * np.std(coarse - true)
+
+
 @pytest.mark.parametrize("every", [1, 2])
 def test_an_input_that_seems_to_act_before_it_moves_moved_between_the_samples(folder, every):
     """Of the samples at which the force moves, every second one may not be in the recording."""
@@ -279,8 +338,8 @@ def test_an_input_that_seems_to_act_before_it_moves_moved_between_the_samples(fo
     loaded = rig.load(folder)
     search = Search(loaded, loaded.recording(folder / "identify.csv"), {})
     fit = search.base(search.screen)
-    assert search.timing == (BETWEEN if every == 2 else (EXACT, np.inf))
-    assert fit.values[TIMING] / loaded.dt == pytest.approx(-0.25 if every == 2 else 0.0, abs=0.05)
+    assert search.between is (every == 2)
+    assert fit.values.get(EARLY, 0.0) == pytest.approx(0.25 if every == 2 else 0.0, abs=0.05)
     assert not search.moved_between(fit)  # it says so once
     for symbol in ("mass", "viscous"):
         assert abs(fit.values[symbol] - TRUE[symbol]) < 3 * fit.deviation(symbol), symbol

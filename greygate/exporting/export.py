@@ -15,7 +15,7 @@ from greygate.facts import FACTS
 from greygate.files import replacing, replacing_folder
 from greygate.mismatch import effects as effect_table
 from greygate.mismatch import rig as rigs
-from greygate.mismatch.model import BLUR, TIMING
+from greygate.mismatch.model import BLUR, EARLY, TIMING
 from greygate.mismatch.simulation import asked, check, corrected
 from greygate.plants.plant import Plant
 from greygate.plants.symbolic import latex
@@ -106,7 +106,7 @@ def _identified(folder: Path, diagnosis: Mapping | None) -> Plant:
     keys = asked(check(diagnosis))
     named = {key: effect for key, effect in effect_table.named(rig, recording, keys).items() if key in keys}
     model, found = corrected(rig, recording, diagnosis, named)
-    without = {TIMING: 0.0, BLUR: 0.0}  # of the comparison with a recording, which an FMU has not
+    without = {TIMING: 0.0, EARLY: 0.0, BLUR: 0.0}  # of the comparison with a recording, which an FMU has not
     if beside := model.beside(found | {s: v for s, v in without.items() if s in found}):
         raise InputError(
             f"diagnosis: corrects what is recorded as {', '.join(beside)}, before or after the plant's equations, "

@@ -78,12 +78,14 @@ def unseen(fit: Fit, effects: Iterable[Effect] | None = None) -> list[str]:
 class Action:
     """What an effect does along a recording: to the signal `name`, or to a balance if that is empty.
 
-    moved: name -> the signals it depends on, each (samples,). change: what it adds there (samples,).
+    moved: name -> the signals it depends on, each (samples,). change: what it adds there (samples,). size: the largest
+    value of the signal `name`, infinite where that is not recorded.
     """
 
     name: str
     moved: Mapping[str, np.ndarray]
     change: np.ndarray
+    size: float = np.inf
 
     @property
     def bent(self) -> bool:
@@ -101,8 +103,7 @@ class Action:
     @property
     def far(self) -> bool:
         """Whether it is out of all proportion to the signal that it changes."""
-        size = max((float(np.max(np.abs(s))) for s in self.moved.values()), default=np.inf)
-        return bool(self.name) and not np.max(np.abs(self.change)) <= FARTHEST * size
+        return bool(self.name) and not np.max(np.abs(self.change)) <= FARTHEST * self.size
 
 
 def excited(model: Model, effects: Mapping[str, Effect]) -> tuple[dict[str, Effect], dict[str, str]]:
@@ -197,7 +198,7 @@ def _actions(
     cut: Sequence[slice],
 ) -> list[Action]:
     """What the effect does; none where it depends on what is not recorded. cut: the samples of each recording."""
-    out = []
+    out, sizes = [], {name: float(np.max(np.abs(signal))) for name, signal in given.items()}
     for name, text in effect.filters.items():
         kind, *symbols = text.split()
         if kind not in FILTERS or name not in given:
@@ -209,7 +210,7 @@ def _actions(
         )
         change = made - given[name]
         first = int(np.argmax(np.abs(change) >= TAKEN_UP * np.max(np.abs(change)))) if kind == "play" else 0
-        out.append(Action(name, {name: given[name][first:]}, change[first:]))
+        out.append(Action(name, {name: given[name][first:]}, change[first:], sizes[name]))
     for path, text in effect.terms.items():
         scope = Values(rig.plant, given)
         scope.update(values)
@@ -220,7 +221,8 @@ def _actions(
         place = path.partition(".")[0]
         name = place.removeprefix(SENSOR) if place.startswith(SENSOR) else ""
         moved = {n: given[n] for n in names([text]) if n in given}
-        out.append(Action(name, moved, np.broadcast_to(change, len(given["t"])).astype(float)))
+        change = np.broadcast_to(change, len(given["t"])).astype(float)
+        out.append(Action(name, moved, change, sizes.get(name, np.inf)))
     return out
 
 
