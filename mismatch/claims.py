@@ -208,7 +208,9 @@ def _through(search: Search, judge: Judge, claims: Claims, refit: Callable, prog
             claims.best = claims.best.without(name)
             claims.fit = refit(claims.best, claims.fit)
             continue
-        if _unsupported(search, judge, claims, refit) or _undoing(search, judge, claims, refit):
+        if _unsupported(search, judge, claims, refit) or _smoothing(search, claims, refit):
+            continue
+        if _undoing(search, judge, claims, refit):
             continue
         progress(f"holding blocks out of {claims.best}")
         losses = judge.losses(claims.calibrated, claims.fit)
@@ -244,23 +246,29 @@ def _unsupported(search: Search, judge: Judge, claims: Claims, refit: Callable) 
     return _drop(search, claims, name, fits, f"what its fit did not see gives it {found}")
 
 
+def _smoothing(search: Search, claims: Claims, refit: Callable) -> bool:
+    """Whether two were dropped that together smooth the steps of what is recorded, where no noise is told.
+
+    Each of them moves the channels (a lag, and a channel that comes early), but both together by less than the steps.
+    """
+    if not isinstance(claims.fit.likelihood, Coloured):
+        return False
+    for one, other in combinations(claims.best.effects, 2):
+        if _rounded([search.effects[one], search.effects[other]], claims.fit):
+            why = "together they move every channel by less than half a step of what is recorded: they smooth the steps"
+            claims.refused.append(f"{named(search, one)} and {named(search, other)} are not claimed: {why}")
+            claims.best = claims.best.without(one).without(other)
+            claims.fit = refit(claims.best, claims.fit)
+            return True
+    return False
+
+
 def _undoing(search: Search, judge: Judge, claims: Claims, refit: Callable) -> bool:
     """Whether two that undo each other were dropped, as little is left of both; `claims.only_with` keeps the others.
 
-    Each of the two saves next to nothing without the other one: only their difference explains something. Or where no
-    noise is told each moves the channels, but both together by less than the steps that they smooth (a lag, and a
-    channel that comes early).
+    Each of the two saves next to nothing without the other one: only their difference explains something.
     """
     claims.only_with = {}
-    if isinstance(claims.fit.likelihood, Coloured):
-        for pair in combinations(claims.best.effects, 2):
-            if _rounded([search.effects[key] for key in pair], claims.fit):
-                names = " and ".join(named(search, key) for key in pair)
-                why = "together they move every channel by less than half a step of what is recorded"
-                claims.refused.append(f"{names} are not claimed: {why}, so they smooth the steps")
-                claims.best = claims.best.without(pair[0]).without(pair[1])
-                claims.fit = refit(claims.best, claims.fit)
-                return True
     saved = {name: fit.cost - claims.fit.cost for name, fit in claims.without.items()}
     for one, other in combinations(saved, 2):
         less = claims.best.without(one).without(other)

@@ -31,7 +31,8 @@ MOVED = 4.0  # standard deviations, by which inputs must act early to have moved
 MIDDLE, SPREAD = MOST_EARLY / 2, MOST_EARLY * 12**-0.5  # then they are early by any part, up to the most, alike
 ROUGH = 2.0  # of cost: a fit that only ranks stops when a step gains less
 SLACK = 3e-4  # of the cost beyond that of noise: likewise
-ADDED = "offset"  # the filter that adds a constant
+ADDED, LATE = "offset", "delay"  # the filters that add a constant, and that move all in time
+TIMELESS = "dead_zone", "skew", "saturation", "quantum"  # filters without memory: before a delay or behind it, alike
 LOST = 0.2  # of a channel's spread, above which its error says that the run is elsewhere
 LED = (1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the recording: to so much a lost run is fitted first
 ROUGHLY = {"tempered": True, "iterations": 4}  # a fit of the data sheet's plant, where effects can be compared
@@ -195,15 +196,19 @@ class Search:
         """Whether an effect may stand beside the given ones.
 
         It is no other form of one of them, shares no parameter with them, and filters none of their inputs, unless one
-        of both only adds a constant there.
+        of both only adds a constant there, or one delays it and the other has no memory.
         """
         others = [self.effects[key] for key in given.effects]
         symbols = {f.symbol for other in others for f in other.free}
-        filtered = {name for other in others for name in _shaped(other)}
+        filtered = [(name, kind) for other in others for name, kind in _shaped(other)]
         return (
             effect.id not in (other.id for other in others)
             and not symbols & {f.symbol for f in effect.free}
-            and not filtered & _shaped(effect)
+            and all(
+                name != same or (kind == LATE and other in TIMELESS) or (other == LATE and kind in TIMELESS)
+                for name, kind in _shaped(effect)
+                for same, other in filtered
+            )
         )
 
     def scores(self, likelihood: Likelihood, fit: Fit, given: Hypothesis) -> list[Score]:
@@ -404,9 +409,10 @@ class Search:
         return likelihood.fit(self.unknowns(hypothesis), start, shifts, **options)
 
 
-def _shaped(effect: Effect) -> set[str]:
-    """The signals that an effect filters by more than a constant."""
-    return {name for name, text in effect.filters.items() if text.split()[0] != ADDED}
+def _shaped(effect: Effect) -> list[tuple[str, str]]:
+    """(a signal that an effect filters by more than a constant, the kind of filter)."""
+    kinds = ((name, text.split()[0]) for name, text in effect.filters.items())
+    return [(name, kind) for name, kind in kinds if kind != ADDED]
 
 
 def _astray(fit: Fit) -> np.ndarray:

@@ -28,7 +28,8 @@ LINES = 3  # in a spectrum that are offered, at most
 CHANCE = 1e-4  # of so strong a line in any place of a spectrum of noise
 BESIDE = 25  # lines of a spectrum on either side, whose median is what noise gives there
 NARROW = 3  # lines of a spectrum that one sine may take with a Hann window
-SLOWEST = 10.0  # periods of a line in a recording, at least: a slower one is motion
+SLOWEST = 10.0  # periods of a line in a recording, at least: a slower one is motion;
+MAINS, FAST = (50.0, 60.0), 4  # Hz: but these are looked for in one period, of so many samples or more
 TWICE = 6.0  # variance of white noise differenced twice, over its own
 DIGITS = 12  # behind the point: rates that differ beyond are one
 LEVELS = 4  # values, or rates, that a signal must have: with fewer, a limit of it is another gain
@@ -170,7 +171,10 @@ class Seen:
         return float(max(rough, SPECK * self._peak(name)))
 
     def lines(self, channel: str) -> list[float]:
-        """Frequencies in Hz at which narrow lines stand out of a channel's spectrum; first those of no input."""
+        """Frequencies in Hz at which narrow lines stand out of a channel's spectrum; first those of no input.
+
+        And those of the mains, where the recording is too short to make a narrow line of them.
+        """
         if len(self.each) > 1:
             width = 1.0 / (self.rig.dt * min(run.samples for run in self.recording.runs))
             every: list[float] = []
@@ -190,7 +194,9 @@ class Seen:
             if frequency[i] >= slowest and ratio[i] == ratio[near].max():
                 shared = any(_above(other)[near].max() > sure for other in given)
                 found.append((shared, _refined(self.recording[channel], frequency[i], self.rig.dt)))
-        return [f for _, f in sorted(found, key=lambda line: line[0])][:LINES]
+        spectral = [f for _, f in sorted(found, key=lambda line: line[0])][:LINES]
+        once = 1.0 / (self.rig.dt * self.recording.samples)
+        return spectral + [f for f in MAINS if once <= f < slowest and FAST * f * self.rig.dt <= 1.0]
 
     # -- what an effect needs ------------------------------------------------------------------------------------------
 
