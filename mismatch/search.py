@@ -379,7 +379,7 @@ class Search:
         return self.between
 
     def lost(self, fit: Fit) -> bool:
-        """Whether a free run does not follow the recording: a channel errs by half of what it moves."""
+        """Whether a free run does not follow the recording: a channel errs by a fifth of what it moves."""
         return not self.rig.window and not np.all(_astray(fit) <= LOST)
 
     def led(self, fit: Fit, **how) -> Fit:

@@ -2,12 +2,15 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from greygate.mismatch import claims
 from greygate.mismatch import diagnose as finding
+from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.diagnosis import Diagnosis
-from greygate.mismatch.search import Hypothesis
+from greygate.mismatch.experiments.excitation import Action
+from greygate.mismatch.search import Hypothesis, Search
 
 
 @pytest.mark.parametrize(("both", "share", "left"), [(112.0, 0.5, 2), (112.0, 0.01, 0), (205.0, 0.01, 2)])
@@ -21,6 +24,40 @@ def test_two_effects_that_undo_each_other_are_never_sure_and_dropped_where_they_
     dropped = claims._undoing(search, judge, kept, lambda less, from_: fit[less.effects])
     assert (dropped, kept.best.size) == (left == 0, left)
     assert kept.only_with == ({"a": ["b"], "b": ["a"]} if share == 0.5 else {})
+
+
+@pytest.mark.parametrize("rounded", [{"a", "b"}, {"a", "c"}, set()])
+def test_two_that_together_smooth_the_steps_go_both_where_no_noise_is_told(rounded, monkeypatch):
+    monkeypatch.setattr(claims, "_rounded", lambda effects, fit: {e.id for e in effects} == rounded)
+    fit = SimpleNamespace(likelihood=Coloured.__new__(Coloured))
+    kept = claims.Claims(Hypothesis(("a", "b", "c")), fit, fit)
+    search = SimpleNamespace(effects={name: SimpleNamespace(id=name) for name in "abc"})
+    assert claims._smoothing(search, kept, lambda less, from_: from_) is bool(rounded)
+    assert {*kept.best.effects} == {*"abc"} - rounded
+    assert len(kept.refused) == bool(rounded)
+    told = claims.Claims(Hypothesis(("a", "b")), SimpleNamespace(likelihood=None), fit)
+    assert not claims._smoothing(search, told, lambda less, from_: from_)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "both"),
+    [("delay late", "dead_zone width", True), ("dead_zone width", "delay late", True), ("delay late", "lag by", False),
+     ("lag by", "dead_zone width", False), ("offset by", "lag by", True)],
+)  # fmt: skip
+def test_a_delay_stands_beside_what_has_no_memory(one, other, both):
+    def acting(key: str, text: str) -> SimpleNamespace:
+        return SimpleNamespace(id=key, free=(SimpleNamespace(symbol=key),), filters={"u": text})
+
+    search = SimpleNamespace(effects={"a": acting("a", one), "b": acting("b", other)})
+    assert Search.joined(search, Hypothesis(("a",)), search.effects["b"]) is both
+
+
+@pytest.mark.parametrize("size", [1e3, 1e7])
+def test_how_far_an_effect_goes_is_held_against_the_channel_that_it_changes(size):
+    """What depends on time has no size in seconds: here 0.1 bar of pickup over 20 s of recording."""
+    t = np.linspace(0.0, 20.0, 2001)
+    action = Action("p_a", {"t": t}, 1.1e4 * np.sin(31.4 * t), size)
+    assert action.far is (size == 1e3)
 
 
 @pytest.mark.parametrize(
