@@ -33,7 +33,7 @@ ROUGH = 2.0  # of cost: a fit that only ranks stops when a step gains less
 SLACK = 3e-4  # of the cost beyond that of noise: likewise
 ADDED, LATE = "offset", "delay"  # the filters that add a constant, and that move all in time
 TIMELESS = "dead_zone", "skew", "saturation", "quantum"  # filters without memory: before a delay or behind it, alike
-LOST = 0.2  # of a channel's spread, above which its error says that the run is elsewhere
+LOST = 0.3  # of a channel's spread, above which its error says that the run is elsewhere
 LED = (1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the recording: to so much a lost run is fitted first
 ROUGHLY = {"tempered": True, "iterations": 4}  # a fit of the data sheet's plant, where effects can be compared
 LONG = 1.5  # of the travel: the longest period of a wave
@@ -379,7 +379,7 @@ class Search:
         return self.between
 
     def lost(self, fit: Fit) -> bool:
-        """Whether a free run does not follow the recording: a channel errs by a fifth of what it moves."""
+        """Whether a free run does not follow the recording: a channel errs by three tenths of what it moves."""
         return not self.rig.window and not np.all(_astray(fit) <= LOST)
 
     def led(self, fit: Fit, **how) -> Fit:
