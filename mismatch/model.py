@@ -27,6 +27,7 @@ from greygate.plants.simulate import Restarted
 TIMING = "input_timing"  # s by which inputs act later than the recording says: a nuisance, known well
 EARLY = "input_early"  # a nuisance: part of a sample by which inputs act early, in the mean, as they moved in between;
 MOST_EARLY = 0.5  # at most, which are inputs that never rest: of m moves a sample it is (1 - 1/m) / 2
+RAMP, STEEPEST = (-0.5, 0.5), 4.0  # ends of a sample; slope there of such an input over `EARLY` (1 - `EARLY`)
 PARTS = 10  # of a sample, at most, in each of which a filtered input is constant: whole steps of the plant
 BLUR = "input_blur"  # a nuisance: at 0 an acceleration is smoothed over SMOOTH, at 1 over the shorter FINER * SMOOTH
 FINER = 0.6  # of SMOOTH
@@ -211,9 +212,9 @@ class Model:
 
         Its mean over each sample and its first moment there are those of an input that moves in equal steps.
         """
-        parts = self._parts
-        ramp = (np.arange(parts) + 0.5) / parts - 0.5
-        slope = 4.0 * early * (1.0 - early) / (1.0 - parts**-2) if parts > 1 else 0.0
+        parts, ends = self._parts, np.linspace(*RAMP, self._parts + 1)
+        ramp = (ends[:-1] + ends[1:]) / 2
+        slope = STEEPEST * early * (1.0 - early) / (1.0 - parts**-2) if parts > 1 else 0.0
         return (signal[:, None] + np.append(np.diff(signal), 0.0)[:, None] * (early + slope * ramp)).ravel()
 
     def _acting(self, name: str, values: Mapping[str, float]) -> list[tuple[str, tuple[float, ...]]]:
