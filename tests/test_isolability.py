@@ -265,7 +265,7 @@ def test_the_command_prints_groups_and_remedies_and_gives_them_as_json(blind, dr
     assert "apart by a sensor of i" in printed
     code, printed, _ = greygate("isolability", blind, "--json")
     (group,) = (group for group in json.loads(printed)["groups"] if group["pair"] == ["drive_loss", "weak_magnet"])
-    assert "sensor_gain" in group["effects"]  # the general effects are on offer too
+    assert {"sensor_gain", "input_delay"} <= set(group["effects"])  # the general effects are on offer too
     assert group["sensor"]["state"] == "i"
     assert group["experiment"] is None
     assert "apart by x_drum 0 to " in "\n".join(drums.lines())
