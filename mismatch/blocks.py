@@ -23,6 +23,7 @@ from greygate.mismatch.shown_by import SHOWN, margin, recording_of
 FOLDS, ROUNDS = 5, 2  # blocks, and pieces of each: spread, so that no regime of the plant is held out entirely
 PERCENT = 100
 PARTS = 8  # of a piece, each of them one draw of the difference of the squared errors
+FEWEST_DRAWS = 2  # of which a standard error can be told
 HALF = 0.1  # of its RMS error on a half, by which another fit may be worse: slow errors are few draws of chance
 MORE = 0.01  # of the plainer fit's RMS error, by which another fit may be worse
 SURE = 3.0  # standard errors of the difference of the squared errors, below which it may be chance
@@ -168,7 +169,10 @@ def _worse(before: np.ndarray, after: np.ndarray) -> bool:
         return True
     if not np.mean(after**2) > (1.0 + MORE) ** 2 * np.mean(before**2):
         return False
-    parts = [np.mean(p) for p in np.array_split(after**2 - before**2, ROUNDS * PARTS)]
+    draws = min(ROUNDS * PARTS, len(after))
+    if draws < FEWEST_DRAWS:
+        return False
+    parts = [np.mean(p) for p in np.array_split(after**2 - before**2, draws)]
     return bool(np.mean(parts) > SURE * np.std(parts, ddof=1) / np.sqrt(len(parts)))
 
 

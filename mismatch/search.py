@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from itertools import combinations, product
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from greygate.mismatch.cores import each
 from greygate.mismatch.effects import Effect, Free, fitting
 from greygate.mismatch.fit import Fit, Likelihood, Unknown, tame
+from greygate.mismatch.linearised import index, nothing, pair_gains, released_gains, saving, solve
 from greygate.mismatch.model import BLUR, EARLY, MOST_EARLY, TIMING, TINY
 from greygate.mismatch.noise import Noise
 from greygate.mismatch.rig import FEWEST, IN, Rig
@@ -45,8 +45,6 @@ GUESSES = (0.3, 1.0, 3.0)  # times its typical value, at which a parameter of th
 SECANT_REACH = 3.0  # times the point to which a secant is drawn, beyond which it says nothing
 UNBOUNDED = 1e3  # standard deviations that a released parameter may go in the linearised fit: no bound in practice
 SOLVED_PAIRS = 4  # times the pairs that are wanted are solved within bounds, after a ranking without bounds
-RIDGE = 1e-10  # of a unit diagonal: keeps a normal matrix regular whose columns depend on each other
-BOUND_SLACK = 1e-9  # by which bounds are widened, for the solver needs a low bound below the high one
 
 
 @dataclass(frozen=True)
@@ -213,7 +211,7 @@ class Search:
 
     def scores(self, likelihood: Likelihood, fit: Fit, given: Hypothesis) -> list[Score]:
         """What every candidate promises to save, by a fit linearised at `fit`; best first."""
-        plain = _plain(fit)
+        plain = saving(fit)
 
         def best(candidate: Hypothesis) -> Score | None:
             return max(self._promises(likelihood, fit, candidate, plain), key=lambda s: s.gain, default=None)
@@ -242,13 +240,13 @@ class Search:
                 i, j = np.unravel_index(np.argmax(part), part.shape)
                 two.append((part[i, j], (mine[i], others[j]), ""))
         for symbol in self.toleranced:
-            gains = released_gains(fit, columns, widths, _at(fit, symbol))
+            gains = released_gains(fit, columns, widths, index(fit, symbol))
             for effect in effects:
                 mine = np.flatnonzero([b[0] is effect for b in blocks])
                 if mine.size:
                     i = mine[np.argmax(gains[mine])]
                     beside.append((gains[i], (i,), symbol))
-        plain = _plain(fit)
+        plain = saving(fit)
 
         def most(found: list) -> list[Score]:
             out = []
@@ -280,16 +278,16 @@ class Search:
         """
         weight, room, prior = fit.weight, fit.room, 0.0
         if released:
-            j = _at(fit, released)
+            j = index(fit, released)
             weight, prior = weight.copy(), float(weight[j] * fit.numbers[j] ** 2)
             weight[j], room[j] = 0.0, (-UNBOUNDED, UNBOUNDED)
-        reach, columns = [], [_nothing(fit)]
+        reach, columns = [], [nothing(fit)]
         for effect, _, point, made in blocks:
             strengths = effect.strengths
             reach += [(0.0, SECANT_REACH)] if point else [(f.low / f.typical, f.high / f.typical) for f in strengths]
             columns.append(made)
         bounds = np.concatenate([room, np.reshape(reach, (-1, 2))])
-        step, gain = _solve(fit, np.concatenate(columns, axis=2), bounds, weight)
+        step, gain = solve(fit, np.concatenate(columns, axis=2), bounds, weight)
         values, at = {}, len(fit.unknowns)
         if released:
             values[released] = fit.unknowns[j].value(fit.numbers[j] + step[j])
@@ -420,98 +418,3 @@ def _astray(fit: Fit) -> np.ndarray:
     with np.errstate(invalid="ignore", over="ignore"):
         error, target = fit.likelihood.residual(fit.values), fit.likelihood.model.target
         return np.nan_to_num(np.std(error, axis=0) / (np.std(target, axis=0) + TINY), nan=np.inf, posinf=np.inf)
-
-
-def _at(fit: Fit, symbol: str) -> int:
-    """The index of an unknown."""
-    return [u.symbol for u in fit.unknowns].index(symbol)
-
-
-def _nothing(fit: Fit) -> np.ndarray:
-    return np.zeros((*fit.projected.shape, 0))
-
-
-def _plain(fit: Fit) -> float:
-    """The cost that the unknowns alone still save."""
-    return _solve(fit, _nothing(fit), fit.room, fit.weight)[1]
-
-
-def _normal(fit: Fit, columns: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normal matrix (k + n, k + n) and right side (k + n,) of the unknowns and of `columns`."""
-    k = len(fit.unknowns)
-    flat = np.concatenate([fit.slopes, columns], axis=2).reshape(-1, k + columns.shape[2])
-    normal, right = flat.T @ flat, -(flat.T @ fit.projected.reshape(-1))
-    normal[np.diag_indices(k)] += weight
-    right[:k] -= weight * fit.numbers
-    return normal, right
-
-
-def pair_gains(fit: Fit, columns: np.ndarray, widths: Sequence[int]) -> np.ndarray:
-    """The cost that every two of m blocks of columns save beside the unknowns, without bounds (m, m).
-
-    widths: how many columns each block has.
-    """
-    normal, right, place, own = _blocks(*_beyond(fit, *_normal(fit, columns, fit.weight))[:2], widths)
-    alone = _saved(own, right)
-    out = np.empty((len(widths), len(widths)))
-    for i in range(len(widths)):
-        across = normal[place[:, :, None], place[i]]
-        by = across @ np.linalg.inv(own[i])
-        rest, pull = own - by @ np.swapaxes(across, 1, 2), right - by @ right[i]
-        out[i] = alone[i] + _saved(rest, pull)
-    return out
-
-
-def released_gains(fit: Fit, columns: np.ndarray, widths: Sequence[int], released: int) -> np.ndarray:
-    """The cost that each of m blocks saves together with an unknown freed of its prior, without bounds (m,).
-
-    released: the index of that unknown. The gain is beyond what all unknowns save with their priors.
-    """
-    weight, prior = fit.weight.copy(), float(fit.weight[released] * fit.numbers[released] ** 2)
-    with_prior = _beyond(fit, *_normal(fit, _nothing(fit), weight))[2]
-    weight[released] = 0.0
-    *beyond, saved = _beyond(fit, *_normal(fit, columns, weight))
-    _, right, _, own = _blocks(*beyond, widths)
-    return _saved(own, right) + saved + prior - with_prior
-
-
-def _beyond(fit: Fit, normal: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """(normal matrix (n, n) and right side (n,) of the columns, the unknowns eliminated; what those save alone).
-
-    Each column is of unit length.
-    """
-    k = len(fit.unknowns)
-    scale = np.sqrt(np.maximum(np.diag(normal), TINY))
-    normal, right = normal / np.outer(scale, scale), right / scale
-    known = np.linalg.solve(normal[:k, :k] + RIDGE * np.eye(k), np.column_stack([normal[:k], right[:k]]))
-    saved = float(right[:k] @ known[:, -1])
-    return normal[k:, k:] - normal[k:, :k] @ known[:, k:-1], right[k:] - normal[k:, :k] @ known[:, -1], saved
-
-
-def _blocks(normal: np.ndarray, right: np.ndarray, widths: Sequence[int]) -> tuple[np.ndarray, ...]:
-    """(normal matrix, right sides (m, w), place (m, w) of each block's columns there, own normal matrices (m, w, w)).
-
-    w: columns of the widest block; a narrow one is filled up with zeros.
-    """
-    m, w = len(widths), max(widths)
-    place = np.full((m, w), len(right))
-    for i, (end, width) in enumerate(zip(np.cumsum(widths), widths, strict=True)):
-        place[i, :width] = np.arange(end - width, end)
-    normal, right = np.pad(normal, (0, 1)), np.pad(right, (0, 1))[place]
-    return normal, right, place, normal[place[:, :, None], place[:, None, :]] + RIDGE * np.eye(w)
-
-
-def _saved(own: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """The cost that each block saves (m,), by its normal matrix (m, w, w) and right side (m, w)."""
-    return np.einsum("mw,mw->m", right, np.linalg.solve(own, right[:, :, None])[:, :, 0])
-
-
-def _solve(fit: Fit, columns: np.ndarray, bounds: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, float]:
-    """(step of the unknowns and of `columns`, cost that it saves): the linearised fit within `bounds` (k + n, 2)."""
-    normal, right = _normal(fit, columns, weight)
-    scale = np.sqrt(np.maximum(np.diag(normal), TINY))
-    normal, right = normal / np.outer(scale, scale), right / scale
-    root = np.linalg.cholesky(normal + RIDGE * np.eye(len(normal)))
-    low, high = (bounds * scale[:, None]).T
-    found = lsq_linear(root.T, np.linalg.solve(root, right), (low - BOUND_SLACK, high + BOUND_SLACK)).x
-    return found / scale, float(2 * right @ found - found @ normal @ found)

@@ -13,7 +13,7 @@ from greygate.mismatch import claims, simulation
 from greygate.mismatch import diagnose as finding
 from greygate.mismatch import effects as table
 from greygate.mismatch.adequacy import dependent
-from greygate.mismatch.blocks import FOLDS, Judge, Loss
+from greygate.mismatch.blocks import FOLDS, Judge, Loss, _worse
 from greygate.mismatch.claims import earned, unborne
 from greygate.mismatch.closure import left_beside
 from greygate.mismatch.coloured import Coloured
@@ -50,6 +50,13 @@ def test_a_right_fit_loses_on_no_block_and_a_wrong_one_on_every_block(slipping):
     assert all(loss.after > 1.01 * loss.before for loss in lost)
     assert "x_load is" in str(lost[0])
     assert "not learnt from" in str(lost[0])
+
+
+@pytest.mark.parametrize(("samples", "worse"), [(1, False), (2, True), (8, True), (40, True)])
+def test_a_block_of_few_samples_is_judged_by_those_it_has(samples, worse):
+    before = np.full(samples, 0.1)
+    assert _worse(before, np.linspace(0.2, 0.21, samples)) is worse
+    assert not _worse(before, before)
 
 
 def test_over_all_blocks_together_no_channel_may_be_worse_by_more_than_a_hundredth(slipping):

@@ -12,9 +12,10 @@ from greygate.mismatch import cores, rig, simulation
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.effects import Effect, Free
 from greygate.mismatch.fit import Fit, Likelihood, Unknown, _inverse
+from greygate.mismatch.linearised import pair_gains, released_gains
 from greygate.mismatch.model import EARLY, FILTERS, Model, delayed, lagged
 from greygate.mismatch.noise import LONGEST, roughness, runs
-from greygate.mismatch.search import Hypothesis, Search, pair_gains, released_gains
+from greygate.mismatch.search import Hypothesis, Search
 from greygate.plants.plant import Plant
 from greygate.plants.simulate import Restarted, simulate
 
