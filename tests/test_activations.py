@@ -92,9 +92,11 @@ def test_a_table_may_end_where_its_function_is_flat_or_too_large(name):
 
 
 def test_a_kind_that_no_entry_has_is_an_error():
-    value = numba.njit(lambda kind: kernels._value(kind, 0.5, 0.0))
-    with pytest.raises(ValueError, match="no such kind"):
-        value(len(ACTIVATIONS))
+    values = numba.njit(lambda kind, n: kernels._values(kind, n))
+    slopes = numba.njit(lambda kind, n: kernels._slopes(kind, n, n, n))
+    for function in (values, slopes):
+        with pytest.raises(ValueError, match="no such kind"):
+            function(len(ACTIVATIONS), np.zeros(1))
 
 
 def test_compiled_kernels_are_kept_under_a_name_that_changes_with_the_entries():

@@ -13,6 +13,7 @@ from greygate.errors import InputError
 from greygate.models.families.blocks import feedforward, flow_rate, flow_record
 from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
+from greygate.models.training import objective as objective_module
 from greygate.models.training.levenberg import Outcome, multistart, narx_noe, train
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
@@ -247,12 +248,9 @@ def test_the_initial_state_is_estimated_with_the_weights():
     np.testing.assert_allclose(fit.network.run(record.inputs, fit.initial[0])["y"], record.targets["y"], atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "options", [{"estimate_initial": True}, {"shooting": 7}, {"shooting": 7, "tied": [("a", "b")]}]
-)
-def test_derivatives_by_initial_states_and_across_windows_are_exact(options):
+def crossed(rng: np.random.Generator) -> Network:
+    """Two layers of two neurons that feed each other and themselves, each with an output of its own."""
     network = Network("n", [Port("u")], [Port("y"), Port("z")])
-    rng = np.random.default_rng(3)
     for name, other in (("a", "b"), ("b", "a")):
         weights = {p: rng.normal(size=(2, n)) * 0.5 for p, n in (("u", 1), ("own", 2), ("other", 2))}
         network.add(name, Layer(weights, rng.normal(size=2), "tansig"))
@@ -263,6 +261,15 @@ def test_derivatives_by_initial_states_and_across_windows_are_exact(options):
         network.add(f"out_{port}", Layer({"x": rng.normal(size=(1, 2))}, [0.0]))
         network.connect(name, f"out_{port}.x")
         network.connect(f"out_{port}", port)
+    return network
+
+
+@pytest.mark.parametrize(
+    "options", [{"estimate_initial": True}, {"shooting": 7}, {"shooting": 7, "tied": [("a", "b")]}]
+)
+def test_derivatives_by_initial_states_and_across_windows_are_exact(options):
+    rng = np.random.default_rng(3)
+    network = crossed(rng)
     targets = {"y": rng.normal(size=40), "z": rng.normal(size=40)}
     record = Record({"u": rng.normal(size=40)}, targets, skip=3, weight=2.0)
     objective = Objective(network, [record, replace(record, skip=0)], **options)
@@ -276,6 +283,26 @@ def test_derivatives_by_initial_states_and_across_windows_are_exact(options):
         for s in steps
     ]
     np.testing.assert_allclose(gradient, slopes, rtol=1e-6, atol=1e-6 * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize("chunk", [1, 31, 32, 33, 64, 300])
+def test_normal_equations_do_not_depend_on_how_the_steps_are_cut_or_on_the_cores(chunk, monkeypatch):
+    rng = np.random.default_rng(5)
+    network = crossed(rng)
+    record = Record({"u": rng.normal(size=200)}, {"y": rng.normal(size=200), "z": rng.normal(size=200)}, skip=3)
+    posed = Objective(network, [record], estimate_initial=True)
+    posed.squares(posed.theta)
+    want = posed.normal_equations(posed.theta)
+    steps = 1e-6 * np.eye(len(posed.theta))
+    errors = [posed.errors(posed.theta + s)[0][3:].ravel() for s in (*steps, *-steps)]
+    slopes = (np.array(errors[: len(steps)]) - errors[len(steps) :]).T / 2e-6
+    np.testing.assert_allclose(want[0], (slopes.T @ slopes)[np.ix_(posed.free, posed.free)], rtol=1e-5, atol=1e-6)
+    monkeypatch.setattr(objective_module, "CHUNK", chunk)
+    for worth in (0.0, np.inf):
+        monkeypatch.setattr(objective_module, "WORTH", worth)
+        posed.squares(posed.theta)
+        for found, whole in zip(posed.normal_equations(posed.theta), want, strict=True):
+            np.testing.assert_allclose(found, whole, rtol=1e-10, atol=1e-10)
 
 
 def test_multiple_shooting_trains_from_weights_whose_free_run_diverges():

@@ -20,7 +20,7 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.models.activations import ACTIVATIONS
 from greygate.models.network import Network
-from greygate.models.training.kernels import Tables, forward, kernel, sensitivities, slope
+from greygate.models.training.kernels import LANES, Tables, forward, kernel, sensitivities, slopes_at
 from greygate.models.training.levenberg import STOP, Outcome, Trained, blas, stands
 from greygate.models.training.loss import Decay, Loss
 from greygate.models.training.objective import Objective
@@ -356,17 +356,19 @@ def _back(t: Tables, theta, now, past, forced, error, gradient):  # pragma: no c
     """gradient += d/d theta of sum(error * output), swept back through all steps; error: (N, outputs)."""
     ring = t.depth + 1
     adjoint = np.zeros((ring, now.shape[1]))
+    slopes, active = np.empty((now.shape[1], LANES)), np.zeros((now.shape[1], LANES), np.int64)
     for k in range(len(error) - 1, -1, -1):
         a, at = adjoint[k % ring], t.depth + k
         for j in range(len(t.shown)):
             a[t.rows[t.shown[j]]] += error[k, j]
+        lane = k % LANES
+        if lane == LANES - 1 or k == len(error) - 1:
+            slopes_at(t.layers, t.links, theta, at - lane, lane + 1, now, past, slopes, active)
         for layer in range(len(t.layers) - 2, -1, -1):
-            first, size, activation, bias, lo = t.layers[layer]
+            first, size, _, bias, lo = t.layers[layer]
             hi = t.layers[layer + 1, 4]
             for o in range(size):
-                y = now[at, first + o]
-                gain, row = slope(activation, size, t.links, lo, hi, theta, bias, o, at, now, past, y)
-                d = a[first + o] * gain
+                d, row = a[first + o] * slopes[first + o, lane], active[first + o, lane]
                 if d == 0.0:
                     continue
                 gradient[bias + row] += d

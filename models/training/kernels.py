@@ -21,6 +21,7 @@ from greygate.models.network import Layer, Network
 
 KINDS = tuple(ACTIVATIONS)  # a layer's activation stands in `Tables.layers` as its place here
 SELECT = KINDS.index("select")
+LANES = 32  # steps that are taken back at once: what a step costs beside its arithmetic is shared by so many
 _SLOPE_READS_N = np.array([a.slope_reads_n for a in ACTIVATIONS.values()])  # by kind
 _SOURCES = (activations, scalars, sys.modules[__name__])
 _TEXT = hashlib.sha256(b"".join(Path(getfile(module)).read_bytes() for module in _SOURCES)).hexdigest()[:12]
@@ -40,30 +41,58 @@ def kernel(**options) -> Callable[[Callable], Callable]:
 
 
 @scalars.inlined
-def _unknown(kind, a, b):  # pragma: no cover - compiled
+def _no_value(kind, signals):  # pragma: no cover - compiled
     raise ValueError("no such kind of activation")
 
 
-def _branch(own: int, function: Callable, otherwise: Callable) -> Callable:
-    """A compiled function of (kind, a, b): `function` of (scalars, a) or (scalars, a, b) for kind `own`."""
+@scalars.inlined
+def _no_slope(kind, signals, sums, slopes):  # pragma: no cover - compiled
+    raise ValueError("no such kind of activation")
+
+
+def _values_of(own: int, function: Callable, otherwise: Callable) -> Callable:
+    """A compiled function that takes kind `own` by `function` of (scalars, n), in a loop that can be vectorized."""
+    function = scalars.inlined(function)
+
+    @scalars.inlined
+    def values(kind, signals):  # pragma: no cover - compiled
+        if kind == own:
+            for o in range(len(signals)):
+                signals[o] = function(scalars, signals[o])
+        else:
+            otherwise(kind, signals)
+
+    return values
+
+
+def _slopes_of(own: int, function: Callable, otherwise: Callable) -> Callable:
+    """The same for the slopes, of (scalars, y) or (scalars, y, n)."""
     function, takes = scalars.inlined(function), len(signature(function).parameters)
 
     @scalars.inlined
-    def of_one(kind, a, b):  # pragma: no cover - compiled
-        return function(scalars, a) if kind == own else otherwise(kind, a, b)
+    def of_y(kind, signals, sums, slopes):  # pragma: no cover - compiled
+        if kind == own:
+            for o in range(len(signals)):
+                slopes[o] = function(scalars, signals[o])
+        else:
+            otherwise(kind, signals, sums, slopes)
 
     @scalars.inlined
-    def of_two(kind, a, b):  # pragma: no cover - compiled
-        return function(scalars, a, b) if kind == own else otherwise(kind, a, b)
+    def of_both(kind, signals, sums, slopes):  # pragma: no cover - compiled
+        if kind == own:
+            for o in range(len(signals)):
+                slopes[o] = function(scalars, signals[o], sums[o])
+        else:
+            otherwise(kind, signals, sums, slopes)
 
-    return of_one if takes == 2 else of_two
+    return of_y if takes == 2 else of_both
 
 
-_value: Callable = _unknown  # of (kind, n, anything)
-_slope: Callable = _unknown  # of (kind, y, n)
+_values: Callable = _no_value  # of (kind, signals of a layer): in place, pre-activations become outputs
+_slopes: Callable = _no_slope  # of (kind, signals, sums, slopes of a layer)
 for _kind, _entry in reversed(list(enumerate(ACTIVATIONS.values()))):  # the first is tried first
-    _value = _value if _kind == SELECT else _branch(_kind, _entry.value, _value)
-    _slope = _branch(_kind, _entry.slope, _slope)
+    _values = _values if _kind == SELECT else _values_of(_kind, _entry.value, _values)
+    _slopes = _slopes_of(_kind, _entry.slope, _slopes)
 
 
 class Tables(NamedTuple):
@@ -182,15 +211,26 @@ def preactivation(links, lo, hi, theta, bias, row, k, now, past):  # pragma: no 
 
 
 @kernel(inline="always")
-def slope(kind, size, links, lo, hi, theta, bias, o, k, now, past, y):  # pragma: no cover - compiled
-    """(derivative of neuron o's output y by its pre-activation at row k, the row of weights that acts)."""
-    n, row = 0.0, o
-    if _SLOPE_READS_N[kind]:
-        n = preactivation(links, lo, hi, theta, bias, o, k, now, past)
-    if kind == SELECT:
-        condition = preactivation(links, lo, hi, theta, bias, o, k, now, past)
-        row = o + (size if condition >= 0 else 2 * size)
-    return _slope(kind, y, n), row
+def slopes_at(layers, links, theta, at, count, now, past, slopes, active):  # pragma: no cover - compiled
+    """For rows at to at + count - 1 of now: slopes[e, b], active[e, b] (elements, LANES).
+
+    slopes: derivative of each neuron's output by its pre-activation; active: the row of weights that acts on it.
+    """
+    y, n = np.empty(count), np.zeros(count)
+    for layer in range(len(layers) - 1):
+        first, size, kind, bias, lo = layers[layer]
+        hi = layers[layer + 1, 4]
+        for o in range(size):
+            for b in range(count):
+                y[b] = now[at + b, first + o]
+                active[first + o, b] = o
+            if kind == SELECT or _SLOPE_READS_N[kind]:
+                for b in range(count):
+                    n[b] = preactivation(links, lo, hi, theta, bias, o, at + b, now, past)
+            if kind == SELECT:
+                for b in range(count):
+                    active[first + o, b] = o + (size if n[b] >= 0 else 2 * size)
+            _slopes(kind, y, n, slopes[first + o, :count])
 
 
 @kernel()
@@ -225,15 +265,15 @@ def forward(layers, links, n_inputs, depth, theta, now, past, forced):  # pragma
                         for i in range(width):
                             n += theta[w + o * width + i] * past[k - delay, source + i]
                         now[k, first + o] = n
+            if kind == SELECT:
+                for o in range(size):
+                    acts = o + (size if now[k, first + o] >= 0 else 2 * size)
+                    now[k, first + o] = preactivation(links, lo, hi, theta, bias, acts, k, now, past)
+            else:
+                _values(kind, now[k, first : first + size])
             for o in range(size):
-                n = now[k, first + o]
-                if kind == SELECT:
-                    n = preactivation(links, lo, hi, theta, bias, o + (size if n >= 0 else 2 * size), k, now, past)
-                else:
-                    n = _value(kind, n, 0.0)
-                if not np.isfinite(n):
+                if not np.isfinite(now[k, first + o]):
                     return k - depth
-                now[k, first + o] = n
         for e in range(n_inputs, now.shape[1]):
             if not forced[e]:
                 past[k, e] = now[k, e]
@@ -250,9 +290,38 @@ def _alike(spans, row, i):  # pragma: no cover - compiled
     return alike
 
 
+@kernel()
+def _coupled(layers, links, depth, row_of, reaches):  # pragma: no cover - compiled
+    """(delay, q) of every q whose past acts on row r within a step (R, most, 2), by delay, and how many (R,)."""
+    n_rows, n_layers = reaches.shape
+    acts = np.zeros((n_rows, depth, n_rows), np.bool_)
+    for r in range(n_rows):
+        for layer in range(n_layers):
+            for c in range(layers[layer, 4], layers[layer + 1, 4]):
+                source, width, delay, _ = links[c]
+                if reaches[r, layer] and delay > 0 and row_of[source] >= 0:
+                    for i in range(width):
+                        acts[r, delay - 1, row_of[source + i]] = True
+    pairs, count = np.zeros((n_rows, depth * n_rows, 2), np.int64), np.zeros(n_rows, np.int64)
+    for r in range(n_rows):
+        for delay in range(1, depth + 1):
+            for q in range(n_rows):
+                if acts[r, delay - 1, q]:
+                    pairs[r, count[r], 0], pairs[r, count[r], 1] = delay, q
+                    count[r] += 1
+    return pairs, count
+
+
 @kernel(inline="always")
-def _carry(out, carried, spans, n_theta, share, slot, row, count):  # pragma: no cover - compiled
-    """out += share[i] carried[slot[i], row[i]] for i < count, in this order; four at a time, where one span serves."""
+def _carry(out, direct, carried, spans, lo, hi, n_theta, share, slot, row, count):  # pragma: no cover - compiled
+    """out = direct + share[i] carried[slot[i], row[i]] for i < count, in this order; columns lo to hi and n_theta on.
+
+    Four at a time, where one span serves.
+    """
+    for p in range(lo, hi):
+        out[p] = direct[p]
+    for p in range(n_theta, len(out)):
+        out[p] = direct[p]
     i = 0
     while i < count:
         a, b = spans[row[i]]
@@ -298,88 +367,83 @@ def sensitivities(
 
     carried: (depth + 1, R, P + X) ring of sensitivities, step k in slot k % (depth + 1); it passes from one call to the
     next. Before step 0 it holds zeros, but for X columns of the initial state, if that is to be estimated too.
+
+    What acts within a step is taken back for LANES steps at once, then what earlier steps carry over is added in turn.
     """
-    n_theta = len(theta)
-    ring = depth + 1
-    slopes = np.empty(now.shape[1])
-    active = np.zeros(now.shape[1], np.int64)  # the row that acts on an element
-    adjoint = np.empty(now.shape[1])
-    delta = np.empty(now.shape[1])
-    coupling = np.zeros((depth, len(rows)))
-    most = depth * len(rows)
+    n_theta, n_rows = len(theta), len(rows)
+    ring, lanes = depth + 1, min(LANES, stop - start)
+    slopes = np.empty((now.shape[1], lanes))  # of all elements, and likewise:
+    active = np.zeros((now.shape[1], lanes), np.int64)  # the row of weights that acts
+    adjoint = np.empty((now.shape[1], lanes))
+    delta = np.empty((now.shape[1], lanes))  # of a layer's neurons
+    total = np.empty(lanes)
+    direct = np.zeros((lanes, n_rows, carried.shape[2]))  # d row / d theta within the step
+    coupling = np.zeros((n_rows, depth, n_rows, lanes))  # c[d, r, q] of each row
+    most = depth * n_rows
     share, slot, row = np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64)
-    n_layers = len(layers) - 1
-    for k in range(start, stop):
-        for layer in range(n_layers):
-            first, size, kind, bias, link0 = layers[layer]
-            hi = layers[layer + 1, 4]
-            for o in range(size):
-                y = now[depth + k, first + o]
-                slopes[first + o], active[first + o] = slope(
-                    kind, size, links, link0, hi, theta, bias, o, depth + k, now, past, y
-                )
-        for r in range(len(rows)):
-            lo, hi = spans[r]
-            out = carried[k % ring, r]
-            out[lo:hi] = 0.0
-            out[n_theta:] = 0.0
-            top = layer_of[r]
-            adjoint[: layers[top + 1, 0]] = 0.0
+    pairs, coupled = _coupled(layers, links, depth, row_of, reaches)
+    for k0 in range(start, stop, lanes):
+        count = min(lanes, stop - k0)
+        slopes_at(layers, links, theta, depth + k0, count, now, past, slopes, active)
+        for r in range(n_rows):
+            direct[:count, r, spans[r, 0] : spans[r, 1]] = 0.0
+            adjoint[: layers[layer_of[r] + 1, 0]] = 0.0
             adjoint[rows[r]] = 1.0
-            for layer in range(top, -1, -1):
+            for layer in range(layer_of[r], -1, -1):
                 if not reaches[r, layer]:
                     continue
-                first, size, kind, bias, link0 = layers[layer]
+                first, size, kind, bias, lo = layers[layer]
                 acts = False
                 for o in range(size):
-                    delta[o] = adjoint[first + o] * slopes[first + o]
-                    acts |= delta[o] != 0.0
+                    for b in range(count):
+                        d = adjoint[first + o, b] * slopes[first + o, b]
+                        delta[o, b] = d
+                        acts |= d != 0.0
                 if not acts:
                     continue
                 for o in range(size):
-                    out[bias + active[first + o]] += delta[o]
-                for c in range(link0, layers[layer + 1, 4]):
+                    for b in range(count):
+                        direct[b, r, bias + active[first + o, b]] = delta[o, b]
+                for c in range(lo, layers[layer + 1, 4]):
                     source, width, delay, w = links[c]
-                    total = 0.0
-                    if width == 1 and kind != SELECT:  # one tap to all neurons: contiguous in theta
-                        x = now[depth + k, source] if delay == 0 else past[depth + k - delay, source]
+                    read, at = (now if delay == 0 else past), depth + k0 - delay
+                    for i in range(width):
+                        e = source + i
+                        total[:] = 0.0
                         for o in range(size):
-                            out[w + o] += delta[o] * x
-                            total += delta[o] * theta[w + o]
+                            if kind == SELECT:
+                                for b in range(count):
+                                    p = w + active[first + o, b] * width + i
+                                    direct[b, r, p] = delta[o, b] * read[at + b, e]
+                                    total[b] += delta[o, b] * theta[p]
+                                continue
+                            p = w + o * width + i
+                            for b in range(count):
+                                direct[b, r, p] = delta[o, b] * read[at + b, e]
+                            for b in range(count):
+                                total[b] += delta[o, b] * theta[p]
                         if delay == 0:
-                            adjoint[source] += total
-                        elif row_of[source] >= 0:
-                            coupling[delay - 1, row_of[source]] += total
-                        continue
-                    for o in range(size):
-                        d = delta[o]
-                        if d == 0.0:
-                            continue
-                        v = w + active[first + o] * width
-                        if delay == 0:
-                            for i in range(width):
-                                out[v + i] += d * now[depth + k, source + i]
-                            for i in range(width):
-                                adjoint[source + i] += d * theta[v + i]
-                        else:
-                            for i in range(width):
-                                out[v + i] += d * past[depth + k - delay, source + i]
-                            for i in range(width):
-                                q = row_of[source + i]
-                                if q >= 0:
-                                    coupling[delay - 1, q] += d * theta[v + i]
-            held = 0
-            for delay in range(1, depth + 1):
-                for q in range(len(rows)):
-                    if coupling[delay - 1, q] != 0.0:
-                        share[held], slot[held], row[held] = coupling[delay - 1, q], (k - delay) % ring, q
-                        coupling[delay - 1, q] = 0.0
+                            for b in range(count):
+                                adjoint[e, b] += total[b]
+                        elif row_of[e] >= 0:
+                            for b in range(count):
+                                coupling[r, delay - 1, row_of[e], b] += total[b]
+        for b in range(count):
+            k = k0 + b
+            for r in range(n_rows):
+                held = 0
+                for i in range(coupled[r]):
+                    delay, q = pairs[r, i]
+                    if coupling[r, delay - 1, q, b] != 0.0:
+                        share[held], slot[held], row[held] = coupling[r, delay - 1, q, b], (k - delay) % ring, q
+                        coupling[r, delay - 1, q, b] = 0.0
                         held += 1
-            _carry(out, carried, spans, n_theta, share, slot, row, held)
-        for j in range(len(shown)):
-            lo, hi = spans[shown[j]]
-            jacobian[k - start, j, lo:hi] = carried[k % ring, shown[j], lo:hi]
-            jacobian[k - start, j, n_theta:] = carried[k % ring, shown[j], n_theta:]
+                out = carried[k % ring, r]
+                _carry(out, direct[b, r], carried, spans, spans[r, 0], spans[r, 1], n_theta, share, slot, row, held)
+            for j in range(len(shown)):
+                lo, hi = spans[shown[j]]
+                jacobian[k - start, j, lo:hi] = carried[k % ring, shown[j], lo:hi]
+                jacobian[k - start, j, n_theta:] = carried[k % ring, shown[j], n_theta:]
 
 
 portable_sensitivities = kernel()(sensitivities.py_func)  # type: ignore[attr-defined]  # numba keeps it

@@ -418,13 +418,16 @@ class Objective:
         rows = min(CHUNK, length)
         alone = alone or length * len(used) ** 2 < WORTH or length <= CHUNK
         blocks = [np.zeros((rows, len(t.shown), n + own)) for _ in range(1 if alone else 2)]
-        hessian, gradient = np.zeros((n + own, n + own)), np.zeros(n + own)
+        outputs = list(enumerate(spans))
+        parts = [outputs] if alone or self.portable else [part for part in (outputs[::2], outputs[1::2]) if part]
+        totals = [(np.zeros((n + own, n + own)), np.zeros(n + own)) for _ in parts]
         added = self._own(w)
         sums = {output: np.zeros((len(z), n + own)) for output, (_, z) in added.items()}  # of J along what they add
 
-        def add(block: np.ndarray, start: int, stop: int) -> None:
+        def add(part: int, block: np.ndarray, start: int, stop: int) -> None:
+            hessian, gradient = totals[part]
             use = slice(max(w.skip - start, 0), stop - start)
-            for output, span in enumerate(spans):
+            for output, span in parts[part]:
                 j, e = block[use, output, span], error[start:stop][use, output]
                 here = (span, span) if isinstance(span, slice) else np.ix_(span, span)
                 if output in added:
@@ -440,18 +443,19 @@ class Objective:
                     gradient[span] += j.T @ e
 
         derivatives = portable_sensitivities if self.portable else sensitivities
-        under_way: Future | None = None
+        under_way: list[Future] = []
         for i, start in enumerate(range(0, length, CHUNK)):
             stop, block = min(start + CHUNK, length), blocks[i % len(blocks)]
             derivatives(*t, theta[:n], w.now, w.past, carried, start, stop, block)
             if alone:
-                add(block, start, stop)
+                add(0, block, start, stop)
                 continue
-            if under_way:
-                under_way.result()
-            under_way = CORES.submit(add, block, start, stop)  # while the next block is filled
-        if under_way:
-            under_way.result()
+            for future in under_way:
+                future.result()
+            under_way = [CORES.submit(add, part, block, start, stop) for part in range(len(parts))]  # and fill the next
+        for future in under_way:
+            future.result()
+        hessian, gradient = (sum(found[1:], start=found[0]) for found in zip(*totals, strict=True))
         for total in sums.values():  # offset and gain are the best at every theta (Golub, Pereyra 1973; Kaufman 1975)
             hessian -= total.T @ total
         if len(used) < len(columns):
