@@ -53,7 +53,7 @@ bench: $(VENV)/.ready-dev | tools
 	$(BIN)/python benchmarks/compile_time.py
 	$(BIN)/python benchmarks/plant.py
 	$(BIN)/python benchmarks/measured.py
-	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/gauss_newton.py
+	$(BIN)/python benchmarks/gauss_newton.py
 	$(BIN)/python benchmarks/pruning.py
 
 # A quarter of an hour: random programs at the limits of what is legal, beside Python integers.
@@ -129,6 +129,7 @@ bench-board: $(VENV)/.ready-dev | tools
 bench-training: $(VENV)/.ready-dev $(PEERS)/.ready
 	$(BIN)/python benchmarks/training.py --peers $(PEERS)/bin/python
 	$(BIN)/python benchmarks/training_times.py
+	$(BIN)/python benchmarks/growth_training.py --peers $(PEERS)/bin/python
 	$(BIN)/python benchmarks/systems.py
 
 # Five minutes: RMS of the flow network at 8 to 20 bits, beside da4ml and alkaid.

@@ -1,46 +1,69 @@
-"""One Gauss-Newton evaluation (run, Jacobian, J'J and J'e) of the cylinder's network: 10,001 samples, one core.
+"""One Gauss-Newton evaluation (run, Jacobian, J'J and J'e) of the cylinder's network: 10,001 samples, two outputs.
 
-OMP_NUM_THREADS=1 python benchmarks/gauss_newton.py [REPEATS]
+python benchmarks/gauss_newton.py [PART] [--repeats 40]
 
-CPU seconds, beside the floor: forming J'J of that size in BLAS alone. Medians, and the least of each.
+Seconds of the wall clock on one core and on two, medians, beside the floor: forming one J'J of that size in BLAS alone,
+on one core. results/gauss_newton.json keeps them as PART, `now` by default: another version of the project is measured
+beside by this file, put into it.
 """
 
-import sys
+import argparse
+import os
 from statistics import median
-from time import process_time
+from time import perf_counter
 
 import numpy as np
+from made import keep
 from threadpoolctl import threadpool_limits
 
 from greygate.machines import catalog
 from greygate.models.training.objective import Objective
 
+ROWS = 2048  # of the floor's Jacobian; the rest is scaled
 
-def timed(work, repeats: int) -> list[float]:
+
+def timed(work, repeats: int) -> float:
     work()
     times = []
     for _ in range(repeats):
-        began = process_time()
+        began = perf_counter()
         work()
-        times.append(process_time() - began)
-    return times
+        times.append(perf_counter() - began)
+    return median(times)
 
 
-def main(repeats: int) -> None:
+def pin(cores: list[int]) -> None:
+    """Every thread there is runs on these from now on."""
+    for thread in os.listdir("/proc/self/task"):
+        os.sched_setaffinity(int(thread), cores)
+
+
+def main(part: str, repeats: int) -> None:
     entry = catalog.entry("valve_cylinder")
     objective = Objective(entry.network(), [entry.records()["training"]])
     size = len(objective.free)
-    jacobian = np.random.default_rng(0).normal(size=(2048, size))
-    runs = objective.samples / len(jacobian)
+    jacobian = np.random.default_rng(0).normal(size=(ROWS, size))
+    cores = sorted(os.sched_getaffinity(0))
+    found = {"residuals": objective.samples, "free": size}
+
+    def evaluation() -> None:
+        objective.squares(objective.theta)
+        objective.normal_equations(objective.theta)
+
     with threadpool_limits(1, "blas"):
-        run = timed(lambda: objective.squares(objective.theta), repeats)
-        equations = timed(lambda: objective.normal_equations(objective.theta), repeats)
-        floor = [runs * t for t in timed(lambda: jacobian.T @ jacobian, 4 * repeats)]
-    both = [a + b for a, b in zip(run, equations, strict=True)]
-    print(f"{objective.samples} residuals, {len(objective.theta)} parameters, {size} free")
-    for name, times in (("run", run), ("Jacobian, J'J, J'e", equations), ("evaluation", both), ("J'J alone", floor)):
-        print(f"{name:20} median {median(times):.3f} s  least {min(times):.3f} s")
-    print(f"evaluation over J'J alone: {median(both) / median(floor):.2f}")
+        evaluation()  # all threads have begun
+        for name, used in (("one_core", cores[:1]), ("two_cores", cores[:2])):
+            pin(used)
+            found[name] = round(timed(evaluation, repeats), 4)
+        pin(cores[:1])
+        found["run"] = round(timed(lambda: objective.squares(objective.theta), repeats), 4)
+        found["floor"] = round(objective.samples / ROWS * timed(lambda: jacobian.T @ jacobian, 4 * repeats), 4)
+    keep("gauss_newton", part, found)
+    print(", ".join(f"{name} {value}" for name, value in found.items()))
 
 
-main(int(sys.argv[1]) if len(sys.argv) > 1 else 20)
+parser = argparse.ArgumentParser()
+parser.add_argument("part", nargs="?", default="now")
+parser.add_argument("--repeats", type=int, default=40)
+options = parser.parse_args()
+main(options.part, options.repeats)

@@ -2,8 +2,8 @@
 
 python benchmarks/trainers.py TRAINER CASE.npz
 
-Prints a JSON line for each start: {"wall", "cpu", "compile", "theta", "note"}, times in seconds. All minimise the same
-sum of squares: free run from rest, tansig layers, linear output; theta = W1 by rows, b1, W2, b2, ...
+Prints a JSON line for each start: {"wall", "cpu", "compile", "iterations", "theta", "note"}, times in seconds. All
+minimise the same sum of squares: free run from rest, tansig layers, linear output; theta = W1 by rows, b1, W2, b2, ...
 """
 
 import json
@@ -66,12 +66,14 @@ class EndError(Exception):
     """The goal is reached, or the time is over."""
 
 
-def greygate(case, start):
+def greygate(case, start, method="train"):
     from greygate.models.families.regression import noe
     from greygate.models.network import Port
+    from greygate.models.training.descent import lbfgs
     from greygate.models.training.levenberg import train
     from greygate.models.training.record import Record
 
+    fit_by = {"train": train, "lbfgs": lbfgs}[method]
     network = noe("n", {Port("u"): case.inputs}, Port("y"), case.feedback, case.sizes[1:-1], bypass=False)
     ports = [f"u_z{d}" for d in case.inputs] + [f"y_z{d}" for d in case.feedback]
     names, values = [*[f"hidden{i}" for i in range(1, len(case.sizes) - 1)], "sum"], {}
@@ -80,18 +82,30 @@ def greygate(case, start):
         values |= {f"{name}.{p}": part for p, part in fed.items()} | {f"{name}.bias": b}
     network, record = network.with_parameters(values), Record({"u": case.u}, {"y": case.y})
     watch = Watch()
-    train(network, [record], epochs=1)
+    fit_by(network, [record], epochs=1)
     compiled = watch.read()[0]
     watch = Watch()
-    fit = train(network, [record], epochs=100_000, goal=case.goal / 2, seconds=case.cap, tolerance=0.0)
+    fit = fit_by(network, [record], epochs=100_000, goal=case.goal / 2, seconds=case.cap, tolerance=0.0)
     wall, cpu = watch.read()
     after = fit.network.parameters()
     theta = []
     for i, name in enumerate(names):
         fed = ports if i == 0 else [names[i - 1]]
         theta += [np.hstack([after[f"{name}.{p}"] for p in fed]).ravel(), after[f"{name}.bias"]]
-    note = f"{len(fit.history) - 1} epochs, {fit.outcome.name.lower()}"
-    return {"wall": wall, "cpu": cpu, "compile": compiled, "theta": np.concatenate(theta), "note": note}
+    epochs = len(fit.history) - 1
+    note = f"{epochs} epochs, {fit.outcome.name.lower()}"
+    return {
+        "wall": wall,
+        "cpu": cpu,
+        "compile": compiled,
+        "iterations": epochs,
+        "theta": np.concatenate(theta),
+        "note": note,
+    }
+
+
+def greygate_lbfgs(case, start):
+    return greygate(case, start, "lbfgs")
 
 
 def scipy(case, start):
@@ -130,6 +144,7 @@ def scipy(case, start):
     def jacobian(theta):
         if not np.array_equal(theta, last["theta"]):
             run(theta)
+        last["jacobians"] = last.get("jacobians", 0) + 1
         layers, inputs = case.layers(theta), [last["x"], *last["signals"]]
         parts, delta = [], np.ones((count, 1))
         for i in range(len(layers) - 1, -1, -1):  # all samples at once
@@ -151,7 +166,8 @@ def scipy(case, start):
     except EndError:
         pass
     wall, cpu = watch.read()
-    return {"wall": wall, "cpu": cpu, "compile": 0.0, "theta": last["at"], "note": f"{last['runs']} runs{note}"}
+    found = {"iterations": last.get("jacobians", 0), "theta": last["at"], "note": f"{last['runs']} runs{note}"}
+    return {"wall": wall, "cpu": cpu, "compile": 0.0, **found}
 
 
 def pyrenn(case, start):
@@ -209,7 +225,8 @@ def pyrenn(case, start):
         theta += [best["w"][at + size * fan_in : at + size * (fan_in + 1)]]
         at += size * (fan_in + 1)
     theta = np.concatenate([part for w, b in columns(np.concatenate(theta), False) for part in (w.ravel(), b)])
-    return {"wall": wall, "cpu": cpu, "compile": 0.0, "theta": theta, "note": f"{best['epochs']} epochs"}
+    found = {"iterations": best["epochs"], "theta": theta, "note": f"{best['epochs']} epochs"}
+    return {"wall": wall, "cpu": cpu, "compile": 0.0, **found}
 
 
 def jax_sysid(case, start):
@@ -263,14 +280,15 @@ def jax_sysid(case, start):
     share = 1 - 1 / max(seen["iterations"], 2)  # the first iteration compiles: the others tell what it takes itself
     wall, cpu = ((last - first) / share for last, first in zip(seen["last"], seen["first"], strict=True))
     theta = np.concatenate([np.asarray(part).ravel() for part in seen["z"]])
-    note = f"{seen['iterations']} iterations"
-    return {"wall": wall, "cpu": cpu, "compile": seen["first"][0], "theta": theta, "note": note}
+    found = {"iterations": seen["iterations"], "theta": theta, "note": f"{seen['iterations']} iterations"}
+    return {"wall": wall, "cpu": cpu, "compile": seen["first"][0], **found}
 
 
 if __name__ == "__main__":
     with np.load(sys.argv[2]) as data:
         case = Case(**{n: v if n in ("u", "y", "starts") else v.tolist() for n, v in data.items()})
-    trainer = {"greygate": greygate, "scipy": scipy, "pyrenn": pyrenn, "jax-sysid": jax_sysid}[sys.argv[1]]
+    named = {"greygate": greygate, "greygate-lbfgs": greygate_lbfgs, "scipy": scipy, "pyrenn": pyrenn}
+    trainer = (named | {"jax-sysid": jax_sysid})[sys.argv[1]]
     for start in case.starts:
         found = trainer(case, start)
         print(json.dumps(found | {"theta": found["theta"].tolist()}), flush=True)
