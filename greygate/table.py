@@ -59,7 +59,8 @@ class CsvTable:
                 "sort the rows by time, and keep each time once"
             )
         raise InputError(
-            f"{where}: step {steps[at]:.6g} s where {right:.6g} s {why}; fill gaps and resample to uniform time"
+            f"{where}: step {steps[at]:.6g} s where {right:.6g} s {why}; fill gaps, and bring it to a uniform time: "
+            f"greygate look {self.path} --resample auto --out FILE.csv"
         )
 
 

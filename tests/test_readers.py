@@ -183,6 +183,13 @@ def test_a_header_with_two_readings_or_none_is_refused_with_what_to_write(header
         read_recording({"t": [0.0, 1.0], header: [0.0, 2.0]})
 
 
+def test_all_columns_without_a_unit_are_named_at_once_with_the_options_that_tell_it():
+    bare = {"t": [0.0, 1.0], "u": [0.0, 2.0], "x [m]": [0.0, 1.0], "y": [0.0, 3.0]}
+    with pytest.raises(InputError, match=r"columns u, y: have no unit; .*plain numbers: --unit u=1 --unit y=1"):
+        read_recording(bare)
+    assert read_recording(bare, units={"u": "1", "y": "1"}).units["y"] == "1"
+
+
 def test_a_required_unit_is_what_comes(tmp_path):
     csv_house(tmp_path / "record.csv")
     mat5(tmp_path / "v5.mat")

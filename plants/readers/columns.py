@@ -86,11 +86,15 @@ def channels(
         column, name, unit = named.pop(clocks[0])
         written = units.pop(name, "") or column.unit or unit or "s"
         time, _ = converted(np.asarray(column.values, float), written, f"{source}: time {name}", "s")
+    bare = [name for column, name, unit in named if not (units.get(name) or column.unit or unit or unitless)]
+    if bare:
+        raise InputError(
+            f"{source}: {_listed(bare)} no unit; write {bare[0]} [unit] in "
+            f"its header, or name the unit beside; of plain numbers: {' '.join(f'--unit {name}=1' for name in bare)}"
+        )
     found = []
     for column, name, unit in named:
-        where, told = f"{source}: column {name}", units.pop(name, "") or column.unit or unit or unitless
-        if told is None:
-            raise InputError(f"{where}: has no unit; write {name} [unit] in its header, or name the unit beside")
+        where, told = f"{source}: column {name}", units.pop(name, "") or column.unit or unit or unitless or ""
         values, kind = np.asarray(column.values, float), told
         if told != UNKNOWN:
             values, kind = converted(values, told, where, required.get(name))
@@ -111,6 +115,10 @@ def channels(
     if not found:
         raise InputError(f"{source}: holds no channel beside the time")
     return found
+
+
+def _listed(names: Sequence[str]) -> str:
+    return f"columns {', '.join(names)}: have" if len(names) > 1 else f"column {names[0]}: has"
 
 
 def _is_clock(name: str, header: str, clock: str | None) -> bool:
