@@ -1,6 +1,7 @@
 """Residuals, exact Jacobian through time and normal equations of any network on its records."""
 
 import hashlib
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -35,6 +36,11 @@ class _Window:
     follows: bool  # its initial state should be what the window before ends with
     own: tuple[int, ...] = ()  # output columns whose sensor has an offset of its own
     scaled: Mapping[int, float] = field(default_factory=dict)  # one with a gain of its own -> its zero, normalised
+
+
+def usable_cores() -> int:
+    """How many this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def best_gain(shown: np.ndarray, measured: np.ndarray, about_mean: bool) -> tuple[float, np.ndarray]:
@@ -416,7 +422,7 @@ class Objective:
         error = self._error(w)
         length = len(w.target)
         rows = min(CHUNK, length)
-        alone = alone or length * len(used) ** 2 < WORTH or length <= CHUNK
+        alone = alone or length * len(used) ** 2 < WORTH or length <= CHUNK or usable_cores() < 2
         blocks = [np.zeros((rows, len(t.shown), n + own)) for _ in range(1 if alone else 2)]
         outputs = list(enumerate(spans))
         parts = [outputs] if alone or self.portable else [part for part in (outputs[::2], outputs[1::2]) if part]
