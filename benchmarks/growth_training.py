@@ -1,11 +1,11 @@
 """How the time of a training step grows with samples and with weights, beside scipy and jax-sysid.
 
 A NOE of one layer learns a lag behind a curve in free run: 10^3 to 10^6 samples at 61 weights, 13 to 9,997 weights at
-10^4 samples. A step is one of Levenberg-Marquardt (greygate, scipy), or one of L-BFGS (greygate's, jax-sysid): a step
-of the former costs more and does more. CPU seconds of one thread, the mean over SECONDS of steps, compilation left out;
-no step within LIMIT seconds: nothing. Writes results/growth_training.json and docs/pictures/growth_training.svg.
+10^4 samples. A step is one of Levenberg-Marquardt (greygate, scipy), or one evaluation of loss and gradient, by which
+first-order methods step (greygate, jax-sysid). CPU seconds of one thread, the mean over SECONDS of steps, compilation
+left out; no step within LIMIT seconds: nothing. Writes results/growth_training.json, docs/pictures/growth_training.svg.
 
-python benchmarks/growth_training.py [--peers build/peers/bin/python] [--draw]
+python benchmarks/growth_training.py [PART] [--peers build/peers/bin/python] [--trainers ...] [--draw]
 """
 
 import argparse
@@ -28,7 +28,7 @@ SAMPLES, WEIGHTS = (1_000, 10_000, 100_000, 1_000_000), (13, 97, 997, 9_997)
 MIDDLE = 10_000  # samples beside growing weights
 NEURONS = 10  # beside growing samples
 TAPS = (1, 2)  # delays of input and output
-TRAINERS = ("greygate", "greygate-lbfgs", "scipy", "jax-sysid")
+TRAINERS = ("greygate", "scipy", "greygate,gradient", "jax-sysid,gradient")
 SECONDS, LIMIT = 5.0, 120.0
 SEED = 0
 TURNS = 0.5  # of a sum's standard deviation: tanh bends, and the free run is stable
@@ -58,7 +58,7 @@ def case(samples: int, neurons: int) -> dict[str, np.ndarray]:
 
 def step(trainer: str, given: dict[str, np.ndarray], peers: str) -> float | None:
     """CPU seconds of a step; None where there was none in time."""
-    python = sys.executable if trainer in OURS else peers
+    python = sys.executable if trainer.partition(",")[0] in OURS else peers
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "case.npz"
         np.savez(path, **given)
@@ -91,7 +91,7 @@ def draw() -> None:
     from greygate.pages.figures import Curve
 
     found = json.loads((RESULTS / f"{NAME}.json").read_text())
-    kinds = dict(zip(TRAINERS, ("fixed", "cost", "mark", "reference"), strict=True))
+    kinds = dict(zip(TRAINERS, ("fixed", "mark", "cost", "reference"), strict=True))
     panels = []
     for part, x, beside in (("samples", "samples", "61 weights"), ("weights", "weights", "10,000 samples")):
         lines = []
@@ -100,35 +100,41 @@ def draw() -> None:
             if known:
                 lines.append(Curve(*map(list, zip(*known, strict=True)), kind))
         panels.append((f"a step at {beside}", panel(lines, x, "CPU seconds", x_log=True, y_log=True)))
-    names = ("greygate, LM", "greygate, L-BFGS", "scipy, LM", "jax-sysid, L-BFGS")
+    names = ("greygate, LM", "scipy, LM", "greygate, gradient", "jax-sysid, gradient")
     with replacing(FOLDER / f"{NAME}.svg") as path:
         path.write_text(picture(panels, [(kinds[t], n) for t, n in zip(TRAINERS, names, strict=True)]))
 
 
-def main(peers: str) -> None:
+def main(part: str, trainers: Sequence[str], peers: str) -> None:
     sweeps = {
         "samples": [(n, n, NEURONS) for n in SAMPLES],
         "weights": [(n, MIDDLE, (n - 1) // (2 * len(TAPS) + 2)) for n in WEIGHTS],
     }
-    for part, points in sweeps.items():
+    path = RESULTS / f"{NAME}.json"
+    for name, points in sweeps.items():
+        if part not in ("", name):
+            continue
         sizes = [size for size, *_ in points]
-        seconds: dict[str, list[float | None]] = {trainer: [] for trainer in TRAINERS}
+        seconds: dict[str, list[float | None]] = {trainer: [] for trainer in trainers}
         for size, samples, neurons in points:
             given = case(samples, neurons)
             for trainer, times in seconds.items():
                 # what took too long once takes longer still
                 times.append(None if times and times[-1] is None else step(trainer, given, peers))
-                print(f"{size} {part}, {trainer}: {times[-1]} s", flush=True)
+                print(f"{size} {name}, {trainer}: {times[-1]} s", flush=True)
+        before = json.loads(path.read_text())[name]["seconds"] if path.exists() else {}
+        seconds = {trainer: (before | seconds)[trainer] for trainer in TRAINERS if trainer in before | seconds}
         powers = {trainer: exponent(sizes, times) for trainer, times in seconds.items()}
-        keep(NAME, part, {"sizes": sizes, "seconds": seconds, "exponents": powers})
+        keep(NAME, name, {"sizes": sizes, "seconds": seconds, "exponents": powers})
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
-    parser.add_argument("part", nargs="?", default="", help="for the record of how a result was made")
+    parser.add_argument("part", nargs="?", default="", help="samples or weights; both without it")
+    parser.add_argument("--trainers", nargs="*", default=TRAINERS)
     parser.add_argument("--peers", default="build/peers/bin/python")
     parser.add_argument("--draw", action="store_true", help="only draw what is stored")
     options = parser.parse_args()
     if not options.draw:
-        main(options.peers)
+        main(options.part, options.trainers, options.peers)
     draw()

@@ -1,9 +1,10 @@
 """One trainer on one network from its start weights, in a process of its own: benchmarks/training.py runs it.
 
-python benchmarks/trainers.py TRAINER CASE.npz
+python benchmarks/trainers.py TRAINER[,gradient] CASE.npz
 
 Prints a JSON line for each start: {"wall", "cpu", "compile", "iterations", "theta", "note"}, times in seconds. All
 minimise the same sum of squares: free run from rest, tansig layers, linear output; theta = W1 by rows, b1, W2, b2, ...
+With `,gradient` it only evaluates loss and gradient at the start, as often as there is time; both are `iterations`.
 """
 
 import json
@@ -66,14 +67,25 @@ class EndError(Exception):
     """The goal is reached, or the time is over."""
 
 
-def greygate(case, start, method="train"):
+def evaluated(case, function, start):
+    """Loss and gradient again and again at the start, until the time is over; one that compiles goes before."""
+    function()
+    watch, count = Watch(), 0
+    while not count or watch.read()[1] < case.cap:
+        function()
+        count += 1
+    wall, cpu = watch.read()
+    found = {"iterations": count, "theta": start, "note": f"{count} evaluations"}
+    return {"wall": wall, "cpu": cpu, "compile": 0.0, **found}
+
+
+def greygate(case, start, gradient=False):
     from greygate.models.families.regression import noe
     from greygate.models.network import Port
-    from greygate.models.training.descent import lbfgs
+    from greygate.models.training.descent import _Descent
     from greygate.models.training.levenberg import train
     from greygate.models.training.record import Record
 
-    fit_by = {"train": train, "lbfgs": lbfgs}[method]
     network = noe("n", {Port("u"): case.inputs}, Port("y"), case.feedback, case.sizes[1:-1], bypass=False)
     ports = [f"u_z{d}" for d in case.inputs] + [f"y_z{d}" for d in case.feedback]
     names, values = [*[f"hidden{i}" for i in range(1, len(case.sizes) - 1)], "sum"], {}
@@ -81,11 +93,14 @@ def greygate(case, start, method="train"):
         fed = {p: w[:, [j]] for j, p in enumerate(ports)} if i == 0 else {names[i - 1]: w}
         values |= {f"{name}.{p}": part for p, part in fed.items()} | {f"{name}.bias": b}
     network, record = network.with_parameters(values), Record({"u": case.u}, {"y": case.y})
+    if gradient:
+        descent = _Descent(network, [record])
+        return evaluated(case, lambda: (descent.loss(descent.start), descent.gradient(descent.start)), start)
     watch = Watch()
-    fit_by(network, [record], epochs=1)
+    train(network, [record], epochs=1)
     compiled = watch.read()[0]
     watch = Watch()
-    fit = fit_by(network, [record], epochs=100_000, goal=case.goal / 2, seconds=case.cap, tolerance=0.0)
+    fit = train(network, [record], epochs=100_000, goal=case.goal / 2, seconds=case.cap, tolerance=0.0)
     wall, cpu = watch.read()
     after = fit.network.parameters()
     theta = []
@@ -102,10 +117,6 @@ def greygate(case, start, method="train"):
         "theta": np.concatenate(theta),
         "note": note,
     }
-
-
-def greygate_lbfgs(case, start):
-    return greygate(case, start, "lbfgs")
 
 
 def scipy(case, start):
@@ -229,7 +240,7 @@ def pyrenn(case, start):
     return {"wall": wall, "cpu": cpu, "compile": 0.0, **found}
 
 
-def jax_sysid(case, start):
+def jax_sysid(case, start, gradient=False):
     """L-BFGS alone, as its documentation has it for recurrent networks; a thousand steps of Adam first cost time."""
     import jax
 
@@ -258,6 +269,10 @@ def jax_sysid(case, start):
 
     def callback(iterations, iprint, loss):
         def watched(z):
+            if gradient:
+                both = jax.jit(jax.value_and_grad(loss))
+                seen["evaluated"] = evaluated(case, lambda: jax.block_until_ready(both(z)), start)
+                raise StopIteration
             if not seen["iterations"]:
                 seen["first"] = watch.read()
             seen["iterations"] += 1
@@ -277,6 +292,8 @@ def jax_sysid(case, start):
         model.fit(y[:, None], u[:, None])
     finally:
         _model.lbfgs_callback = kept
+    if gradient:
+        return seen["evaluated"]
     share = 1 - 1 / max(seen["iterations"], 2)  # the first iteration compiles: the others tell what it takes itself
     wall, cpu = ((last - first) / share for last, first in zip(seen["last"], seen["first"], strict=True))
     theta = np.concatenate([np.asarray(part).ravel() for part in seen["z"]])
@@ -287,8 +304,8 @@ def jax_sysid(case, start):
 if __name__ == "__main__":
     with np.load(sys.argv[2]) as data:
         case = Case(**{n: v if n in ("u", "y", "starts") else v.tolist() for n, v in data.items()})
-    named = {"greygate": greygate, "greygate-lbfgs": greygate_lbfgs, "scipy": scipy, "pyrenn": pyrenn}
-    trainer = (named | {"jax-sysid": jax_sysid})[sys.argv[1]]
+    name, _, gradient = sys.argv[1].partition(",")
+    trainer = {"greygate": greygate, "scipy": scipy, "pyrenn": pyrenn, "jax-sysid": jax_sysid}[name]
     for start in case.starts:
-        found = trainer(case, start)
+        found = trainer(case, start, True) if gradient else trainer(case, start)
         print(json.dumps(found | {"theta": found["theta"].tolist()}), flush=True)

@@ -29,7 +29,7 @@ from greygate.models.training.record import Record
 LOOSE = 100  # the NARX start's error over the goal
 HERE = Path(__file__).parent
 TRAINERS = ("greygate", "scipy", "pyrenn", "jax-sysid")
-OURS = ("greygate", "greygate-lbfgs", "scipy")  # of the environment that runs this
+OURS = ("greygate", "scipy")  # of the environment that runs this
 ONE_THREAD = {
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
