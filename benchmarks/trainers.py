@@ -82,7 +82,7 @@ def evaluated(case, function, start):
 def greygate(case, start, gradient=False):
     from greygate.models.families.regression import noe
     from greygate.models.network import Port
-    from greygate.models.training.descent import _Descent
+    from greygate.models.training.descent import _Swept
     from greygate.models.training.levenberg import train
     from greygate.models.training.record import Record
 
@@ -94,8 +94,8 @@ def greygate(case, start, gradient=False):
         values |= {f"{name}.{p}": part for p, part in fed.items()} | {f"{name}.bias": b}
     network, record = network.with_parameters(values), Record({"u": case.u}, {"y": case.y})
     if gradient:
-        descent = _Descent(network, [record])
-        return evaluated(case, lambda: (descent.loss(descent.start), descent.gradient(descent.start)), start)
+        swept = _Swept(network, [record])
+        return evaluated(case, lambda: (swept.squares(swept.theta), swept.gradient(swept.theta)), start)
     watch = Watch()
     train(network, [record], epochs=1)
     compiled = watch.read()[0]
