@@ -20,7 +20,7 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.models.activations import ACTIVATIONS
 from greygate.models.network import Network
-from greygate.models.training.kernels import LANES, Tables, forward, kernel, sensitivities, slopes_at
+from greygate.models.training.kernels import LANES, SELECT, Tables, forward, kernel, sensitivities, slopes_at
 from greygate.models.training.levenberg import STOP, Outcome, Trained, blas, stands
 from greygate.models.training.loss import Decay, Loss
 from greygate.models.training.objective import Objective
@@ -357,6 +357,7 @@ def _back(t: Tables, theta, now, past, forced, error, gradient):  # pragma: no c
     ring = t.depth + 1
     adjoint = np.zeros((ring, now.shape[1]))
     slopes, active = np.empty((now.shape[1], LANES)), np.zeros((now.shape[1], LANES), np.int64)
+    delta = np.empty(now.shape[1])
     for k in range(len(error) - 1, -1, -1):
         a, at = adjoint[k % ring], t.depth + k
         for j in range(len(t.shown)):
@@ -365,28 +366,35 @@ def _back(t: Tables, theta, now, past, forced, error, gradient):  # pragma: no c
         if lane == LANES - 1 or k == len(error) - 1:
             slopes_at(t.layers, t.links, theta, at - lane, lane + 1, now, past, slopes, active)
         for layer in range(len(t.layers) - 2, -1, -1):
-            first, size, _, bias, lo = t.layers[layer]
-            hi = t.layers[layer + 1, 4]
+            first, size, kind, bias, lo = t.layers[layer]
+            acts = False
             for o in range(size):
-                d, row = a[first + o] * slopes[first + o, lane], active[first + o, lane]
-                if d == 0.0:
+                delta[o] = a[first + o] * slopes[first + o, lane]
+                acts |= delta[o] != 0.0
+            if not acts:
+                continue
+            for o in range(size):
+                gradient[bias + active[first + o, lane]] += delta[o]
+            for c in range(lo, t.layers[layer + 1, 4]):
+                source, width, delay, w = t.links[c]
+                signals = now[at] if delay == 0 else past[at - delay]
+                goes_on = source >= t.n_inputs and (delay == 0 or (not forced[source] and k >= delay))
+                back = adjoint[(k - delay) % ring]
+                if width == 1 and kind != SELECT:  # one tap to all neurons: contiguous in theta
+                    total = 0.0
+                    for o in range(size):
+                        gradient[w + o] += delta[o] * signals[source]
+                        total += delta[o] * theta[w + o]
+                    if goes_on:
+                        back[source] += total
                     continue
-                gradient[bias + row] += d
-                for c in range(lo, hi):
-                    source, width, delay, w = t.links[c]
-                    w += row * width
-                    if delay == 0:
+                for o in range(size):
+                    v = w + active[first + o, lane] * width
+                    for i in range(width):
+                        gradient[v + i] += delta[o] * signals[source + i]
+                    if goes_on:
                         for i in range(width):
-                            gradient[w + i] += d * now[at, source + i]
-                        if source >= t.n_inputs:
-                            for i in range(width):
-                                a[source + i] += d * theta[w + i]
-                    else:
-                        for i in range(width):
-                            gradient[w + i] += d * past[at - delay, source + i]
-                        if source >= t.n_inputs and not forced[source] and k >= delay:
-                            for i in range(width):
-                                adjoint[(k - delay) % ring, source + i] += d * theta[w + i]
+                            back[source + i] += delta[o] * theta[v + i]
         a[:] = 0.0
 
 
