@@ -28,16 +28,12 @@ SAMPLES, WEIGHTS = (1_000, 10_000, 100_000, 1_000_000), (13, 97, 997, 9_997)
 MIDDLE = 10_000  # samples beside growing weights
 NEURONS = 10  # beside growing samples
 TAPS = (1, 2)  # delays of input and output
+OF_NEURON = 2 * len(TAPS) + 2  # weights: its taps, its bias, its part in the sum
 TRAINERS = ("greygate", "scipy", "greygate,gradient", "jax-sysid,gradient")
 SECONDS, LIMIT = 5.0, 200.0
 SEED = 0
 TURNS = 0.5  # of a sum's standard deviation: tanh bends, and the free run is stable
 NAME = "growth_training"
-
-
-def weights(neurons: int) -> int:
-    """Of a network of so many neurons."""
-    return neurons * (2 * len(TAPS) + 2) + 1
 
 
 def case(samples: int, neurons: int) -> dict[str, np.ndarray]:
@@ -108,7 +104,7 @@ def draw() -> None:
 def main(part: str, trainers: Sequence[str], peers: str) -> None:
     sweeps = {
         "samples": [(n, n, NEURONS) for n in SAMPLES],
-        "weights": [(n, MIDDLE, (n - 1) // (2 * len(TAPS) + 2)) for n in WEIGHTS],
+        "weights": [(n, MIDDLE, (n - 1) // OF_NEURON) for n in WEIGHTS],
     }
     path = RESULTS / f"{NAME}.json"
     for name, points in sweeps.items():

@@ -298,11 +298,16 @@ def test_normal_equations_do_not_depend_on_how_the_steps_are_cut_or_on_the_cores
     slopes = (np.array(errors[: len(steps)]) - errors[len(steps) :]).T / 2e-6
     np.testing.assert_allclose(want[0], (slopes.T @ slopes)[np.ix_(posed.free, posed.free)], rtol=1e-5, atol=1e-6)
     monkeypatch.setattr(objective_module, "CHUNK", chunk)
-    for worth in (0.0, np.inf):
+    found = []
+    for worth, cores in ((0.0, 2), (np.inf, 2), (0.0, 1)):
         monkeypatch.setattr(objective_module, "WORTH", worth)
+        monkeypatch.setattr(objective_module, "usable_cores", lambda cores=cores: cores)
         posed.squares(posed.theta)
-        for found, whole in zip(posed.normal_equations(posed.theta), want, strict=True):
-            np.testing.assert_allclose(found, whole, rtol=1e-10, atol=1e-10)
+        found.append(posed.normal_equations(posed.theta))
+    for of, whole in zip(found[0], want, strict=True):
+        np.testing.assert_allclose(of, whole, rtol=1e-10, atol=1e-10)
+    for other in found[1:]:
+        assert all(np.array_equal(a, b) for a, b in zip(found[0], other, strict=True))
 
 
 def test_multiple_shooting_trains_from_weights_whose_free_run_diverges():

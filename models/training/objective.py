@@ -425,7 +425,8 @@ class Objective:
         alone = alone or length * len(used) ** 2 < WORTH or length <= CHUNK or usable_cores() < 2
         blocks = [np.zeros((rows, len(t.shown), n + own)) for _ in range(1 if alone else 2)]
         outputs = list(enumerate(spans))
-        parts = [outputs] if alone or self.portable else [part for part in (outputs[::2], outputs[1::2]) if part]
+        # what one core sums and what two do is the same, to the bit; of portable ones it always was one sum
+        parts = [outputs] if self.portable else [part for part in (outputs[::2], outputs[1::2]) if part]
         totals = [(np.zeros((n + own, n + own)), np.zeros(n + own)) for _ in parts]
         added = self._own(w)
         sums = {output: np.zeros((len(z), n + own)) for output, (_, z) in added.items()}  # of J along what they add
@@ -454,7 +455,8 @@ class Objective:
             stop, block = min(start + CHUNK, length), blocks[i % len(blocks)]
             derivatives(*t, theta[:n], w.now, w.past, carried, start, stop, block)
             if alone:
-                add(0, block, start, stop)
+                for part in range(len(parts)):
+                    add(part, block, start, stop)
                 continue
             for future in under_way:
                 future.result()
