@@ -138,7 +138,7 @@ def table(rows: list[dict]) -> list[str]:
     inside = [ok for row in right for ok in json.loads(row["inside"]).values()]
     removed = [float(row["removed"]) for row in strong + two if row["removed"] not in ("", "None")]
     seconds, cpu = (np.median([float(row[key]) for row in rows]) for key in ("seconds", "cpu"))
-    honest = [row for row in foreign if row["verdict"] == Verdict.UNEXPLAINED]
+    honest = [row for row in foreign if row["verdict"] in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED)]
     lines = [
         f"cases: {len(rows)} ({', '.join(f'{k} {len(v)}' for k, v in by.items())})",
         f"right effect first, where it removes half or more of the error: {share(strong, _first)}",
@@ -149,6 +149,7 @@ def table(rows: list[dict]) -> list[str]:
         f"true values inside 95 % intervals (standard forms): {share(inside, bool)}",
         f"median share of the removable error removed on unseen data: {np.median(removed) if removed else np.nan:.3f}",
         f"outside the vocabulary, unexplained: {share(foreign, lambda r: r['verdict'] == Verdict.UNEXPLAINED)}",
+        f"  or partly explained: {share(foreign, lambda r: r in honest)}",
         f"  of these with the right equation: {share(honest, _placed)}",
         f"  and a right variable: {share(honest, lambda r: _placed(r) and float(r['variables'] or 1) > 0)}",
         f"  a wrong name claimed: {share(foreign, lambda r: r['verdict'] == Verdict.MISSING_PHYSICS)}",
