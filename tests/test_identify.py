@@ -162,7 +162,7 @@ def test_a_stretch_that_is_like_no_other_is_named(short):
 
 def test_a_model_that_time_does_not_suffice_for_is_left_untried(short):
     posed = task({"a": recorded(1)}, ["u"], "y")
-    model, folds = halving.Model(LINEAR, Orders(1, (0,))).line, posed.folds()
+    model, folds = halving.Model(LINEAR, Orders(1, (0,))).line, dict(enumerate(posed.folds()))
     assert halving.judged(posed, folds, model, None, 0, halving.LADDER, 0.0) is None
     hasty = halving.judged(posed, folds, model, None, 0, halving.LADDER, time.time() + 1e-3)
     whole = halving.judged(posed, folds, model, None, 0, halving.LADDER, math.inf)
@@ -398,7 +398,7 @@ def test_a_model_whose_motions_grow_is_judged_as_one_that_diverges():
     wild = LINEAR.build(model.orders, posed.inputs, posed.output, 0).with_parameters({"state.y_z1": [[1.01]]})
     tried = halving.Tried(model, 0, dict.fromkeys(range(8), wild), {}, 0.0)
     rung = replace(halving.LADDER, epochs=0)
-    judged = halving.judged(posed, posed.folds(), model, tried, 0, rung, math.inf)
+    judged = halving.judged(posed, dict(enumerate(posed.folds())), model, tried, 0, rung, math.inf)
     assert judged.error == math.inf
     assert set(map(tuple, judged.errors.values())) == {(None,)}
 

@@ -6,6 +6,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from joblib import Parallel, delayed
 from networks import random_inputs, random_network
 from test_network import SMOOTH, delay_line
 
@@ -15,7 +16,7 @@ from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training import objective as objective_module
 from greygate.models.training.levenberg import Outcome, multistart, narx_noe, train
-from greygate.models.training.objective import Objective
+from greygate.models.training.objective import Objective, usable_cores
 from greygate.models.training.record import Record
 
 
@@ -308,6 +309,11 @@ def test_normal_equations_do_not_depend_on_how_the_steps_are_cut_or_on_the_cores
         np.testing.assert_allclose(of, whole, rtol=1e-10, atol=1e-10)
     for other in found[1:]:
         assert all(np.array_equal(a, b) for a, b in zip(found[0], other, strict=True))
+
+
+def test_trainings_side_by_side_share_the_cores():
+    few, shares = usable_cores(), Parallel(2)(delayed(usable_cores)() for _ in range(2))
+    assert shares == 2 * [max(few // 2, 1)]
 
 
 def test_multiple_shooting_trains_from_weights_whose_free_run_diverges():

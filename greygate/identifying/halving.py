@@ -258,12 +258,13 @@ class Halving:
 
     def rung(self, number: int, rung: Rung, models: Sequence[Model]) -> None:
         """Train the models on every fold and judge them; those that time does not suffice for stay as they are."""
-        until = self.deadline(rung.until)
+        until, chosen = self.deadline(rung.until), range(0, len(self.folds), rung.every)
+        folds = {at: self.folds[at] for at in chosen}  # thinned here: every model is sent what it is trained on alone
+        folds = {at: replace(f, pieces=thinned(f.pieces, rung.samples, self.task)) for at, f in folds.items()}
         tasks = [
-            joblib.delayed(judged)(self.task, self.folds, m, self.tried.get(m.line), number, rung, until)
-            for m in models
+            joblib.delayed(judged)(self.task, folds, m, self.tried.get(m.line), number, rung, until) for m in models
         ]
-        for tried in joblib.Parallel(self.jobs, prefer="threads", return_as="generator_unordered")(tasks):
+        for tried in joblib.Parallel(self.jobs, return_as="generator_unordered")(tasks):
             if tried is not None:
                 before = self.tried.get(tried.model)
                 if before and set(before.errors) == set(tried.errors) and before.error < tried.error:
@@ -333,24 +334,23 @@ class Halving:
 
 
 def judged(
-    task: Task, folds: Sequence[Fold], model: Model, line: Tried | None, number: int, rung: Rung, until: float
+    task: Task, folds: Mapping[int, Fold], model: Model, line: Tried | None, number: int, rung: Rung, until: float
 ) -> Tried | None:
-    """The model, trained on every fold of a rung and judged; None if time is up before. line: what it is grown from."""
+    """The model, trained on the folds of a rung and judged; None if time is up before. line: what it is grown from."""
     began = time()
     if began > until:
         return None
     networks, errors = {}, {}
-    for place in range(0, len(folds), rung.every):
-        pieces = thinned(folds[place].pieces, rung.samples, task)
+    for place, fold in folds.items():
         grows = line.networks[place] if line else None
         if grows is None or model.form.linear:
-            fit = linear(task, model, grows, pieces, rung, until)
+            fit = linear(task, model, grows, fold.pieces, rung, until)
         else:
-            fit = network(task, model, grows, pieces, rung, until)
+            fit = network(task, model, grows, fold.pieces, rung, until)
         if fit.outcome is Outcome.TIME:
             return None
         networks[place] = fit.network
-        errors[place] = [task.errors(networks[place], block) for block in folds[place].blocks]
+        errors[place] = [task.errors(networks[place], block) for block in fold.blocks]
     if most(not stable(model, n, task) for n in networks.values()):
         errors = {place: [None] * len(of) for place, of in errors.items()}
     return Tried(model, number, networks, errors, time() - began)

@@ -1,12 +1,12 @@
 """Residuals, exact Jacobian through time and normal equations of any network on its records."""
 
 import hashlib
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numba import config
 
 from greygate.errors import InputError
 from greygate.models.arithmetic import gram
@@ -39,8 +39,8 @@ class _Window:
 
 
 def usable_cores() -> int:
-    """How many this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """How many this process may use; joblib gives its share to each of several."""
+    return vars(config)["NUMBA_NUM_THREADS"]
 
 
 def best_gain(shown: np.ndarray, measured: np.ndarray, about_mean: bool) -> tuple[float, np.ndarray]:
