@@ -1,7 +1,4 @@
-"""Simulations of one plant side by side: they hold no lock while they run, so threads take them to all cores.
-
-What sets NUMBA_NUM_THREADS sets their number; joblib does, where several rigs are diagnosed at a time.
-"""
+"""Simulations of one plant side by side: they hold no lock while they run, so threads take them to all cores."""
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -10,14 +7,14 @@ from functools import cache
 from time import perf_counter
 from typing import TypeVar
 
-from numba import config
+from greygate.cores import usable_cores
 
 FEW = 3  # items: fewer are done one after the other
 WORTH = 2e-3  # s that the first item takes: below, handing items to threads costs more than it saves
 
 Item = TypeVar("Item")
 Found = TypeVar("Found")
-CORES: int = vars(config)["NUMBA_NUM_THREADS"]
+CORES = usable_cores()
 
 _inside = ContextVar("inside", default=False)
 

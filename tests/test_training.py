@@ -10,13 +10,14 @@ from joblib import Parallel, delayed
 from networks import random_inputs, random_network
 from test_network import SMOOTH, delay_line
 
+from greygate.cores import usable_cores
 from greygate.errors import InputError
 from greygate.models.families.blocks import feedforward, flow_rate, flow_record
 from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training import objective as objective_module
 from greygate.models.training.levenberg import Outcome, multistart, narx_noe, train
-from greygate.models.training.objective import Objective, usable_cores
+from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 
 

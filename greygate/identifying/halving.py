@@ -258,9 +258,11 @@ class Halving:
 
     def rung(self, number: int, rung: Rung, models: Sequence[Model]) -> None:
         """Train the models on every fold and judge them; those that time does not suffice for stay as they are."""
-        until, chosen = self.deadline(rung.until), range(0, len(self.folds), rung.every)
-        folds = {at: self.folds[at] for at in chosen}  # thinned here: every model is sent what it is trained on alone
-        folds = {at: replace(f, pieces=thinned(f.pieces, rung.samples, self.task)) for at, f in folds.items()}
+        until = self.deadline(rung.until)
+        folds = {  # every process is sent only what is trained on
+            place: replace(self.folds[place], pieces=thinned(self.folds[place].pieces, rung.samples, self.task))
+            for place in range(0, len(self.folds), rung.every)
+        }
         tasks = [
             joblib.delayed(judged)(self.task, folds, m, self.tried.get(m.line), number, rung, until) for m in models
         ]

@@ -6,8 +6,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numba import config
 
+from greygate.cores import usable_cores
 from greygate.errors import InputError
 from greygate.models.arithmetic import gram
 from greygate.models.network import Network
@@ -36,11 +36,6 @@ class _Window:
     follows: bool  # its initial state should be what the window before ends with
     own: tuple[int, ...] = ()  # output columns whose sensor has an offset of its own
     scaled: Mapping[int, float] = field(default_factory=dict)  # one with a gain of its own -> its zero, normalised
-
-
-def usable_cores() -> int:
-    """How many this process may use; joblib gives its share to each of several."""
-    return vars(config)["NUMBA_NUM_THREADS"]
 
 
 def best_gain(shown: np.ndarray, measured: np.ndarray, about_mean: bool) -> tuple[float, np.ndarray]:
