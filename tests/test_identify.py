@@ -444,6 +444,19 @@ def test_what_more_training_spoils_stays_as_it_was(monkeypatch):
         assert search.tried[model].rung == number
 
 
+def test_a_rung_trains_on_windows_of_its_folds_alone(monkeypatch):
+    search = halving.Halving(task({"a": recorded(1, samples=4000)}, ["u"], "y"), math.inf, 1)
+    sent = []
+    monkeypatch.setattr(halving, "judged", lambda task, folds, *rest: sent.append(folds))
+    rung = replace(halving.LADDER, samples=2100, every=3)
+    search.rung(1, rung, [halving.Model(LINEAR, Orders(1, (0,)), 0.0)])
+    (folds,) = sent
+    assert list(folds) == [0, 3, 6]
+    for place, fold in folds.items():
+        assert 1000 < sum(map(len, fold.pieces)) <= rung.samples < sum(map(len, search.folds[place].pieces))
+        assert fold.blocks is search.folds[place].blocks
+
+
 def found_linear(posed, error: float, *orders, weight: float = 0.5, **more) -> halving.Tried:
     """A linear model that a search found, with that error over everything held out."""
     model = halving.Model(LINEAR, Orders(*orders, **more), 0.0)
