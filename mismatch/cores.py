@@ -7,7 +7,7 @@ from functools import cache
 from time import perf_counter
 from typing import TypeVar
 
-from greygate.cores import usable_cores
+from greygate.models.cores import usable_cores
 
 FEW = 3  # items: fewer are done one after the other
 WORTH = 2e-3  # s that the first item takes: below, handing items to threads costs more than it saves
