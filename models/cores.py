@@ -1,7 +1,13 @@
-"""How many cores this process may use. joblib gives each of several processes a share, in NUMBA_NUM_THREADS."""
+"""How many cores this process may use."""
+
+import os
 
 from numba import config
 
 
 def usable_cores() -> int:
-    return vars(config)["NUMBA_NUM_THREADS"]
+    """Those that it is pinned to now, and no more than its share, NUMBA_NUM_THREADS, which joblib gives to each of
+    several processes.
+    """
+    share = vars(config)["NUMBA_NUM_THREADS"]
+    return min(share, len(os.sched_getaffinity(0))) if hasattr(os, "sched_getaffinity") else share

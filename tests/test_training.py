@@ -1,3 +1,4 @@
+import os
 import re
 from dataclasses import replace
 
@@ -315,6 +316,16 @@ def test_normal_equations_do_not_depend_on_how_the_steps_are_cut_or_on_the_cores
 def test_trainings_side_by_side_share_the_cores():
     few, shares = usable_cores(), Parallel(2)(delayed(usable_cores)() for _ in range(2))
     assert shares == 2 * [max(few // 2, 1)]
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system pins no process to a core")
+def test_a_process_that_is_pinned_to_a_core_hands_nothing_to_another():
+    before = os.sched_getaffinity(0)
+    try:
+        os.sched_setaffinity(0, sorted(before)[:1])
+        assert usable_cores() == 1
+    finally:
+        os.sched_setaffinity(0, before)
 
 
 def test_multiple_shooting_trains_from_weights_whose_free_run_diverges():
