@@ -10,7 +10,7 @@ NO_FLOATS := rtl random_hardware adders_hardware synthesis proofs engine board c
 
 .PHONY: demo docs pages test test-old lint types bench bench-training bench-diagnosis bench-rigs bench-programs fuzz faults \
     mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-tables \
-    bench-flow bench-growth bench-exploring bench-blind bench-next bench-c99 bench-fmus bench-importers bench-wheel bench-browser bench-memory
+    bench-flow bench-growth bench-exploring bench-blind bench-next bench-speed bench-c99 bench-fmus bench-importers bench-wheel bench-browser bench-memory
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
@@ -104,13 +104,17 @@ bench-diagnosis: $(VENV)/.ready-dev
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/concealed.py
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/measured_mismatch.py
 
-# Half an hour: every command of diagnosis on 200 random valid rigs.
+# Ten minutes: every command of diagnosis on 200 random valid rigs.
 bench-rigs: $(VENV)/.ready-dev
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/generated_rigs.py --rigs 200 --jobs 2
 
 # Twenty minutes: experiments until an ambiguous diagnosis is resolved, by `greygate next`, random ones, multisines.
 bench-next: $(VENV)/.ready-dev
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/next_experiments.py
+
+# Half an hour: how long a diagnosis takes; BEFORE=OTHER/.venv/bin has `greygate` of another checkout beside it.
+bench-speed: $(VENV)/.ready-dev
+	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/diagnosis_speed.py $(if $(BEFORE),--before $(BEFORE))
 
 # Hours: the blind benchmark's development split, ours and the baselines. TOOLS=greygate for ours alone.
 bench-blind: $(VENV)/.ready-dev

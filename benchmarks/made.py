@@ -29,7 +29,7 @@ def made(part: str) -> dict[str, str]:
     script = Path(sys.argv[0]).resolve().relative_to(ROOT)
     changed = _git("status", "--porcelain", "--untracked-files=no", "--", ".", ":!benchmarks/results", ":!docs")
     return {
-        "command": f"python {script} {part}",
+        "command": f"python {script} {part}".rstrip(),
         "commit": _git("rev-parse", "--short=10", "HEAD") + ("+" if changed else ""),
         "date": date.today().isoformat(),
     }

@@ -1,0 +1,115 @@
+"""How long does a diagnosis take, and how long did it take an earlier state of the code? Both in one run, by turns.
+
+    python benchmarks/diagnosis_speed.py                            # writes results/diagnosis_speed.json
+    python benchmarks/diagnosis_speed.py --before OTHER/.venv/bin   # with `greygate` of another checkout beside it
+
+A diagnosis is the command `greygate diagnose` in a process of its own, so that its start and what it compiles count.
+Both states are given the same folders: four cases of each concealed machine, one of each small machine of another
+field, and measured recordings where they are at hand. One that outlasts LIMIT counts as LIMIT.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from statistics import median
+
+from made import made
+from measured_mismatch import make
+
+from greygate.errors import InputError
+from greygate.mismatch.concealed.conceal import RIGS, conceal
+from greygate.mismatch.concealed.domains import DOMAINS
+
+RESULT = Path(__file__).parent / "results" / "diagnosis_speed.json"
+LIMIT = 600.0  # s
+SEED = 9700  # of the concealed cases: no other benchmark has it
+KINDS = ("clean", "one", "two", "foreign")
+MEASURED = ("emps", "ced", "tanks", "mts", "kuka-2", "crane")
+PRIVATE = ("sealed.json", "sealed.json.sha256", "third.csv")
+
+
+def rigs(folder: Path) -> Iterator[tuple[str, Path]]:
+    """Group and folder of every rig."""
+    for plant in RIGS:
+        for kind in KINDS:
+            yield "concealed", hidden(plant, kind, folder)
+    for plant in DOMAINS:
+        yield "small machines", hidden(plant, "one", folder)
+    for name in MEASURED:
+        try:
+            yield "measured", make(name, folder / name)
+        except (InputError, FileNotFoundError) as error:
+            print(f"{name}: left out, {error}", file=sys.stderr)
+
+
+def hidden(plant: str, kind: str, folder: Path) -> Path:
+    """A concealed case without its answer."""
+    rig = conceal(plant, SEED, folder / f"{plant}_{kind}", kind=kind)
+    for name in PRIVATE:
+        (rig / name).unlink()
+    return rig
+
+
+def diagnosed(command: Path, rig: Path) -> dict:
+    """Seconds of one diagnosis, and what it says: verdict and effects, or its exit code and last words."""
+    out = rig / "d.json"
+    out.unlink(missing_ok=True)
+    began = time.perf_counter()
+    try:
+        ran = subprocess.run([command, "diagnose", rig, "--out", out], capture_output=True, text=True, timeout=LIMIT)
+    except subprocess.TimeoutExpired:
+        return {"seconds": LIMIT, "says": "not done"}
+    seconds = round(time.perf_counter() - began, 2)
+    if ran.returncode not in (0, 1) or not out.exists():
+        return {"seconds": seconds, "says": f"exit code {ran.returncode}: {ran.stderr.strip().splitlines()[-1][:120]}"}
+    said = json.loads(out.read_text(encoding="utf-8"))
+    return {"seconds": seconds, "says": " ".join([said["verdict"], *(e["id"] for e in said["effects"])])}
+
+
+def commit(folder: Path) -> str:
+    """The commit of the checkout that `folder` is in."""
+    ask = ["git", "-C", folder, "rev-parse", "--short=10", "HEAD"]
+    return subprocess.run(ask, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def summary(rows: list[dict], states: list[str]) -> dict:
+    """Median and worst seconds of each group and state; the ratio is that of each rig, its median."""
+    groups = {"all": rows} | {g: [r for r in rows if r["group"] == g] for g in dict.fromkeys(r["group"] for r in rows)}
+    found = {}
+    for group, part in groups.items():
+        found[group] = {"rigs": len(part)}
+        for state in states:
+            seconds = [row[state]["seconds"] for row in part]
+            found[group][state] = {"median": round(median(seconds), 1), "worst": round(max(seconds), 1)}
+        if "before" in states:
+            ratios = [row["before"]["seconds"] / row["now"]["seconds"] for row in part]
+            found[group]["times_faster"] = {"median": round(median(ratios), 2), "least": round(min(ratios), 2)}
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--before", type=Path, help="the folder of another checkout's `greygate`")
+    parser.add_argument("--out", type=Path, default=RESULT, help="rewritten after every rig")
+    given = parser.parse_args()
+    commands, origin = {"now": Path(sys.executable).parent / "greygate"}, made("")
+    if given.before:
+        commands = {"before": given.before.absolute() / "greygate"} | commands
+        origin = made("--before OTHER/.venv/bin") | {"before": commit(given.before)}
+    rows: list[dict] = []
+    with tempfile.TemporaryDirectory() as scratch:
+        for group, rig in rigs(Path(scratch)):
+            rows.append({"rig": rig.name, "group": group} | {s: diagnosed(c, rig) for s, c in commands.items()})
+            print(rows[-1], file=sys.stderr, flush=True)
+            content = {"made": origin, "summary": summary(rows, list(commands)), "rigs": rows}
+            given.out.write_text(json.dumps(content, indent=1) + "\n")
+    print(json.dumps(content["summary"], indent=1))
+
+
+if __name__ == "__main__":
+    main()
