@@ -60,6 +60,8 @@ class Model:
         if rig.window:
             self._add(TIMING, "s")
             self._add(EARLY, "1")
+        derived = [(name, *how.split()) for name, how in self.plant.derived.items()]
+        self.integrals = {name: source for name, how, source in derived if how == "integral"}
         self.finer = {name: how for name, how in self.plant.derived.items() if how.startswith("smooth_acceleration ")}
         if self.finer:
             self._add(BLUR, "1")
@@ -135,6 +137,7 @@ class Model:
         self._smooth = {source: reach(recording[source], SMOOTH) for source in sources}
         self._inputs = {name: self._input(name, recording.channels) for name in self.plant.inputs}
         self._parted = {name: np.repeat(signal, self._parts) for name, signal in self._inputs.items()}
+        self._parted |= {name: self._summed(np.repeat(recording[u], self._parts)) for name, u in self.integrals.items()}
         self._finer = {name: self._input(name, recording.channels, FINER) - self._inputs[name] for name in self.finer}
         self.target = np.stack([recording[name] for name in self.rig.predict], axis=1)
         self._last = (None, None)
@@ -197,7 +200,10 @@ class Model:
         for name, how in self.plant.derived.items():
             source = how.partition(" ")[2]
             if signals.get(source) is not self._parted.get(source):
-                signals[name] = np.repeat(self._input(name, {source: self._means(signals[source])}), self._parts)
+                if name in self.integrals:
+                    signals[name] = self._summed(signals[source])
+                else:
+                    signals[name] = np.repeat(self._input(name, {source: self._means(signals[source])}), self._parts)
         for name, more in self._finer.items():
             if values[BLUR]:
                 signals[name] = signals[name] + values[BLUR] * np.repeat(more, self._parts)
@@ -206,6 +212,10 @@ class Model:
     def _means(self, signal: np.ndarray) -> np.ndarray:
         """Of a plant's input over each sample (samples,)."""
         return signal if self._parts == 1 else signal.reshape(-1, self._parts).mean(axis=1)
+
+    def _summed(self, signal: np.ndarray) -> np.ndarray:
+        """The integral of an input (samples * parts,): its mean over each part, in which it goes on rising."""
+        return (np.cumsum(signal) - signal / 2) * (self.rig.dt / self._parts)
 
     def _moved(self, signal: np.ndarray, early: float) -> np.ndarray:
         """A recorded input that moved between the samples (samples * parts,), by so much `EARLY`.
@@ -297,6 +307,9 @@ class Model:
         """(states (samples, states), input signals). shifts: (restarts, locals) added to where the locals begin."""
         parted = self._signals(values)
         signals = {name: self._means(signal) for name, signal in parted.items()}
+        for name, source in self.integrals.items():  # at a sample it is what was summed before, not the mean after it
+            given = {source: signals[source]} if source in signals else self.recording.channels
+            signals[name] = self._input(name, given)
         starts = self.starts(values, signals)
         if shifts is not None and len(self.locals):
             symbols = list(self.plant.states)

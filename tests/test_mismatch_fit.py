@@ -251,6 +251,45 @@ def test_what_is_made_of_an_input_is_made_of_it_as_it_arrives(folder):
     (folder / "slide.toml").write_text(PLANT)
 
 
+TURNING = """step = 1e-3
+outputs = ["x"]
+[inputs]
+n = "rev/s"
+turn = "rev"
+[derived]
+turn = "integral n"
+[parameters]
+ripple = [0.2, "m/s"]
+[states]
+x = { unit = "m" }
+[equations.position]
+x = { velocity = "ripple * sin(20.0 * turn)" }
+"""
+TURNING_RIG = """plant = "turning.toml"
+sample_time_s = 0.01
+predict = ["x"]
+parameters = { ripple = 0.2 }
+channels.n = { unit = "rev/s", role = "input" }
+channels.x = { unit = "m", role = "output", noise_rms = 1e-6 }
+"""
+
+
+def test_an_integral_rises_within_a_sample(tmp_path):
+    """A ripple of a shaft that turns by a tenth of a period in each sample: held, it would come half a sample late."""
+    n = 3.0 + np.sin(0.05 * np.arange(400))
+    turn = np.append(0.0, np.cumsum(n) * 0.01)
+    x = np.append(0.0, np.cumsum(0.2 / (20.0 * n) * -np.diff(np.cos(20.0 * turn))))[:-1]
+    (tmp_path / "turning.toml").write_text(TURNING)
+    (tmp_path / "rig.toml").write_text(TURNING_RIG)
+    table = np.column_stack([np.arange(400) * 0.01, n, x])
+    np.savetxt(tmp_path / "identify.csv", table, delimiter=",", header="t,n,x", comments="", fmt="%.15g")
+    loaded = rig.load(tmp_path)
+    model = Model(loaded, loaded.recording(tmp_path / "identify.csv"), {})
+    np.testing.assert_allclose(model.predict(model.values)[:, 0], x, atol=2e-3 * np.ptp(x))
+    _, signals = model.states(model.values)
+    np.testing.assert_allclose(signals["turn"], turn[:-1], rtol=1e-12)  # at a sample it is what was summed before
+
+
 def test_what_no_effect_of_the_table_has_is_closed_in_its_equation_on_its_variable(folder):
     """A spring, on a plant of one's own, with an empty table."""
     recorded(folder, 0, 2000, stiffness=10.0)
