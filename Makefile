@@ -108,7 +108,7 @@ bench-diagnosis: $(VENV)/.ready-dev
 bench-rigs: $(VENV)/.ready-dev
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/generated_rigs.py --rigs 200 --jobs 2
 
-# Twenty minutes: experiments until an ambiguous diagnosis is resolved, by `greygate next`, random ones, multisines.
+# Three minutes: experiments until an ambiguous diagnosis is resolved, by `greygate next`, random ones, multisines.
 bench-next: $(VENV)/.ready-dev
 	OMP_NUM_THREADS=1 $(BIN)/python benchmarks/next_experiments.py
 

@@ -78,18 +78,26 @@ def commit(folder: Path) -> str:
 
 
 def summary(rows: list[dict], states: list[str]) -> dict:
-    """Median and worst seconds of each group and state; the ratio is that of each rig, its median."""
+    """Median and worst seconds of each group and state, over the rigs that each state explains, and who fails.
+
+    times_faster: of each rig, their median and the least.
+    """
     groups = {"all": rows} | {g: [r for r in rows if r["group"] == g] for g in dict.fromkeys(r["group"] for r in rows)}
     found = {}
-    for group, part in groups.items():
-        found[group] = {"rigs": len(part)}
-        for state in states:
+    for group, every in groups.items():
+        part = [row for row in every if not any(failed(row[state]) for state in states)]
+        found[group] = {"rigs": len(every), "failed": {s: sum(failed(row[s]) for row in every) for s in states}}
+        for state in states if part else ():
             seconds = [row[state]["seconds"] for row in part]
             found[group][state] = {"median": round(median(seconds), 1), "worst": round(max(seconds), 1)}
-        if "before" in states:
+        if part and "before" in states:
             ratios = [row["before"]["seconds"] / row["now"]["seconds"] for row in part]
             found[group]["times_faster"] = {"median": round(median(ratios), 2), "least": round(min(ratios), 2)}
     return found
+
+
+def failed(said: dict) -> bool:
+    return said["says"].startswith("exit code")
 
 
 def main() -> None:
