@@ -1,7 +1,9 @@
 """How long does a diagnosis take, and how long did it take an earlier state of the code? Both in one run, by turns.
 
-    python benchmarks/diagnosis_speed.py                            # writes results/diagnosis_speed.json
     python benchmarks/diagnosis_speed.py --before OTHER/.venv/bin   # with `greygate` of another checkout beside it
+    python benchmarks/diagnosis_speed.py                            # ours alone, printed
+
+The first writes results/diagnosis_speed.json, of which a page is made.
 
 A diagnosis is the command `greygate diagnose` in a process of its own, so that its start and what it compiles count.
 Both states are given the same folders: four cases of each concealed machine, one of each small machine of another
@@ -66,7 +68,8 @@ def diagnosed(command: Path, rig: Path) -> dict:
         return {"seconds": LIMIT, "says": "not done"}
     seconds = round(time.perf_counter() - began, 2)
     if ran.returncode not in (0, 1) or not out.exists():
-        return {"seconds": seconds, "says": f"exit code {ran.returncode}: {ran.stderr.strip().splitlines()[-1][:120]}"}
+        last = (ran.stderr.strip().splitlines() or [""])[-1]
+        return {"seconds": seconds, "says": f"exit code {ran.returncode}: {last[:120]}"}
     said = json.loads(out.read_text(encoding="utf-8"))
     return {"seconds": seconds, "says": " ".join([said["verdict"], *(e["id"] for e in said["effects"])])}
 
@@ -103,19 +106,21 @@ def failed(said: dict) -> bool:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--before", type=Path, help="the folder of another checkout's `greygate`")
-    parser.add_argument("--out", type=Path, default=RESULT, help="rewritten after every rig")
+    parser.add_argument("--out", type=Path, help="rewritten after every rig")
     given = parser.parse_args()
     commands, origin = {"now": Path(sys.executable).parent / "greygate"}, made("")
     if given.before:
         commands = {"before": given.before.absolute() / "greygate"} | commands
         origin = made("--before OTHER/.venv/bin") | {"before": commit(given.before)}
+    out = given.out or (RESULT if given.before else None)  # the page compares: ours alone would not make it
     rows: list[dict] = []
     with tempfile.TemporaryDirectory() as scratch:
         for group, rig in rigs(Path(scratch)):
             rows.append({"rig": rig.name, "group": group} | {s: diagnosed(c, rig) for s, c in commands.items()})
             print(rows[-1], file=sys.stderr, flush=True)
             content = {"made": origin, "summary": summary(rows, list(commands)), "rigs": rows}
-            given.out.write_text(json.dumps(content, indent=1) + "\n")
+            if out:
+                out.write_text(json.dumps(content, indent=1) + "\n")
     print(json.dumps(content["summary"], indent=1))
 
 

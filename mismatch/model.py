@@ -60,9 +60,9 @@ class Model:
         if rig.window:
             self._add(TIMING, "s")
             self._add(EARLY, "1")
-        derived = [(name, *how.split()) for name, how in self.plant.derived.items()]
-        self.integrals = {name: source for name, how, source in derived if how == "integral"}
-        self.finer = {name: how for name, how in self.plant.derived.items() if how.startswith("smooth_acceleration ")}
+        derived = self.plant.derived.items()
+        self.integrals = {name: how.partition(" ")[2] for name, how in derived if how.startswith("integral ")}
+        self.finer = {name: how for name, how in derived if how.startswith("smooth_acceleration ")}
         if self.finer:
             self._add(BLUR, "1")
         self.values = {symbol: p.value for symbol, p in self.plant.parameters.items()}

@@ -277,17 +277,22 @@ channels.x = { unit = "m", role = "output", noise_rms = 1e-6 }
 def test_an_integral_rises_within_a_sample(tmp_path):
     """A ripple of a shaft that turns by a tenth of a period in each sample: held, it would come half a sample late."""
     n = 3.0 + np.sin(0.05 * np.arange(400))
-    turn = np.append(0.0, np.cumsum(n) * 0.01)
-    x = np.append(0.0, np.cumsum(0.2 / (20.0 * n) * -np.diff(np.cos(20.0 * turn))))[:-1]
     (tmp_path / "turning.toml").write_text(TURNING)
     (tmp_path / "rig.toml").write_text(TURNING_RIG)
-    table = np.column_stack([np.arange(400) * 0.01, n, x])
+    table = np.column_stack([np.arange(400) * 0.01, n, n])
     np.savetxt(tmp_path / "identify.csv", table, delimiter=",", header="t,n,x", comments="", fmt="%.15g")
     loaded = rig.load(tmp_path)
-    model = Model(loaded, loaded.recording(tmp_path / "identify.csv"), {})
-    np.testing.assert_allclose(model.predict(model.values)[:, 0], x, atol=2e-3 * np.ptp(x))
-    _, signals = model.states(model.values)
-    np.testing.assert_allclose(signals["turn"], turn[:-1], rtol=1e-12)  # at a sample it is what was summed before
+    late = Effect(
+        "late", "a delay", ("turning",), ("position",), ("n",), (Free("late", 0.01, "s"),), filters={"n": "delay late"}
+    )
+    model = Model(loaded, loaded.recording(tmp_path / "identify.csv"), {"late": late})
+    for value, arrives in ((0.0, n), (0.01, np.append(n[0], n[:-1]))):
+        turn = np.append(0.0, np.cumsum(arrives) * 0.01)
+        x = np.append(0.0, np.cumsum(0.2 / (20.0 * arrives) * -np.diff(np.cos(20.0 * turn))))[:-1]
+        values = {**model.values, "late": value}
+        np.testing.assert_allclose(model.predict(values)[:, 0], x, atol=2e-3 * np.ptp(x))
+        _, signals = model.states(values)
+        np.testing.assert_allclose(signals["turn"], turn[:-1], rtol=1e-12)  # at a sample it is what was summed before
 
 
 def test_what_no_effect_of_the_table_has_is_closed_in_its_equation_on_its_variable(folder):
