@@ -8,7 +8,6 @@ import io
 import json
 import os
 import resource
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from greygate import children
 from greygate.errors import InputError, one_line
 
 LARGEST = 2 << 30  # bytes of a file
@@ -52,12 +52,10 @@ def _apart(path: Path, kind: str) -> dict[str, Any]:
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}; check the path") from None
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "greygate.foreign", kind, str(path.resolve()), folder]
+        command = children.python("-m", "greygate.foreign", kind, str(path.resolve()), folder)
         try:
-            done = subprocess.run(
-                command, capture_output=True, text=True, errors="replace", timeout=SECONDS, check=False
-            )
-        except subprocess.TimeoutExpired:
+            done = children.ran(command, timeout=SECONDS)
+        except children.TimeoutExpired:
             raise InputError(f"{path}: is not read within {SECONDS:g} s; save less of it") from None
         if done.returncode:
             why = one_line(" ".join(done.stdout.split()))[:150] or "its reader crashed: it is damaged"

@@ -1,0 +1,238 @@
+"""Starts every other process of greygate: tools, readers, simulations, and workers that share a task.
+
+What is started here imports no Python from the folder it runs in, which may be a stranger's, and ends with whoever
+started it, together with what it started in turn, even if that was killed.
+"""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
+from functools import partial
+from pathlib import Path
+from threading import Thread
+from typing import Any, Final, Literal
+
+SAFE = "PYTHONSAFEPATH"  # if it is set, Python puts neither the current folder nor that of a script on its path
+SEARCHED = "PYTHONPATH"
+WATCH = 0.5  # s between two looks of a worker at its parent
+DIED: Final = object()  # instead of the result of a task whose process was killed twice
+
+# Runs a command beside a pipe whose other end its starter alone holds: where that closes, the whole group is killed.
+# It ends as the command ends, by the same signal if that was one.
+SUPERVISOR = """
+import os, resource, signal, sys
+pipe, command = int(sys.argv[1]), sys.argv[2:]
+def ended(*_):
+    pid, status = os.waitpid(child, os.WNOHANG)
+    if pid:
+        code = os.waitstatus_to_exitcode(status)
+        if code < 0:
+            resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+            if -code != signal.SIGKILL:
+                signal.signal(-code, signal.SIG_DFL)
+            os.kill(os.getpid(), -code)
+        os._exit(code)
+signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGCHLD])
+signal.signal(signal.SIGCHLD, ended)
+try:
+    child = os.posix_spawn(
+        command[0], command, os.environ, file_actions=[(os.POSIX_SPAWN_CLOSE, pipe)], setsigmask=[],
+        setsigdef=[signal.SIGPIPE, signal.SIGXFSZ, signal.SIGINT],
+    )
+except OSError as error:
+    sys.exit(f"{command[0]}: {error.strerror}")
+nothing = os.open(os.devnull, os.O_RDWR)
+for own in range(3):
+    os.dup2(nothing, own)
+signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGCHLD])
+os.read(pipe, 1)
+os.killpg(0, signal.SIGKILL)
+"""
+
+_running: set[subprocess.Popen] = set()
+
+
+def python(*words: str) -> list[str]:
+    """The command of a Python that imports nothing from the folder in which it runs."""
+    return [sys.executable, "-P", *words]
+
+
+@contextmanager
+def started(
+    command: Sequence[str],
+    *,
+    cwd: Path | str | None = None,
+    env: Mapping[str, str] | None = None,
+    stdin: Any = subprocess.DEVNULL,
+    stdout: Any = None,
+    stderr: Any = None,
+) -> Iterator[subprocess.Popen[str]]:
+    """Start a command in a session of its own; after the block it and all that it started are killed.
+
+    env: variables beside our own. Raises FileNotFoundError if there is no such program.
+    """
+    variables = _safe(os.environ | dict(env or {}))
+    program = shutil.which(command[0], path=variables.get("PATH"))
+    if program is None:
+        raise FileNotFoundError(2, "no such program", command[0])
+    read, held = os.pipe()
+    try:
+        supervised = [sys.executable, "-I", "-S", "-c", SUPERVISOR, str(read), os.path.abspath(program), *command[1:]]
+        process = subprocess.Popen(
+            supervised, cwd=cwd, env=variables, stdin=stdin, stdout=stdout, stderr=stderr, text=True, errors="replace",
+            pass_fds=[read], start_new_session=True,
+        )  # fmt: skip
+        _running.add(process)
+        try:
+            with process:
+                try:
+                    yield process
+                finally:
+                    _kill(process)
+        finally:
+            _running.discard(process)
+    finally:
+        os.close(read)
+        os.close(held)
+
+
+def ran(
+    command: Sequence[str],
+    *,
+    timeout: float | None = None,
+    cwd: Path | str | None = None,
+    env: Mapping[str, str] | None = None,
+) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end and keep what it prints.
+
+    timeout: seconds after which it and all that it started are killed and TimeoutExpired is raised.
+    """
+    pipe = subprocess.PIPE
+    with started(command, cwd=cwd, env=env, stdout=pipe, stderr=pipe) as process:
+        said, complained = process.communicate(timeout=timeout)
+    return subprocess.CompletedProcess(list(command), process.returncode, said, complained)
+
+
+PIPE, STDOUT, TimeoutExpired = subprocess.PIPE, subprocess.STDOUT, subprocess.TimeoutExpired
+CompletedProcess, Popen = subprocess.CompletedProcess, subprocess.Popen
+
+
+def stop() -> None:
+    """Kill all that runs. Whoever waits for it in another thread goes on with an error."""
+    for process in list(_running):
+        _kill(process)
+
+
+def _kill(process: subprocess.Popen) -> None:
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+
+
+def _safe(variables: Mapping[str, str]) -> dict[str, str]:
+    """The variables, with which Python imports nothing from the current folder."""
+    found = dict(variables) | {SAFE: "1"}
+    if SEARCHED in found:  # an empty entry is the current folder
+        found[SEARCHED] = os.pathsep.join(filter(os.path.isabs, found[SEARCHED].split(os.pathsep)))
+    return found
+
+
+# -- workers ---------------------------------------------------------------------------------------------------------
+
+
+def workers(jobs: int | None, tasks: Iterable[Callable[[], Any]], in_order: bool = True) -> Iterator[Any]:
+    """Yield the results of tasks that run in `jobs` processes, or on the backend that joblib's configuration names.
+
+    in_order: else as they come. Where a process is killed, its task is tried once more, alone; DIED is its result if
+    that is killed too. All others go on in new processes.
+    """
+    left, found = dict(enumerate(tasks)), {}
+    after, suspected = 0, []
+    with tempfile.NamedTemporaryFile(prefix="greygate-") as begun, _safely():
+        while left:
+            alone = suspected.pop(0) if suspected else None
+            now = left if alone is None else {alone: left[alone]}
+            begun.truncate(0)
+            with closing(_passed(jobs, {k: partial(_noted, begun.name, k, task) for k, task in now.items()})) as passed:
+                while True:
+                    try:
+                        place, result = next(passed)
+                    except StopIteration:
+                        break
+                    except _broken():
+                        if alone is None:
+                            noted = {int(line) for line in Path(begun.name).read_text().split()}
+                            suspected = [k for k in left if k in noted] or list(left)
+                            break
+                        place, result = alone, DIED
+                    del left[place]
+                    if not in_order:
+                        yield result
+                        continue
+                    found[place] = result
+                    while after in found:
+                        yield found.pop(after)
+                        after += 1
+
+
+def _passed(jobs: int | None, tasks: Mapping[int, Callable[[], Any]]) -> Iterator[tuple[int, Any]]:
+    """(place, result) of each task, as they come. Raises what `_broken` names where a process is killed."""
+    import joblib
+    from joblib._parallel_backends import LokyBackend
+
+    backend = joblib.parallel.get_active_backend()[0]
+    kind: Literal["generator_unordered", "list"]
+    kind = "generator_unordered" if getattr(backend, "supports_return_generator", False) else "list"
+    watched = {"initializer": follow, "initargs": (os.getpid(),)} if isinstance(backend, LokyBackend) else {}
+    parallel = joblib.Parallel(jobs, return_as=kind, **watched)
+    yield from parallel(joblib.delayed(_placed)(place, task) for place, task in tasks.items())
+
+
+def _placed(place: int, task: Callable[[], Any]) -> tuple[int, Any]:
+    return place, task()
+
+
+def _noted(begun: str, place: int, task: Callable[[], Any]) -> Any:
+    """Run a task; first tell the one who may have to find out whose process was killed."""
+    with suppress(OSError):  # a worker of another computer
+        file = os.open(begun, os.O_WRONLY | os.O_APPEND)
+        try:
+            os.write(file, b"%d\n" % place)
+        finally:
+            os.close(file)
+    return task()
+
+
+def _broken() -> type[Exception]:
+    """What joblib raises where a process was killed."""
+    from joblib.externals.loky import BrokenProcessPool
+
+    return BrokenProcessPool
+
+
+def follow(parent: int) -> None:
+    """End this process when its parent has ended, however that was."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH)
+        os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _safely() -> Iterator[None]:
+    """Let what libraries start within the block import nothing from the current folder."""
+    before = {name: os.environ[name] for name in (SAFE, SEARCHED) if name in os.environ}
+    os.environ.update(_safe(os.environ))
+    try:
+        yield
+    finally:
+        os.environ.pop(SAFE, None)
+        os.environ.update(before)
