@@ -18,9 +18,13 @@ from pathlib import Path
 from threading import Thread
 from typing import Any, Final, Literal
 
+DEVNULL, PIPE, STDOUT = subprocess.DEVNULL, subprocess.PIPE, subprocess.STDOUT
+Popen, TimeoutExpired = subprocess.Popen, subprocess.TimeoutExpired
+
 SAFE = "PYTHONSAFEPATH"  # if it is set, Python puts neither the current folder nor that of a script on its path
 SEARCHED = "PYTHONPATH"
 WATCH = 0.5  # s between two looks of a worker at its parent
+KILLED = "a process of the work was killed twice, for lack of memory perhaps; give fewer --jobs, or free memory"
 DIED: Final = object()  # instead of the result of a task whose process was killed twice
 
 # Runs a command beside a pipe whose other end its starter alone holds: where that closes, the whole group is killed.
@@ -55,7 +59,7 @@ os.read(pipe, 1)
 os.killpg(0, signal.SIGKILL)
 """
 
-_running: set[subprocess.Popen] = set()
+_running: set[Popen] = set()
 
 
 def python(*words: str) -> list[str]:
@@ -69,33 +73,37 @@ def started(
     *,
     cwd: Path | str | None = None,
     env: Mapping[str, str] | None = None,
-    stdin: Any = subprocess.DEVNULL,
+    stdin: Any = DEVNULL,
     stdout: Any = None,
     stderr: Any = None,
-) -> Iterator[subprocess.Popen[str]]:
+    safe: bool = True,
+) -> Iterator[Popen[str]]:
     """Start a command in a session of its own; after the block it and all that it started are killed.
 
-    env: variables beside our own. Raises FileNotFoundError if there is no such program.
+    env: variables beside our own. safe: False for a program that the user names, which may import from where it is.
+    Raises FileNotFoundError if there is no such program.
     """
-    variables = _safe(os.environ | dict(env or {}))
+    variables = {**os.environ, **(env or {})}
+    variables = _safe(variables) if safe else variables
     program = shutil.which(command[0], path=variables.get("PATH"))
     if program is None:
         raise FileNotFoundError(2, "no such program", command[0])
     read, held = os.pipe()
     try:
         supervised = [sys.executable, "-I", "-S", "-c", SUPERVISOR, str(read), os.path.abspath(program), *command[1:]]
-        process = subprocess.Popen(
+        process = Popen(
             supervised, cwd=cwd, env=variables, stdin=stdin, stdout=stdout, stderr=stderr, text=True, errors="replace",
             pass_fds=[read], start_new_session=True,
         )  # fmt: skip
         _running.add(process)
         try:
-            with process:
-                try:
-                    yield process
-                finally:
-                    _kill(process)
+            yield process
         finally:
+            _kill(process)
+            for stream in filter(None, (process.stdin, process.stdout, process.stderr)):
+                with suppress(OSError):
+                    stream.close()
+            process.wait()
             _running.discard(process)
     finally:
         os.close(read)
@@ -113,14 +121,9 @@ def ran(
 
     timeout: seconds after which it and all that it started are killed and TimeoutExpired is raised.
     """
-    pipe = subprocess.PIPE
-    with started(command, cwd=cwd, env=env, stdout=pipe, stderr=pipe) as process:
+    with started(command, cwd=cwd, env=env, stdout=PIPE, stderr=PIPE) as process:
         said, complained = process.communicate(timeout=timeout)
     return subprocess.CompletedProcess(list(command), process.returncode, said, complained)
-
-
-PIPE, STDOUT, TimeoutExpired = subprocess.PIPE, subprocess.STDOUT, subprocess.TimeoutExpired
-CompletedProcess, Popen = subprocess.CompletedProcess, subprocess.Popen
 
 
 def stop() -> None:
@@ -129,7 +132,7 @@ def stop() -> None:
         _kill(process)
 
 
-def _kill(process: subprocess.Popen) -> None:
+def _kill(process: Popen) -> None:
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
 

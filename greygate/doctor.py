@@ -2,9 +2,10 @@
 
 import re
 import shutil
-import subprocess
 from dataclasses import dataclass
 from importlib import metadata
+
+from greygate import children
 
 PATIENCE = 20.0  # s that a program may take to say its version
 PROGRAMS = {  # program -> (the commands that need it, how to get it)
@@ -44,8 +45,8 @@ def _program(name: str, needed_by: str, remedy: str) -> Tool:
 def _said(path: str) -> str:
     """The version that a program prints, or "found"."""
     try:
-        done = subprocess.run([path, "--version"], capture_output=True, text=True, errors="replace", timeout=PATIENCE)
-    except (OSError, subprocess.TimeoutExpired):
+        done = children.ran([path, "--version"], timeout=PATIENCE)
+    except (OSError, children.TimeoutExpired):
         return "found, does not answer"
     number = re.search(r"\d+(\.\d+)+", done.stdout + done.stderr)
     return number[0] if number else "found"

@@ -3,16 +3,16 @@
 import csv
 import json
 import math
-import os
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 
 import numpy as np
-from joblib import Parallel, delayed
 
+from greygate import children
 from greygate.errors import InputError, shown
 from greygate.files import replacing, replacing_all
 from greygate.mismatch import effects as table
@@ -32,8 +32,6 @@ from greygate.pages import diagnosis as diagnosis_page
 from greygate.pages import words
 from greygate.plants.recording import Recording
 from greygate.progress import Progress, silent
-
-SAFE_PATH = "PYTHONSAFEPATH"  # if it is set, Python imports nothing from the folder in which it is started
 
 
 def table_of(paths: Iterable[Path], rig: Rig, recording: Recording | None) -> dict[str, Effect]:
@@ -82,8 +80,9 @@ def explain_all(
     cluster, whose workers read the rigs at the same paths. progress: gets the number of rigs that are done, and the
     name of the last one.
 
-    If one of several rigs cannot be diagnosed, the others go on: its content is {"error": line}, and its lines say so.
-    Raises InputError for two rigs of one name, for a missing folder to write to, and for a single rig as `explain`.
+    If one of several rigs cannot be diagnosed, or its process is killed twice, the others go on: its content is
+    {"error": line}, and its lines say so. Raises InputError for two rigs of one name, for a missing folder to
+    write to, and for a single rig as `explain`.
     """
     folders, own = ([Path(path).resolve() for path in paths] for paths in (folders, own))
     names, several = [folder.name for folder in folders], len(folders) > 1
@@ -92,10 +91,12 @@ def explain_all(
     for path in (out, html) if several else ():
         if path is not None and not path.is_dir():
             raise InputError(f"{path}: no such folder; of several rigs --out and --html name folders, make it")
-    tasks = (delayed(_attempt)(folder, html is not None, own) for folder in folders)
+    tasks = [partial(_attempt, folder, html is not None, own) for folder in folders]
     results = {}
-    for name, made in zip(names, _by_workers(jobs, tasks), strict=True):
+    for name, made in zip(names, children.workers(jobs, tasks), strict=True):
         try:
+            if made is children.DIED:
+                raise InputError(children.KILLED)
             if isinstance(made, InputError):
                 raise made
             made.write(*(p / (name + end) if p and several else p for p, end in ((out, ".json"), (html, ".html"))))
@@ -114,17 +115,6 @@ def _attempt(folder: Path, page: bool, own: Sequence[Path]) -> "Explained | Inpu
         return Explained.of(folder, page, own)
     except InputError as error:
         return error
-
-
-def _by_workers(jobs: int | None, tasks: Iterable) -> Iterator:
-    """Yield the results in order; the workers import nothing from the current folder, which may be a stranger's."""
-    before = os.environ.get(SAFE_PATH)
-    os.environ[SAFE_PATH] = "1"
-    try:
-        yield from Parallel(jobs, return_as="generator")(tasks)
-    finally:
-        del os.environ[SAFE_PATH]
-        os.environ.update({SAFE_PATH: before} if before is not None else {})
 
 
 @dataclass(frozen=True)

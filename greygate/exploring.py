@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 
+from greygate import children
 from greygate.compiler.centre import centre_biases
 from greygate.compiler.explore import Exploration, Point, Request, Room, Unmet, explore, told
 from greygate.compiler.explore.judge import Bound, Judge, Scale
@@ -227,8 +228,7 @@ def side_by_side(jobs: int) -> Callable[[Callable, Iterable], Iterable]:
 
 
 def _mapped(jobs: int, function: Callable, items: Iterable) -> Iterable:
-    import joblib
-
-    told = getattr(joblib.parallel.get_active_backend()[0], "supports_return_generator", False)
-    kind = "generator" if told else "list"  # one after the other, so that progress can be told
-    return joblib.Parallel(n_jobs=jobs, return_as=kind)(joblib.delayed(function)(item) for item in items)
+    for found in children.workers(jobs, [partial(function, item) for item in items]):
+        if found is children.DIED:
+            raise InputError(children.KILLED)
+        yield found

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from greygate import children
 from greygate.compiler.emit import emit, emitted, sources
 from greygate.compiler.pipeline import Compiled, Pass, compile_declared, compile_network, entropy_pruning, fixed_error
 from greygate.compiler.prune import Round, retrained
@@ -50,7 +51,7 @@ from greygate.files import (
 from greygate.hardware.board.benches import core_bench
 from greygate.hardware.replay import replay
 from greygate.hardware.synthesis import synthesize
-from greygate.hardware.verify import Case, Scenario, Verification, stop_tools, verify_many
+from greygate.hardware.verify import Case, Scenario, Verification, verify_many
 from greygate.hardware.waveform import with_waveform
 from greygate.machines.catalog import CATALOG, entry
 from greygate.machines.identification import TRAINED
@@ -406,7 +407,7 @@ def _verify(project: Project, names: tuple[str, ...], seed: int | None) -> dict[
             results = {a: future.result() for a, future in zip(architectures, futures, strict=True)}
         except BaseException:  # Ctrl-C and `kill` do not reach Verilator, for which the pool waits
             while wait(futures, 0.1).not_done:
-                stop_tools()
+                children.stop()
             raise
     hardware = {}
     for architecture, result in results.items():

@@ -105,6 +105,24 @@ def test_no_module_imports_itself_by_way_of_others():
     assert not [name for name, targets in reached.items() if name in targets]
 
 
+STARTS = re.compile(  # ways to start a process
+    r"import (subprocess|multiprocessing|pty)\b|from (subprocess|multiprocessing|pty)\b|\bProcessPoolExecutor\b"
+    r"|joblib\.Parallel|from joblib import|\bos\.(fork|forkpty|exec|spawn|posix_spawn|system|popen)\w*\("
+    r"|\bsys\.executable\b"
+)
+
+
+def test_processes_are_started_in_one_place():
+    """`greygate/children.py` isolates them and ends them. Verilator's simulation is told which Python it embeds."""
+    found = {
+        name: lines
+        for name, path in modules().items()
+        if (lines := [m[0] for m in STARTS.finditer(path.read_text(encoding="utf-8"))])
+    }
+    del found["greygate.children"]
+    assert found == {"greygate.hardware.verify": ["sys.executable"]}
+
+
 def general() -> list[Path]:
     """Files of code that knows no machine."""
     files = [path for path in modules().values() if path.relative_to(ROOT).parts[0] != "machines"]

@@ -14,7 +14,7 @@ import pytest
 from legal_programs import legal_codes, legal_program
 from programs import cylinder_program, make_table, random_codes, random_program
 
-from greygate import rtl
+from greygate import children, rtl
 from greygate.compiler.emit import emit
 from greygate.compiler.targets import Design
 from greygate.emulator.interpreter import interpret
@@ -320,7 +320,7 @@ def test_a_tool_that_is_stopped_takes_what_it_started_along(tmp_path):
         while not (tmp_path / "log").exists() or not (tmp_path / "log").read_text().strip():
             time.sleep(0.01)
         while not tool.done():
-            verification.stop_tools()
+            children.stop()
         with pytest.raises(InputError, match=r"sh failed \(-9\)"):
             tool.result()
     child = Path(f"/proc/{int((tmp_path / 'log').read_text())}/stat")

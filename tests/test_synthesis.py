@@ -27,6 +27,7 @@ def module(tmp_path, monkeypatch):
     """A tool of which one entry never ends and one does."""
     (tmp_path / "tool.py").write_text("def busy(words):\n    while True: pass\n\ndef idle(words):\n    return 0\n")
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))  # a tool is not looked for in the folder in which it runs
     return tmp_path
 
 

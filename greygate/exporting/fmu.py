@@ -6,7 +6,6 @@ Source: Functional Mock-up Interface 3.0.1 and 2.0.4, https://fmi-standard.org.
 import hashlib
 import platform
 import shutil
-import subprocess
 import sys
 import tempfile
 import zipfile
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
+from greygate import children
 from greygate.errors import InputError
 from greygate.exporting.model import Model, Variable
 from greygate.files import replacing
@@ -102,7 +102,7 @@ def _library(name: str, sources: Mapping[str, str], number: str) -> tuple[bytes,
         ids = ("-Wl,--build-id=none",) if system[0] == "linux" else ()
         listed = sorted(file for file in sources if file.endswith(".c"))
         command = [compiler, *FLAGS, *ids, "-o", target, *listed, *LINKED]
-        ran = subprocess.run(command, cwd=work, capture_output=True, text=True, check=False)
+        ran = children.ran(command, cwd=work)
         if ran.returncode:
             last = ran.stderr.strip().splitlines()[:1] or ["no message"]
             raise InputError(f"{compiler} does not compile the sources of {name}: {last[0]}")

@@ -4,13 +4,13 @@ The designs run in one simulation. Its bench reads `WHAT DESIGN WORD` from a pip
 word, and writes the answer of the design with all its states, and the clocks that it took.
 """
 
-import subprocess
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 
+from greygate.children import PIPE, Popen, started
 from greygate.control.stepping import Emulated
 from greygate.emulator.program import Signal
 from greygate.errors import InputError
@@ -30,7 +30,7 @@ class Clocked:
     steps; clocks that it took for them. first: the first step that differed, or None.
     """
 
-    def __init__(self, simulation: subprocess.Popen, bench: Bench):
+    def __init__(self, simulation: Popen, bench: Bench):
         self._simulation, self._bench, self.program = simulation, bench, bench.case.program
         self._emulated = Emulated(self.program)
         self.differing = self.compared = self.steps = self.clocks = 0
@@ -86,18 +86,9 @@ def clocked(cases: Sequence[Case], folder: Path | str, progress: Progress = sile
     benches = [Bench(i, case) for i, case in enumerate(cases)]
     files = {f.name: f for case in cases for f in case.sources(Path(folder).resolve())}
     with built(list(files.values()), _bench(benches), {}, (), progress) as work:
-        simulation = subprocess.Popen(
-            [str(work / "bench")], stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=work, text=True,
-            env=simulator_environment(),
-        )  # fmt: skip
-        try:
+        command, ways = [str(work / "bench")], {"stdin": PIPE, "stdout": PIPE}
+        with started(command, cwd=work, env=simulator_environment(), **ways) as simulation:
             yield [Clocked(simulation, bench) for bench in benches]
-        finally:
-            assert simulation.stdin
-            assert simulation.stdout
-            simulation.stdin.close()
-            simulation.stdout.close()
-            simulation.wait()
 
 
 def _bench(benches: Sequence[Bench]) -> str:

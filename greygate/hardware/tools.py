@@ -4,27 +4,19 @@ The very first call of a tool compiles it, which takes over a minute.
 """
 
 import math
-import os
 import re
 import signal
-import subprocess
-import sys
-from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 
+from greygate import children
 from greygate.errors import InputError
 from greygate.progress import Progress, silent
 
 STEP = re.compile(r"(?:[\d.]+ (?:Executing )?|Info: )(\S.*?)\.?$")  # a line of a log that says what a tool does now
 SHOWN = 90  # characters of such a line
-# The tool ends with whoever started it, even if that was killed: nobody else holds the other end of its input.
 RUN = """
-import os, resource, sys, threading
-def follow():
-    os.read(0, 1)
-    os._exit(1)
-threading.Thread(target=follow, daemon=True).start()
+import resource, sys
 limit, module, function = sys.argv[1:4]
 if limit:
     resource.setrlimit(resource.RLIMIT_CPU, (int(limit), resource.RLIM_INFINITY))
@@ -48,19 +40,15 @@ def run_tool(
     if find_spec(module) is None:
         raise InputError(f"{module} is not installed; pip install greygate[synthesis]")
     seconds = "" if limit is None else str(math.ceil(limit))
-    command = [sys.executable, "-c", RUN, seconds, module, function, *arguments]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    command = children.python("-c", RUN, seconds, module, function, *arguments)
     lines = []
-    with subprocess.Popen(command, cwd=folder, text=True, errors="replace", start_new_session=True, **pipes) as tool:
-        try:
-            for line in tool.stdout:
-                lines.append(line)
-                if found := STEP.match(line):
-                    progress(f"{module.removeprefix('yowasp_')}: {found[1][:SHOWN]}")
-            code = tool.wait()
-        finally:
-            with suppress(ProcessLookupError):
-                os.killpg(tool.pid, signal.SIGKILL)
+    with children.started(command, cwd=folder, stdout=children.PIPE, stderr=children.STDOUT) as tool:
+        assert tool.stdout
+        for line in tool.stdout:
+            lines.append(line)
+            if found := STEP.match(line):
+                progress(f"{module.removeprefix('yowasp_')}: {found[1][:SHOWN]}")
+        code = tool.wait()
     if code == -signal.SIGXCPU:
         raise TimeoutError(f"{module}: not done in {limit:g} s")
     if code:

@@ -8,8 +8,6 @@ import json
 import os
 import re
 import shutil
-import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -21,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from greygate import children
 from greygate.compiler.emit import emit, sources
 from greygate.compiler.targets import Design, Register, architecture
 from greygate.compiler.verilog import lane_width, remark, sign_extended, verilog_names
@@ -415,7 +414,7 @@ def keep_runtime(cache: Path, work: Path) -> None:
 
 def runtime_cache(environment: dict[str, str], waves: bool) -> Path:
     """Folder of the runtime's objects for this Verilator, compiler and options."""
-    compiler = subprocess.run(["g++", "--version"], capture_output=True, text=True).stdout
+    compiler = children.ran(["g++", "--version"]).stdout
     key = hashlib.sha256(repr((environment["VERILATOR_ROOT"], version("verilator"), compiler, OPTIONS, waves)).encode())
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return base / "greygate" / f"verilator-{key.hexdigest()[:16]}"
@@ -442,30 +441,11 @@ def simulate(work: Path, folder: Path, junit: Path, seed: int, environment: dict
     run_logged([*command, *(["--trace"] if waves else [])], folder / "sim.log", environment, folder)
 
 
-_RUNNING: set[subprocess.Popen] = set()
-
-
 def run_logged(command: list[str], log: Path, environment: dict[str, str], where: Path) -> None:
     """Run a tool in a folder with its output in a file; InputError with the last line of that if the tool fails."""
-    with writing(log), log.open("w") as out:
-        tool = subprocess.Popen(
-            command, stdout=out, stderr=subprocess.STDOUT, env=environment, cwd=where, start_new_session=True
-        )
-        _RUNNING.add(tool)
-        try:
-            code = tool.wait()
-        except BaseException:
-            stop_tools()
-            raise
-        finally:
-            _RUNNING.discard(tool)
+    ways = {"stderr": children.STDOUT, "env": environment, "cwd": where}
+    with writing(log), log.open("w") as out, children.started(command, stdout=out, **ways) as tool:
+        code = tool.wait()
     if code:
         last = (log.read_text(errors="replace").strip().splitlines() or ["no word"])[-1]
         raise InputError(f"{log}: {Path(command[0]).name} failed ({code}): {last}")
-
-
-def stop_tools() -> None:
-    """End each tool that runs, and what it started. Whoever waits for it in another thread goes on with an error."""
-    for tool in list(_RUNNING):
-        with suppress(ProcessLookupError):
-            os.killpg(tool.pid, signal.SIGKILL)

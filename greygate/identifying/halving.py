@@ -2,12 +2,12 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from time import time
 
-import joblib
 import numpy as np
 
+from greygate import children
 from greygate.errors import InputError
 from greygate.identifying.ladder import (
     ARMAX,
@@ -263,10 +263,10 @@ class Halving:
             place: replace(self.folds[place], pieces=thinned(self.folds[place].pieces, rung.samples, self.task))
             for place in range(0, len(self.folds), rung.every)
         }
-        tasks = [
-            joblib.delayed(judged)(self.task, folds, m, self.tried.get(m.line), number, rung, until) for m in models
-        ]
-        for tried in joblib.Parallel(self.jobs, return_as="generator_unordered")(tasks):
+        tasks = [partial(judged, self.task, folds, m, self.tried.get(m.line), number, rung, until) for m in models]
+        for tried in children.workers(self.jobs, tasks, in_order=False):
+            if tried is children.DIED:
+                raise InputError(children.KILLED)
             if tried is not None:
                 before = self.tried.get(tried.model)
                 if before and set(before.errors) == set(tried.errors) and before.error < tried.error:

@@ -3,12 +3,12 @@
 import os
 import re
 import shutil
-import subprocess
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from greygate.children import PIPE, started
 from greygate.errors import InputError
 from greygate.hardware.verify import OPTIONS, run_logged, runtime_cache, simulator_environment
 
@@ -59,9 +59,6 @@ def simulated_board(package: Path | str, clocks_per_bit: int = 24, flip: int = 0
 def running(program: Path, clocks_per_bit: int, flip: int = 0) -> Iterator[str]:
     """Run a simulation that was built; yield the path of its terminal."""
     command = [str(program), str(clocks_per_bit), *([str(flip)] if flip else [])]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        try:
-            assert process.stdout is not None
-            yield process.stdout.readline().strip()
-        finally:
-            process.kill()
+    with started(command, stdout=PIPE) as process:
+        assert process.stdout is not None
+        yield process.stdout.readline().strip()

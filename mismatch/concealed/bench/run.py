@@ -7,20 +7,16 @@ It sees the recording only when its answer is written, and it may keep files of 
 """
 
 import json
-import os
 import shlex
 import shutil
-import signal
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import suppress
+from concurrent.futures import ThreadPoolExecutor, as_completed, wait
 from pathlib import Path
 from threading import Event
 
+from greygate import children
 from greygate.contents import contents
 from greygate.errors import InputError
 from greygate.progress import Progress, silent
@@ -32,7 +28,7 @@ from .make import committed
 
 OURS = "greygate"
 BASELINES = ("nominal", "calibrated", *MODELS)
-TOOLS = {OURS: [sys.executable, "-m", "greygate.entrant"]}
+TOOLS = {OURS: children.python("-m", "greygate.entrant")}
 LONGEST = 1e6  # s: waiting for more is waiting for ever
 SAID = 400  # characters of what a tool that fails has said last
 
@@ -51,7 +47,7 @@ def tool_of(tool: str) -> Call:
     if not command or shutil.which(command[0]) is None:
         known = ", ".join((*TOOLS, *BASELINES))
         raise InputError(f"bench-concealed: no tool {tool!r}; give one of {known}, or a command")
-    return lambda arguments, limit: _call([*command, *arguments], limit)
+    return lambda arguments, limit: _call([*command, *arguments], limit, tool == OURS)
 
 
 def run(
@@ -89,14 +85,15 @@ def run(
         except OSError as error:
             raise InputError(f"{out}: {error.strerror}; give a folder to write to") from None
     pool = ThreadPoolExecutor(jobs)
+    futures = [pool.submit(one, name) for name in chosen]
     try:
-        for future in as_completed([pool.submit(one, name) for name in chosen]):
+        for future in as_completed(futures):
             future.result()
     finally:
         over.set()
         pool.shutdown(wait=False, cancel_futures=True)
-        for process in list(_running):  # where the run was interrupted: what a tool has started ends with it
-            _end(process)
+        while wait(futures, 0.1).not_done:  # where the run was interrupted: what a tool has started ends with it
+            children.stop()
     return {name: done[name] for name in chosen}
 
 
@@ -133,30 +130,15 @@ def _inside(baseline: str, arguments: list[str]) -> dict:
     return {"seconds": round(time.perf_counter() - began, 2), "code": 0, "error": ""}
 
 
-def _call(command: Sequence[str], limit: float) -> dict:
-    """Run a command of its own session, so that whatever it started ends with it."""
+def _call(command: Sequence[str], limit: float, safe: bool) -> dict:
+    """Run a tool; whatever it started ends with it. safe: as in `children.started`."""
     began = time.perf_counter()
-    with subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, errors="replace", start_new_session=True
-    ) as process:
-        _running.add(process)
+    silent = {"stdout": children.DEVNULL, "stderr": children.PIPE}
+    with children.started(command, safe=safe, **silent) as process:
         try:
             said = process.communicate(timeout=min(limit, LONGEST))[1].strip()
-        except subprocess.TimeoutExpired:
-            _end(process)
-            process.communicate()
+        except children.TimeoutExpired:
             return {"seconds": limit, "code": None, "error": f"not done after {limit:g} s"}
-        finally:
-            _running.discard(process)
     seconds = round(time.perf_counter() - began, 2)
     last = said.splitlines()[-1][:SAID] if said else f"exit code {process.returncode}"
     return {"seconds": seconds, "code": process.returncode, "error": last if process.returncode else ""}
-
-
-_running: set[subprocess.Popen] = set()
-
-
-def _end(process: subprocess.Popen) -> None:
-    """End a tool and whatever it started."""
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
