@@ -92,6 +92,7 @@ bench-tables: $(VENV)/.ready-dev
 # test may overlook.
 fuzz: $(VENV)/.ready-dev
 	GREYGATE_FUZZ=10000 $(BIN)/python -m pytest tests/test_fuzz.py -s
+	$(BIN)/python benchmarks/made.py
 
 faults: $(VENV)/.ready-dev
 	GREYGATE_FAULTS=all $(BIN)/python -m pytest tests/test_faults.py -s
@@ -160,6 +161,7 @@ train: $(VENV)/.ready
 	$(BIN)/python -m greygate.models.families.library
 	for name in valve_cylinder valve_cylinder_warm asymmetric_cylinder pump_cylinder cable_drum belt_drive mts crane tanks b2; do $(BIN)/greygate train $$name || exit 1; done
 	$(BIN)/python -m greygate.machines.pruned
+	$(BIN)/python benchmarks/made.py
 
 # What the thesis's plants take on FPGAs, hours where a tool runs into its limit; and the proofs of a whole network.
 resources: $(VENV)/.ready-dev

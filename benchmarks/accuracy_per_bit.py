@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from flow import arrays, flow
+from made import stamp
 
 from greygate.compiler.explore.judge import agreed
 from greygate.compiler.pipeline import fixed_error, quantize_centred
@@ -61,6 +62,7 @@ def main() -> None:
         name: {str(w): {"rms": agreed(r), "seconds": s} for w, (r, s) in rows.items()} for name, rows in found.items()
     }
     RESULTS.write_text(json.dumps(kept, indent=1) + "\n")
+    stamp(RESULTS)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ python benchmarks/adders.py MATRICES.json [--peers build/alkaid/bin/python] [--b
 MATRICES.json holds `cases`: name, bits, matrix (inputs, outputs; y = x @ M). Without it, random matrices are solved.
 The peer is alkaid's `cmvm_solve` with its defaults, in this run and in the interpreter that --peers names; without it,
 the figures that the file brings are shown. Adders are additions and subtractions; `cost` is alkaid's own estimate of
-LUTs, `bits` ours; seconds are of the processor. benchmarks/results/adders.json keeps what it printed.
+LUTs, `bits` ours; seconds are of the processor. build/adders.json keeps what it printed.
 """
 
 import argparse
@@ -18,7 +18,7 @@ import numpy as np
 
 from greygate.compiler.adders import Graph, solve
 
-RESULTS = Path(__file__).parent / "results" / "adders.json"
+OUT = Path(__file__).parents[1] / "build" / "adders.json"
 WIDTH = 16  # bits of every input code
 SIZES = ((8, 8), (16, 16), (32, 32), (100, 100))  # random matrices for growth: 64 to 10,000 weights
 GROWTH_BITS = 12
@@ -62,7 +62,8 @@ def main() -> None:
 
 
 def save(result: dict) -> None:
-    RESULTS.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    OUT.parent.mkdir(exist_ok=True)
+    OUT.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 def measured(case: dict, efforts: list[float], peer: dict | None) -> dict:

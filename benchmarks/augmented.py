@@ -8,6 +8,8 @@ import json
 import sys
 from pathlib import Path
 
+from made import stamp
+
 from greygate.augment import FACTS, augment
 from greygate.compiler.quantize import Formats
 from greygate.compiler.targets import BOTH
@@ -110,6 +112,7 @@ def main(folder: Path, to_hardware: bool) -> None:
         for name in found[plant]["networks"]:
             Network.load(folder / plant / "networks" / name).save(RESULTS / name)
     (RESULTS / "figures.json").write_text(json.dumps(found, indent=1) + "\n")
+    stamp(RESULTS, str(folder))
     draw(folder)
     print(*rows(found), sep="\n")
 

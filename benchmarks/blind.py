@@ -8,8 +8,11 @@ is the sealed one that the secret stands for.
 import argparse
 import hashlib
 import json
+import sys
 from collections.abc import Sequence
 from pathlib import Path
+
+from made import stamp
 
 from greygate.mismatch.concealed.bench import tables
 from greygate.mismatch.concealed.bench.diagram import draw
@@ -32,6 +35,8 @@ def report(scores: dict[str, Sequence[Score]], name: str, commitment: bytes) -> 
     (RESULTS / f"{name}.txt").write_text("\n".join(lines) + "\n")
     tables.write_rows(first, RESULTS / f"{name}.csv")
     draw(first, RESULTS / f"{name}.svg")
+    for ending in ("json", "txt", "csv", "svg"):
+        stamp(RESULTS / f"{name}.{ending}", " ".join(sys.argv[1:]))
     return lines
 
 

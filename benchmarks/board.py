@@ -18,6 +18,8 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
+from made import stamp
+
 from greygate import rtl
 from greygate.compiler.targets import architecture
 from greygate.emulator.program import Program
@@ -122,6 +124,7 @@ def main() -> None:
         options, names = DESIGNS[name]
         found[name] = measured(options, names, given.bitstream)
         given.json.write_text(json.dumps(found, indent=1) + "\n")
+        stamp(given.json)
 
 
 if __name__ == "__main__":

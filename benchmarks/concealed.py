@@ -18,6 +18,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from made import stamp
 
 from greygate.mismatch.verdict import Verdict
 
@@ -246,7 +247,10 @@ def main() -> None:
     rows = read(path)
     lines = table(rows)
     path.with_suffix(".txt").write_text("\n".join(lines) + "\n")
-    draw(rows, path.with_suffix(".svg"))
+    if not options.fresh:
+        draw(rows, path.with_suffix(".svg"))
+    for ending in (".csv", ".txt", *[".svg"] * (not options.fresh)):
+        stamp(path.with_suffix(ending), "--fresh" * options.fresh)
     print("\n".join(lines))
 
 

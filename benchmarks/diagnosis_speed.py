@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from statistics import median
 
-from made import made
+from made import made, stamp
 from measured_mismatch import make
 
 from greygate.errors import InputError
@@ -121,6 +121,7 @@ def main() -> None:
             content = {"made": origin, "summary": summary(rows, list(commands)), "rigs": rows}
             if out:
                 out.write_text(json.dumps(content, indent=1) + "\n")
+                stamp(out)
     print(json.dumps(content["summary"], indent=1))
 
 

@@ -12,6 +12,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from made import stamp
+
 from greygate.machines.catalog import REPORTED
 
 ROOM = "--max-error 1.05x --max-latency 20us --max-luts 1300 --max-dsps 3 --max-memories 12"  # 200 LUTs for a port
@@ -68,6 +70,7 @@ def main() -> None:
         print(f"{name}: {rows[name]['seconds']} s, {explored['programs']} programs, {explored['points']} designs")
         print(f"  {explored['why'] or explored['chosen']}\n  {rows[name].get('built')}", flush=True)
         RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
+        stamp(RESULTS)
 
 
 if __name__ == "__main__":

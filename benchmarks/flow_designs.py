@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from accuracy_per_bit import PEERS
 from flow import arrays, flow
+from made import stamp
 
 from greygate.compiler.emit import emit
 from greygate.compiler.explore.cost import cost
@@ -115,10 +116,12 @@ def main() -> None:
                 row[family] = synthesize(folder, one.program.name, family, family == "ecp5", given.limit)
             rows[name] = row
             RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
+            stamp(RESULTS)
         print(name, row, flush=True)
     for package in PEERS if given.peers else ():
         rows[package] = of_peer(given.peers, package, given.families, given.limit)
         RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
+        stamp(RESULTS)
         print(package, rows[package], flush=True)
 
 

@@ -22,6 +22,7 @@ from collections import Counter
 from pathlib import Path
 
 from joblib import Parallel, delayed
+from made import stamp
 
 ROOT = Path(__file__).parents[1]
 RESULT = ROOT / "benchmarks" / "results" / "generated_rigs.json"
@@ -168,6 +169,7 @@ def main() -> None:
         found.append(rig)
         content = {**summary(found), "wall_seconds": round(time.perf_counter() - began), "machine": platform.machine()}
         given.out.write_text(json.dumps(content, indent=1) + "\n")
+        stamp(given.out)
     print(json.dumps({k: v for k, v in content.items() if k not in ("traits", "kinds")}, indent=1))
 
 

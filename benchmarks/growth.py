@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from made import stamp
 
 from greygate.compiler.adders import solve
 from greygate.compiler.dataflow import Dataflow
@@ -99,6 +100,7 @@ def main() -> None:
         rows.append(grown(weights, given.limit))
         print(rows[-1], flush=True)
     RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
+    stamp(RESULTS)
 
 
 if __name__ == "__main__":

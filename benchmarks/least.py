@@ -9,6 +9,8 @@ import json
 import tempfile
 from pathlib import Path
 
+from made import stamp
+
 from greygate.compiler.emit import emit
 from greygate.compiler.serial.layout import compiled
 from greygate.emulator.program import Program
@@ -52,6 +54,7 @@ def main() -> None:
         print(name, flush=True)
         rows[name] = rows.get(name, {}) | measured(program, given.targets, given.limit)
         RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
+        stamp(RESULTS)
 
 
 if __name__ == "__main__":

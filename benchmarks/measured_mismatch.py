@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from made import stamp
 from scipy.ndimage import uniform_filter1d
 
 from greygate.machines.identification import ROOT, find
@@ -192,6 +193,8 @@ def main(names: list[str]) -> None:
         writer = csv.DictWriter(out, lines[0], lineterminator="\n")
         writer.writeheader()
         writer.writerows(lines)
+    for path in (KEPT, RESULTS):
+        stamp(path)
 
 
 if __name__ == "__main__":

@@ -30,6 +30,7 @@ from functools import cache
 from pathlib import Path
 from threading import Event
 
+from made import stamp
 from mutations import ROOT, Mutant, drawn, named
 
 SKIPPED = {".git", ".venv", ".hypothesis", ".pytest_cache", ".ruff_cache", "build", "demo", "hardware", "__pycache__"}
@@ -322,6 +323,7 @@ def report(content: list[dict], path: Path | None, head: dict) -> bool:
     if path:
         counts = {"drawn": len(entries), "killed": dead} | {o: len(by[o]) for o in ("survived", "unfinished")}
         path.write_text(json.dumps(head | counts | {"mutants": entries}, indent=1) + "\n")
+        stamp(path)
     return not by["unfinished"] and dead >= WANTED * len(entries)
 
 

@@ -22,6 +22,7 @@ from pathlib import Path
 from statistics import mean, median
 
 import numpy as np
+from made import stamp
 from numba import njit
 from scipy.interpolate import CubicSpline
 
@@ -423,6 +424,7 @@ def main() -> None:
         print(json.dumps(kept[case.name]), file=sys.stderr, flush=True)
         cases = [kept[c.name] for c in CASES if c.name in kept]
         given.out.write_text(json.dumps({"summary": summary(cases), "cases": cases}, indent=1) + "\n")
+        stamp(given.out)
     print(json.dumps(summary([kept[c.name] for c in CASES if c.name in kept]), indent=1))
 
 

@@ -1,7 +1,7 @@
 """Is a build the same, byte by byte, whatever the processor? Every network of the catalogue is compiled, and pruned
 too where it has a pruning of its own, in processes that are told to compute as other processors would.
 
-    python benchmarks/processors.py                # all networks under all settings: benchmarks/results/processors.json
+    python benchmarks/processors.py                # all networks under all settings
     python benchmarks/processors.py --network b2 --setting Haswell --setting Prescott
     python benchmarks/processors.py --setting Prescott --run COMMAND ...    # any command under a setting
 
@@ -20,7 +20,6 @@ from pathlib import Path
 
 import numpy as np
 
-RESULTS = Path(__file__).parent / "results" / "processors.json"
 _NUMPY = np._core._multiarray_umath
 _DISPATCHED = [n for n in _NUMPY.__cpu_dispatch__ if _NUMPY.__cpu_features__[n]]  # what it takes beyond its baseline
 _OLD = {"OPENBLAS_CORETYPE": "Prescott", "NPY_DISABLE_CPU_FEATURES": " ".join(_DISPATCHED)}
@@ -89,8 +88,6 @@ def main() -> None:
         count = sum(map(len, results[setting].values()))
         said = f"{count} files, " + (f"{len(differing)} differ: {', '.join(differing)}" if differing else "equal")
         print(f"{setting:20} {time.perf_counter() - began:5.0f} s  {said}", flush=True)
-    if not (asked.network or asked.setting):
-        RESULTS.write_text(json.dumps(_summary(results), indent=1) + "\n", encoding="utf-8")
     if any(result != first for result in results.values()):
         sys.exit(1)
 
@@ -99,19 +96,6 @@ def _all() -> list[str]:
     from greygate.machines.catalog import CATALOG
 
     return [*CATALOG, *(name + PRUNED for name, entry in CATALOG.items() if entry.prune)]
-
-
-def _summary(results: dict) -> dict:
-    """One digest of each build under each setting."""
-    return {
-        "command": "python benchmarks/processors.py",
-        "settings": SETTINGS,
-        "files": {name: len(files) for name, files in next(iter(results.values())).items()},
-        "digests": {
-            setting: {name: hashlib.sha256(json.dumps(files).encode()).hexdigest() for name, files in found.items()}
-            for setting, found in results.items()
-        },
-    }
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from flow import flow
+from made import stamp
 
 from greygate.hardware.proofs.build import PROOFS, prove
 from greygate.hardware.proofs.proof import Proof
@@ -79,6 +80,7 @@ def main() -> None:
                         print(f"{title}: {proof.line()}", flush=True)
                         kept.setdefault(title, {})[proof.what] = facts(proof)
                     RESULTS.write_text(json.dumps(kept, indent=1) + "\n")
+                    stamp(RESULTS)
 
 
 if __name__ == "__main__":

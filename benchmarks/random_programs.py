@@ -17,6 +17,7 @@ from unittest.mock import patch
 
 import numpy as np
 from legal_programs import legal_codes, legal_program
+from made import stamp
 from oracle import differing_bits, perform
 
 from greygate.compiler.targets import Design
@@ -109,6 +110,7 @@ def main() -> None:
         result["kernels"] = emulated(seeds["specialised"], own)
     result["hardware"] = hardware(range(options.first, options.first + options.hardware))
     options.out.write_text(json.dumps(result, indent=1) + "\n")
+    stamp(options.out)
     print(json.dumps(result, indent=1))
     parts = (part for group in ("emulators", "kernels", "hardware") for part in result[group].values())
     sys.exit(int(any(part["differing_seeds"] for part in parts if isinstance(part, dict))))

@@ -14,6 +14,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from made import stamp
+
 from greygate.compiler.targets import Design
 from greygate.errors import InputError
 from greygate.machines.catalog import REPORTED
@@ -42,6 +44,7 @@ def main() -> None:
     for name in given.plant or REPORTED:
         found.setdefault(name, {}).update(_plant(name, given, found.get(name, {})))
         RESULTS.write_text(json.dumps(found, indent=1) + "\n")
+        stamp(RESULTS)
     print("\n".join(_table(found)))
 
 

@@ -11,6 +11,8 @@ import os
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+from made import stamp
+
 RESULTS = Path(__file__).parent / "results" / "rigs"
 
 
@@ -72,6 +74,7 @@ def main() -> None:
             rows.append(line(folder, found))
             print(rows[-1], flush=True)
     (RESULTS / "table.md").write_text("\n".join(rows) + "\n")
+    stamp(RESULTS)
 
 
 if __name__ == "__main__":

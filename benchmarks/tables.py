@@ -1,7 +1,7 @@
 """What two lookups in one table of tansig take on each family, for every form of table, by Yosys: `make bench-tables`.
 
-Tables are those of the flow network at 12, 16 and 16 + 2 bits, whose worst error is at most 1.25 LSB. Writes
-benchmarks/results/tables.json.
+Tables are those of the flow network at 12, 16 and 16 + 2 bits, whose worst error is at most 1.25 LSB. A line of
+JSON for each.
 """
 
 import argparse
@@ -18,7 +18,6 @@ from greygate.emulator.tables import Lines, Table
 from greygate.hardware.families import FAMILIES
 from greygate.hardware.synthesis import synthesize
 
-RESULTS = Path(__file__).parent / "results" / "tables.json"
 FORMATS = {"12": (Fix(15, 10), Fix(12, 11)), "16": (Fix(19, 14), Fix(16, 15)), "16 + 2": (Fix(19, 14), Fix(18, 17))}
 NEURONS = 2
 WAYS = (("block", NEURONS), ("logic", 0))  # where words are kept, and how many neurons multiply by a multiplier
@@ -46,9 +45,7 @@ def design(table: Table | Lines, memory: str, multipliers: int, folder: Path) ->
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--families", nargs="+", default=["xilinx", "ecp5", "ice40"], choices=list(FAMILIES))
-    parser.add_argument("--out", type=Path, default=RESULTS)
     options = parser.parse_args()
-    rows = []
     for bits, (arg, out) in FORMATS.items():
         for form in Form:
             table = make_table("tansig", arg, out, 1.25, form=form)
@@ -60,9 +57,7 @@ def main() -> None:
                     with tempfile.TemporaryDirectory() as folder:
                         row[family] = synthesize(folder, design(table, memory, multipliers, Path(folder)), family,
                                                  limit=LIMIT)  # fmt: skip
-                rows.append(row)
                 print(json.dumps(row), flush=True)
-                options.out.write_text(json.dumps({"command": "make bench-tables", "rows": rows}, indent=1) + "\n")
 
 
 if __name__ == "__main__":
