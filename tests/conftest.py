@@ -18,6 +18,8 @@ from greygate.mismatch.search import Hypothesis, Search
 from greygate.project import compile_project
 from greygate.source import Source
 
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))  # last: some of its names are those of packages
+
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any machine")  # how fast an example is drawn says nothing of the product
 

@@ -2,17 +2,14 @@
 
 import re
 import subprocess
-import sys
 from datetime import date
 from pathlib import Path
 
+import made
 import pytest
+import stale
 
 ROOT = Path(__file__).parents[1]
-sys.path.append(str(ROOT / "benchmarks"))
-import made  # noqa: E402
-import stale  # noqa: E402
-
 INDEX = made.index()
 
 
