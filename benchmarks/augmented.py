@@ -89,7 +89,7 @@ def draw(folder: Path) -> None:
         source, lines = folder / plant / "networks", []
         for kind, name in (("fixed", plant), ("cost", f"{plant}_{CASES[plant][1]}")):
             network = Network.load(source / name)
-            record = read_record(network, source / "holdout.csv")
+            record = read_record(network, source / "holdout.csv")[0]
             factor, truth = UNITS[output][0], record.targets[output]
             told = truth + float_error(network, record)[output]
             period = json.loads((source / FACTS).read_text())["period_s"]

@@ -75,7 +75,7 @@ def machine(name: str, folder: Path) -> dict:
     """Every scenario of a machine, complete, by every compiler at every level; the size of its object code."""
     compile_project(Source(name), folder / "build", architectures=("c99",))
     project = Project.open(folder / "build")
-    records = project.source.records()
+    records = project.records()
     steps = 0
     harnesses = [built(project.program, folder, compiler, level) for compiler in COMPILERS for level in LEVELS]
     for scenario in project.source.scenarios:

@@ -25,7 +25,7 @@ from greygate.source import Source
 def differing(project: Project, scenario: str, path: Path, folder: Path) -> tuple[int, int]:
     """(steps, values that differ from the emulator's) of a scenario, step by step."""
     program = project.program
-    inputs = project.source.records()[scenario].inputs
+    inputs = project.records()[scenario].inputs
     wanted = emulate(program, inputs).outputs
     expected = np.column_stack([v.reshape(len(v), -1) for v in wanted.values()])
     entered = np.column_stack([np.reshape(inputs[p.name], (len(expected), -1)) for p in program.inputs])

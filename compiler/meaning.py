@@ -28,7 +28,7 @@ OTHERS = 5  # values of every other port that each code is tried with
 
 def _form(network: Network, layers: Mapping[str, tuple[Layer, Mapping[str, str]]]) -> Network:
     """The exact form with the ports of the library network: layers {name: (layer, {port: source})}, the last is y."""
-    form = Network(network.name, network.inputs, network.outputs)
+    form = Network(network.name, network.inputs, network.outputs, dt=network.dt)
     for name, (layer, sources) in layers.items():
         form.add(name, replace(layer, frozen=frozenset({*layer.weights, "bias"})))
         for port, source in sources.items():

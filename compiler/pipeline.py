@@ -16,12 +16,14 @@ from greygate.emulator.engine import run
 from greygate.emulator.numbers import Fix
 from greygate.emulator.program import Program
 from greygate.errors import InputError
+from greygate.models import sampling
 from greygate.models.accuracy import float_error, pooled_rms, portable_rms
 from greygate.models.importers.qonnx import Quantized
 from greygate.models.network import Network
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 
+PERIOD = 1e-3  # s, of a step, where neither the caller nor the network says it
 SAME = 1e-9  # largest relative change of any output that a simplification may cause
 WIDTHS = range(8, 33)
 EXACT = 1e-9  # error of float, relative to the signal, below which it has none
@@ -64,7 +66,7 @@ def compile_network(
     generic: bool = False,
     meanings: bool = True,
     choose: Callable[[Network, Mapping[str, Range]], Program] | None = None,
-    period: float = 1e-3,
+    period: float | None = None,
 ) -> Compiled:
     """Put logic for library networks, simplify, prune, range and quantize a network.
 
@@ -73,8 +75,9 @@ def compile_network(
     may raise the RMS error on each of `ranged_on`, 1.05 for five per cent. prune: see `entropy_pruning`. generic:
     merge linear layers even where that costs multiplications. meanings: let library networks become the logic that they
     stand for (`meaning.py`), else keep their tanh form. choose: instead of formats and a budget, what makes the program
-    of the simplified network and its ranges. period: s, of a step. Raises InputError without a record, for
-    a network that diverges on one, and for formats that cannot hold the ranges.
+    of the simplified network and its ranges. period: s, of a step; the network's own if not given. Raises InputError
+    without a record, for a network that diverges on one or has another sample time, and for formats that cannot hold
+    the ranges.
 
     >>> compiled = compile(lag, {"train": record}, Formats(18))
     >>> [p.name for p in compiled.passes][:2]
@@ -82,6 +85,8 @@ def compile_network(
     """
     if not records:
         raise InputError(f"network {network.name}: no record to compile on; ranges come from one")
+    period = period or network.sample_time() or PERIOD
+    sampling.check(network, period, f"period {period:g}", "resample the records")
     training, formats = [records[name] for name in ranged_on or list(records)[:1]], formats or Formats()
     refused: dict[str, str] = {}  # path -> remark of modules whose exact form a finished program did not bear out
     while True:

@@ -56,7 +56,7 @@ class Graph:
 
     def network(self) -> Network:
         connections = [Connection(s, target, d) for target, (s, d) in self.feeds.items()]
-        flat = Network(self.flat.name, self.flat.inputs, self.flat.outputs, {**self.layers}, connections)
+        flat = replace(self.flat, modules={**self.layers}, connections=connections)
         flat.modules = {n: self.layers[n] for n in flat.order()}
         return flat.check()
 

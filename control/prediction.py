@@ -71,7 +71,7 @@ class Prediction:
         flat = online(model, drive)
         plan = Port(PLAN, size=self.basis.shape[1])
         layer = Layer({PLAN: np.zeros((1, plan.size))}, [0.0], initial=self.port.rest)
-        flat = Network(flat.name, [plan], flat.outputs, {drive: layer, **flat.modules}, list(flat.connections))
+        flat = replace(flat, inputs=[plan], modules={drive: layer, **flat.modules})
         flat.connect(PLAN, f"{drive}.{PLAN}")
         self.flat = flat.flatten()
         tables, names = tabulate(self.flat)

@@ -63,7 +63,7 @@ def augment(folder: Path | str, diagnosis: Mapping, out: Path | str, progress: P
         records[name] = Record(inputs, {n: v for n, v in r.channels.items() if n not in inputs})
     networks, figures = {}, {}
     for name, module in ((rig.plant.name, None), (f"{rig.plant.name}_{effect.id}", law)):
-        joined = replace(augmentation.network(recorded["identify"], module), name=name)
+        joined = replace(augmentation.network(recorded["identify"], module), name=name, dt=augmentation.period)
         networks[name], figures[name] = _trained(joined, augmentation, law, records, progress)
     facts = {"plant": rig.plant.name, "effect": effect.id, "period_s": augmentation.period, "networks": figures}
     with replacing_folder(out, "augment") as new:

@@ -110,7 +110,7 @@ def _figures(project: Project) -> dict[Place, float]:
     found: dict[Place, float] = {}
     if last is not None:
         found |= {("parameters", ""): last["parameters"], ("products", ""): last["multiplications"]}
-    records = project.source.records()
+    records = project.records()
     for name in project.source.scenarios:
         for output, error in fixed_error(project.program, records[name]).items():
             found[ERROR, f"{name}.{output}"] = float(np.max(rms_by_column(error[records[name].skip :])))
@@ -124,7 +124,7 @@ def _figures(project: Project) -> dict[Place, float]:
 
 def _same_recordings(old: Project, new: Project) -> None:
     """Raise InputError if an error of one build is not the same error of the other."""
-    one, other = old.source.records(), new.source.records()
+    one, other = old.records(), new.records()
     shared = [name for name in old.source.scenarios if name in new.source.scenarios]
     outputs = {p.name for p in old.program.outputs} & {p.name for p in new.program.outputs}
     if not shared or not outputs:

@@ -17,7 +17,7 @@ import shutil
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -60,10 +60,10 @@ from greygate.models.network import Network
 from greygate.models.training.record import Record
 from greygate.pages.report.study import size
 from greygate.plain import json_text
-from greygate.plants.readers.read import is_recording, read_recording
+from greygate.plants.readers.read import is_recording
 from greygate.progress import Progress, silent, titled
 from greygate.reading import read_json
-from greygate.source import Source, read_record
+from greygate.source import Source, read_record, read_records
 
 LATER = (  # the files that verify and synthesize add to a build; nothing else writes there
     rf"verify\.json|resources\.json|results-({'|'.join(NAMES)})\.xml|"
@@ -190,7 +190,7 @@ def _write(
     for architecture in architectures:
         emit(compiled.program, folder / "rtl" / architecture, architecture, design)
     compiled.program.save(folder / "program.json")
-    compiled.network.save(folder / "network")
+    replace(compiled.network, dt=compiled.program.period).save(folder / "network")
     _write_json(folder / FACTS, facts)
 
 
@@ -261,8 +261,13 @@ class Project:
             raise InputError(f"{folder}: its manifest does not list {min(missing)}; run greygate compile again")
         if other := [*changed(folder, data), *linked(folder)]:
             raise InputError(f"{folder / other[0]}: not as greygate compile wrote it; run greygate compile again")
-        source = Source(facts["source"], facts["recordings"])
-        return Project(folder, source, Program.load(folder / "program.json"), Network.load(folder / "network"), facts)
+        source, program = Source(facts["source"], facts["recordings"]), Program.load(folder / "program.json")
+        network = replace(Network.load(folder / "network"), dt=program.period)
+        return Project(folder, source, program, network, facts)
+
+    def records(self) -> dict[str, Record]:
+        """The scenarios by name; recordings are read again. Raises InputError as `Source.records`."""
+        return read_records(self.network, paths) if (paths := self.source.recordings) else self.source.records()
 
     def compiled(self, records: Mapping[str, Record]) -> Compiled:
         """The result of the compiler, with ranges computed again from the training records."""
@@ -275,7 +280,7 @@ class Project:
 
         Raises InputError for a scenario that does not exist.
         """
-        records = self.source.records()
+        records = self.records()
         found = {}
         for name in names or self.source.scenarios:
             if name not in records:
@@ -291,8 +296,9 @@ class Project:
         Raises InputError for a file that cannot be read, and for a name that is neither.
         """
         if Path(recording).exists() or is_recording(recording):
-            return read_record(self.network, recording, targets=False).inputs, read_recording(recording).dt
-        if recording not in (records := self.source.records()):
+            record, dt = read_record(self.network, recording, targets=False)
+            return record.inputs, dt
+        if recording not in (records := self.records()):
             raise InputError(f"{recording}: no such file, and no scenario of this build; it has {', '.join(records)}")
         return records[recording].inputs, self.program.period
 

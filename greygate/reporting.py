@@ -54,7 +54,7 @@ def plants(folder: Path, progress: Progress = silent) -> list[Project]:
 
 def _study(project: Project, widths: Sequence[int] | None, progress: Progress) -> dict:
     """The study of one project."""
-    records = project.source.records()
+    records = project.records()
     return study(
         project.facts["title"],
         project.compiled(records),

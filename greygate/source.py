@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.machines.catalog import CATALOG, entry
+from greygate.models import sampling
 from greygate.models.importers.files import foreign, load, load_quantized
 from greygate.models.importers.qonnx import Quantized
 from greygate.models.network import Network, Port
@@ -16,44 +18,37 @@ from greygate.models.training.record import Record
 from greygate.plants.readers.read import read_recording
 from greygate.progress import once
 
-SAME_TIME = 1e-3  # relative difference that sample times may have, because printed times are rounded
 
-
-def read_record(network: Network, path: Path | str, targets: bool = True) -> Record:
+def read_record(network: Network, path: Path | str, targets: bool = True) -> tuple[Record, float]:
     """Read a recording for a network: a column for each port, in its unit or one that is converted to it, and the time.
 
-    targets: read the network's outputs too. Raises InputError for a missing column or unit, NaN, non-uniform time, and
-    an empty file.
+    targets: read the network's outputs too. Returns the record and its sample time in s. Raises InputError for a
+    missing column or unit, NaN, non-uniform time, an empty file, and a sample time that is not the network's.
     """
-    return _read(network, path, targets)[0]
-
-
-def read_records(network: Network, paths: Mapping[str, Path | str]) -> dict[str, Record]:
-    """Read recordings by scenario, as `read_record`. Raises InputError if their sample times differ."""
-    found = {scenario: _read(network, path) for scenario, path in paths.items()}
-    times = {path: dt for path, (_, dt) in zip(paths.values(), found.values(), strict=True)}
-    for path, dt in times.items():
-        first, expected = next(iter(times.items()))
-        if abs(dt - expected) > SAME_TIME * expected:
-            raise InputError(
-                f"{path}: sampled every {dt:g} s, {first} every {expected:g} s; resample it: "
-                f"greygate look {path} --resample {expected:g} --out FILE.csv"
-            )
-    return {scenario: record for scenario, (record, _) in found.items()}
-
-
-def _read(network: Network, path: Path | str, targets: bool = True) -> tuple[Record, float]:
-    """The record and its sample time in s."""
     for port in network.inputs + network.outputs:
         if port.size > 1:
             raise InputError(f"port {port.name} has {port.size} elements, but a CSV column holds one; use scalar ports")
     wanted = network.inputs + (network.outputs if targets else [])
     recording = read_recording(path, {p.name: p.unit for p in wanted}, told=once)
+    sampling.check_file(network, recording.dt, path)
 
     def channels(ports: list[Port]) -> dict[str, np.ndarray]:
         return {p.name: recording[p.name] for p in ports}
 
     return Record(channels(network.inputs), channels(network.outputs) if targets else {}), recording.dt
+
+
+def read_records(network: Network, paths: Mapping[str, Path | str]) -> dict[str, Record]:
+    """Read recordings by scenario, as `read_record`. Raises InputError if their sample times differ."""
+    found = {scenario: read_record(network, path) for scenario, path in paths.items()}
+    times = {path: dt for path, (_, dt) in zip(paths.values(), found.values(), strict=True)}
+    for path, dt in times.items():
+        first, expected = next(iter(times.items()))
+        if not sampling.same(dt, expected):
+            raise InputError(
+                f"{path}: sampled every {dt:g} s, {first} every {expected:g} s; {sampling.resampling(path, expected)}"
+            )
+    return {scenario: record for scenario, (record, _) in found.items()}
 
 
 @dataclass(frozen=True)
@@ -100,11 +95,22 @@ class Source:
     def title(self) -> str:
         return entry(self.name).title if self.name in CATALOG else Path(self.name).stem
 
-    @property
+    @cached_property
     def period(self) -> float:
-        if self.name in CATALOG:
-            return entry(self.name).period
+        """Sample time of the network, or else of its first recording [s]."""
+        if (known := self.network().sample_time()) is not None:
+            return known
         return read_recording(next(iter(self.recordings.values()))).dt if self.recordings else 1e-3
+
+    @property
+    def supposed(self) -> str:
+        """What is supposed of the sample time where the network does not say it; else empty."""
+        network = self.network()
+        if network.sample_time() is not None or not self.recordings:
+            return ""
+        path = next(iter(self.recordings.values()))
+        taken = f"that of {path} ({sampling.spoken(self.period)})"
+        return f"network {network.name} does not say its sample time; taken as {taken}"
 
     @property
     def training(self) -> tuple[str, ...]:

@@ -29,7 +29,7 @@ recording = read_recording({record!r})
 inputs = ports(recording.channels, recording.units, {inputs!r})
 outputs = ports(recording.channels, recording.units, {outputs!r})
 rest = {{port.name: port.rest for port in outputs}}  # before the first sample
-network = Network({name!r}, inputs, outputs)
+network = Network({name!r}, inputs, outputs, dt=recording.dt)
 {blocks}
 network.check().save({name!r})
 '''
@@ -86,9 +86,9 @@ def blocks(inputs: Sequence[Port], outputs: Sequence[Port], late: dict[str, int]
     return found
 
 
-def joined(name: str, inputs: Sequence[Port], outputs: Sequence[Port], parts: Sequence[Block]) -> Network:
-    """The network of the blocks."""
-    network = Network(name, list(inputs), list(outputs))
+def joined(name: str, inputs: Sequence[Port], outputs: Sequence[Port], parts: Sequence[Block], dt: float) -> Network:
+    """The network of the blocks, for a sample time of dt seconds."""
+    network = Network(name, list(inputs), list(outputs), dt=dt)
     for block in parts:
         network.add(block.name, block.module)
     for block in parts:
@@ -150,7 +150,7 @@ def init(
     seen = [look(recording, inputs, output) for output in outputs]
     late = {n: min((s["delays"][n] for s in seen if s["delays"][n] is not None), default=1) for n in inputs}
     parts = blocks(ins, outs, late, more, order)
-    network = joined(name, ins, outs, parts)
+    network = joined(name, ins, outs, parts, recording.dt)
     train = f"greygate train {path.with_suffix('.toml')} --record {record} --tail 0.2 --out trained"
     if python:
         with replacing(files[0]) as new:

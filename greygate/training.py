@@ -59,6 +59,7 @@ def train_source(
     written.
     """
     network, records, others = _read(source, held)
+    network = replace(network, dt=source.period)
     tail = options.get("tail", 0.0)
     if seeds > 1 and not (others or tail):
         raise InputError(

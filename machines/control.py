@@ -23,6 +23,7 @@ from greygate.control.stepping import Floating, Stepped
 from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.machines.identification import TRAINED
+from greygate.models import sampling
 from greygate.models.network import Network
 from greygate.models.training.record import Record
 from greygate.plants.recording import Recording
@@ -88,7 +89,11 @@ class Task:
         return Imitated(network, sensor, self.preview, self.sensor_drive, self.drive)
 
     def floating(self, network: Network) -> Imitated:
-        return self.imitated(Floating(network), Floating(self.sensor()))
+        """Raises InputError for a network or a sensor of another sample time than the loop's."""
+        both = network, self.sensor()
+        for one in both:
+            sampling.check(one, self.period, f"control of {self.name}", "train it on recordings of the loop")
+        return self.imitated(*map(Floating, both))
 
     def network(self) -> Network:
         """The imitating network that is kept in the package."""
@@ -175,6 +180,6 @@ def make(task: Task, folder: Path = CONTROL, progress: Progress = silent) -> Non
     """Tune the PI controller and learn the imitation, and keep both."""
     best = task.tune()
     progress(f"PI tuned: {best}")
-    network = task.learn(progress)
+    network = replace(task.learn(progress), dt=task.period)
     kept = {n: float(v) for n, v in asdict(best).items() if n in ("gain", "reset_rate", "forward", "lead")}
     network.save(folder / task.name, json.dumps({"pi": kept}, indent=1) + "\n")

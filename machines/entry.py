@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from greygate.machines.augmentation import Augmentation
@@ -48,7 +48,7 @@ class Entry:
 
     def save(self, network: Network, figures: dict, folder: Path = TRAINED) -> None:
         """Write NAME.toml, NAME.safetensors and NAME.json (the figures)."""
-        network.save(folder / self.name, json.dumps(figures, indent=2) + "\n")
+        replace(network, dt=self.period).save(folder / self.name, json.dumps(figures, indent=2) + "\n")
 
 
 @dataclass(frozen=True)

@@ -282,7 +282,8 @@ class Result:
 
     def save(self, folder: Path = TRAINED) -> None:
         """Write NAME.toml, NAME.safetensors and NAME.json. Raises InputError where that cannot be done."""
-        self.network.save(folder / self.study.name, json.dumps(self.figures, indent=2) + "\n")
+        network = replace(self.network, dt=self.study.period)
+        network.save(folder / self.study.name, json.dumps(self.figures, indent=2) + "\n")
 
 
 def identify(study: Study, folder: Path | None = None, progress: Progress = silent) -> Result:

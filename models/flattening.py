@@ -23,6 +23,7 @@ class Nested(Protocol):
     inputs: list[Port]
     outputs: list[Port]
     connections: list[Connection]
+    dt: float | None
 
     @property
     def modules(self) -> "Mapping[str, Layer | Nested]": ...
@@ -58,6 +59,9 @@ class Flattener:
         return self.columns.get(target) or self.size[target]
 
     def _collect(self, network: Nested, prefix: str) -> None:
+        dt = network.dt
+        if dt is not None and not (isinstance(dt, Real) and math.isfinite(dt) and dt > 0):
+            self.fail(f"{prefix}dt {shown(dt)} is no sample time; give seconds above 0")
         for port in network.inputs + network.outputs:
             self._port(port, prefix)
         for name, module in network.modules.items():

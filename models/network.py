@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.models import storage
+from greygate.models import sampling, storage
 from greygate.models.flattening import Flattener
 from greygate.models.layer import Connection, Layer, Port
 
@@ -24,6 +24,7 @@ class Network:
     """Modules joined by connections; itself a module of another network.
 
     meaning: name of the library function that it stands for (families/library.py), which the compiler may emit instead.
+    dt: sample time [s] of what it was made for; None where that is not known, or all the same to it.
 
     >>> lag = Network("lag", [u], [y], {"memory": memory}, [feedback])
     >>> lag.connect("u", "memory.u")
@@ -40,6 +41,7 @@ class Network:
     modules: dict[str, "Layer | Network"] = field(default_factory=dict)
     connections: list[Connection] = field(default_factory=list)
     meaning: str = ""
+    dt: float | None = None
 
     def __repr__(self) -> str:
         inputs, outputs = (", ".join(f"{p.name} [{p.unit}]" for p in ports) for ports in (self.inputs, self.outputs))
@@ -77,6 +79,16 @@ class Network:
     def neurons(self) -> int:
         """How many neurons its layers have that are not linear."""
         return sum(layer.size for layer in self.layers().values() if not layer.is_linear)
+
+    def sample_time(self) -> float | None:
+        """Its `dt`, or else that of a module [s]; None where nothing says it. Raises InputError where two differ."""
+        of = {f"module {name}": m.sample_time() for name, m in self.modules.items() if isinstance(m, Network)}
+        found = [(who, dt) for who, dt in (("it", self.dt), *of.items()) if dt is not None]
+        for who, dt in found[1:]:
+            if not sampling.same(dt, found[0][1]):
+                told = f"{found[0][0]} was made for {sampling.spoken(found[0][1])}, {who} for {sampling.spoken(dt)}"
+                raise InputError(f"network {self.name}: {told}; train both on recordings of one sample time")
+        return found[0][1] if found else None
 
     def parameters(self) -> dict[str, np.ndarray]:
         """Every weight matrix `layer.port` and bias `layer.bias`."""
@@ -139,7 +151,7 @@ class Network:
         """
         flattener = Flattener(self)
         layers, connections = flattener.flat()
-        ports = replace(self, inputs=list(self.inputs), outputs=list(self.outputs), meaning="")
+        ports = replace(self, inputs=list(self.inputs), outputs=list(self.outputs), meaning="", dt=self.sample_time())
         flat = replace(ports, modules={**layers}, connections=connections)
         in_order = {name: layers[name] for name in flat.order()}
         return replace(flat, modules={**flattener.started(in_order, flat.rest(), flat.feeds())})

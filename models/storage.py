@@ -102,8 +102,8 @@ def to_toml(network) -> dict:
         kind: [{k: getattr(p, k) for k in p.__dataclass_fields__} for p in getattr(network, kind)]
         for kind in ("inputs", "outputs")
     }
-    meaning = {"meaning": network.meaning} if network.meaning else {}
-    return {"name": network.name, **meaning, **ports, "modules": modules, "connections": connections}
+    said = {k: v for k, v in (("dt", network.dt), ("meaning", network.meaning or None)) if v is not None}
+    return {"name": network.name, **said, **ports, "modules": modules, "connections": connections}
 
 
 _PORT: dict[str, Kind] = {"name": check_path}
@@ -131,8 +131,10 @@ class _Reader:
         ports = listed(lambda entry, where: Port(**table(entry, where, _PORT, _PORT_OPTIONS)))
         connections = listed(lambda entry, where: table(entry, where, _CONNECTION, {"gain": array}))
         entries = {"name": check_name, "inputs": ports, "outputs": ports, "modules": named(anything)}
-        found = table(data, where, entries | {"connections": connections}, {"meaning": check_text})
-        network = self.kind(found["name"], found["inputs"], found["outputs"], meaning=found.get("meaning", ""))
+        more = {"meaning": check_text, "dt": number}
+        found = table(data, where, entries | {"connections": connections}, more)
+        said = {k: found[k] for k in more if k in found}
+        network = self.kind(found["name"], found["inputs"], found["outputs"], **said)
         for name, entry in found["modules"].items():
             path = check_path(prefix + name, f"{where} module")
             place = entry_of(where, f"modules.{name}")

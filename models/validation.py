@@ -10,6 +10,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from greygate.errors import InputError
+from greygate.models import sampling
 from greygate.models.accuracy import rms
 from greygate.models.network import Network, Port
 from greygate.models.residuals import Correlation, residual_tests
@@ -134,6 +135,7 @@ def validate(
     """
     if not records:
         raise InputError(f"network {network.name}: no records to validate on")
+    sampling.check(network, period, f"period {period:g}", "resample the records")
     if lags < 1 or not horizons or min(horizons) < 1:
         raise InputError(f"network {network.name}: {lags} lags, horizons {tuple(horizons)}; give numbers above 0")
     for name, record in records.items():

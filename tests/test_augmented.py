@@ -61,7 +61,7 @@ def test_kept_networks_give_the_kept_figures_on_the_held_out_recording(plant, re
     kind.recording(rig.recording(rig.folder / "holdout.csv")).write_csv(tmp_path / "holdout.csv")
     for name, figures in FIGURES[plant]["networks"].items():
         network = Network.load(KEPT / name)
-        found = free_run_rms(network, read_record(network, tmp_path / "holdout.csv"))
+        found = free_run_rms(network, read_record(network, tmp_path / "holdout.csv")[0])
         assert found == pytest.approx(figures["trained"]["holdout"], rel=1e-6)
 
 

@@ -279,6 +279,8 @@ def compile(
             )
         except Unmet as unmet:
             found = unmet.found
+    if supposed := source.supposed:
+        say(supposed)
     if found is not None:
         give("explored", facts(found), as_json, lines(found))
         raise typer.Exit(1)
@@ -377,9 +379,12 @@ def validate(
     from greygate.pages.validation.judged import judge, table
     from greygate.source import Source
 
+    source = Source(network, recordings(record), settle)
     with following(f"validating {network}") as progress:
-        judged = judge(Source(network, recordings(record), settle), lags, progress)
+        judged = judge(source, lags, progress)
         templates.write(page(judged), out)
+    if supposed := source.supposed:
+        say(supposed)
     told = advice(judged)
     give("validate", judged.figures() | {"advice": told}, as_json, [*table(judged), *told, f"written to {out}"])
     if not judged.bounded:

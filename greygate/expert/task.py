@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from greygate.errors import InputError
+from greygate.models.sampling import same
 from greygate.models.training.record import Record
 from greygate.plants.closure import Closure
 from greygate.plants.expressions import names
@@ -42,7 +43,7 @@ class Task:
         for recording in recordings:
             if recording.samples < SHORTEST:
                 raise InputError(f"{recording.source}: {recording.samples} samples; give at least {SHORTEST}")
-            if abs(recording.dt - step) > 1e-3 * step:
+            if not same(recording.dt, step):
                 raise InputError(f"{recording.source}: sampled every {recording.dt:g} s, not {step:g} s; resample it")
         for name in (*sensors, *targets):
             if name not in plant.symbols - set(plant.parameters):

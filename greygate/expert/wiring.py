@@ -85,7 +85,7 @@ class Wiring:
         self.told = any(p.tolerance for p in self.plant.parameters.values())
         ports = [Port(n, self.plant.unit(n), self.size(n), initial=float(signals[n][0])) for n in task.inputs]
         outputs = [Port(n, self.plant.unit(n), self.size(n)) for n in task.targets]
-        self.network = Network(self.plant.name, ports, outputs)
+        self.network = Network(self.plant.name, ports, outputs, dt=task.step)
         self.joined = Joined(self.network, {}, {}, {})
         self.lags = {s: lag for lag in lags(task, self.constant_form) for s in lag.states}
 

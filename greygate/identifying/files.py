@@ -15,11 +15,11 @@ from greygate.identifying.looking import look
 from greygate.identifying.task import Task, task
 from greygate.models.accuracy import rms
 from greygate.models.network import Network
+from greygate.models.sampling import same
 from greygate.plain import json_text, plain
 from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import Recording
 from greygate.progress import Progress, once, silent
-from greygate.source import SAME_TIME
 
 UNLIKE = 5.0  # times the median part's error, from which a part is taken to hold what no other does
 SHOWN = 12  # models in the table of a terminal
@@ -53,7 +53,7 @@ def identify(
     began = monotonic()
     first = next(iter(recordings.values()))
     for other in (*recordings.values(), *tests.values()):
-        if abs(other.dt - first.dt) > SAME_TIME * first.dt:
+        if not same(other.dt, first.dt):
             raise InputError(f"{other.source}: sampled every {other.dt:g} s, {first.source} every {first.dt:g} s")
     posed = task(recordings, inputs, output, settle)
     seen = {name: look(r, inputs, output) for name, r in recordings.items()}
@@ -62,7 +62,8 @@ def identify(
     search = Halving(posed, seconds - (monotonic() - began), jobs, progress)
     search.run(shifted(found), sorted({1, apart}))
     chosen, fit = search.final()
-    return Identified(search.task, chosen, fit.network, search, seen, tests, monotonic() - began)
+    network = replace(fit.network, dt=first.dt)
+    return Identified(search.task, chosen, network, search, seen, tests, monotonic() - began)
 
 
 def shifted(delays: Sequence[int]) -> list[tuple[int, ...]]:

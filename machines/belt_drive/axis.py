@@ -31,7 +31,7 @@ CREEP = 0.1  # 0.3 leads out of the play as well
 
 def axis_model(trained: Network) -> Network:
     """Position of the carriage [m] from the speed of the motor alone."""
-    network = Network("belt_axis", [SPEED], [Port("carriage", "m", X_SCALE, X.offset)])
+    network = Network("belt_axis", [SPEED], [Port("carriage", "m", X_SCALE, X.offset)], dt=SAMPLE_TIME)
     home = -X.offset / X_SCALE
     step = {"before": [[1.0]], "v": [[SAMPLE_TIME * SPEED.scale / X_SCALE]]}
     network.add("place", Layer(step, [0.0], initial=home, frozen={*step, "bias"}))

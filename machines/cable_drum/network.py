@@ -35,7 +35,7 @@ def cable_drum(
 
     position: the port `x_pe` [m]. Inputs `x_pe`, `theta` [rad, -pi to pi], `home` (0 or 1); output `e` [m].
     """
-    network = Network("cable_drum", [position, ANGLE, HOME], [ERROR])
+    network = Network("cable_drum", [position, ANGLE, HOME], [ERROR], dt=sample_time)
     rate = position.scale / (sample_time * FASTEST)
     network.add("speed", Layer({"now": [[rate]], "before": [[-rate]]}, [0.0], frozen={"now", "before", "bias"}))
     network.connect("x_pe", "speed.now")

@@ -36,7 +36,7 @@ def axis(
     origin: see `starting`.
     """
     step = period * FORCE.scale / (mass * SPEED)
-    network = Network("axis", [FORCE], [POSITION])
+    network = Network("axis", [FORCE], [POSITION], dt=period)
     parts = {
         "force": [[1.0]],
         "v": [[-viscous * SPEED / FORCE.scale]],

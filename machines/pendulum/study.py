@@ -59,7 +59,7 @@ def pendulum(seed: int = SEED) -> Network:
     """
     k = {symbol: parameter.value for symbol, parameter in plant().parameters.items()}
     gain = SAMPLE_TIME / k["inertia"] / FASTEST  # of a torque in N m, on the normalised speed
-    network = Network("pendulum", [TORQUE], [ANGLE])
+    network = Network("pendulum", [TORQUE], [ANGLE], dt=SAMPLE_TIME)
     network.add("sine", frozen(library("sine")))
     network.add("friction", feedforward("friction", ["omega"], [NEURONS], seed))
     terms = {"before": 1.0, "torque": gain * TORQUE.scale, "weight": -gain * k["weight"], "friction": -gain * LARGEST}

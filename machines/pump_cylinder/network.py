@@ -39,7 +39,8 @@ def pump_srnn(
     predicted = [c for c in "ab" if c != known]
     sources = {c: f"p{c}" if c in predicted else f"p_{c}_measured" for c in "ab"}
     sensors = [Port(sources[c], "Pa", p_max, initial=k[f"p_{c}_rest"]) for c in "ab" if c == known]
-    network = Network("pump_srnn", [*speeds, position, *sensors], [Port(f"p_{c}", "Pa", p_max) for c in predicted])
+    ports = [*speeds, position, *sensors], [Port(f"p_{c}", "Pa", p_max) for c in predicted]
+    network = Network("pump_srnn", *ports, dt=sample_time)
     network.add("velocity", Layer({"now": [[1.0]], "before": [[-1.0]]}, [0.0], frozen={"now", "before", "bias"}))
     network.connect(position.name, "velocity.now")
     network.connect(position.name, "velocity.before", delay=1)

@@ -69,7 +69,8 @@ def axis_model(trained: Network, sample_time: float = SAMPLE_TIME) -> Network:
     force = t * t / mass / inertia / X_SCALE
     flow = k["k_valve"] * k["u_max"] * np.sqrt(scale)
     charge = {c: t * beta * flow / k[f"v_{c}0"] for c in "ab"}
-    network = Network("axis", [VOLTAGE], [Port("x", "m", X_SCALE), Port("p_a", "Pa", scale), Port("p_b", "Pa", scale)])
+    outputs = [Port("x", "m", X_SCALE), Port("p_a", "Pa", scale), Port("p_b", "Pa", scale)]
+    network = Network("axis", [VOLTAGE], outputs, dt=sample_time)
     network.add("pressures", pressures)
     weights = {"v": 2 / inertia, "p_a": force * area * scale, "p_b": -force * area * scale}
     weights |= {"q_a": force * area * charge["a"] / 2, "q_b": -force * area * charge["b"] / 2}

@@ -106,6 +106,7 @@ def valve_srnn(
         "valve_srnn",
         [drive, position, *([oil[0]] if oil else [])],
         [Port("p_a", "Pa", k["p_s"]), Port("p_b", "Pa", k["p_s"])],
+        dt=sample_time,
     )
     network.add("spool", spool)
     network.add("velocity", Layer({"now": [[1.0]], "before": [[-1.0]]}, [0.0], frozen={"now", "before", "bias"}))

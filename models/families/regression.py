@@ -162,7 +162,7 @@ def box_jenkins(plant: Network, noise: Sequence[int], shaping: Sequence[int]) ->
     flat = plant.flatten()
     output = plant.outputs[0]
     source, delay = flat.feeds()[output.name]
-    network = Network(plant.name, list(flat.inputs), [output], dict(flat.modules))
+    network = replace(flat, name=plant.name, outputs=[output])
     network.connections = [c for c in flat.connections if c.target != output.name]
     taps = {f"v_z{d}": ("v", d) for d in shaping} | {f"e_z{d}": ("e", d) for d in noise}
     weights = {"plant": [[1.0]]} | {port: [[0.0]] for port in taps}
@@ -193,7 +193,7 @@ def free_run(network: Network) -> Network:
             weights = {p: w for p, w in layer.weights.items() if f"{name}.{p}" in targets}
             modules[name] = replace(layer, weights=weights, frozen=layer.frozen & {*weights, "bias"})
     inputs = [p for p in flat.inputs if p.name not in measured]
-    return Network(network.name, inputs, flat.outputs, modules, kept).check()
+    return replace(flat, inputs=inputs, modules=modules, connections=kept).check()
 
 
 def with_measured(record: Record, network: Network) -> Record:

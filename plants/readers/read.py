@@ -12,7 +12,7 @@ from greygate.plants.readers.columns import Channel, Column, Told, channels, rec
 from greygate.plants.readers.formats import FORMATS
 from greygate.plants.readers.formats import columns as of_file
 from greygate.plants.readers.units import PLAIN
-from greygate.plants.recording import Recording, read_csv
+from greygate.plants.recording import UNITS, Recording, read_csv
 from greygate.reading import line, named, read_toml, table
 from greygate.table import read_header, read_table, read_united
 
@@ -45,7 +45,7 @@ def read_recording(
     <Recording recording: n [rad/s]; 3 samples, one every 0.001 s>
     """
     path = Path(source) if isinstance(source, str | Path) else None
-    if path is not None and not _styled(path, units, time, resample):
+    if path is not None and not _styled(path, required or {}, units, time, resample):
         return read_csv(path, required, dt=dt, bare=bare)
     found = read_channels(source, required, units=units, time=time, dt=dt, unitless="1" if bare else None)
     name = str(path) if path is not None else "recording"
@@ -83,20 +83,28 @@ def read_channels(
     return channels(columns, str(path), {**beside, **(units or {})}, required, dt, time or clock, unitless)
 
 
-def _styled(path: Path, *asked: Any) -> bool:
-    """Whether a file is anything but a CSV of the house's own form."""
+def _styled(path: Path, required: Mapping[str, str], *asked: Any) -> bool:
+    """Whether a file is anything but a CSV of the house's own form, in the units that are required."""
     if path.suffix.lower() in FORMATS or any(asked) or _sidecar(path).exists():
         return True
     header, second = read_header(path)
     if not header or header[0] not in ("t", "t_s", "k"):
         return any(_STYLED.search(h) for h in header) or (bool(header) and header[0].lower() in ("time", "time_s"))
-    return any(_STYLED.search(h) or _plain(h) for h in header) or second
+    others = {} if header[0] == "k" else required
+    return any(_STYLED.search(h) or _plain(h) or _other(h, others) for h in header) or second
 
 
 def _plain(header: str) -> bool:
     """Whether a name ends in a unit that the house's own form has not."""
     parts = header.split("_")
     return any("_".join(parts[k:]) in PLAIN for k in range(1, len(parts)))
+
+
+def _other(header: str, required: Mapping[str, str]) -> bool:
+    """Whether a column's unit is another one than is required of it."""
+    parts = header.split("_")
+    found = ((required.get("_".join(parts[:k])), UNITS.get("_".join(parts[k:]))) for k in range(1, len(parts)))
+    return any(wanted and unit and unit != wanted for wanted, unit in found)
 
 
 def _of_csv(path: Path) -> list[Column]:

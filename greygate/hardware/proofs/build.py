@@ -99,7 +99,7 @@ def _netlists(project: Project, chosen: dict, progress: Progress) -> Iterator[Pr
 
 def _bound(project: Project, chosen: dict, progress: Progress) -> Iterator[Proof]:
     """Between the least and the greatest value of each input in all scenarios; then what holds of feedback."""
-    records = project.source.records().values()
+    records = project.records().values()
     ends = {
         p.name: (min(np.min(r.inputs[p.name]) for r in records), max(np.max(r.inputs[p.name]) for r in records))
         for p in project.network.inputs
@@ -111,7 +111,7 @@ def _bound(project: Project, chosen: dict, progress: Progress) -> Iterator[Proof
 
 def _drift(project: Project, chosen: dict, progress: Progress) -> Iterator[Proof]:
     name = project.source.training[0]
-    yield no_drift(project.program, project.network, project.source.records()[name], chosen["steps"], progress)
+    yield no_drift(project.program, project.network, project.records()[name], chosen["steps"], progress)
 
 
 def _of(proof: Proof, architecture: str) -> Proof:
