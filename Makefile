@@ -80,7 +80,7 @@ bench-wheel: $(VENV)/.ready-dev | tools
 bench-browser: $(VENV)/.ready-dev docs | tools
 	PYTHONPATH=tests $(BIN)/python benchmarks/browser.py
 
-# Ten minutes: the most memory of train on a million rows, of emulate and validate on five.
+# Twenty minutes: the most memory of look, train, validate, emulate and identify on five million rows.
 bench-memory: $(VENV)/.ready-dev
 	$(BIN)/python benchmarks/memory.py
 

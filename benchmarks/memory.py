@@ -1,7 +1,9 @@
-"""Most memory of a training epoch on 1,000,000 rows, and of emulate and validate on 5,000,000, of a small NOE.
+"""Most memory of commands on a recording of 5,000,000 rows: look, a training epoch of a small NOE, validate, emulate,
+identify.
 
-`make bench-memory`, ten minutes, writes benchmarks/results/memory.json. Each command runs in a process of its own. The
-aims: 2 GB for the training, 4 GB for the others. `python benchmarks/memory.py train` measures one of them.
+`make bench-memory`, twenty minutes, writes benchmarks/results/memory.json. Each command runs in a process of its own,
+`look` converts the units and writes the recording again. The aim: 4 GB. `python benchmarks/memory.py train` measures
+one of them.
 """
 
 import os
@@ -9,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,8 +22,10 @@ from greygate.models.network import Network, Port
 from greygate.plants.excitation import prms
 
 GREYGATE = str(Path(sys.executable).with_name("greygate"))
-ROWS = {"train": 1_000_000, "emulate": 5_000_000, "validate": 5_000_000}
-AIMS_GB = {"train": 2.0, "emulate": 4.0, "validate": 4.0}
+ROWS = 5_000_000
+PARTS = ("look", "train", "validate", "emulate", "identify")
+AIM_GB = 4.0
+SECONDS = 120  # that identify may search
 BLOCK = 100_000  # rows that are written at once
 PERIOD, NOISE = 1e-3, 1e-3
 
@@ -28,14 +33,14 @@ PERIOD, NOISE = 1e-3, 1e-3
 def plant() -> Network:
     """A lag behind a curve, in the form of the network that is trained on it."""
     start = noe("mine", {Port("u", "V"): (1, 2)}, Port("y", "m"), (1,), hidden=4)
-    return start.with_parameters({"sum.y_z1": [[0.9]]})  # else it integrates
+    return replace(start.with_parameters({"sum.y_z1": [[0.9]]}), dt=PERIOD)  # else it integrates
 
 
-def write(path: Path, rows: int) -> None:
+def write(path: Path, rows: int, header: str = "t_s,u_V,y_m") -> None:
     """A recording of the lag, block by block."""
     rng, last = np.random.default_rng(0), 0.0
     with path.open("w") as file:
-        file.write("t_s,u_V,y_m\n")
+        file.write(f"{header}\n")
         for start in range(0, rows, BLOCK):
             u = prms(BLOCK, -1.0, 1.0, (5, 40), start)
             y = np.empty(BLOCK)
@@ -58,7 +63,13 @@ def measured(words: list, folder: Path) -> dict:
 def prepared(part: str, folder: Path) -> list[str]:
     """Write what a command needs; its words."""
     plant().save(folder / "mine")
-    write(folder / "long.csv", ROWS[part])
+    header = "t_s,u [mV],y [mm]" if part == "look" else "t_s,u_V,y_m"
+    write(folder / "long.csv", ROWS, header)
+    if part == "look":
+        return ["look", "long.csv", "--out", "canonical.csv"]
+    if part == "identify":
+        channels = ["--input", "u", "--output", "y"]
+        return ["identify", "long.csv", *channels, "--seconds", str(SECONDS), "--jobs", "1", "--out", "found"]
     if part == "train":
         return ["train", "mine.toml", "--record", "long.csv", "--no-narx", "--epochs", "1", "--out", "out"]
     if part == "validate":
@@ -69,10 +80,10 @@ def prepared(part: str, folder: Path) -> list[str]:
 
 
 def main(parts: list[str]) -> None:
-    for part in parts or ROWS:
+    for part in parts or PARTS:
         with tempfile.TemporaryDirectory() as folder:
             words = prepared(part, Path(folder))
-            found = {"command": part, "rows": ROWS[part], "aim_gb": AIMS_GB[part], **measured(words, Path(folder))}
+            found = {"command": part, "rows": ROWS, "aim_gb": AIM_GB, **measured(words, Path(folder))}
         print(found, flush=True)
         keep("memory", part, found)
 
