@@ -290,7 +290,7 @@ class Program:
     operations: Annotated[tuple[Operation, ...], _operations]
     outputs: tuple[Terminal, ...]
     tables: Annotated[tuple[Table | Lines, ...], read_tables] = ()
-    period: float = 1e-3  # s, for reports only
+    period: float = 1e-3  # s, of a step; it changes no bit
     notes: dict[str, str] = field(default_factory=dict)  # signal -> why it has its format
 
     def __repr__(self) -> str:
