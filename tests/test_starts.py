@@ -212,7 +212,7 @@ def test_the_gradient_is_that_of_errors_at_the_best_gain(offset):
         (["--offset", "u", "--held", "held.csv"], "no such output"),
         (["--offset", "y"], "give another one beside it"),
         (["--offset", "y", "--record", "away.csv", "--shooting", "40"], "leave one out"),
-        (["--held", "slow.csv"], "greygate look slow.csv --resample 0.01 --out FILE.csv"),
+        (["--held", "slow.csv"], "greygate look slow.csv --resample 0.01 --out slow_10ms.csv"),
     ],
 )
 def test_what_several_recordings_cannot_be_is_refused_with_what_to_do(greygate, folder, words, said):
