@@ -19,6 +19,7 @@ from greygate.errors import InputError
 from greygate.hardware.families import DEVICES
 from greygate.models.network import Network
 from greygate.models.training.record import Record
+from greygate.plants.readers.units import factor
 from greygate.progress import Progress, silent
 
 FILLED = 0.9  # part of the LUTs of a device that place and route can fill
@@ -37,22 +38,6 @@ def measured(text: str, option: str, wish: str) -> tuple[float, str]:
     return value, found[2]
 
 
-def converted(value: float, unit: str, to: str) -> float | None:
-    """A number of one unit in another; None where the two are of different kinds, or not known."""
-    unit, to = unit or "1", to or "1"
-    if unit == to:
-        return value
-    try:
-        import pint
-    except ImportError:
-        raise InputError(f"unit {unit}: pint is not installed, which converts it to {to}; give {to}") from None
-    plain = {"1": "", "N m": "N*m"}
-    try:
-        return float(pint.Quantity(value, plain.get(unit, unit)).to(plain.get(to, to)).magnitude)
-    except (pint.errors.PintError, AttributeError, TypeError, ValueError, AssertionError):
-        return None
-
-
 def bounded(text: str | None, units: Mapping[str, str]) -> Bound:
     """The bound that --max-error gives: 0.5% of the range of each output, 0.2bar, or 1.05x the error of float.
 
@@ -64,7 +49,7 @@ def bounded(text: str | None, units: Mapping[str, str]) -> Bound:
     value, unit = measured(text, "--max-error", wish)
     if unit in ("%", "x"):
         return Bound(value, Scale(unit))
-    factors = {n: f for n, own in units.items() if (f := converted(1.0, own, unit)) is not None}
+    factors = {n: f for n, own in units.items() if (f := factor(own or "1", unit or "1")) is not None}
     if not factors:
         raise InputError(f"--max-error {text}: no output has a unit of that kind, but {', '.join(units.values())}")
     return Bound(value, Scale.UNIT, unit, factors)

@@ -24,6 +24,7 @@ _PLAIN = b"0123456789+-.eE \r\n"  # the characters of a file of decimal numbers,
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?")
 _THOUSANDS = re.compile(r"[+-]?[1-9][0-9]{0,2},[0-9]{3}")
+_BRACKETED = re.compile(r"^[\[(](.*)[\])]$")  # a unit in a row of its own
 _MARKS = {b"\xff\xfe": "UTF-16", b"\xfe\xff": "UTF-16"}  # byte order marks of other encodings than UTF-8
 _GZIP = b"\x1f\x8b"
 
@@ -113,7 +114,7 @@ def read_united(path: Path | str) -> tuple[CsvTable, list[str]]:
     text = _text(path)
     lines, rows, _ = _rows(path, text)
     header = _header(path, [name.strip() for name in rows.pop(0)])
-    units = [cell.strip().strip("[]()") for cell in rows.pop(0)]
+    units = [_BRACKETED.sub(r"\1", cell.strip()) for cell in rows.pop(0)]
     lines = lines[2:]
     for line, row in zip(lines, rows, strict=True):
         if len(row) != len(header):

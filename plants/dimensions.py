@@ -3,10 +3,12 @@
 from collections.abc import Mapping
 from fractions import Fraction
 from functools import cache
+from math import prod
 
 from greygate.plants import units
 from greygate.plants.expressions import names
 from greygate.plants.plant import Plant
+from greygate.plants.quantities import Quantity, quantity
 
 RATIOS = ("rad", "mrad", "deg", "°", "rev", "turn", "%", "rpm")
 """Units without a dimension, and rotations a minute."""
@@ -63,16 +65,9 @@ def dimension(unit: units.Powers) -> Dimension | None:
 
 @cache
 def _of(symbol: str) -> Dimension | None:
-    import pint
-
-    if symbol in RATIOS:
-        return {} if symbol != "rpm" else {"[time]": -1.0}
-    if symbol not in KNOWN.split():
+    if symbol not in (*RATIOS, *KNOWN.split()):
         return None
-    return {str(name): float(power.real) for name, power in pint.Unit(symbol).dimensionality.items()}
-
-
-BASES = {"kilogram": "kg", "meter": "m", "second": "s", "ampere": "A", "kelvin": "K", "mole": "mol", "candela": "cd"}
+    return {name: float(power) for name, power in quantity(symbol).dimension.items() if name != "rad"}
 
 
 @cache
@@ -81,20 +76,10 @@ def base(unit: str) -> tuple[dict[str, int], float] | None:
 
     None for one that is not known, that has a broken power, or that has an offset (degC).
     """
-    import pint
-
     found = units.powers(unit)
     if not found or any(s in SAME and s not in ("Ω", "l") for s in found) or dimension(found) is None:
         return None
     if any(power.denominator != 1 for power in found.values()) or {"%", "°", "rev", "turn", "rpm"} & set(found):
         return None
-    powers: dict[str, int] = {}
-    factor = 1.0
-    for symbol, power in found.items():
-        quantity = pint.Quantity(1.0, SAME.get(symbol, symbol)).to_base_units()
-        factor *= float(quantity.magnitude) ** int(power)
-        dims = dict(quantity.unit_items()) or ({"rad": 1} if symbol in ("rad", "mrad", "deg") else {})
-        for name, of in dims.items():
-            key = BASES.get(str(name), "rad")
-            powers[key] = powers.get(key, 0) + round(float(of.real)) * int(power)
-    return {name: power for name, power in powers.items() if power}, factor
+    made = prod((quantity(SAME.get(s, s)) ** int(power) for s, power in found.items()), start=Quantity())
+    return made.dimension, made.value

@@ -1,54 +1,52 @@
-"""Headers such as "p_a [bar]", and what becomes of a unit: one of the house's stays, any other is converted to SI."""
+"""Headers such as "p_a [bar]", and what becomes of a unit: one of the house's stays, any other is converted to SI.
+
+A text that is neither a product of `quantities`' symbols nor in `spellings`, or that has several readings, is refused.
+"""
 
 import re
-from functools import cache
-from typing import Any
+from functools import cache, lru_cache
+from itertools import product as every
+from math import prod
 
 import numpy as np
 
 from greygate.errors import InputError, shown
+from greygate.names import LONGEST_UNIT
+from greygate.plants.quantities import (
+    FORCE,
+    NAMES,
+    SYMBOLS,
+    TOGETHER,
+    Quantity,
+    Twofold,
+    factors,
+    plain,
+    quantity,
+    ratio,
+    symbol,
+)
+from greygate.plants.readers.spellings import ADVICE, ALONE, GAUGE, PRESSURE, READINGS, SPELT, TEMPERATURE
 from greygate.plants.recording import UNITS
 
-PLAIN = {  # suffix of a name, `n_rpm` -> unit as pint has it
+PLAIN = {  # suffix of a name, `n_rpm` -> unit as it is written
     "rpm": "rpm", "deg": "deg", "deg_s": "deg/s", "mrad": "mrad", "degC": "degC", "mm": "mm", "cm": "cm", "um": "um",
     "km": "km", "mm_s": "mm/s", "km_h": "km/h", "kN": "kN", "mN": "mN", "kPa": "kPa", "MPa": "MPa", "hPa": "hPa",
     "mbar": "mbar", "psi": "psi", "mV": "mV", "kV": "kV", "mA": "mA", "kW": "kW",
     "kHz": "kHz", "L_min": "L/min", "l_min": "L/min", "mm2": "mm^2",
     "pct": "percent", "percent": "percent", "mNm": "mN m", "kNm": "kN m",
+    "bara": "bara", "barg": "barg", "psia": "psia", "psig": "psig", "degF": "degF",
 }  # fmt: skip
-AMBIGUOUS = {
-    "g": "a gram or the acceleration of free fall; write gram or g_0",
-    "C": "coulomb or degree Celsius; write coulomb or degC",
-    "F": "farad or degree Fahrenheit; write farad or degF",
-    "barg": "a gauge pressure, which has no fixed zero; add the ambient pressure and write bar",
-    "bar(g)": "a gauge pressure, which has no fixed zero; add the ambient pressure and write bar",
-    "psig": "a gauge pressure, which has no fixed zero; add the ambient pressure and write psi",
-    "dB": "a logarithm of a ratio; convert it to the quantity itself",
-    "M": "molar or a million; write what is meant",
-    "h": "an hour or Planck's constant; write hour",
-    "d": "a day or a deciunit; write day",
-    "t": "a ton or a time; write tonne, or rename the column",
-    "l": "a litre or a length; write L or m",
-    "MIN": "minutes or a minimum; write min",
-    "U/min": "revolutions a minute in German; write rpm",
-}
-SPELT = {
-    "°": "deg", "°C": "degC", "℃": "degC", "°F": "degF", "º": "deg", "ºC": "degC", "Ω": "ohm", "Ohm": "ohm",
-    "%": "percent", "Nm": "N m", "kNm": "kN m", "mNm": "mN m", "Ncm": "N cm", "counts": "count", "raw": "count",
-    "ticks": "tick", "-": "1", "": "1", "none": "1", "rev/min": "rpm", "1/min": "rpm", "min-1": "rpm", "min^-1": "rpm",
-    "1/s": "Hz", "l/min": "L/min", "lpm": "L/min", "sec": "s", "seconds": "s", "Volt": "V", "Volts": "V", "Amp": "A",
-    "celsius": "degC", "Celsius": "degC", "m/s2": "m/s^2", "m/s/s": "m/s^2", "rad/s2": "rad/s^2", "m/s²": "m/s^2",
-    "rad/s²": "rad/s^2", "m²": "m^2", "m³": "m^3", "m³/s": "m^3/s", "m3/s": "m^3/s", "m³/h": "m^3/hour",
-    "m3/h": "m^3/hour", "mm²": "mm^2", "km/h": "km/hour", "kWh": "kW hour",
-}  # fmt: skip
-"""Ways to write a unit -> pint's."""
-WRITTEN = frozenset({u for u in (*UNITS.values(), *PLAIN.values(), *SPELT) if re.search(r"[/^%°²³]", u)})
-"""Units with a sign, which no name has: `speed_rad/s`."""
 SI = (
-    "1", "m", "s", "kg", "A", "K", "rad", "N", "Pa", "J", "W", "V", "coulomb", "farad", "ohm", "H", "T", "Hz", "m/s",
-    "m/s^2", "m^2", "m^3", "m^3/s", "kg/s", "N/m", "N s/m", "kg m^2", "kg/m^3", "Pa s",
+    "1", "m", "s", "kg", "A", "K", "rad", "N", "Pa", "J", "W", "V", "coulomb", "farad", "ohm", "henry", "T", "Hz",
+    "m/s", "m/s^2", "m/s^3", "m^2", "m^3", "m^3/s", "kg/s", "N/m", "N s/m", "kg m^2", "kg/m^3", "Pa s", "Pa/s", "m^2/s",
+    "kg m", "N s", "rad/s", "rad/s^2", "rad/s^3", "N m/rad", "N m s/rad", "m/rad", "m^3/rad", "V s/rad", "V s/m",
+    "V/m", "V/s", "A/s", "K/s", "W/K", "J/K", "J/(kg K)", "W/(m K)", "W/(m^2 K)", "N/A", "N m/A", "N m s", "1/m", "1/K",
+    "1/rad", "rad/m", "siemens", "siemens/m", "Wb", "m^3/(s Pa)", "A/V",
 )  # fmt: skip
-TURNING = re.compile(r"rpm|rev|turn|deg|rad|arc")
+"""What a unit becomes: the first that is of its kind."""
+FORCES = ("N m", "N s/m")  # of `SI`: also J and kg/s
+MOST_READINGS = 16  # of a product
+_SIGN = re.compile(r"[/^%°²³]")  # of a unit, in no name: `speed_rad/s`
 _BRACKETS = re.compile(
     r"\s*(?P<name>.*?)\s*(?:\[(?P<a>[^\[\]]*)\]|\((?P<b>[^()]*(?:\([^()]*\))?)\)|\{(?P<c>[^{}]*)\})\s*"
 )
@@ -64,7 +62,7 @@ def split(header: str, where: str) -> tuple[str, str | None]:
             groups = found.groupdict()
             unit = groups.get("unit") or next((groups[k] for k in "abc" if groups.get(k) is not None), None)
             inner, beside = suffixed(groups["name"])
-            if beside is not None and form is _BRACKETS and _known(unit or "") != _known(beside):
+            if beside is not None and form is _BRACKETS and not _same(unit or "", beside):
                 raise InputError(
                     f"{where}: column {shown(header)} names two units, {beside} and {unit}; write one of them"
                 )
@@ -80,13 +78,23 @@ def suffixed(header: str) -> tuple[str, str | None]:
         suffix = "_".join(parts[start:])
         if suffix in UNITS or suffix in PLAIN:
             return "_".join(parts[:start]), UNITS.get(suffix) or PLAIN[suffix]
-        if suffix in WRITTEN:
+        if _SIGN.search(suffix) and _is_unit(suffix):
             return "_".join(parts[:start]), suffix
     return header.strip(), None
 
 
-def _known(unit: str) -> str:
-    return SPELT.get(unit.strip(), unit.strip())
+def _same(unit: str, other: str) -> bool:
+    try:
+        return unit.strip() == other or _scale(unit.strip(), None) == _scale(other, None)
+    except InputError:
+        return False
+
+
+def _is_unit(text: str) -> bool:
+    try:
+        return bool(_read(text))
+    except InputError:
+        return False
 
 
 def _name(text: str) -> str:
@@ -98,67 +106,145 @@ def _name(text: str) -> str:
 def converted(values: np.ndarray, unit: str, where: str, wanted: str | None = None) -> tuple[np.ndarray, str]:
     """(values, unit): unchanged where it is `wanted` or one of the house's units, else in SI, or in `wanted`.
 
+    What is wanted settles a unit of several readings if it is of the kind of one alone.
     Raises InputError for a unit that is unknown or ambiguous, or of another quantity than `wanted`.
     """
     text = unit.strip()
-    if text in AMBIGUOUS:
-        raise InputError(f"{where}: the unit {text} is {AMBIGUOUS[text]}")
-    spelt = SPELT.get(text, text)
-    if spelt == wanted or (wanted is None and spelt in UNITS.values()):
-        return values, spelt
-    factor, zero, to = _scale(spelt, wanted, where)
-    return (values * factor + zero if zero else values * factor), to
-
-
-@cache
-def _registry() -> Any:
-    import pint
-
-    registry: Any = pint.UnitRegistry(autoconvert_offset_to_baseunit=False)
-    registry.define("tick = []")
-    registry.define("house_count = []")
-    return registry
-
-
-@cache
-def _scale(unit: str, wanted: str | None, where: str) -> tuple[float, float, str]:
-    """(factor, zero, SI unit): what 1 and 0 of the unit are there."""
-    registry = _registry()
+    if text == wanted:
+        return values, text
     try:
-        given = registry.parse_units(_written(unit))
-    except Exception:  # whatever pint and its parser raise
-        raise InputError(
-            f"{where}: the unit {shown(unit)} is not known; write it as m/s^2, N m, L/min, degC, percent, or 1 for none"
-        ) from None
-    if wanted is None:
-        turning = TURNING.search(unit)
-        hint = ["rad/s", "rad/s^2", "rad"] if turning else ["N m"] if re.search(r"N\s?\S*\s?m", unit) else []
-        candidates = [*hint, *SI]
-    else:
-        candidates = [wanted]
-    for name in candidates:
-        other = registry.parse_units(_written(name))
-        if other.dimensionality == given.dimensionality:
-            ends = [float(registry.Quantity(v, given).to(other).magnitude) for v in (0.0, 1.0)]
-            factor, zero = ends[1] - ends[0], ends[0]
-            return (round(factor, 12) if zero else factor), zero, name
+        factor, zero, to = _scale(text, wanted)
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+    return (values * factor + zero if zero else values if factor == 1 else values * factor), to
+
+
+def factor(unit: str, wanted: str) -> float | None:
+    """What a difference of 1 of a unit is in another; None where they are of two kinds, or one is not known."""
+    try:
+        return 1.0 if unit == wanted else _scale(unit, wanted)[0]
+    except InputError:
+        return None
+
+
+@lru_cache(4096)
+def _scale(unit: str, wanted: str | None) -> tuple[float, float, str]:
+    """(factor, zero, unit): what 1 and 0 of the unit are there. Raises InputError without a place."""
+    spelt = _read(unit, wanted)
+    given = quantity(spelt)
     if wanted is not None:
-        raise InputError(f"{where}: is in {unit}, which cannot be converted to {wanted}")
-    raise InputError(f"{where}: the unit {shown(unit)} is of a quantity without a unit here; convert it, or write 1")
+        if (found := _ratio(given, wanted)) is None:
+            raise InputError(f"is in {unit}, which cannot be converted to {wanted}")
+        return *found, wanted
+    forces = FORCES if _has_force(spelt) else ()
+    for name in (*forces, *(unit for unit in UNITS.values() if unit not in FORCES)):
+        if quantity(name) == given:
+            return 1.0, 0.0, name
+    for name in (*forces, *SI):
+        if (found := ratio(given, quantity(name))) is not None and quantity(name).dimension == given.dimension:
+            return *found, name
+    raise InputError(f"the unit {shown(unit)} is of a quantity without a unit here; convert it, or write 1")
 
 
-def _written(unit: str) -> str:
-    """For pint: a blank between units is a product."""
-    spelt = SPELT.get(unit, unit)
-    spelt = {"count": "house_count", "1": "dimensionless"}.get(spelt, spelt)
-    spelt = (
-        spelt.replace("²", "^2")
-        .replace("³", "^3")
-        .replace("·", " ")
-        .replace("⋅", " ")
-        .replace("µ", "u")
-        .replace("μ", "u")
+def _ratio(given: Quantity, wanted: str) -> tuple[float, float] | None:
+    try:
+        return ratio(given, quantity(_read(wanted)))
+    except InputError:
+        return None
+
+
+def _has_force(spelt: str) -> bool:
+    """Whether a unit is written with a force: then a torque is no energy, and a damping no flow of mass."""
+    return any(
+        symbol(name).powers == FORCE or (name in TOGETHER and _has_force(TOGETHER[name])) for name, _ in factors(spelt)
     )
-    if not re.fullmatch(r"[A-Za-z0-9_ ^*/().+-]{1,40}", spelt) or re.search(r"\d{3}|\*\*\s*\d\d|\^\s*\d\d", spelt):
-        raise ValueError(unit)
-    return re.sub(r"(?<=[A-Za-z0-9)])\s+(?=[A-Za-z(])", " * ", spelt.strip())
+
+
+def _read(unit: str, wanted: str | None = None) -> str:
+    """A unit in the symbols of `quantities`. Raises InputError if it is none, or has several readings."""
+    text = plain(unit)
+    if len(unit) > LONGEST_UNIT:
+        raise InputError(f"the unit {shown(unit)} is longer than any; write it as m/s^2, N m, L/min, or 1 for none")
+    for form, advice in ADVICE:
+        if form.fullmatch(text):
+            raise InputError(f"the unit {text} is {advice}")
+    if (pressure := _pressure(text)) is not None:
+        return pressure
+    text = TEMPERATURE.sub(_degrees, text)
+    try:
+        read = _readings(SPELT.get(text, text))
+    except Twofold:
+        raise InputError(f"the unit {shown(unit)} has two readings, a/(b c) and a c/b; write parentheses") from None
+    except ValueError:
+        raise InputError(_unknown(unit, text)) from None
+    if len(read) > 1 and wanted is not None:
+        fits = [r for r in read if r[0] != "?" and _ratio(quantity(r[0]), wanted) is not None]
+        read = fits if len(fits) == 1 else read
+    if len(read) > 1:
+        write = " or ".join(dict.fromkeys(spelt for spelt, _ in read if spelt != "?")) or "what is meant"
+        raise InputError(f"the unit {text} is {' or '.join(means for _, means in read)}; write {write}")
+    return read[0][0]
+
+
+def _pressure(text: str) -> str | None:
+    """The unit of an absolute pressure or of a difference; None if it is neither. Raises InputError for a gauge's."""
+    found = PRESSURE.fullmatch(text)
+    if found is None:
+        return None
+    try:
+        base = _read(found["base"].strip(), "Pa")
+        if _ratio(quantity(base), "Pa") is None:
+            return None
+    except InputError:
+        return None
+    if (found["apart"] or found["joined"])[0].lower() in GAUGE:
+        raise InputError(
+            f"the unit {text} is a gauge pressure, which has no fixed zero; add the ambient pressure and write {base}"
+        )
+    return base
+
+
+def _degrees(found: re.Match[str]) -> str:
+    letter = (found["of"] or found["grad"] or found["word"])[0].upper()
+    return ("m" if found["milli"] else "") + ("K" if letter == "K" else f"deg{letter}")
+
+
+def _readings(text: str) -> list[tuple[str, str]]:
+    """(unit in the symbols of `quantities`, meaning) of each reading. Raises ValueError if there is none."""
+    if text in READINGS:
+        return [
+            (unit, means or unit) for unit, _, means in (part.partition(": ") for part in READINGS[text].split("; "))
+        ]
+    found = factors(text)
+    parts = {n: _readings(n) for n, _ in found if n in READINGS and not (len(found) > 1 and n in ALONE)}
+    if prod(map(len, parts.values())) > MOST_READINGS:
+        raise ValueError(text)
+    made = []
+    for choice in every(*parts.values()):
+        spelt = text
+        for name, (unit, means) in zip(parts, choice, strict=True):
+            inner = f"({means if unit == '?' else unit})" if unit == "?" or re.search(r"[ /^]", unit) else unit
+            spelt = re.sub(rf"(?<![^\W\d_]){re.escape(name)}(?![^\W\d_])", lambda _, inner=inner: inner, spelt)
+        made.append(("?" if any(unit == "?" for unit, _ in choice) else spelt, spelt))
+    if not any(unit != "?" and quantity(unit) for unit, _ in made):
+        raise ValueError(text)
+    return made
+
+
+def _unknown(unit: str, text: str) -> str:
+    told = f"the unit {shown(unit)} is not known; "
+    if other := sorted(_by_letters().get(text.lower(), ())):
+        return f"{told}in other letters it is {' or '.join(other)}: write which"
+    return f"{told}write it as m/s^2, N m, L/min, degC, percent, or 1 for none"
+
+
+@cache
+def _by_letters() -> dict[str, set[str]]:
+    """Units in small letters -> as they are written."""
+    found: dict[str, set[str]] = {}
+    names = {name: SYMBOLS[name][1].split() for name in SYMBOLS} | {
+        n: SYMBOLS[own][1].split() for n, own in NAMES.items()
+    }
+    for unit in (*(p + n for n, prefixes in names.items() for p in ("", *prefixes)), *TOGETHER, *SPELT):
+        found.setdefault(unit.lower(), set()).add(unit)
+    return found
