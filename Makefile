@@ -159,7 +159,7 @@ calibrate: $(VENV)/.ready-dev | tools
 
 train: $(VENV)/.ready
 	$(BIN)/python -m greygate.models.families.library
-	for name in valve_cylinder valve_cylinder_warm asymmetric_cylinder pump_cylinder cable_drum belt_drive mts crane tanks b2; do $(BIN)/greygate train $$name || exit 1; done
+	for name in valve_cylinder valve_cylinder_warm asymmetric_cylinder pump_cylinder cable_drum belt_drive mts crane tanks b2; do $(BIN)/greygate train $$name --out models/trained || exit 1; done
 	$(BIN)/python -m greygate.machines.pruned
 	$(BIN)/python benchmarks/made.py
 

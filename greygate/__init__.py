@@ -14,6 +14,7 @@ fast. Their docstrings hold examples that continue one another in the order of `
 
 from importlib import import_module
 
+from greygate.caches import keep_compiled
 from greygate.version import __version__ as __version__
 
 _PUBLIC = {  # name -> module: name there, in the order of the examples
@@ -51,6 +52,7 @@ _PUBLIC = {  # name -> module: name there, in the order of the examples
     "diagnose": "greygate.mismatch.diagnose:diagnose",
 }
 __all__ = [*_PUBLIC]
+keep_compiled()
 
 
 def __getattr__(name: str) -> object:

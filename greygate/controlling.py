@@ -1,6 +1,5 @@
 """Position control of a machine by one of its controllers: in float, in the emulator or in simulated hardware."""
 
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -8,6 +7,7 @@ from greygate.control.choices import Method, Place
 from greygate.control.loop import Controller
 from greygate.control.stepping import Emulated
 from greygate.errors import InputError
+from greygate.files import scratch
 from greygate.hardware.in_loop import Clocked, clocked
 from greygate.hardware.verify import Case as Built
 from greygate.machines.control import Task
@@ -37,5 +37,5 @@ def controller(
         yield task.imitated(*map(Emulated, programs)), []
         return
     cases = [Built(program, {}) for program in programs]
-    with tempfile.TemporaryDirectory(prefix="greygate-") as folder, clocked(cases, folder, progress) as designs:
+    with scratch() as folder, clocked(cases, folder, progress) as designs:
         yield task.imitated(*designs), designs

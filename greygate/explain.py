@@ -3,7 +3,6 @@
 import csv
 import json
 import math
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -14,7 +13,7 @@ import numpy as np
 
 from greygate import children
 from greygate.errors import InputError, shown
-from greygate.files import replacing, replacing_all
+from greygate.files import replacing, replacing_all, scratch
 from greygate.mismatch import effects as table
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.concealed.conceal import reveal, sealed
@@ -240,8 +239,8 @@ def score(folder: Path, diagnosis: Path | None, own: Sequence[Path] = ()) -> tup
         if not diagnosis.exists():
             return {"answer": answer}, out, True
     reveal(folder, diagnosis)  # a faulty file is reported before anything is simulated
-    with tempfile.TemporaryDirectory() as scratch:
-        corrected = Path(scratch) / "corrected.csv"
+    with scratch() as place:
+        corrected = place / "corrected.csv"
         predict(folder, Path(folder) / "third.csv", diagnosis, corrected, own)
         found = reveal(folder, diagnosis, {"corrected": corrected})
     right = (

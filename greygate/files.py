@@ -21,6 +21,7 @@ import os
 import re
 import shutil
 import stat
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -34,6 +35,7 @@ from greygate.version import __version__
 MANIFEST = "manifest.json"
 SCHEMA = 1  # of the manifest
 PATIENCE = 5.0  # s that a writer or reader of files waits for another one, which needs milliseconds
+ROOM = 1 << 20  # bytes: where a disk has less left, what fails on it is said to fail for lack of room
 NAMED = 3  # files that a refusal names
 OURS = re.compile(r"(.*/)?\.[^/]+\.greygate-(new|old|lock|commit)")
 LACKING = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK)  # the file system does not offer the operation
@@ -195,6 +197,29 @@ def making(folder: Path | str) -> Iterator[None]:
             with suppress(OSError):
                 made.rmdir()
         raise
+
+
+@contextmanager
+def scratch() -> Iterator[Path]:
+    """Yield a folder for temporary files. If the block fails where the disk has no room, the InputError says so."""
+    try:
+        place = tempfile.mkdtemp(prefix="greygate-")
+    except OSError as error:
+        raise InputError(f"{_temporary('cannot be written')} ({error.strerror or error})") from None
+    try:
+        yield Path(place)
+    except Exception as error:
+        room = os.statvfs(place)
+        left = room.f_bavail * room.f_frsize
+        if left < ROOM or getattr(error, "errno", 0) in (errno.ENOSPC, errno.EDQUOT):
+            raise InputError(f"{_temporary(f'{Path(place).parent} has {left >> 10} kB left')} ({error})") from error
+        raise
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+
+
+def _temporary(why: str) -> str:
+    return f"the folder for temporary files: {why}; free some, or set TMPDIR to another"
 
 
 @contextmanager

@@ -12,21 +12,22 @@ import sys
 import types
 from pathlib import Path
 
+from greygate import caches
 from greygate.errors import InputError
 from greygate.files import replacing
 
 
 def load(kind: str, text: str) -> types.ModuleType:
-    """Load the module of source `text` from `$XDG_CACHE_HOME/greygate/<kind>s` (`~/.cache` by default).
+    """Load the module of source `text` from the folder `<kind>s` of `greygate.caches`.
 
     Its name is its hash. For functions decorated with `njit(cache=True)`, numba keeps its compiled code beside the
     module and finds it there in later processes. If the folder cannot be written, the module stays in memory.
     """
     name = f"greygate_{kind}_{hashlib.sha256(text.encode()).hexdigest()[:24]}"
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "greygate" / f"{kind}s"
+    folder = (caches.folder() or Path(os.devnull)) / f"{kind}s"
     path = folder / f"{name}.py"
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(exist_ok=True)
         if not path.exists() or path.read_text(encoding="utf-8") != text:
             with replacing(path) as temporary:
                 temporary.write_text(text, encoding="utf-8")

@@ -19,7 +19,9 @@ def test_this_machine_can_run_the_plain_installation(greygate):
 
 
 def test_a_missing_program_is_named_with_its_remedy(greygate, monkeypatch):
-    monkeypatch.setattr(doctor.shutil, "which", lambda name, which=shutil.which: None if name == "g++" else which(name))
+    monkeypatch.setattr(
+        doctor.shutil, "which", lambda name, path=None, which=shutil.which: None if name == "g++" else which(name)
+    )
     code, out, _ = greygate("doctor")
     assert code == 1
     (line,) = [line for line in out.splitlines() if line.startswith("g++")]

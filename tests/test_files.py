@@ -1,5 +1,6 @@
 """Files and folders are written whole or not at all, by one at a time, over nothing that greygate did not write."""
 
+import errno
 import json
 import os
 import resource
@@ -303,3 +304,19 @@ def test_one_name_for_two_files_is_refused_before_either_is_written(tmp_path):
     ):
         pytest.fail("the block ran")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_where_no_room_is_left_for_temporary_files_their_folder_is_named(monkeypatch):
+    with pytest.raises(InputError, match=r"temporary files: .* TMPDIR .*No space left"), files.scratch():
+        raise OSError(errno.ENOSPC, "No space left on device", "x")
+    left = os.statvfs("/")
+    monkeypatch.setattr(os, "statvfs", lambda place: os.statvfs_result([*left[:4], 0, *left[5:]]))
+    full = r"temporary files: .* has 0 kB left; .* TMPDIR .* \(x.csv: is short\)"
+    with pytest.raises(InputError, match=full), files.scratch():
+        raise InputError("x.csv: is short")
+
+
+def test_a_failure_that_is_not_for_lack_of_room_stays_as_it_is():
+    with pytest.raises(InputError, match=r"^x\.csv: is short$"), files.scratch() as place:
+        raise InputError("x.csv: is short")
+    assert not place.exists()

@@ -139,7 +139,7 @@ def test_the_command_writes_a_network_that_validates_and_compiles(short, greygat
         code, _, error = greygate(*command.split()[1:])
         assert code == 0, error
     code, _, error = greygate(*call, "--out", "mine")
-    assert (code, "is there already" in error) == (2, True)
+    assert (code, "holds other files (compiled/" in error) == (2, True)
 
 
 def test_an_output_that_no_input_explains_is_exit_code_1(short, greygate, tmp_path, monkeypatch):

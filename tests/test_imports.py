@@ -22,6 +22,7 @@ LAYERS = (  # from the top; what stands on one line imports nothing of another o
     ("base",),
 )
 BASE = (
+    "caches",
     "children",
     "contents",
     "errors",

@@ -294,8 +294,8 @@ print(sum(run.stats.cache_hits.values()), sum(run.stats.cache_misses.values()), 
 """
 
 
-def run_elsewhere(cache) -> list[str]:
-    environment = os.environ | {"XDG_CACHE_HOME": str(cache), "TESTS": os.path.dirname(__file__)}
+def run_elsewhere(cache, **variables) -> list[str]:
+    environment = os.environ | {"XDG_CACHE_HOME": str(cache), "TESTS": os.path.dirname(__file__), **variables}
     return subprocess.run(
         [sys.executable, "-c", SCRIPT], env=environment, check=True, capture_output=True, text=True
     ).stdout.split()
@@ -308,8 +308,12 @@ def test_a_second_process_compiles_nothing(tmp_path):
 
 def test_a_cache_that_cannot_be_written_is_done_without(tmp_path):
     (tmp_path / "file").write_text("")
-    hits, _, filename = run_elsewhere(tmp_path / "file")
+    other = tmp_path / f"greygate-{os.getuid()}"  # which everybody can write: what lies there is not run
+    other.mkdir()
+    other.chmod(0o777)
+    hits, _, filename = run_elsewhere(tmp_path / "file", TMPDIR=str(tmp_path))
     assert (hits, filename.startswith("greygate_plant_")) == ("0", True)
+    assert not list(other.iterdir())
 
 
 def test_a_damaged_source_in_the_cache_is_written_anew(tmp_path, monkeypatch):

@@ -35,6 +35,7 @@ from greygate.errors import InputError
 INTERRUPTED, TERMINATED = 130, 143  # exit codes after Ctrl-C and after `kill`, as shells give them
 AGAIN_S = 0.05  # so long a signal that was ignored waits: longer than a callback, shorter than one notices
 UsageError: Any = typer.BadParameter.__base__  # raised for an argument or option that is missing, unknown or wrong
+_stopped: list[int] = []  # the exit codes that signals have asked for
 COMMANDS = (
     *(recordings.look, starts.init, identify.identify, networks.train, expert.build_snn, networks.compile),
     *(builds.emulate, builds.verify, builds.prove, builds.synthesize, builds.report, builds.compare),
@@ -74,7 +75,10 @@ def main(
 
 def run() -> None:
     """Entry point: a user's mistake is one line on stderr and exit code 2, Ctrl-C one line and 130, `kill` 143."""
+    _stopped.clear()
     signal.signal(signal.SIGTERM, _terminated)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupted)
     sys.unraisablehook = _ignored
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a path may hold bytes that are no text
@@ -83,11 +87,12 @@ def run() -> None:
     except (KeyboardInterrupt, typer.Abort):
         code = INTERRUPTED
     except Exception as error:
-        if (line := _mistake(error)) is None:
+        line = "" if _stopped else _mistake(error)  # a library may turn what a signal raises into an error of its own
+        if line is None:
             raise
         if line:  # `greygate` alone has printed its help
             say(f"greygate: {line}")
-        code = 2
+        code = _stopped[0] if _stopped else 2
     if code == INTERRUPTED:
         say("greygate: interrupted")
     sys.exit(code)
@@ -95,8 +100,14 @@ def run() -> None:
 
 def _terminated(number: int, frame: object) -> None:
     """Exit through every `finally`, so that temporary files are removed; a second signal ends the process at once."""
+    _stopped.append(TERMINATED)
     signal.signal(number, signal.SIG_DFL)
     sys.exit(TERMINATED)
+
+
+def _interrupted(number: int, frame: object) -> None:
+    _stopped.append(INTERRUPTED)
+    raise KeyboardInterrupt
 
 
 def _ignored(error: Any) -> None:

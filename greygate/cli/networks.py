@@ -117,11 +117,12 @@ def train(
 def _train_stored(name: str, out: Path | None, as_json: bool) -> None:
     """Train a network of the catalogue."""
     from greygate.machines.catalog import entry
-    from greygate.machines.identification import TRAINED
 
-    chosen, out = entry(name), out or TRAINED
+    chosen = entry(name)
+    if not out:
+        raise InputError("--out is missing; give the folder to write the trained network to, such as --out .")
     if not out.is_dir():
-        raise InputError(f"{out}: no such folder; make it, or omit --out to write into the package")
+        raise InputError(f"{out}: no such folder; make it")
     with following(f"training {name}") as progress:
         network, figures = chosen.train(progress)
     chosen.save(network, figures, out)

@@ -7,7 +7,6 @@ import hashlib
 import platform
 import shutil
 import sys
-import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
 from importlib.resources import files
@@ -18,7 +17,7 @@ from xml.etree import ElementTree as ET
 from greygate import children
 from greygate.errors import InputError
 from greygate.exporting.model import Model, Variable
-from greygate.files import replacing
+from greygate.files import replacing, scratch
 from greygate.plants.dimensions import base
 from greygate.version import __version__
 
@@ -95,9 +94,9 @@ def _library(name: str, sources: Mapping[str, str], number: str) -> tuple[bytes,
     if machine is None or system is None:
         raise InputError(f"FMI has no name here for a library of {sys.platform} on {platform.machine()}")
     folder = f"{machine[0]}-{system[0]}" if number == "3" else f"{system[0]}{machine[1]}"
-    with tempfile.TemporaryDirectory() as work:
+    with scratch() as work:
         for file, text in sources.items():
-            (Path(work) / file).write_text(text, encoding="utf-8")
+            (work / file).write_text(text, encoding="utf-8")
         target = f"{name}{system[1]}"
         ids = ("-Wl,--build-id=none",) if system[0] == "linux" else ()
         listed = sorted(file for file in sources if file.endswith(".c"))
@@ -106,7 +105,7 @@ def _library(name: str, sources: Mapping[str, str], number: str) -> tuple[bytes,
         if ran.returncode:
             last = ran.stderr.strip().splitlines()[:1] or ["no message"]
             raise InputError(f"{compiler} does not compile the sources of {name}: {last[0]}")
-        return (Path(work) / target).read_bytes(), f"binaries/{folder}/{target}"
+        return (work / target).read_bytes(), f"binaries/{folder}/{target}"
 
 
 # -- the descriptions ------------------------------------------------------------------------------------------------

@@ -8,7 +8,6 @@ import json
 import os
 import re
 import shutil
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ import numpy as np
 
 from greygate.emulator.program import Program
 from greygate.errors import InputError
+from greygate.files import scratch
 from greygate.hardware.verify import (
     borrow_runtime,
     keep_runtime,
@@ -126,8 +126,7 @@ def built(
     optimised: bool = True,
 ) -> Iterator[Path]:
     """A temporary folder in which the program `bench` is built of a Verilog module of that name; as `simulate`."""
-    with tempfile.TemporaryDirectory(prefix="greygate-") as temporary:
-        work = Path(temporary)
+    with scratch() as work:
         for name, text in (*data.items(), ("bench.v", bench), ("main.cpp", MAIN)):
             (work / name).write_text(text)
         for path in files:

@@ -6,7 +6,6 @@ greygate/hardware/families.py says which families and devices there are.
 import json
 import re
 import shutil
-import tempfile
 import time
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
@@ -14,6 +13,7 @@ from pathlib import Path
 
 from greygate.compiler.emit import sources
 from greygate.errors import InputError
+from greygate.files import scratch
 from greygate.hardware.families import COUNTED, LARGE, Device, Family, PlaceAndRoute, chosen, placing
 from greygate.hardware.tools import run_tool, yosys
 from greygate.progress import Progress, silent
@@ -42,8 +42,7 @@ def synthesize(
     family, device = chosen(target)
     placed = placing(target) if clock_rate or mhz is not None else None
     files = sources(folder, top)
-    with tempfile.TemporaryDirectory(prefix="greygate-") as temporary:
-        work = Path(temporary)
+    with scratch() as work:
         for path in files:
             shutil.copy(path, work)
         script = f"{reading(files)}; {family.synth.format(top=top)}; tee -q -o {STAT} stat -json"

@@ -9,7 +9,6 @@ import os
 import re
 import shutil
 import sys
-import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -19,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate import children
+from greygate import caches, children
 from greygate.compiler.emit import emit, sources
 from greygate.compiler.targets import Design, Register, architecture
 from greygate.compiler.verilog import lane_width, remark, sign_extended, verilog_names
 from greygate.emulator.program import Program, Signal
 from greygate.errors import InputError
-from greygate.files import replacing, writing
+from greygate.files import replacing, scratch, writing
 
 
 @dataclass(frozen=True)
@@ -144,8 +143,7 @@ def verify_many(
     files = {file.name: file for case in cases for file in case.sources(folder)}
     junit = folder / "results.xml"
     junit.unlink(missing_ok=True)
-    with tempfile.TemporaryDirectory(prefix="greygate-") as temporary:
-        work = Path(temporary)
+    with scratch() as work:
         for name, file in files.items():
             shutil.copy(file, work / name)
         (work / "bench.v").write_text("module bench;\n" + "".join(d.verilog() for d in designs) + "endmodule\n")
@@ -416,8 +414,7 @@ def runtime_cache(environment: dict[str, str], waves: bool) -> Path:
     """Folder of the runtime's objects for this Verilator, compiler and options."""
     compiler = children.ran(["g++", "--version"]).stdout
     key = hashlib.sha256(repr((environment["VERILATOR_ROOT"], version("verilator"), compiler, OPTIONS, waves)).encode())
-    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return base / "greygate" / f"verilator-{key.hexdigest()[:16]}"
+    return (caches.folder() or Path(os.devnull)) / f"verilator-{key.hexdigest()[:16]}"
 
 
 def simulate(work: Path, folder: Path, junit: Path, seed: int, environment: dict[str, str], waves: bool) -> None:

@@ -1,11 +1,10 @@
 """The waveform of a step whose bits differ."""
 
 import shutil
-import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from greygate.files import writing
+from greygate.files import scratch, writing
 from greygate.hardware.verify import DUMP, Case, Verification, verify_many
 
 
@@ -22,7 +21,7 @@ def with_waveform(case: Case, found: Verification, folder: Path) -> Verification
     names = list(case.scenarios)
     same = {name: case.scenarios[name] for name in names[: names.index(wrong.scenario) + 1]}
     since = wrong.scenario, max((wrong.step or 0) - 1, 0)
-    with tempfile.TemporaryDirectory(prefix="greygate-") as temporary:
+    with scratch() as temporary:
         verify_many([replace(case, scenarios=same)], temporary, found.seed, since=since)
         with writing(folder):
             shutil.move(Path(temporary) / DUMP, folder / DUMP)

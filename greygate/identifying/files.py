@@ -9,7 +9,7 @@ from time import monotonic
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.files import making, writing
+from greygate.files import replaceable, replacing_folder
 from greygate.identifying.halving import ORDERS, WORSE, Halving, Tried, interval, segments, sure_of
 from greygate.identifying.looking import look
 from greygate.identifying.task import Task, task
@@ -21,6 +21,7 @@ from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import Recording
 from greygate.progress import Progress, once, silent
 
+KIND = "identify"  # of the folder's manifest
 UNLIKE = 5.0  # times the median part's error, from which a part is taken to hold what no other does
 SHOWN = 12  # models in the table of a terminal
 
@@ -175,7 +176,8 @@ def identify_files(
 ) -> dict:
     """Identify from CSV files and write OUT/NAME.toml, .safetensors, .json and recordings of canonical form.
 
-    Returns the figures. Raises InputError before anything is written.
+    OUT is written completely or not at all; it replaces what an earlier search wrote there, and nothing else. Returns
+    the figures. Raises InputError before anything is written.
     """
     if both := set(files) & set(tests):
         raise InputError(f"{min(both)} is both a recording to train on and one to test on; rename one of them")
@@ -184,8 +186,7 @@ def identify_files(
     name = out.name
     if not re.fullmatch(r"[A-Za-z]\w*", name):
         raise InputError(f"--out {out}: the folder gives the network its name; use letters, digits and _")
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{out}: is there already; give a folder that is not there, or an empty one")
+    replaceable(out, KIND)
     if not inputs:
         raise InputError("--input is missing; give the channels that drive the plant")
     if output in inputs or len(set(inputs)) < len(inputs):
@@ -199,16 +200,16 @@ def identify_files(
             recording[channel]  # raises InputError for an unknown name
             if recording.units[channel] != first.units[channel]:
                 raise InputError(f"{recording.source}: {channel} is in another unit than in {first.source}")
-    with making(out), writing(out):
+    with replacing_folder(out, KIND) as new:
         found = identify(
             read_in, inputs, output, read_tests, seconds=seconds, jobs=jobs, settle=settle, progress=progress
         )
         kept = figures(found)
-        replace(found.network, name=name).save(out / name, json_text(plain(kept)))
+        replace(found.network, name=name).save(new / name, json_text(plain(kept)))
         used = (*inputs, output)
         for label, recording in {**read_in, **read_tests}.items():
             of = Recording(recording.dt, {c: recording[c] for c in used}, {c: recording.units[c] for c in used})
-            of.write_csv(out / f"{label}.csv")
+            of.write_csv(new / f"{label}.csv")
     records = " ".join(f"--record {out / n}.csv" for n in read_in)
     file = out / f"{name}.toml"
     return plain(

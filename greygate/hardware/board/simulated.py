@@ -3,13 +3,13 @@
 import os
 import re
 import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from greygate.children import PIPE, started
 from greygate.errors import InputError
+from greygate.files import scratch
 from greygate.hardware.verify import OPTIONS, run_logged, runtime_cache, simulator_environment
 
 DRIVER = Path(__file__).with_name("simulated.cpp")
@@ -49,7 +49,7 @@ def simulated_board(package: Path | str, clocks_per_bit: int = 24, flip: int = 0
 
     flip: turn over a bit in one of so many bytes on the line, in either direction; 0: none.
     """
-    with tempfile.TemporaryDirectory(prefix="greygate-") as temporary:
+    with scratch() as temporary:
         program = build(package, temporary, clocks_per_bit)
         with running(program, clocks_per_bit, flip) as terminal:
             yield terminal

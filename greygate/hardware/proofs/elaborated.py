@@ -2,11 +2,11 @@
 
 import json
 import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from greygate.files import scratch
 from greygate.hardware.synthesis import reading
 from greygate.hardware.tools import yosys
 from greygate.progress import Progress, silent
@@ -51,8 +51,7 @@ def elaborate(files: Sequence[Path], top: str | None, flat: str = "", progress: 
 
     top: its module; None for all modules of the files. flat: further commands, such as "flatten; opt".
     """
-    with tempfile.TemporaryDirectory(prefix="greygate-") as temporary:
-        work = Path(temporary)
+    with scratch() as work:
         for path in files:
             shutil.copy(path, work)
         found = "hierarchy" if top is None else f"hierarchy -top {top}"

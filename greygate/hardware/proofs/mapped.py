@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import tempfile
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,6 +10,7 @@ import numpy as np
 
 from greygate.emulator.program import Program
 from greygate.errors import InputError
+from greygate.files import scratch
 from greygate.hardware.families import chosen
 from greygate.hardware.proofs.proof import Proof, timed
 from greygate.hardware.replay import Replay, replay
@@ -44,8 +44,7 @@ def netlist_equals_emulator(
         )
     what = f"netlist for {target} equals the emulator"
     how = "simulation of the mapped cells in Verilator"
-    with timed() as seconds, tempfile.TemporaryDirectory(prefix="greygate-") as temporary:
-        work = Path(temporary)
+    with timed() as seconds, scratch() as work:
         for path in files:
             shutil.copy(path, work)
         script = f"{reading(list(files))}; {family.synth.format(top=program.name)}"

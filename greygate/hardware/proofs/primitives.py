@@ -7,10 +7,10 @@ on which the two differ; there is none if the proof succeeds. The solver begins 
 
 import re
 import shutil
-import tempfile
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
+from greygate.files import scratch
 from greygate.hardware.proofs.elaborated import Block
 from greygate.hardware.proofs.proof import Proof, timed
 from greygate.hardware.synthesis import reading
@@ -43,8 +43,7 @@ def unknown(found: Sequence[Block], elsewhere: Collection[str]) -> list[Proof]:
 
 def _proof(files: Sequence[Path], block: Block, seconds: int) -> Proof:
     what = f"{block} equals the integer semantics"
-    with timed() as spent, tempfile.TemporaryDirectory(prefix="greygate-") as temporary:
-        work = Path(temporary)
+    with timed() as spent, scratch() as work:
         for path in files:
             shutil.copy(path, work)
         check, clocks = REFERENCES[block.name](block)

@@ -1,0 +1,48 @@
+"""Where compiled code is kept: what lies there is run, so the folder is the user's own and nobody else can write it."""
+
+import os
+import stat
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+NUMBA = "NUMBA_CACHE_DIR"  # where numba keeps what it compiles, instead of beside the source
+
+
+def folder() -> Path | None:
+    """`$XDG_CACHE_HOME/greygate` (`~/.cache` by default), else a folder in the temporary one; None: neither serves."""
+    return next((place for place in _places() if _private(place)), None)
+
+
+def keep_compiled() -> None:
+    """Let numba keep what it compiles in `folder` where the package cannot be written and the user names no place."""
+    beside = Path(__file__).parent
+    tree = [place for place in (beside, beside / "__pycache__") if place.exists()]
+    if os.environ.get(NUMBA) or all(os.access(place, os.W_OK, effective_ids=True) for place in tree):
+        return
+    if (place := folder()) is not None:
+        os.environ[NUMBA] = str(place / "numba")
+        if "numba" in sys.modules:
+            sys.modules["numba"].config.CACHE_DIR = os.environ[NUMBA]
+
+
+def _places() -> Iterator[Path]:
+    with suppress(RuntimeError):  # a user without a home
+        yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "greygate"
+    import tempfile
+
+    with suppress(FileNotFoundError):  # nothing temporary can be written
+        yield Path(tempfile.gettempdir()) / f"greygate-{os.getuid()}"
+
+
+def _private(place: Path) -> bool:
+    """Whether it is, or can be made, a folder of ours that others cannot write."""
+    try:
+        place.parent.mkdir(exist_ok=True)
+        place.mkdir(mode=0o700, exist_ok=True)
+        found = place.lstat()
+    except OSError:
+        return False
+    ours = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid()
+    return ours and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and os.access(place, os.W_OK, effective_ids=True)
