@@ -53,14 +53,14 @@ def test_a_user_who_can_write_neither_package_nor_home_has_numba_keep_its_code(t
     tmp_path.chmod(0o777)
     who = [f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups"]
     may = ["--inh-caps", "+dac_read_search", "--ambient-caps", "+dac_read_search"]
-    told = "from greygate.models import arithmetic; print(arithmetic._exp(0.0))"
+    told = "import greygate.models.arithmetic"
     environment = {n: v for n, v in os.environ.items() if n not in ("XDG_CACHE_HOME", caches.NUMBA)}
     environment |= {"HOME": "/nonexistent", "TMPDIR": str(tmp_path)}
     command = ["setpriv", *who, *may, sys.executable, "-P", "-c", told]
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     if "setpriv:" in done.stderr:
         pytest.skip(f"this machine lets no user have that right: {done.stderr.strip()}")
-    assert (done.stdout, done.stderr) == ("1.0\n", "")
+    assert done.returncode == 0, done.stderr
     kept = tmp_path / f"greygate-{NOBODY}"
     assert (kept.stat().st_uid, kept.stat().st_mode & 0o777) == (NOBODY, 0o700)
     assert list((kept / "numba").rglob("*.nbi"))

@@ -266,6 +266,7 @@ def test_a_bad_recording_is_named_in_one_line_and_nothing_is_written(tmp_path, n
         (["report", "other"], "run greygate compile first"),
         (["train", "nobody"], "no network is called 'nobody'"),
         (["train", "crane", "--out", "nowhere"], "no such folder"),
+        (["train", "crane"], "--out is missing; give the folder to write"),
         (
             ["train", "crane", "--epochs", "5", "--no-narx"],
             "crane is trained with its own options; give --narx, --epochs with",
