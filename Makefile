@@ -68,9 +68,11 @@ bench-c99: $(VENV)/.ready-dev
 bench-fmus: $(VENV)/.ready-dev
 	PYTHONPATH=tests $(BIN)/python benchmarks/fmus.py
 
-# Three minutes: networks of PyTorch, ONNX and MATLAB in their own tools, here, and in Verilog.
+# Networks of PyTorch, ONNX and MATLAB in their own tools, here, and in Verilog: three minutes; half an hour: the options
+# of all that PyTorch has.
 bench-importers: $(VENV)/.ready-dev | tools
 	PYTHONPATH=tests $(BIN)/python benchmarks/importers.py
+	PYTHONPATH=tests $(BIN)/python benchmarks/torch_options.py
 
 # Ten minutes: the wheel in an empty environment and folder, every command of the README.
 bench-wheel: $(VENV)/.ready-dev | tools

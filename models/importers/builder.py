@@ -12,11 +12,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from greygate.errors import InputError
+from greygate.errors import InputError, shown
 from greygate.models.importers.ports import port
 from greygate.models.network import Layer, Network, Port
 from greygate.names import check_name
 
+Number = float | np.ndarray
 Signal = tuple[str, int]
 """(module or input port, delay in steps)."""
 
@@ -164,7 +165,7 @@ class Builder:
         self._layer(name, value.bias, value.weights, activation)
         return Value(value.shape, np.zeros(value.size), {(name, 0): np.eye(value.size)})
 
-    def _selected(self, condition: Value, above: Value, below: Value, hint: str) -> Value:
+    def selected(self, condition: Value, above: Value, below: Value, hint: str) -> Value:
         """Where the condition is 0 or more, `above`; else `below`."""
         three = joined([v.moved(np.ravel) for v in (condition, above, below)], 0)
         name = self._free(hint)
@@ -177,19 +178,19 @@ class Builder:
 
     # -- functions ---------------------------------------------------------------------------------------------------
 
-    def rectified(self, value: Value, slope: float = 0.0, hint: str = "relu") -> Value:
+    def rectified(self, value: Value, slope: Number = 0.0, hint: str = "relu") -> Value:
         """The value where it is positive, else `slope` times it."""
-        return self._selected(value, value, value.times(slope), hint)
+        return self.selected(value, value, value.times(slope), hint)
 
-    def clipped(self, value: Value, low: float | None, high: float | None, hint: str = "clip") -> Value:
-        """Limited on one side or on both."""
+    def clipped(self, value: Value, low: Number | None, high: Number | None, hint: str = "clip") -> Value:
+        """Limited on one side or on both, to numbers or arrays of them."""
         if low is not None and high is not None:
-            if not high > low:
+            if not np.all(np.greater(high, low)):
                 raise InputError(f"{hint}: limits {low} and {high}; the lower one comes first")
-            unit = value.plus(constant(-low)).times(1.0 / (high - low))
+            unit = value.plus(constant(np.negative(low))).times(1.0 / (high - low))
             return self.activated(unit, "satlin", hint).times(high - low).plus(constant(low))
         if low is not None:
-            return self.rectified(value.plus(constant(-low)), 0.0, hint).plus(constant(low))
+            return self.rectified(value.plus(constant(np.negative(low))), 0.0, hint).plus(constant(low))
         if high is not None:
             return self.rectified(value.times(-1.0).plus(constant(high)), 0.0, hint).times(-1.0).plus(constant(high))
         return value
@@ -330,4 +331,8 @@ def taken(x: Value, places: Sequence[int] | np.ndarray | int, axis: int) -> Valu
 
 
 def _port(given: Port | str) -> Port:
-    return port(given) if isinstance(given, str) else given
+    if isinstance(given, Port):
+        return given
+    if not isinstance(given, str):
+        raise InputError(f"port {shown(given)}: give a Port, or a name and its unit, such as 'p_a [Pa]'")
+    return port(given)

@@ -1,26 +1,40 @@
 """From a PyTorch module, by `torch.export`, and back.
 
 The module takes one step: `forward(x) -> y`, or `forward(x, *states) -> (y, *states)`. A module with `nn.RNN`, `nn.GRU`
-or `nn.LSTM` inside takes a sequence (steps, channels), and its state goes on from step to step.
+or `nn.LSTM` inside takes a sequence (steps, channels), and its state goes on from step to step. A buffer that a step
+changes is a state, too.
+
+What stands in the graph is functional: no operation changes a tensor in place. An operation that is affine in the
+signals is torch's own, asked for each column of their weights; what reads no signal, torch computes. At the end the
+network and a copy of the module take the same steps, and must answer alike.
 """
 
+import contextlib
 import copy
+import inspect
 import operator
+import random
 import re
 import warnings
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from greygate.errors import InputError, shown
-from greygate.models.importers.builder import Builder, Value, constant, joined, matmul, taken
+from greygate.models.importers.builder import Builder, Value, constant, joined, taken
 from greygate.models.network import Network, Port
 
 if TYPE_CHECKING:
     import torch
 
 SEQUENCES = ("RNN", "GRU", "LSTM")
+STEPS = 10  # that the network and the module take side by side
+AGREED = 1e-9  # of the largest that an output is: float64 keeps 16 digits, a cancellation may take some
+FAR = 1e3  # of the largest port: a limit beyond takes three digits of the sum with it, a multiplexer none
+SILENT = 1e-12  # of a port's scale: an output that is no larger is 0
 
 
 def from_torch(
@@ -34,7 +48,9 @@ def from_torch(
 
     inputs, outputs: ports in the order of the elements of x and of y, or their names; in the ports' units.
     state: what each further argument of `forward` is before the first step. `forward` returns (y, *new states).
-    Raises InputError for an operation that a network cannot carry, with its line in the module's source.
+    The module is copied, and the copy is as after `.double().eval()`: Dropout does nothing, BatchNorm has fixed means.
+    Raises InputError for an operation that a network cannot carry, with its line in the module's source, for memory
+    outside buffers and states, and for a module that answers otherwise than the network.
 
     >>> import torch
     >>> net = torch.nn.Sequential(torch.nn.Linear(1, 4), torch.nn.Tanh(), torch.nn.Linear(4, 1))
@@ -45,29 +61,29 @@ def from_torch(
 
     if not isinstance(module, torch.nn.Module):
         raise InputError(f"{shown(module)} is no torch.nn.Module; a saved file is code: load it in your own program")
-    builder = Builder(name, inputs, outputs)
-    own = copy.deepcopy(module).double().eval()
-    size = sum(p.size for p in builder.inputs)
-    sequence = any(type(m).__name__ in SEQUENCES for m in own.modules())
-    x = torch.zeros((1, size) if sequence and not state else (size,), dtype=torch.float64)
-    starts = [torch.as_tensor(s, dtype=torch.float64) for s in state]
+    for ports, which in ((inputs, "inputs"), (outputs, "outputs"), (state, "state")):
+        if isinstance(ports, str) or not isinstance(ports, Sequence):
+            raise InputError(f"{which}: {shown(ports)} is no list; give one, with an entry for each")
+    starts = [_start(s, k) for k, s in enumerate(state)]
     try:
-        with torch.no_grad(), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of torch, about its own recurrent modules
-            program = torch.export.export(own, (x, *starts), strict=False)
-    except Exception as error:  # whatever the module raises on a step
-        first = " ".join(str(error).split())[:300]
-        raise InputError(f"torch.export does not take a step of {type(module).__name__}: {first}") from None
-    walk = _Walk(builder, own, program)
-    found = walk.results(builder.inputs, x.shape, starts)
-    if len(found) != 1 + len(starts):
-        raise InputError(
-            f"forward gives {len(found)} results; give y and {len(starts)} states, one for each of `state`"
-        )
-    builder.output(builder.outputs, found[0])
-    for kept, value in zip(walk.states, found[1:], strict=True):
-        builder.keep(kept, value)
-    return builder.finished()
+        return _imported(module, Builder(name, inputs, outputs), starts, torch.get_default_dtype())
+    except InputError as error:
+        if not re.search(r"\bFloat\b|float32", str(error)):
+            raise
+    return _imported(module, Builder(name, inputs, outputs), starts, torch.float64)  # tensors that forward makes
+
+
+def _imported(
+    module: "torch.nn.Module", builder: Builder, starts: Sequence["torch.Tensor"], kind: "torch.dtype"
+) -> Network:
+    """kind: of the tensors that `forward` makes of numbers."""
+    with _undisturbed(kind):
+        trial = _Trial(_double(module), builder, starts)
+        trial.first()
+        _Walk(builder, trial).walk()
+        network = builder.finished()
+        trial.compare(network)
+        return network
 
 
 def to_torch(network: Network) -> "torch.nn.Module":
@@ -114,70 +130,360 @@ def to_torch(network: Network) -> "torch.nn.Module":
     return Module()
 
 
+# -- the module ------------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def _undisturbed(kind: "torch.dtype") -> Iterator[None]:
+    """New tensors are of that type; it and every generator of random numbers are afterwards as they were before."""
+    import torch
+
+    before, drawn = torch.get_default_dtype(), (random.getstate(), np.random.get_state())  # noqa: NPY002, it may be used
+    with torch.random.fork_rng(devices=[]), torch.no_grad(), warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore")  # of torch, about its own recurrent modules
+        torch.set_default_dtype(kind)
+        try:
+            yield
+        finally:
+            torch.set_default_dtype(before)
+            random.setstate(drawn[0])
+            np.random.set_state(drawn[1])  # noqa: NPY002
+
+
+def _double(module: "torch.nn.Module") -> "torch.nn.Module":
+    """A copy in float64 that is not in training, on the CPU."""
+    import torch
+
+    try:
+        own = copy.deepcopy(module).cpu().double().eval()
+    except Exception as error:  # whatever a module holds
+        raise InputError(f"{type(module).__name__} cannot be copied in float64: {_first(error)}") from None
+    for part in own.modules():
+        for key, found in vars(part).items():
+            if isinstance(found, torch.Tensor) and found.is_floating_point():
+                setattr(part, key, found.detach().cpu().double())
+    return own
+
+
+def _start(given: Any, k: int) -> "torch.Tensor":
+    import torch
+
+    try:
+        found = torch.as_tensor(given, dtype=torch.float64).detach().cpu()
+    except (TypeError, ValueError, RuntimeError):
+        raise InputError(f"state {k + 1}: {shown(given)} is no array of numbers; give what it is at first") from None
+    if not found.isfinite().all():
+        raise InputError(f"state {k + 1}: a value before the first step is not finite")
+    return found
+
+
+def _first(error: Exception) -> str:
+    """The beginning of what another library says."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:240]}"
+
+
+class _Trial:
+    """Runs copies of a module, as a user would: step by step with the states fed on, or along a sequence."""
+
+    def __init__(self, module: "torch.nn.Module", builder: Builder, starts: Sequence["torch.Tensor"]):
+        import torch
+
+        self.module, self.builder, self.starts = module, builder, list(starts)
+        self.kind = type(module).__name__
+        self.sequence = any(type(m).__name__ in SEQUENCES for m in module.modules()) and not starts
+        self.size = sum(p.size for p in builder.inputs)
+        self.x = torch.zeros((1, self.size) if self.sequence else (self.size,), dtype=torch.float64)
+
+    def first(self) -> None:
+        """Take one step. Raises InputError if the module does not, or returns something else than y and its states."""
+        import torch
+
+        found = self._called(copy.deepcopy(self.module), self.x, self.starts)
+        results = _results(found)
+        for result in results:
+            if not isinstance(result, torch.Tensor):
+                raise InputError(f"{self.kind}: forward gives {_kind(result)}; return tensors: y, or (y, *states)")
+        if len(results) != 1 + len(self.starts):
+            raise InputError(
+                f"forward gives {len(results)} results; give y and {len(self.starts)} states, one for each of `state`"
+            )
+
+    def compare(self, network: Network) -> None:
+        """Raise InputError unless the network answers to random steps as the module does, from step to step."""
+        rng, ports = np.random.default_rng(0), self.builder.inputs
+        size = np.resize([1.0, 0.1, 10.0], STEPS)  # within and beyond the limits that a module may have
+        drawn = [p.offset + p.scale * size[:, None] * rng.standard_normal((STEPS, p.size)) for p in ports]
+        found = network.run({p.name: v[:, 0] if p.size == 1 else v for p, v in zip(ports, drawn, strict=True)})
+        got = np.column_stack([found[p.name].reshape(STEPS, p.size) for p in self.builder.outputs])
+        answers, x = self.along if self.sequence else self.stepped, np.concatenate(drawn, 1)
+        steps, wanted = answers(x)
+        got, again = got[steps], answers(x)[1]
+        names = [p.name for p in self.builder.outputs for _ in range(p.size)]
+        scales = np.array([p.scale for p in self.builder.outputs for _ in range(p.size)])
+        finite = np.where(np.isfinite(wanted), np.abs(wanted), 0.0)
+        allowed = np.maximum(AGREED * finite.max(0), SILENT * scales)
+        for other, what in (
+            (again, "from itself, run twice on the same inputs: it draws at random, or remembers; leave that out"),
+            (got, "from the network made of it, so forward does what torch.export does not show, such as memory"),
+        ):
+            apart = ~(np.abs(other - wanted) <= allowed) & ~(np.isnan(wanted) & np.isnan(other)) & (other != wanted)
+            if apart.any():
+                row, k = np.argwhere(apart)[0]
+                by = f"{wanted[row, k]:.6g} beside {other[row, k]:.6g} in {names[k]} at step {steps[row] + 1}"
+                raise InputError(f"{self.kind} differs {what}: {by}")
+
+    def stepped(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(steps, outputs at these) of a module that takes one step at a time, its states fed on."""
+        module, states, rows, before = copy.deepcopy(self.module), self.starts, [], None
+        for row in x:
+            y, *states = _results(self._called(module, _tensor(row, row.shape), states))
+            rows.append(_array(y))
+            before = before or _attributes(module)  # what a first step sets once may stay
+        self._forgets(before, module)
+        return np.arange(len(x)), np.array(rows)
+
+    def along(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(steps, outputs at these) of a module that takes a sequence: of this one, and of its first steps alone.
+
+        A module that gives no more than one step is taken to give the last one.
+        """
+        total, steps, rows = sum(p.size for p in self.builder.outputs), [], []
+        for count in range(1, len(x) + 1):
+            module, part = copy.deepcopy(self.module), _tensor(x[:count], x[:count].shape)
+            y = _array(_results(self._called(module, part, []))[0])
+            if y.size not in (total, count * total):
+                raise InputError(f"{self.kind}: of {count} steps forward gives {y.size} numbers; give {total} for each")
+            rows.append(y.reshape(-1, total))
+            steps.append(np.arange(count - len(rows[-1]), count))
+        before = _attributes(module)
+        self._called(module, part, [])
+        self._forgets(before, module)
+        return np.concatenate(steps), np.concatenate(rows)
+
+    def _called(self, module: "torch.nn.Module", x: "torch.Tensor", states: Sequence["torch.Tensor"]) -> Any:
+        """What `forward` returns, of tensors that it may change."""
+        try:
+            return module(x.clone(), *(s.clone() for s in states))
+        except Exception as error:  # whatever the module raises on a step
+            shapes = ", ".join(str(list(v.shape)) for v in (x, *states))
+            raise InputError(f"{self.kind} does not take float64 tensors of shape {shapes}: {_first(error)}") from None
+
+    def _forgets(self, before: Mapping[str, Any], module: "torch.nn.Module") -> None:
+        """Raise InputError if a step changes what no state and no buffer is."""
+        after = _attributes(module)
+        changed = [path for path in {**before, **after} if before.get(path) != after.get(path)]
+        if changed:
+            raise InputError(f"{self.kind} keeps {changed[0]} from step to step, in an attribute; {STATES}")
+
+
+STATES = "make it a buffer (register_buffer), or write forward(x, *states) -> (y, *states)"
+
+
+def _kind(result: Any) -> str:
+    return "nothing" if result is None else f"a {type(result).__name__}"
+
+
+def _results(found: Any) -> list:
+    return list(found) if isinstance(found, tuple | list) else [found]
+
+
+def _array(tensor: "torch.Tensor") -> np.ndarray:
+    try:
+        return tensor.detach().double().numpy().ravel()
+    except (RuntimeError, TypeError):  # a sparse one, or one of the graph that was kept for a later step
+        raise InputError(f"forward gives a {type(tensor).__name__} without numbers to read; {STATES}") from None
+
+
+def _attributes(module: "torch.nn.Module") -> dict[str, Any]:
+    """What the parts of a module hold besides parameters and buffers, in a form that can be compared."""
+    import torch
+
+    own, seen = set(vars(torch.nn.Module())), {}
+    return {
+        f"{path}.{key}".lstrip("."): _content(found, seen)
+        for path, part in module.named_modules()
+        for key, found in vars(part).items()
+        if key not in own
+    }
+
+
+def _content(x: Any, seen: dict[int, Any]) -> Any:
+    """What equals that of another value of the same content. seen: every object is read once."""
+    import torch
+
+    if isinstance(x, torch.Tensor | np.ndarray):
+        array = x.detach().cpu().numpy() if isinstance(x, torch.Tensor) else x
+        return str(array.dtype), array.shape, array.tobytes()
+    if isinstance(x, str | bytes | int | float | complex | None):
+        return repr(x)
+    if id(x) in seen or isinstance(x, type) or inspect.isroutine(x):
+        return None
+    seen[id(x)] = x
+    if isinstance(x, Mapping):
+        return [(repr(k), _content(v, seen)) for k, v in x.items()]
+    if isinstance(x, list | tuple | deque):
+        return [_content(v, seen) for v in x]
+    return [(k, _content(v, seen)) for k, v in vars(x).items()] if hasattr(x, "__dict__") else repr(x)
+
+
 # -- the graph -------------------------------------------------------------------------------------------------------
 
 
 class _Walk:
-    """Walks the graph of an exported program; each node becomes a `Value`, or a list of them."""
+    """Walks the graph of an exported program; each node becomes a `Value` or, if it reads no signal, a tensor."""
 
-    def __init__(self, builder: Builder, module: "torch.nn.Module", program: Any):
-        self.builder, self.program = builder, program
-        self.kept = {**dict(module.named_parameters()), **dict(module.named_buffers())}
-        self.states: list[str] = []
-        self.node: Any = None
+    def __init__(self, builder: Builder, trial: _Trial):
+        import torch
 
-    def results(self, ports: Sequence[Port], shape: Sequence[int], starts: Sequence[Any]) -> list[Value]:
-        """What the program returns."""
+        self.builder, self.trial, self.node = builder, trial, None
+        own = copy.deepcopy(trial.module)
+        given = (trial.x.clone(), *(s.clone() for s in trial.starts))
+        try:
+            self.program: Any = torch.export.export(own, given, strict=False).run_decompositions({})
+        except Exception as error:  # whatever cannot be traced
+            said = _first(error)
+            branches = re.search(r"data-dependent|DataDependent|\.item\(", said)
+            why = f"; {BRANCH}" if branches else f", which keeps a tensor of it; {STATES}" if "fake" in said else ""
+            raise InputError(f"torch.export does not take a step of {trial.kind}{why}: {said}") from None
+
+    def walk(self) -> None:
+        """Build what the program computes: its outputs, its states and the buffers that it changes."""
         signature = self.program.graph_signature
-        arrays = {
-            **signature.inputs_to_parameters,
-            **signature.inputs_to_buffers,
-            **getattr(signature, "inputs_to_lifted_tensor_constants", {}),
-        }
+        entering = {s.arg.name: s for s in signature.input_specs}
+        changed = {s.target for s in signature.output_specs if s.kind.name in CHANGED}
         values: dict[Any, Any] = {}
-        given = 0
+        states: list[str] = []
+        kept: dict[str, str] = {}
         for node in self.program.graph.nodes:
             self.node = node
             if node.op == "placeholder":
-                if node.name in arrays:
-                    target = arrays[node.name]
-                    tensor = self.program.state_dict.get(target, self.program.constants.get(target))
-                    values[node] = constant(tensor.detach().numpy())
-                elif given == 0:
-                    values[node], given = self.builder.input(ports, shape), 1
+                spec = entering[node.name]
+                if spec.kind.name != "USER_INPUT":
+                    tensor = self._fixed(spec.target)
+                    values[node] = tensor
+                    if spec.target in changed:
+                        kept[spec.target], values[node] = self.builder.state(spec.target, tensor.numpy())
+                elif node.name == signature.user_inputs[0]:
+                    values[node] = self.builder.input(self.builder.inputs, self.trial.x.shape)
                 else:
-                    name, values[node] = self.builder.state(node.name, starts[given - 1].numpy())
-                    self.states.append(name)
-                    given += 1
+                    start = self.trial.starts[len(states)]
+                    name, values[node] = self.builder.state(node.name, start.numpy())
+                    states.append(name)
             elif node.op == "call_function":
                 values[node] = self._called(node, values)
             elif node.op == "output":
-                return [values[n] for n in node.args[0]]
-        raise InputError("the module returns nothing")
+                results = [_value(_read(n, values)) for n in node.args[0]]
+        of_user = []
+        for spec, value in zip(signature.output_specs, results, strict=True):
+            if spec.kind.name in CHANGED:
+                self.builder.keep(kept[spec.target], value)
+            elif spec.kind.name == "USER_OUTPUT":
+                of_user.append(value)
+        self.builder.output(self.builder.outputs, of_user[0])
+        for name, value in zip(states, of_user[1:], strict=True):
+            self.builder.keep(name, value)
+
+    def _fixed(self, target: str) -> "torch.Tensor":
+        """A parameter, a buffer, or a tensor that stands in the module's source."""
+        import torch
+
+        found = self.program.state_dict.get(target, self.program.constants.get(target))
+        if not isinstance(found, torch.Tensor):
+            raise InputError(f"{self.trial.kind}: {target} is {_kind(found)} and no tensor; a step must not read it")
+        if isinstance(found, torch._subclasses.FakeTensor):
+            raise InputError(f"{self.trial.kind} reads what it kept of a step before; {STATES}")
+        return found.detach()
 
     def _called(self, node: Any, values: dict) -> Any:
+        import torch
+
         arguments = [_read(a, values) for a in node.args]
         options = {k: _read(a, values) for k, a in node.kwargs.items()}
         if node.target is operator.getitem:
             return arguments[0][arguments[1]]
-        name = str(node.target).removeprefix("aten.")
-        base = name.split(".")[0]
-        if base in FUNCTIONS:
-            return FUNCTIONS[base](self, *arguments, **options)
-        raise self.refused(base)
+        base = str(node.target).removeprefix("aten.").split(".")[0]
+        seeded = "seeded" in str(getattr(node.target, "tags", "")) and "attention" not in base
+        if base in RANDOM or (seeded and base not in FUNCTIONS):
+            raise self.refused(base, "it draws at random; leave it out")
+        if base == "_assert_tensor_metadata":
+            return None
+        signals = [v for v in _leaves([arguments, list(options.values())]) if isinstance(v, Value)]
+        try:
+            if base in UNDEFINED:
+                found = torch.full(node.meta["val"].shape, torch.nan, dtype=torch.float64)
+            elif not signals:
+                found = node.target(*arguments, **options)
+            elif base in AFFINE | LINEAR:
+                found = self.affine(node.target, arguments, options)
+            elif base in FUNCTIONS:
+                found = FUNCTIONS[base](self, *arguments, **options)
+            else:
+                raise self.refused(base)
+        except InputError as error:
+            raise error if str(error).startswith("operation ") else self.refused(base, str(error)) from None
+        except Exception as error:  # arguments that a function here does not take
+            raise self.refused(base, f"with these arguments it is not carried ({_first(error)})") from None
+        if signals:
+            self._exact(base)
+        return found
+
+    def _exact(self, base: str) -> None:
+        """Raise InputError where the module's numbers are of a type that float64 does not stand for."""
+        import torch
+
+        def types(found: Any) -> set:
+            return {v.dtype for v in _leaves([found]) if hasattr(v, "dtype")}
+
+        given = {k for n in self.node.all_input_nodes for k in types(n.meta.get("val"))}
+        whole = {torch.bool, torch.int64} if base in AFFINE | LOGICAL else {torch.int64}
+        for kind in types(self.node.meta.get("val")):
+            if (torch.float64 in given and kind is torch.int64) or kind not in {torch.float64, *whole}:
+                raise self.refused(base, f"it computes in {kind}, a network in float64; leave that out, or keep floats")
+
+    def affine(self, target: Any, arguments: Sequence, options: Mapping) -> Any:
+        """An operation of torch that is affine in its signals: of their bias, and of each column of their weights."""
+        named = {**dict(zip((a.name for a in target._schema.arguments), arguments, strict=False)), **options}
+        for key in INDICES & named.keys():
+            if any(isinstance(v, Value) for v in _leaves(named[key])):
+                raise InputError("its indices must be constant, and are computed from the inputs")
+        signals = [v for v in _leaves(list(named.values())) if isinstance(v, Value)]
+        if len(signals) > 1 and target._opname in LINEAR:
+            raise InputError("two of its arguments are signals; one must be constant")
+        bias = named.get("bias")
+
+        def results(part: Callable[[Value], np.ndarray], given: dict) -> list[np.ndarray]:
+            filled = {k: _mapped(v, lambda x: _tensor(part(x), x.shape)) for k, v in given.items()}
+            return [np.array(t.numpy(), float) for t in _results(target(**filled))]
+
+        linear = named if bias is None or isinstance(bias, Value) else {**named, "bias": None}
+        whole, zero = results(lambda v: v.bias, named), results(lambda v: np.zeros(v.size), linear)
+        width = {s: w.shape[1] for v in signals for s, w in v.weights.items()}
+        weights: list[dict] = [{} for _ in whole]
+        for signal, n in width.items():
+            columns = [
+                results(lambda v, j=j, s=signal: v.weights[s][:, j] if s in v.weights else np.zeros(v.size), linear)
+                for j in range(n)
+            ]
+            for k, before in enumerate(zero):
+                weights[k][signal] = np.stack([(c[k] - before).ravel() for c in columns], 1)
+        values = [Value(y.shape, y.ravel(), w) for y, w in zip(whole, weights, strict=True)]
+        return values if str(target._schema.returns[0].type).startswith("List") else values[0]
+
+    def fixed(self, given: Any) -> np.ndarray:
+        """An argument that must be a constant."""
+        if (found := _value(given).constant) is None:
+            raise InputError("this argument must be a constant, and is computed from the inputs")
+        return found
 
     def refused(self, operation: str, why: str = "") -> InputError:
         """The error for an operation that cannot be carried, with the line of the user's source."""
+        import torch
+
         trace = re.findall(r'File "([^"]+)", line (\d+)[^\n]*\n\s*([^\n]*)', self.node.meta.get("stack_trace") or "")
-        own = [t for t in trace if "/torch/" not in t[0]] or trace
+        library = Path(torch.__file__).parent
+        own = [t for t in trace if library not in Path(t[0]).parents] or trace
         place = f" at {own[-1][0]}:{own[-1][1]}: {own[-1][2].strip()}" if own else ""
         return InputError(f"operation {operation}{place}: {why or CARRIED}")
-
-    def signal(self, value: Value, operation: str) -> np.ndarray:
-        """A value that must be a constant."""
-        if (found := value.constant) is None:
-            raise self.refused(operation, "this argument must be a constant, and is computed from the inputs")
-        return found
 
     def hint(self) -> str:
         """A name for the layer of this node: the module's path, if it has one."""
@@ -190,6 +496,11 @@ CARRIED = (
     "a network carries sums, products with constants and of two signals, slices, joins, tanh, sigmoid, relu, clamp, "
     "abs and recurrent cells of them; replace it, or approximate it by such a part"
 )
+BRANCH = "forward branches on data or reads a number out of a tensor: write torch.where, torch.clamp or torch.relu"
+CHANGED = ("BUFFER_MUTATION", "PARAMETER_MUTATION")
+INDICES = {"index", "indices", "mask", "condition"}
+RANDOM = {"native_dropout", "dropout", "rand", "randn", "bernoulli"}
+UNDEFINED = {"empty", "empty_like", "new_empty", "empty_strided", "new_empty_strided"}
 
 
 def _read(x: Any, values: dict) -> Any:
@@ -201,20 +512,29 @@ def _read(x: Any, values: dict) -> Any:
         return x
 
 
+def _leaves(x: Any) -> list:
+    return [v for i in x for v in _leaves(i)] if isinstance(x, list | tuple) else [x]
+
+
+def _mapped(x: Any, how: Callable[[Value], Any]) -> Any:
+    """The same nested lists with something else for each value."""
+    if isinstance(x, list | tuple):
+        return [_mapped(i, how) for i in x]
+    return how(x) if isinstance(x, Value) else x
+
+
+def _tensor(flat: np.ndarray, shape: Sequence[int]) -> "torch.Tensor":
+    import torch
+
+    return torch.from_numpy(np.array(flat)).reshape(tuple(shape))
+
+
 def _value(x: Any) -> Value:
-    return x if isinstance(x, Value) else constant(x)
-
-
-def _axis(dim: int, shape: Sequence[int]) -> int:
-    return dim % max(len(shape), 1)
+    return x if isinstance(x, Value) else constant(x.detach().numpy() if hasattr(x, "detach") else x)
 
 
 def _add(walk: _Walk, a: Any, b: Any, alpha: float = 1.0) -> Value:
     return _value(a).plus(_value(b).times(alpha))
-
-
-def _subtract(walk: _Walk, a: Any, b: Any, alpha: float = 1.0) -> Value:
-    return _value(a).plus(_value(b).times(-alpha))
 
 
 def _multiply(walk: _Walk, a: Any, b: Any) -> Value:
@@ -223,163 +543,222 @@ def _multiply(walk: _Walk, a: Any, b: Any) -> Value:
 
 def _divide(walk: _Walk, a: Any, b: Any, rounding_mode: Any = None) -> Value:
     if rounding_mode is not None:
-        raise walk.refused("div")
+        raise walk.refused("div", "it rounds to whole numbers; leave that out")
     if (by := _value(b).constant) is None:
         raise walk.refused("div", "the divisor is a signal; multiply by a function of it that you approximate instead")
     return _value(a).times(1.0 / by)
 
 
-def _linear(walk: _Walk, x: Value, w: Value, b: Value | None = None) -> Value:
-    out = x.linear(walk.signal(w, "linear"))
-    return out if b is None else out.plus(b)
+def _fused(kind: str) -> Callable:
+    """beta c + alpha (a times b)."""
 
+    def run(walk: _Walk, c: Any, a: Any, b: Any, beta: float = 1.0, alpha: float = 1.0) -> Value:
+        import torch
 
-def _matmul(walk: _Walk, a: Value, b: Value) -> Value:
-    if (found := matmul(a, b)) is None:
-        raise walk.refused("matmul", "both factors are signals; one must be constant")
-    return found
+        product = walk.affine(getattr(torch.ops.aten, kind).default, [a, b], {})
+        return product.times(alpha).plus(_value(c).times(beta))
 
-
-def _addmm(walk: _Walk, c: Value, a: Value, b: Value, beta: float = 1.0, alpha: float = 1.0) -> Value:
-    return _matmul(walk, a, b).times(alpha).plus(c.times(beta))
+    return run
 
 
 def _activated(kind: str) -> Callable:
     return lambda walk, x: walk.builder.activated(x, kind, walk.hint())
 
 
-def _clamp(walk: _Walk, x: Value, low: float | None = -1.0, high: float | None = 1.0, **options: float | None) -> Value:
-    low, high = options.get("min", low), options.get("max", high)
-    return walk.builder.clipped(x, low, high, walk.hint())
+def _chosen(walk: _Walk, condition: Value, above: Any, below: Any) -> Value:
+    """`above` where the condition is 0 or more, else `below`."""
+    values = [condition, _value(above), _value(below)]
+    shape = np.broadcast_shapes(*(v.shape for v in values))
+    return walk.builder.selected(*(v.moved(lambda i: np.broadcast_to(i, shape)) for v in values), walk.hint())
 
 
-def _clamped(walk: _Walk, x: Value, low: float | None = None, high: float | None = None, **options: float) -> Value:
-    return _clamp(walk, x, low, high, **options)
+def _less(walk: _Walk, a: Any, b: Any) -> Value:
+    return _value(a).plus(_value(b).times(-1.0))
 
 
-def _power(walk: _Walk, x: Value, n: float) -> Value:
-    try:
-        return walk.builder.power(x, n, walk.hint())
-    except InputError as error:
-        raise walk.refused("pow", str(error)) from None
+def _where(walk: _Walk, condition: Any, above: Any, below: Any) -> Value:
+    if not isinstance(condition, Value):
+        return walk.affine(walk.node.target, [condition, above, below], {})
+    return _chosen(walk, condition.plus(constant(-0.5)), above, below)  # 1 or 0
 
 
-def _reduced(walk: _Walk, x: Value, dims: Sequence[int] | None = None, keepdim: bool = False, **_: Any) -> Value:
-    return x.summed(dims or (), keepdim)
+def _logical(how: Callable[[Value], Value]) -> Callable:
+    """A function of the sum of truths, each 1 or 0."""
+
+    def run(walk: _Walk, *truths: Any) -> Value:
+        if any(str(n.meta["val"].dtype) != "torch.bool" for n in walk.node.all_input_nodes):
+            raise InputError("of numbers that are not true or false")
+        total = constant(0.0)
+        for truth in truths:
+            total = total.plus(_value(truth))
+        return how(total) if len(truths) == 1 else walk.builder.activated(how(total), "hardlim", walk.hint())
+
+    return run
 
 
-def _mean(walk: _Walk, x: Value, dims: Sequence[int] | None = None, keepdim: bool = False, **_: Any) -> Value:
-    return x.mean(dims or (), keepdim)
+_not = _logical(lambda x: x.times(-1.0).plus(constant(1.0)))
+_and = _logical(lambda total: total.plus(constant(-1.5)))
+_or = _logical(lambda total: total.plus(constant(-0.5)))
 
 
-def _slice(
-    walk: _Walk, x: Value, dim: int = 0, start: int | None = None, end: int | None = None, step: int = 1
-) -> Value:
-    return x.moved(lambda i: i[(slice(None),) * _axis(dim, x.shape) + (slice(start, end, step),)])
+def _masked(walk: _Walk, x: Any, mask: Any, other: Any) -> Value:
+    if not isinstance(mask, Value):
+        return walk.affine(walk.node.target, [x, mask, other], {})
+    return _where(walk, mask, other, x)
 
 
-def _split(walk: _Walk, x: Value, sizes: Any, dim: int = 0) -> list[Value]:
-    axis = _axis(dim, x.shape)
-    lengths = sizes if isinstance(sizes, list) else [sizes] * -(-x.shape[axis] // sizes)
-    return x.parts(lengths, axis)
+def _sign(walk: _Walk, x: Value) -> Value:
+    return _chosen(walk, x, _chosen(walk, x.times(-1.0), constant(0.0), constant(1.0)), constant(-1.0))
 
 
-def _chunk(walk: _Walk, x: Value, parts: int, dim: int = 0) -> list[Value]:
-    return _split(walk, x, -(-x.shape[_axis(dim, x.shape)] // parts), dim)
+def _maximum(walk: _Walk, a: Any, b: Any) -> Value:
+    return _chosen(walk, _less(walk, a, b), a, b)
 
 
-def _view(walk: _Walk, x: Value, *shape: Any) -> Value:
-    wanted = shape[0] if len(shape) == 1 and isinstance(shape[0], list) else list(shape)
-    return x.moved(lambda i: i.reshape(wanted))
+def _minimum(walk: _Walk, a: Any, b: Any) -> Value:
+    return _chosen(walk, _less(walk, b, a), a, b)
 
 
-def _same(walk: _Walk, x: Value, *_: Any, **__: Any) -> Value:
+def _clamp(walk: _Walk, x: Value, low: Any = None, high: Any = None, **options: Any) -> Value:
+    """Limits are numbers, arrays or signals; one that is infinite is none."""
+    given = [options.get("min", low), options.get("max", high)]
+    limits = [None if v is None else v if isinstance(v, Value) else _value(v).constant for v in given]
+    limits = [None if isinstance(v, np.ndarray) and np.isinf(v).all() else v for v in limits]
+    if not any(isinstance(v, Value) for v in limits):
+        if any(v is not None and not np.isfinite(v).all() for v in limits):
+            raise InputError("some of its limits are not finite; give finite ones")
+        ports = [*walk.builder.inputs, *walk.builder.outputs]
+        widest = FAR * max(max(p.scale, abs(p.offset)) for p in ports)
+        if all(v is None or np.abs(v).max() <= widest for v in limits):
+            return walk.builder.clipped(x, *limits, walk.hint())
+    for limit, how in zip(limits, (_maximum, _minimum), strict=True):
+        x = x if limit is None else how(walk, x, limit)
     return x
 
 
-def _stack(walk: _Walk, values: list[Value], dim: int = 0) -> Value:
-    return joined([v.moved(lambda i: np.expand_dims(i, dim)) for v in values], dim)
+def _power(walk: _Walk, x: Any, n: Any) -> Value:
+    """Every element to its own exponent."""
+    if isinstance(n, Value):
+        raise InputError("its exponent is a signal; 2 and 3 can be carried")
+    n = np.asarray(n, float)
+    shape = np.broadcast_shapes(x.shape, n.shape)
+    wide, each = x.moved(lambda i: np.broadcast_to(i, shape).ravel()), np.broadcast_to(n, shape).ravel()
+    places = [np.flatnonzero(each == k) for k in np.unique(each)]
+    parts = [_raised(walk, wide.rows(at), float(each[at[0]])) for at in places]
+    return joined(parts, 0).rows(np.argsort(np.concatenate(places)).reshape(shape))
 
 
-def _squeeze(walk: _Walk, x: Value, dim: Any = None) -> Value:
-    if dim is None:
-        return x.moved(np.squeeze)
-    dims = [d for d in (dim if isinstance(dim, list) else [dim]) if x.shape[d] == 1]
-    return x.moved(lambda i: np.squeeze(i, tuple(dims)))
+def _raised(walk: _Walk, x: Value, n: float) -> Value:
+    if n == 0:
+        return constant(np.ones(x.shape))
+    return x if n == 1 else walk.builder.power(x, n, walk.hint())
 
 
-def _flatten(walk: _Walk, x: Value, start: int = 0, end: int = -1) -> Value:
-    first, last = _axis(start, x.shape), _axis(end, x.shape)
-    return x.moved(lambda i: i.reshape(*x.shape[:first], -1, *x.shape[last + 1 :]))
+def _prelu(walk: _Walk, x: Value, slope: Any) -> Value:
+    """A slope for each channel, which is axis 1."""
+    found = walk.fixed(slope)
+    slopes = found.reshape(1, -1, *[1] * (len(x.shape) - 2)) if found.size > 1 else found.reshape(())
+    return walk.builder.rectified(x, slopes, walk.hint())
 
 
-def _normed(walk: _Walk, x: Value, w: Any, b: Any, mean: Value, var: Value, *rest: Any) -> Value:
-    training, eps = rest[0], rest[2]
+def _rrelu(walk: _Walk, x: Value, low: float = 1 / 8, high: float = 1 / 3, training: bool = False, *_: Any) -> Value:
     if training:
-        raise walk.refused("batch_norm", "it is in training mode; call .eval() first")
-    scale = 1.0 / np.sqrt(walk.signal(var, "batch_norm") + eps)
-    scale = scale if w is None else scale * walk.signal(w, "batch_norm")
-    out = x.plus(mean.times(-1.0)).times(scale)
-    return out if b is None else out.plus(b)
+        raise InputError("it draws its slopes at random in training")
+    return walk.builder.rectified(x, (low + high) / 2, walk.hint())
 
 
-def _filled(number: float) -> Callable:
-    return lambda walk, shape, *_, **__: constant(np.full(shape, number))
+def _unit(walk: _Walk, x: Value) -> Value:
+    return walk.builder.clipped(x.times(1 / 6).plus(constant(0.5)), 0.0, 1.0, walk.hint())
+
+
+def _gated(walk: _Walk, x: Value, gate: Value) -> Value:
+    return walk.builder.product(x, walk.builder.activated(gate, "logsig", walk.hint()), walk.hint())
+
+
+def _halves(walk: _Walk, x: Value, dim: int = -1) -> Value:
+    return _gated(walk, *x.parts([x.shape[dim] // 2] * 2, dim))
+
+
+def _normed(walk: _Walk, x: Value, w: Any, b: Any, mean: Any, var: Any, *rest: Any) -> list[Value | None]:
+    """By fixed statistics for each channel, which is axis 1."""
+    shape = (-1, *[1] * (len(x.shape) - 2))
+    center, spread = (walk.fixed(v).reshape(shape) for v in (mean, var))
+    gain, shift = (0.0 if v is None else walk.fixed(v).reshape(shape) for v in (w, b))
+    scale = (1.0 if w is None else gain) / np.sqrt(spread + rest[-1])
+    return [x.plus(constant(-center)).times(scale).plus(constant(shift)), None, None]
+
+
+def _instance(walk: _Walk, x: Value, w: Any, b: Any, mean: Any, var: Any, own: bool, *rest: Any) -> Value:
+    if own:
+        raise InputError("it normalises by the mean and the spread of its input")
+    return _normed(walk, x, w, b, mean, var, rest[1])[0]
+
+
+def _shaped(walk: _Walk, x: Value, *arguments: Any, **options: Any) -> Any:
+    """A new tensor in the shape of another, whatever that holds."""
+    return walk.node.target(_tensor(np.zeros(x.size), x.shape), *arguments, **options)
 
 
 def _layers(kind: str, count: int) -> Callable:
-    """A recurrent module of `count` states a layer, along a sequence of one step whose states go on."""
+    """A recurrent module of `count` states a layer. Along the sequence of a module, the states that it makes go on."""
 
-    def run(walk: _Walk, x: Value, given: Any, flat: list[Value], biased: bool, layers: int, *rest: Any) -> list[Value]:
-        if rest[2]:
-            raise walk.refused(kind, "it runs in both directions, so a step needs what comes later")
-        states = given if isinstance(given, list) else [given]
-        each = 4 if biased else 2
-        h: list[list[Value]] = [[] for _ in range(count)]
-        step = x.moved(lambda i: i.reshape(x.shape[-1]))
+    def run(
+        walk: _Walk, x: Any, given: Any, flat: list, biased: bool, layers: int, dropout: float, train: bool, both: bool,
+        batch_first: bool = False,
+    ) -> list[Value]:  # fmt: skip
+        if both is not False and both is not True:
+            raise InputError("its sequence is packed; give it a tensor")
+        if both:
+            raise InputError("it runs in both directions, so a step needs what comes later")
+        if train and dropout:
+            raise InputError("it drops at random in training")
+        states = [_value(v) for v in (given if isinstance(given, list) else [given])]
+        x = _value(x).moved(lambda i: np.swapaxes(i, 0, 1)) if batch_first else _value(x)
+        steps = [taken(x, k, 0) for k in range(x.shape[0])]
+        if walk.trial.sequence and len(steps) != 1:
+            raise InputError(f"it takes {len(steps)} steps of one step of the sequence; keep the axis of the steps")
+        each, ends = len(flat) // layers, [[] for _ in states]
         for k in range(layers):
-            w = [walk.signal(v, kind) for v in flat[each * k : each * (k + 1)]]
-            w = w if biased else [*w, np.zeros(len(w[0])), np.zeros(len(w[0]))]
-            hint, before, names = f"{walk.hint()}_{k}" if layers > 1 else walk.hint(), [], []
-            for j in range(count):
-                start = states[j].moved(lambda i, k=k: i.reshape(layers, -1)[k])
-                if (value := start.constant) is None:
-                    before.append(start)
-                else:  # zeros that the module makes: here the state goes on from step to step
-                    name, past = walk.builder.state(f"{hint}_{'hc'[j]}", value)
+            w = [walk.fixed(v) for v in flat[each * k : each * (k + 1)]]
+            hint, names = f"{walk.hint()}_{k}" if layers > 1 else walk.hint(), []
+            after = [taken(s, k, 0) for s in states]
+            for j, start in enumerate(after):
+                if walk.trial.sequence and start.constant is not None:
+                    name, after[j] = walk.builder.state(f"{hint}_{'hc'[j]}", start.constant)
                     names.append(name)
-                    before.append(past)
-            after = _cell(walk, kind, step, before, w, hint)
+            for t, step in enumerate(steps):
+                after = _cell(walk, kind, step, after, w[: 4 if biased else 2], hint)
+                if count == 2 and len(w) in (3, 5):  # a projection of h
+                    after[0] = after[0].linear(w[-1])
+                steps[t] = after[0]
             for name, value in zip(names, after, strict=False):
                 walk.builder.keep(name, value)
-            for j, value in enumerate(after):
-                h[j].append(value)
-            step = after[0]
-        shape = states[0].shape
-        out = step.moved(lambda i: i.reshape(*x.shape[:-1], step.size))
-        return [out, *(joined(v, 0).moved(lambda i: i.reshape(shape)) for v in h)]
+            for end, value in zip(ends, after, strict=True):
+                end.append(value)
+        out = _stacked(steps)
+        return [out.moved(lambda i: np.swapaxes(i, 0, 1)) if batch_first else out, *(_stacked(end) for end in ends)]
 
     return run
+
+
+def _stacked(values: Sequence[Value]) -> Value:
+    return joined([v.moved(lambda i: i[None]) for v in values], 0)
 
 
 def _cells(kind: str) -> Callable:
     """A recurrent cell of torch: x, states, W_x, W_h, b_x, b_h."""
 
-    def run(walk: _Walk, x: Value, given: Any, *weights: Value | None) -> Any:
-        states = given if isinstance(given, list) else [given]
-        shape = states[0].shape
-        w = [walk.signal(v, kind) for v in weights if v is not None]
-        w = w if len(w) == 4 else [*w, np.zeros(len(w[0])), np.zeros(len(w[0]))]
-        flat = [s.moved(np.ravel) for s in states]
-        after = [
-            v.moved(lambda i: i.reshape(shape)) for v in _cell(walk, kind, x.moved(np.ravel), flat, w, walk.hint())
-        ]
+    def run(walk: _Walk, x: Any, given: Any, *weights: Any) -> Any:
+        states = [_value(v) for v in (given if isinstance(given, list) else [given])]
+        w = [walk.fixed(v) for v in weights if v is not None]
+        after = _cell(walk, kind, _value(x), states, w, walk.hint())
         return after if len(after) > 1 else after[0]
 
     return run
 
 
 def _cell(walk: _Walk, kind: str, x: Value, states: list[Value], w: list[np.ndarray], hint: str) -> list[Value]:
+    w = w if len(w) == 4 else [*w, np.zeros(len(w[0])), np.zeros(len(w[0]))]
     if kind == "lstm":
         return [*walk.builder.lstm(x, states[0], states[1], w, hint)]
     if kind == "gru":
@@ -387,44 +766,64 @@ def _cell(walk: _Walk, kind: str, x: Value, states: list[Value], w: list[np.ndar
     return [walk.builder.rnn(x, states[0], w, {"rnn_tanh": "tansig", "rnn_relu": "relu"}[kind], hint)]
 
 
+AFFINE = {
+    "slice", "select", "index", "index_select", "take", "gather", "split", "split_with_sizes", "unsafe_split", "chunk",
+    "unsafe_chunk", "unbind", "view", "reshape", "_unsafe_view", "flatten", "unflatten", "unsqueeze", "squeeze",
+    "permute", "transpose", "t", "numpy_T", "mT", "movedim", "expand", "expand_as", "view_as", "repeat",
+    "repeat_interleave", "tile", "roll", "flip", "fliplr", "flipud", "rot90", "cat", "concat", "concatenate", "stack",
+    "hstack", "vstack", "column_stack", "unfold", "diagonal", "diag", "diag_embed", "narrow", "clone", "detach",
+    "alias", "contiguous", "lift_fresh_copy", "slice_scatter", "select_scatter", "index_put", "index_copy",
+    "index_add", "scatter", "scatter_add", "masked_scatter", "fill", "copy", "pad", "constant_pad_nd",
+    "reflection_pad1d", "replication_pad1d", "pad_sequence", "tril", "triu", "sum", "mean", "cumsum", "diff", "neg",
+    "trace", "avg_pool1d", "avg_pool2d", "avg_pool3d", "adaptive_avg_pool1d", "adaptive_avg_pool2d", "pixel_shuffle",
+    "pixel_unshuffle", "channel_shuffle", "meshgrid", "atleast_1d", "atleast_2d", "broadcast_tensors", "block_diag",
+    "ravel", "_reshape_alias",
+}  # fmt: skip
+"""Operations that are affine in all of their tensors together, but for indices."""
+LINEAR = {
+    "matmul", "mm", "bmm", "mv", "dot", "inner", "outer", "kron", "tensordot", "einsum", "linear", "bilinear",
+    "conv1d", "conv2d", "conv3d", "convolution", "conv_transpose1d", "conv_transpose2d",
+}  # fmt: skip
+"""Operations that are affine in any of their tensors while the others are constant."""
+LOGICAL = {
+    "gt", "ge", "lt", "le", "where", "logical_not", "bitwise_not", "logical_and", "bitwise_and", "__and__",
+    "logical_or", "bitwise_or", "__or__",
+}  # fmt: skip
 FUNCTIONS: dict[str, Callable] = {
-    "add": _add, "add_": _add, "sub": _subtract,
-    "rsub": lambda walk, a, b, alpha=1: _subtract(walk, b, a, alpha),
-    "mul": _multiply, "div": _divide, "neg": lambda walk, x: x.times(-1.0),
-    "square": lambda walk, x: _power(walk, x, 2),
-    "pow": _power, "linear": _linear, "addmm": _addmm, "mm": _matmul, "matmul": _matmul, "mv": _matmul,
+    "add": _add,
+    "sub": lambda walk, a, b, alpha=1.0: _add(walk, a, b, -alpha),
+    "rsub": lambda walk, a, b, alpha=1.0: _add(walk, b, a, -alpha),
+    "mul": _multiply, "div": _divide, "true_divide": _divide,
+    "square": lambda walk, x: _power(walk, x, 2), "pow": _power,
+    "addmm": _fused("mm"), "addmv": _fused("mv"), "baddbmm": _fused("bmm"),
+    "addcmul": lambda walk, a, b, c, value=1.0: _add(walk, a, _multiply(walk, b, c), value),
+    "lerp": lambda walk, a, b, w: _add(walk, a, _multiply(walk, w, _less(walk, b, a))),
     "tanh": _activated("tansig"), "sigmoid": _activated("logsig"),
     "relu": lambda walk, x: walk.builder.rectified(x, 0.0, walk.hint()),
     "relu6": lambda walk, x: walk.builder.clipped(x, 0.0, 6.0, walk.hint()),
     "leaky_relu": lambda walk, x, slope=0.01: walk.builder.rectified(x, slope, walk.hint()),
+    "prelu": _prelu, "rrelu": _rrelu, 
+    "rrelu_with_noise_functional": lambda walk, x, noise, *rest: [_rrelu(walk, x, *rest), noise],
     "abs": lambda walk, x: walk.builder.rectified(x, -1.0, walk.hint()),
-    "hardtanh": _clamp, "hardtanh_": _clamp, "clamp": _clamped, "clip": _clamped,
-    "clamp_min": lambda walk, x, low: walk.builder.clipped(x, low, None, walk.hint()),
-    "clamp_max": lambda walk, x, high: walk.builder.clipped(x, None, high, walk.hint()),
-    "hardsigmoid": lambda walk, x: walk.builder.clipped(x.times(1 / 6).plus(constant(0.5)), 0.0, 1.0, walk.hint()),
-    "sum": _reduced, "mean": _mean,
-    "cat": lambda walk, values, dim=0: joined(values, dim), "stack": _stack, "slice": _slice,
-    "select": lambda walk, x, dim, k: taken(x, k, dim),
-    "index_select": lambda walk, x, dim, k: taken(x, walk.signal(k, "index").astype(int), dim),
-    "split": _split, "split_with_sizes": _split, "chunk": _chunk, "unbind": lambda walk, x, dim=0: [
-        taken(x, k, dim) for k in range(x.shape[dim])
-    ],
-    "view": _view, "reshape": _view, "_unsafe_view": _view, "flatten": _flatten,
-    "unsqueeze": lambda walk, x, dim: x.moved(lambda i: np.expand_dims(i, dim)), "squeeze": _squeeze,
-    "permute": lambda walk, x, dims: x.moved(lambda i: i.transpose(dims)),
-    "transpose": lambda walk, x, a, b: x.moved(lambda i: np.swapaxes(i, a, b)),
-    "t": lambda walk, x: x.moved(np.transpose),
-    "expand": lambda walk, x, shape, **_: x.moved(
-        lambda i: np.broadcast_to(i, [i.shape[k - len(shape)] if n == -1 else n for k, n in enumerate(shape)])
-    ),
-    **dict.fromkeys(
-        ["clone", "detach", "detach_", "contiguous", "alias", "_to_copy", "to", "type_as", "dropout"],
-        _same,
-    ),
-    "lift_fresh_copy": _same, "batch_norm": _normed, "zeros": _filled(0.0), "ones": _filled(1.0),
-    "zeros_like": lambda walk, x, **_: constant(np.zeros(x.shape)),
+    "hardtanh": lambda walk, x, low=-1.0, high=1.0: _clamp(walk, x, low, high),
+    "clamp": _clamp, "clip": _clamp, "clamp_min": _clamp,
+    "clamp_max": lambda walk, x, high: _clamp(walk, x, None, high),
+    "maximum": _maximum, "minimum": _minimum,
+    "threshold": lambda walk, x, limit, other: _chosen(walk, _less(walk, limit, x), other, x),
+    "hardsigmoid": _unit, "hardswish": lambda walk, x: walk.builder.product(x, _unit(walk, x), walk.hint()),
+    "silu": lambda walk, x: _gated(walk, x, x), "glu": _halves,
+    "where": _where, "sign": _sign, "masked_fill": _masked, "logical_not": _not, "bitwise_not": _not,
+    **dict.fromkeys(["logical_and", "bitwise_and", "__and__"], _and),
+    **dict.fromkeys(["logical_or", "bitwise_or", "__or__"], _or),
+    "ge": lambda walk, a, b: walk.builder.activated(_less(walk, a, b), "hardlim", walk.hint()),
+    "le": lambda walk, a, b: walk.builder.activated(_less(walk, b, a), "hardlim", walk.hint()),
+    "gt": lambda walk, a, b: FUNCTIONS["le"](walk, a, b).times(-1.0).plus(constant(1.0)),
+    "lt": lambda walk, a, b: FUNCTIONS["ge"](walk, a, b).times(-1.0).plus(constant(1.0)),
+    **dict.fromkeys(["_to_copy", "to", "type_as"], lambda walk, x, *_, **__: x),
+    **dict.fromkeys(["zero", "zeros_like", "ones_like", "full_like", "new_zeros", "new_ones", "new_full"], _shaped),
+    "_native_batch_norm_legit_no_training": _normed, "instance_norm": _instance,
     "rnn_tanh": _layers("rnn_tanh", 1), "rnn_relu": _layers("rnn_relu", 1), "gru": _layers("gru", 1),
     "lstm": _layers("lstm", 2), "rnn_tanh_cell": _cells("rnn_tanh"), "rnn_relu_cell": _cells("rnn_relu"),
     "gru_cell": _cells("gru"), "lstm_cell": _cells("lstm"),
 }  # fmt: skip
-"""What a network can carry: operation of torch -> how."""
+"""What else a network can carry: operation of torch -> how."""
