@@ -6,6 +6,7 @@ import shlex
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from greygate.compiler.pipeline import compile_network
 from greygate.compiler.simplify import SIMPLIFICATIONS
 from greygate.control.prediction import Prediction, hats, knots, online
 from greygate.errors import InputError
+from greygate.identifying import files
 from greygate.machines.catalog import CATALOG, CONTROLLED, task
 from greygate.machines.control import CONTROL
 from greygate.machines.identification import TRAINED
@@ -23,6 +25,7 @@ from greygate.models.network import Network, Port
 from greygate.models.sampling import resampling, spoken
 from greygate.models.training.record import Record
 from greygate.models.validation import validate
+from greygate.plants.recording import read_csv
 from greygate.project import Project
 
 CASE = Path("/work/shared/cases/sample_time")
@@ -124,14 +127,27 @@ def test_a_sample_time_is_equal_to_the_error_of_a_printed_time(place, greygate, 
     assert greygate("validate", "out/lag.toml", "--record", "other.csv")[0] == code
 
 
-def test_init_and_identify_write_the_sample_time_too(place, greygate):
+def test_init_writes_the_sample_time_too(place, greygate):
     assert greygate("init", "begun", "--record", "slow.csv", "--output", "y")[0] == 0
-    words = ["--input", "u", "--output", "y", "--seconds", "1", "--jobs", "1", "--out", "found"]
-    assert greygate("identify", "slow.csv", *words)[0] == 0
-    for path in ("out/lag", "begun", "found/found"):
-        assert Network.load(path).dt == 0.01, path
+    assert Network.load("out/lag").dt == Network.load("begun").dt == 0.01
     assert greygate("init", "script", "--record", "slow.csv", "--output", "y", "--python")[0] == 0
     assert "dt=recording.dt" in Path("script.py").read_text()
+
+
+def test_the_network_that_identify_finds_has_the_sample_time_of_its_recordings(tmp_path, monkeypatch):
+    class Search:
+        def __init__(self, task, *_):
+            self.task = task
+
+        def run(self, *_):
+            pass
+
+        def final(self):
+            return None, SimpleNamespace(network=lag())
+
+    monkeypatch.setattr(files, "Halving", Search)
+    recording = read_csv(record(tmp_path / "slow.csv", 0.01))
+    assert files.identify({"slow": recording}, ["u"], "y", {}, seconds=1.0, jobs=1).network.dt == 0.01
 
 
 @pytest.mark.parametrize(
