@@ -10,7 +10,7 @@ NO_FLOATS := rtl random_hardware adders_hardware synthesis proofs engine board c
 
 .PHONY: demo docs pages test test-old lint types bench bench-training bench-diagnosis bench-rigs bench-programs fuzz faults \
     mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-tables \
-    bench-flow bench-growth bench-exploring bench-blind bench-next bench-speed bench-c99 bench-fmus bench-importers bench-wheel bench-browser bench-memory
+    bench-flow bench-growth bench-exploring bench-blind bench-next bench-speed bench-c99 bench-fmus bench-importers bench-wheel bench-browser bench-memory bench-kills
 
 demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile valve_cylinder --prune 1.0 --out $(OUT)/valve_cylinder
