@@ -120,21 +120,29 @@ class Network:
         Raises InputError naming the layers of a loop that has no delay.
         """
         needs: dict[str, set[str]] = {name: set() for name in self.modules}
+        readers: dict[str, list[str]] = {name: [] for name in self.modules}
         for c in self.connections:
-            if c.delay == 0 and c.source in needs and "." in c.target:
-                needs[c.target.rpartition(".")[0]].add(c.source)
+            reader = c.target.rpartition(".")[0]
+            if c.delay == 0 and c.source in needs and reader and c.source not in needs[reader]:
+                needs[reader].add(c.source)
+                readers[c.source].append(reader)
+        place = {name: k for k, name in enumerate(self.modules)}
+        left = {name: len(read) for name, read in needs.items()}
         done: list[str] = []
-        waiting = dict(needs)
-        while waiting:
-            ready = [n for n, deps in waiting.items() if deps.isdisjoint(waiting)]
-            if not ready:
-                raise InputError(
-                    f"network {self.name}: a loop without delay through {' -> '.join(_loop(waiting))}; "
-                    "give one of its connections delay >= 1"
-                )
-            for name in ready:
-                done.append(name)
-                del waiting[name]
+        ready = [n for n, count in left.items() if not count]
+        while ready:
+            done += ready
+            following = []
+            for reader in (r for name in ready for r in readers[name]):
+                left[reader] -= 1
+                if not left[reader]:
+                    following.append(reader)
+            ready = sorted(following, key=place.__getitem__)
+        if waiting := {n: read for n, read in needs.items() if left[n]}:
+            raise InputError(
+                f"network {self.name}: a loop without delay through {' -> '.join(_loop(waiting))}; "
+                "give one of its connections delay >= 1"
+            )
         return done
 
     def check(self) -> "Network":

@@ -18,6 +18,8 @@ from greygate.models.network import Layer, Network, Port
 from greygate.names import check_name
 
 Number = float | np.ndarray
+WIDE = 1 << 20  # of limits: scaled to 0 and 1, a value between them would lose more than 20 of its 53 bits
+MOST = 1 << 22  # weights of one value: a matrix of 2,048 by 2,048
 Signal = tuple[str, int]
 """(module or input port, delay in steps)."""
 
@@ -35,12 +37,18 @@ class Value:
         return len(self.bias)
 
     @property
+    def numbers(self) -> int:
+        """How many numbers it holds, those of its weights too."""
+        return self.size * (1 + sum(w.shape[1] for w in self.weights.values()))
+
+    @property
     def constant(self) -> np.ndarray | None:
         """The array that it is, if it reads no signal."""
         return None if self.weights else self.bias.reshape(self.shape)
 
     def rows(self, places: np.ndarray) -> "Value":
         """The elements at `places`, an array of indices, in its shape."""
+        _room(places.size * (1 + sum(w.shape[1] for w in self.weights.values())))
         flat = places.reshape(-1)
         return Value(places.shape, self.bias[flat], {s: w[flat] for s, w in self.weights.items()})
 
@@ -88,6 +96,7 @@ class Value:
         """The last axis n becomes m: matrix (m, n) @ each."""
         m, n = matrix.shape
         count = self.size // n
+        _room(count * m * max(count * n, 1))
         whole = np.kron(np.eye(count), matrix) if count > 1 else matrix
         weights = {s: whole @ w for s, w in self.weights.items()}
         return Value((*self.shape[:-1], m), whole @ self.bias, weights)
@@ -99,6 +108,12 @@ def word(text: str) -> str:
     return f"n{plain}" if plain[:1].isdigit() else plain
 
 
+def _room(count: int) -> None:
+    """Raise InputError for what takes too much memory: dense matrices are for small networks."""
+    if count > MOST:
+        raise InputError(f"its result has {count} weights; at most {MOST} are taken")
+
+
 def constant(array: object) -> Value:
     """A value that reads no signal."""
     found = np.asarray(array, float)
@@ -107,6 +122,7 @@ def constant(array: object) -> Value:
 
 def joined(values: Sequence[Value], axis: int) -> Value:
     """Values one behind the other along an axis, as np.concatenate."""
+    _room(sum(v.numbers for v in values))
     starts = np.cumsum([0, *(v.size for v in values)])
     places = np.concatenate(
         [start + np.arange(v.size).reshape(v.shape) for v, start in zip(values, starts, strict=False)], axis
@@ -187,12 +203,14 @@ class Builder:
         if low is not None and high is not None:
             if not np.all(np.greater(high, low)):
                 raise InputError(f"{hint}: limits {low} and {high}; the lower one comes first")
-            unit = value.plus(constant(np.negative(low))).times(1.0 / (high - low))
-            return self.activated(unit, "satlin", hint).times(high - low).plus(constant(low))
-        if low is not None:
-            return self.rectified(value.plus(constant(np.negative(low))), 0.0, hint).plus(constant(low))
-        if high is not None:
-            return self.rectified(value.times(-1.0).plus(constant(high)), 0.0, hint).times(-1.0).plus(constant(high))
+            if np.max(high - low) <= WIDE:
+                unit = value.plus(constant(np.negative(low))).times(1.0 / (high - low))
+                return self.activated(unit, "satlin", hint).times(high - low).plus(constant(low))
+        for end, sign in ((low, 1.0), (high, -1.0)):
+            if end is not None:
+                inside = value.plus(constant(np.negative(end))).times(sign)
+                value = value.plus(constant(np.zeros(np.shape(end))))
+                value = self.selected(inside, value, constant(np.broadcast_to(end, value.shape)), hint)
         return value
 
     def product(self, a: Value, b: Value, hint: str = "product") -> Value:

@@ -1,6 +1,7 @@
-"""An ONNX file read and checked; its tensors and the ports that they become."""
+"""An ONNX file read and checked, within limits; its tensors and the ports that they become."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,40 +15,177 @@ if TYPE_CHECKING:
     import onnx
 
 OLDEST = 17  # opset
-LARGEST = 64 << 20  # bytes of a file
+LARGEST = 16 << 20  # bytes of a file: four million weights
+FIELDS = 1 << 19  # of a file: each may become an object of some hundred bytes
+NODES = 1_000  # operations, those inside functions each time that they are called
+ELEMENTS = 1 << 22  # numbers that all constants together may have: as many as the weights of the largest file
+STANDARD = ("", "ai.onnx")
+QONNX = ("qonnx.custom_op.general", "finn.custom_op.general", "onnx.brevitas")
+"""Domains of Quant nodes."""
 
 
 def read(path: Path) -> "onnx.ModelProto":
-    """The model of a file. Raises InputError for what is no model, is too large, or has an older opset."""
+    """The model of a file, its functions written out where they are called.
+
+    Raises InputError for what is no model, is larger than the limits, has another opset, or has numbers elsewhere.
+    """
     try:
         import onnx
     except ImportError:
         raise InputError("onnx is not installed; pip install 'greygate[onnx]'") from None
     try:
+        if not path.is_file() and path.exists():
+            raise InputError(f"{path}: is no file; give an .onnx file")
         if path.stat().st_size > LARGEST:
             raise InputError(f"{path}: larger than {LARGEST >> 20} MiB; a network here has a few hundred weights")
-        model = onnx.load(path, load_external_data=False)
-        onnx.checker.check_model(model)
+        data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}; give an .onnx file") from None
+    if not _fits(data, onnx.ModelProto.DESCRIPTOR):
+        raise InputError(f"{path}: has more than {FIELDS} parts; a network here has a few hundred weights")
+    try:
+        model = onnx.load_model_from_string(data)
+        _self_contained(model, path)
+        _declare(model)
+        onnx.checker.check_model(model)
     except InputError:
         raise
     except Exception as error:  # of protobuf or of the checker
         raise InputError(f"{path}: is no valid ONNX model ({one_line(' '.join(str(error).split()))[:200]})") from None
-    opset = next((o.version for o in model.opset_import if o.domain in ("", "ai.onnx")), OLDEST)
+    newest = onnx.defs.onnx_opset_version()
+    opset = next((o.version for o in model.opset_import if o.domain in STANDARD), OLDEST)
     if opset < OLDEST:
         raise InputError(f"{path}: opset {opset}; convert it to {OLDEST} or newer (onnx.version_converter)")
-    if outside := [t.name for t in model.graph.initializer if t.external_data]:
-        raise InputError(f"{path}: the numbers of {outside[0]} are in another file; save the model in one file")
-    return model
+    if opset > newest:
+        raise InputError(f"{path}: opset {opset}; the onnx that is installed knows {newest}: pip install -U onnx")
+    return _written_out(model, path)
 
 
-def shape(tensor: Any, path: Path | str) -> tuple[int, ...]:
-    """Of an input or output; every axis but the last is 1. Raises InputError for what is no tensor."""
+def _fits(data: bytes, kind: Any) -> bool:
+    """Whether a message of protobuf has no more than FIELDS fields, those of the messages in it too.
+
+    Counted before it is read: two bytes become an object of 150, so a file of 16 MiB would take 3 GB.
+    """
+
+    def number(at: int) -> tuple[int, int]:
+        found = shift = 0
+        while True:
+            byte = data[at]
+            found, at, shift = found | (byte & 127) << shift, at + 1, shift + 7
+            if byte < 128 or shift > 63:
+                return found, at
+
+    left, waiting = FIELDS, [(0, len(data), kind)]
+    try:
+        while waiting:
+            at, end, kind = waiting.pop()
+            while at < end:
+                tag, at = number(at)
+                left -= 1
+                if left < 0:
+                    return False
+                if tag & 7 == 0:
+                    _, at = number(at)
+                elif tag & 7 == 2:
+                    length, at = number(at)
+                    field = kind.fields_by_number.get(tag >> 3)
+                    if field is not None and field.message_type is not None:
+                        waiting.append((at, at + length, field.message_type))
+                    at += length
+                else:
+                    at += {1: 8, 5: 4}[tag & 7]
+    except (IndexError, KeyError):
+        return True  # cut short or of no such kind: protobuf says so
+    return True
+
+
+def messages(message: Any) -> Iterator[Any]:
+    """Every message inside one, at any depth."""
+    waiting = [message]
+    while waiting:
+        for field, value in waiting.pop().ListFields():
+            if field.message_type is not None:
+                inner = [value] if hasattr(value, "ListFields") else list(value)
+                yield from inner
+                waiting += inner
+
+
+def _self_contained(model: "onnx.ModelProto", path: Path) -> None:
+    """Refuse tensors whose numbers are in another file, that are sparse, or above the limit, wherever they are."""
+    import onnx
+
+    for found in messages(model):
+        if isinstance(found, onnx.SparseTensorProto):
+            raise InputError(f"{path}: tensor {shown(found.values.name)} is sparse; save it dense")
+        if not isinstance(found, onnx.TensorProto):
+            continue
+        if found.external_data or found.data_location == onnx.TensorProto.EXTERNAL:
+            raise InputError(
+                f"{path}: the numbers of tensor {shown(found.name)} are in another file; save the model in one file "
+                "(torch.onnx.export with external_data=False)"
+            )
+        if (count := prod(max(d, 1) for d in found.dims)) > ELEMENTS:
+            raise InputError(f"{path}: tensor {shown(found.name)} has {count} numbers; at most {ELEMENTS} are read")
+
+
+def _declare(model: "onnx.ModelProto") -> None:
+    """Version 1 of a domain of Quant nodes that QKeras's exporter uses and does not name."""
+    import onnx
+
+    named = {o.domain for o in model.opset_import}
+    for domain in {n.domain for n in model.graph.node} & {*QONNX} - named:
+        model.opset_import.append(onnx.helper.make_opsetid(domain, 1))
+
+
+def _written_out(model: "onnx.ModelProto", path: Path) -> "onnx.ModelProto":
+    """The model without functions of its own; its nodes are counted before, as functions that call one another grow."""
+    from onnx import AttributeProto, inliner
+
+    functions = {(f.domain, f.name, f.overload): f for f in model.functions}
+    counts: dict[tuple, int] = {}
+
+    def counted(nodes: Sequence[Any], above: tuple) -> int:
+        total = 0
+        for node in nodes:
+            called = (node.domain, node.op_type, node.overload)
+            if called in above:
+                raise InputError(f"{path}: function {shown(node.op_type)} calls itself; export the model without it")
+            if called in functions and called not in counts:
+                counts[called] = counted(functions[called].node, (*above, called))
+            total += counts.get(called, 1)
+            for a in node.attribute:
+                graphs = [a.g] if a.type == AttributeProto.GRAPH else a.graphs
+                total += sum(counted(g.node, above) for g in graphs)
+        return total
+
+    if clash := [f.name for f in model.functions if f.domain in STANDARD]:
+        raise InputError(f"{path}: function {shown(clash[0])} is in the domain of ONNX; give it one of its own")
+    if (count := counted(model.graph.node, ())) > NODES:
+        raise InputError(f"{path}: {count} operations; at most {NODES} are read")
+    if not functions:
+        return model
+    try:
+        return inliner.inline_local_functions(model)
+    except Exception as error:
+        raise InputError(f"{path}: its functions cannot be written out ({one_line(str(error))[:100]})") from None
+
+
+def shape(tensor: Any, path: Path | str, entering: bool) -> list[int | str]:
+    """Of an input or output: lengths of its axes, or names where they are free, "" if one has none.
+
+    Raises InputError for what is no tensor; for an input also if it is not of floats.
+    """
+    from onnx import TensorProto
+
     if not tensor.type.HasField("tensor_type"):
         raise InputError(f"{path}: {tensor.name} is no tensor; a network has ports of numbers")
-    dims = [d.dim_value for d in tensor.type.tensor_type.shape.dim]
-    return (*(1 for _ in dims[:-1]), *(max(d, 1) for d in dims[-1:]))
+    kind = tensor.type.tensor_type.elem_type
+    if entering and kind not in (TensorProto.FLOAT, TensorProto.DOUBLE):
+        raise InputError(
+            f"{path}: {tensor.name} is of {TensorProto.DataType.Name(kind)}, in which numbers are rounded otherwise "
+            "than here; export the model in FLOAT or DOUBLE"
+        )
+    return [max(d.dim_value, 0) or d.dim_param for d in tensor.type.tensor_type.shape.dim]
 
 
 def ports_of(name: str, shape: Sequence[int]) -> list[str]:
@@ -67,10 +205,12 @@ def first(ports: list[Port], count: int, where: str) -> list[Port]:
 
 
 def array(tensor: Any) -> np.ndarray:
-    """The numbers of a constant, float64. Raises InputError if it holds none."""
+    """The numbers of a constant, in their own type. Raises InputError if it holds none."""
     from onnx import numpy_helper
 
     try:
-        return np.asarray(numpy_helper.to_array(tensor), float)
+        found = numpy_helper.to_array(tensor)
+        found.astype(float)
     except Exception as error:  # a tensor of texts, or one whose bytes and shape do not agree
         raise InputError(f"tensor {shown(tensor.name)}: holds no numbers ({one_line(str(error))[:100]})") from None
+    return found

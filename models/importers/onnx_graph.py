@@ -1,10 +1,12 @@
 """From an ONNX graph (opset 17 and newer): one step of it, or a recurrent operator along a sequence.
 
 The leading axes of an input (batch, steps) are taken as 1: the network makes one step at a time, and the state of RNN,
-GRU, LSTM and Scan goes on from step to step. Source: https://onnx.ai/onnx/operators.
+GRU, LSTM and Scan goes on from step to step. What comes out is compared with ONNX's own reference before it is given
+(`onnx_reference.check`). Source: https://onnx.ai/onnx/operators.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from math import prod
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,11 +14,14 @@ import numpy as np
 
 from greygate.errors import InputError, one_line, shown
 from greygate.models.importers.builder import Builder, Value, constant, joined, matmul, taken
-from greygate.models.importers.onnx_file import array, first, ports_of, read, shape
+from greygate.models.importers.onnx_file import ELEMENTS, QONNX, STANDARD, array, first, ports_of, read, shape
+from greygate.models.importers.onnx_reference import FOLDED, Imported, Reference, Tensor, check, lengths
 from greygate.models.importers.qonnx import QUANTIZERS, Declaring, Quantized
 from greygate.models.network import Network, Port
 
 Kind = TypeVar("Kind", bound=Builder)
+PORTS = 4096  # numbers of an input, an output or a state in one step
+NUMBERS = 8 * ELEMENTS  # weights that all results together may have, each of every signal that it is a sum of
 
 
 def from_onnx(
@@ -42,7 +47,7 @@ def from_onnx(
     """
     model = read(Path(path))
     kind = Declaring if _quantizes(model) else Builder
-    return _built(model, path, kind, inputs, outputs, state, initial, name).finished()
+    return _built(model, path, kind, inputs, outputs, state, initial, name)[1]
 
 
 def from_qonnx(
@@ -60,12 +65,12 @@ def from_qonnx(
     model = read(Path(path))
     if not _quantizes(model):
         return None
-    builder = _built(model, path, Declaring, inputs, outputs, state, None, name)
-    return Quantized(builder.finished(), tuple(builder.steps))
+    builder, network = _built(model, path, Declaring, inputs, outputs, state, None, name)
+    return Quantized(network, tuple(builder.steps))
 
 
 def _quantizes(model: Any) -> bool:
-    return any(node.op_type in QUANTIZERS for node in model.graph.node)
+    return any(node.domain in QONNX and node.op_type in QUANTIZERS for node in model.graph.node)
 
 
 def _built(
@@ -77,12 +82,11 @@ def _built(
     state: Mapping[str, str] | None,
     initial: Mapping[str, np.ndarray] | None,
     name: str | None,
-) -> Kind:
-    """The builder of a model's network, with all but the last check."""
+) -> tuple[Kind, Network]:
+    """The builder of a model's network, and the network, which answers as the model."""
     graph, state = model.graph, dict(state or {})
-    fixed = {t.name: constant(array(t)) for t in graph.initializer}
+    fixed = {t.name: array(t) for t in graph.initializer}
     entered = [i for i in graph.input if i.name not in fixed]
-    shapes = {i.name: shape(i, path) for i in (*entered, *graph.output)}
     names = [i.name for i in entered], [o.name for o in graph.output]
     for inner, after in state.items():
         if inner not in names[0] or after not in names[1]:
@@ -90,92 +94,139 @@ def _built(
                 f"{path}: state {inner} -> {after}: the model has inputs {', '.join(names[0])} and outputs "
                 f"{', '.join(names[1])}"
             )
+    axes = {
+        t.name: shape(t, path, entering)
+        for tensors, entering in ((entered, True), (graph.output, False))
+        for t in tensors
+    }
     free = [n for n in names[0] if n not in state], [n for n in names[1] if n not in state.values()]
+    shapes = {n: [1] * (len(a) - 1) + lengths(a, {})[-1:] for n, a in axes.items()} | {
+        n: lengths(axes[n], {}) for n in state
+    }
+    if large := next((n for n, lengths_of in shapes.items() if prod(lengths_of) > PORTS), None):
+        raise InputError(f"{path}: {large} has {prod(shapes[large])} numbers; a network has at most {PORTS} a step")
+    starts = _starts(initial or {}, {n: tuple(shapes[n]) for n in state}, path)
     ports = [
         list(given) if given is not None else [p for n in tensors for p in ports_of(n, shapes[n])]
         for given, tensors in zip((inputs, outputs), free, strict=True)
     ]
     builder = kind(name or Path(path).stem, *ports)
-    walk = _Walk(builder, str(path))
-    values = dict(fixed)
-    left = list(builder.inputs)
+    walk = _Walk(builder, str(path), Reference(model.opset_import))
+    values: dict[str, Value | np.ndarray] = dict(fixed)
+    left, tensors = list(builder.inputs), ([], [])
     for n in free[0]:
-        count = int(np.prod(shapes[n]))
-        values[n] = builder.input(first(left, count, f"{path}: input {n}"), shapes[n])
+        taken_ports = first(left, int(np.prod(shapes[n])), f"{path}: input {n}")
+        tensors[0].append(Tensor(n, axes[n], taken_ports))
+        values[n] = builder.input(taken_ports, shapes[n])
     if left:
         raise InputError(f"{path}: port {left[0].name} is one too many; the model takes fewer numbers")
     kept = {}
-    for n in state:
-        start = (initial or {}).get(n, np.zeros(shapes[n]))
-        kept[n], values[n] = builder.state(n, np.asarray(start, float).reshape(shapes[n]))
+    for n, start in starts.items():
+        kept[n], values[n] = builder.state(n, start)
     walk.run(graph, values)
     if missing := [n for n in names[1] if n not in values]:
         raise InputError(f"{path}: output {missing[0]} is of an operation that gives it only in training; leave it out")
+    results = {n: signal(values[n]) for n in names[1]}
     left = list(builder.outputs)
     for n in free[1]:
-        builder.output(first(left, values[n].size, f"{path}: output {n}"), values[n])
+        tensors[1].append(Tensor(n, axes[n], first(left, results[n].size, f"{path}: output {n}")))
+        builder.output(tensors[1][-1].ports, results[n])
     if left:
         raise InputError(f"{path}: port {left[0].name} is one too many; the model gives fewer numbers")
     for n, after in state.items():
-        builder.keep(kept[n], values[after])
-    return builder
+        builder.keep(kept[n], results[after])
+    network = builder.finished()
+    states = {n: (kept[n], axes[n], after) for n, after in state.items()}
+    check(Imported(network, *tensors, states, walk.constants, walk.changing, model.opset_import), str(path))
+    return builder, network
+
+
+def _starts(
+    initial: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]], path: Path | str
+) -> dict[str, np.ndarray]:
+    """What each state is before the first step."""
+    for n, given in initial.items():
+        if n not in shapes:
+            raise InputError(f"{path}: initial {shown(n)}: no such state; the states are {', '.join(shapes) or 'none'}")
+        try:
+            count = np.asarray(given, float).size
+        except (TypeError, ValueError):
+            raise InputError(f"{path}: initial {n}: {shown(given)} holds no numbers") from None
+        if count != int(np.prod(shapes[n])):
+            raise InputError(f"{path}: initial {n} has {count} numbers; the state has {int(np.prod(shapes[n]))}")
+    return {n: np.asarray(initial.get(n, np.zeros(s)), float).reshape(s) for n, s in shapes.items()}
 
 
 class _Walk:
-    """Computes the nodes of a graph in their order, which ONNX guarantees."""
+    """Computes the nodes of a graph in their order, which ONNX guarantees.
 
-    def __init__(self, builder: Builder, where: str):
-        self.builder, self.where = builder, where
+    A value is an array as long as nothing that is entered decides it, in its own type; else a `Value`.
+    constants, changing: as `onnx_reference.Imported` has them.
+    """
+
+    def __init__(self, builder: Builder, where: str, reference: Reference):
+        self.builder, self.where, self.reference = builder, where, reference
+        self.constants: dict[str, np.ndarray] = {}
+        self.changing: list[Any] = []
         self.node: Any = None
+        self.scope: dict[str, Any] = {}
+        self.left = NUMBERS
 
-    def run(self, graph: Any, values: dict[str, Value]) -> None:
+    def run(self, graph: Any, values: dict[str, Any]) -> None:
+        """Add the results of its nodes to the values."""
+        outer, self.scope = self.scope, values
+        fixed = {n for n, v in values.items() if isinstance(v, np.ndarray)}
+        changing = []
         for node in graph.node:
             self.node = node
+            if missing := [n for n in node.input if n and n not in values]:
+                raise self.refused(f"reads {shown(missing[0])}, which nothing gives, or only in training")
             try:
                 found = self.called(node, [values[n] if n else None for n in node.input])
-            except InputError:
-                raise
+            except InputError as error:
+                raise error if str(error).startswith(self.where) else self.refused(str(error)) from None
             except Exception as error:  # attributes and shapes that do not fit one another fail in many ways
                 why = one_line(" ".join(str(error).split()))[:100]
                 raise self.refused(f"its inputs or attributes do not fit ({type(error).__name__}: {why})") from None
             self.node = node
-            values |= dict(zip(node.output, found, strict=False))
+            self.left -= sum(v.numbers for v in found if isinstance(v, Value))
+            if self.left < 0:
+                raise self.refused(
+                    f"with it the model has more than {NUMBERS} weights of signals, the most that is read"
+                )
+            values |= {n: v for n, v in zip(node.output, found, strict=False) if n}
+            if fixed.issuperset(filter(None, node.input)) and all(isinstance(v, np.ndarray) for v in found):
+                fixed.update(node.output)
+            else:
+                changing.append(node)
+        self.constants, self.changing = {n: values[n] for n in fixed if n in values}, changing
+        self.scope = outer
 
-    def called(self, node: Any, given: list[Any]) -> list[Value]:
+    def called(self, node: Any, given: list[Any]) -> list[Any]:
         """The results of a node."""
-        if node.op_type not in FUNCTIONS:
-            if any(v is None or v.constant is None for v in given):
-                raise self.refused(CARRIED)
-            return self.folded(node, given)
+        fixed = all(v is None or isinstance(v, np.ndarray) for v in given)
+        domain = "" if node.domain in STANDARD else node.domain
+        if domain == "" and fixed and given and node.op_type in FOLDED:
+            return self.folded(node)
+        function = next((f.get(node.op_type) for d, f in DOMAINS.items() if domain in d), None)
+        if function is None:
+            raise self.refused(CARRIED)
         options = {a.name: _attribute(a) for a in node.attribute}
-        made = FUNCTIONS[node.op_type](self, *given, **options)
-        return list(made) if isinstance(made, list | tuple) else [made]
+        made = function(self, *(None if v is None else signal(v) for v in given), **options)
+        found = list(made) if isinstance(made, list | tuple) else [made]
+        if fixed and given:
+            found = [v if v.constant is None else v.constant.astype(given[0].dtype) for v in found]
+        return found
 
-    def folded(self, node: Any, given: list[Any]) -> list[Value]:
+    def folded(self, node: Any) -> list[Any]:
         """The results of an operation on constants, by ONNX's own reference."""
-        from onnx import TensorProto, helper
-        from onnx.reference import ReferenceEvaluator
-
-        whole = {
-            "Reshape": [1],
-            "Gather": [1],
-            "Slice": [1, 2, 3, 4],
-            "Expand": [1],
-            "Unsqueeze": [1],
-            "Range": [0, 1, 2],
-        }
-        kinds = {k: np.int64 for k in whole.get(node.op_type, [])}
-        feeds = {
-            n: v.constant.astype(kinds.get(k, np.float64))
-            for k, (n, v) in enumerate(zip(node.input, given, strict=True))
-        }
-        ins = [helper.make_tensor_value_info(n, TensorProto.DOUBLE, None) for n in feeds]
-        outs = [helper.make_tensor_value_info(n, TensorProto.DOUBLE, None) for n in node.output]
-        model = helper.make_model(helper.make_graph([node], "one", ins, outs))
         try:
-            return [constant(v) for v in ReferenceEvaluator(model).run(None, feeds)]
+            found = self.reference.run(node, self.scope)
+        except InputError:
+            raise
         except Exception as error:
             raise self.refused(f"its constants cannot be folded ({one_line(str(error))[:100]})") from None
+        return [found.get(n) for n in node.output]
 
     def refused(self, why: str) -> InputError:
         node = self.node
@@ -206,10 +257,17 @@ CARRIED = (
 )
 
 
+def signal(value: Any) -> Value:
+    """A constant array as a value."""
+    return constant(value) if isinstance(value, np.ndarray) else value
+
+
 def _attribute(a: Any) -> Any:
     from onnx import helper
 
     found = helper.get_attribute_value(a)
+    if isinstance(found, list):
+        return [v.decode("utf-8", "replace") if isinstance(v, bytes) else v for v in found]
     return found.decode("utf-8", "replace") if isinstance(found, bytes) else found
 
 
@@ -240,7 +298,10 @@ def _matmul(walk: _Walk, a: Value, b: Value) -> Value:
 
 
 def _divide(walk: _Walk, a: Value, b: Value) -> Value:
-    return a.times(1.0 / walk.fixed(b, "the divisor"))
+    divisor = walk.fixed(b, "the divisor")
+    if not divisor.all():
+        raise walk.refused("divides by 0")
+    return a.times(1.0 / divisor)
 
 
 def _activated(kind: str) -> Callable:
@@ -248,16 +309,19 @@ def _activated(kind: str) -> Callable:
 
 
 def _clip(walk: _Walk, x: Value, low: Value | None = None, high: Value | None = None) -> Value:
-    ends = [None if end is None else float(walk.fixed(end, "a limit")) for end in (low, high)]
-    ends = [None if end is not None and abs(end) > 1e38 else end for end in ends]
-    return walk.builder.clipped(x, ends[0], ends[1], walk.hint)
+    ends = [None if end is None else float(walk.fixed(end, "a limit").reshape(())) for end in (low, high)]
+    low_end, high_end = (
+        None if end is None or far * end > 1e38 else end for end, far in zip(ends, (-1, 1), strict=True)
+    )
+    return walk.builder.clipped(x, low_end, high_end, walk.hint)
 
 
 def _power(walk: _Walk, x: Value, n: Value) -> Value:
-    try:
-        return walk.builder.power(x, float(walk.fixed(n, "the exponent").ravel()[0]), walk.hint)
-    except InputError as error:
-        raise walk.refused(str(error)) from None
+    exponents = walk.fixed(n, "the exponent")
+    if (exponents != exponents.flat[0]).any():
+        raise walk.refused("several exponents; split it, one Pow for each")
+    shape = np.broadcast_shapes(x.shape, exponents.shape)
+    return walk.builder.power(x.moved(lambda i: np.broadcast_to(i, shape)), float(exponents.flat[0]), walk.hint)
 
 
 def _slice(walk: _Walk, x: Value, *rest: Value | None) -> Value:
@@ -284,7 +348,8 @@ def _gather(walk: _Walk, x: Value, places: Value, axis: int = 0) -> Value:
 
 def _reshape(walk: _Walk, x: Value, shape: Value, allowzero: int = 0) -> Value:
     wanted = [x.shape[k] if n == 0 and not allowzero else n for k, n in enumerate(walk.whole(shape, "the shape"))]
-    if x.size != abs(int(np.prod(wanted))) and -1 not in wanted:
+    known = int(np.prod([n for n in wanted if n != -1]))
+    if known == 0 or x.size % known or (-1 not in wanted and x.size != known):
         raise walk.refused(f"reshapes {list(x.shape)} to {wanted}: export the model with one step and a batch of 1")
     return x.moved(lambda i: i.reshape(wanted))
 
@@ -302,30 +367,37 @@ def _flatten(walk: _Walk, x: Value, axis: int = 1) -> Value:
     return x.moved(lambda i: i.reshape(int(np.prod(x.shape[:axis])), -1))
 
 
-def _normed(walk: _Walk, x: Value, *rest: Value, epsilon: float = 1e-5, **_: Any) -> Value:
-    scale, bias, mean, var = (walk.fixed(r, "a statistic") for r in rest)
-    by = scale / np.sqrt(var + epsilon)
-    return x.plus(constant(-mean)).times(by).plus(constant(bias))
+def _normed(walk: _Walk, x: Value, *rest: Value, epsilon: float = 1e-5, training_mode: int = 0, **_: Any) -> Value:
+    """Its channels are axis 1, whatever the number of axes."""
+    if training_mode:
+        raise walk.refused("it is in training mode; export the model in eval mode")
+    each = [-1, *(1 for _ in x.shape[2:])]
+    scale, bias, mean, var = (walk.fixed(r, "a statistic").reshape(each) for r in rest)
+    return x.plus(constant(-mean)).times(scale / np.sqrt(var + epsilon)).plus(constant(bias))
 
 
 def _reduced(of: Callable) -> Callable:
-    def reduce(walk: _Walk, x: Value, axes: Value | None = None, keepdims: int = 1, **options: Any) -> Value:
-        if axes is None and options.get("noop_with_empty_axes"):
+    def reduce(walk: _Walk, x: Value, axes: Any = None, keepdims: int = 1, noop_with_empty_axes: int = 0) -> Value:
+        chosen = walk.whole(axes, "the axes") if isinstance(axes, Value) else axes or []  # an attribute below opset 18
+        if not chosen and noop_with_empty_axes:
             return x
-        return of(x, walk.whole(axes, "the axes") if axes is not None else (), bool(keepdims))
+        return of(x, chosen, bool(keepdims))
 
     return reduce
 
 
-def _constant(walk: _Walk, **given: Any) -> Value:
-    if "value" in given:
-        return constant(array(given["value"]))
-    return constant(next(iter(given.values())))
+def _constant(walk: _Walk, **given: Any) -> np.ndarray:
+    ((kind, value),) = given.items()
+    if kind == "value":
+        return array(value)
+    if not kind.startswith(("value_float", "value_int")):
+        raise walk.refused("holds no numbers")
+    return np.asarray(value, np.float32 if kind.startswith("value_float") else np.int64)
 
 
-def _filled(walk: _Walk, shape: Value, value: Any = None) -> Value:
-    number = 0.0 if value is None else float(array(value).ravel()[0])
-    return constant(np.full(walk.whole(shape, "the shape"), number))
+def _expanded(walk: _Walk, x: Value, shape: Value) -> Value:
+    wide = np.broadcast_shapes(x.shape, tuple(walk.whole(shape, "the shape")))
+    return x.moved(lambda i: np.broadcast_to(i, wide))
 
 
 def _recurrent(kind: str, gates: int, order: Sequence[int]) -> Callable:
@@ -336,9 +408,17 @@ def _recurrent(kind: str, gates: int, order: Sequence[int]) -> Callable:
     ) -> list[Value]:
         if options.get("direction", "forward") != "forward":
             raise walk.refused(f"direction {options['direction']}: a step would need what comes later")
-        if options.get("clip") or options.get("input_forget") or options.get("layout"):
-            raise walk.refused("clip, input_forget and layout are not carried")
-        n = int(options["hidden_size"])
+        if told := [
+            k for k in ("clip", "input_forget", "layout", "activation_alpha", "activation_beta") if options.get(k)
+        ]:
+            raise walk.refused(f"{told[0]} is not carried; export the model without it")
+        if rest and rest[0] is not None:
+            raise walk.refused("sequence_lens is not carried: a step is one sample of one sequence; leave it out")
+        if kind == "lstm" and len(rest) > 3 and rest[3] is not None:
+            raise walk.refused("peepholes (P) are not carried; export the model without them")
+        if x.shape[:2] != (1, 1):
+            raise walk.refused(f"takes {list(x.shape)}: export the model with one step and a batch of 1")
+        n = r.shape[-1]
         names = [f.lower() for f in options.get("activations", [])]
         usual = {"rnn": ["tanh"], "gru": ["sigmoid", "tanh"], "lstm": ["sigmoid", "tanh", "tanh"]}[kind]
         if names and names != usual and not (kind == "rnn" and names == ["relu"]):
@@ -381,7 +461,7 @@ def _scan(walk: _Walk, *given: Value, body: Any, num_scan_inputs: int, **options
     if any(options.get("scan_input_axes") or []) or any(options.get("scan_output_axes") or []):
         raise walk.refused("the steps are not its first axis")
     count = len(given) - num_scan_inputs
-    values = {t.name: constant(array(t)) for t in body.initializer}
+    values = {**walk.scope, **{t.name: array(t) for t in body.initializer}}
     kept = []
     for inner, start in zip(body.input[:count], given[:count], strict=True):
         first = walk.fixed(start, "the initial state")
@@ -394,20 +474,18 @@ def _scan(walk: _Walk, *given: Value, body: Any, num_scan_inputs: int, **options
     node = walk.node
     walk.run(body, values)
     walk.node = node
-    found = [values[o.name] for o in body.output]
+    found = [signal(values[o.name]) for o in body.output]
     for name, value in zip(kept, found, strict=False):
         walk.builder.keep(name, value)
     return [*found[:count], *(v.moved(lambda i: i[None]) for v in found[count:])]
 
 
 def _cast(walk: _Walk, x: Value, to: int, **_: Any) -> Value:
-    """To another kind of number: of a signal only between floats that are exact here."""
+    """A signal to another kind of number: only between floats that are exact here."""
     from onnx import TensorProto
 
     if to in (TensorProto.FLOAT, TensorProto.DOUBLE):
         return x
-    if (fixed := x.constant) is not None and to in (TensorProto.INT32, TensorProto.INT64):
-        return constant(np.trunc(fixed))
     raise walk.refused(f"a signal becomes {TensorProto.DataType.Name(to)}, which rounds it; keep it in FLOAT or DOUBLE")
 
 
@@ -419,6 +497,10 @@ def _dropout(walk: _Walk, x: Value, ratio: Value | None = None, training: Value 
 
 def _same(walk: _Walk, x: Value) -> Value:
     return x
+
+
+def _shape(walk: _Walk, x: Value, start: int = 0, end: int | None = None) -> np.ndarray:
+    return np.array(x.shape[start:end], np.int64)
 
 
 def _scaler(walk: _Walk, x: Value, offset: Sequence[float] = (0.0,), scale: Sequence[float] = (1.0,)) -> Value:
@@ -454,9 +536,10 @@ FUNCTIONS: dict[str, Callable] = {
     "Squeeze": _squeeze,
     "Unsqueeze": _unsqueeze,
     "Transpose": lambda walk, x, perm=None: x.moved(lambda i: i.transpose(perm)),
-    "Shape": lambda walk, x, **_: constant(np.array(x.shape)),
+    "Shape": _shape,
+    "Size": lambda walk, x: np.array(x.size, np.int64),
+    "Expand": _expanded,
     "Constant": _constant,
-    "ConstantOfShape": _filled,
     "ReduceSum": _reduced(Value.summed),
     "ReduceMean": _reduced(Value.mean),
     "BatchNormalization": _normed,
@@ -464,13 +547,17 @@ FUNCTIONS: dict[str, Callable] = {
     "GRU": _recurrent("gru", 3, [1, 0, 2]),
     "LSTM": _recurrent("lstm", 4, [0, 2, 3, 1]),
     "Scan": _scan,
-    "Scaler": _scaler,
     "Cast": _cast,
     "Dropout": _dropout,
     "Identity": _same,
-    **QUANTIZERS,
 }
 """What a network can carry: operation of ONNX -> how."""
+DOMAINS: dict[tuple[str, ...], Mapping[str, Callable]] = {
+    STANDARD: FUNCTIONS,
+    QONNX: QUANTIZERS,
+    ("ai.onnx.ml",): {"Scaler": _scaler},
+}
+"""The same by the domains that an operation may be of: one of another domain is another one, whatever its name."""
 
 
 def _total(first: Value, rest: Sequence[Value]) -> Value:

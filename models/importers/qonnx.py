@@ -125,7 +125,7 @@ def _quant(
     width = int(widths[0])
     if (widths != width).any() or not 1 + signed <= width <= WIDEST:
         raise walk.refused(f"bit width {widths[0]:g}; give one whole number from {1 + signed} to {WIDEST}")
-    lo, hi = (narrow - (1 << width - 1), (1 << width - 1) - 1) if signed else (0, (1 << width) - 1 - narrow)
+    lo, hi = _codes(width, signed, narrow)
     if hi <= lo:
         raise walk.refused("one bit of a narrow range holds only 0; give it two")
     if not ((steps > 0) & (np.frexp(steps)[0] == 0.5)).all():  # np.frexp gives a mantissa from 0.5 to 1
@@ -140,6 +140,23 @@ def _quant(
         raise walk.refused("several scales for one signal, whose elements share a format; give it one scale")
     form = Format(width + (not signed), 1 - int(np.frexp(steps.flat[0])[1]), lo, hi, rounding)
     return walk.builder.quantized(x, form, walk.hint)
+
+
+def limited(node: Any, given: Sequence[np.ndarray]) -> np.ndarray:
+    """What a Quant node makes of an array without its rounding: the limits of its format."""
+    from onnx import helper
+
+    x, scale, _, bits = given
+    options = {a.name: helper.get_attribute_value(a) for a in node.attribute}
+    lo, hi = _codes(int(np.ravel(bits)[0]), options.get("signed", 1), options.get("narrow", 0))
+    return np.clip(x, lo * scale.astype(float), hi * scale.astype(float))
+
+
+def _codes(width: int, signed: int, narrow: int) -> tuple[int, int]:
+    """The least and the greatest code."""
+    if signed:
+        return narrow - (1 << width - 1), (1 << width - 1) - 1
+    return 0, (1 << width) - 1 - narrow
 
 
 def _bipolar(walk: Any, *given: Value | None) -> Value:

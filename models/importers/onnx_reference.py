@@ -1,0 +1,379 @@
+"""Operations of ONNX on arrays, by its own reference, within limits; whether a network answers as its model."""
+
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
+from math import ceil, prod
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from greygate.errors import InputError, one_line, shown
+from greygate.models.importers.onnx_file import ELEMENTS, QONNX, messages
+from greygate.models.importers.qonnx import limited
+from greygate.models.network import Network
+
+AGREED = 1e-6  # of the largest answer: float64 on both sides, and products of signals made of squares
+LEAST = 1e-12  # what is smaller is the rounding of an answer that should be 0
+CHECKED = 4 * ELEMENTS  # numbers that the comparison with the reference may compute
+ROWS = 4096  # samples of a window or a batch that are tried
+SAMPLES = 3  # of an axis whose length is free
+SPREAD = (0.3, 1.0, 3.0)  # of the numbers that are tried, one sample each
+
+ELEMENTWISE = {
+    *(
+        "Abs",
+        "Acos",
+        "Acosh",
+        "Add",
+        "And",
+        "Asin",
+        "Asinh",
+        "Atan",
+        "Atanh",
+        "Ceil",
+        "Clip",
+        "Cos",
+        "Cosh",
+        "Div",
+        "Elu",
+    ),
+    *("Equal", "Erf", "Exp", "Floor", "Greater", "GreaterOrEqual", "HardSigmoid", "HardSwish", "IsInf", "IsNaN"),
+    *(
+        "LeakyRelu",
+        "Less",
+        "LessOrEqual",
+        "Log",
+        "Max",
+        "Mean",
+        "Min",
+        "Mod",
+        "Mul",
+        "Neg",
+        "Not",
+        "Or",
+        "PRelu",
+        "Pow",
+    ),
+    *("Reciprocal", "Relu", "Round", "Selu", "Sigmoid", "Sign", "Sin", "Sinh", "Softplus", "Softsign", "Sqrt", "Sub"),
+    *("Sum", "Tan", "Tanh", "Where", "Xor"),
+}
+REARRANGING = {
+    *(
+        "ArgMax",
+        "ArgMin",
+        "Cast",
+        "CastLike",
+        "Concat",
+        "CumSum",
+        "EyeLike",
+        "Flatten",
+        "Identity",
+        "ReduceL1",
+        "ReduceL2",
+    ),
+    *("ReduceMax", "ReduceMean", "ReduceMin", "ReduceProd", "ReduceSum", "ReduceSumSquare", "Reshape", "Shape", "Size"),
+    *("Slice", "Split", "Squeeze", "Transpose", "Trilu", "Unsqueeze"),
+}
+"""Operations whose results have no more numbers than what they read."""
+
+
+def _extent(shape: Iterable[int]) -> int:
+    """Numbers, where an axis of length 0 counts as 1: a sum along it has as many."""
+    return prod(max(int(n), 1) for n in shape)
+
+
+def _product(a: np.ndarray, b: np.ndarray) -> int:
+    batch = np.broadcast_shapes(a.shape[:-2], b.shape[:-2])
+    return _extent((*batch, *a.shape[-2:-1], *(b.shape[-1:] if b.ndim > 1 else ())))
+
+
+def _multiplied(a: np.ndarray, b: np.ndarray, c: Any = None) -> int:
+    return max(a.shape) * max(b.shape)
+
+
+def _counted(start: np.ndarray, limit: np.ndarray, step: np.ndarray) -> int:
+    return max(0, ceil((float(limit) - float(start)) / float(step)))
+
+
+def _padded(x: np.ndarray, pads: np.ndarray, *_: Any) -> int:
+    return _extent(n + int(np.abs(pads.astype(float)).sum()) for n in x.shape)
+
+
+GROWING: Mapping[str, Callable[..., int]] = {
+    "ConstantOfShape": lambda shape: _extent(shape),
+    "Expand": lambda x, shape: _extent(np.broadcast_shapes(x.shape, tuple(int(n) for n in shape))),
+    "Tile": lambda x, repeats: _extent(n * int(r) for n, r in zip(x.shape, repeats, strict=True)),
+    "Range": _counted,
+    "Gather": lambda x, places: _extent(x.shape) * _extent(places.shape),
+    "Pad": _padded,
+    "MatMul": _product,
+    "Gemm": _multiplied,
+}
+"""Operation -> how many numbers its result has at most."""
+FOLDED = ELEMENTWISE | REARRANGING | GROWING.keys()
+"""What is computed where every input is a constant: always the same, in a time that its numbers bound."""
+
+
+class Reference:
+    """Computes nodes of a model. elements: how many numbers all results together may have. double: in float64."""
+
+    def __init__(self, opsets: Sequence[Any], elements: int = ELEMENTS, double: bool = False):
+        self.opsets, self.most, self.left, self.double = opsets, elements, elements, double
+        self._ready: dict[int, tuple[Any, Any]] = {}
+
+    def run(self, node: Any, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Output -> array. Raises InputError above the limit, and whatever the reference raises."""
+        given = [values[n] if n else None for n in node.input]
+        self._spend(node, given)
+        names = {n: values[n] for n in (*node.input, *captured(node)) if n}
+        if id(node) not in self._ready:
+            self._ready[id(node)] = node, self._evaluator(node, names)
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            found = self._ready[id(node)][1].run(None, names)
+        return {n: np.asarray(v) for n, v in zip([o for o in node.output if o], found, strict=True)}
+
+    def _evaluator(self, node: Any, names: Mapping[str, np.ndarray]) -> Any:
+        from onnx import helper
+        from onnx.reference import ReferenceEvaluator
+
+        node = _doubled(node) if self.double and any(a.HasField("g") for a in node.attribute) else node
+        ins = [
+            helper.make_tensor_value_info(n, helper.np_dtype_to_tensor_dtype(v.dtype), None) for n, v in names.items()
+        ]
+        outs = [helper.make_tensor_value_info(n, 0, None) for n in node.output if n]
+        graph = helper.make_graph([node], "one", ins, outs)
+        return ReferenceEvaluator(helper.make_model(graph, opset_imports=list(self.opsets)), new_ops=_mended())
+
+    def _spend(self, node: Any, given: Sequence[np.ndarray | None]) -> None:
+        arrays = [v for v in given if v is not None]
+        if node.op_type in GROWING:
+            count = GROWING[node.op_type](*arrays)
+        elif node.op_type in ELEMENTWISE:
+            count = _extent(np.broadcast_shapes(*(v.shape for v in arrays)))
+        else:
+            count = sum(_extent(v.shape) for v in arrays)
+        self.left -= count
+        if self.left < 0:
+            raise InputError(f"its result has {count} numbers; all together may have {self.most}")
+
+
+@cache
+def _mended() -> list[type]:
+    """Operators with what the reference lacks: RNN with Relu, and Softsign of a tensor without axes."""
+    from onnx.reference.op_run import OpRun
+    from onnx.reference.ops.op_rnn import RNN_14
+
+    class RNN(RNN_14):
+        op_domain = ""
+
+        def choose_act(self, name: str, alpha: Any, beta: Any) -> Callable:
+            if name.lower() == "relu":
+                return lambda x: np.maximum(x, 0)
+            return super().choose_act(name.capitalize(), alpha, beta)
+
+    class Softsign(OpRun):
+        op_domain = ""
+
+        def _run(self, x: np.ndarray) -> tuple[np.ndarray]:
+            return (np.asarray(x / (1 + np.abs(x))),)
+
+    return [RNN, Softsign]
+
+
+def _doubled(node: Any) -> Any:
+    """The node with all floats of the graphs inside it as float64."""
+    from onnx import NodeProto, TensorProto, numpy_helper
+
+    made = NodeProto()
+    made.CopyFrom(node)
+    for found in messages(made):
+        if isinstance(found, TensorProto) and found.data_type == TensorProto.FLOAT:
+            found.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(found).astype(float), found.name))
+        elif isinstance(found, NodeProto):
+            for a in found.attribute:
+                if found.op_type == "Cast" and a.name == "to" and a.i == TensorProto.FLOAT:
+                    a.i = TensorProto.DOUBLE
+                if found.op_type == "Constant" and a.name in ("value_float", "value_floats"):
+                    value = np.array(a.f if a.name == "value_float" else list(a.floats))
+                    a.Clear()
+                    a.name, a.type = "value", a.TENSOR
+                    a.t.CopyFrom(numpy_helper.from_array(value))
+    return made
+
+
+def captured(node: Any) -> list[str]:
+    """What the graphs inside a node read from around it."""
+    found: dict[str, None] = {}
+    for a in node.attribute:
+        if not a.HasField("g"):
+            continue
+        own = {i.name for i in (*a.g.input, *a.g.initializer)}
+        for inner in a.g.node:
+            found |= dict.fromkeys(n for n in (*inner.input, *captured(inner)) if n and n not in own)
+            own |= set(inner.output)
+        found |= dict.fromkeys(o.name for o in a.g.output if o.name not in own)
+    return list(found)
+
+
+# -- whether the network answers as its model ------------------------------------------------------------------------
+
+
+class Tensor(NamedTuple):
+    """An input or output of a model: its axes (a name where the length is free) and its ports."""
+
+    name: str
+    axes: Sequence[int | str]
+    ports: Sequence[Any]
+
+
+class Imported(NamedTuple):
+    """A network beside the model that it was made of.
+
+    constants: all values of the graph that no input changes. changing: nodes whose results an input changes.
+    states: input that is a state -> (its layer, its axes, the output that it becomes).
+    """
+
+    network: Network
+    inputs: Sequence[Tensor]
+    outputs: Sequence[Tensor]
+    states: Mapping[str, tuple[str, Sequence[int | str], str]]
+    constants: Mapping[str, np.ndarray]
+    changing: Sequence[Any]
+    opsets: Sequence[Any]
+
+
+def named(axes: Sequence[int | str]) -> list[int | str]:
+    """Axes, each with a name where its length is free; what has none is called by its place."""
+    return [n or f"axis {k}" for k, n in enumerate(axes)]
+
+
+def lengths(axes: Sequence[int | str], free: Mapping[str, int]) -> list[int]:
+    """The shape, with lengths for the free axes that are named, 1 for the others."""
+    return [n if isinstance(n, int) else free.get(n, 1) for n in named(axes)]
+
+
+def check(made: Imported, where: str) -> None:
+    """Compare the network with the model: one step, then several samples along each axis whose length is not 1.
+
+    Along such an axis every sample must be answered by itself (a batch) or as the network goes on from step to step (a
+    sequence); what mixes samples otherwise is no step of a network. Raises InputError, which says where they differ.
+    """
+    every = [t.axes for t in made.inputs] + [axes for _, axes, _ in made.states.values()]
+    free = dict.fromkeys(n for axes in every for n in named(axes) if isinstance(n, str))
+    windows = [(t, k, n) for t in made.inputs for k, n in enumerate(t.axes[:-1]) if isinstance(n, int) and n > 1]
+    reference = Reference(made.opsets, CHECKED, double=True)
+    advice = "a network takes one sample a step: export the model with that axis 1"
+    if windows:
+        tensor, axis, length = windows[0]
+        place = f"{where}: input {shown(tensor.name)} holds {length} samples along its axis {axis}"
+        if any(c.delay for c in made.network.flatten().connections):
+            raise InputError(f"{place}, and its state would begin anew behind them; {advice}")
+        if off := _difference(made, {}, reference):
+            raise InputError(f"{place}, which the model mixes ({off}); {advice}")
+    elif off := _difference(made, {}, reference):
+        raise InputError(f"{where}: the network made of it does not answer as the model ({off}); please report this")
+    for axis_name in free:
+        if off := _difference(made, {axis_name: SAMPLES}, reference):
+            raise InputError(
+                f"{where}: along {shown(axis_name)}, an axis whose length is free, the model mixes samples ({off}); "
+                f"{advice}"
+            )
+
+
+def _difference(made: Imported, free: Mapping[str, int], reference: Reference) -> str | None:
+    """What differs, in words; None if nothing does. free: lengths of axes that are free, 1 if not named."""
+    rng = np.random.default_rng(0)
+    axes = {t.name: t.axes for t in made.inputs} | {n: a for n, (_, a, _) in made.states.items()}
+    shapes = {n: lengths(a, free) for n, a in axes.items()}
+    if (total := sum(prod(s) for s in shapes.values())) > CHECKED:
+        return f"it takes {total} numbers; at most {CHECKED} are tried"
+    feeds, rows = {}, {}
+    for n, shape in shapes.items():
+        along = [k for k, name in enumerate(named(axes[n])) if name in free]
+        if n not in made.states:
+            along = sorted({*along, *(k for k, length in enumerate(shape[:-1]) if length > 1)})
+        count = prod(shape[k] for k in along)
+        rows[n] = rng.normal(size=(count, prod(shape) // count)) * np.resize(SPREAD, count)[:, None]
+        rest = [length for k, length in enumerate(shape) if k not in along]
+        feeds[n] = np.moveaxis(rows[n].reshape([*(shape[k] for k in along), *rest]), range(len(along)), along)
+    count = max(len(r) for r in rows.values())
+    if count > ROWS:
+        return f"it holds {count}; at most {ROWS} are tried"
+    if any(len(r) not in (1, count) for r in rows.values()):
+        return "its inputs hold different numbers of samples"
+    try:
+        wanted = _answer(made, feeds, reference)
+    except Exception as error:  # of shapes that do not fit, in many ways
+        return f"ONNX's reference does not run {count} of them: {one_line(' '.join(str(error).split()))[:100]}"
+    worst: str | None = None
+    for on in (False, True):
+        if on and any(len(rows[n]) > 1 for n in made.states):
+            break
+        got = _stepped(made, {n: np.resize(r, (count, r.shape[1])) for n, r in rows.items()}, count, on)
+        found = (_off(n, value, wanted[n], on) for n, value in got.items())
+        if (worst := next(filter(None, found), None)) is None:
+            return None
+    return worst
+
+
+def _answer(made: Imported, feeds: Mapping[str, np.ndarray], reference: Reference) -> dict[str, np.ndarray]:
+    """What the model gives, all floats as float64, so that its own rounding is no difference."""
+    values = {n: _wide(v) for n, v in made.constants.items()} | dict(feeds)
+    for node in made.changing:
+        if node.domain in QONNX:
+            values[node.output[0]] = limited(node, [values[n] for n in node.input])
+        elif node.op_type == "Cast" and values[node.input[0]].dtype.kind == "f":
+            values[node.output[0]] = values[node.input[0]]
+        else:
+            values |= {n: _wide(v) for n, v in reference.run(node, values).items()}
+    return values
+
+
+def _wide(value: np.ndarray) -> np.ndarray:
+    return value.astype(float) if value.dtype.kind == "f" else value
+
+
+def _stepped(made: Imported, rows: Mapping[str, np.ndarray], count: int, on: bool) -> dict[str, np.ndarray]:
+    """Output of the model -> what the network answers, a row for each sample. on: from step to step, else each anew."""
+    runs = [range(count)] if on else [range(k, k + 1) for k in range(count)] if made.states else [range(count)]
+    parts: dict[str, list[np.ndarray]] = {}
+    for run in runs:
+        each = not on and len(run) > 1
+        columns = {}
+        for tensor in made.inputs:
+            at = 0
+            for p in tensor.ports:
+                column = rows[tensor.name][list(run), at : at + p.size]
+                column = column[:, None] if each else column
+                columns[p.name], at = column[..., 0] if p.size == 1 else column, at + p.size
+        start = {layer: rows[n][run[0]] for n, (layer, _, _) in made.states.items()}
+        found = made.network.run(columns, initial=start, trace=True)
+        for tensor in made.outputs:
+            signals = [found[p.name].reshape(len(run), p.size) for p in tensor.ports]
+            parts.setdefault(tensor.name, []).append(np.concatenate(signals, 1))
+        for layer, _, after in made.states.values():
+            parts.setdefault(after, []).append(found[layer].reshape(len(run), -1))
+    return {n: np.concatenate(p) for n, p in parts.items()}
+
+
+def _off(name: str, got: np.ndarray, wanted: np.ndarray, on: bool) -> str | None:
+    """How an output differs. got: a row for each sample. on: it may also be that of the last sample alone."""
+    count, size = got.shape
+    arranged = []
+    if wanted.size == got.size:
+        arranged = [np.moveaxis(wanted, k, 0) for k, n in enumerate(wanted.shape) if n == count] + [wanted]
+    elif on and wanted.size == size:
+        arranged, got = [wanted], got[-1:]
+    if not arranged:
+        return f"output {shown(name)} has the shape {list(wanted.shape)} for {count} samples"
+    with np.errstate(invalid="ignore"):
+        worst = min(_least(np.abs(w.reshape(got.shape) - got).max()) for w in arranged)
+    if worst <= AGREED * np.abs(wanted).max() + LEAST:
+        return None
+    return f"output {shown(name)} by {worst:.2g}"
+
+
+def _least(worst: np.floating) -> float:
+    return float("inf") if np.isnan(worst) else float(worst)
