@@ -1,0 +1,375 @@
+"""An ONNX model is answered as onnxruntime answers, or refused with its node's name: never wrong without a word."""
+
+from itertools import islice
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+from onnx_cases import OPSETS, Case, built, cases, f, i, judged, node_cases, one, recurrent
+
+from greygate.errors import InputError
+from greygate.models.importers import onnx_file
+from greygate.models.importers.onnx_graph import FUNCTIONS, from_onnx
+
+THINNED = 61  # of the choices of options: a prime, so that every operator is met
+NODES = 3  # likewise of the node tests of the onnx package
+
+
+def saved(model, tmp_path):
+    path = tmp_path / "model.onnx"
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+def refusal(model, tmp_path, **given):
+    with pytest.raises(InputError) as found:
+        from_onnx(saved(model, tmp_path), **given)
+    return str(found.value)
+
+
+def right(model, tmp_path, state=()):
+    assert judged(Case("", model, dict(state)), tmp_path / "model.onnx")[0] == "right"
+
+
+# -- right or refused ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("opset", OPSETS)
+def test_a_choice_of_options_is_answered_as_by_onnxruntime_or_refused(opset, tmp_path):
+    found = {}
+    for case in islice(cases(opset), opset, None, THINNED):
+        kind, said = judged(case, tmp_path / "case.onnx")
+        found.setdefault(kind, []).append(f"{case.name}: {said}")
+    assert not found.keys() & {"wrong", "traceback"}, found
+    assert len(found["right"]) > 10
+
+
+def test_a_node_test_of_the_onnx_package_is_answered_as_by_onnxruntime_or_refused(tmp_path):
+    found = {}
+    carried = (c for c in node_cases() if {n.op_type for n in c.model.graph.node} <= FUNCTIONS.keys())
+    for case in islice(carried, 0, None, NODES):
+        kind, said = judged(case, tmp_path / "case.onnx")
+        found.setdefault(kind, []).append(f"{case.name}: {said}")
+    assert not found.keys() & {"wrong", "traceback"}, found
+    assert len(found["right"]) >= 10
+
+
+WINDOW = {
+    "mean": [helper.make_node("ReduceMean", ["x", "one"], ["y"], keepdims=0)],
+    "sum": [helper.make_node("ReduceSum", ["x", "one"], ["y"], keepdims=0)],
+    "first sample": [helper.make_node("Gather", ["x", "zero"], ["y"], axis=1)],
+    "difference": [
+        helper.make_node("Gather", ["x", "zero"], ["a"], axis=1),
+        helper.make_node("Gather", ["x", "last"], ["b"], axis=1),
+        helper.make_node("Sub", ["b", "a"], ["y"]),
+    ],
+    "deviation": [
+        helper.make_node("ReduceMean", ["x", "one"], ["m"]),
+        helper.make_node("Sub", ["x", "m"], ["d"]),
+        helper.make_node("Tanh", ["d"], ["y"]),
+    ],
+}
+PLACES = {"one": i(1), "zero": np.array(0), "last": np.array(-1)}
+
+
+@pytest.mark.parametrize("nodes", WINDOW)
+def test_a_network_over_a_window_is_refused(nodes, tmp_path):
+    said = refusal(built(WINDOW[nodes], {"x": [1, 5, 2]}, ["y"], PLACES), tmp_path)
+    assert "input 'x' holds 5 samples along its axis 1, which the model mixes" in said
+    assert said.endswith("a network takes one sample a step: export the model with that axis 1")
+
+
+@pytest.mark.parametrize("nodes", WINDOW)
+def test_samples_mixed_along_an_axis_of_free_length_are_refused(nodes, tmp_path):
+    said = refusal(built(WINDOW[nodes], {"x": [1, "T", 2]}, ["y"], PLACES), tmp_path)
+    assert "along 'T', an axis whose length is free, the model mixes samples" in said
+
+
+def test_a_batch_a_sequence_and_the_last_sample_of_a_window_are_carried(tmp_path):
+    for shape in (["N", 3], [7, 3], ["N", "T", 3]):
+        right(one("Tanh", shape, opset=18), tmp_path)
+    right(built([helper.make_node("Gather", ["x", "last"], ["y"], axis=1)], {"x": [1, 5, 2]}, ["y"], PLACES), tmp_path)
+    right(recurrent("LSTM", 20, ["T", 1, 3]).model, tmp_path)
+
+
+def test_a_recurrent_operator_over_a_window_is_refused_as_its_state_begins_anew(tmp_path):
+    said = refusal(recurrent("GRU", 18, [5, 1, 3]).model, tmp_path)
+    assert "holds 5 samples along its axis 0, and its state would begin anew behind them" in said
+
+
+def test_a_statistic_of_batch_normalization_belongs_to_axis_1(tmp_path):
+    given = f(2), f(2), f(2), np.abs(f(2))
+    nodes = [
+        helper.make_node("Reshape", ["x", "s"], ["a"]),
+        helper.make_node("BatchNormalization", ["a", *"wbmv"], ["n"]),
+        helper.make_node("Reshape", ["n", "t"], ["y"]),
+    ]
+    fixed = dict(zip("wbmv", given, strict=True)) | {"s": i(1, 2, 2), "t": i(1, 4)}
+    right(built(nodes, {"x": [1, 4]}, ["y"], fixed), tmp_path)
+    assert "training mode" in refusal(one("BatchNormalization", [1, 2], *given, opset=18, training_mode=1), tmp_path)
+
+
+RECURRENT = {  # what is said -> the operator
+    "LSTM: peepholes": lambda: recurrent("LSTM", 20, ["T", 1, 3], more={"P": f(1, 12)}),
+    "GRU: sequence_lens": lambda: recurrent("GRU", 20, ["T", 1, 3], more={"sequence_lens": np.array([1], np.int32)}),
+    "RNN: clip": lambda: recurrent("RNN", 20, ["T", 1, 3], clip=0.2),
+    "GRU: layout": lambda: recurrent("GRU", 20, [1, 1, 3], layout=1),
+    "LSTM: input_forget": lambda: recurrent("LSTM", 20, ["T", 1, 3], input_forget=1),
+    "RNN: activation_alpha": lambda: recurrent("RNN", 20, ["T", 1, 3], activation_alpha=[0.3]),
+    "GRU: direction reverse": lambda: recurrent("GRU", 20, ["T", 1, 3], direction="reverse"),
+    "LSTM: activations sigmoid, tanh, relu": lambda: recurrent(
+        "LSTM", 20, ["T", 1, 3], activations=["Sigmoid", "Tanh", "Relu"]
+    ),
+}
+
+
+@pytest.mark.parametrize("why", RECURRENT)
+def test_an_option_of_a_recurrent_operator_that_is_not_carried_is_refused(why, tmp_path):
+    assert why in refusal(RECURRENT[why]().model, tmp_path)
+
+
+def test_the_usual_activations_of_a_recurrent_operator_may_be_written_out(tmp_path):
+    right(recurrent("GRU", 21, ["T", 1, 3], activations=["Sigmoid", "Tanh"]).model, tmp_path)
+    right(recurrent("LSTM", 21, ["T", 1, 3], activations=["sigmoid", "tanh", "tanh"]).model, tmp_path)
+    right(recurrent("RNN", 21, ["T", 1, 3], activations=["Relu"]).model, tmp_path)
+
+
+def test_several_exponents_are_refused_and_several_equal_ones_carried(tmp_path):
+    assert "operation Pow: several exponents" in refusal(one("Pow", [2], np.float32([2, 3]), opset=18), tmp_path)
+    right(one("Pow", [3], np.float32([2, 2, 2]), opset=18), tmp_path)
+
+
+def test_limits_that_lie_far_apart_lose_no_digits(tmp_path):
+    right(one("Clip", [3], np.float32(-1e30), np.float32(1e30), opset=18), tmp_path)
+    right(one("Clip", [3], np.float32(-1e30), np.float32(0.5), opset=18), tmp_path)
+
+
+def test_an_operation_is_known_by_its_domain_and_its_name(tmp_path):
+    double = helper.make_function(
+        "my", "Tanh", ["x"], ["y"], [helper.make_node("Add", ["x", "x"], ["y"])], [helper.make_opsetid("", 18)]
+    )
+    call = helper.make_node("Tanh", ["x"], ["y"], domain="my")
+    model = built([call], {"x": [3]}, ["y"], functions=[double], domains=["my"])
+    model.graph.output[0].CopyFrom(helper.make_tensor_value_info("y", TensorProto.FLOAT, [3]))
+    right(model, tmp_path)
+    strange = built([helper.make_node("Tanh", ["x"], ["y"], domain="strange")], {"x": [1]}, ["y"], domains=["strange"])
+    assert "operation strange.Tanh: a network carries" in refusal(strange, tmp_path)
+    double.domain = ""
+    model = built([helper.make_node("Tanh", ["x"], ["y"])], {"x": [1]}, ["y"], functions=[double])
+    assert "function 'Tanh' is in the domain of ONNX" in refusal(model, tmp_path)
+
+
+@pytest.mark.parametrize("op", ["RandomNormal", "RandomUniform", "RandomNormalLike", "Bernoulli", "RandomUniformLike"])
+def test_a_random_operation_never_becomes_a_constant(op, tmp_path):
+    options = {"shape": [3]} if op in ("RandomNormal", "RandomUniform") else {}
+    nodes = [
+        helper.make_node(op, [] if options else ["a"], ["r"], **options),
+        helper.make_node("Add", ["x", "r"], ["y"]),
+    ]
+    assert f"operation {op}: a network carries" in refusal(
+        built(nodes, {"x": [3]}, ["y"], {"a": np.full(3, 0.5, np.float32)}), tmp_path
+    )
+
+
+def test_constants_keep_their_type(tmp_path):
+    nodes = [
+        helper.make_node("Div", ["a", "b"], ["q"]),
+        helper.make_node("Cast", ["q"], ["r"], to=TensorProto.FLOAT),
+        helper.make_node("Mul", ["x", "r"], ["y"]),
+    ]
+    path = saved(built(nodes, {"x": [1]}, ["y"], {"a": np.array(7), "b": np.array(-2)}), tmp_path)
+    assert from_onnx(path).run({"x": np.ones(1)})["y"].tolist() == [-3.0]
+
+
+def test_initial_values_are_of_states_that_there_are(tmp_path):
+    case = recurrent("GRU", 18, [1, 1, 3], state=True)
+    given = {"state": case.state}
+    said = refusal(case.model, tmp_path, **given, initial={"h": np.zeros(4)})
+    assert "initial 'h': no such state; the states are initial_h" in said
+    said = refusal(case.model, tmp_path, **given, initial={"initial_h": np.zeros(3)})
+    assert "has 3 numbers; the state has 4" in said
+    assert "holds no numbers" in refusal(case.model, tmp_path, **given, initial={"initial_h": "off"})
+
+
+def test_an_input_that_is_not_of_floats_is_refused(tmp_path):
+    model = built([helper.make_node("Add", ["x", "x"], ["y"])], {"x": [3]}, ["y"], kind=TensorProto.INT64)
+    assert "x is of INT64" in refusal(model, tmp_path)
+
+
+def test_what_does_not_answer_as_its_model_is_not_given(tmp_path, monkeypatch):
+    """An operator that is carried wrongly, whichever it is, is found by ONNX's own reference."""
+    from greygate.models.importers import onnx_graph
+
+    monkeypatch.setitem(onnx_graph.FUNCTIONS, "Neg", lambda walk, x: x.times(-1.00001))
+    assert "does not answer as the model" in refusal(one("Neg", [3], opset=18), tmp_path)
+
+
+# -- limits, and numbers that are elsewhere --------------------------------------------------------------------------
+
+
+def elsewhere(name="w"):
+    tensor = numpy_helper.from_array(np.ones(3, np.float32), name)
+    tensor.ClearField("raw_data")
+    tensor.data_location = TensorProto.EXTERNAL
+    entry = tensor.external_data.add()
+    entry.key, entry.value = "location", "private.bin"
+    return tensor
+
+
+def outside(where):
+    """A model with a tensor whose numbers are in private.bin."""
+    add = helper.make_node("Add", ["x", "w"], ["y"])
+    kept = helper.make_node("Constant", [], ["w"], value=elsewhere())
+    if where == "a function":
+        call = helper.make_node("Plus", ["x"], ["y"], domain="my")
+        function = helper.make_function("my", "Plus", ["x"], ["y"], [kept, add], [helper.make_opsetid("", 18)])
+        return built([call], {"x": [3]}, ["y"], functions=[function], domains=["my"])
+    if where == "a Constant":
+        return built([kept, add], {"x": [3]}, ["y"])
+    if where == "a body":
+        tensors = [helper.make_tensor_value_info(n, TensorProto.FLOAT, [3]) for n in ("x", "y")]
+        body = helper.make_graph([kept, add], "body", tensors[:1], tensors[1:])
+        return built([helper.make_node("Scan", ["x"], ["y"], num_scan_inputs=1, body=body)], {"x": [1, 3]}, ["y"])
+    if where == "an attribute":
+        filled = helper.make_node("ConstantOfShape", ["n"], ["w"], value=elsewhere())
+        return built([filled, add], {"x": [3]}, ["y"], {"n": i(3)})
+    model = built([add], {"x": [3]}, ["y"], {"w": f(3)})
+    if where == "an initializer":
+        model.graph.initializer[0].CopyFrom(elsewhere())
+    else:
+        del model.graph.initializer[:]
+        sparse = model.graph.sparse_initializer.add()
+        sparse.values.CopyFrom(elsewhere())
+        sparse.indices.CopyFrom(numpy_helper.from_array(i(0, 1, 2), "places"))
+        sparse.dims.append(3)
+    return model
+
+
+@pytest.mark.parametrize(
+    "where", ["an initializer", "a Constant", "a function", "a body", "an attribute", "a sparse one"]
+)
+def test_numbers_in_another_file_are_not_read(where, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "private.bin").write_bytes(np.float32([1, 2, 3]).tobytes())
+    said = refusal(outside(where), tmp_path)
+    assert "is sparse" in said if where == "a sparse one" else "tensor 'w' are in another file" in said
+
+
+def added(*nodes, **fixed):
+    """y = x + the sum of r, which the nodes make of constants."""
+    rest = [
+        helper.make_node("ReduceSum", ["r"], ["q"], keepdims=0),
+        helper.make_node("Cast", ["q"], ["p"], to=TensorProto.FLOAT),
+        helper.make_node("Add", ["x", "p"], ["y"]),
+    ]
+    return built([*nodes, *rest], {"x": [3]}, ["y"], fixed)
+
+
+def looped():
+    body = helper.make_graph(
+        [helper.make_node("Identity", ["k"], ["go"]), helper.make_node("Add", ["a", "a"], ["b"])],
+        "body",
+        [helper.make_tensor_value_info(n, t, s) for n, t, s in (("j", 7, []), ("k", 9, []), ("a", 1, [3]))],
+        [helper.make_tensor_value_info(n, t, s) for n, t, s in (("go", 9, []), ("b", 1, [3]))],
+    )
+    node = helper.make_node("Loop", ["m", "t", "s"], ["r"], body=body)
+    return added(node, m=np.array(2**62), t=np.array(True), s=f(3))
+
+
+def doubling(op, **options):
+    return [helper.make_node(op, [f"a{k}"] * 8, [f"a{k + 1}"], **options) for k in range(60)]
+
+
+def calling():
+    """60 functions, each of which calls the next one twice."""
+    opsets = [helper.make_opsetid("", 18), helper.make_opsetid("my", 1)]
+    functions = [helper.make_function("my", "F0", ["x"], ["y"], [helper.make_node("Tanh", ["x"], ["y"])], opsets)]
+    for k in range(1, 60):
+        twice = [helper.make_node(f"F{k - 1}", [a], [b], domain="my") for a, b in (("x", "t"), ("t", "y"))]
+        functions.append(helper.make_function("my", f"F{k}", ["x"], ["y"], twice, opsets))
+    call = helper.make_node("F59", ["x"], ["y"], domain="my")
+    return built([call], {"x": [3]}, ["y"], functions=functions, domains=["my"])
+
+
+BOMBS = {  # model -> what is said
+    "Loop": (looped, "operation Loop: a network carries"),
+    "ConstantOfShape": (
+        lambda: added(helper.make_node("ConstantOfShape", ["n"], ["r"]), n=i(20000, 20000)),
+        "operation ConstantOfShape: its result has 400000000 numbers; all together may have 4194304",
+    ),
+    "Range": (
+        lambda: added(helper.make_node("Range", [*"abc"], ["r"]), a=np.array(0), b=np.array(2**40), c=np.array(1)),
+        "operation Range: its result has 1099511627776 numbers",
+    ),
+    "Range by nothing": (
+        lambda: added(helper.make_node("Range", [*"abc"], ["r"]), a=np.array(0), b=np.array(1), c=np.array(0)),
+        "operation Range: its constants cannot be folded",
+    ),
+    "Expand": (
+        lambda: added(helper.make_node("Expand", ["a", "n"], ["r"]), a=f(1), n=i(20000, 20000)),
+        "operation Expand: its result has 400000000 numbers",
+    ),
+    "Expand of a signal": (
+        lambda: added(
+            helper.make_node("Expand", ["x", "n"], ["s"]),
+            helper.make_node("ReduceSum", ["s"], ["r"]),
+            n=i(20000, 1000, 3),
+        ),
+        "operation Expand: its result has 240000000 weights; at most 4194304 are taken",
+    ),
+    "Tile": (
+        lambda: added(helper.make_node("Tile", ["a", "n"], ["r"]), a=f(1, 1), n=i(20000, 20000)),
+        "operation Tile: its result has 400000000 numbers",
+    ),
+    "Pad": (
+        lambda: added(helper.make_node("Pad", ["a", "n"], ["r"]), a=f(1), n=i(2**30, 2**30)),
+        "operation Pad: its result has 2147483649 numbers",
+    ),
+    "MatMul": (
+        lambda: added(helper.make_node("MatMul", ["a", "b"], ["r"]), a=f(9000, 1), b=f(1, 9000)),
+        "operation MatMul: its result has 81000000 numbers",
+    ),
+    "Gather": (
+        lambda: added(helper.make_node("Gather", ["a", "n"], ["r"]), a=f(9000), n=np.zeros(9000, np.int64)),
+        "operation Gather: its result has 81000000 numbers",
+    ),
+    "Concat": (
+        lambda: added(*doubling("Concat", axis=0), helper.make_node("Identity", ["a60"], ["r"]), a0=f(4)),
+        "operation Concat: its result has",
+    ),
+    "nothing along an axis": (
+        lambda: added(helper.make_node("Identity", ["a"], ["r"]), a=np.zeros((2**40, 0), np.float32)),
+        "tensor 'a' has 1099511627776 numbers; at most 4194304 are read",
+    ),
+    "functions": (calling, "576460752303423488 operations; at most 1000 are read"),
+    "nodes": (
+        lambda: built([helper.make_node("Tanh", ["x"], [f"y{k}"]) for k in range(1001)], {"x": [3]}, ["y0"]),
+        "1001 operations; at most 1000 are read",
+    ),
+    "ports": (lambda: one("Tanh", [1, 10**9], opset=18), "x has 1000000000 numbers; a network has at most 4096 a step"),
+    "samples": (lambda: one("Tanh", [10**9, 3], opset=18), "holds 1000000000 samples along its axis 0"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("bomb", BOMBS)
+def test_a_small_model_that_would_grow_is_refused_with_the_limit(bomb, tmp_path):
+    model, why = BOMBS[bomb]
+    model = model()
+    assert model.ByteSize() < 200_000
+    assert why in refusal(model, tmp_path)
+
+
+def test_a_file_of_many_empty_nodes_is_refused_before_it_is_read(tmp_path, monkeypatch):
+    nodes = b"\x0a\x00" * (1 << 20)
+    (tmp_path / "m.onnx").write_bytes(b"\x08\x09\x3a\x80\x80\x80\x01" + nodes)
+    monkeypatch.setattr(onnx_file, "FIELDS", 1000)
+    monkeypatch.setattr(onnx, "load_model_from_string", lambda data: pytest.fail("it was read"))
+    with pytest.raises(InputError, match="has more than 1000 parts"):
+        from_onnx(tmp_path / "m.onnx")
+
+
+def test_an_opset_that_is_not_known_is_refused(tmp_path):
+    model = one("Tanh", [3], opset=18)
+    model.opset_import[0].version = 99
+    assert "opset 99" in refusal(model, tmp_path)
