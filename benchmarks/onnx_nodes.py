@@ -1,7 +1,7 @@
 """ONNX beside onnxruntime: the node tests of the onnx package, and every choice of options of what is carried.
 
-`PYTHONPATH=tests python benchmarks/onnx_nodes.py [nodes|options]` writes benchmarks/results/onnx_nodes.json. An answer is
-right that is within 1e-6 of onnxruntime's (of ONNX's own reference where onnxruntime lacks the operator), of the
+`PYTHONPATH=tests python benchmarks/onnx_nodes.py [nodes|options]` writes benchmarks/results/onnx_nodes.json. An answer
+is right that is within 1e-6 of onnxruntime's (of ONNX's own reference where onnxruntime lacks the operator), of the
 largest answer or of 1. Exit code 1 if one is wrong without a word, or ends in a traceback.
 """
 
