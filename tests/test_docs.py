@@ -21,6 +21,9 @@ BLOCKS = {
     page.name: re.findall(r'```(python|sh|\w+ title="([\w/.]+)")\n(.*?)```', page.read_text(), re.S) for page in PAGES
 }
 """Of each page, in order: Python and shell that is run, and files that it tells the reader to write."""
+RUN = re.compile(r"```\w.*?```\n", re.S)
+PRINTED = {p.name: re.findall(r"```\n((?:.+\n)+?)```\n", RUN.sub("", p.read_text())) for p in PAGES}
+"""Of each page: what its commands print."""
 NOTEBOOKS = [f"{name}.md" for name in notebooks.TUTORIALS]
 
 
@@ -65,6 +68,21 @@ def test_the_notebook_of_a_tutorial_runs(page, folder):
     shown = [path for cell in code for path in re.findall(r'IFrame\("([^"]+)"', cell)]
     assert all((folder / path).stat().st_size for path in shown)
     valid_files(folder)
+    outputs = [o.get("text", "") for cell in notebook.cells if cell.cell_type == "code" for o in cell.outputs]
+    printed = "\n".join([*outputs, *(path.read_text() for path in folder.glob("*.csv"))]).splitlines()
+    lines = [line for text in PRINTED[page] for line in text.splitlines()]
+    assert lines
+    assert [line for line in lines if not any(same(line, other) for other in printed)] == []
+
+
+def same(shown: str, printed: str) -> bool:
+    """Whether a page shows that line; figures that training found may differ with the processor, by 5 %."""
+    number = r"-?\d+\.?\d*(?:e[-+]?\d+)?"
+    if re.sub(number, "#", shown).split() != re.sub(number, "#", printed).split():
+        return False
+    pairs = zip(re.findall(number, shown), re.findall(number, printed), strict=True)
+    within = 0.0 if "clocks" in shown else 0.05
+    return all(float(a) == pytest.approx(float(b), rel=within, abs=0.0) for a, b in pairs)
 
 
 def test_a_notebook_says_what_its_page_says():
