@@ -17,10 +17,8 @@ from made import keep
 from scipy.integrate import odeint
 
 from greygate.identifying.files import figures, identify
-from greygate.identifying.halving import REFITTED, WORSE, Halving, Tried
 from greygate.identifying.task import Task, started
 from greygate.machines.measured.study import STUDIES
-from greygate.models.network import Network
 from greygate.models.training.record import Record
 from greygate.plain import plain
 from greygate.plants.excitation import prms
@@ -99,26 +97,11 @@ def judged(asked: Task, test: Record) -> Record:
     return started(replace(test, skip=max(test.skip, asked.settle), initial={}), asked.output)
 
 
-def best_linear(search: Halving) -> tuple[Tried, Network]:
-    """The best linear model on what was held out that does not drift off over everything, fitted to everything.
-
-    Where all drift, the one that errs least. It is given all the time that it takes.
-    """
-    found = []
-    for tried in [t for t in search.ranked() if t.model.form.linear][:REFITTED]:
-        network = search.complete(tried, np.inf).network
-        error = search.whole(network)
-        if error <= WORSE * tried.error:
-            return tried, network
-        found.append((error, tried, network))
-    return min(found, key=lambda f: f[0])[1:]
-
-
 def main(name: str) -> None:
     given, inputs, output, tests = recorded(name)
     found = identify(given, inputs, output, {}, seconds=SECONDS, jobs=JOBS)
     task, search = found.task, found.search
-    line, linear = best_linear(search)
+    line, linear = search.best_linear()
 
     def error(network, record: Record) -> float:
         errors = task.errors(network, judged(task, record))

@@ -23,8 +23,19 @@ from identify import JOBS, NAMES, SECONDS, judged, recorded
 from made import keep
 from threadpoolctl import threadpool_limits
 
-from greygate.identifying.files import shifted
-from greygate.identifying.halving import DECAY, EPOCHS, LADDER, ORDERS, STRONG, Model, begun, pooled, refitted, thinned
+from greygate.identifying.halving import (
+    DECAY,
+    EPOCHS,
+    LADDER,
+    ORDERS,
+    STRONG,
+    Model,
+    begun,
+    pooled,
+    reach,
+    refitted,
+    thinned,
+)
 from greygate.identifying.ladder import FORMS, Orders, grown
 from greygate.identifying.looking import look
 from greygate.identifying.task import Task, started, task
@@ -133,8 +144,7 @@ def free_run(net: Net, asked: Task, records: Sequence[Record]) -> float:
 def tuned(name: str) -> dict:
     asked, tests, seen = posed(name)
     first, last = parted(asked)
-    delays = shifted([seen["delays"][p.name] or 0 for p in asked.inputs])
-    strides = sorted({1, min(seen["stride"], max(asked.settle // max(ORDERS), 1))})
+    delays, strides = reach(asked, [seen])
     rng, began = np.random.default_rng(0), monotonic()
     tried = []
 

@@ -9,7 +9,7 @@ from greygate.baseline import linear, of_one
 from greygate.errors import InputError
 from greygate.machines.identification import initialised
 from greygate.models.accuracy import float_error, rms
-from greygate.models.network import Network, Port
+from greygate.models.network import Network
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 
@@ -41,13 +41,15 @@ class _Start:
 def settling(network: Network, records: Mapping[str, Record]) -> Settling:
     """How many first samples only give the initial state, and why.
 
-    None, where every recording begins at rest as far as a linear model of order 2 can tell. Else until that model's
+    None, where every recording begins at rest as far as a linear model can tell. Else until that model's
     free run has forgotten 99 % of the start: at least the longest delay, at most a tenth of the shortest recording.
     Raises InputError as `Objective`.
     """
     depth = Objective(network, list(records.values())).depth
     most = max(min(map(len, records.values())) // PART, 1)
-    starts = [s for port in network.outputs for s in _starts(network, port, records, most)]
+    starts = [
+        s for port in network.outputs for column in range(port.size) for s in _starts(port.name, column, records, most)
+    ]
     if not starts:
         return Settling(min(depth, most), "the linear model diverges; the longest delay is left to settle")
     furthest = max(starts, key=lambda s: s.away)
@@ -63,18 +65,18 @@ def settling(network: Network, records: Mapping[str, Record]) -> Settling:
     )
 
 
-def _starts(network: Network, port: Port, records: Mapping[str, Record], most: int) -> list[_Start]:
-    """Of each recording, for one output; none where the linear model diverges."""
-    known = {name: replace(of_one(r, port.name), skip=most) for name, r in records.items()}
-    model = linear(network.inputs, port, list(known.values()))
+def _starts(output: str, column: int, records: Mapping[str, Record], most: int) -> list[_Start]:
+    """Of each recording, for one column of an output; none where the linear model diverges."""
+    known = {name: replace(of_one(r, output, column), skip=most) for name, r in records.items()}
+    model = linear(list(known.values()))
     found = []
     for name, record in known.items():
         try:
-            rest, own = (float_error(model, r)[port.name] for r in (record, initialised(model, record)))
+            rest, own = (float_error(model, r)[output] for r in (record, initialised(model, record)))
         except InputError:
             return []
-        seen = max(rms(own, most), VISIBLE * float(np.std(record.targets[port.name])))
+        seen = max(rms(own, most), VISIBLE * float(np.std(record.targets[output])))
         trace = np.abs(own - rest)
         left = np.flatnonzero(trace > FORGOTTEN * trace.max())
-        found.append(_Start(name, port.name, float(trace.max()) / seen, int(left[-1]) + 1 if left.size else 0))
+        found.append(_Start(name, output, float(trace.max()) / seen, int(left[-1]) + 1 if left.size else 0))
     return found

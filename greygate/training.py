@@ -113,7 +113,7 @@ def train_source(
             {
                 **_told(starts[0].fit),
                 "rmse": {name: free_run_rms(trained, record) for name, record in judged.items()},
-                "linear": linear_rms(network, list(records.values()), records | others),
+                "linear": linear_rms(list(records.values()), records | others),
                 "remarks": [*remarks, *starts[0].fit.remarks, *of_starts(starts)],
                 "settle": source.settle,
                 "offsets": {n: s.told(trained)[1] for n, s in sensors.items() if offset},

@@ -5,16 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greygate import baseline
-from greygate.baseline import of_one
+from greygate.baseline import linear, of_one
 from greygate.expert.task import Task
 from greygate.models.accuracy import free_run_rms, rms
-from greygate.models.network import Network, Port
+from greygate.models.network import Network
 from greygate.models.training.record import Record
 from greygate.plants.recording import Recording
-
-TAPS = (0, 1)  # of every input, in the linear model
-ROOM = 3.0  # deviations of a target, which the scale of its port is
 
 Rms = dict[str, dict[str, dict[str, float]]]
 
@@ -34,7 +30,8 @@ class Compared:
 def scores(network: Network, of: Compared) -> Rms:
     """RMS error by who, recording and target, in its unit; of a recording that is learnt in part, its end apart."""
     found: Rms = {"network": {}, "nominal": {}, "linear": {}}
-    rivals = linear(of)
+    learnt = [of.record(n).cut(0, end) for n, end in of.ends.items()]
+    rivals = {t: linear([of_one(r, t) for r in learnt]) for t in of.task.targets}
     for name, recording in {**of.recordings, **of.tests}.items():
         record = of.record(name)
         spans = {name: (0, of.ends.get(name, len(record)))}
@@ -46,17 +43,4 @@ def scores(network: Network, of: Compared) -> Rms:
             found["network"][label] = free_run_rms(network, cut)
             found["nominal"][label] = {t: rms(e) for t, e in errors.items()}
             found["linear"][label] = {t: free_run_rms(rival, of_one(cut, t))[t] for t, rival in rivals.items()}
-    return found
-
-
-def linear(of: Compared) -> dict[str, Network]:
-    """Target -> a linear model on two samples of every input and of itself: ARX, then output error."""
-    found = {}
-    for target in of.task.targets:
-        learnt = [of_one(of.record(n).cut(0, end), target) for n, end in of.ends.items()]
-        sizes = {n: max(float(np.abs(r.inputs[n]).max()) for r in learnt) or 1.0 for n in of.task.inputs}
-        values = np.concatenate([r.targets[target] for r in learnt])
-        scale, first = ROOM * float(np.std(values)) or 1.0, float(values[0])
-        output = Port(target, of.task.plant.unit(target), scale, offset=float(values.mean()), initial=first)
-        found[target] = baseline.linear([Port(n, scale=s) for n, s in sizes.items()], output, learnt, TAPS)
     return found

@@ -10,7 +10,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.files import replaceable, replacing_folder
-from greygate.identifying.halving import ORDERS, WORSE, Halving, Tried, interval, segments, sure_of
+from greygate.identifying.halving import WORSE, Halving, Tried, interval, reach, segments, sure_of
 from greygate.identifying.looking import look
 from greygate.identifying.task import Task, task
 from greygate.models.accuracy import rms
@@ -58,18 +58,11 @@ def identify(
             raise InputError(f"{other.source}: sampled every {other.dt:g} s, {first.source} every {first.dt:g} s")
     posed = task(recordings, inputs, output, settle)
     seen = {name: look(r, inputs, output) for name, r in recordings.items()}
-    apart = min(max(s["stride"] for s in seen.values()), max(posed.settle // max(ORDERS), 1))
-    found = [min((s["delays"][n] for s in seen.values() if s["delays"][n] is not None), default=0) for n in inputs]
     search = Halving(posed, seconds - (monotonic() - began), jobs, progress)
-    search.run(shifted(found), sorted({1, apart}))
+    search.run(*reach(posed, seen.values()))
     chosen, fit = search.final()
     network = replace(fit.network, dt=first.dt)
     return Identified(search.task, chosen, network, search, seen, tests, monotonic() - began)
-
-
-def shifted(delays: Sequence[int]) -> list[tuple[int, ...]]:
-    """Delays around those that were seen, and none: which one is best shows only with a model."""
-    return sorted({tuple(max(d + shift, 0) for d in delays) for shift in (-2, -1, 0, 1)} | {(0,) * len(delays)})
 
 
 # ---- what is told

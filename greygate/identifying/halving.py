@@ -45,6 +45,7 @@ LEAST = 0.1  # s that a training has, where its rung has just run out of time
 DRAWS = 2000  # resampled sets of segments, from which confidence and interval follow
 SEGMENTS = 4  # of a held-out block: its errors are resampled in runs, because neighbours are alike
 REFITTED = 5  # models that are fitted to everything at most
+LONG = 50_000  # samples that they are then searched on, at most
 WINDOWS = 2  # for each part, into which a fold is cut that is too long to be trained on whole
 EPOCHS = 150  # of a fit to everything
 
@@ -65,6 +66,7 @@ class Rung:
 
 
 LADDER = Rung(10**6, 1, 60, 8000, 1, 0.2)
+ALONE = replace(LADDER, epochs=20, every=2)  # where nothing grows from the linear models: the best one is fitted anew
 NOISES = replace(LADDER, until=0.25)  # the best of those under other ideas of the noise
 RUNGS = (Rung(10**6, 1, 20, 4000, 2, 0.55), Rung(12, 2, 40, 8000, 1, 0.7), Rung(5, 3, 120, 20000, 1, 0.87))
 FULL = 2  # the first rung at which every fold judges
@@ -170,6 +172,19 @@ def interval(squares: np.ndarray) -> list[float]:
     """95 % of the RMS errors over drawn sets of segments, of mean squared errors `squares` (N,)."""
     found = np.sqrt(squares[draws(len(squares))].mean(1))
     return [float(v) for v in np.quantile(found, (0.025, 0.975))]
+
+
+def reach(task: Task, seen: Iterable[Mapping]) -> tuple[list[tuple[int, ...]], list[int]]:
+    """Delays and strides to try. seen: of each recording, by `look`.
+
+    Delays around those that were seen, and none: which one is best shows only with a model.
+    """
+    seen = list(seen)
+    apart = min(max(s["stride"] for s in seen), max(task.settle // max(ORDERS), 1))
+    names = [p.name for p in task.inputs]
+    found = [min((s["delays"][n] for s in seen if s["delays"][n] is not None), default=0) for n in names]
+    delays = {tuple(max(d + shift, 0) for d in found) for shift in (-2, -1, 0, 1)} | {(0,) * len(names)}
+    return sorted(delays), sorted({1, apart})
 
 
 class Halving:
@@ -323,6 +338,39 @@ class Halving:
         if not np.isfinite(error):
             raise InputError("every model diverges over the complete recordings; are they of one plant?")
         return tried, fit
+
+    def best_linear(self) -> tuple[Tried, Network]:
+        """The linear model that errs least on what was held out and does not drift off, fitted to everything.
+
+        Where all drift, the one that errs least over everything. Raises InputError where none runs.
+        """
+        found = []
+        for tried in [t for t in self.ranked() if t.model.form.linear and np.isfinite(t.error)][:REFITTED]:
+            network = self.complete(tried, np.inf).network
+            error = self.whole(network)
+            if error <= WORSE * tried.error:
+                return tried, network
+            found.append((error, tried, network))
+        if not found:
+            raise InputError("every linear model diverges")
+        return min(found, key=lambda f: f[0])[1:]
+
+    def linear_only(self, delays: Sequence[tuple[int, ...]], strides: Sequence[int]) -> None:
+        """Try linear models without a limit of time: orders, then delays of the best order, then ideas of the noise."""
+        shortest = min(len(p) for f in self.folds for p in thinned(f.pieces, ALONE.samples, self.task))
+
+        def fitted(orders: Iterable[Orders], forms: Sequence[Form] = (LINEAR,)) -> None:
+            models = [Model(form, o, 0.0) for o in orders if 2 * o.deepest < shortest for form in forms]
+            self.rung(0, ALONE, [m for m in models if m not in self.tried])
+
+        fitted(Orders(o, delays[0], s) for o in ORDERS for s in strides)
+        if not self.tried:
+            raise InputError("the recordings are too short for a linear model")
+        fitted(replace(self.ranked()[0].model.orders, delays=d) for d in delays)
+        if self.drifts():
+            self.lengthen([t.model for t in self.ranked()], strides)
+        if not (best := self.ranked()[0].model.orders).integrating:
+            fitted([best], [ARX, ARMAX, BJ, *[SUBSPACE] * (best.stride == 1)])
 
     def complete(self, tried: Tried, seconds: float) -> Trained:
         """A model fitted to everything, from what two of its folds have made of it; the lower loss wins."""

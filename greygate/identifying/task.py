@@ -74,6 +74,12 @@ def started(record: Record, output: Port) -> Record:
     return replace(record, initial={**first, own(LOOP, [*first, output.name]): level})
 
 
+def scaled(name: str, unit: str, values: np.ndarray) -> Port:
+    """A port for these values; it rests at the first one."""
+    scale, mean = ROOM * float(np.std(values)) or 1.0, float(np.mean(values))
+    return Port(name, unit, scale, offset=mean, initial=float(values[0]))
+
+
 def task(recordings: Mapping[str, Recording], inputs: Sequence[str], output: str, settle: int | None = None) -> Task:
     """Raises InputError for a channel that is missing or constant, and for recordings that are too short."""
     if not recordings:
@@ -85,9 +91,7 @@ def task(recordings: Mapping[str, Recording], inputs: Sequence[str], output: str
             raise InputError(f"{first.source}: channel {name} is constant; record it while it moves, or leave it out")
 
     def port(name: str) -> Port:
-        values = joined[name]
-        scale, mean = ROOM * float(np.std(values)), float(np.mean(values))
-        return Port(name, first.units[name], scale, offset=mean, initial=float(first[name][0]))
+        return scaled(name, first.units[name], joined[name])
 
     length = min(r.samples for r in recordings.values())
     asked = settle if settle is not None else min(length // (FOLDS * SETTLING), LONGEST)
