@@ -68,7 +68,8 @@ def test_the_notebook_of_a_tutorial_runs(page, folder):
     shown = [path for cell in code for path in re.findall(r'IFrame\("([^"]+)"', cell)]
     assert all((folder / path).stat().st_size for path in shown)
     valid_files(folder)
-    outputs = [o.get("text", "") for cell in notebook.cells if cell.cell_type == "code" for o in cell.outputs]
+    cells = [cell.outputs for cell in notebook.cells if cell.cell_type == "code"]
+    outputs = ["".join(o["text"] for o in found if o.get("name") == "stdout") for found in cells]
     printed = "\n".join([*outputs, *(path.read_text() for path in folder.glob("*.csv"))]).splitlines()
     lines = [line for text in PRINTED[page] for line in text.splitlines()]
     assert lines
