@@ -14,6 +14,7 @@ from greygate.models.network import Network, Port
 from greygate.models.ports import ports
 from greygate.names import check_name
 from greygate.plants.readers.read import read_recording
+from greygate.plants.recording import twice
 from greygate.progress import once
 
 NEURONS = 6  # of an input's curve
@@ -24,6 +25,7 @@ from greygate.models.families.library import library
 from greygate.models.network import Layer, Network
 from greygate.models.ports import ports
 from greygate.plants.readers.read import read_recording
+from greygate.plants.recording import twice
 
 recording = read_recording({record!r})
 inputs = ports(recording.channels, recording.units, {inputs!r})
@@ -140,8 +142,8 @@ def init(
         raise InputError(f"--block {' '.join(more)}: one is given twice; give each once")
     recording = read_recording(record, told=once)
     inputs = inputs or [n for n in recording.channels if n not in outputs]
-    if twice := {n for n in (*inputs, *outputs) if [*inputs, *outputs].count(n) > 1}:
-        raise InputError(f"{min(twice)} is given twice; a channel is one input or one output")
+    if (repeated := twice((*inputs, *outputs))) is not None:
+        raise InputError(f"{repeated} is given twice; a channel is one input or one output")
     if not inputs or not outputs:
         raise InputError(
             f"{record}: give an --output and leave a channel as an input; it has {', '.join(recording.channels)}"

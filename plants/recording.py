@@ -1,7 +1,7 @@
 """A recording: named channels with units, sampled uniformly, and its CSV form."""
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,6 +19,7 @@ UNITS = {
 }  # fmt: skip
 """Unit suffix of a CSV column name -> unit."""
 
+MOST_PARTS = 4  # of a suffix, between its `_`
 _SUFFIX = {unit: suffix for suffix, unit in reversed(UNITS.items())}
 _UNIFORM = 1e-3  # of a sample interval: largest error of a printed time
 FEWEST = 2  # samples, from which a sample time follows
@@ -149,8 +150,8 @@ def read_csv(
         raise InputError(f"{path}: the recording holds {len(table.cells)} samples; give at least {FEWEST}")
     columns = header[timed:]
     names, kinds = zip(*(_split(path, column, units, bare) for column in columns), strict=True)
-    if repeated := {name for name in names if names.count(name) > 1}:
-        raise InputError(f"{path}: channel {min(repeated)} appears twice; rename one of its columns")
+    if (repeated := twice(names)) is not None:
+        raise InputError(f"{path}: channel {repeated} appears twice; rename one of its columns")
     for name, unit in (required or {}).items():
         if name not in names:
             raise InputError(f"{path}: column {name}_{_SUFFIX.get(unit, unit)} is missing; it has {', '.join(header)}")
@@ -163,6 +164,12 @@ def read_csv(
     return Recording(step if dt is None else dt, channels, dict(zip(names, kinds, strict=True)), source=str(path))
 
 
+def twice(names: Iterable[str]) -> str | None:
+    """The first name that appears a second time, None if there is none; in time that grows as the names do."""
+    known: set[str] = set()
+    return next((name for name in names if name in known or known.add(name)), None)
+
+
 def _known() -> str:
     return ", ".join(UNITS)
 
@@ -172,7 +179,7 @@ def _split(path: Path, column: str, units: Mapping[str, str], bare: bool = False
     if column in units:
         return column, units[column]
     parts = column.split("_")
-    for start in range(1, len(parts)):
+    for start in range(max(1, len(parts) - MOST_PARTS), len(parts)):
         if (suffix := "_".join(parts[start:])) in UNITS and (name := "_".join(parts[:start])):
             return name, UNITS[suffix]
     if bare:

@@ -20,6 +20,7 @@ from greygate.mismatch import effects, rig, simulation
 from greygate.mismatch.concealed.conceal import sealed
 from greygate.models.network import Network
 from greygate.models.training.checkpoint import Checkpoint
+from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import read_csv
 from greygate.project import Project, verify_project
 from greygate.table import read_table
@@ -157,6 +158,25 @@ def test_a_header_of_100000_columns_takes_no_square_of_their_number(tmp_path):
     start = time.process_time()
     assert read_table(tmp_path / "a.csv").header == names
     assert time.process_time() - start < 5  # s; comparing all pairs takes a minute
+
+
+@pytest.mark.parametrize("header", ["c{}_m", "c{} [mm]"])
+def test_a_recording_of_50000_channels_takes_no_square_of_their_number(header, tmp_path):
+    names = ["t_s", *map(header.format, range(50_000))]
+    rows = "".join(f"{k},{','.join('1' * 50_000)}\n" for k in range(2))
+    (tmp_path / "a.csv").write_text(f"{','.join(names)}\n{rows}")
+    start = time.process_time()
+    assert len(read_recording(tmp_path / "a.csv").channels) == 50_000
+    assert time.process_time() - start < 10  # s; comparing all pairs takes minutes
+
+
+@pytest.mark.parametrize("name", ["a" + "_a" * 60_000, " " * 120_000 + "x", "a [" * 40_000, "a(" * 60_000])
+def test_a_name_of_100000_characters_is_refused_at_once(name, tmp_path):
+    (tmp_path / "a.csv").write_text(f't [s],"{name}"\n0,1\n1,2\n')
+    start = time.process_time()
+    with pytest.raises(InputError, match=r"characters; rename it|has no unit"):
+        read_recording(tmp_path / "a.csv")
+    assert time.process_time() - start < 5  # s
 
 
 def test_a_small_archive_of_a_huge_recording_is_refused_without_unpacking_it(tmp_path, monkeypatch):

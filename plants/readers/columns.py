@@ -7,7 +7,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.plants.readers.units import converted, split
-from greygate.plants.recording import FEWEST, Recording
+from greygate.plants.recording import FEWEST, Recording, twice
 
 Told = Callable[[str], None]
 CLOCKS = ("time", "times", "timestamp", "timestamps", "zeit", "elapsed", "seconds", "time_s", "x_value")
@@ -109,9 +109,8 @@ def channels(
         found.append(Channel(name, kind, *_sorted(own, values, where), told if kind != told else None))
     if units:
         raise InputError(f"{source}: no column {next(iter(units))}, which a unit is given for")
-    given = [c.name for c in found]
-    if twice := next((n for n in given if given.count(n) > 1), None):
-        raise InputError(f"{source}: two columns are called {twice}; rename one of them")
+    if (repeated := twice(c.name for c in found)) is not None:
+        raise InputError(f"{source}: two columns are called {repeated}; rename one of them")
     if not found:
         raise InputError(f"{source}: holds no channel beside the time")
     return found

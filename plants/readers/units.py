@@ -26,7 +26,7 @@ from greygate.plants.quantities import (
     symbol,
 )
 from greygate.plants.readers.spellings import ADVICE, ALONE, GAUGE, PRESSURE, READINGS, SPELT, TEMPERATURE
-from greygate.plants.recording import UNITS
+from greygate.plants.recording import MOST_PARTS, UNITS
 
 PLAIN = {  # suffix of a name, `n_rpm` -> unit as it is written
     "rpm": "rpm", "deg": "deg", "deg_s": "deg/s", "mrad": "mrad", "degC": "degC", "mm": "mm", "cm": "cm", "um": "um",
@@ -45,6 +45,7 @@ SI = (
 )  # fmt: skip
 """What a unit becomes: the first that is of its kind."""
 FORCES = ("N m", "N s/m")  # of `SI`: also J and kg/s
+LONGEST = 256  # characters of a header
 MOST_READINGS = 16  # of a product
 _SIGN = re.compile(r"[/^%°²³]")  # of a unit, in no name: `speed_rad/s`
 _BRACKETS = re.compile(
@@ -57,6 +58,8 @@ _COMMA = re.compile(r"\s*(?P<name>[^,:;]+?)\s*[,:;]\s*(?P<unit>[^,:;]+?)\s*")
 
 def split(header: str, where: str) -> tuple[str, str | None]:
     """(name, unit as written or None) of a column. Raises InputError for a header with two readings."""
+    if len(header) > LONGEST:
+        raise InputError(f"{where}: column {shown(header)} has {len(header)} characters; rename it, at most {LONGEST}")
     for form in (_BRACKETS, _SLASH, _IN, _COMMA):
         if (found := form.fullmatch(header)) is not None:
             groups = found.groupdict()
@@ -74,7 +77,7 @@ def split(header: str, where: str) -> tuple[str, str | None]:
 def suffixed(header: str) -> tuple[str, str | None]:
     """(name, unit or None) by the suffix of a name: `p_a_Pa`, `n_rpm`."""
     parts = header.strip().split("_")
-    for start in range(1, len(parts)):
+    for start in range(max(1, len(parts) - MOST_PARTS), len(parts)):
         suffix = "_".join(parts[start:])
         if suffix in UNITS or suffix in PLAIN:
             return "_".join(parts[:start]), UNITS.get(suffix) or PLAIN[suffix]
