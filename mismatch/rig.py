@@ -17,7 +17,7 @@ from greygate.mismatch.uneven import resampled, varies
 from greygate.names import check_file_name
 from greygate.plants.expressions import check_name
 from greygate.plants.plant import Parameter, Plant
-from greygate.plants.recording import Recording, run_name
+from greygate.plants.recording import Recording, check_sizes, run_name
 from greygate.reading import line, listed, named, number, one_of, read_toml, table, within
 from greygate.table import CsvTable, read_table
 
@@ -200,6 +200,7 @@ class Rig:
             raise InputError(f"{path}: {samples} samples, {samples * self.dt:g} s; {wish}")
         channels = {name: table.values[:, header.index(name)] for name in self.channels}
         units = {name: channel.unit for name, channel in self.channels.items()}
+        check_sizes(channels, str(path))
         clock, channels, said = self._uniform(table, channels, units)
         return Recording(self.dt, channels, units, source=str(path), history=said), clock
 

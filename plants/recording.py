@@ -9,7 +9,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.files import replacing
-from greygate.table import CsvTable, read_table
+from greygate.table import LARGEST, CsvTable, read_table
 
 UNITS = {
     "s": "s", "m": "m", "m_s": "m/s", "m_s2": "m/s^2", "m3_s": "m^3/s", "rad": "rad", "rad_s": "rad/s",
@@ -22,6 +22,7 @@ UNITS = {
 MOST_PARTS = 4  # of a suffix, between its `_`
 _SUFFIX = {unit: suffix for suffix, unit in reversed(UNITS.items())}
 _UNIFORM = 1e-3  # of a sample interval: largest error of a printed time
+SMALLEST = 1 / LARGEST  # size of a channel, and of its differences, but 0: so powers of both stay within float64
 FEWEST = 2  # samples, from which a sample time follows
 
 
@@ -161,7 +162,20 @@ def read_csv(
     if dt is not None and step != 1:
         raise InputError(f"{path}: column k counts in steps of {step:g}; number the samples one by one")
     channels = {name: np.ascontiguousarray(table.values[:, timed + i]) for i, name in enumerate(names)}
+    check_sizes(channels, str(path))
     return Recording(step if dt is None else dt, channels, dict(zip(names, kinds, strict=True)), source=str(path))
+
+
+def check_sizes(channels: Mapping[str, np.ndarray], source: str) -> None:
+    """Raise InputError for a channel whose values, or differences, are too large or too small for powers of them."""
+    for name, values in channels.items():
+        low, high = float(values.min()), float(values.max())
+        peak, spread = max(abs(low), abs(high)), high - low
+        if peak > LARGEST or any(0 < size < SMALLEST for size in (peak, spread)):
+            raise InputError(
+                f"{source}: channel {name} goes from {low:.6g} to {high:.6g}, beyond any quantity: sizes "
+                f"and differences are read from {SMALLEST:g} to {LARGEST:g}; repair the recording, or write it in another unit"
+            )
 
 
 def twice(names: Iterable[str]) -> str | None:

@@ -269,3 +269,16 @@ def test_the_page_has_every_sample_of_a_short_channel_to_zoom(tmp_path):
     for traces, (name, values) in zip(drawn, VALUES.items(), strict=True):
         shown = np.frombuffer(base64.b64decode(traces[name]["y"]["bdata"]), "<f4")
         np.testing.assert_allclose(shown, {"v_c": 1.0, "x": 1e3, "p_a": 1e-5}[name] * values, rtol=1e-6)  # V, mm, bar
+
+
+@pytest.mark.parametrize("size", [1e-300, 1e-160, 1e-323, 1e31, 1e300])
+@pytest.mark.parametrize("shape", [[1.0, 2.0, 4.0], [1.0, 1.0, 1.0]])
+def test_values_whose_powers_leave_float64_are_refused_where_a_recording_is_read(size, shape, tmp_path):
+    values = [size * v for v in shape]
+    with pytest.raises(InputError, match=r"channel y goes from .* beyond any quantity"):
+        read_recording({"t": [0.0, 1.0, 2.0], "y [m]": values})
+    if size < 1:  # a CSV's larger ones are named by their cell
+        (tmp_path / "r.csv").write_text("t_s,y_m\n" + "".join(f"{t},{v!r}\n" for t, v in enumerate(values)))
+        with pytest.raises(InputError, match=r"channel y goes from .* beyond any quantity"):
+            read_recording(tmp_path / "r.csv")
+    assert read_recording({"t": [0.0, 1.0, 2.0], "y [m]": [0.0, 1e-29, 1e-300]})["y"][2] == 1e-300

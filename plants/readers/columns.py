@@ -7,7 +7,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.plants.readers.units import converted, split
-from greygate.plants.recording import FEWEST, Recording, twice
+from greygate.plants.recording import FEWEST, Recording, check_sizes, twice
 
 Told = Callable[[str], None]
 CLOCKS = ("time", "times", "timestamp", "timestamps", "zeit", "elapsed", "seconds", "time_s", "x_value")
@@ -170,6 +170,7 @@ def recording(
     else:
         dt, values, lines = _resampled(found, source, None if resample is True else float(resample))
         history += lines
+    check_sizes(values, source)
     for line in history:
         say(f"{source}: {line}")
     units = {c.name: c.unit for c in found}
