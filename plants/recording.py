@@ -174,7 +174,7 @@ def check_sizes(channels: Mapping[str, np.ndarray], source: str) -> None:
         if peak > LARGEST or any(0 < size < SMALLEST for size in (peak, spread)):
             raise InputError(
                 f"{source}: channel {name} goes from {low:.6g} to {high:.6g}, beyond any quantity: sizes "
-                f"and differences are read from {SMALLEST:g} to {LARGEST:g}; repair the recording, or write it in another unit"
+                f"and differences are read from {SMALLEST:g} to {LARGEST:g}; repair it, or write it in another unit"
             )
 
 
