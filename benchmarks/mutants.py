@@ -1,17 +1,18 @@
 """Mutants: does `make test` notice when a line of the product is changed? Draws changes by a seed, and runs the tests.
 
-python benchmarks/mutants.py --jobs 2 --count 60 --seed 1 --out FILE.jsonl [--limit SECONDS] [--wheels FOLDER]
+python benchmarks/mutants.py --jobs 2 --count 60 --seed 1 --out FILE.jsonl [--limit SECONDS]
 
 Every mutant is one small change of one file: a comparison, an operator, a constant, a condition, a dropped statement
 or argument, min for max, an end of a range, a line of a template from which code is made. Beside those drawn stand
-some by name that had survived once. A mutant runs in a copy of the tree, against the test files that import what it
-changes, then against all others; the first failure, or three times the usual time, kills it. Results are appended to
-FILE.jsonl part by part, so a run that was stopped goes on where it was, as long as product and tests stay as they are.
-
-Before, the unchanged tree passes the same commands: what fails there (a tool is missing, say) is left out and counted.
+some by name that had survived once. Before, the unchanged tree passes every test file, and it is noted which test calls
+which function, and for how long it runs; what fails there (a tool is missing, say) is left out and counted. A mutant
+runs in a copy of the tree against the tests that call its function, the nearest and quickest files first; the first
+failure, or three times the usual time, kills it. Results are appended to FILE.jsonl part by part, so a run that was
+stopped goes on where it was, as long as product and tests stay as they are.
 """
 
 import argparse
+import ast
 import hashlib
 import json
 import os
@@ -31,20 +32,23 @@ from pathlib import Path
 from threading import Event
 
 from made import stamp
-from mutations import ROOT, Mutant, drawn, named
+from mutations import ROOT, TEMPLATES, Mutant, drawn, named, sources
 
-SKIPPED = {".git", ".venv", ".hypothesis", ".pytest_cache", ".ruff_cache", "build", "demo", "hardware", "__pycache__"}
-PRODUCT = ("greygate", "models", "compiler", "emulator", "rtl", "plants", "mismatch", "machines")
+SKIPPED = (".git", ".venv", ".*_cache", ".hypothesis", "__pycache__", "*.egg-info")
 PART = 60.0  # s of test files that run in one process
 SLOW = 3.0  # times the usual duration kill a mutant
 SLACK = 60.0  # s beside that, in which numba compiles anew
-WANTED = 0.9  # share of mutants that must be killed
+WANTED = 0.92  # share of mutants that must be killed
 
 
-FINDER = '''"""Finds greygate's packages in the tree that GREYGATE_TREE names, as an editable install would."""
-import importlib.util, os, sys
+FINDER = '''"""Finds greygate's packages in the tree that GREYGATE_TREE names, if it is set; notes calls."""
+import importlib.util, os, sys, threading
 PACKAGES = {packages!r}
-TREE = os.environ.get("GREYGATE_TREE")
+TREE, CALLED = os.environ.get("GREYGATE_TREE"), os.environ.get("GREYGATE_CALLED")
+NOTED = set()
+WHERE = os.environ.get("PYTEST_CURRENT_TEST", "import").rpartition(" ")[0]
+if any("loky" in word for word in sys.orig_argv):  # a worker serves other tests of the file too
+    WHERE = WHERE.partition("::")[0]
 class Finder:
     @staticmethod
     def find_spec(name, path=None, target=None):
@@ -53,27 +57,71 @@ class Finder:
             return importlib.util.spec_from_file_location(
                 name, os.path.join(folder, "__init__.py"), submodule_search_locations=[folder])
 sys.meta_path.insert(0, Finder)
+def within(where):
+    global WHERE
+    WHERE, before = where, WHERE
+    NOTED.clear()
+    return before
+def note(frame, event, argument):
+    code = frame.f_code
+    if code.co_filename.startswith(TREE):
+        at = code.co_filename, code.co_firstlineno
+        if at not in NOTED:
+            NOTED.add(at)
+            try:
+                os.write(OUT, f"{{WHERE}}\\t{{code.co_filename[len(TREE) + 1:]}}:{{code.co_firstlineno}}\\n".encode())
+            except OSError:  # a test of full disks
+                pass
+if CALLED:
+    OUT = os.open(CALLED, os.O_WRONLY | os.O_APPEND | os.O_CREAT)
+    threading.settrace(note)
+    sys.settrace(note)
 '''
 
-PLUGIN = '''"""Tells what failed, leaves out what fails anyway, and looks for no smallest failing example."""
-import json, os
+PLUGIN = '''"""Runs the tests wanted, shrinks no example; tells what failed, seconds, and fixtures used."""
+import functools, json, os, sys, time
+import greygate_mutated
 import pytest
 from hypothesis import Phase, settings
 settings.register_profile("mutants", phases=[Phase.explicit, Phase.reuse, Phase.generate])
 settings.load_profile("mutants")
-LEFT_OUT = set(json.loads(os.environ["GREYGATE_LEFT_OUT"]))
-FAILED = []
+with open(os.environ["GREYGATE_ASKED"]) as file:
+    ASKED = json.load(file)
+TOLD = {"failed": [], "seconds": {}, "fixtures": {}}
 def pytest_collection_modifyitems(config, items):
-    items[:] = [item for item in items if item.nodeid not in LEFT_OUT]
+    wanted, left_out = set(ASKED["wanted"] or ()), set(ASKED["left_out"])
+    items[:] = [i for i in items if i.nodeid not in left_out and (i.nodeid in wanted or ASKED["wanted"] is None)]
+    TOLD["fixtures"] = {i.nodeid: list(i.fixturenames) for i in items}
+def forget():
+    for module in list(sys.modules.values()):
+        if str(getattr(module, "__file__", "")).startswith(greygate_mutated.TREE):
+            for found in list(vars(module).values()):
+                if isinstance(found, functools._lru_cache_wrapper):
+                    found.cache_clear()
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_protocol(item):
+    if greygate_mutated.CALLED:
+        forget()
+        greygate_mutated.within(item.nodeid)
+    began = time.monotonic()
+    yield
+    TOLD["seconds"][item.nodeid] = time.monotonic() - began
+@pytest.hookimpl(hookwrapper=True)
+def pytest_fixture_setup(fixturedef, request):
+    shared = fixturedef.scope != "function"
+    before = shared and greygate_mutated.within("fixture " + fixturedef.argname)
+    yield
+    if shared:
+        greygate_mutated.within(before)
 def pytest_runtest_logreport(report):
     if report.failed:
-        FAILED.append(report.nodeid)
+        TOLD["failed"].append(report.nodeid)
 def pytest_collectreport(report):
     if report.failed:
-        FAILED.append(report.nodeid)
+        TOLD["failed"].append(report.nodeid)
 def pytest_sessionfinish(session):
-    with open(os.environ["GREYGATE_FAILED"], "w") as out:
-        json.dump(FAILED, out)
+    with open(ASKED["told"], "w") as out:
+        json.dump(TOLD, out)
 '''
 
 
@@ -84,16 +132,16 @@ class Stopped(Exception):
 class Bench:
     """A folder with an environment for the tests, and an unchanged tree whose caches are warm."""
 
-    def __init__(self, work: Path, wheels: Path | None, until: float):
+    def __init__(self, work: Path, until: float):
         self.work, self.until, self.stop = work, until, Event()
         self.prime, self.python = work / "prime", work / "venv" / "bin" / "python"
         self.left_out: list[str] = []
         if not self.python.exists():
-            self._environment(wheels)
+            self._environment()
         if not self.prime.exists():
-            shutil.copytree(ROOT, self.prime, ignore=lambda _, names: SKIPPED & set(names))
+            shutil.copytree(ROOT, self.prime, ignore=shutil.ignore_patterns(*SKIPPED))
 
-    def _environment(self, wheels: Path | None) -> None:
+    def _environment(self) -> None:
         venv.create(self.work / "venv", system_site_packages=True, symlinks=True)
         (site,) = (self.work / "venv").glob("lib/python*/site-packages")
         setuptools = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
@@ -104,18 +152,28 @@ class Bench:
         command = self.work / "venv" / "bin" / "greygate"
         command.write_text(f"#!{self.python}\nfrom greygate.cli import run\nrun()\n")
         command.chmod(0o755)
-        if wheels:
-            files = sorted(map(str, wheels.glob("*.whl")))
-            pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps", "--no-compile"]
-            subprocess.run([*pip, "--target", str(site), *files], check=True)
 
-    def pytest(self, tree: Path, files: list[str], timeout: float, first: bool) -> tuple[int | None, list[str]]:
-        """(exit code of pytest in a tree, None out of time; what failed). Raises Stopped at the run's own end."""
-        report = Path(tempfile.mkstemp(dir=self.work, suffix=".json")[1])
+    def pytest(
+        self,
+        tree: Path,
+        files: list[str],
+        limit: float,
+        *,
+        wanted: list[str] | None = None,
+        called: str = "",
+        first: bool = False,
+    ) -> tuple[int | None, dict]:
+        """(exit code of pytest in a tree, None out of time; what the plugin tells). Raises Stopped at the run's end.
+
+        wanted: these tests alone. called: a file to which what each calls is added. first: stop at the first failure.
+        """
+        told, asked = self.work / f"told-{tree.name}.json", self.work / f"asked-{tree.name}.json"
+        told.unlink(missing_ok=True)
+        asked.write_text(json.dumps({"wanted": wanted, "left_out": self.left_out, "told": str(told)}))
         environment = os.environ | {
             "GREYGATE_TREE": str(tree),
-            "GREYGATE_LEFT_OUT": json.dumps(self.left_out),
-            "GREYGATE_FAILED": str(report),
+            "GREYGATE_ASKED": str(asked),
+            "GREYGATE_CALLED": called,
             "XDG_CACHE_HOME": str(tree / ".cache"),
             "OMP_NUM_THREADS": "1",
             "PATH": f"{self.python.parent}{os.pathsep}{os.environ['PATH']}",
@@ -124,44 +182,45 @@ class Bench:
         command += ["-p", "no:xdist", *(["-x"] if first else []), *files]
         silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         process = subprocess.Popen(command, cwd=tree, env=environment, start_new_session=True, **silent)
-        ends = time.monotonic() + timeout
+        ends = time.monotonic() + limit
         try:
             while process.poll() is None:
                 if self.stop.is_set() or time.monotonic() > self.until:
                     raise Stopped
                 if time.monotonic() > ends:
-                    return None, []
-                time.sleep(0.2)
+                    return None, {"failed": []}
+                time.sleep(0.1)
         finally:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
                 process.wait()
-            told = report.read_text()
-            report.unlink()
-        return process.returncode, json.loads(told or "[]")
+        return process.returncode, json.loads(told.read_text()) if told.exists() else {"failed": []}
 
     def baseline(self, files: list[str], jobs: int) -> dict[str, float]:
-        """Seconds of every test file that the unchanged tree passes; other tests are noted as left out."""
+        """Seconds of every test that the unchanged tree passes, and a file of what it calls; others are left out."""
         kept = self.work / "baseline.json"
-        known = json.loads(kept.read_text()) if kept.exists() else {"seconds": {}, "left_out": []}
-        self.left_out = known["left_out"]
+        known = json.loads(kept.read_text()) if kept.exists() else {}
 
         def one(file: str) -> None:
-            began = time.monotonic()
-            code, failed = self.pytest(self.prime, [file], 1800, first=False)
-            if code not in (0, 1, 5):  # not even collected
-                failed = [file]
-            known["seconds"][file] = time.monotonic() - began
-            known["left_out"] += failed
-
-        todo = [f for f in files if f not in known["seconds"]]
-        todo.sort(key=lambda f: -(self.prime / f).stat().st_size)
-        try:
-            with ThreadPoolExecutor(jobs) as pool:
-                list(pool.map(one, todo))
-        finally:
+            called = self.called(file)
+            called.unlink(missing_ok=True)
+            code, told = self.pytest(self.prime, [file], 1800, called=str(called))
+            if told["failed"]:  # a tool is missing; or it was too slow while calls were noted
+                told["failed"] = self.pytest(self.prime, [file], 1800, wanted=told["failed"])[1]["failed"]
+            known[file] = told if code in (0, 1, 5) else {"failed": [file], "seconds": {}, "fixtures": {}}
             kept.write_text(json.dumps(known))
-        return {f: known["seconds"][f] for f in files if f not in known["left_out"]}
+            print(f"unchanged: {file} {sum(known[file]['seconds'].values()):.0f} s", *told["failed"], flush=True)
+
+        todo = [f for f in files if f not in known]
+        with ThreadPoolExecutor(jobs) as pool:
+            list(pool.map(one, todo))
+        told = [known[f] for f in files]
+        self.left_out = [name for t in told for name in t["failed"]]
+        self.fixtures = {name: used for t in told for name, used in t["fixtures"].items()}
+        return {n: s for t in told for n, s in t["seconds"].items() if n not in self.left_out}
+
+    def called(self, file: str) -> Path:
+        return self.work / f"{Path(file).stem}.called"
 
     def trial(self, mutant: Mutant, part: list[str], usual: float) -> dict:
         """What a part of the tests says of a mutant. The tree is made of links, so that it costs nothing."""
@@ -176,12 +235,78 @@ class Bench:
                 for cached in tree.rglob("*.nbi"):
                     cached.unlink()
             began = time.monotonic()
-            code, failed = self.pytest(tree, part, SLOW * usual + SLACK, first=True)
+            files = list(dict.fromkeys(name.partition("::")[0] for name in part))
+            code, told = self.pytest(tree, files, SLOW * usual + SLACK, wanted=part, first=True)
         finally:
             shutil.rmtree(tree, ignore_errors=True)
         outcome = "timeout" if code is None else "passed" if code in (0, 5) else "killed"
-        by = failed[:1] or [f"exit code {code}"] * (outcome == "killed")
+        by = told["failed"][:1] or [f"exit code {code}"] * (outcome == "killed")
         return {"outcome": outcome, "by": by, "seconds": round(time.monotonic() - began, 1)}
+
+
+class Reach:
+    """Which tests reach a place of the source: those that call its function. seconds: of the tests that count.
+
+    What is compiled, made into code, kept for later calls or done at an import is noted nowhere: it is reached by all
+    that call something of its file, or of a file that imports it.
+    """
+
+    def __init__(self, bench: Bench, seconds: dict[str, float]):
+        self.seconds = seconds
+        self.tests: dict[str, set[str]] = {}  # FILE:LINE of a function -> tests
+        self.imported: set[str] = set()  # what is called while test files are imported
+        for file in sorted({name.partition("::")[0] for name in seconds}):
+            users: dict[str, list[str]] = {file: []}  # of a test, a shared fixture, a worker of the whole file
+            for name in (n for n in seconds if n.startswith(f"{file}::")):
+                for user in (file, name, *(f"fixture {f}" for f in bench.fixtures[name])):
+                    users.setdefault(user, []).append(name)
+            for line in set(bench.called(file).read_text(errors="replace").splitlines()):
+                user, _, place = line.rpartition("\t")
+                if not place.startswith("tests/"):
+                    self.tests.setdefault(place, set()).update(users.get(user, ()))
+                    self.imported |= set() if user else {place}
+        self.files: dict[str, set[str]] = {}
+        for place, tests in self.tests.items():
+            self.files.setdefault(place.rpartition(":")[0], set()).update(tests)
+
+    def of(self, mutant: Mutant) -> set[str]:
+        """Tests that reach a mutant; all of the files that import it, if none is known to."""
+        source = (ROOT / mutant.file).read_bytes()
+        line = 1 + source.count(b"\n", 0, mutant.start)
+        inside = [
+            n
+            for n in ast.walk(ast.parse(source))
+            if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef) and n.lineno <= line <= n.end_lineno
+        ]
+        home = max(inside, key=lambda n: n.lineno, default=None)
+        if home and b"jit" not in source and mutant.file not in TEMPLATES:
+            first = min([home.lineno, *(d.lineno for d in home.decorator_list)])
+            place = f"{mutant.file}:{first}"
+            if place not in self.imported and place in self.tests:
+                return self.tests[place] & self.seconds.keys()
+        files = above(mutant.file)
+        near = {f for f, rank in nearness(mutant.file).items() if rank == 0}
+        found = set().union(*(self.files.get(f, ()) for f in files)) & self.seconds.keys()
+        return found | {name for name in self.seconds if name.partition("::")[0] in near}
+
+    def parts(self, mutant: Mutant) -> list[list[str]]:
+        """These tests in portions, file by file, the nearest and quickest files first."""
+        near, files = nearness(mutant.file), {}
+        reached = self.of(mutant)
+        for name in self.seconds:
+            if name in reached:
+                files.setdefault(name.partition("::")[0], []).append(name)
+        found, full = [[]], 0.0
+        for file in sorted(files, key=lambda f: (near[f], self.takes(files[f]))):
+            if found[-1] and full + self.takes(files[file]) > PART:
+                found.append([])
+                full = 0.0
+            found[-1] += files[file]
+            full += self.takes(files[file])
+        return found
+
+    def takes(self, names: list[str]) -> float:
+        return sum(self.seconds[n] for n in names)
 
 
 @cache
@@ -197,34 +322,34 @@ def dotted(path: Path) -> str:
 
 
 @cache
+def above(file: str) -> frozenset[str]:
+    """A source file and those that import it; what imports a compiled one of them too."""
+    found, todo = {file}, [file]
+    while todo:
+        changed = todo.pop()
+        if changed == file or b"jit" in (ROOT / changed).read_bytes():
+            more = {p.relative_to(ROOT).as_posix() for p in sources() if importing(p, dotted(ROOT / changed))} - found
+            found |= more
+            todo += more
+    return frozenset(found)
+
+
+@cache
 def nearness(file: str) -> dict[str, int]:
     """Of every test file to a source file: 0 imports it, 1 imports what imports it, 2 neither."""
-    changed = dotted(ROOT / file)
-    above = [dotted(p) for f in PRODUCT for p in (ROOT / f).rglob("*.py") if importing(p, changed)]
+    changed, others = dotted(ROOT / file), [dotted(ROOT / f) for f in above(file)]
     near = {}
     for path in (ROOT / "tests").glob("test_*.py"):
         near[path.relative_to(ROOT).as_posix()] = (
-            0 if importing(path, changed) else 1 if any(importing(path, m) for m in above) else 2
+            0 if importing(path, changed) else 1 if any(importing(path, m) for m in others) else 2
         )
     return near
-
-
-def parts(mutant: Mutant, seconds: dict[str, float]) -> list[list[str]]:
-    """Test files in portions, the nearest and quickest first."""
-    near = nearness(mutant.file)
-    found: list[list[str]] = [[]]
-    for file in sorted(seconds, key=lambda f: (near[f], seconds[f])):
-        if found[-1] and sum(seconds[f] for f in found[-1]) + seconds[file] > PART:
-            found.append([])
-        found[-1].append(file)
-    return found
 
 
 def digest() -> str:
     """Of product and tests: results of others do not count."""
     told = hashlib.sha256()
-    paths = [p for f in PRODUCT for p in (ROOT / f).rglob("*.py")] + list((ROOT / "tests").glob("*.py"))
-    for path in sorted(paths):
+    for path in [*sources(), *sorted((ROOT / "tests").glob("*.py"))]:
         told.update(path.relative_to(ROOT).as_posix().encode() + path.read_bytes())
     return told.hexdigest()[:12]
 
@@ -253,19 +378,19 @@ class Results:
         return {f for e in self.lines.get(mutant.key, ()) if e["outcome"] == "passed" for f in e["tests"]}
 
 
-def run(bench: Bench, mutants: list[Mutant], seconds: dict[str, float], results: Results, jobs: int) -> None:
+def run(bench: Bench, mutants: list[Mutant], reach: Reach, results: Results, jobs: int) -> None:
     """All mutants against their nearest tests, then those that live on against the next, and so on."""
 
     def waiting() -> Iterator[tuple[Mutant, list[str]]]:
-        queues = {m: parts(m, seconds) for m in mutants}
+        queues = {m: reach.parts(m) for m in mutants}
         for k in range(max(map(len, queues.values()), default=0)):
             for m in mutants:
-                part = [f for f in queues[m][k] if f not in results.passed(m)] if k < len(queues[m]) else []
+                part = [n for n in queues[m][k] if n not in results.passed(m)] if k < len(queues[m]) else []
                 if part and not results.killed(m):
                     yield m, part
 
     def one(mutant: Mutant, part: list[str]) -> tuple[Mutant, list[str], dict]:
-        return mutant, part, bench.trial(mutant, part, sum(seconds[f] for f in part))
+        return mutant, part, bench.trial(mutant, part, reach.takes(part))
 
     running, queue = set(), waiting()
     with ThreadPoolExecutor(jobs) as pool:
@@ -281,19 +406,22 @@ def run(bench: Bench, mutants: list[Mutant], seconds: dict[str, float], results:
                 for mutant, part, told in (future.result() for future in done):
                     if not results.killed(mutant):
                         results.add(mutant, part, told)
-                    print(f"{told['outcome']:8} {told['seconds']:6.1f} s  {mutant.name}  {' '.join(told['by'])}")
+                    print(
+                        f"{told['outcome']:8} {told['seconds']:6.1f} s  {mutant.name}  {' '.join(told['by'])}",
+                        flush=True,
+                    )
         except (Stopped, KeyboardInterrupt):
             print("stopped; the same command goes on from here")
         finally:
             bench.stop.set()
 
 
-def summary(mutants: list[Mutant], results: Results, seconds: dict[str, float]) -> list[dict]:
+def summary(mutants: list[Mutant], results: Results, reach: Reach) -> list[dict]:
     """What is known of every mutant: killed and by what, survived, or unfinished."""
     told = []
     for m in mutants:
         killer = results.killed(m)
-        whole = set(seconds) <= results.passed(m)
+        whole = reach.of(m) <= results.passed(m)
         outcome = killer["outcome"] if killer else "survived" if whole else "unfinished"
         told.append({"mutant": m.name, "outcome": outcome} | ({"by": killer["by"]} if killer else {}))
     return told
@@ -335,7 +463,6 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("mutants.jsonl"), help="results, appended part by part")
     parser.add_argument("--report", type=Path, help="a JSON file of what came out; reasons given in it are kept")
     parser.add_argument("--limit", type=float, default=1e9, help="s after which the run stops cleanly")
-    parser.add_argument("--wheels", type=Path, help="folder of wheels that this machine lacks")
     parser.add_argument("--work", type=Path, help="folder for copies, kept; the same one again saves the baseline")
     parser.add_argument("--only", help="mutants whose name holds this alone")
     parser.add_argument("--tests", nargs="*", help="these test files alone; what survives them has not survived all")
@@ -351,21 +478,18 @@ def main() -> int:
     tree = digest()
     work = (given.work or Path(tempfile.gettempdir())) / f"greygate-mutants-{tree}"
     work.mkdir(parents=True, exist_ok=True)
-    bench = Bench(work.resolve(), given.wheels, until)
+    bench = Bench(work.resolve(), until)
     try:
         seconds = bench.baseline(files, given.jobs)
     except Stopped:
         print("stopped before the unchanged tree was through; give it more time")
         return 1
-    slowest = ", ".join(f"{f} {seconds[f]:.0f} s" for f in sorted(seconds, key=seconds.get)[-3:])
-    print(
-        f"unchanged: {len(seconds)} of {len(files)} test files, {sum(seconds.values()):.0f} s; "
-        f"{len(bench.left_out)} tests left out, which fail here anyway; slowest {slowest}"
-    )
+    print(f"unchanged: {len(seconds)} tests, {sum(seconds.values()):.0f} s; {len(bench.left_out)} fail here anyway")
+    reach = Reach(bench, seconds)
     results = Results(given.out, tree)
-    run(bench, mutants, seconds, results, given.jobs)
+    run(bench, mutants, reach, results, given.jobs)
     head = {"seed": given.seed, "left_out": sorted(bench.left_out)}
-    return 0 if report(summary(mutants, results, seconds), given.report, head) else 1
+    return 0 if report(summary(mutants, results, reach), given.report, head) else 1
 
 
 if __name__ == "__main__":

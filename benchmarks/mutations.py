@@ -4,18 +4,14 @@ import ast
 import hashlib
 import random
 import re
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-AREAS = {
-    "compiler": "compiler/**/*.py",
-    "emulator": "emulator/*.py",
-    "kernels": "models/training/kernels.py",
-    "fit": "mismatch/fit.py",
-    "selection": "mismatch/selection.py",
-    "simulate": "plants/simulate.py",
-}
+PRODUCT = ("greygate", "models", "compiler", "emulator", "rtl", "plants", "mismatch", "machines", "control")
+AREAS = (*PRODUCT, "models/training")  # a file is of the longest
 TEMPLATES = (
     "emulator/specialised.py",
     "plants/simulate.py",
@@ -75,8 +71,8 @@ NAMED = {  # what it is: (file, old, new); old stands there once
     "intervals as if errors were white": ("mismatch/fit.py", "return _larger(robust, white)", "return white"),
     "an effect is taken though held-out blocks fit worse": (
         "mismatch/selection.py",
-        " or fit.held_out() > current.held_out():",
-        ":",
+        " or fit.held_out() > current.held_out())",
+        ")",
     ),
     "a rate goes on at the lower bound": (
         "plants/simulate.py",
@@ -93,13 +89,79 @@ NAMED = {  # what it is: (file, old, new); old stands there once
         'for used in (name, f"{name}_layer"):',
         "for used in (name,):",
     ),
-    "a sensor's reading is not inverted": ("mismatch/model.py", "range(3 if channel in", "range(0 if channel in"),
+    "a sensor's reading is not inverted": ("mismatch/model.py", "range(READINGS if channel", "range(0 if channel"),
     "exact sums are centred too": (
         "compiler/centre.py",
         "return bool((powers & (powers - 1) == 0).all()) and not operation.bias.any()",
         "return False",
     ),
+    "a coupling counts from one side alone": (
+        "plants/simulate.py",
+        "e.state in rates or equation.state in e.couples",
+        "e.state in rates",
+    ),
+    "a coupling counts from the other side alone": (
+        "plants/simulate.py",
+        "e.state in rates or equation.state in e.couples",
+        "equation.state in e.couples",
+    ),
+    "a plant under way goes on without a number": (
+        "plants/simulate.py",
+        "        if failed >= 0:\n            state = list(self._place)",
+        "        if False:\n            state = list(self._place)",
+    ),
+    "a simplification may change a hundredth": ("compiler/pipeline.py", "SAME = 1e-9", "SAME = 1e-2"),
+    "the shortest name of a decay counts": ("models/training/loss.py", "max(fits, key=len)", "min(fits, key=len)"),
+    "a decay counts for names that begin alike": (
+        "models/training/loss.py",
+        'or parameter.startswith(d + ".")',
+        "or parameter.startswith(d)",
+    ),
+    "the gain of a loop beside its resonance": (
+        "compiler/quantize.py",
+        "[np.linspace(0, np.pi, BETWEEN), np.abs(np.angle(_poles(loops)))]",
+        "[np.linspace(0, np.pi, BETWEEN)]",
+    ),
+    "memory of forty steps costs nothing": ("compiler/quantize.py", "if steps > 4 and", "if steps > 40 and"),
+    "products one bit finer than their sum": ("compiler/quantize.py", "GUARD = 3", "GUARD = 1"),
+    "of two cuts the dearer": ("compiler/dataflow/sums.py", "min((early, late)", "max((early, late)"),
+    "a tail starts from rest": (
+        "models/training/levenberg.py",
+        "states=self.tails and i == 0",
+        "states=False",
+    ),
+    "what is held out starts from the state of a tail": (
+        "models/training/levenberg.py",
+        "states=self.tails and i == 0",
+        "states=self.tails",
+    ),
+    "variances as if nothing had been fitted": (
+        "mismatch/fit.py",
+        "meat = scores.T @ scores * n / max(n - k, 1)",
+        "meat = scores.T @ scores",
+    ),
+    "a slope is taken beyond its bound": (
+        "mismatch/fit.py",
+        "(-1 if value + STEP * u.scale > u.high else 1)",
+        "1",
+    ),
+    "a step goes beyond its bound": ("mismatch/fit.py", "return np.clip(step, *self.room.T)", "return step"),
+    "a plan is not moved on": ("control/predictive.py", "self.plan = self._moved_on @ self.plan", "pass"),
+    "the calibrated plant is not taken back to its data sheet": (
+        "mismatch/claims.py",
+        "    claims.calibrated = again\n",
+        "",
+    ),
+    "its fit is not taken back to its data sheet": (
+        "mismatch/claims.py",
+        "        claims.fit = again\n    claims",
+        "        pass\n    claims",
+    ),
 }
+
+
+def sources() -> list[Path]:
+    return sorted(p for f in PRODUCT for p in (ROOT / f).rglob("*.py"))
 
 
 def named() -> list[Mutant]:
@@ -169,10 +231,6 @@ class Draw:
         shown = [" ".join(text.split()) for text in (old, new)]
         shown = [text if len(text) <= 60 else text[:57] + "..." for text in shown]
         mutant = Mutant(self.file, start, old, new, f"{self.file}:{line} {what}: {shown[0]} -> {shown[1]}")
-        try:
-            ast.parse(mutant.text(self.source))
-        except SyntaxError:
-            return
         self.found.append(mutant)
 
     def replace(self, node: ast.AST, new: str, what: str) -> None:
@@ -322,14 +380,23 @@ def _called(node: ast.Call) -> str:
 def drawn(count: int, seed: int) -> list[Mutant]:
     """`count` mutants, as many from every area, no two on one line."""
     rng = random.Random(seed)
+    found: dict[str, dict[str, list[Mutant]]] = {area: {} for area in AREAS}
+    for path in sources():
+        file = path.relative_to(ROOT).as_posix()
+        lines = found[max((a for a in AREAS if file.startswith(f"{a}/")), key=len)]
+        for m in Draw(file).found:
+            lines.setdefault(m.name.partition(" ")[0], []).append(m)
     areas = []
-    for pattern in AREAS.values():
-        lines: dict[str, list[Mutant]] = {}
-        for path in sorted(ROOT.glob(pattern)):
-            for m in Draw(path.relative_to(ROOT).as_posix()).found:
-                lines.setdefault(m.name.partition(" ")[0], []).append(m)
+    for lines in found.values():
         shuffled = sorted(lines)
         rng.shuffle(shuffled)
-        areas.append([rng.choice(sorted(lines[line], key=lambda m: m.key)) for line in shuffled])
+        areas.append([rng.choice(sorted(lines[line], key=lambda m: m.key)) for line in shuffled[:count]])
     ranks = max(map(len, areas), default=0)
-    return [area[k] for k in range(ranks) for area in areas if k < len(area)][:count]
+    in_turn = (area[k] for k in range(ranks) for area in areas if k < len(area))
+    return list(islice(filter(_parses, in_turn), count))
+
+
+def _parses(mutant: Mutant) -> bool:
+    with suppress(SyntaxError):
+        return bool(ast.parse(mutant.text((ROOT / mutant.file).read_bytes())))
+    return False

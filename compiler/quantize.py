@@ -31,6 +31,7 @@ from greygate.models.network import Layer, Network
 
 EXACT = 8  # fraction bits up to which a weight counts as exact
 GUARD = 3  # bits by which a product may be finer than its sum
+BETWEEN = 65  # angles at which a loop's gain is asked for, beside those of its poles, where sharp ones are
 AGREED = 9  # decimals of a logarithm on which every LAPACK agrees; it only chooses a number of bits
 
 
@@ -73,12 +74,16 @@ def memory(loops: list[np.ndarray]) -> float:
     """
     if not loops:
         return 1.0
+    pole = float(np.abs(_poles(loops)).max())
+    return 1 / (1 - pole**2) if pole < 1 else math.inf
+
+
+def _poles(loops: list[np.ndarray]) -> np.ndarray:
     depth, n = len(loops), len(loops[0])
     companion = np.zeros((depth * n, depth * n))
     companion[:n] = np.hstack(loops)
     companion[n:, :-n] = np.eye((depth - 1) * n)
-    pole = float(np.abs(np.linalg.eigvals(companion)).max())
-    return 1 / (1 - pole**2) if pole < 1 else math.inf
+    return np.linalg.eigvals(companion)
 
 
 def loop_gain(loops: list[np.ndarray]) -> float:
@@ -90,7 +95,7 @@ def loop_gain(loops: list[np.ndarray]) -> float:
     if all(_exact_bits(w, EXACT) < EXACT for w in loops):
         return 1.0
     size = len(loops[0])
-    turns = np.exp(-1j * np.linspace(0, np.pi, 1025))
+    turns = np.exp(-1j * np.concatenate([np.linspace(0, np.pi, BETWEEN), np.abs(np.angle(_poles(loops)))]))
     returned = sum(w * turns[:, None, None] ** d for d, w in enumerate(loops, 1))
     return max(1.0, float(np.linalg.norm(np.linalg.inv(np.eye(size) - returned), 2, axis=(1, 2)).max()))
 

@@ -173,13 +173,14 @@ class Stepper:
         failed = r.module.run(
             self._now.copy(), held, self._values, self._low, self._high, r.rate, r.step, r.substeps, out
         )
+        self._samples += 1
         if failed >= 0:
+            state = list(self._place)[int(np.flatnonzero(~np.isfinite(out[1]))[0])]
             raise InputError(
-                f"plant {self.plant.name}: a state is not finite at {self._samples * self.sample_time:.6g} s; "
+                f"plant {self.plant.name}: state {state} is not finite at {self._samples * self.sample_time:.6g} s; "
                 "check the controller, or take a smaller step"
             )
         self._now = out[1]
-        self._samples += 1
 
 
 def _inputs(plant: Plant, inputs: Mapping[str, np.ndarray], samples: int | None) -> np.ndarray:

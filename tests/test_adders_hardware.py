@@ -5,10 +5,13 @@ tests/test_pipelined.py has that for the pipelined design.
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from programs import random_codes, random_program
 
+from greygate.compiler.adders import solve
 from greygate.compiler.dataflow import Dataflow
+from greygate.compiler.dataflow.sums import stages
 from greygate.compiler.targets import Design, target
 from greygate.emulator.interpreter import interpret
 from greygate.hardware.verify import Case, Scenario, verify_many
@@ -41,3 +44,26 @@ def test_fewer_adders_in_a_row_take_more_clocks(seed):
     for most in ROWS[1:]:
         for sums in Dataflow(p, Design(adders=most)).sums.values():
             assert sums.clocks == max(1, -(-sums.graph.depth // most))
+
+
+@pytest.mark.parametrize("seed", [0, 6])  # of one the cut from the outputs is the cheaper, of one that from the columns
+def test_of_two_cuts_the_one_that_keeps_fewer_bits_is_made(seed):
+    weights = np.random.default_rng(seed).integers(-60, 60, size=(3, 5))
+    graph = solve(weights, [8] * 5, [0] * 3, [(-128, 127)] * 5)
+    nodes = list(enumerate(graph.nodes, graph.columns))
+    above = [0] * (graph.columns + len(nodes))  # adders between each and the farthest output
+    for k, n in reversed(nodes):
+        for o in (n.left, n.right):
+            above[o] = max(above[o], above[k] + 1)
+    count = -(-graph.depth // 2)
+    early = {k: (level - 1) // 2 for (k, _), level in zip(nodes, graph.levels, strict=True)}
+    late = {k: count - 1 - above[k] // 2 for k, _ in nodes}
+
+    def bits(of) -> int:
+        """Of the sums that a later stage reads."""
+        return sum(
+            graph.width(o) for o in {o for k, n in nodes for o in (n.left, n.right) if o in early and of[o] < of[k]}
+        )
+
+    assert bits(early) != bits(late)
+    assert bits(stages(graph, 2).of) == min(bits(early), bits(late))

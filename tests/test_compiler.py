@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from networks import delay_line, random_inputs, random_network
 
+from greygate.compiler import pipeline
 from greygate.compiler.centre import centre_biases
 from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.compiler.quantize import Formats, loop_gain, memory, quantize
@@ -185,9 +186,46 @@ def test_a_state_that_integrates_gets_fraction_bits_and_the_program_says_why():
     assert loop_gain([np.eye(1)]) == 1  # an exact loop
 
 
+def test_a_state_that_remembers_ten_steps_keeps_its_rounding_under_half_a_step_of_the_word():
+    network = Network("slow", [Port("u")], [Port("y")])
+    network.add("sum", Layer({"u": [[1 / 16]], "own": [[15 / 16]]}, [0.0]))  # short weights: what errs is the rounding
+    network.connect("u", "sum.u")
+    network.connect("sum", "sum.own", 1)
+    network.connect("sum", "y")
+    rng = np.random.default_rng(0)
+    inputs = {"u": np.round(rng.uniform(-0.9, 0.9, 4000) * 2.0**9) / 2.0**9}
+    record = Record(inputs, network.run(inputs))
+    found = ranges(network, [record])
+    program = quantize(network, found, Formats(12))
+    step = 2.0 ** -(11 - math.ceil(math.log2(1.25 * found["sum"].magnitude)))
+    assert 0.25 * step < fixed_error(program, record)["y"].std() < 0.5 * step
+
+
 def test_weights_in_a_loop_get_bits_for_its_worst_frequency():
     assert loop_gain([np.array([[0.9]])]) == pytest.approx(10)
     assert loop_gain([np.zeros((1, 1)), np.array([[-0.99]])]) == pytest.approx(100, rel=1e-3)  # resonance, not DC
+
+
+@pytest.mark.parametrize(("radius", "angle"), [(0.99, 0.7), (0.9999, 2.0), (0.9, 0.1)])
+def test_the_gain_of_a_loop_is_that_of_its_resonance_however_sharp(radius, angle):
+    loops = [np.array([[2 * radius * math.cos(angle)]]), np.array([[-(radius**2)]])]
+    near = np.exp(-1j * (angle + np.linspace(-0.1, 0.1, 100_001)))
+    answers = np.abs(1 - loops[0][0, 0] * near - loops[1][0, 0] * near**2)
+    assert loop_gain(loops) == pytest.approx(1 / answers.min(), rel=0.02)
+
+
+def test_products_far_below_their_sum_err_by_half_a_step_of_it_at_most():
+    small = np.random.default_rng(0).uniform(0.1, 0.2, (1, 8)) * 2.0**-6  # 12 bits hold them finer than the sum shows
+    network = Network("both", [Port("u"), Port("v", size=8)], [Port("y")])
+    network.add("sum", Layer({"u": [[1.0]], "v": small}, [0.0]))
+    for source, target in (("u", "sum.u"), ("v", "sum.v"), ("sum", "y")):
+        network.connect(source, target)
+    signs = np.array(list(product((-1.0, 1.0), repeat=9)))
+    inputs = {"u": 0.5 * signs[:, 0], "v": 0.9375 * signs[:, 1:]}
+    record = Record(inputs, network.run(inputs))
+    program = quantize(network, ranges(network, [record]), Formats(12))
+    lsb = program.signals["sum"].fix.lsb
+    assert np.abs(fixed_error(program, record)["y"]).max() < lsb  # half of it is the sum's own rounding
 
 
 @pytest.mark.parametrize("activation", ["hardlims", "tansig"])
@@ -421,6 +459,17 @@ def test_centring_leaves_an_exact_difference_alone():
     assert program.signals["u"].fix.lsb == lsb
     equal = {"u": np.repeat(np.linspace(-0.9, 0.9, 19)[:, None], 2, axis=1)}
     np.testing.assert_array_equal(interpret(program, program.encode(equal)).outputs, 0)
+
+
+def test_a_simplification_that_moves_an_output_by_a_millionth_stops_the_compiler(monkeypatch):
+    def nearly(network: Network) -> Network:
+        (name,) = (n for n in network.parameters() if n.endswith(".u"))
+        return network.with_parameters({name: network.parameters()[name] * (1 + 1e-6)})
+
+    monkeypatch.setattr(pipeline, "SIMPLIFICATIONS", (*pipeline.SIMPLIFICATIONS, nearly))
+    network, u = summing(np.ones(1)), np.linspace(-1.0, 1.0, 50)[:, None]
+    with pytest.raises(AssertionError, match="nearly changed the outputs of summing by 1e-06"):
+        compile_network(network, {"run": Record({"u": u}, network.run({"u": u}))}, Formats(12))
 
 
 def test_an_output_that_is_always_zero_compiles():

@@ -158,6 +158,18 @@ def test_predictive_control_tracks_within_the_limits_of_input_and_rate():
     assert np.abs(done.error[-5:]).max() < 1e-3
 
 
+def test_the_next_program_begins_with_what_is_left_of_the_plan():
+    predictive = Predictive(Prediction(lag(), "u", np.eye(12)), Aim("y", 1e-3, 1e-4), LIMITS)
+    planned = []
+    solve = predictive._solve
+    predictive._solve = lambda *given: (solve(*given), planned.append(predictive.plan))
+    reference = 0.3 * np.sin(np.arange(12) / 3)
+    for _ in range(2):
+        predictive({"memory": np.zeros((1, 1))}, reference)
+        np.testing.assert_allclose(predictive.plan, [*planned[-1][1:], planned[-1][-1]], atol=1e-12)
+    assert np.ptp(planned[0]) > 0.1
+
+
 def test_limits_of_an_output_hold_where_they_can_and_yield_where_they_cannot():
     reference = np.full(150, 0.5)
     bounded = replace(LIMITS, outputs={"y": (-0.3, 0.3)})

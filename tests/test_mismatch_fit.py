@@ -198,6 +198,15 @@ def test_a_bound_holds(folder):
     assert fit.values["stiffness"] == 60.0
 
 
+@pytest.mark.parametrize(("low", "high"), [(0.0, 60.0), (200.0, 300.0)])
+def test_no_run_is_made_beyond_a_bound_not_even_for_a_slope(folder, low, high):
+    p, tried = likelihood(folder, None), []
+    errors = p.errors
+    p.errors = lambda values, shifts: (tried.append(values["stiffness"]), errors(values, shifts))[1]
+    p.fit([*unknowns(spring=False), Unknown("stiffness", 0.0, 50.0, np.inf, low, high)])
+    assert low <= min(tried) < max(tried) <= high
+
+
 def test_the_data_sheet_holds_a_parameter_that_the_recording_does_not_tell(folder):
     p = likelihood(folder, None)
     little = Unknown("stiffness", TRUE["stiffness"], 1e-9, 1.0)  # of that size the recording says nothing
@@ -400,6 +409,23 @@ def test_intervals_hold_the_truth_where_errors_hang_together_too(folder):
         fit = p.fit(unknowns())
         scores.append([(fit.values[s] - TRUE[s]) / fit.deviation(s) for s in TRUE])
     assert np.mean(np.abs(scores) < 1.96) > 0.8
+
+
+def test_intervals_from_few_windows_are_as_wide_as_those_from_many():
+    """Errors that last a window, and eight windows that weigh alike: the variance is right in the mean over draws."""
+    windows, rows, rng = 8, 20, np.random.default_rng(5)
+    signs = np.array([[(-1) ** (w >> bit & 1) for bit in range(3)] for w in range(windows)])
+    slopes = np.repeat(signs[:, None, :], rows, axis=1).astype(float)
+    told = []
+    for _ in range(300):
+        drawn = rng.standard_normal(windows)
+        step = -drawn @ signs / windows
+        left = np.repeat((drawn + signs @ step)[:, None], rows, axis=1)
+        asked = tuple(Unknown(name, 0.0, 1.0) for name in "abc")
+        fit = Fit(SimpleNamespace(), asked, {}, step, np.zeros((windows, 0)), left, np.zeros(3), 0.0, True, np.ones(1))
+        fit.__dict__.update(slopes=slopes, projected=left)
+        told.append(np.diag(fit.covariance))
+    assert np.mean(told) == pytest.approx(1 / windows, rel=0.1)
 
 
 def test_a_run_restarts_where_a_sensor_that_reads_wrong_showed_the_state_to_be(folder):

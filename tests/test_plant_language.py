@@ -80,6 +80,18 @@ def test_three_bodies_of_which_two_are_coupled():
     )
 
 
+@pytest.mark.parametrize("coupled", ["first", "second"])
+def test_a_rate_that_acts_on_another_equation_and_not_back_counts_there(coupled):
+    """2 dx/dt + dz/dt / 2 = u and dz/dt = 3 u, the coupled one written before or after the other."""
+    both = {"one": {"x": {"storage": "2", "couples": {"z": "0.5"}, "push": "u"}}, "other": {"z": {"push": "3 * u"}}}
+    equations = dict(sorted(both.items(), reverse=coupled == "second"))
+    states = {"x": {"unit": "m"}, "z": {"unit": "m"}}
+    plant = Plant.of("one_sided", {"outputs": ["x", "z"], "inputs": {"u": "N"}, "states": states,
+                                   "equations": equations})  # fmt: skip
+    run = simulate(plant, {"u": np.ones(1001)})
+    np.testing.assert_allclose([run["x"][-1], run["z"][-1]], [-0.25, 3.0], atol=1e-9)
+
+
 @pytest.mark.parametrize(("couples", "message"), [({"z": "1"}, "'z' is no other state"), ({"q": "k"}, "unknown name")])
 def test_a_wrong_couple_is_refused(couples, message):
     equations = DOUBLE["equations"] | {"shoulder": {"p": {"storage": "1", "couples": couples}}}

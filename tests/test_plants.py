@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from greygate.errors import InputError
 from greygate.plants import Definition, Equation, Parameter, Plant, State, simulate
-from greygate.plants.simulate import Restarted, _module, source
+from greygate.plants.simulate import Restarted, Stepper, _module, source
 
 PARAMETERS = {"mass": Parameter(2.0, "kg", 0.1, "of the slide"), "stiffness": Parameter(50.0, "N/m")}
 
@@ -250,6 +250,11 @@ def test_a_run_ends_at_the_sample_at_which_a_state_leaves_the_finite_numbers():
     free = Restarted(plant, 1e-3, 1e-4)
     states = free.run(u[:, None], np.array([0]), np.zeros((1, 1)), np.array([True]), {})
     np.testing.assert_array_equal(states[:, 0], [0, 0, 0, 0, *[np.nan] * 4])
+    under_way = Stepper(plant)
+    for value in u[:3]:
+        under_way.step({"u": value})
+    with pytest.raises(InputError, match=r"state x is not finite at 0\.004 s"):
+        under_way.step({"u": u[3]})
 
 
 def test_terms_that_are_off_cost_nothing_and_count_when_they_come_on():

@@ -18,6 +18,7 @@ from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training import objective as objective_module
 from greygate.models.training.levenberg import Outcome, multistart, narx_noe, train
+from greygate.models.training.loss import Loss
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 
@@ -225,6 +226,23 @@ def test_decay_acts_on_the_module_it_names():
         train(loop(), [record], decay={"s2": 1.0})
 
 
+def test_decay_is_that_of_the_longest_name_that_fits_and_of_whole_names_alone():
+    network = Network("two", [Port("u")], [Port("y")])
+    network.add("a", Layer({"u": [[1.0]]}, [0.0]))
+    network.add("ab", Layer({"a": [[1.0]]}, [0.0]))
+    for source, target in (("u", "a.u"), ("a", "ab.a"), ("ab", "y")):
+        network.connect(source, target)
+    objective = Objective(network, [excited(network)])
+
+    def found(decay) -> dict:
+        diagonal = Loss(objective, network, decay, {}).decay
+        return {name: diagonal[columns].item() for name, columns in objective.slices().items()}
+
+    assert found({"a": 1.0}) == {"a.u": 1.0, "a.bias": 1.0, "ab.a": 0.0, "ab.bias": 0.0}
+    for decay in ({"a": 1.0, "a.u": 2.0}, {"a.u": 2.0, "a": 1.0}):
+        assert found(decay) == {"a.u": 2.0, "a.bias": 1.0, "ab.a": 0.0, "ab.bias": 0.0}
+
+
 def test_the_tail_of_a_record_is_not_trained_on_and_decides_when_to_stop():
     rng = np.random.default_rng(1)
     x = np.sort(rng.uniform(-1, 1, 60))[rng.permutation(60)]
@@ -428,6 +446,10 @@ def test_held_out_records_are_judged_from_their_own_start_and_tails_from_that_of
     assert min(fit.held) < 1e-15
     tail = train(loop(0.9, 1.0), [moving], epochs=20, estimate_initial=True, tail=0.5, tolerance=0.0)
     assert min(tail.held) < 1e-15
+    both = train(
+        loop(0.9, 1.0), [moving], epochs=20, estimate_initial=True, tail=0.5, held=[resting] * 2, tolerance=0.0
+    )
+    assert min(both.held) < 1e-15
 
 
 def test_ties_that_share_a_member_hold_in_any_order_and_fixed_members_are_refused():
