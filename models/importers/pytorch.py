@@ -234,7 +234,8 @@ class _Trial:
 
     def stepped(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(steps, outputs at these) of a module that takes one step at a time, its states fed on."""
-        module, states, rows, before = copy.deepcopy(self.module), self.starts, [], None
+        module, states, rows = copy.deepcopy(self.module), self.starts, []
+        before: dict[str, Any] = {}
         for row in x:
             y, *states = _results(self._called(module, _tensor(row, row.shape), states))
             rows.append(_array(y))
@@ -298,7 +299,7 @@ def _attributes(module: "torch.nn.Module") -> dict[str, Any]:
     """What the parts of a module hold besides parameters and buffers, in a form that can be compared."""
     import torch
 
-    own, seen = set(vars(torch.nn.Module())), {}
+    own, seen = set(vars(torch.nn.Module())), dict[int, Any]()
     return {
         f"{path}.{key}".lstrip("."): _content(found, seen)
         for path, part in module.named_modules()
@@ -335,7 +336,8 @@ class _Walk:
     def __init__(self, builder: Builder, trial: _Trial):
         import torch
 
-        self.builder, self.trial, self.node = builder, trial, None
+        self.builder, self.trial = builder, trial
+        self.node: Any = None
         own = copy.deepcopy(trial.module)
         given = (trial.x.clone(), *(s.clone() for s in trial.starts))
         try:
@@ -460,10 +462,8 @@ class _Walk:
         width = {s: w.shape[1] for v in signals for s, w in v.weights.items()}
         weights: list[dict] = [{} for _ in whole]
         for signal, n in width.items():
-            columns = [
-                results(lambda v, j=j, s=signal: v.weights[s][:, j] if s in v.weights else np.zeros(v.size), linear)
-                for j in range(n)
-            ]
+            parts = [{id(v): v.weights.get(signal, np.zeros((v.size, n)))[:, j] for v in signals} for j in range(n)]
+            columns = [results(lambda v, of=part: of[id(v)], linear) for part in parts]  # type: ignore[misc]
             for k, before in enumerate(zero):
                 weights[k][signal] = np.stack([(c[k] - before).ravel() for c in columns], 1)
         values = [Value(y.shape, y.ravel(), w) for y, w in zip(whole, weights, strict=True)]
@@ -569,7 +569,8 @@ def _chosen(walk: _Walk, condition: Value, above: Any, below: Any) -> Value:
     """`above` where the condition is 0 or more, else `below`."""
     values = [condition, _value(above), _value(below)]
     shape = np.broadcast_shapes(*(v.shape for v in values))
-    return walk.builder.selected(*(v.moved(lambda i: np.broadcast_to(i, shape)) for v in values), walk.hint())
+    chosen, one, other = (v.moved(lambda i: np.broadcast_to(i, shape)) for v in values)
+    return walk.builder.selected(chosen, one, other, walk.hint())
 
 
 def _less(walk: _Walk, a: Any, b: Any) -> Value:
@@ -622,15 +623,16 @@ def _minimum(walk: _Walk, a: Any, b: Any) -> Value:
 def _clamp(walk: _Walk, x: Value, low: Any = None, high: Any = None, **options: Any) -> Value:
     """Limits are numbers, arrays or signals; one that is infinite is none."""
     given = [options.get("min", low), options.get("max", high)]
-    limits = [None if v is None else v if isinstance(v, Value) else _value(v).constant for v in given]
-    limits = [None if isinstance(v, np.ndarray) and np.isinf(v).all() else v for v in limits]
-    if not any(isinstance(v, Value) for v in limits):
-        if any(v is not None and not np.isfinite(v).all() for v in limits):
+    limits = [None if v is None else _value(v) for v in given]
+    limits = [None if v is None or (not v.weights and np.isinf(v.bias).all()) else v for v in limits]
+    fixed = [None if v is None else v.constant for v in limits]
+    if not any(v is not None and v.weights for v in limits):
+        if any(v is not None and not np.isfinite(v).all() for v in fixed):
             raise InputError("some of its limits are not finite; give finite ones")
         ports = [*walk.builder.inputs, *walk.builder.outputs]
         widest = FAR * max(max(p.scale, abs(p.offset)) for p in ports)
-        if all(v is None or np.abs(v).max() <= widest for v in limits):
-            return walk.builder.clipped(x, *limits, walk.hint())
+        if all(v is None or np.abs(v).max() <= widest for v in fixed):
+            return walk.builder.clipped(x, fixed[0], fixed[1], walk.hint())
     for limit, how in zip(limits, (_maximum, _minimum), strict=True):
         x = x if limit is None else how(walk, x, limit)
     return x
@@ -679,7 +681,7 @@ def _halves(walk: _Walk, x: Value, dim: int = -1) -> Value:
     return _gated(walk, *x.parts([x.shape[dim] // 2] * 2, dim))
 
 
-def _normed(walk: _Walk, x: Value, w: Any, b: Any, mean: Any, var: Any, *rest: Any) -> list[Value | None]:
+def _normed(walk: _Walk, x: Value, w: Any, b: Any, mean: Any, var: Any, *rest: Any) -> list:
     """By fixed statistics for each channel, which is axis 1."""
     shape = (-1, *[1] * (len(x.shape) - 2))
     center, spread = (walk.fixed(v).reshape(shape) for v in (mean, var))
@@ -717,7 +719,8 @@ def _layers(kind: str, count: int) -> Callable:
         steps = [taken(x, k, 0) for k in range(x.shape[0])]
         if walk.trial.sequence and len(steps) != 1:
             raise InputError(f"it takes {len(steps)} steps of one step of the sequence; keep the axis of the steps")
-        each, ends = len(flat) // layers, [[] for _ in states]
+        each = len(flat) // layers
+        ends: list[list[Value]] = [[] for _ in states]
         for k in range(layers):
             w = [walk.fixed(v) for v in flat[each * k : each * (k + 1)]]
             hint, names = f"{walk.hint()}_{k}" if layers > 1 else walk.hint(), []

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 
 from greygate.errors import InputError, shown
-from greygate.models.importers.builder import Builder, Value, constant
+from greygate.models.importers.builder import Builder, Number, Value, constant
 from greygate.models.network import Network, Port
 
 ROUNDINGS: Mapping[str, tuple[str, Callable]] = {
@@ -69,8 +69,8 @@ class Declaring(Builder):
         self.steps.append(Step(name, "quant", value, form))
         return Value(value.shape, np.zeros(value.size), {(name, 0): np.eye(value.size)})
 
-    def rectified(self, value: Value, slope: float = 0.0, hint: str = "relu") -> Value:
-        if slope:
+    def rectified(self, value: Value, slope: Number = 0.0, hint: str = "relu") -> Value:
+        if np.any(slope):
             _cannot(hint)
         return self._noted("relu", value, super().rectified(value, 0.0, hint))
 
@@ -79,7 +79,7 @@ class Declaring(Builder):
             _cannot(hint)
         return self._noted(activation, value, super().activated(value, activation, hint))
 
-    def clipped(self, value: Value, low: float | None, high: float | None, hint: str = "clip") -> Value:
+    def clipped(self, value: Value, low: Number | None, high: Number | None, hint: str = "clip") -> Value:
         _cannot(hint)
 
     def state(self, hint: str, initial: np.ndarray) -> tuple[str, Value]:
