@@ -59,7 +59,6 @@ def called(folder: Path, *words: object) -> subprocess.CompletedProcess[str]:
         "look {given}/r.mat --unit u=V --unit y=m",
         "identify {given}/a.csv --input u --output y --seconds 3 --jobs 2 --out found",
         "diagnose {given}/fast {given}/clean --jobs 2",
-        "compile {given}/line.toml --record {given}/a.csv --device up5k --max-error 5% --jobs 2 --out built",
         "verify built",
     ],
 )

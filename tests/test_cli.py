@@ -549,3 +549,19 @@ def test_a_command_loads_only_what_it_needs():
     heavy = "{'numba', 'scipy', 'torch', 'plotly'} & set(sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", f"import greygate.cli, sys; print({heavy})"], capture_output=True)
     assert loaded.stdout == b"set()\n"
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_a_signal_that_a_library_turns_into_an_error_of_its_own_is_no_traceback(number, code, monkeypatch, capsys):
+    def compiling(**_):
+        try:
+            os.kill(os.getpid(), number)
+            time.sleep(1)
+        except BaseException as error:
+            raise RuntimeError("lowering failed") from error
+
+    monkeypatch.setattr(cli, "app", compiling)
+    with pytest.raises(SystemExit) as ended:
+        cli.run()
+    assert ended.value.code == code
+    assert "lowering" not in capsys.readouterr().err

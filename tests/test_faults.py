@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +19,9 @@ from networks import delay_line
 from greygate import explain, files, project, reporting, training
 from greygate.compiler.quantize import Formats
 from greygate.compiler.targets import Design
+from greygate.exporting import fmu
 from greygate.hardware.verify import Comparison, Verification
+from greygate.identifying import files as identifying
 from greygate.models.network import Network
 from greygate.models.training.checkpoint import Checkpoint
 from greygate.models.training.levenberg import Outcome, Trained
@@ -219,3 +222,38 @@ def test_diagnose_leaves_each_file_old_or_new(tmp_path, monkeypatch):
     target = [root / "d.json", root / "d.html"]
     arguments = ["diagnose", tmp_path, "--out", target[0], "--html", target[1]]
     tried(Command(arguments, root, target, together=False))
+
+
+def test_identify_leaves_no_folder_or_the_whole_one(line, tmp_path, monkeypatch):
+    told = {"better_than_mean": True, "test": {}, "settle": 0}
+    monkeypatch.setattr(identifying, "identify", lambda *a, **o: SimpleNamespace(network=delay_line()))
+    monkeypatch.setattr(identifying, "figures", lambda found: told)
+    monkeypatch.setattr(identifying, "lines", lambda found: [])
+    root = tmp_path / "here"
+    root.mkdir()
+    words = ["identify", tmp_path / "a.csv", "--input", "u", "--output", "y", "--out", root / "found"]
+    tried(Command(words, root, [root / "found"]))
+
+
+def test_diagnose_leaves_the_files_of_each_of_several_rigs_old_or_new(tmp_path, monkeypatch):
+    made = explain.Explained({"verdict": "clean"}, ["clean"], "<html>new</html>")
+    monkeypatch.setattr(explain, "_attempt", lambda *a: made)
+    root = tmp_path / "pages"
+    root.mkdir()
+    (root / "one.json").write_text(json.dumps({"verdict": "old"}))
+    words = ["diagnose", tmp_path / "one", tmp_path / "two", "--out", root, "--jobs", 1]
+    tried(Command(words, root, [root], together=False))
+
+
+def test_export_leaves_the_old_fmu_or_the_new_one(built, tmp_path, monkeypatch):
+    monkeypatch.setattr(fmu, "_library", lambda *a: (b"library", "binaries/x86_64-linux/line.so"))
+    root = tmp_path / "out"
+    root.mkdir()
+    (root / "line.fmu").write_text("old")
+    tried(Command(["export", "fmu", built, "--out", root / "line.fmu"], root, [root / "line.fmu"]))
+
+
+def test_board_leaves_no_folder_or_the_whole_one(built, tmp_path):
+    root = tmp_path / "out"
+    root.mkdir()
+    tried(Command(["board", "icebreaker", built, "--out", root / "board"], root, [root / "board"]))
