@@ -100,7 +100,7 @@ faults: $(VENV)/.ready-dev
 	GREYGATE_FAULTS=all $(BIN)/python -m pytest tests/test_faults.py -s
 
 mutants: $(VENV)/.ready-dev | tools
-	$(BIN)/python benchmarks/mutants.py --jobs 2 --out build/mutants.jsonl --report benchmarks/results/mutants.json
+	$(BIN)/python benchmarks/mutants.py --jobs 2 --count 120 --out build/mutants.jsonl --report benchmarks/results/mutants.json
 
 # An hour: concealed effects by the hundred, and the measured rigs.
 bench-diagnosis: $(VENV)/.ready-dev

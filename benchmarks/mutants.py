@@ -35,7 +35,7 @@ from made import stamp
 from mutations import ROOT, TEMPLATES, Mutant, drawn, named, sources
 
 SKIPPED = (".git", ".venv", ".*_cache", ".hypothesis", "__pycache__", "*.egg-info")
-PART = 60.0  # s of test files that run in one process
+PART = 60.0  # s of tests that run in one process
 SLOW = 3.0  # times the usual duration kill a mutant
 SLACK = 60.0  # s beside that, in which numba compiles anew
 WANTED = 0.92  # share of mutants that must be killed
@@ -89,8 +89,9 @@ with open(os.environ["GREYGATE_ASKED"]) as file:
     ASKED = json.load(file)
 TOLD = {"failed": [], "seconds": {}, "fixtures": {}}
 def pytest_collection_modifyitems(config, items):
-    wanted, left_out = set(ASKED["wanted"] or ()), set(ASKED["left_out"])
-    items[:] = [i for i in items if i.nodeid not in left_out and (i.nodeid in wanted or ASKED["wanted"] is None)]
+    if ASKED["wanted"] is not None:
+        place = {name: k for k, name in enumerate(ASKED["wanted"])}
+        items[:] = sorted((i for i in items if i.nodeid in place), key=lambda i: place[i.nodeid])
     TOLD["fixtures"] = {i.nodeid: list(i.fixturenames) for i in items}
 def forget():
     for module in list(sys.modules.values()):
@@ -169,7 +170,7 @@ class Bench:
         """
         told, asked = self.work / f"told-{tree.name}.json", self.work / f"asked-{tree.name}.json"
         told.unlink(missing_ok=True)
-        asked.write_text(json.dumps({"wanted": wanted, "left_out": self.left_out, "told": str(told)}))
+        asked.write_text(json.dumps({"wanted": wanted, "told": str(told)}))
         environment = os.environ | {
             "GREYGATE_TREE": str(tree),
             "GREYGATE_ASKED": str(asked),
@@ -290,19 +291,16 @@ class Reach:
         return found | {name for name in self.seconds if name.partition("::")[0] in near}
 
     def parts(self, mutant: Mutant) -> list[list[str]]:
-        """These tests in portions, file by file, the nearest and quickest files first."""
+        """These tests in portions: the nearest and quickest files first, and of each the quickest tests."""
         near, files = nearness(mutant.file), {}
-        reached = self.of(mutant)
-        for name in self.seconds:
-            if name in reached:
-                files.setdefault(name.partition("::")[0], []).append(name)
-        found, full = [[]], 0.0
+        for name in sorted(self.of(mutant), key=lambda n: (self.seconds[n], n)):
+            files.setdefault(name.partition("::")[0], []).append(name)
+        found = [[]]
         for file in sorted(files, key=lambda f: (near[f], self.takes(files[f]))):
-            if found[-1] and full + self.takes(files[file]) > PART:
-                found.append([])
-                full = 0.0
-            found[-1] += files[file]
-            full += self.takes(files[file])
+            for name in files[file]:
+                if found[-1] and self.takes([*found[-1], name]) > PART:
+                    found.append([])
+                found[-1].append(name)
         return found
 
     def takes(self, names: list[str]) -> float:
