@@ -192,6 +192,13 @@ def test_initial_values_are_of_states_that_there_are(tmp_path):
     assert "holds no numbers" in refusal(case.model, tmp_path, **given, initial={"initial_h": "off"})
 
 
+def test_a_split_that_leaves_nothing_is_refused(tmp_path):
+    said = refusal(one("Split", [1, 3], opset=17, outputs=3, axis=0), tmp_path)
+    assert "operation Split: splits 1 numbers into 1, 1, 1" in said
+    said = refusal(one("Slice", [1, 3], i(1), i(1), i(1), opset=18), tmp_path)
+    assert "has no numbers" in said or "name a port for each" in said
+
+
 def test_an_input_that_is_not_of_floats_is_refused(tmp_path):
     model = built([helper.make_node("Add", ["x", "x"], ["y"])], {"x": [3]}, ["y"], kind=TensorProto.INT64)
     assert "x is of INT64" in refusal(model, tmp_path)

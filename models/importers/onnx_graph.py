@@ -128,6 +128,8 @@ def _built(
         raise InputError(f"{path}: output {missing[0]} is of an operation that gives it only in training; leave it out")
     results = {n: signal(values[n]) for n in names[1]}
     left = list(builder.outputs)
+    if empty := [n for n in names[1] if not results[n].size]:
+        raise InputError(f"{path}: output {empty[0]} has no numbers; leave it out")
     for n in free[1]:
         tensors[1].append(Tensor(n, axes[n], first(left, results[n].size, f"{path}: output {n}")))
         builder.output(tensors[1][-1].ports, results[n])
@@ -338,6 +340,8 @@ def _slice(walk: _Walk, x: Value, *rest: Value | None) -> Value:
 def _split(walk: _Walk, x: Value, sizes: Value | None = None, axis: int = 0, num_outputs: int = 0) -> list[Value]:
     parts = num_outputs or len(walk.node.output)
     lengths = walk.whole(sizes, "the sizes") if sizes is not None else [-(-x.shape[axis] // parts)] * parts
+    if sum(lengths) != x.shape[axis] and not num_outputs:
+        raise walk.refused(f"splits {x.shape[axis]} numbers into {', '.join(map(str, lengths))}")
     return x.parts(lengths, axis)
 
 
