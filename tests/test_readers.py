@@ -4,6 +4,8 @@ import base64
 import gzip
 import json
 import re
+import subprocess
+import sys
 
 import h5py
 import numpy as np
@@ -13,7 +15,7 @@ from scipy.io import savemat
 from test_cli import greygate
 
 from greygate.errors import InputError
-from greygate.plants.readers.read import read_recording
+from greygate.plants.readers.read import read_channels, read_recording
 from greygate.plants.readers.units import converted, split
 
 DT, N = 1e-3, 50
@@ -282,3 +284,243 @@ def test_values_whose_powers_leave_float64_are_refused_where_a_recording_is_read
         with pytest.raises(InputError, match=r"channel y goes from .* beyond any quantity"):
             read_recording(tmp_path / "r.csv")
     assert read_recording({"t": [0.0, 1.0, 2.0], "y [m]": [0.0, 1e-29, 1e-300]})["y"][2] == 1e-300
+
+
+# -- what a file asks for beyond its numbers -------------------------------------------------------------------------
+
+
+def mdf_formula(path, version, formula):
+    """An MDF file whose channel has a formula, as text that no writer would let through."""
+    from asammdf import MDF, Signal
+
+    with MDF(version=version) as file:
+        mark = "X1+" + "1" * 200
+        file.append([Signal(np.arange(5.0), DT * np.arange(5), name="u", unit="V", conversion={"formula": mark})])
+        saved = file.save(path.with_suffix(".mf4" if version > "4" else ".mdf"), overwrite=True)
+    data = saved.read_bytes()
+    at = data.rindex(b"1" * 200) - (3 if version > "4" else 4)
+    saved.write_bytes(data[:at] + formula.encode().ljust(200, b" ") + data[at + 200 :])
+    saved.rename(path)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(("name", "version"), [("a.mf4", "4.10"), ("a.mdf", "3.30"), ("a.dat", "3.30")])
+def test_a_formula_in_a_measurement_runs_nothing_and_is_refused_by_the_name_of_its_channel(name, version, tmp_path):
+    ran = tmp_path / "ran"
+    mdf_formula(tmp_path / name, version, f"X1+__import__('os').system('touch {ran}')+")
+    with pytest.raises(InputError, match="'u': its conversion is a formula that is not read"):
+        read_recording(tmp_path / name)
+    assert not ran.exists()
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_conversions_of_a_measurement_give_the_numbers_that_they_stand_for(tmp_path):
+    from asammdf import MDF, Signal
+
+    told = {
+        "linear": ({"a": 2.0, "b": 1.0}, lambda x: x * 2.0 + 1.0),
+        "rational": (
+            {"P1": 1, "P2": 1, "P3": 2, "P4": 0, "P5": 1, "P6": 4},
+            lambda x: (x**2 + x + 2) / (0.0 * x**2 + x + 4),
+        ),
+        "formula": ({"formula": "2 * X1 + sqrt(X1)"}, lambda x: 2 * x + np.sqrt(x)),
+        "table": ({"raw_0": 0, "phys_0": 5, "raw_1": 10, "phys_1": 7}, lambda x: np.where(x > 5, 7.0, 5.0)),
+        "interpolated": (
+            {"raw_0": 0, "phys_0": 5, "raw_1": 10, "phys_1": 7, "interpolation": True},
+            lambda x: np.interp(x, [0, 10], [5, 7]),
+        ),
+        "ranges": (
+            {"lower_0": 1, "upper_0": 3, "phys_0": 8, "lower_1": 4, "upper_1": 6, "phys_1": 9, "default": -1},
+            lambda x: np.where((x >= 1) & (x <= 3), 8.0, np.where((x >= 4) & (x <= 6), 9.0, -1.0)),
+        ),
+        "words": ({"val_0": 0, "text_0": b"off", "val_1": 1, "text_1": b"on"}, None),
+    }
+    raw = np.arange(20, dtype="u2")
+    with MDF(version="4.10") as file:
+        signals = [Signal(raw, DT * np.arange(20), name=n, unit="V", conversion=c) for n, (c, _) in told.items()]
+        file.append(signals)
+        file.save(tmp_path / "a.mf4")
+    found = read_recording(tmp_path / "a.mf4")
+    expected = {n: f(raw.astype(float)).tolist() for n, (_, f) in told.items() if f}
+    assert {n: v.tolist() for n, v in found.channels.items()} == expected
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_samples_that_are_flagged_invalid_are_left_out(tmp_path):
+    from asammdf import MDF, Signal
+
+    bad = np.arange(N) == 7
+    with MDF(version="4.10") as file:
+        file.append([Signal(VALUES["x"], TIME, name="x", unit="m", invalidation_bits=bad)])
+        file.save(tmp_path / "a.mf4")
+    (found,) = read_channels(tmp_path / "a.mf4")
+    assert found.values.tolist() == VALUES["x"][~bad].tolist()
+    assert found.time.tolist() == TIME[~bad].tolist()
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_channels_over_an_angle_are_no_recording_over_time(tmp_path):
+    from asammdf import MDF, Signal
+
+    with MDF(version="4.10") as file:
+        file.append([Signal(VALUES["x"], TIME, name="x", unit="m", master_metadata=("phi", 2))])
+        file.save(tmp_path / "a.mf4")
+    with pytest.raises(InputError, match="'phi': the channels beside it are over an angle, not time"):
+        read_recording(tmp_path / "a.mf4")
+
+
+def test_waveforms_that_start_apart_stay_apart(tmp_path):
+    from nptdms import ChannelObject, TdmsWriter
+
+    begin = np.datetime64("2026-01-01T00:00:00.000000")
+    with TdmsWriter(tmp_path / "a.tdms") as writer:
+        writer.write_segment(
+            [
+                ChannelObject(
+                    "run", n, VALUES[n], {"wf_increment": DT, "wf_start_time": start, "unit_string": UNITS[n]}
+                )
+                for n, start in {"v_c": begin, "x": begin + np.timedelta64(20, "ms")}.items()
+            ]
+        )
+    first, second = read_channels(tmp_path / "a.tdms")
+    assert (first.time[0], second.time[0]) == (0.0, pytest.approx(0.02, abs=1e-9))
+    with pytest.raises(InputError, match="different times"):
+        read_recording(tmp_path / "a.tdms")
+
+
+def test_times_since_an_epoch_keep_the_grid_of_their_samples(tmp_path):
+    import pyarrow
+    import pyarrow.parquet
+    from mcap.writer import Writer
+
+    stamps = 1_790_000_000_000_000_000 + 100_000 * np.arange(N)
+    with open(tmp_path / "a.mcap", "wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/rig", "json", writer.register_schema("sample", "jsonschema", b"{}"))
+        for at in stamps.tolist():
+            writer.add_message(channel, at, b'{"x_m": 1.0}', at)
+        writer.finish()
+    columns = {"t [ns]": stamps, "x [m]": VALUES["x"]}
+    pyarrow.parquet.write_table(pyarrow.table(columns), tmp_path / "a.parquet")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["time"], file["x_m"] = stamps // 1000, VALUES["x"]
+        file["time"].attrs["units"] = "microseconds since 1970-01-01"
+    for name in ("a.mcap", "a.parquet", "a.h5"):
+        assert read_recording(tmp_path / name).dt == 1e-4
+
+
+def test_packed_and_missing_values_of_netcdf_are_what_its_attributes_say(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["t"] = TIME
+        stored = file.create_dataset("p", data=np.arange(N, dtype="i2"))
+        stored.attrs.update({"scale_factor": 0.5, "add_offset": 10.0, "units": "Pa", "_FillValue": np.int16(-1)})
+    assert read_recording(tmp_path / "a.h5")["p"].tolist() == (np.arange(N) * 0.5 + 10.0).tolist()
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        file["p"][9] = -1
+    with pytest.raises(InputError, match="sample 9 has the value nan"):
+        read_recording(tmp_path / "a.h5")
+
+
+def test_complex_numbers_are_refused_by_name(tmp_path):
+    values = np.exp(1j * TIME)
+    savemat(tmp_path / "a.mat", {"t": TIME, "z_V": values})
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["t"], file["z_V"] = TIME, values
+    for name in ("a.mat", "a.h5"):
+        with pytest.raises(InputError, match="z_V: holds complex numbers"):
+            read_recording(tmp_path / name)
+
+
+def _external(file, secret):
+    file.create_dataset("x_m", (N,), "f8", external=[(str(secret), 0, 8 * N)])
+
+
+def _virtual(file, secret):
+    layout = h5py.VirtualLayout((N,), "f8")
+    layout[:] = h5py.VirtualSource(str(secret), "x", (N,))
+    file.create_virtual_dataset("x_m", layout)
+
+
+def _linked(file, secret):
+    file["x_m"] = h5py.ExternalLink(str(secret), "x")
+
+
+def _softly(file, secret):
+    file["deep/out"] = h5py.ExternalLink(str(secret), "/")
+    file["x_m"] = h5py.SoftLink("/deep/out/x")
+
+
+@pytest.mark.parametrize("outside", [_external, _virtual, _linked, _softly])
+@pytest.mark.parametrize("ending", [".h5", ".mat"])
+def test_data_that_lie_in_another_file_are_never_read(outside, ending, tmp_path):
+    secret = tmp_path / "secret"
+    with h5py.File(secret, "w") as file:
+        file["x"] = VALUES["x"]
+    path = tmp_path / f"a{ending}"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["t"] = TIME
+        outside(file, secret)
+    with open(path, "r+b") as block:
+        block.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    with pytest.raises(InputError, match=r"'(x_m|out)' (keeps its data in other files|is a link to another file)"):
+        read_recording(path)
+
+
+def test_a_small_file_that_unpacks_to_much_is_refused_before_it_is_unpacked(tmp_path):
+    import pyarrow
+    import pyarrow.parquet
+
+    zeros = np.zeros(20_000_000)
+    pyarrow.parquet.write_table(pyarrow.table({"t": zeros}), tmp_path / "a.parquet")
+    savemat(tmp_path / "a.mat", {"t": zeros}, do_compression=True)
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("t", (10**12,), "f8", chunks=(1000,))
+    for name in ("a.parquet", "a.mat", "a.h5"):
+        with pytest.raises(InputError, match=r"unpacks to more than 128 MiB, by 't' to [0-9]+ MiB"):
+            read_recording(tmp_path / name)
+
+
+def test_groups_that_hold_one_another_end(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        group = file.create_group("g")
+        for k in range(10):
+            group[f"g{k}"] = group
+    with pytest.raises(InputError, match="holds more than 20000 channels"):
+        read_recording(tmp_path / "a.h5")
+
+
+def test_a_limit_of_memory_that_is_there_is_kept_and_named(tmp_path):
+    savemat(tmp_path / "a.mat", {"t": TIME, "x_m": VALUES["x"]})
+    code = (
+        "import resource, sys; from greygate.plants import read_csv; from greygate.plants.readers.read import *\n"
+        "most = int(sys.argv[2]) << 20; resource.setrlimit(resource.RLIMIT_AS, (most, most))\n"
+        "print(read_recording(sys.argv[1]))"
+    )
+    said = {}
+    for most in (4000, 160):
+        command = [sys.executable, "-c", code, tmp_path / "a.mat", str(most)]
+        said[most] = subprocess.run(command, capture_output=True, text=True)
+    assert said[4000].stdout.startswith("<Recording")
+    assert "memory" in said[160].stderr
+    assert "damaged" not in said[160].stderr
+
+
+def test_what_reads_a_file_runs_no_code_and_opens_no_other(tmp_path):
+    code = (
+        "import sys; from pathlib import Path; from greygate.foreign import child\n"
+        "def reader():\n"
+        "    def read(path, room):\n"
+        "        try: exec(sys.argv[3])\n"
+        "        except Exception: pass\n"
+        "        yield 'x', 'text'\n"
+        "    return read\n"
+        "sys.exit(child.served({'x': reader}, 'x', sys.argv[1], sys.argv[2]))"
+    )
+    (tmp_path / "a").touch()
+    for asked in ("1", f"open({str(tmp_path / 'b')!r}, 'w')", "__import__('os').system('true')"):
+        done = subprocess.run(
+            [sys.executable, "-c", code, tmp_path / "a", tmp_path, asked], capture_output=True, text=True
+        )
+        assert (done.returncode, done.stdout) == (3, "asks for code to be run; what a file says is never run\n")
+    assert not (tmp_path / "b").exists()

@@ -17,6 +17,7 @@ GAP = 1.5  # of a median step: a longer one is a gap
 FINER = 1.5  # of a median step: a wanted step that is longer needs a filter first
 CUT = 0.4  # of the new sample rate: where that filter cuts
 ORDER = 4
+EPOCH = 1 << 31  # a larger whole number counts ms, us or ns from a common epoch, not from the start of a recording
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def channels(
     if clocks:
         column, name, unit = named.pop(clocks[0])
         written = units.pop(name, "") or column.unit or unit or "s"
-        time, _ = converted(np.asarray(column.values, float), written, f"{source}: time {name}", "s")
+        time, _ = converted(_since(column.values), written, f"{source}: time {name}", "s")
     bare = [name for column, name, unit in named if not (units.get(name) or column.unit or unit or unitless)]
     if bare:
         raise InputError(
@@ -114,6 +115,14 @@ def channels(
     if not found:
         raise InputError(f"{source}: holds no channel beside the time")
     return found
+
+
+def _since(values: np.ndarray) -> np.ndarray:
+    """Times as floats; whole numbers since an epoch count from the first, since a float has no room for both."""
+    values = np.asarray(values)
+    if values.dtype.kind in "iu" and len(values) and abs(int(values[0])) > EPOCH:
+        values = (values - values[0]).astype(np.int64)
+    return values.astype(float)
 
 
 def _listed(names: Sequence[str]) -> str:

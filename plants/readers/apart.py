@@ -1,0 +1,91 @@
+"""The other process for recordings (`greygate.foreign`): each reader gives columns as dictionaries.
+
+header, values, and where the format has them: unit, time (own times, s) and time_unit.
+"""
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greygate.errors import InputError, shown
+from greygate.foreign.child import Read, Room, served
+from greygate.foreign.hdf5 import Contents, h5py_module
+from greygate.foreign.mat import mat
+from greygate.plants.readers import arrow, labview, mdf, messages
+
+MISSING = 9.969209968386869e36  # what netCDF fills in for a number that was never written
+DEEP = 20  # groups in one another
+
+
+def hdf5() -> Read:
+    """What reads HDF5 and netCDF: vectors, in groups too, with the attributes of CF (cfconventions.org)."""
+    h5py = h5py_module()
+
+    def read(path: Path, room: Room) -> Iterator[tuple[str, Any]]:
+        with h5py.File(path, "r") as file:
+            inside = Contents(file, room)
+            for name, item in inside.items(file):
+                yield from _tree(inside, name, item, 0)
+
+    return read
+
+
+def _tree(inside: Contents, name: str, item: Any, depth: int) -> Iterator[tuple[str, Any]]:
+    """The vectors of a group or a dataset, and `NAME@unit` beside each."""
+    if isinstance(item, inside.h5py.Group):
+        if depth < DEEP:
+            yield name, dict(pair for k, v in inside.items(item) for pair in _tree(inside, k, v, depth + 1))
+        return
+    if item.dtype.kind not in "fiubc" or item.shape is None or item.size < 2 or item.size != max(item.shape):
+        return
+    if inside.h5py.check_enum_dtype(item.dtype) is not None:
+        return
+    yield name, _physical(inside, np.asarray(inside.values(item, name)).reshape(-1), item, name)
+    unit = inside.attribute(item, "unit") or inside.attribute(item, "units")
+    if isinstance(unit, str):
+        yield f"{name}@unit", unit.partition(" since ")[0]
+
+
+def _physical(inside: Contents, values: np.ndarray, item: Any, name: str) -> np.ndarray:
+    """Stored values as the attributes of CF say: missing ones are nan, others scaled."""
+    told = {
+        key: inside.attribute(item, key)
+        for key in ("scale_factor", "add_offset", "_FillValue", "missing_value", "valid_min", "valid_max")
+    }
+    if inside.attribute(item, "_Unsigned") == "true" and values.dtype.kind == "i":
+        values = values.view(values.dtype.str.replace("i", "u"))
+    for key, value in told.items():
+        if isinstance(value, str) or (key in item.attrs and value is None):
+            raise InputError(f"{shown(name)}: its {key} is no number; save the values themselves")
+    bad = np.zeros(len(values), bool)
+    if values.dtype.kind == "f" and float(item.fillvalue) == np.array(MISSING).astype(values.dtype):
+        bad |= values == item.fillvalue
+    for key in ("_FillValue", "missing_value"):
+        if told[key] is not None:
+            bad |= values == np.asarray(told[key]).astype(values.dtype)
+    if told["valid_min"] is not None:
+        bad |= values < told["valid_min"]
+    if told["valid_max"] is not None:
+        bad |= values > told["valid_max"]
+    if told["scale_factor"] is not None or told["add_offset"] is not None:
+        scale, offset = (
+            float(told[k]) if told[k] is not None else usual for k, usual in (("scale_factor", 1), ("add_offset", 0))
+        )
+        values = values * scale + offset
+    return np.where(bad, np.nan, values) if bad.any() else values
+
+
+READERS: dict[str, Callable[[], Read]] = {
+    "mat": mat,
+    "hdf5": hdf5,
+    "mdf": mdf.mdf,
+    "parquet": arrow.parquet,
+    "tdms": labview.tdms,
+    "mcap": messages.mcap,
+}
+
+if __name__ == "__main__":
+    sys.exit(served(READERS, *sys.argv[1:]))

@@ -1,0 +1,64 @@
+"""The other process for LabVIEW's TDMS: channels with their unit, and the times of their waveforms."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greygate.errors import InputError, shown
+from greygate.foreign.child import Read, Room
+
+START, OFFSET, STEP = "wf_start_time", "wf_start_offset", "wf_increment"
+
+
+def tdms() -> Read:
+    """What reads a TDMS file. Times count from the start of the channel that starts first."""
+    try:
+        import nptdms
+    except ImportError as error:
+        if error.name != "nptdms":
+            raise
+        raise InputError("nptdms is not installed; pip install 'greygate[tdms]'") from None
+
+    def read(path: Path, room: Room) -> Iterator[tuple[str, Any]]:
+        with path.open("rb") as opened, nptdms.TdmsFile.open(opened, raw_timestamps=True) as file:
+            channels = [c for group in file.groups() for c in group.channels() if len(c) > 1 and _read(c.dtype)]
+            waves = [c.properties for c in channels if c.properties.get(STEP)]
+            starts = [_moment(told[START]) for told in waves if START in told]
+            for channel in channels:
+                room.take(len(channel), channel.name)
+                yield channel.path, _column(channel, min(starts, default=0))
+
+    return read
+
+
+def _read(kind: Any) -> bool:
+    return kind.kind in "fiubcM"
+
+
+def _column(channel: Any, first: int) -> dict[str, Any]:
+    """One channel; its time, if it is a waveform, from `first` on."""
+    told, values = channel.properties, channel[:]
+    unit = told.get("unit_string")
+    unit = unit if isinstance(unit, str) else ""
+    if values.dtype.names:
+        seconds = values["seconds"] - values["seconds"][0]
+        values, unit = seconds + (values["second_fractions"] - float(values["second_fractions"][0])) * 2.0**-64, "s"
+    found = {"header": channel.name, "unit": unit or ("1" if values.dtype.kind == "b" else ""), "values": values}
+    if step := told.get(STEP):
+        axis = told.get("wf_xunit_string") or "s"
+        if axis not in ("s", "sec", "seconds"):
+            raise InputError(f"{shown(channel.name)}: is over {shown(axis)}, not over time; leave it out")
+        if first and START not in told:
+            raise InputError(f"{shown(channel.name)}: has no start time, which other channels have; write it for all")
+        begin = (_moment(told[START]) - first) * 2.0**-64 if START in told else 0.0
+        found["time"] = begin + float(told.get(OFFSET, 0.0)) + float(step) * np.arange(len(values))
+    return found
+
+
+def _moment(stamp: Any) -> int:
+    """A time stamp in 2^-64 s."""
+    if not hasattr(stamp, "second_fractions"):
+        raise InputError(f"a start time is {shown(str(stamp))}, which is no time stamp")
+    return (int(stamp.seconds) << 64) + int(stamp.second_fractions)
