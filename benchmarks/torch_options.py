@@ -40,7 +40,12 @@ def main() -> int:
         for group in GROUPS:
             rows.append(measured(group, every))
             print(rows[-1], flush=True)
-    keep("torch_options", "options", {"steps": STEPS, "every": every, "agreed": AGREED, "rows": rows})
+    keep(
+        "torch_options",
+        "options",
+        {"steps": STEPS, "every": every, "agreed": AGREED, "rows": rows},
+        ["models/importers"],
+    )
     return int(any(row["failing"] for row in rows))
 
 
