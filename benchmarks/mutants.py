@@ -83,11 +83,12 @@ import functools, json, os, sys, time
 import greygate_mutated
 import pytest
 from hypothesis import Phase, settings
-settings.register_profile("mutants", phases=[Phase.explicit, Phase.reuse, Phase.generate])
-settings.load_profile("mutants")
 with open(os.environ["GREYGATE_ASKED"]) as file:
     ASKED = json.load(file)
 TOLD = {"failed": [], "seconds": {}, "fixtures": {}}
+def pytest_configure(config):  # after the profile of the tests
+    settings.register_profile("mutants", settings(), phases=[Phase.explicit, Phase.reuse, Phase.generate])
+    settings.load_profile("mutants")
 def pytest_collection_modifyitems(config, items):
     if ASKED["wanted"] is not None:
         place = {name: k for k, name in enumerate(ASKED["wanted"])}
@@ -137,13 +138,13 @@ class Bench:
         self.work, self.until, self.stop = work, until, Event()
         self.prime, self.python = work / "prime", work / "venv" / "bin" / "python"
         self.left_out: list[str] = []
-        if not self.python.exists():
-            self._environment()
+        self._environment()
         if not self.prime.exists():
             shutil.copytree(ROOT, self.prime, ignore=shutil.ignore_patterns(*SKIPPED))
 
     def _environment(self) -> None:
-        venv.create(self.work / "venv", system_site_packages=True, symlinks=True)
+        if not self.python.exists():
+            venv.create(self.work / "venv", system_site_packages=True, symlinks=True)
         (site,) = (self.work / "venv").glob("lib/python*/site-packages")
         setuptools = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
         (site / "greygate_mutated.py").write_text(FINDER.format(packages=setuptools["package-dir"]))
@@ -180,6 +181,7 @@ class Bench:
             "PATH": f"{self.python.parent}{os.pathsep}{os.environ['PATH']}",
         }
         command = [str(self.python), "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "greygate_mutants"]
+        command += ["-W", "ignore:mypy_extensions"]  # which hypothesis imports where an example fails
         command += ["-p", "no:xdist", *(["-x"] if first else []), *files]
         silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
         process = subprocess.Popen(command, cwd=tree, env=environment, start_new_session=True, **silent)
@@ -270,34 +272,33 @@ class Reach:
         for place, tests in self.tests.items():
             self.files.setdefault(place.rpartition(":")[0], set()).update(tests)
 
-    def of(self, mutant: Mutant) -> set[str]:
-        """Tests that reach a mutant; all of the files that import it, if none is known to."""
+    def callers(self, mutant: Mutant) -> set[str]:
+        """Tests that call the function in which a mutant stands."""
         source = (ROOT / mutant.file).read_bytes()
         line = 1 + source.count(b"\n", 0, mutant.start)
-        inside = [
-            n
-            for n in ast.walk(ast.parse(source))
-            if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef) and n.lineno <= line <= n.end_lineno
-        ]
-        home = max(inside, key=lambda n: n.lineno, default=None)
-        if home and b"jit" not in source and mutant.file not in TEMPLATES:
-            first = min([home.lineno, *(d.lineno for d in home.decorator_list)])
-            place = f"{mutant.file}:{first}"
-            if place not in self.imported and place in self.tests:
-                return self.tests[place] & self.seconds.keys()
-        files = above(mutant.file)
+        functions = (n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef))
+        home = max((n for n in functions if n.lineno <= line <= n.end_lineno), key=lambda n: n.lineno, default=None)
+        first = min([home.lineno, *(d.lineno for d in home.decorator_list)]) if home else 0
+        place = f"{mutant.file}:{first}"
+        return set() if place in self.imported else self.tests.get(place, set()) & self.seconds.keys()
+
+    def of(self, mutant: Mutant) -> set[str]:
+        """Tests that reach a mutant; all of the files that import it, if none is known to."""
+        callers = self.callers(mutant)
+        if callers and b"jit" not in (ROOT / mutant.file).read_bytes() and mutant.file not in TEMPLATES:
+            return callers
         near = {f for f, rank in nearness(mutant.file).items() if rank == 0}
-        found = set().union(*(self.files.get(f, ()) for f in files)) & self.seconds.keys()
+        found = set().union(*(self.files.get(f, ()) for f in above(mutant.file))) & self.seconds.keys()
         return found | {name for name in self.seconds if name.partition("::")[0] in near}
 
     def parts(self, mutant: Mutant) -> list[list[str]]:
-        """These tests in portions: the nearest and quickest files first, and of each the quickest tests."""
-        near, files = nearness(mutant.file), {}
+        """These tests in portions: callers, then the nearest and quickest files, of each the quickest tests."""
+        callers, near, files = self.callers(mutant), nearness(mutant.file), {}
         for name in sorted(self.of(mutant), key=lambda n: (self.seconds[n], n)):
-            files.setdefault(name.partition("::")[0], []).append(name)
+            files.setdefault((name not in callers, name.partition("::")[0]), []).append(name)
         found = [[]]
-        for file in sorted(files, key=lambda f: (near[f], self.takes(files[f]))):
-            for name in files[file]:
+        for group in sorted(files, key=lambda g: (g[0], near[g[1]], self.takes(files[g]))):
+            for name in files[group]:
                 if found[-1] and self.takes([*found[-1], name]) > PART:
                     found.append([])
                 found[-1].append(name)

@@ -214,6 +214,16 @@ def test_what_cannot_be_is_refused(wrong, said):
 # -- observer, PI ------------------------------------------------------------------------------------------------------
 
 
+def test_the_gain_of_the_observer_is_the_stationary_one_of_the_deviations_that_it_was_told():
+    process, noise = 0.02, 0.05
+    variance = 1.0
+    for _ in range(1000):  # prediction and correction of one state by hand
+        gain = variance / (variance + noise**2)
+        variance = 0.9**2 * (1 - gain) * variance + process**2
+    observer = Observer(lag(), "u", {"y": noise * Y.scale}, {"memory": process})
+    assert observer._gain.item() == pytest.approx(gain, rel=1e-9)
+
+
 def test_the_observer_finds_a_load_from_position_and_soft_sensor():
     force = 1500.0
     chosen = task("valve_cylinder")
