@@ -113,7 +113,8 @@ def _built(
     builder = kind(name or Path(path).stem, *ports)
     walk = _Walk(builder, str(path), Reference(model.opset_import))
     values: dict[str, Value | np.ndarray] = dict(fixed)
-    left, tensors = list(builder.inputs), ([], [])
+    left = list(builder.inputs)
+    tensors: tuple[list[Tensor], list[Tensor]] = ([], [])
     for n in free[0]:
         taken_ports = first(left, int(np.prod(shapes[n])), f"{path}: input {n}")
         tensors[0].append(Tensor(n, axes[n], taken_ports))
