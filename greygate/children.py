@@ -7,19 +7,21 @@ started it, together with what it started in turn, even if that was killed.
 import os
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from functools import partial
 from pathlib import Path
+from subprocess import DEVNULL as DEVNULL
+from subprocess import PIPE as PIPE
+from subprocess import STDOUT as STDOUT
+from subprocess import CompletedProcess
+from subprocess import Popen as Popen
+from subprocess import TimeoutExpired as TimeoutExpired
 from threading import Thread
 from typing import Any, Final, Literal
-
-DEVNULL, PIPE, STDOUT = subprocess.DEVNULL, subprocess.PIPE, subprocess.STDOUT
-Popen, TimeoutExpired = subprocess.Popen, subprocess.TimeoutExpired
 
 SAFE = "PYTHONSAFEPATH"  # if it is set, Python puts neither the current folder nor that of a script on its path
 SEARCHED = "PYTHONPATH"
@@ -116,14 +118,14 @@ def ran(
     timeout: float | None = None,
     cwd: Path | str | None = None,
     env: Mapping[str, str] | None = None,
-) -> subprocess.CompletedProcess[str]:
+) -> CompletedProcess[str]:
     """Run a command to its end and keep what it prints.
 
     timeout: seconds after which it and all that it started are killed and TimeoutExpired is raised.
     """
     with started(command, cwd=cwd, env=env, stdout=PIPE, stderr=PIPE) as process:
         said, complained = process.communicate(timeout=timeout)
-    return subprocess.CompletedProcess(list(command), process.returncode, said, complained)
+    return CompletedProcess(list(command), process.returncode, said, complained)
 
 
 def stop() -> None:
@@ -154,8 +156,9 @@ def workers(jobs: int | None, tasks: Iterable[Callable[[], Any]], in_order: bool
     in_order: else as they come. Where a process is killed, its task is tried once more, alone; DIED is its result if
     that is killed too. All others go on in new processes.
     """
-    left, found = dict(enumerate(tasks)), {}
-    after, suspected = 0, []
+    left: dict[int, Callable[[], Any]] = dict(enumerate(tasks))
+    found: dict[int, Any] = {}
+    after, suspected = 0, list[int]()
     with tempfile.NamedTemporaryFile(prefix="greygate-") as begun, _safely():
         while left:
             alone = suspected.pop(0) if suspected else None
@@ -183,7 +186,7 @@ def workers(jobs: int | None, tasks: Iterable[Callable[[], Any]], in_order: bool
                         after += 1
 
 
-def _passed(jobs: int | None, tasks: Mapping[int, Callable[[], Any]]) -> Iterator[tuple[int, Any]]:
+def _passed(jobs: int | None, tasks: Mapping[int, Callable[[], Any]]) -> Generator[tuple[int, Any]]:
     """(place, result) of each task, as they come. Raises what `_broken` names where a process is killed."""
     import joblib
     from joblib._parallel_backends import LokyBackend
