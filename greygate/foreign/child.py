@@ -160,9 +160,12 @@ class _Arrays:
     """Arrays one behind the other in a file. One that comes again is not written again."""
 
     def __init__(self, file: BinaryIO):
-        self.file, self.last = file, (np.empty(0), 0)
+        self.file, self.last, self.count = file, (np.empty(0), 0), 0
 
     def put(self, array: np.ndarray) -> list:
+        self.count += 1
+        if self.count > 2 * ARRAYS:  # a channel has values and times
+            raise InputError(f"holds more than {2 * ARRAYS} arrays, in cells too; save fewer")
         if self.last[0] is not array:
             self.last = array, self.file.tell()
             self.file.write(np.ascontiguousarray(array).data)
