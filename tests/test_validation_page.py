@@ -16,7 +16,7 @@ from greygate.models.network import Network
 from greygate.models.validation import validate
 from greygate.pages.validation import page
 from greygate.pages.validation.judged import judge, rows, table
-from greygate.pages.validation.records import run_data
+from greygate.pages.validation.records import histogram, run_data
 from greygate.pages.zoomable import DRAWN
 from greygate.plants.recording import Recording
 from greygate.source import Source
@@ -138,3 +138,8 @@ def test_a_saved_network_is_validated_as_the_one_in_memory(folder):
     r = record(600, seed=0, equation_noise=0.2)
     (v,) = validate(Network.load("arx"), {"train": r}, period=1e-2)
     assert v.rms == judged.validations[0].rms
+
+
+@pytest.mark.parametrize("error", [[1e29] * 5, [1e29, 1e29 * (1 + 1e-15)], [0.0] * 5, [-3.0] * 5, [1e-300, 2e-300]])
+def test_the_errors_of_a_record_that_rests_are_drawn(error):
+    assert "<svg" in histogram(np.array(error), "m")

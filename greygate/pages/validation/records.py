@@ -15,6 +15,7 @@ from greygate.pages.validation.judged import Judged, long_run
 from greygate.pages.zoomable import DRAWN, Trace, curves
 from greygate.plain import plain
 
+NARROW = 1e-9  # of an error's size: within it the errors are one value
 BARS = 40  # of the error's histogram
 WIDTH = 285  # px of a small picture
 SYMBOLS = {"phi_ee": "φ(e, e)", "phi_ue": "φ({}, e)", "phi_u2e": "φ({}², e)", "phi_u2e2": "φ({}², e²)",
@@ -88,7 +89,9 @@ def run_data(v: Validation, period: float) -> dict:
 
 def histogram(error: np.ndarray, unit: str) -> Markup:
     """Share of samples by error, and the Gaussian of the same mean and deviation."""
-    counts, edges = np.histogram(error, BARS)
+    size = float(np.abs(error).max())
+    apart = None if np.ptp(error) > NARROW * size else (error[0] - size * NARROW, error[0] + size * NARROW)
+    counts, edges = np.histogram(error, BARS, apart if size else None)
     share = counts / counts.sum()
     x, y = np.repeat(edges, 2), np.r_[0, np.repeat(share, 2), 0]
     mean, deviation = np.mean(error), np.std(error)
