@@ -135,6 +135,11 @@ NAMED = {  # what it is: (file, old, new); old stands there once
         "states=self.tails and i == 0",
         "states=self.tails",
     ),
+    "the state that shooting found is forgotten": (
+        "models/training/levenberg.py",
+        "initial={**r.initial, **i}",
+        "initial=r.initial",
+    ),
     "variances as if nothing had been fitted": (
         "mismatch/fit.py",
         "meat = scores.T @ scores * n / max(n - k, 1)",

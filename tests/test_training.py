@@ -269,6 +269,12 @@ def test_the_initial_state_is_estimated_with_the_weights():
     np.testing.assert_allclose(fit.network.run(record.inputs, fit.initial[0])["y"], record.targets["y"], atol=1e-9)
 
 
+def test_the_free_run_after_shooting_starts_from_the_state_that_shooting_found():
+    record = excited(loop(0.95, 1.0), 60, initial={"s": 5.0})
+    fit = train(loop(0.5, 0.5), [record], estimate_initial=True, shooting=10)
+    assert fit.history[0] < 1e-9
+
+
 def crossed(rng: np.random.Generator) -> Network:
     """Two layers of two neurons that feed each other and themselves, each with an output of its own."""
     network = Network("n", [Port("u")], [Port("y"), Port("z")])
