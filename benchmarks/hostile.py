@@ -400,4 +400,4 @@ def main(wanted: list[str]) -> None:
 
 if __name__ == "__main__":
     shutil.which(GREYGATE) or sys.exit("install greygate first")
-    main(sys.argv[1:])
+    main([name for name in sys.argv[1:] if name != "look"])
