@@ -4,6 +4,7 @@ import pytest
 
 from greygate.plants.dimensions import clashes
 from greygate.plants.plant import Plant
+from greygate.plants.units import of, powers
 
 MASS = """outputs = ["x"]
 inputs = {{ f = "{force}" }}
@@ -41,3 +42,22 @@ def test_an_angle_has_no_dimension(tmp_path):
     text = MASS.format(**RIGHT | {"speed": "mrad mm/s"})
     (tmp_path / "mass.toml").write_text(text)
     assert clashes(Plant.read(tmp_path / "mass.toml")) == []
+
+
+@pytest.mark.parametrize(
+    ("expression", "unit"),
+    [
+        ("sqrt(area)", "m"),
+        ("area**0.5 / t", "m/s"),
+        ("area**(-1)", "1/m^2"),
+        ("orifice(t, area, 1)", "m s"),
+        ("sqrt(area) * t**2", "m s^2"),
+        ("area**t", None),
+        ("sqrt(unknown)", None),
+        ("t + area", None),
+        ("t + 0 * area", "s"),
+        ("max(0, t)", "s"),
+    ],
+)
+def test_an_expression_has_the_unit_of_what_it_computes(expression, unit):
+    assert of(expression, {"area": "m^2", "t": "s"}) == (unit and powers(unit))
