@@ -482,6 +482,7 @@ def test_ties_that_share_a_member_hold_in_any_order_and_fixed_members_are_refuse
         ({"decay": {"s": np.inf}}, "inf.*: give finite numbers"),
         ({"seconds": np.nan}, "seconds nan"),
         ({"bounds": {"s.own": ([0.0, 0.0], 1.0)}}, "two numbers"),
+        ({"bounds": {"s.own": (1.0, 0.0), "s.u": (0.0, 1.0)}}, "a lower bound lies above its upper"),
         ({"bounds": {"s.own": (0.0, 1.0)}, "free": {"s.own": [False]}}, "bounds on s.own, which is frozen"),
         ({"free": {"s.own": [True, False]}}, "free: s.own has shape"),
         ({"free": {name: [False] for name in ("s.own", "s.u", "s.bias")}}, "nothing to train"),
