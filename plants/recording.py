@@ -181,7 +181,11 @@ def check_sizes(channels: Mapping[str, np.ndarray], source: str) -> None:
 def twice(names: Iterable[str]) -> str | None:
     """The first name that appears a second time, None if there is none; in time that grows as the names do."""
     known: set[str] = set()
-    return next((name for name in names if name in known or known.add(name)), None)
+    for name in names:
+        if name in known:
+            return name
+        known.add(name)
+    return None
 
 
 def _known() -> str:

@@ -241,3 +241,18 @@ def test_units_are_read_from_every_form_of_header_and_from_a_row_below(tmp_path)
             with pytest.raises(InputError, match=told):
                 read_recording(tmp_path / "row.csv")
     assert split("slope_m/s²", "x") == ("slope", "m/s²")
+
+
+@pytest.mark.parametrize(
+    ("header", "read"),
+    [
+        ("p_A [bar]", ("p_A", "bar")), ("x_1 [mm]", ("x_1", "mm")), ("eta_1 (%)", ("eta_1", "%")),
+        ("u_V [V]", ("u", "V")), ("u_V [mV]", None), ("p_Pa [bar]", None),
+    ],
+)  # fmt: skip
+def test_a_sign_that_numbers_channels_is_no_second_unit(header, read):
+    if read is None:
+        with pytest.raises(InputError, match="names two units"):
+            split(header, "a.csv")
+    else:
+        assert split(header, "a.csv") == read

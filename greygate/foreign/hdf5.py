@@ -73,8 +73,8 @@ class Contents:
         told = item.attrs.get_id(name)
         if told.get_storage_size() > ATTRIBUTE or told.dtype.kind not in "fiubSUO":
             return None
-        value = np.asarray(item.attrs[name]).reshape(-1)
-        value = value[0] if len(value) == 1 else None
+        values = np.asarray(item.attrs[name]).reshape(-1)
+        value = values[0] if len(values) == 1 else None
         if isinstance(value, bytes):
             return value.decode("utf-8", "replace")
         return value if isinstance(value, str | np.number | np.bool_) else None

@@ -1,6 +1,7 @@
 """The other process for Parquet: numbers, booleans and times of its columns, one column at a time."""
 
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,8 @@ SECONDS = {"s": 1, "ms": 10**-3, "us": 10**-6, "ns": 10**-9}
 
 def parquet() -> Read:
     """What reads a Parquet file; the unit of a field in its metadata. A time stamp counts from the first one."""
-    sys.modules.setdefault("pandas", None)  # type: ignore[arg-type]  pyarrow would import it late
+    modules: dict[str, Any] = sys.modules
+    modules.setdefault("pandas", None)  # pyarrow would import it late
     try:
         import pyarrow
         import pyarrow.compute
@@ -29,7 +31,7 @@ def parquet() -> Read:
 
     def read(path: Path, room: Room) -> Iterator[tuple[str, Any]]:
         file = pyarrow.parquet.ParquetFile(path)
-        rows, names = file.metadata.num_rows, file.schema_arrow.names
+        rows, names = file.metadata.num_rows, Counter(file.schema_arrow.names)
         for field in file.schema_arrow:
             kind, types = field.type, pyarrow.types
             while types.is_dictionary(kind):
@@ -38,7 +40,7 @@ def parquet() -> Read:
             number = types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)
             if not moment and not number and not types.is_boolean(kind):
                 continue
-            if names.count(field.name) > 1:
+            if names[field.name] > 1:
                 raise InputError(f"two columns are called {shown(field.name)}; rename one of them")
             room.take(rows, field.name)
             whole = pyarrow.int32() if types.is_time32(kind) else pyarrow.int64()

@@ -103,7 +103,7 @@ def _group(
         values = _converted(signal.samples, conversion, channel.name, major)
         if values is None:
             continue
-        found = {"header": _once(channel.name, taken), "unit": _unit(conversion, channel)}
+        found: dict[str, Any] = {"header": _once(channel.name, taken), "unit": _unit(conversion, channel)}
         if clock is not None:
             if time is None:
                 time = _converted(signal.timestamps, kept[number][master], clock.name, major)
@@ -150,15 +150,14 @@ def _once(name: str, taken: dict[str, int]) -> str:
 def _converted(x: np.ndarray, conversion: Any, name: str, major: int) -> np.ndarray | None:
     """Raw samples as numbers with a unit; None where they stand for texts. Raises InputError for a kind not known."""
     kind = KINDS[major].get(conversion.conversion_type) if conversion is not None else "none"
-    told = conversion.__getitem__ if conversion is not None else None
-    if kind == "none":
+    if conversion is None or kind == "none":
         return x
     if kind == "text":
         return None
     if kind == "formula":
         return _formula(x, conversion.formula, name)
     if kind == "linear":
-        a, b = told("a"), told("b")
+        a, b = conversion["a"], conversion["b"]
         return x if (a, b) == (1, 0) else x * a + b if b else x * a
     if kind is None:
         raise InputError(f"{shown(name)}: has a conversion that is not known; save it converted")
@@ -166,7 +165,7 @@ def _converted(x: np.ndarray, conversion: Any, name: str, major: int) -> np.ndar
     with np.errstate(all="ignore"):
         if kind in ("interpolated", "table", "ranges"):
             return _looked_up(x, conversion, kind, name, major, whole)
-        p = [0.0, *(float(told(f"P{k}")) for k in range(1, 8 if kind in ("exp", "log") else 7))]
+        p = [0.0, *(float(conversion[f"P{k}"]) for k in range(1, 8 if kind in ("exp", "log") else 7))]
         if kind == "rational":
             if p[1] == p[3] == p[4] == p[5] == 0:
                 return x * (p[2] / p[6]) if p[2] != p[6] else x

@@ -20,7 +20,8 @@ class _Series:
     """Values of one name. They belong to the stamps from `begin` on; where some have none, to those at `places`."""
 
     def __init__(self, begin: int):
-        self.values, self.begin, self.places = array("d"), begin, None
+        self.values, self.begin = array("d"), begin
+        self.places: array[int] | None = None
         self.truths = True
 
     def add(self, value: float, place: int) -> None:

@@ -66,6 +66,8 @@ def split(header: str, where: str) -> tuple[str, str | None]:
             unit = groups.get("unit") or next((groups[k] for k in "abc" if groups.get(k) is not None), None)
             inner, beside = suffixed(groups["name"])
             if beside is not None and form is _BRACKETS and not _same(unit or "", beside):
+                if re.search(r"_\w$", groups["name"].strip()) and (beside == "1" or not factor(unit or "", beside)):
+                    return _name(groups["name"]), unit  # x_1 [mm], p_A [bar]: a sign that numbers channels
                 raise InputError(
                     f"{where}: column {shown(header)} names two units, {beside} and {unit}; write one of them"
                 )
@@ -227,7 +229,7 @@ def _readings(text: str) -> list[tuple[str, str]]:
         spelt = text
         for name, (unit, means) in zip(parts, choice, strict=True):
             inner = f"({means if unit == '?' else unit})" if unit == "?" or re.search(r"[ /^]", unit) else unit
-            spelt = re.sub(rf"(?<![^\W\d_]){re.escape(name)}(?![^\W\d_])", lambda _, inner=inner: inner, spelt)
+            spelt = re.sub(rf"(?<![^\W\d_]){re.escape(name)}(?![^\W\d_])", inner, spelt)
         made.append(("?" if any(unit == "?" for unit, _ in choice) else spelt, spelt))
     if not any(unit != "?" and quantity(unit) for unit, _ in made):
         raise ValueError(text)
