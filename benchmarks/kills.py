@@ -30,6 +30,7 @@ GREYGATE = str(Path(sys.executable).with_name("greygate"))
 MARK = "GREYGATE_KILLS"  # a variable that every process of a command has
 SOON = 5.0  # s
 SAMPLES = 2001  # lines of a recording
+MEASURES = ["greygate/children.py", "greygate/files.py", "greygate/cli"]
 COMMANDS = {  # name -> (words; {at} is the folder of the inputs, what it writes)
     "identify": ("identify {at}/a.csv --input u --output y --seconds 4 --jobs 2 --out found", ["found"]),
     "diagnose": ("diagnose {at}/fast {at}/clean --jobs 2 --out pages --html pages", ["pages"]),
@@ -191,7 +192,7 @@ def main() -> None:
             place = Path(folder) / command.replace(" ", "_")
             place.mkdir()
             found = measured(command, at, place, given.times, given.rerun, random.Random(given.seed))
-            keep("kills", command, {"seed": given.seed, **found})
+            keep("kills", command, {"seed": given.seed, "rerun": given.rerun, **found}, MEASURES)
             print(command, json.dumps(found), flush=True)
 
 
