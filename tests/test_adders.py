@@ -114,6 +114,13 @@ def test_a_bound_on_the_depth_is_kept(problem, more):
             solve(weights, widths, constants, depth=least - 1)
 
 
+def test_a_bound_on_the_depth_is_kept_where_the_search_forgets_how_deep_a_sum_is():
+    weights = np.array([[-1898], [2], [-817], [-234], [-17533]])
+    graph = solve(weights, [2], [0, 0, 0, 11, 0], depth=3, effort=0.2)
+    assert graph.depth == 3
+    assert (graph.matrix() == weights).all()
+
+
 def test_a_bound_costs_adders_and_a_search_saves_them():
     weights = np.random.default_rng(3).integers(-(1 << 11), 1 << 11, (6, 6))
     free, bound, quick = solve(weights, [12] * 6), solve(weights, [12] * 6, depth=5), solve(weights, [12] * 6, effort=0)

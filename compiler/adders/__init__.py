@@ -78,6 +78,8 @@ def _solved(
     right = [f for f in found if looked(columns, *f) == wanted]  # but for a search that took unequal sums for equal
     right = right or best_sums(sums, columns, depth or 0, extra, 0, 0)
     graphs = [shape(columns, definitions, outs, constants, ranges) for definitions, outs in right]
+    if depth is not None and max(g.depth for g in graphs) > depth:  # a later turn no longer knows how deep a sum is
+        graphs = [shape(columns, *found, constants, ranges) for found in best_sums(sums, columns, depth, extra, 0, 0)]
     best = min(graphs, key=lambda g: (g.adder_bits, g.adders) if objective == "bits" else (g.adders, g.adder_bits))
     assert best.matrix().tolist() == [list(row) for row in entries], "the adders are not the matrix"
     return best
