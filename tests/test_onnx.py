@@ -6,7 +6,7 @@ import numpy as np
 import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
-from onnx_cases import OPSETS, Case, built, cases, f, i, judged, node_cases, one, recurrent
+from onnx_cases import ML, OPSETS, Case, built, cases, f, i, judged, node_cases, one, recurrent
 
 from greygate.errors import InputError
 from greygate.models.importers import onnx_file
@@ -80,6 +80,20 @@ def test_a_network_over_a_window_is_refused(nodes, tmp_path):
     assert said.endswith("a network takes one sample a step: export the model with that axis 1")
 
 
+FIXED = {"w": f(8, 1), "third": np.array(3)}
+BEYOND = {
+    "flat": [helper.make_node("Flatten", ["x"], ["t"]), helper.make_node("MatMul", ["t", "w"], ["y"])],
+    "fourth sample": [helper.make_node("Gather", ["x", "third"], ["y"], axis=1)],
+}
+
+
+@pytest.mark.parametrize("nodes", BEYOND.values(), ids=BEYOND)
+def test_an_operation_that_does_not_fit_one_sample_of_a_window_is_refused_with_the_window(nodes, tmp_path):
+    for steps in (4, "T"):
+        said = refusal(built(nodes, {"x": [1, steps, 2]}, ["y"], FIXED), tmp_path)
+        assert f"does not fit one sample, and input 'x' is [1, {steps!r}, 2]; a network takes one sample a step" in said
+
+
 @pytest.mark.parametrize("nodes", WINDOW)
 def test_samples_mixed_along_an_axis_of_free_length_are_refused(nodes, tmp_path):
     said = refusal(built(WINDOW[nodes], {"x": [1, "T", 2]}, ["y"], PLACES), tmp_path)
@@ -138,6 +152,29 @@ def test_the_usual_activations_of_a_recurrent_operator_may_be_written_out(tmp_pa
 def test_several_exponents_are_refused_and_several_equal_ones_carried(tmp_path):
     assert "operation Pow: several exponents" in refusal(one("Pow", [2], np.float32([2, 3]), opset=18), tmp_path)
     right(one("Pow", [3], np.float32([2, 2, 2]), opset=18), tmp_path)
+
+
+def test_the_powers_0_and_1_and_a_slope_for_each_channel_are_carried(tmp_path):
+    for exponent in (0.0, 1.0):
+        right(one("Pow", [1, 3], np.float32(exponent), opset=18), tmp_path)
+    right(one("PRelu", [1, 3], f(3), opset=18), tmp_path)
+    right(one("PRelu", ["N", 3], f(1), opset=18), tmp_path)
+
+
+def test_a_chosen_feature_and_a_linear_model_of_scikit_learn_are_carried(tmp_path):
+    right(one("ArrayFeatureExtractor", [1, 3], i(2, 0), opset=18, domain=ML), tmp_path)
+    plane = {"coefficients": f(6).tolist(), "intercepts": f(2).tolist(), "targets": 2}
+    right(one("LinearRegressor", ["N", 3], opset=18, domain=ML, **plane), tmp_path)
+    said = refusal(one("LinearRegressor", [1, 3], opset=18, domain=ML, post_transform="LOGISTIC", **plane), tmp_path)
+    assert "post_transform LOGISTIC is not carried" in said
+
+
+def test_an_output_that_is_declared_too_short_has_a_port_for_each_number(tmp_path):
+    model = one("MatMul", ["N", 3], f(3, 2), opset=18)
+    output = model.graph.output[0]
+    output.CopyFrom(helper.make_tensor_value_info(output.name, TensorProto.FLOAT, [None, 1]))
+    network = from_onnx(saved(model, tmp_path))
+    assert [p.name for p in network.outputs] == ["y0_1", "y0_2"]
 
 
 def test_limits_that_lie_far_apart_lose_no_digits(tmp_path):

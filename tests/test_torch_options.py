@@ -100,6 +100,28 @@ class Locked(nn.Module):
         return x
 
 
+def answered(module, x, count):
+    columns = {f"u{k}": x[:, k] for k in range(x.shape[1])}
+    outputs = [f"y{k}" for k in range(count)]
+    return np.column_stack(list(from_torch(module, list(columns), outputs).run(columns).values()))
+
+
+def test_a_weight_that_a_hook_makes_is_made():
+    with pytest.warns(FutureWarning):
+        module = nn.utils.weight_norm(nn.Linear(2, 3))
+    x = np.random.default_rng(0).normal(size=(5, 2))
+    found = answered(module.double(), x, 3)
+    assert np.abs(found - module(torch.tensor(x)).detach().numpy()).max() < 1e-14
+
+
+def test_a_compiled_module_is_not_compiled_again():
+    def backend(graph, given):
+        raise AssertionError("compiled")
+
+    module = torch.compile(nn.Linear(2, 1), backend=backend)
+    assert answered(module, np.ones((3, 2)), 1).shape == (3, 1)
+
+
 def step(s, x, h):
     return x + h, h
 
@@ -136,7 +158,8 @@ WRONG = {  # the arguments of from_torch -> what is said
     "a lock": ((Locked(), ["u"], ["y"]), "cannot be copied"),
     "NaN": ((On(lambda s, x: x * torch.nan), ["u"], ["y"]), "NaN or inf"),
     "sparse": ((On(lambda s, x: x.to_sparse()), ["u"], ["y"]), "sparse"),
-    "a lazy layer": ((nn.LazyLinear(1), ["u"], ["y"]), "Lazy"),
+    "a lazy layer": ((nn.LazyLinear(1), ["u"], ["y"]), "LazyLinear has parameters without a shape; call it once"),
+    "a script": ((torch.jit.ScriptModule(), ["u"], ["y"]), "give the module of which torch.jit"),
     "a complex layer": ((nn.Linear(1, 1, dtype=torch.complex64), ["u"], ["y"]), "does not take float64"),
 }
 

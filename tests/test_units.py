@@ -247,6 +247,7 @@ def test_units_are_read_from_every_form_of_header_and_from_a_row_below(tmp_path)
     ("header", "read"),
     [
         ("p_A [bar]", ("p_A", "bar")), ("x_1 [mm]", ("x_1", "mm")), ("eta_1 (%)", ("eta_1", "%")),
+        ("x_1 [1]", ("x_1", "1")), ("x_1 [-]", ("x_1", "-")), ("p_a_Pa [Pa]", ("p_a", "Pa")),
         ("u_V [V]", ("u", "V")), ("u_V [mV]", None), ("p_Pa [bar]", None),
     ],
 )  # fmt: skip

@@ -228,9 +228,11 @@ class Builder:
         return one.times(0.25).plus(two.times(-0.25)).moved(lambda x: x.reshape(total.shape))
 
     def power(self, value: Value, exponent: float, hint: str = "power") -> Value:
-        """Its square or its cube. Raises InputError for another exponent."""
-        if exponent not in (2, 3):
+        """Raised to 0, 1, 2 or 3. Raises InputError for another exponent."""
+        if exponent not in (0, 1, 2, 3):
             raise InputError(f"the power {exponent:g}; 2 and 3 can be carried")
+        if exponent < 2:
+            return value if exponent else constant(np.ones(value.shape))
         square = self.activated(value, "square", hint)
         return square if exponent == 2 else self.product(value, square, hint)
 

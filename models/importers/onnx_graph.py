@@ -111,7 +111,8 @@ def _built(
         for given, tensors in zip((inputs, outputs), free, strict=True)
     ]
     builder = kind(name or Path(path).stem, *ports)
-    walk = _Walk(builder, str(path), Reference(model.opset_import))
+    samples = next((f"{shown(n)} is {axes[n]}" for n in free[0] if any(k != 1 for k in axes[n][:-1])), "")
+    walk = _Walk(builder, str(path), Reference(model.opset_import), samples)
     values: dict[str, Value | np.ndarray] = dict(fixed)
     left = list(builder.inputs)
     tensors: tuple[list[Tensor], list[Tensor]] = ([], [])
@@ -131,6 +132,9 @@ def _built(
     left = list(builder.outputs)
     if empty := [n for n in names[1] if not results[n].size]:
         raise InputError(f"{path}: output {empty[0]} has no numbers; leave it out")
+    found = [p for n in free[1] for p in ports_of(n, results[n].shape)]
+    if outputs is None and len(found) != len(left) and len(found) <= PORTS:  # skl2onnx declares one number for several
+        return _built(model, path, kind, inputs, found, state, initial, name)
     for n in free[1]:
         tensors[1].append(Tensor(n, axes[n], first(left, results[n].size, f"{path}: output {n}")))
         builder.output(tensors[1][-1].ports, results[n])
@@ -164,11 +168,11 @@ class _Walk:
     """Computes the nodes of a graph in their order, which ONNX guarantees.
 
     A value is an array as long as nothing that is entered decides it, in its own type; else a `Value`.
-    constants, changing: as `onnx_reference.Imported` has them.
+    constants, changing: as `onnx_reference.Imported` has them. samples: an input that may hold several, in words.
     """
 
-    def __init__(self, builder: Builder, where: str, reference: Reference):
-        self.builder, self.where, self.reference = builder, where, reference
+    def __init__(self, builder: Builder, where: str, reference: Reference, samples: str = ""):
+        self.builder, self.where, self.reference, self.samples = builder, where, reference, samples
         self.constants: dict[str, np.ndarray] = {}
         self.changing: list[Any] = []
         self.node: Any = None
@@ -190,6 +194,11 @@ class _Walk:
                 raise error if str(error).startswith(self.where) else self.refused(str(error)) from None
             except Exception as error:  # attributes and shapes that do not fit one another fail in many ways
                 why = one_line(" ".join(str(error).split()))[:100]
+                if self.samples:
+                    raise self.refused(
+                        f"it does not fit one sample, and input {self.samples}; a network takes one sample a step: "
+                        "export the model with one step and a batch of 1"
+                    ) from None
                 raise self.refused(f"its inputs or attributes do not fit ({type(error).__name__}: {why})") from None
             self.node = node
             self.left -= sum(v.numbers for v in found if isinstance(v, Value))
@@ -508,6 +517,25 @@ def _shape(walk: _Walk, x: Value, start: int = 0, end: int | None = None) -> np.
     return np.array(x.shape[start:end], np.int64)
 
 
+def _extracted(walk: _Walk, x: Value, places: Value) -> Value:
+    wide = x if x.shape[1:] else x.moved(np.atleast_2d)
+    return taken(wide, np.ravel(walk.whole(places, "the places")), -1)
+
+
+def _regressed(
+    walk: _Walk,
+    x: Value,
+    coefficients: Sequence[float],
+    intercepts: Sequence[float] = (0.0,),
+    targets: int = 1,
+    post_transform: str = "NONE",
+) -> Value:
+    if post_transform != "NONE":
+        raise walk.refused(f"post_transform {post_transform} is not carried; export the model without it")
+    wide = x if x.shape[1:] else x.moved(np.atleast_2d)
+    return wide.linear(np.reshape(coefficients, (targets, -1))).plus(constant(intercepts))
+
+
 def _scaler(walk: _Walk, x: Value, offset: Sequence[float] = (0.0,), scale: Sequence[float] = (1.0,)) -> Value:
     return x.plus(constant(-np.asarray(offset))).times(np.asarray(scale))
 
@@ -526,6 +554,7 @@ FUNCTIONS: dict[str, Callable] = {
     "Sigmoid": _activated("logsig"),
     "Softsign": _activated("softsign"),
     "Relu": lambda walk, x: walk.builder.rectified(x, 0.0, walk.hint),
+    "PRelu": lambda walk, x, slope: walk.builder.rectified(x, walk.fixed(slope, "the slope"), walk.hint),
     "LeakyRelu": lambda walk, x, alpha=0.01: walk.builder.rectified(x, alpha, walk.hint),
     "Abs": lambda walk, x: walk.builder.rectified(x, -1.0, walk.hint),
     "HardSigmoid": lambda walk, x, alpha=0.2, beta=0.5: walk.builder.clipped(
@@ -560,7 +589,7 @@ FUNCTIONS: dict[str, Callable] = {
 DOMAINS: dict[tuple[str, ...], Mapping[str, Callable]] = {
     STANDARD: FUNCTIONS,
     QONNX: QUANTIZERS,
-    ("ai.onnx.ml",): {"Scaler": _scaler},
+    ("ai.onnx.ml",): {"Scaler": _scaler, "ArrayFeatureExtractor": _extracted, "LinearRegressor": _regressed},
 }
 """The same by the domains that an operation may be of: one of another domain is another one, whatever its name."""
 

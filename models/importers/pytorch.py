@@ -143,7 +143,8 @@ def _undisturbed(kind: "torch.dtype") -> Iterator[None]:
         warnings.simplefilter("ignore")  # of torch, about its own recurrent modules
         torch.set_default_dtype(kind)
         try:
-            yield
+            with torch.compiler.set_stance("force_eager"):  # what torch.compile would make, each time for a minute
+                yield
         finally:
             torch.set_default_dtype(before)
             random.setstate(drawn[0])
@@ -154,8 +155,14 @@ def _double(module: "torch.nn.Module") -> "torch.nn.Module":
     """A copy in float64 that is not in training, on the CPU."""
     import torch
 
+    if isinstance(module, torch.jit.ScriptModule):
+        raise InputError(f"{type(module).__name__} is compiled; give the module of which torch.jit made it")
+    if any(isinstance(p, torch.nn.parameter.UninitializedParameter) for p in module.parameters()):
+        raise InputError(f"{type(module).__name__} has parameters without a shape; call it once before it is imported")
+    held = [v for part in module.modules() for v in vars(part).values() if isinstance(v, torch.Tensor)]
+    made = {id(v): v.detach().clone() for v in held if not v.is_leaf}  # of weight_norm, which a hook makes anew
     try:
-        own = copy.deepcopy(module).cpu().double().eval()
+        own = copy.deepcopy(module, made).cpu().double().eval()
     except Exception as error:  # whatever a module holds
         raise InputError(f"{type(module).__name__} cannot be copied in float64: {_first(error)}") from None
     for part in own.modules():
@@ -646,14 +653,8 @@ def _power(walk: _Walk, x: Any, n: Any) -> Value:
     shape = np.broadcast_shapes(x.shape, n.shape)
     wide, each = x.moved(lambda i: np.broadcast_to(i, shape).ravel()), np.broadcast_to(n, shape).ravel()
     places = [np.flatnonzero(each == k) for k in np.unique(each)]
-    parts = [_raised(walk, wide.rows(at), float(each[at[0]])) for at in places]
+    parts = [walk.builder.power(wide.rows(at), float(each[at[0]]), walk.hint()) for at in places]
     return joined(parts, 0).rows(np.argsort(np.concatenate(places)).reshape(shape))
-
-
-def _raised(walk: _Walk, x: Value, n: float) -> Value:
-    if n == 0:
-        return constant(np.ones(x.shape))
-    return x if n == 1 else walk.builder.power(x, n, walk.hint())
 
 
 def _prelu(walk: _Walk, x: Value, slope: Any) -> Value:

@@ -65,9 +65,9 @@ def split(header: str, where: str) -> tuple[str, str | None]:
             groups = found.groupdict()
             unit = groups.get("unit") or next((groups[k] for k in "abc" if groups.get(k) is not None), None)
             inner, beside = suffixed(groups["name"])
-            if beside is not None and form is _BRACKETS and not _same(unit or "", beside):
+            if beside is not None and form is _BRACKETS and (beside == "1" or not _same(unit or "", beside)):
                 if re.search(r"_\w$", groups["name"].strip()) and (beside == "1" or not factor(unit or "", beside)):
-                    return _name(groups["name"]), unit  # x_1 [mm], p_A [bar]: a sign that numbers channels
+                    return _name(groups["name"]), unit  # x_1 [1], x_1 [mm], p_A [bar]: a sign that numbers channels
                 raise InputError(
                     f"{where}: column {shown(header)} names two units, {beside} and {unit}; write one of them"
                 )
