@@ -83,6 +83,7 @@ FORCE = {"kg": 1, "m": 1, "s": -2}
 _TOKEN = re.compile(
     r"\s*(?:(?P<name>(?:mm|cm|m|in|ft)H2O|[um]?g_0|g0|[^\W\d_]+|[%‰°])|(?P<one>1(?![\d.]))|(?P<sign>[*/().-]))"
 )
+_BESIDE = re.compile(r"[%‰]\s*[^\W\d_]|[^\W\d_]\s*[%‰]")  # %V, m%: a share of a volume, of a mass; no product
 _POWER = re.compile(r"(?:\^|\*\*)?(?:\(([-+]?\d)\)|([-+]?\d))(?![\d.])")
 _RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺", "0123456789-+")
 Factors = list[tuple[str, int]]
@@ -134,6 +135,8 @@ def factors(unit: str) -> Factors:
 
     A product behind a slash needs parentheses: `N/m s` is read in two ways. So is `N/m/s`, N s/m or N/(m s).
     """
+    if _BESIDE.search(unit):
+        raise ValueError(unit)
     tokens, at = [], 0
     while at < len(unit):
         found = _TOKEN.match(unit, at)

@@ -23,6 +23,7 @@ MOST_PARTS = 4  # of a suffix, between its `_`
 _SUFFIX = {unit: suffix for suffix, unit in reversed(UNITS.items())}
 _UNIFORM = 1e-3  # of a sample interval: largest error of a printed time
 SMALLEST = 1 / LARGEST  # size of a channel, and of its differences, but 0: so powers of both stay within float64
+EPOCH = 1 << 31  # s; a larger time counts ms, us or ns from a common epoch, not from the start of a recording
 FEWEST = 2  # samples, from which a sample time follows
 
 
@@ -158,6 +159,10 @@ def read_csv(
             raise InputError(f"{path}: column {name}_{_SUFFIX.get(unit, unit)} is missing; it has {', '.join(header)}")
         if (found := kinds[names.index(name)]) != unit:
             raise InputError(f"{path}: column {name} is in {found}; convert it to {unit}")
+    if header[0] == "t" and table.values[0, 0] > EPOCH:
+        raise InputError(
+            f"{path}: time t begins at {table.values[0, 0]:g} and has no unit; write t [ms], t [us], t [ns] or t_s"
+        )
     step = _step(table) if timed else 1.0
     if dt is not None and step != 1:
         raise InputError(f"{path}: column k counts in steps of {step:g}; number the samples one by one")

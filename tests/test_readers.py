@@ -15,6 +15,7 @@ from scipy.io import savemat
 from test_cli import greygate
 
 from greygate.errors import InputError
+from greygate.foreign import read_mat
 from greygate.plants.readers.read import read_channels, read_recording
 from greygate.plants.readers.units import converted, split
 
@@ -420,6 +421,88 @@ def test_packed_and_missing_values_of_netcdf_are_what_its_attributes_say(tmp_pat
         file["p"][9] = -1
     with pytest.raises(InputError, match="sample 9 has the value nan"):
         read_recording(tmp_path / "a.h5")
+
+
+@pytest.mark.parametrize(
+    ("stored", "fill", "told"),
+    [
+        ([1, 2, 999], None, {"valid_range": [0, 100]}), ([1, 2, -32767], -32767, {}),
+        ([1, 2, 9], None, {"valid_range": 3}),
+    ],
+)  # fmt: skip
+def test_a_sample_that_netcdf_calls_missing_by_its_range_or_by_default_is_no_number(stored, fill, told, tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["t"] = [0.0, 0.1, 0.2]
+        file.create_dataset("p_Pa", data=np.array(stored, "i2"), fillvalue=fill).attrs.update(told)
+    with pytest.raises(InputError, match=r"sample 2 has the value nan|valid_range is no pair"):
+        read_recording(tmp_path / "a.h5")
+
+
+def test_objects_and_sparse_matrices_of_matlab_are_left_out_as_their_places_are_no_samples(tmp_path):
+    with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
+        file["t"], file["x_m"] = [TIME], [VALUES["x"]]
+        file["s/data"], file["s/ir"], file["s/jc"] = [VALUES["x"]], np.arange(N), [0, N]
+        file["s"].attrs.update({"MATLAB_class": np.bytes_("double"), "MATLAB_sparse": np.uint64(N)})
+        file["d"] = np.arange(6, dtype="u4")[None]
+        file["d"].attrs.update({"MATLAB_class": np.bytes_("datetime"), "MATLAB_object_decode": 3})
+    with open(tmp_path / "a.mat", "r+b") as block:
+        block.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    assert read_mat(tmp_path / "a.mat").keys() == {"t", "x_m"}
+    assert read_recording(tmp_path / "a.mat").channels.keys() == {"x"}
+
+
+@pytest.mark.parametrize("place", ["channel", "group"])
+def test_a_scale_of_tdms_that_is_not_computed_is_refused_by_name(place, tmp_path):
+    from nptdms import ChannelObject, GroupObject, TdmsWriter
+
+    scale = {"NI_Number_Of_Scales": np.int32(1), "NI_Scale[0]_Scale_Type": "Reciprocal"}
+    for status in ("unscaled", "scaled"):
+        told = {**scale, "NI_Scaling_Status": status}
+        wave = {"wf_increment": DT, "unit_string": "m", **(told if place == "channel" else {})}
+        with TdmsWriter(tmp_path / "a.tdms") as writer:
+            group = GroupObject("run", told if place == "group" else {})
+            writer.write_segment([group, ChannelObject("run", "x", VALUES["x"], wave)])
+        if status == "scaled":
+            assert read_recording(tmp_path / "a.tdms")["x"].tolist() == VALUES["x"].tolist()
+        else:
+            with pytest.raises(InputError, match="'x': has the scale 'Reciprocal', which is not known"):
+                read_recording(tmp_path / "a.tdms")
+
+
+def messages(path, said):
+    """An MCAP file of (topic, time in ms, message)."""
+    from mcap.writer import Writer
+
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start()
+        topics = {topic: writer.register_channel(topic, "json", 0) for topic, *_ in said}
+        for topic, at, told in said:
+            writer.add_message(topics[topic], at * 1_000_000, json.dumps(told).encode(), 0)
+        writer.finish()
+
+
+def test_a_channel_t_that_is_no_time_stays_and_two_of_one_name_are_refused(tmp_path):
+    messages(tmp_path / "a.mcap", [("rig", k, {"T": 20.0 + k, "time": 5.0 + k, "x": k}) for k in range(N)])
+    found = read_recording(tmp_path / "a.mcap", units={"T": "degC", "x": "m"})
+    assert found["T"].tolist() == (273.15 + 20.0 + np.arange(N)).tolist()
+    assert found.channels.keys() == {"T", "x"}
+    messages(tmp_path / "b.mcap", [("rig", k, {"t": 20.0 - k, "x": k}) for k in range(N)])
+    with pytest.raises(InputError, match="columns t, x: have no unit"):
+        read_recording(tmp_path / "b.mcap")
+    twice = [(topic, k, told) for k in range(N) for topic, told in (("a/b", {"c": k}), ("a", {"b/c": -k}))]
+    messages(tmp_path / "c.mcap", twice)
+    with pytest.raises(InputError, match="two of its channels or variables are called 'a/b/c'"):
+        read_recording(tmp_path / "c.mcap")
+
+
+@pytest.mark.parametrize(("header", "read"), [("t", read_recording), ("timestamp", read_channels)])
+def test_a_time_since_an_epoch_is_in_no_unit_but_the_told_one(header, read, tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text(f"{header},x_m\n" + "".join(f"{1_790_000_000_000 + k},{k}\n" for k in range(9)))
+    with pytest.raises(InputError, match=f"time {header} begins at 1.79e\\+12 and has no unit"):
+        read(path)
+    assert read_recording(path, units={header: "ms"}).dt == 1e-3
 
 
 def test_complex_numbers_are_refused_by_name(tmp_path):

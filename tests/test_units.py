@@ -104,7 +104,7 @@ TAKEN = [  # unit of the recording, factor, spellings; a blank in a spelling is 
     ("farad", 1e-12, "pF"),
     ("henry", 1e-3, "mH"), ("henry", 1e-6, "uH µH"), ("coulomb", 1, "As A_s coulomb"), ("coulomb", 3600, "Ah A_h"),
     ("coulomb", 3.6, "mAh"), ("T", 1, "T tesla Tesla"), ("T", 1e-3, "mT"), ("T", 1e-6, "uT µT"),
-    ("T", 1e-4, "Gs gauss"),
+    ("T", 1e-4, "gauss Gauss"),
     ("W", 1, "W watt Watts J/s"), ("W", 1e3, "kW KW kw Kw"), ("W", 1e6, "MW"), ("W", 1e-3, "mW"),
     ("W", 735.49875, "PS"),
     ("J", 1, "J joule Joules Ws W_s"), ("J", 1e3, "kJ KJ"), ("J", 3.6e6, "kWh KWh kW_h"), ("J", 3600, "Wh"),
@@ -132,7 +132,8 @@ GAUGE += "psi(g) bar_gauge barü bar_ü atü bar_relative MPa(rel.) kg/cm2g kg/c
 REFUSED = {  # what the message says: spellings
     "gauge pressure": GAUGE,
     "coulomb or degree Celsius; write coulomb or degC": "C", "farad or degree Fahrenheit": "F", "kelvin or": "k",
-    "gram or the acceleration of free fall; write gram or g_0": "g", "gauss or the acc": "G",
+    "gram or the acceleration of free fall; write gram or g_0": "g", "gauss or the acc": "G Gs",
+    "per metre and kelvin or per": "W/mK kW/mK W/(mK)", "a viscosity or of": "kg/ms",
     "a milligram or a thousandth of free fall": "mg", "milligauss or": "mG", "write gram/s or g_0/s": "g/s",
     "ohm or degree Rankine": "R", "an hour or": "h", "a day or": "d D", "a ton or a time": "t", "a litre or": "l",
     "henry or an hour": "H", "siemens or a second": "S", "millisiemens or a millisecond": "mS", "ampere or a year": "a",
@@ -163,7 +164,7 @@ REFUSED = {  # what the message says: spellings
     "oscillation": "Vrms Vpp VAC Arms Vpk A_rms mVpp",
     "write parentheses": "N/m_s N/m/s V/rad/s Nm/rad/s W/m2_K J/kg_K",
     "write kN/m or knot/m": "KN/m", "write W/coulomb or W/degC": "W/C", "in other letters it is": "NMM",
-    "is not known": "foo 0.1_bar x10_rpm g/√Hz barrel mol/ m^99 "
+    "is not known": "foo m% V% %V ‰_m 0.1_bar x10_rpm g/√Hz barrel mol/ m^99 "
     "m^0 ^2 / () (m m) m//s __import__('os') 1e3 2 kiloohmm °X sqrt(m) m^1.5 ?",
     "longer than any": "m*m*m*m*m*m*m*m*m*m*m*m*m*m*m*m*m*m*m*m*m*m*m*m",
     "a quantity without a unit here": "mol/L cd m^7",

@@ -73,6 +73,7 @@ def served(readers: Mapping[str, Callable[[], Read]], kind: str, source: str, fo
     warnings.simplefilter("ignore")
     tempfile.tempdir = folder
     told: list = []
+    names = set()
     try:
         room = Room(path.stat().st_size)
         read = readers[kind]()
@@ -81,6 +82,9 @@ def served(readers: Mapping[str, Callable[[], Read]], kind: str, source: str, fo
         with (Path(folder) / "arrays").open("wb") as file:
             arrays = _Arrays(file)
             for name, value in read(path, room):
+                if name in names:
+                    raise InputError(f"two of its channels or variables are called {shown(name)}; rename one of them")
+                names.add(name)
                 if (kept := _written(value, arrays, name)) is not None:
                     told.append([name, kept])
         if asked:

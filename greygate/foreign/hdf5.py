@@ -66,15 +66,19 @@ class Contents:
         self.room.take(max(item.size, item.size * item.dtype.itemsize // 8), name)
         return item[()]
 
-    def attribute(self, item: Any, name: str) -> Any:
-        """A number or a text that an attribute holds; None where it is missing, or anything else."""
+    def attribute(self, item: Any, name: str, count: int = 1) -> Any:
+        """A number or a text that an attribute holds, or an array of `count`; None where it is missing, or else."""
         if name not in item.attrs:
             return None
         told = item.attrs.get_id(name)
         if told.get_storage_size() > ATTRIBUTE or told.dtype.kind not in "fiubSUO":
             return None
         values = np.asarray(item.attrs[name]).reshape(-1)
-        value = values[0] if len(values) == 1 else None
+        if len(values) != count:
+            return None
+        if count > 1:
+            return values if values.dtype.kind in "fiu" else None
+        value = values[0]
         if isinstance(value, bytes):
             return value.decode("utf-8", "replace")
         return value if isinstance(value, str | np.number | np.bool_) else None
@@ -94,9 +98,11 @@ def _plain(inside: Contents, item: Any, name: str, depth: int) -> Any:
     h5py = inside.h5py
     if depth > DEEPEST:
         return None
+    kind = inside.attribute(item, "MATLAB_class")
+    if kind is not None and ("MATLAB_sparse" in item.attrs or "MATLAB_object_decode" in item.attrs):
+        return None  # its places, or a number of an object
     if isinstance(item, h5py.Group):
         return {k: _plain(inside, v, k, depth + 1) for k, v in inside.items(item)}
-    kind = inside.attribute(item, "MATLAB_class")
     references = h5py.check_ref_dtype(item.dtype) is h5py.Reference
     if inside.attribute(item, "MATLAB_empty"):
         return "" if kind == "char" else np.empty((0, 0), object if kind == "cell" else float)

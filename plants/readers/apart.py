@@ -16,7 +16,10 @@ from greygate.foreign.hdf5 import Contents, h5py_module
 from greygate.foreign.mat import mat
 from greygate.plants.readers import arrow, labview, mdf, messages
 
-MISSING = 9.969209968386869e36  # what netCDF fills in for a number that was never written
+MISSING = {  # type -> what netCDF fills in for a number that was never written; a byte has none
+    "f4": 9.969209968386869e36, "f8": 9.969209968386869e36, "i2": -32767, "u2": 65535, "i4": -2147483647,
+    "u4": 4294967295, "i8": -9223372036854775806, "u8": 18446744073709551614,
+}  # fmt: skip
 DEEP = 20  # groups in one another
 
 
@@ -61,8 +64,13 @@ def _physical(inside: Contents, values: np.ndarray, item: Any, name: str) -> np.
         if isinstance(value, str) or (key in item.attrs and value is None):
             raise InputError(f"{shown(name)}: its {key} is no number; save the values themselves")
     bad = np.zeros(len(values), bool)
-    if values.dtype.kind == "f" and float(item.fillvalue) == np.array(MISSING).astype(values.dtype):
-        bad |= values == item.fillvalue
+    fill = MISSING.get(item.dtype.str[1:])
+    if fill is not None and item.fillvalue == np.array(fill).astype(item.dtype):
+        bad |= values == item.fillvalue.astype(values.dtype)
+    if "valid_range" in item.attrs:
+        if (span := inside.attribute(item, "valid_range", 2)) is None:
+            raise InputError(f"{shown(name)}: its valid_range is no pair of numbers; save the values themselves")
+        bad |= (values < span[0]) | (values > span[1])
     for key in ("_FillValue", "missing_value"):
         if told[key] is not None:
             bad |= values == np.asarray(told[key]).astype(values.dtype)

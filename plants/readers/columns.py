@@ -7,7 +7,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.plants.readers.units import converted, split
-from greygate.plants.recording import FEWEST, Recording, check_sizes, twice
+from greygate.plants.recording import EPOCH, FEWEST, Recording, check_sizes, twice
 
 Told = Callable[[str], None]
 CLOCKS = ("time", "times", "timestamp", "timestamps", "zeit", "elapsed", "seconds", "time_s", "x_value")
@@ -17,7 +17,6 @@ GAP = 1.5  # of a median step: a longer one is a gap
 FINER = 1.5  # of a median step: a wanted step that is longer needs a filter first
 CUT = 0.4  # of the new sample rate: where that filter cuts
 ORDER = 4
-EPOCH = 1 << 31  # a larger whole number counts ms, us or ns from a common epoch, not from the start of a recording
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,13 @@ def channels(
         raise InputError(f"{source}: has a time, {named[clocks[0]][0].header}; leave out the sample time")
     if clocks:
         column, name, unit = named.pop(clocks[0])
-        written = units.pop(name, "") or column.unit or unit or "s"
+        written = units.pop(name, "") or column.unit or unit
+        if not written and len(column.values) and abs(column.values[0]) > EPOCH:
+            raise InputError(
+                f"{source}: time {name} begins at {column.values[0]:g} and has no unit; tell it: --unit {name}=ms, or "
+                "us, ns or s"
+            )
+        written = written or "s"
         time, _ = converted(_since(column.values), written, f"{source}: time {name}", "s")
     bare = [name for column, name, unit in named if not (units.get(name) or column.unit or unit or unitless)]
     if bare:
@@ -118,10 +123,11 @@ def channels(
 
 
 def _since(values: np.ndarray) -> np.ndarray:
-    """Times as floats; whole numbers since an epoch count from the first, since a float has no room for both."""
+    """Times as floats; those since an epoch count from the first, since a float has no room for both in seconds."""
     values = np.asarray(values)
-    if values.dtype.kind in "iu" and len(values) and abs(int(values[0])) > EPOCH:
-        values = (values - values[0]).astype(np.int64)
+    if len(values) and abs(values[0]) > EPOCH:
+        values = values - values[0]
+        values = values.astype(np.int64) if values.dtype.kind == "u" else values
     return values.astype(float)
 
 

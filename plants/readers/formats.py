@@ -11,6 +11,7 @@ from greygate.foreign import apart
 from greygate.plants.readers.columns import Column
 from greygate.plants.readers.units import converted
 
+CLOCKS = {"t", "time", "t_s", "time_s"}  # channels that repeat the times of others
 APART = "greygate.plants.readers.apart"  # the module that the other process runs
 
 
@@ -55,11 +56,14 @@ def _columns(path: Path, kind: str) -> list[Column]:
 
 
 def _one_clock(found: list[Column]) -> list[Column]:
-    """Without a channel that merely repeats the own time of the others."""
+    """Without a channel that merely repeats the own time of the others. T is a temperature or a torque."""
     if all(c.time is None for c in found):
         return found
-    clocks = {"t", "time", "t_s", "time_s"}
-    return [c for c in found if c.header.lower() not in clocks] or found
+    return [c for c in found if c.header == "T" or c.header.lower() not in CLOCKS or not _rises(c.values)] or found
+
+
+def _rises(values: np.ndarray) -> bool:
+    return bool((values[1:] > values[:-1]).all())
 
 
 FORMATS = {

@@ -1,6 +1,7 @@
 """The other process for LabVIEW's TDMS: channels with their unit, and the times of their waveforms."""
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,10 @@ from greygate.errors import InputError, shown
 from greygate.foreign.child import Read, Room
 
 START, OFFSET, STEP = "wf_start_time", "wf_start_offset", "wf_increment"
+SCALES = {  # that nptdms computes; it passes over any other and gives what the converter counted
+    "AdvancedAPI", "Add", "Linear", "Polynomial", "RTD", "Strain", "Subtract", "Table", "Thermistor", "Thermocouple",
+}  # fmt: skip
+_SCALE = re.compile(r"NI_Scale\[\d+\]_Scale_Type")
 
 
 def tdms() -> Read:
@@ -27,6 +32,8 @@ def tdms() -> Read:
             waves = [c.properties for c in channels if c.properties.get(STEP)]
             starts = [_moment(told[START]) for told in waves if START in told]
             for channel in channels:
+                for told in (channel.properties, file[channel.group_name].properties, file.properties):
+                    _check_scales(channel.name, told)
                 room.take(len(channel), channel.name)
                 yield channel.path, _column(channel, min(starts, default=0))
 
@@ -35,6 +42,15 @@ def tdms() -> Read:
 
 def _read(kind: Any) -> bool:
     return kind.kind in "fiubcM"
+
+
+def _check_scales(name: str, told: Mapping[str, Any]) -> None:
+    """Raise InputError for a scale among the properties that would be left out."""
+    if told.get("NI_Scaling_Status", "unscaled") == "scaled":
+        return
+    for key, kind in told.items():
+        if _SCALE.fullmatch(key) and kind not in SCALES:
+            raise InputError(f"{shown(name)}: has the scale {shown(str(kind))}, which is not known; save it scaled")
 
 
 def _column(channel: Any, first: int) -> dict[str, Any]:

@@ -91,6 +91,8 @@ def _group(
     if clock is not None and major == 4 and clock.sync_type != TIME:
         counts = MASTERS.get(clock.sync_type, "something else")
         raise InputError(f"{shown(clock.name)}: the channels beside it are over {counts}, not time; leave them out")
+    if clock is not None and major == 4 and clock.flags & ALL_INVALID:
+        raise InputError(f"{shown(clock.name)}: is a time that is flagged invalid; leave out the channels beside it")
     for group, k in wanted:
         room.take(file.groups[group].channel_group.cycles_nr, file.groups[group].channels[k].name)
     signals = file.select([(None, group, k) for group, k in wanted], raw=True)

@@ -87,7 +87,7 @@ READINGS = {
     "F": "farad; degF: degree Fahrenheit", "R": "ohm; Rankine: degree Rankine",
     "k": "K: kelvin; ?: a thousand",
     "g": f"{_FREE}; {_FALL}", "mg": "mgram: a milligram; mg_0: a thousandth of free fall",
-    "ug": "ugram: a microgram; ug_0: a millionth of free fall", "G": f"Gs: gauss; {_FALL}",
+    "ug": "ugram: a microgram; ug_0: a millionth of free fall", "G": f"gauss; {_FALL}", "Gs": f"gauss; {_FALL}",
     "mG": "mGs: milligauss; mg_0: a thousandth of free fall", "kG": "kGs: kilogauss; kg: a kilogram",
     "gr": f"{_FREE}; grain: a grain; gon: a gradian", "gm": f"{_FREE}; gram m: a gram metre",
     "H": "henry; hour: an hour", "h": "hour: an hour; ?: Planck's constant", "d": "day: a day; ?: a tenth",
@@ -112,6 +112,9 @@ READINGS = {
     "MHZ": "MHz: megahertz; mHz: millihertz", "mhz": "MHz: megahertz; mHz: millihertz",
     "MT": "mT: millitesla; megatesla; ?: a megatonne", "mt": "mT: millitesla; tonne: a metric tonne",
     "MH": "mhenry: millihenry; Mhenry: megahenry", "MF": "mfarad: millifarad; Mfarad: megafarad",
+    **{f"{w}/{below}": f"{w}/(m K): per metre and kelvin; {w}/millikelvin: per thousandth of a kelvin"
+       for w in ("W", "mW", "kW") for below in ("mK", "(mK)")},
+    **{f"kg/{below}": "kg/(m s): of a viscosity; kg/millisecond: of a flow" for below in ("ms", "(ms)")},
     "nm": "nanometre; N m: newton metre", "NM": "N m: newton metre; nmi: a nautical mile",
     "kt": "knot; ?: a kiloton", "KT": "knot; ?: a kiloton",
     **dict.fromkeys(("kn", "KN", "Kn"), _KNOT), **dict.fromkeys(("mil", "mils"), _MIL),
