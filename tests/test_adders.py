@@ -134,6 +134,13 @@ def test_a_column_of_constants_is_a_graph_of_multiples():
     assert solve(np.array([[5], [45], [225]]), [8]).adders == 3
 
 
+@pytest.mark.parametrize("weight", [0, 5])
+def test_many_constants_beside_few_weights_find_room(weight):
+    weights = np.zeros((16, 1), int)
+    weights[3] = weight
+    assert (solve(weights, [16], constants=[1] * 16).matrix() == weights).all()
+
+
 def test_wrong_arguments_say_what_to_do():
     for arguments in ({"ranges": [(0, 1)]}, {"constants": [1]}, {"objective": "area"}):
         with pytest.raises(InputError, match=r"give|use"):

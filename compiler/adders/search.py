@@ -212,7 +212,7 @@ def state(body: np.ndarray, length: np.ndarray, columns: int, rows: int, seed: i
     ints[RANDOM] = seed * 2654435769 + 88172645463325252
     slot = np.zeros((slots, 9), np.int64)
     slot[:, LENGTH], slot[:, LEVEL] = count, depth
-    if extra is not None:
+    if depth and extra is not None:  # without a bound there is room, and a transpose has other rows
         slot[: len(extra), EXTRA] = extra
     return State(
         np.stack([packed, np.zeros_like(packed), np.zeros_like(packed)]),
