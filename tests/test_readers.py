@@ -368,6 +368,12 @@ def test_channels_over_an_angle_are_no_recording_over_time(tmp_path):
         file.save(tmp_path / "a.mf4")
     with pytest.raises(InputError, match="'phi': the channels beside it are over an angle, not time"):
         read_recording(tmp_path / "a.mf4")
+    with MDF(version="4.10") as file:
+        file.append([Signal(VALUES["x"], TIME, name="x", unit="m")])
+        file.groups[0].channels[0].flags |= 1
+        file.save(tmp_path / "b.mf4")
+    with pytest.raises(InputError, match="'time': is a time that is flagged invalid"):
+        read_recording(tmp_path / "b.mf4")
 
 
 def test_waveforms_that_start_apart_stay_apart(tmp_path):
@@ -503,6 +509,49 @@ def test_a_time_since_an_epoch_is_in_no_unit_but_the_told_one(header, read, tmp_
     with pytest.raises(InputError, match=f"time {header} begins at 1.79e\\+12 and has no unit"):
         read(path)
     assert read_recording(path, units={header: "ms"}).dt == 1e-3
+
+
+@pytest.mark.parametrize(
+    ("header", "unit", "name", "least"),
+    [
+        ("x_mm", "m", None, 0), ("x [bar]", "Pa", None, 0), ("T_deg", "degC", None, 0), ("x_m", "m", "x", 1.0),
+        ("x_1", "mm", "x_1", 1e-3), ("p_A", "bar", "p_A", 1.0), ("n_rpm", "1/min", "n", np.pi / 30),
+    ],
+)  # fmt: skip
+def test_a_unit_in_the_header_and_another_apart_from_it_are_refused(header, unit, name, least, tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["t"], file[header] = TIME, np.arange(1.0, N + 1)
+        file[header].attrs["unit"] = unit
+    if name is None:
+        with pytest.raises(InputError, match="names two units"):
+            read_recording(tmp_path / "a.h5")
+    else:
+        assert {n: v[0] for n, v in read_recording(tmp_path / "a.h5").channels.items()} == {name: pytest.approx(least)}
+
+
+@pytest.mark.parametrize("ending", ["mcap", "parquet"])
+def test_a_value_that_its_own_checksum_denies_is_not_read(ending, tmp_path):
+    import pyarrow
+    import pyarrow.parquet
+    from mcap.writer import CompressionType, Writer
+
+    path, values = tmp_path / f"a.{ending}", np.arange(N) + 1000.125
+    if ending == "parquet":
+        table = pyarrow.table({"t": TIME, "x_m": values})
+        pyarrow.parquet.write_table(table, path, use_dictionary=False, compression="none", write_page_checksum=True)
+    else:
+        with open(path, "wb") as file:
+            writer = Writer(file, compression=CompressionType.NONE)
+            writer.start()
+            topic = writer.register_channel("rig", "json", 0)
+            for k, value in enumerate(values):
+                writer.add_message(topic, k * 1_000_000, json.dumps({"x_m": value}).encode(), 0)
+            writer.finish()
+    assert read_recording(path)["x"].tolist() == values.tolist()
+    whole, sign = path.read_bytes(), values[7].tobytes() if ending == "parquet" else b"1007.125"
+    path.write_bytes(whole.replace(sign, b"9" * 8))
+    with pytest.raises(InputError, match=r"cannot be read .*(?i:crc)"):
+        read_recording(path)
 
 
 def test_complex_numbers_are_refused_by_name(tmp_path):

@@ -30,7 +30,7 @@ def parquet() -> Read:
         raise InputError("pyarrow is not installed; pip install 'greygate[parquet]'") from None
 
     def read(path: Path, room: Room) -> Iterator[tuple[str, Any]]:
-        file = pyarrow.parquet.ParquetFile(path)
+        file = pyarrow.parquet.ParquetFile(path, page_checksum_verification=True)
         rows, names = file.metadata.num_rows, Counter(file.schema_arrow.names)
         for field in file.schema_arrow:
             kind, types = field.type, pyarrow.types

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greygate.errors import InputError
-from greygate.plants.readers.units import converted, split
+from greygate.errors import InputError, shown
+from greygate.plants.readers.units import converted, same, split, suffixed
 from greygate.plants.recording import EPOCH, FEWEST, Recording, check_sizes, twice
 
 Told = Callable[[str], None]
@@ -72,7 +72,7 @@ def channels(
     Raises InputError for a header or a unit that cannot be read in one way.
     """
     units, required = dict(units or {}), required or {}
-    named = [(column, *split(column.header, source)) for column in columns]
+    named = [(column, *_named(column, source)) for column in columns]
     clocks = [k for k, (c, name, _) in enumerate(named) if c.time is None and _is_clock(name, c.header, clock)]
     if clock is not None and not clocks:
         raise InputError(f"{source}: no column {clock}; it has {', '.join(name for _, name, _ in named)}")
@@ -120,6 +120,19 @@ def channels(
     if not found:
         raise InputError(f"{source}: holds no channel beside the time")
     return found
+
+
+def _named(column: Column, source: str) -> tuple[str, str | None]:
+    """(name, unit or None) that a header gives. Raises InputError if the file tells another unit apart from it."""
+    name, unit = split(column.header, source)
+    if not column.unit or unit is None or same(column.unit, unit):
+        return name, unit
+    if suffixed(column.header)[1] is None:
+        raise InputError(
+            f"{source}: column {shown(column.header)} names two units, {unit} and {shown(column.unit)}; write one of "
+            "them"
+        )
+    return split(f"{column.header} [{column.unit}]", source)
 
 
 def _since(values: np.ndarray) -> np.ndarray:

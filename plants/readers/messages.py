@@ -59,7 +59,7 @@ def mcap() -> Read:
                     continue
                 if record.uncompressed_size > room.bytes:
                     room.take(record.uncompressed_size // 8, "a chunk")
-                stream, size = get_chunk_data_stream(record)
+                stream, size = get_chunk_data_stream(record, validate_crc=True)
                 while stream.count < size:
                     kind, length = stream.read1(), stream.read8()
                     if kind == Opcode.CHANNEL:

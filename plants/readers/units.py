@@ -65,7 +65,7 @@ def split(header: str, where: str) -> tuple[str, str | None]:
             groups = found.groupdict()
             unit = groups.get("unit") or next((groups[k] for k in "abc" if groups.get(k) is not None), None)
             inner, beside = suffixed(groups["name"])
-            if beside is not None and form is _BRACKETS and (beside == "1" or not _same(unit or "", beside)):
+            if beside is not None and form is _BRACKETS and (beside == "1" or not same(unit or "", beside)):
                 if re.search(r"_\w$", groups["name"].strip()) and (beside == "1" or not factor(unit or "", beside)):
                     return _name(groups["name"]), unit  # x_1 [1], x_1 [mm], p_A [bar]: a sign that numbers channels
                 raise InputError(
@@ -88,7 +88,8 @@ def suffixed(header: str) -> tuple[str, str | None]:
     return header.strip(), None
 
 
-def _same(unit: str, other: str) -> bool:
+def same(unit: str, other: str) -> bool:
+    """Whether both are one unit."""
     try:
         return unit.strip() == other or _scale(unit.strip(), None) == _scale(other, None)
     except InputError:
