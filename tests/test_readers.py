@@ -475,6 +475,16 @@ def test_a_scale_of_tdms_that_is_not_computed_is_refused_by_name(place, tmp_path
                 read_recording(tmp_path / "a.tdms")
 
 
+def test_memory_that_is_refused_without_a_limit_of_the_computer_is_named(tmp_path):
+    from nptdms import ChannelObject, TdmsWriter
+
+    with TdmsWriter(tmp_path / "a.tdms") as writer:  # nptdms makes a list of so many
+        told = {"NI_Number_Of_Scales": np.int32(2**31 - 1), "wf_increment": DT}
+        writer.write_segment([ChannelObject("run", "x", VALUES["x"], told)])
+    with pytest.raises(InputError, match=r"needs more memory than the [1-9]\d* MiB"):
+        read_recording(tmp_path / "a.tdms")
+
+
 def messages(path, said):
     """An MCAP file of (topic, time in ms, message)."""
     from mcap.writer import Writer

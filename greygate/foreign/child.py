@@ -109,7 +109,8 @@ def served(readers: Mapping[str, Callable[[], Read]], kind: str, source: str, fo
 
 
 def _most() -> str:
-    least = min(limit for limit in resource.getrlimit(resource.RLIMIT_AS))
+    told = [limit for limit in resource.getrlimit(resource.RLIMIT_AS) if limit != resource.RLIM_INFINITY]
+    least = min(told, default=sys.maxsize)
     return f"the {least >> 20} MiB that reading it may take"
 
 

@@ -149,6 +149,7 @@ ALONE = frozenset({"h", "d", "t", "l"})  # of `READINGS`: in a product they are 
 
 _RANGE = "a part of a range that is not told; multiply by it, or write percent or 1"
 _LOGARITHM = "a logarithm of a ratio; convert it to the quantity itself"
+_PER_RPM = "over turns a minute or over 1/min, of which 2 pi lie between; write rpm below the slash, or min above it"
 _STANDARD = "a volume at a standard state, so a mass; convert it to kg/s, or to m^3/s as it flows"
 _SIZE = "the size of an oscillation, not a value at each time; write V or A if it is meant so"
 ADVICE = (
@@ -156,6 +157,7 @@ ADVICE = (
         re.compile(r"%\s*(?:of\s+)?(?:F\.?\s?S\.?|FSO|FSR|full scale|span|max|v\.?E\.?)|p\.?\s?u\.?|per unit", re.I),
         _RANGE,
     ),
+    (re.compile(r".+/\s*(?:min\^?-1|\((?:1/min|min\^?-1)\))"), _PER_RPM),
     (re.compile(r"dB\w*|dB\s*\(\w*\)|Np|neper|pH|bel", re.I), _LOGARITHM),
     (
         re.compile(

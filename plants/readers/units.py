@@ -40,11 +40,11 @@ SI = (
     "1", "m", "s", "kg", "A", "K", "rad", "N", "Pa", "J", "W", "V", "coulomb", "farad", "ohm", "henry", "T", "Hz",
     "m/s", "m/s^2", "m/s^3", "m^2", "m^3", "m^3/s", "kg/s", "N/m", "N s/m", "kg m^2", "kg/m^3", "Pa s", "Pa/s", "m^2/s",
     "kg m", "N s", "rad/s", "rad/s^2", "rad/s^3", "N m/rad", "N m s/rad", "m/rad", "m^3/rad", "V s/rad", "V s/m",
-    "V/m", "V/s", "A/s", "K/s", "W/K", "J/K", "J/(kg K)", "W/(m K)", "W/(m^2 K)", "N/A", "N m/A", "N m s", "1/m", "1/K",
+    "V/m", "V/s", "A/s", "K/s", "W/K", "J/K", "J/(kg K)", "W/(m K)", "W/(m^2 K)", "N/A", "N m s", "1/m", "1/K",
     "1/rad", "rad/m", "siemens", "siemens/m", "Wb", "m^3/(s Pa)", "A/V",
 )  # fmt: skip
 """What a unit becomes: the first that is of its kind."""
-FORCES = ("N m", "N s/m")  # of `SI`: also J and kg/s
+FORCES = ("N m", "N s/m", "N m/A")  # of `SI`: also J, kg/s and Wb
 LONGEST = 256  # characters of a header
 MOST_READINGS = 16  # of a product
 _SIGN = re.compile(r"[/^%°²³]")  # of a unit, in no name: `speed_rad/s`
