@@ -177,6 +177,24 @@ def test_an_output_that_is_declared_too_short_has_a_port_for_each_number(tmp_pat
     assert [p.name for p in network.outputs] == ["y0_1", "y0_2"]
 
 
+def test_a_state_that_is_the_only_output_is_given_too(tmp_path):
+    nodes = [helper.make_node("Add", ["x", "h"], ["t"]), helper.make_node("Tanh", ["t"], ["after"])]
+    network = from_onnx(saved(built(nodes, {"x": [1], "h": [1]}, ["after"]), tmp_path), state={"h": "after"})
+    once = np.tanh(1.0)
+    assert network.run({"x": np.ones(2)})["after"].tolist() == [once, np.tanh(1.0 + once)]
+
+
+def test_a_network_is_called_as_its_file_in_letters_that_a_name_has(tmp_path):
+    path = tmp_path / "my model-2.5.onnx"
+    path.write_bytes(one("Tanh", [2], opset=18).SerializeToString())
+    assert from_onnx(path).name == "my_model_2_5"
+
+
+def test_a_product_with_several_matrices_is_refused_with_their_shape(tmp_path):
+    said = refusal(one("MatMul", [1, 3], f(2, 3, 2), opset=18), tmp_path)
+    assert "operation MatMul: several matrices at once, [2, 3, 2], are not carried" in said
+
+
 def test_limits_that_lie_far_apart_lose_no_digits(tmp_path):
     right(one("Clip", [3], np.float32(-1e30), np.float32(1e30), opset=18), tmp_path)
     right(one("Clip", [3], np.float32(-1e30), np.float32(0.5), opset=18), tmp_path)

@@ -106,6 +106,14 @@ def answered(module, x, count):
     return np.column_stack(list(from_torch(module, list(columns), outputs).run(columns).values()))
 
 
+def test_a_module_that_takes_a_batch_takes_a_batch_of_one_sample():
+    module = nn.Sequential(nn.Linear(2, 3), nn.BatchNorm1d(3), nn.PReLU(3), nn.Flatten(), nn.Linear(3, 1)).double()
+    module(torch.randn(9, 2, dtype=torch.float64))  # it learns a mean and a spread
+    x = np.random.default_rng(0).normal(size=(5, 2))
+    wanted = module.eval()(torch.tensor(x)).detach().numpy()
+    assert np.abs(answered(module, x, 1) - wanted).max() < 1e-14
+
+
 def test_a_weight_that_a_hook_makes_is_made():
     with pytest.warns(FutureWarning):
         module = nn.utils.weight_norm(nn.Linear(2, 3))

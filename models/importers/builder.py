@@ -9,13 +9,14 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
 from greygate.errors import InputError, shown
 from greygate.models.importers.ports import port
 from greygate.models.network import Layer, Network, Port
-from greygate.names import check_name
+from greygate.names import LONGEST_NAME, check_name
 
 Number = float | np.ndarray
 WIDE = 1 << 20  # of limits: scaled to 0 and 1, a value between them would lose more than 20 of its 53 bits
@@ -106,6 +107,11 @@ def word(text: str) -> str:
     """A name of another tool as letters, digits and _, no digit first; "" if it has none of these."""
     plain = re.sub(r"_+", "_", re.sub(r"\W", "_", text, flags=re.ASCII)).strip("_")
     return f"n{plain}" if plain[:1].isdigit() else plain
+
+
+def titled(path: Path | str) -> str:
+    """A network's name by that of its file."""
+    return word(Path(path).stem)[:LONGEST_NAME] or "network"
 
 
 def _room(count: int) -> None:
@@ -333,6 +339,11 @@ def _part(value: Value, k: int, n: int) -> Value:
 
 def matmul(a: Value, b: Value) -> Value | None:
     """As NumPy's, where one of them is constant; None where none is."""
+    for matrix in (a.constant, b.constant):
+        if matrix is not None and matrix.size > int(np.prod(matrix.shape[-2:])):
+            raise InputError(
+                f"several matrices at once, {list(matrix.shape)}, are not carried; write one product for each"
+            )
     if (matrix := b.constant) is not None:
         matrix = matrix.reshape(matrix.shape[-2:])
         out = a.linear(np.atleast_2d(matrix.T))

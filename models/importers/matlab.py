@@ -15,7 +15,7 @@ import numpy as np
 
 from greygate.errors import InputError, shown
 from greygate.foreign import read_mat
-from greygate.models.importers.builder import Builder, Value, constant
+from greygate.models.importers.builder import Builder, Value, constant, titled
 from greygate.models.importers.ports import port
 from greygate.models.network import Network, Port
 
@@ -47,7 +47,7 @@ def from_matlab(
     """
     path = Path(path)
     found = _read(path)
-    return _Layout(path, found, inputs, outputs).network(name or path.stem)
+    return _Layout(path, found, inputs, outputs).network(name or titled(path))
 
 
 class _Layout:

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from greygate.errors import InputError, one_line, shown
-from greygate.models.importers.builder import Builder, Value, constant, joined, matmul, taken
+from greygate.models.importers.builder import Builder, Value, constant, joined, matmul, taken, titled
 from greygate.models.importers.onnx_file import ELEMENTS, QONNX, STANDARD, array, first, ports_of, read, shape
 from greygate.models.importers.onnx_reference import FOLDED, Imported, Reference, Tensor, check, lengths
 from greygate.models.importers.qonnx import QUANTIZERS, Declaring, Quantized
@@ -35,8 +35,9 @@ def from_onnx(
     """The network that computes what an ONNX model computes, step by step.
 
     inputs, outputs: ports in the order of the numbers of the model's inputs and outputs, or their names; by default the
-    model's own names. state: an input of the model -> the output that it is in the next step. initial: such an input ->
-    its value before the first step, 0 if not given. name: of the network, by default that of the file.
+    model's own names. state: an input of the model -> the output that it is in the next step; such outputs are ports
+    only if there is no other. initial: such an input -> its value before the first step, 0 if not given. name: of the
+    network, by default that of the file.
     Raises InputError for a file that is no model, and for an operation that a network cannot carry.
 
     >>> import onnx
@@ -99,7 +100,7 @@ def _built(
         for tensors, entering in ((entered, True), (graph.output, False))
         for t in tensors
     }
-    free = [n for n in names[0] if n not in state], [n for n in names[1] if n not in state.values()]
+    free = [n for n in names[0] if n not in state], [n for n in names[1] if n not in state.values()] or names[1]
     shapes = {n: [1] * (len(a) - 1) + lengths(a, {})[-1:] for n, a in axes.items()} | {
         n: lengths(axes[n], {}) for n in state
     }
@@ -110,7 +111,7 @@ def _built(
         list(given) if given is not None else [p for n in tensors for p in ports_of(n, shapes[n])]
         for given, tensors in zip((inputs, outputs), free, strict=True)
     ]
-    builder = kind(name or Path(path).stem, *ports)
+    builder = kind(name or titled(path), *ports)
     samples = next((f"{shown(n)} is {axes[n]}" for n in free[0] if any(k != 1 for k in axes[n][:-1])), "")
     walk = _Walk(builder, str(path), Reference(model.opset_import), samples)
     values: dict[str, Value | np.ndarray] = dict(fixed)

@@ -353,8 +353,10 @@ def _stepped(made: Imported, rows: Mapping[str, np.ndarray], count: int, on: boo
         for tensor in made.outputs:
             signals = [found[p.name].reshape(len(run), p.size) for p in tensor.ports]
             parts.setdefault(tensor.name, []).append(np.concatenate(signals, 1))
+        given = {t.name for t in made.outputs}
         for layer, _, after in made.states.values():
-            parts.setdefault(after, []).append(found[layer].reshape(len(run), -1))
+            if after not in given:
+                parts.setdefault(after, []).append(found[layer].reshape(len(run), -1))
     return {n: np.concatenate(p) for n, p in parts.items()}
 
 

@@ -1,6 +1,7 @@
 """From a PyTorch module, by `torch.export`, and back.
 
-The module takes one step: `forward(x) -> y`, or `forward(x, *states) -> (y, *states)`. A module with `nn.RNN`, `nn.GRU`
+The module takes one step, x of shape (channels,) or else (1, channels): `forward(x) -> y`, or
+`forward(x, *states) -> (y, *states)`. A module with `nn.RNN`, `nn.GRU`
 or `nn.LSTM` inside takes a sequence (steps, channels), and its state goes on from step to step. A buffer that a step
 changes is a state, too.
 
@@ -205,7 +206,14 @@ class _Trial:
         """Take one step. Raises InputError if the module does not, or returns something else than y and its states."""
         import torch
 
-        found = self._called(copy.deepcopy(self.module), self.x, self.starts)
+        try:
+            found = self._called(copy.deepcopy(self.module), self.x, self.starts)
+        except InputError as error:
+            self.x = self.x[None]  # a module for batches, such as one with BatchNorm1d: a batch of one
+            try:
+                found = self._called(copy.deepcopy(self.module), self.x, self.starts)
+            except InputError:
+                raise error from None
         results = _results(found)
         for result in results:
             if not isinstance(result, torch.Tensor):
@@ -244,7 +252,7 @@ class _Trial:
         module, states, rows = copy.deepcopy(self.module), self.starts, []
         before: dict[str, Any] = {}
         for row in x:
-            y, *states = _results(self._called(module, _tensor(row, row.shape), states))
+            y, *states = _results(self._called(module, _tensor(row, self.x.shape), states))
             rows.append(_array(y))
             before = before or _attributes(module)  # what a first step sets once may stay
         self._forgets(before, module)
