@@ -139,12 +139,15 @@ def test_the_generator_shares_nothing_with_the_diagnoser_or_the_plants():
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Import):
                 imported |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module == "greygate":
+                imported |= {f"greygate.{alias.name}" for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and not node.level:
                 imported.add(node.module)
             elif isinstance(node, ast.ImportFrom):
                 assert node.level <= len(path.relative_to(folder).parts), path
     house = {name for name in imported if name.startswith("greygate")}
-    assert house == {f"greygate.{name}" for name in ("contents", "errors", "files", "progress", "reading", "table")}
+    ground = ("children", "contents", "errors", "files", "progress", "reading", "table")
+    assert house == {f"greygate.{name}" for name in ground}
 
 
 def test_play_that_is_concealed_is_not_in_the_datasheet(tmp_path):

@@ -101,7 +101,10 @@ def test_a_network_of_the_catalogue_is_judged_on_what_it_learnt_from_too(folder)
 
 def test_the_command_prints_a_table_writes_a_page_and_exits_with_0(folder):
     code, out, error = greygate("validate", "arx.toml", "--record", "train.csv", "--record", "new=<test>.csv")
-    assert (code, error) == (0, "")
+    assert (code, error) == (
+        0,
+        "network arx does not say its sample time; taken as that of train.csv (10 ms)\n",
+    )
     assert out.splitlines()[-1] == "written to validation.html"
     assert [line.split()[0] for line in out.splitlines()[2:4]] == ["train*", "new"]
     assert (folder / "validation.html").read_text().startswith("<!doctype html>")

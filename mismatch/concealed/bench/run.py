@@ -30,6 +30,7 @@ OURS = "greygate"
 BASELINES = ("nominal", "calibrated", *MODELS)
 TOOLS = {OURS: children.python("-m", "greygate.entrant")}
 LONGEST = 1e6  # s: waiting for more is waiting for ever
+LOOKS = 0.1  # s between two looks whether a tool has ended
 SAID = 400  # characters of what a tool that fails has said last
 
 
@@ -92,7 +93,7 @@ def run(
     finally:
         over.set()
         pool.shutdown(wait=False, cancel_futures=True)
-        while wait(futures, 0.1).not_done:  # where the run was interrupted: what a tool has started ends with it
+        while wait(futures, LOOKS).not_done:  # where the run was interrupted: what a tool has started ends with it
             children.stop()
     return {name: done[name] for name in chosen}
 
