@@ -174,13 +174,13 @@ def interval(squares: np.ndarray) -> list[float]:
     return [float(v) for v in np.quantile(found, (0.025, 0.975))]
 
 
-def reach(task: Task, seen: Iterable[Mapping]) -> tuple[list[tuple[int, ...]], list[int]]:
-    """Delays and strides to try. seen: of each recording, by `look`.
+def reach(task: Task, seen: Iterable[Mapping], deepest: int = max(ORDERS)) -> tuple[list[tuple[int, ...]], list[int]]:
+    """Delays and strides to try. seen: of each recording, by `look`. deepest: an order for which a stride leaves room.
 
     Delays around those that were seen, and none: which one is best shows only with a model.
     """
     seen = list(seen)
-    apart = min(max(s["stride"] for s in seen), max(task.settle // max(ORDERS), 1))
+    apart = min(max(s["stride"] for s in seen), max(task.settle // deepest, 1))
     names = [p.name for p in task.inputs]
     found = [min((s["delays"][n] for s in seen if s["delays"][n] is not None), default=0) for n in names]
     delays = {tuple(max(d + shift, 0) for d in found) for shift in (-2, -1, 0, 1)} | {(0,) * len(names)}
