@@ -51,10 +51,10 @@ COMMANDS = {  # name -> (words; {at} is the folder of the inputs, what it writes
 
 def inputs(at: Path) -> None:
     """Write small inputs of all commands."""
-    rows, y = [], [0.0, 0.0]
+    rows, y, u = [], [0.0, 0.0], 0.0
     draw = random.Random(1)
     for k in range(SAMPLES):
-        u = draw.choice((-1.0, 1.0)) if k % 9 == 0 else u  # noqa: F821 - of the step before
+        u = draw.choice((-1.0, 1.0)) if k % 9 == 0 else u
         y.append(0.7 * y[-1] - 0.1 * y[-2] + 0.3 * u)
         rows.append(f"{k * 1e-3:.3f},{u},{y[-1] + 0.01 * draw.gauss(0, 1):.6f}\n")
     at.mkdir()
