@@ -32,14 +32,14 @@ class Stored:
         return json.loads(path.read_text(encoding="utf-8"))
 
 
-def pair(values: Iterable[float], digits: int = 3) -> str:
+def pair(values: Iterable[float], digits: int = 3, between: str = " / ") -> str:
     """Two chambers, as a table shows them."""
-    return " / ".join(f"{value:.{digits}f}" for value in values)
+    return between.join(f"{value:.{digits}f}" for value in values)
 
 
-def mpa(values: Iterable[float], digits: int = 3) -> str:
+def mpa(values: Iterable[float], digits: int = 3, between: str = " / ") -> str:
     """Two pressures in Pa, as MPa."""
-    return pair((value / 1e6 for value in values), digits)
+    return pair((value / 1e6 for value in values), digits, between)
 
 
 def figures(value: float, digits: int = 3) -> str:
