@@ -415,7 +415,7 @@ def listing() -> list[dict[str, str]]:
 
 def markdown() -> str:
     """`listing` as the table of docs/library.md."""
-    rows = listing()
+    rows = [{key: cell for key, cell in row.items() if key != "neurons"} for row in listing()]
     lines = [list(rows[0]), ["---"] * len(rows[0]), *(list(r.values()) for r in rows)]
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines) + "\n"
 
