@@ -4,7 +4,7 @@ BIN := $(VENV)/bin
 PYTHON ?= python3
 OUT := demo
 PEERS := build/peers
-FOLDERS := models plants emulator compiler rtl mismatch control machines recordings
+FOLDERS := models plants emulator compiler rtl mismatch control identify machines hardware pages export recordings
 NO_FLOATS := rtl random_hardware adders_hardware synthesis proofs engine board c99 browser fuzz fuzzing faults attacks \
     names escapes waveform testing ci schemas invocations imports files serial pipelined targets export
 

@@ -10,21 +10,17 @@ from pathlib import Path
 
 from made import stamp
 
-from greygate.augment import FACTS, augment
 from greygate.compiler.quantize import Formats
 from greygate.compiler.targets import BOTH
-from greygate.explain import explain
 from greygate.files import replacing
+from greygate.hardware.build import Project
+from greygate.machines.source import Source, read_record
+from greygate.mismatch.augment import FACTS, augment
 from greygate.mismatch.concealed.conceal import conceal
+from greygate.mismatch.explain import explain
 from greygate.models.accuracy import float_error
 from greygate.models.network import Network
-from greygate.project import (
-    Project,
-    compile_project,
-    fixed_and_float,
-    verify_project,
-)
-from greygate.source import Source, read_record
+from greygate.project import compile_project, fixed_and_float, verify_project
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
 from pictures import FOLDER, over_time, panel, picture

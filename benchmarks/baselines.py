@@ -10,8 +10,8 @@ from time import process_time
 
 from made import keep
 
-from greygate.baseline import linear_rms
-from greygate.identifying.task import FOLDS, LONGEST, SETTLING
+from greygate.identify.baseline import linear_rms
+from greygate.identify.task import FOLDS, LONGEST, SETTLING
 from greygate.machines.measured.study import STUDIES
 
 
@@ -22,7 +22,7 @@ def main(name: str) -> None:
     began = process_time()
     found = linear_rms(list(training.values()), judged)
     rms = {n: value for n, by in found.items() for value in by.values()}
-    measures = ["greygate/baseline.py", "greygate/identifying", "models/training"]
+    measures = ["identify/baseline.py", "identify", "models/training"]
     keep("baselines", name, {"rms": rms, "cpu_seconds": process_time() - began}, measures)
     print(name, rms, flush=True)
 

@@ -26,7 +26,7 @@ from greygate.machines.belt_drive.network import DIRECTIONS, E, belt_machine
 from greygate.machines.belt_drive.study import ENGAGED, SCENARIOS, legs
 from greygate.machines.catalog import entry
 from greygate.models.accuracy import rms
-from greygate.plants.simulate import simulate
+from greygate.plants.simulator import simulate
 
 FINE = 1e-3  # s
 SPEEDS = (0.02, 0.04, 0.08)  # m/s

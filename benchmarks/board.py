@@ -27,8 +27,8 @@ from greygate.hardware.board.frames import width
 from greygate.hardware.board.make import make
 from greygate.hardware.board.play import opened, play
 from greygate.hardware.board.simulated import simulated_board
+from greygate.hardware.build import Project
 from greygate.hardware.tools import yosys
-from greygate.project import Project
 
 BOARD = "icebreaker"
 NETWORK = "valve_cylinder"

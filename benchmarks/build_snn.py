@@ -15,7 +15,7 @@ from time import process_time
 import made
 import numpy as np
 
-from greygate.expert.files import build_files
+from greygate.identify.expert.files import build_files
 from greygate.machines.belt_drive import plant as belt_drive
 from greygate.machines.cable_drum import plant as cable_drum
 from greygate.machines.catalog import entry

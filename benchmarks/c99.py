@@ -20,9 +20,10 @@ from test_c99 import COMPILERS, agree, built, fields, same
 
 from greygate.compiler.emit import emit
 from greygate.emulator.engine import run
+from greygate.hardware.build import Project
 from greygate.machines.catalog import REPORTED
-from greygate.project import Project, compile_project
-from greygate.source import Source
+from greygate.machines.source import Source
+from greygate.project import compile_project
 
 STEPS = 24
 LEVELS = ("-O0", "-O2")

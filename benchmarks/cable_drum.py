@@ -31,11 +31,10 @@ from greygate.machines.cable_drum.study import (
     starts,
     with_angle,
 )
-from greygate.machines.identification import rmse
-from greygate.models.accuracy import float_error
+from greygate.models.accuracy import float_error, rmse
+from greygate.models.drawn import envelope
 from greygate.models.network import Network
 from greygate.models.training.levenberg import train
-from greygate.pages.figures import envelope
 from greygate.plants.recording import Recording
 
 JUDGED = ("training", "choice", "validation", "home")

@@ -28,7 +28,7 @@ from greygate.compiler.tables import Form
 from greygate.compiler.targets import Design, Memory
 from greygate.emulator.program import Program
 from greygate.hardware.synthesis import synthesize
-from greygate.source import Source
+from greygate.machines.source import Source
 
 FAMILIES = ("ecp5", "ice40", "xilinx")
 PLACED = {"ecp5": "ecp5-85k", "ice40": "up5k"}  # the device that tells the clock period of a family

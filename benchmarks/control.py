@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from greygate.control.choices import JUDGED, Case, Method, Place
 from greygate.control.loop import Run
-from greygate.controlling import controller
+from greygate.hardware.controlling import controller
 from greygate.hardware.in_loop import Clocked
 from greygate.machines.catalog import CONTROLLED, task
 from greygate.machines.control import Task

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from greygate.compiler.ranges import ranges
+from greygate.machines.source import Source
 from greygate.models.layer import Port
 from greygate.models.network import Network
 from greygate.models.training.record import Record
-from greygate.source import Source
 
 SIDE = 99  # points of the grid along each input
 ENDS = {"u": (-1.0, 1.0), "p": (0.01, 0.99)}

@@ -14,12 +14,13 @@ import numpy as np
 from made import keep
 from test_export import Slave
 
-from greygate.emulation import emulate
-from greygate.exporting.export import export_fmu
-from greygate.exporting.fmu import VERSIONS
+from greygate.emulator.emulation import emulate
+from greygate.export.export import export_fmu
+from greygate.export.fmu import VERSIONS
+from greygate.hardware.build import Project
 from greygate.machines.catalog import REPORTED
-from greygate.project import Project, compile_project
-from greygate.source import Source
+from greygate.machines.source import Source
+from greygate.project import compile_project
 
 
 def differing(project: Project, scenario: str, path: Path, folder: Path) -> tuple[int, int]:

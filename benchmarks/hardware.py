@@ -16,11 +16,12 @@ from made import keep
 from threadpoolctl import threadpool_limits
 
 from greygate.compiler.pipeline import compile_network, fixed_error
+from greygate.hardware.build import Project
 from greygate.machines.catalog import CATALOG
 from greygate.machines.kept import ALLOWED
+from greygate.machines.source import Source
 from greygate.models.accuracy import float_error, rms
-from greygate.project import Project, compile_project, verify_project
-from greygate.source import Source
+from greygate.project import compile_project, verify_project
 
 WIDTHS = (12, 16, 18)
 

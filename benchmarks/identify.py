@@ -16,8 +16,8 @@ import numpy as np
 from made import keep
 from scipy.integrate import odeint
 
-from greygate.identifying.files import figures, identify
-from greygate.identifying.task import Task, started
+from greygate.identify.files import figures, identify
+from greygate.identify.task import Task, started
 from greygate.machines.measured.study import STUDIES
 from greygate.models.training.record import Record
 from greygate.plain import plain

@@ -23,7 +23,7 @@ from identify import JOBS, NAMES, SECONDS, judged, recorded
 from made import keep
 from threadpoolctl import threadpool_limits
 
-from greygate.identifying.halving import (
+from greygate.identify.halving import (
     DECAY,
     EPOCHS,
     LADDER,
@@ -36,9 +36,9 @@ from greygate.identifying.halving import (
     refitted,
     thinned,
 )
-from greygate.identifying.ladder import FORMS, Orders, grown
-from greygate.identifying.looking import look
-from greygate.identifying.task import Task, started, task
+from greygate.identify.ladder import FORMS, Orders, grown
+from greygate.identify.looking import look
+from greygate.identify.task import Task, started, task
 from greygate.models.training.record import Record
 
 RESULTS = Path(__file__).parent / "results"

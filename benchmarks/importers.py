@@ -13,10 +13,11 @@ import numpy as np
 from imported_models import ALL, free_run, signal
 from made import keep
 
+from greygate.hardware.build import Project
+from greygate.machines.source import Source
 from greygate.models.training.record import Record
 from greygate.plants.recording import Recording
-from greygate.project import Project, compile_project, fixed_and_float, verify_project
-from greygate.source import Source
+from greygate.project import compile_project, fixed_and_float, verify_project
 
 STEPS = 1000
 AGREED = 1e-6

@@ -15,7 +15,8 @@ from greygate.compiler.emit import emit
 from greygate.compiler.serial.layout import compiled
 from greygate.emulator.program import Program
 from greygate.hardware.synthesis import synthesize
-from greygate.project import Source, compile_project
+from greygate.machines.source import Source
+from greygate.project import compile_project
 
 PLANTS = ("valve_cylinder", "asymmetric_cylinder", "pump_cylinder", "cable_drum", "belt_drive")
 TARGETS = ("up5k", "ecp5-25k", "xc7a35t")

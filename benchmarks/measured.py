@@ -20,11 +20,11 @@ from threadpoolctl import threadpool_limits
 from greygate.compiler.pipeline import fixed_error
 from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.ranges import ranges
-from greygate.compiler.simplify import simplify
-from greygate.identifying.halving import interval, segmented
-from greygate.machines.identification import Study, stored
+from greygate.identify.halving import interval, segmented
+from greygate.identify.study import Study, stored
 from greygate.machines.measured.study import STUDIES
 from greygate.models.accuracy import float_error, rms
+from greygate.models.simplify import simplify
 
 WIDTHS = (12, 14, 16)
 

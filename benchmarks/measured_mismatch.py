@@ -18,7 +18,7 @@ import numpy as np
 from made import stamp
 from scipy.ndimage import uniform_filter1d
 
-from greygate.machines.identification import ROOT, find
+from greygate.identify.study import ROOT, find
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.rig import load
 

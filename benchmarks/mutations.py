@@ -14,7 +14,7 @@ PRODUCT = ("greygate", "models", "compiler", "emulator", "rtl", "plants", "misma
 AREAS = (*PRODUCT, "models/training")  # a file is of the longest
 TEMPLATES = (
     "emulator/specialised.py",
-    "plants/simulate.py",
+    "plants/simulator.py",
     "compiler/targets/folded.py",
     "compiler/targets/parallel.py",
 )
@@ -75,12 +75,12 @@ NAMED = {  # what it is: (file, old, new); old stands there once
         ")",
     ),
     "a rate goes on at the lower bound": (
-        "plants/simulate.py",
+        "plants/simulator.py",
         "x[rate[j]] = max(x[rate[j]], 0.0)",
         "x[rate[j]] = x[rate[j]]",
     ),
     "a rate may grow outward at the lower bound": (
-        "plants/simulate.py",
+        "plants/simulator.py",
         "(x[j] <= low[j] and dx[moved] < 0.0) or ",
         "",
     ),
@@ -96,17 +96,17 @@ NAMED = {  # what it is: (file, old, new); old stands there once
         "return False",
     ),
     "a coupling counts from one side alone": (
-        "plants/simulate.py",
+        "plants/simulator.py",
         "e.state in rates or equation.state in e.couples",
         "e.state in rates",
     ),
     "a coupling counts from the other side alone": (
-        "plants/simulate.py",
+        "plants/simulator.py",
         "e.state in rates or equation.state in e.couples",
         "equation.state in e.couples",
     ),
     "a plant under way goes on without a number": (
-        "plants/simulate.py",
+        "plants/simulator.py",
         "        if failed >= 0:\n            state = list(self._place)",
         "        if False:\n            state = list(self._place)",
     ),

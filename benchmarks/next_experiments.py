@@ -31,9 +31,9 @@ from greygate.mismatch.concealed.conceal import EVERY_RIG, conceal
 from greygate.mismatch.concealed.domains.integrate import FINE, Ways, acting, integrate
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.experiments.experiment import AMPLITUDES, Bounds, FreeRun, leg
+from greygate.mismatch.proposing import propose
 from greygate.mismatch.simulation import read
 from greygate.plants.excitation import multisine
-from greygate.proposing import propose
 
 RESULT = Path(__file__).parent / "results" / "next_experiments.json"
 MOST = 4  # experiments on a rig

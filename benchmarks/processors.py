@@ -41,8 +41,8 @@ PRUNED = " pruned"
 
 def digests(names: list[str]) -> dict[str, dict[str, str]]:
     """Network -> file of its build -> SHA-256."""
+    from greygate.machines.source import Source
     from greygate.project import compile_project
-    from greygate.source import Source
 
     found = {}
     for name in names:

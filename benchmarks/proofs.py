@@ -17,11 +17,12 @@ from pathlib import Path
 from flow import flow
 from made import stamp
 
+from greygate.hardware.build import Project
 from greygate.hardware.proofs.build import PROOFS, prove
 from greygate.hardware.proofs.proof import Proof
+from greygate.machines.source import Source
 from greygate.plants.recording import Recording
-from greygate.project import Project, compile_project
-from greygate.source import Source
+from greygate.project import compile_project
 
 RESULTS = Path(__file__).parent / "results" / "proofs.json"
 TARGETS = ["ice40", "ecp5", "xc7a35t"]  # a family each; the first three of which every cell has a model

@@ -9,14 +9,14 @@ from time import perf_counter
 import numpy as np
 from made import keep
 
-from greygate.compiler.prune import prune_by_entropy
-from greygate.compiler.saliency import METHODS, Method, Pruned, prune_by_saliency
-from greygate.compiler.simplify import parameter_count
 from greygate.errors import InputError
 from greygate.machines.benchmark_systems.plant import b2, b2_input, b2_test_input
 from greygate.models.accuracy import pooled_rms
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
+from greygate.models.prune import prune_by_entropy
+from greygate.models.saliency import METHODS, Method, Pruned, prune_by_saliency
+from greygate.models.simplify import parameter_count
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
 

@@ -18,9 +18,10 @@ from made import stamp
 
 from greygate.compiler.targets import Design
 from greygate.errors import InputError
+from greygate.hardware.build import Project
 from greygate.machines.catalog import REPORTED
-from greygate.project import Project, compile_project, synthesize_project
-from greygate.source import Source
+from greygate.machines.source import Source
+from greygate.project import compile_project, synthesize_project
 
 RESULTS = Path(__file__).parent / "results" / "resources.json"
 TARGETS = ("ecp5-85k", "xc7a35t", "up5k")

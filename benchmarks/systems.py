@@ -20,7 +20,6 @@ from time import process_time
 from made import keep
 from threadpoolctl import threadpool_limits
 
-from greygate.compiler.prune import entropies as entropies_of
 from greygate.machines.benchmark_systems.study import (
     SYSTEMS,
     System,
@@ -32,6 +31,7 @@ from greygate.machines.benchmark_systems.study import (
     prune_weights,
 )
 from greygate.models.network import Network
+from greygate.models.prune import entropies as entropies_of
 
 SEEDS = 10
 JOBS = 2

@@ -14,7 +14,7 @@ from greygate.machines import catalog
 from greygate.machines.valve_cylinder.plant import valve_cylinder
 from greygate.machines.valve_cylinder.scenarios import SAMPLE_TIME
 from greygate.plants.excitation import band_limited_noise
-from greygate.plants.simulate import simulate
+from greygate.plants.simulator import simulate
 
 BAR = 1e5
 SAMPLES, SETTLED = 2500, 500  # of a run; until it has settled

@@ -11,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from greygate.compiler.ranges import sums, traces
+from greygate.compiler.ranges import sums
 from greygate.emulator.engine import run
 from greygate.emulator.program import Affine, Program
 from greygate.models.arithmetic import mean, product
 from greygate.models.network import Network
-from greygate.models.training.objective import Objective
+from greygate.models.training.objective import Objective, traces
 from greygate.models.training.record import Record
 
 SAMPLES = 2000  # steps of all records together, evenly spread

@@ -8,10 +8,8 @@ import numpy as np
 from greygate.compiler.centre import centre_biases
 from greygate.compiler.declared import declared_program
 from greygate.compiler.meaning import Replaced, prove, use_meanings
-from greygate.compiler.prune import Pruning, Round, prune_by_entropy
 from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.ranges import Range, ranges
-from greygate.compiler.simplify import SIMPLIFICATIONS, merge_linear, multiplications, parameter_count
 from greygate.emulator.engine import run
 from greygate.emulator.numbers import Fix
 from greygate.emulator.program import Program
@@ -20,6 +18,8 @@ from greygate.models import sampling
 from greygate.models.accuracy import float_error, pooled_rms, portable_rms
 from greygate.models.importers.qonnx import Quantized
 from greygate.models.network import Network
+from greygate.models.prune import Pruning, Round, prune_by_entropy
+from greygate.models.simplify import SIMPLIFICATIONS, merge_linear, multiplications, parameter_count
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 

@@ -4,11 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greygate.errors import InputError
 from greygate.models.activations import Activation
 from greygate.models.arithmetic import mean, product, xp
 from greygate.models.network import Layer, Network
-from greygate.models.training.objective import Objective
+from greygate.models.training.objective import Objective, traces
 from greygate.models.training.record import Record
 
 WIDEN_AFTER = 50  # sweeps of interval arithmetic before a signal that still grows is called unbounded
@@ -38,14 +37,6 @@ def sums(name: str, layer: Layer) -> dict[str, slice]:
         return {f"{name}.n": slice(None)}
     size = layer.size
     return {f"{name}.{part}": slice(i * size, (i + 1) * size) for i, part in enumerate(("condition", "above", "below"))}
-
-
-def traces(objective: Objective) -> list[np.ndarray]:
-    """`Objective.simulate` with the weights as they are. Raises InputError if a run diverges."""
-    runs = objective.simulate(objective.theta)
-    if runs is None:
-        raise InputError(f"network {objective.flat.name}: diverges on the records; train it before compiling")
-    return runs
 
 
 def ranges(network: Network, records: list[Record]) -> dict[str, Range]:

@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 import numba
 import numpy as np
 
-from greygate.compiler.saliency import nonzero
-from greygate.compiler.simplify import Graph, fold_constants
 from greygate.errors import InputError
 from greygate.models.arithmetic import inverse
 from greygate.models.network import Network
+from greygate.models.saliency import nonzero
+from greygate.models.simplify import Graph, fold_constants
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 from greygate.progress import Progress, silent

@@ -21,8 +21,9 @@ from greygate.machines.catalog import entry
 from greygate.mismatch.rig import load
 from greygate.mismatch.simulation import simulate
 from greygate.models.accuracy import float_error
+from greygate.models.drawn import envelope
 from greygate.models.training.record import Record
-from greygate.pages.figures import Curve, chart, envelope, span
+from greygate.pages.figures import Curve, chart, span
 from greygate.plants import Recording, read_csv
 from greygate.reading import read_json
 

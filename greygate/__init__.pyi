@@ -1,13 +1,13 @@
 # What a type checker sees of __init__.py, which imports each of these when it is first used.
 
-from greygate.comparing import compare
 from greygate.compiler.emit import emit
 from greygate.compiler.pipeline import compile_network as compile
 from greygate.compiler.quantize import Formats
-from greygate.emulation import emulate
+from greygate.emulator.emulation import emulate
 from greygate.emulator.program import Program
 from greygate.errors import InputError
-from greygate.frames import to_pandas
+from greygate.hardware.comparing import compare
+from greygate.machines.source import Source
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.rig import load as load_rig
 from greygate.models.importers.matlab import from_matlab
@@ -17,16 +17,16 @@ from greygate.models.network import Connection, Layer, Network, Port
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
 from greygate.models.validation import validate
+from greygate.plants.frames import to_pandas
 from greygate.plants.plant import Plant
 from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import Recording, read_csv
-from greygate.plants.simulate import simulate
+from greygate.plants.simulator import simulate
 from greygate.project import Project
 from greygate.project import compile_project as build
 from greygate.project import synthesize_project as synthesize
 from greygate.project import verify_project as verify
 from greygate.reporting import report
-from greygate.source import Source
 from greygate.version import __version__ as __version__
 
 __all__ = [

@@ -4,15 +4,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from greygate.compiler.quantize import Formats
+from greygate.compiler.study import study
 from greygate.errors import InputError
-from greygate.facts import FACTS
+from greygate.hardware.build import Project
+from greygate.hardware.facts import FACTS
 from greygate.machines.catalog import REPORTED
+from greygate.machines.source import Source
 from greygate.pages.report import write
-from greygate.pages.report.study import study
 from greygate.pages.summary import WIDTHS, designs, results
 from greygate.progress import Progress, silent
-from greygate.project import Project, compile_project
-from greygate.source import Source
+from greygate.project import compile_project
 
 
 def report(

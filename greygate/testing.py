@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from greygate.project import Project
+    from greygate.hardware.build import Project
 
 
 @pytest.fixture(scope="session")
@@ -23,8 +23,9 @@ def greygate_build(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., "P
     made: dict[str, Project] = {}
 
     def build(network: object, recordings: Mapping[str, object] | None = None, **options: Any) -> "Project":
-        from greygate.project import Project, compile_project
-        from greygate.source import Source
+        from greygate.hardware.build import Project
+        from greygate.machines.source import Source
+        from greygate.project import compile_project
 
         request = repr((str(network), recordings, sorted(options.items())))
         if request not in made:

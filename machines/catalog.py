@@ -7,9 +7,9 @@ from importlib import import_module
 from pathlib import Path
 
 from greygate.errors import InputError
-from greygate.machines.augmentation import Augmentation
 from greygate.machines.control import Task
 from greygate.machines.entry import Entry, Machine
+from greygate.mismatch.augmentation import Augmentation
 
 
 def _machines() -> list[Machine]:

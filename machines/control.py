@@ -22,9 +22,9 @@ from greygate.control.predictive import Limits
 from greygate.control.stepping import Floating, Stepped
 from greygate.emulator.program import Program
 from greygate.errors import InputError
-from greygate.machines.identification import TRAINED
 from greygate.models import sampling
 from greygate.models.network import Network
+from greygate.models.storage import TRAINED
 from greygate.models.training.record import Record
 from greygate.plants.recording import Recording
 from greygate.progress import Progress, silent

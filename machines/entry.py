@@ -5,11 +5,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from greygate.machines.augmentation import Augmentation
 from greygate.machines.control import Task
-from greygate.machines.identification import TRAINED
 from greygate.machines.kept import Kept
+from greygate.mismatch.augmentation import Augmentation
 from greygate.models.network import Network
+from greygate.models.storage import TRAINED
 from greygate.models.training.record import Record
 from greygate.progress import Progress
 
@@ -55,7 +55,7 @@ class Entry:
 class Machine:
     """A machine: its networks, and what stands for a plant of its folder where a diagnosis augments its network.
 
-    augmented: plant -> class of its augmentation (greygate/augment.py). controlled: name -> what builds its task of
+    augmented: plant -> class of its augmentation (mismatch/augment.py). controlled: name -> what builds its task of
     position control (machines/control.py). place: among the machines, in lists.
     """
 

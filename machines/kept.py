@@ -18,10 +18,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from greygate.compiler.pipeline import float_error
-from greygate.compiler.prune import Round
 from greygate.errors import InputError
-from greygate.machines.identification import TRAINED
 from greygate.models.network import Network
+from greygate.models.prune import Round
+from greygate.models.storage import TRAINED
 from greygate.models.training.record import Record
 from greygate.reading import read_json
 

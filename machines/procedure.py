@@ -7,7 +7,7 @@ snn.join(assemble)                                   # assemble(flow=..., divide
 snn.train(epochs=25, decay=1e-6)
 snn.simplify()
 snn.prune(allowed=1.02)                              # neurons, by entropy
-snn.prune(obs, allowed=1.02)                         # weights, by a method of compiler/saliency.py
+snn.prune(obs, allowed=1.02)                         # weights, by a method of models/saliency.py
 print(snn)
 """
 
@@ -17,12 +17,12 @@ from functools import partial
 from time import monotonic
 
 from greygate.compiler.pipeline import entropy_pruning
-from greygate.compiler.prune import Round, retrained
-from greygate.compiler.saliency import Method, saliency_pruning
-from greygate.compiler.simplify import parameter_count, simplify
 from greygate.errors import InputError
 from greygate.models.accuracy import free_run_rms
 from greygate.models.network import Network
+from greygate.models.prune import Round, retrained
+from greygate.models.saliency import Method, saliency_pruning
+from greygate.models.simplify import parameter_count, simplify
 from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
 

@@ -20,7 +20,7 @@ from greygate.mismatch.blocks import MORE, Judge, Loss
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.evidence import Evidence, borne_out, evidence
-from greygate.mismatch.experiments.excitation import SEEN, unexcited
+from greygate.mismatch.excitation import SEEN, unexcited
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.intervals import interval, least_share, margin
 from greygate.mismatch.model import TINY

@@ -22,7 +22,7 @@ from greygate.mismatch.coloured import Coloured, remaining
 from greygate.mismatch.coloured_selection import ColouredSelection
 from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.effects import Effect
-from greygate.mismatch.experiments.excitation import excited
+from greygate.mismatch.excitation import excited
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.noise import Noise, learnt

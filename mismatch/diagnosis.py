@@ -12,7 +12,7 @@ from greygate.errors import InputError
 from greygate.files import replacing
 from greygate.mismatch.effects import SENSOR, Effect
 from greygate.mismatch.evidence import Evidence
-from greygate.mismatch.experiments.excitation import unseen
+from greygate.mismatch.excitation import unseen
 from greygate.mismatch.fit import Fit
 from greygate.mismatch.intervals import interval, least_share, margin, reported
 from greygate.mismatch.locate import located

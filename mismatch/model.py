@@ -22,7 +22,7 @@ from greygate.mismatch.scales import memory, span
 from greygate.plants.expressions import names
 from greygate.plants.plant import Parameter, Values
 from greygate.plants.recording import Recording
-from greygate.plants.simulate import Restarted
+from greygate.plants.simulator import Restarted
 
 TIMING = "input_timing"  # s by which inputs act later than the recording says: a nuisance, known well
 EARLY = "input_early"  # a nuisance: part of a sample by which inputs act early, in the mean, as they moved in between;

@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from greygate.mismatch.effects import Effect
-from greygate.mismatch.experiments.excitation import signals
+from greygate.mismatch.excitation import signals
 from greygate.mismatch.fit import NORMAL, Fit
 from greygate.mismatch.intervals import WIDER
 from greygate.mismatch.locate import display_unit

@@ -63,3 +63,15 @@ def pooled_rms(network: Network, records: Sequence[Record]) -> np.ndarray:
     if errors is None:
         return np.full(sum(p.size for p in objective.flat.outputs), np.inf)
     return rms_by_column(np.concatenate([e[r.skip :] for e, r in zip(errors, records, strict=True)]))
+
+
+def rmse(network: Network, record: Record) -> float:
+    """Root mean square of free run less recording, from `record.skip` on.
+
+    In the unit of the output, of which there is one; inf if it diverges. Raises InputError as `Objective`.
+    """
+    objective = Objective(network, [record])
+    errors = objective.errors(objective.theta)
+    if errors is None:
+        return np.inf
+    return network.outputs[0].scale * rms(errors[0], record.skip)

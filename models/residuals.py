@@ -10,6 +10,14 @@ from scipy.linalg import eigh, toeplitz
 DEVIATIONS = 1.96  # of the 95 % band of a correlation
 CHANCE = 0.005  # that a residual with nothing wrong in it has too many lags outside the band; or one too far outside
 DRAWS = 2000  # from which that is found
+WHAT = {
+    "phi_ee": "the residual is not white: more taps of {output}, or a noise model (narmax)",
+    "phi_ue": "{input} is left in the residual: taps of it are missing, or its delay is wrong",
+    "phi_u2e": "an even term of {input} is missing: more neurons, or an absolute value",
+    "phi_u2e2": "the error grows with {input}: a nonlinearity is missing, or the noise is no constant",
+    "phi_eeu": "a product of {input} and noise is missing: more taps of {output} together with {input}",
+}
+"""What a failed residual test asks for, by the name that it begins with (docs/validation.md)."""
 
 
 @dataclass(frozen=True)
@@ -105,3 +113,9 @@ def residual_tests(e: np.ndarray, inputs: Mapping[str, np.ndarray], lags: int = 
             correlation(f"phi_eeu {name}", e * u, e, past),
         ]
     return tuple(c for c in found if c)
+
+
+def asks_for(test: Correlation, output: str) -> str:
+    """What a failed test asks for."""
+    kind, _, name = test.name.partition(" ")
+    return WHAT[kind].format(input=name, output=output)

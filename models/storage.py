@@ -19,6 +19,7 @@ from greygate.models.layer import LARGEST_SIZE, LONGEST_DELAY, Layer, Port
 from greygate.names import check_name, check_path, check_text, check_unit
 from greygate.reading import Kind, anything, array, entry_of, listed, named, number, read_toml, table, whole
 
+TRAINED = Path(__file__).resolve().parent / "trained"  # the networks of the catalogue
 Kept = TypeVar("Kept")  # the class of network that is loaded
 
 

@@ -13,7 +13,7 @@ from greygate.plants.excitation import (
 )
 from greygate.plants.plant import Definition, Equation, Parameter, Plant, State
 from greygate.plants.recording import Recording, read_csv
-from greygate.plants.simulate import simulate
+from greygate.plants.simulator import simulate
 
 __all__ = [
     "Definition",

@@ -11,12 +11,12 @@ from networks import delay_line
 
 from greygate import cli, schemas
 from greygate.compiler.quantize import Formats
+from greygate.machines.source import Source
 from greygate.mismatch import effects
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.rig import load
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.project import compile_project
-from greygate.source import Source
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))  # last: some of its names are those of packages
 

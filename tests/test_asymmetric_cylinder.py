@@ -17,12 +17,12 @@ from greygate.machines.asymmetric_cylinder.study import (
     records,
 )
 from greygate.machines.catalog import entry
-from greygate.machines.identification import TRAINED
 from greygate.machines.procedure import bar
+from greygate.machines.source import Source
 from greygate.models.accuracy import free_run_rms
 from greygate.models.adaptation import adopt
+from greygate.models.storage import TRAINED
 from greygate.project import fixed_and_float
-from greygate.source import Source
 
 
 def adopted():

@@ -16,13 +16,14 @@ from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.files import manifest, replacing_folder
 from greygate.hardware import verify
+from greygate.hardware.build import Project
 from greygate.mismatch import effects, rig, simulation
 from greygate.mismatch.concealed.conceal import sealed
 from greygate.models.network import Network
 from greygate.models.training.checkpoint import Checkpoint
 from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import read_csv
-from greygate.project import Project, verify_project
+from greygate.project import verify_project
 from greygate.table import read_table
 
 

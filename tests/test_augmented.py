@@ -7,21 +7,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from greygate import augment as augmented
 from greygate import cli
-from greygate.augment import augment
 from greygate.emulator.engine import run
 from greygate.errors import InputError
-from greygate.machines.augmentation import Law
+from greygate.hardware.build import Project
 from greygate.machines.cable_drum.augmentation import slip_sum
 from greygate.machines.catalog import AUGMENTED
+from greygate.machines.source import Source, read_record
+from greygate.mismatch import augment as augmented
+from greygate.mismatch.augment import augment
+from greygate.mismatch.augmentation import Law
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.rig import load
 from greygate.models.accuracy import free_run_rms
 from greygate.models.families.blocks import feedforward
 from greygate.models.network import Network, Port
-from greygate.project import Project, compile_project, verify_project
-from greygate.source import Source, read_record
+from greygate.project import compile_project, verify_project
 
 KEPT = Path(__file__).parents[1] / "benchmarks" / "results" / "augmented"
 FIGURES = json.loads((KEPT / "figures.json").read_text())

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from greygate.machines.identification import rmse
 from greygate.machines.measured.axis import FORCE, POSITION, axis, moving, starting
+from greygate.models.accuracy import rmse
 from greygate.models.training.record import Record
 
 PERIOD = 1e-3

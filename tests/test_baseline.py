@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from greygate.baseline import linear, linear_rms
+from greygate.identify.baseline import linear, linear_rms
 from greygate.machines.measured.study import STUDIES
 from greygate.models.training.record import Record
 

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from test_children import ended
 
-from greygate.entrant import answer as our_answer
 from greygate.errors import InputError
 from greygate.mismatch.concealed.bench import tables
 from greygate.mismatch.concealed.bench.answer import Answer
@@ -26,8 +25,9 @@ from greygate.mismatch.concealed.conceal import EVERY_RIG, conceal
 from greygate.mismatch.concealed.domains import DOMAINS
 from greygate.mismatch.concealed.rig import rms
 from greygate.mismatch.concealed.stress import CONDITIONS, Recorder
+from greygate.mismatch.entrant import answer as our_answer
 from greygate.mismatch.rig import load
-from greygate.plants import simulate
+from greygate.plants import simulator as simulate
 
 SECRET = "nobody will guess this secret"
 

@@ -13,7 +13,7 @@ from greygate.machines.benchmark_systems.study import (
     prune_neurons,
     prune_weights,
 )
-from greygate.machines.identification import TRAINED
+from greygate.models.storage import TRAINED
 
 
 def test_the_stored_network_of_b2_has_its_figures_and_the_thesis_is_behind():

@@ -20,7 +20,7 @@ from greygate.hardware.board.clocks import PLLS
 from greygate.hardware.board.frames import IDLE, Answer, Frames, check_sum
 from greygate.hardware.board.make import make
 from greygate.hardware.board.play import Session, opened, play
-from greygate.project import Project
+from greygate.hardware.build import Project
 
 CLOCKS = 8  # of a bit in simulation
 STEPS = 300

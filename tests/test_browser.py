@@ -9,6 +9,7 @@ from test_cli import recording
 
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
+from greygate.compiler.study import study
 from greygate.mismatch import rig
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.diagnose import diagnose
@@ -17,7 +18,6 @@ from greygate.models.network import Port
 from greygate.pages import changes as changed
 from greygate.pages.diagnosis import page as diagnosis_page
 from greygate.pages.report import page as report_page
-from greygate.pages.report.study import study
 
 pytestmark = pytest.mark.skipif(bool(browsing.missing()), reason=f"a browser needs {browsing.missing()}")
 PAGE = """<!doctype html><html lang=en><meta name=viewport content='width=device-width'><title>x</title>

@@ -9,14 +9,14 @@ from typer.testing import CliRunner
 
 from greygate.cli import app
 from greygate.errors import InputError
-from greygate.expert.decisions import Log
-from greygate.expert.files import build_files
-from greygate.expert.parts import part
+from greygate.identify.expert.decisions import Log
+from greygate.identify.expert.files import build_files
+from greygate.identify.expert.parts import part
 from greygate.models.network import Network
 from greygate.plants.functions import orifice
 from greygate.plants.plant import Plant
 from greygate.plants.recording import Recording
-from greygate.plants.simulate import simulate
+from greygate.plants.simulator import simulate
 
 MOTOR = """
 step = 1e-3

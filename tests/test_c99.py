@@ -12,9 +12,10 @@ from programs import cylinder_program
 from greygate.compiler.emit import emit
 from greygate.compiler.targets import c99
 from greygate.emulator.interpreter import interpret
+from greygate.hardware.build import Project
 from greygate.machines.catalog import REPORTED
-from greygate.project import Project, compile_project
-from greygate.source import Source
+from greygate.machines.source import Source
+from greygate.project import compile_project
 
 CHECKED = 20  # random legal programs
 STEPS = 60

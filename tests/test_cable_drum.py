@@ -25,7 +25,8 @@ from greygate.machines.cable_drum.study import (
     residual,
     unswitched,
 )
-from greygate.machines.identification import TRAINED, rmse
+from greygate.models.accuracy import rmse
+from greygate.models.storage import TRAINED
 from greygate.models.training.levenberg import train
 from greygate.models.training.objective import Objective
 

@@ -14,8 +14,9 @@ import pytest
 import scipy.io
 from networks import delay_line
 
-from greygate import children, explain
+from greygate import children
 from greygate.errors import InputError
+from greygate.mismatch import explain
 from greygate.mismatch.concealed.conceal import conceal
 
 GREYGATE = str(Path(sys.executable).with_name("greygate"))
@@ -198,7 +199,7 @@ def test_a_rig_whose_process_dies_twice_is_told_and_the_others_are_written(given
 
 
 def test_a_search_whose_process_dies_twice_says_so(monkeypatch):
-    from greygate.exploring import side_by_side
+    from greygate.hardware.exploring import side_by_side
 
     with pytest.raises(InputError, match="killed twice"):
         list(side_by_side(2)(_killed_always, [1, 2]))

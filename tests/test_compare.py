@@ -7,10 +7,11 @@ import pytest
 from networks import delay_line
 from test_cli import recording
 
-from greygate.comparing import compare, read_budget
 from greygate.errors import InputError
-from greygate.project import Project, compile_project
-from greygate.source import Source
+from greygate.hardware.build import Project
+from greygate.hardware.comparing import compare, read_budget
+from greygate.machines.source import Source
+from greygate.project import compile_project
 
 
 @pytest.fixture(scope="module")

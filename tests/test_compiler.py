@@ -13,7 +13,6 @@ from greygate.compiler.centre import centre_biases
 from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.compiler.quantize import Formats, loop_gain, memory, quantize
 from greygate.compiler.ranges import ranges
-from greygate.compiler.simplify import merge_linear, multiplications, simplify
 from greygate.compiler.tables import make_table
 from greygate.emulator.engine import run
 from greygate.emulator.interpreter import fit, interpret, lookup, round_shift
@@ -25,6 +24,7 @@ from greygate.models.activations import ACTIVATIONS
 from greygate.models.arithmetic import xp
 from greygate.models.families.blocks import feedforward, flow_record
 from greygate.models.network import Layer, Network, Port
+from greygate.models.simplify import merge_linear, multiplications, simplify
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
 

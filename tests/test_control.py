@@ -27,7 +27,7 @@ from greygate.machines.valve_cylinder import axis as cylinder
 from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.record import Record
-from greygate.plants.simulate import Stepper, simulate
+from greygate.plants.simulator import Stepper, simulate
 
 U, Y = Port("u", "V", 2.0), Port("y", "m", 0.5)
 LIMITS = Limits(-1.0, 1.0, rate=0.2)

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from greygate.mismatch import words
 from greygate.mismatch.concealed import conceal
 from greygate.mismatch.concealed.valve import VALVE
 from greygate.mismatch.verdict import Verdict
-from greygate.pages import words
 
 DRUM = 3  # seed
 

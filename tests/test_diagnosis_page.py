@@ -11,9 +11,9 @@ import pytest
 from greygate.mismatch import rig
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.diagnose import diagnose
+from greygate.mismatch.words import amount
 from greygate.pages.diagnosis import page as draw
 from greygate.pages.diagnosis.residual import binned, dependence, residuals
-from greygate.pages.words import amount
 
 PLANT = """step = 1e-3
 outputs = ["x"]
@@ -62,7 +62,7 @@ def axis(tmp_path_factory):
     """Diagnosis of a rig that restarts, with a plant and a table of its own."""
     from greygate.mismatch import effects
     from greygate.plants.plant import Plant
-    from greygate.plants.simulate import simulate
+    from greygate.plants.simulator import simulate
 
     folder = tmp_path_factory.mktemp("axis")
     for name, text in (("axis.toml", PLANT), ("rig.toml", RIG), ("mine.toml", SPRING)):

@@ -9,7 +9,7 @@ from greygate.mismatch import claims
 from greygate.mismatch import diagnose as finding
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.diagnosis import Diagnosis
-from greygate.mismatch.experiments.excitation import Action
+from greygate.mismatch.excitation import Action
 from greygate.mismatch.search import Hypothesis, Search
 
 

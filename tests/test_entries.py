@@ -17,7 +17,7 @@ from greygate.mismatch.rig import load
 from greygate.mismatch.simulation import read, simulate
 from greygate.plants.plant import Plant
 from greygate.plants.recording import Recording
-from greygate.plants.simulate import source
+from greygate.plants.simulator import source
 
 WRONG = [
     5, -1, 0.0, 1e308, -1e-300, 10**400, math.nan, math.inf, -math.inf, True, "", "text", "x", "1e999", "../up", "a\nb",

@@ -18,6 +18,7 @@ from test_validation import linear, record
 import greygate
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
+from greygate.compiler.study import study
 from greygate.compiler.targets import Design
 from greygate.compiler.targets.folded import folded
 from greygate.compiler.targets.parallel import parallel
@@ -33,7 +34,6 @@ from greygate.pages import figures
 from greygate.pages.diagnosis.evidence import ladder as draw_ladder
 from greygate.pages.figures import Curve
 from greygate.pages.report import page
-from greygate.pages.report.study import study
 from greygate.pages.summary import results
 from greygate.pages.validation import page as validation_page
 from greygate.pages.validation.judged import Judged

@@ -22,7 +22,7 @@ from greygate.compiler.targets import Design, Memory
 from greygate.emulator.numbers import Fix
 from greygate.emulator.program import Affine, Program
 from greygate.errors import InputError
-from greygate.exploring import Explorer, bounded, facts, microseconds, requested, side_by_side
+from greygate.hardware.exploring import Explorer, bounded, facts, microseconds, requested, side_by_side
 from greygate.hardware.families import DEVICES
 from greygate.models.layer import Layer, Port
 from greygate.models.network import Network

@@ -16,17 +16,18 @@ from fmpy.validation import validate_fmu
 from small_plants import motor
 from test_cli import greygate
 
-from greygate.emulation import emulate
+from greygate.emulator.emulation import emulate
 from greygate.errors import InputError
-from greygate.exporting.export import export_c, export_fmu
+from greygate.export.export import export_c, export_fmu
+from greygate.hardware.build import Project
 from greygate.hardware.verify import simulator_environment
+from greygate.machines.source import Source
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.simulation import read
 from greygate.mismatch.simulation import simulate as predicted
 from greygate.plants.plant import Plant
-from greygate.plants.simulate import simulate
-from greygate.project import Project, compile_project
-from greygate.source import Source
+from greygate.plants.simulator import simulate
+from greygate.project import compile_project
 
 VERSIONS = ["3.0", "2.0"]
 

@@ -17,7 +17,7 @@ from greygate.mismatch.simulation import check
 from greygate.plants.expressions import DEPTH, NODES, TEXT, Number, is_name, is_symbol, parse, replaced
 from greygate.plants.functions import FUNCTIONS, arguments
 from greygate.plants.plant import Parameter, Plant, Values
-from greygate.plants.simulate import source
+from greygate.plants.simulator import source
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("greygate", "models", "compiler", "emulator", "rtl", "plants", "mismatch", "control", "machines")

@@ -16,18 +16,21 @@ import pytest
 from faults import KILLED, LEAVING, libc_has_exchange, struck, unforked, without_exchange
 from networks import delay_line
 
-from greygate import explain, files, project, reporting, training
+from greygate import files, project, reporting
 from greygate.compiler.quantize import Formats
 from greygate.compiler.targets import Design
-from greygate.exporting import fmu
+from greygate.export import fmu
+from greygate.hardware.build import Project
 from greygate.hardware.verify import Comparison, Verification
-from greygate.identifying import files as identifying
+from greygate.identify import files as identifying
+from greygate.identify import training
+from greygate.machines.source import Source
+from greygate.mismatch import explain
 from greygate.models.network import Network
 from greygate.models.training.checkpoint import Checkpoint
 from greygate.models.training.levenberg import Outcome, Trained
 from greygate.pages import report
-from greygate.project import Project, compile_project
-from greygate.source import Source
+from greygate.project import compile_project
 
 ALL = os.environ.get("GREYGATE_FAULTS") == "all"
 SAMPLE = 8  # points of each command and way that `make test` tries, and the last ones

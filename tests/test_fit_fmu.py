@@ -8,11 +8,11 @@ from small_plants import MOTOR, steps
 from test_cli import greygate
 
 from greygate.errors import InputError
-from greygate.exporting.calibrate import Fault, Unit, _Fit, calibrate
-from greygate.exporting.export import export_fmu
+from greygate.export.calibrate import Fault, Unit, _Fit, calibrate
+from greygate.export.export import export_fmu
 from greygate.plants.plant import Plant
 from greygate.plants.recording import Recording
-from greygate.plants.simulate import simulate
+from greygate.plants.simulator import simulate
 
 DT = 0.01
 TRUE = {"inertia": 0.012, "viscous": 0.0135}

@@ -19,14 +19,15 @@ from programs import random_codes, random_program
 from greygate.emulator import engine
 from greygate.emulator.interpreter import interpret
 from greygate.emulator.program import Program
+from greygate.hardware.build import Project
+from greygate.machines.source import Source
 from greygate.mismatch import effects, rig, simulation
 from greygate.mismatch.concealed import conceal
 from greygate.models.families.regression import noe
 from greygate.models.network import Network
 from greygate.models.ports import ports
 from greygate.plants.recording import read_csv
-from greygate.project import Project, compile_project
-from greygate.source import Source
+from greygate.project import compile_project
 
 ROOT = Path(__file__).parent.parent
 RIGS = sorted(path.parent for path in (ROOT / "recordings" / "rigs").glob("*/rig.toml"))
@@ -34,7 +35,7 @@ IN_TESTS = 100  # mutants a parser; `make fuzz` takes 10,000
 SEEDS = 40  # of a parser, about as many of which are opened as they are; `make fuzz` opens all
 MUTANTS = int(os.environ.get("GREYGATE_FUZZ", IN_TESTS))
 RESULTS = ROOT / "benchmarks" / "results" / "fuzz.json"
-SIMULATE = importlib.import_module("greygate.plants.simulate")  # the package has a function of this name
+SIMULATE = importlib.import_module("greygate.plants.simulator")  # the package has a function of this name
 PROJECT = importlib.import_module("greygate.project")
 ARITHMETIC = (ast.Module, ast.Expr, ast.Name, ast.Constant, ast.Call, ast.UnaryOp, ast.BinOp, ast.expr_context,
               ast.UAdd, ast.USub, ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow)  # fmt: skip

@@ -10,7 +10,8 @@ from greygate.mismatch import filters, places
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import load
-from greygate.plants import Plant, simulate, units
+from greygate.plants import Plant, units
+from greygate.plants import simulator as simulate
 
 DT = 5e-3
 MOTOR = """

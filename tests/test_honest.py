@@ -20,7 +20,7 @@ from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.diagnose import _verdict, diagnose
 from greygate.mismatch.diagnosis import Diagnosis
-from greygate.mismatch.experiments.excitation import excited, unexcited
+from greygate.mismatch.excitation import excited, unexcited
 from greygate.mismatch.intervals import least_share, margin, reported
 from greygate.mismatch.locate import signals
 from greygate.mismatch.model import Model

@@ -13,17 +13,17 @@ from scipy.signal import lfilter
 from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
-from greygate.identifying import halving
-from greygate.identifying.files import figures, identify, lines
-from greygate.identifying.ladder import ARMAX, ARX, BJ, FIR, FORMS, LINEAR, Orders, falling, grown
-from greygate.identifying.linear import taught
-from greygate.identifying.looking import look
-from greygate.identifying.subspace import numerators, subspace
-from greygate.identifying.task import task
-from greygate.machines.identification import initialised
+from greygate.identify import halving
+from greygate.identify.files import figures, identify, lines
+from greygate.identify.ladder import ARMAX, ARX, BJ, FIR, FORMS, LINEAR, Orders, falling, grown
+from greygate.identify.linear import taught
+from greygate.identify.looking import look
+from greygate.identify.subspace import numerators, subspace
+from greygate.identify.task import task
 from greygate.models.accuracy import float_error, rms
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
+from greygate.models.training.initial import initialised
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
 from greygate.plants.excitation import prms

@@ -15,11 +15,11 @@ from test_docs import BLOCKS
 from torch import nn
 
 from greygate.errors import InputError
+from greygate.hardware.build import Project
 from greygate.models.importers.files import load
 from greygate.models.importers.onnx_graph import from_onnx
 from greygate.models.importers.pytorch import from_torch, to_torch
 from greygate.plants.recording import Recording
-from greygate.project import Project
 
 AGREED = 1e-6  # the largest difference over a free run; onnxruntime and its float32 models are the worst
 STEPS = 300

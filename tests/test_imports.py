@@ -13,22 +13,26 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 LAYERS = (  # from the top; what stands on one line imports nothing of another on it
-    ("greygate",),  # the command line, projects, pages: whatever is in the package and not below
+    ("greygate",),  # the roof: the command line, projects
+    ("export", "pages"),
+    ("hardware",),
     ("machines",),
+    ("identify",),
     ("compiler", "control", "mismatch"),
     ("emulator", "plants"),
     ("models",),
     ("rtl", "recordings"),
-    ("base",),
+    ("ground",),
 )
-BASE = (
+GROUND = (  # modules of greygate/ on which all stands
     "caches",
     "children",
     "contents",
     "errors",
     "files",
-    "generated",
     "foreign",
+    "generated",
+    "limits",
     "names",
     "plain",
     "progress",
@@ -83,7 +87,7 @@ def _imported(name: str, path: Path) -> Iterator[str]:
 def layer(module: str) -> tuple[int, str]:
     """(how far down, which folder)."""
     part = module.removeprefix("greygate").removeprefix(".").partition(".")[0]
-    folder = "base" if part in BASE else part if any(part in names for names in LAYERS) else "greygate"
+    folder = "ground" if part in GROUND else part if any(part in names for names in LAYERS) else "greygate"
     return next((depth, folder) for depth, names in enumerate(LAYERS) if folder in names)
 
 

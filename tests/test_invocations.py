@@ -15,11 +15,11 @@ from networks import delay_line
 from test_cli import recording
 
 from greygate import cli
+from greygate.machines.source import Source
 from greygate.mismatch.concealed.bench.make import make
 from greygate.mismatch.concealed.bench.run import run
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.project import compile_project
-from greygate.source import Source
 
 LEAST = 400  # invocations
 GOOD = {

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from greygate.errors import InputError
-from greygate.explain import explain
 from greygate.mismatch import effects as table
 from greygate.mismatch import rig
 from greygate.mismatch.concealed import conceal
 from greygate.mismatch.experiments.experiment import MARGIN, Bounds, nominal
 from greygate.mismatch.experiments.isolability import isolability, typical
 from greygate.mismatch.experiments.separation import NEEDED, FreeRun, Trial, Trials, like
+from greygate.mismatch.explain import explain
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.plants.recording import Recording
 

@@ -8,11 +8,10 @@ import pytest
 from scipy.signal import lfilter
 
 from greygate.mismatch import locate as locating
-from greygate.mismatch import rig
+from greygate.mismatch import rig, words
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.locate import added, band, left, locate, located
-from greygate.pages import words
 
 DT, SAMPLES = 1e-3, 20_000
 T = np.arange(SAMPLES) * DT

@@ -5,25 +5,14 @@ import numpy as np
 import pytest
 
 from greygate.errors import InputError
-from greygate.machines.identification import (
-    ROOT,
-    Structure,
-    Study,
-    blocked,
-    choose,
-    find,
-    identify,
-    initialised,
-    masked,
-    rmse,
-    stored,
-    tails,
-)
+from greygate.identify.study import ROOT, Structure, Study, blocked, choose, find, identify, masked, stored, tails
 from greygate.machines.measured.drives import drives
 from greygate.machines.measured.study import CRANE, MTS, STUDIES
 from greygate.machines.measured.tanks import MEAN, PUMP, pumped, square_root, tanks
+from greygate.models.accuracy import rmse
 from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Network, Port
+from greygate.models.training.initial import initialised
 from greygate.models.training.levenberg import Outcome, Trained, train
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record

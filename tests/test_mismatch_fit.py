@@ -17,7 +17,7 @@ from greygate.mismatch.model import EARLY, FILTERS, Model, delayed, lagged
 from greygate.mismatch.noise import LONGEST, roughness, runs
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.plants.plant import Plant
-from greygate.plants.simulate import Restarted, simulate
+from greygate.plants.simulator import Restarted, simulate
 
 PLANT = """step = 5e-3
 outputs = ["x"]

@@ -12,7 +12,7 @@ from greygate.mismatch import effects, simulation
 from greygate.mismatch.concealed.conceal import conceal, reveal
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.diagnosis import SCHEMA, Diagnosis
-from greygate.mismatch.experiments.excitation import check, unseen
+from greygate.mismatch.excitation import check, unseen
 from greygate.mismatch.rig import load
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.mismatch.selection import Selection

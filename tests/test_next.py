@@ -12,13 +12,13 @@ import pytest
 from test_isolability import motor, search
 
 from greygate.errors import InputError
-from greygate.explain import explain
 from greygate.mismatch import effects as table
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.experiments.experiment import MARGIN, Bounds, experiments
 from greygate.mismatch.experiments.proposal import proposal
 from greygate.mismatch.experiments.rivals import restored, rivals
 from greygate.mismatch.experiments.separation import NEEDED, like
+from greygate.mismatch.explain import explain
 from greygate.mismatch.noise import Noise
 from greygate.mismatch.simulation import read
 

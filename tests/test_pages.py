@@ -14,8 +14,8 @@ from greygate.errors import InputError
 from greygate.machines.belt_drive import study as belt_drive
 from greygate.machines.cable_drum import study as cable_drum
 from greygate.machines.catalog import entry
-from greygate.machines.identification import TRAINED
 from greygate.models.accuracy import free_run_rms
+from greygate.models.storage import TRAINED
 
 DOCS = Path(__file__).parents[1] / "docs"
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from greygate.machines.catalog import entry
-from greygate.machines.identification import TRAINED
 from greygate.machines.pendulum.study import pendulum, records
 from greygate.models.accuracy import free_run_rms
+from greygate.models.storage import TRAINED
 from greygate.models.training.levenberg import train
 
 KEPT = json.loads((TRAINED / "pendulum.json").read_text())

@@ -9,8 +9,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from greygate.errors import InputError
-from greygate.plants import Definition, Equation, Parameter, Plant, State, simulate
-from greygate.plants.simulate import Restarted, Stepper, _module, source
+from greygate.plants import Definition, Equation, Parameter, Plant, State
+from greygate.plants import simulator as simulate
+from greygate.plants.simulator import Restarted, Stepper, _module, source
 
 PARAMETERS = {"mass": Parameter(2.0, "kg", 0.1, "of the slide"), "stiffness": Parameter(50.0, "N/m")}
 
@@ -292,7 +293,7 @@ import os, sys
 sys.path.insert(0, os.environ["TESTS"])
 import numpy as np
 from test_plants import oscillator
-from greygate.plants.simulate import _module, simulate, source
+from greygate.plants.simulator import _module, simulate, source
 simulate(oscillator(), {"force": np.zeros(3)})
 run = _module(source(oscillator())).run
 print(sum(run.stats.cache_hits.values()), sum(run.stats.cache_misses.values()), run.py_func.__code__.co_filename)

@@ -17,7 +17,7 @@ from greygate.machines.asymmetric_cylinder.plant import (
     smoothed,
 )
 from greygate.plants.preparation import filtered
-from greygate.plants.simulate import simulate
+from greygate.plants.simulator import simulate
 
 STATES = ("x", "v", "p_a", "p_b", "p_s", "q_a", "q_b")
 

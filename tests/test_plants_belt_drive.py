@@ -15,7 +15,7 @@ from greygate.machines.belt_drive.plant import (
     record,
     velocity,
 )
-from greygate.plants.simulate import simulate
+from greygate.plants.simulator import simulate
 
 QUIET = {"tooth": 0.0, "viscous": 0.0}
 

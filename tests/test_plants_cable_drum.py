@@ -20,7 +20,7 @@ from greygate.machines.cable_drum.plant import (
     round_trips,
     trapezoid,
 )
-from greygate.plants.simulate import simulate
+from greygate.plants.simulator import simulate
 
 
 def trip(speed: float, there: float = TRAVEL, **values: float) -> dict:

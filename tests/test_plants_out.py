@@ -8,10 +8,10 @@ import pytest
 from small_plants import motor
 from test_export import CART
 
-from greygate.exporting.export import export_latex, export_mjcf, export_modelica
+from greygate.export.export import export_latex, export_mjcf, export_modelica
 from greygate.mismatch.simulation import read
 from greygate.plants.plant import Plant, Values
-from greygate.plants.simulate import simulate
+from greygate.plants.simulator import simulate
 
 MODELICA = pytest.importorskip("pymoca.parser", reason="pymoca is not installed")
 MUJOCO = pytest.importorskip("mujoco", reason="mujoco is not installed")

@@ -5,7 +5,7 @@ import pytest
 
 from greygate.errors import InputError
 from greygate.machines.pump_cylinder.plant import DIFFERENCES, PUMP_CYLINDER, SENSORS, measure, pump_cylinder, record
-from greygate.plants.simulate import simulate
+from greygate.plants.simulator import simulate
 
 K = {symbol: p.value for symbol, p in PUMP_CYLINDER.items()}
 

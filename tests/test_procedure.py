@@ -5,12 +5,12 @@ import re
 import numpy as np
 import pytest
 
-from greygate.compiler.saliency import obs
 from greygate.errors import InputError
 from greygate.machines.procedure import OWN, Procedure
 from greygate.models.adaptation import adopt, weight_changes
 from greygate.models.families.blocks import feedforward
 from greygate.models.network import Layer, Network, Port
+from greygate.models.saliency import obs
 from greygate.models.training.levenberg import Outcome, train
 from greygate.models.training.record import Record
 from greygate.pages.changes import draw_changes

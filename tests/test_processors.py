@@ -14,12 +14,12 @@ from greygate.errors import InputError
 from greygate.machines import kept as keeping
 from greygate.machines.catalog import CATALOG, entry
 from greygate.machines.kept import PRUNED, Kept, digest
+from greygate.machines.source import Source
 from greygate.models.arithmetic import exp, mean, product, tanh
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.record import Record
 from greygate.plants.recording import Recording
 from greygate.project import compile_project
-from greygate.source import Source
 
 ROOT = Path(__file__).parents[1]
 EPS = np.finfo(float).eps

@@ -1,6 +1,7 @@
 """A build from anywhere is data: no entry leads outside it, and no Verilog runs but its program's."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,10 +11,11 @@ from greygate import project
 from greygate.compiler.emit import sources
 from greygate.errors import InputError
 from greygate.files import write_manifest
+from greygate.hardware.build import Project
+from greygate.identify.training import train_records
+from greygate.machines.source import Source
 from greygate.models.network import Network
-from greygate.project import Project, synthesize_project, verify_project
-from greygate.source import Source
-from greygate.training import train_source
+from greygate.project import synthesize_project, verify_project
 
 
 def edited(build: Path, name: str, **entries) -> None:
@@ -185,6 +187,7 @@ def test_a_training_whose_result_cannot_be_saved_is_not_lost(tmp_path, monkeypat
     rows = "".join(f"{k * 1e-3:.3f},{k % 5},{k % 3}\n" for k in range(60))
     (tmp_path / "a.csv").write_text("t_s,u_V,y_m\n" + rows)
     source = Source(str(tmp_path / "line.toml"), {"a": str(tmp_path / "a.csv")})
+    start = replace(source.network(), dt=source.period)
 
     def full(*arguments):
         raise InputError("no space left")
@@ -192,7 +195,10 @@ def test_a_training_whose_result_cannot_be_saved_is_not_lost(tmp_path, monkeypat
     with monkeypatch.context() as patch:
         patch.setattr(Network, "save", full)
         with pytest.raises(InputError, match="no space left"):
-            train_source(source, tmp_path / "out", {}, epochs=3)
+            train_records(start, source.records(), {}, tmp_path / "out", epochs=3)
     assert (tmp_path / "out" / "line.checkpoint").exists()
-    assert any("resumed" in remark for remark in train_source(source, tmp_path / "out", {}, epochs=3)["remarks"])
+    assert any(
+        "resumed" in remark
+        for remark in train_records(start, source.records(), {}, tmp_path / "out", epochs=3)["remarks"]
+    )
     assert sorted(p.suffix for p in (tmp_path / "out").iterdir()) == [".json", ".safetensors", ".toml"]

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from greygate.compiler.pipeline import compile_network, entropy_pruning
-from greygate.compiler.prune import entropies, prune_by_entropy, remove_neurons
 from greygate.models.accuracy import float_error
 from greygate.models.families.blocks import feedforward, flow_record
 from greygate.models.families.regression import noe
 from greygate.models.network import Port
+from greygate.models.prune import entropies, prune_by_entropy, remove_neurons
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from greygate.machines.catalog import entry
-from greygate.machines.identification import TRAINED
 from greygate.machines.pump_cylinder.network import leakage_bounds
 from greygate.machines.pump_cylinder.study import assemble, black_box, narx, recording
 from greygate.models.accuracy import free_run_rms
+from greygate.models.storage import TRAINED
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
 

@@ -5,13 +5,14 @@ import pytest
 from test_cli import greygate
 
 from greygate.compiler.declared import declared_program
-from greygate.emulation import emulate
+from greygate.emulator.emulation import emulate
 from greygate.emulator.engine import run
 from greygate.errors import InputError
+from greygate.hardware.build import Project
+from greygate.machines.source import Source
 from greygate.models.importers.files import load_quantized
 from greygate.plants.recording import Recording
-from greygate.project import Project, compile_project
-from greygate.source import Source
+from greygate.project import compile_project
 
 N = 400
 """Samples: the batch of a model, of which one step of a network is one."""

@@ -8,15 +8,16 @@ import pytest
 
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
+from greygate.compiler.study import study
 from greygate.emulator.interpreter import interpret
 from greygate.emulator.program import Affine
 from greygate.errors import InputError
+from greygate.models.drawn import envelope
 from greygate.models.network import Layer, Network, Port
 from greygate.models.spectra import frequency_response
 from greygate.models.training.record import Record
-from greygate.pages.figures import Scale, envelope
+from greygate.pages.figures import Scale
 from greygate.pages.report import page, write
-from greygate.pages.report.study import study
 from greygate.pages.units import display, number, shown
 
 PERIOD = 2e-3

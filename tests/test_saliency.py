@@ -5,7 +5,16 @@ import numpy as np
 import pytest
 
 from greygate.compiler.pipeline import compile_network
-from greygate.compiler.saliency import (
+from greygate.compiler.targets import Design
+from greygate.compiler.targets.folded import folded
+from greygate.compiler.targets.parallel import parallel
+from greygate.emulator.engine import run
+from greygate.errors import InputError
+from greygate.machines.benchmark_systems.plant import b2, b2_input
+from greygate.models.accuracy import pooled_rms
+from greygate.models.families.regression import noe
+from greygate.models.network import Layer, Network, Port
+from greygate.models.saliency import (
     METHODS,
     Expansion,
     evolution,
@@ -20,16 +29,7 @@ from greygate.compiler.saliency import (
     smallest_variance,
     unit_obs,
 )
-from greygate.compiler.simplify import fold_constants, parameter_count
-from greygate.compiler.targets import Design
-from greygate.compiler.targets.folded import folded
-from greygate.compiler.targets.parallel import parallel
-from greygate.emulator.engine import run
-from greygate.errors import InputError
-from greygate.machines.benchmark_systems.plant import b2, b2_input
-from greygate.models.accuracy import pooled_rms
-from greygate.models.families.regression import noe
-from greygate.models.network import Layer, Network, Port
+from greygate.models.simplify import fold_constants, parameter_count
 from greygate.models.training.levenberg import train
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record

@@ -12,21 +12,21 @@ import numpy as np
 import pytest
 
 from greygate.compiler.pipeline import compile_network
-from greygate.compiler.simplify import SIMPLIFICATIONS
 from greygate.control.prediction import Prediction, hats, knots, online
 from greygate.errors import InputError
-from greygate.identifying import files
+from greygate.hardware.build import Project
+from greygate.identify import files
 from greygate.machines.catalog import CATALOG, CONTROLLED, task
 from greygate.machines.control import CONTROL
-from greygate.machines.identification import TRAINED
 from greygate.machines.kept import PRUNED
 from greygate.models.families.regression import box_jenkins, free_run, noe
 from greygate.models.network import Network, Port
 from greygate.models.sampling import resampling, spoken
+from greygate.models.simplify import SIMPLIFICATIONS
+from greygate.models.storage import TRAINED
 from greygate.models.training.record import Record
 from greygate.models.validation import validate
 from greygate.plants.recording import read_csv
-from greygate.project import Project
 
 CASE = Path("/work/shared/cases/sample_time")
 U, Y = Port("u", "V"), Port("y", "m")

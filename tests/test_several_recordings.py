@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from greygate.errors import InputError
-from greygate.explain import predict
 from greygate.mismatch import rig as rigs
+from greygate.mismatch import words
 from greygate.mismatch.blocks import Judge
 from greygate.mismatch.coloured import Coloured, _late
 from greygate.mismatch.diagnose import diagnose
-from greygate.mismatch.experiments.excitation import signals
+from greygate.mismatch.excitation import signals
+from greygate.mismatch.explain import predict
 from greygate.mismatch.fit import Likelihood
 from greygate.mismatch.noise import Noise
 from greygate.mismatch.runs import Runs, along, whole
@@ -20,8 +21,8 @@ from greygate.mismatch.seen import Seen
 from greygate.mismatch.several import Several, modelled
 from greygate.mismatch.shown_by import recording_of
 from greygate.mismatch.uneven import resampled
-from greygate.pages import words
-from greygate.plants import Plant, simulate
+from greygate.plants import Plant
+from greygate.plants import simulator as simulate
 from greygate.plants.plant import Parameter
 
 AXIS = """

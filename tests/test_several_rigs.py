@@ -11,8 +11,8 @@ from joblib._parallel_backends import ThreadingBackend
 
 from greygate.cli import backends
 from greygate.errors import InputError
-from greygate.explain import explain, explain_all
 from greygate.mismatch.concealed.conceal import conceal
+from greygate.mismatch.explain import explain, explain_all
 
 WITHOUT = "distributed is not installed: pip install 'greygate[cluster]'"
 

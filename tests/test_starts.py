@@ -8,6 +8,9 @@ import pytest
 from networks import delay_line
 
 from greygate.errors import InputError
+from greygate.identify.sensors import own_sensors
+from greygate.identify.settling import settling
+from greygate.identify.training import drawn, of_starts
 from greygate.models.families.library import library
 from greygate.models.families.regression import noe
 from greygate.models.linearised import linearised
@@ -16,9 +19,6 @@ from greygate.models.training.objective import Objective, best_gain
 from greygate.models.training.record import Record
 from greygate.plants.excitation import prms
 from greygate.plants.recording import Recording
-from greygate.sensors import own_sensors
-from greygate.settling import settling
-from greygate.training import drawn, of_starts
 
 POLE, NOISE = 0.9, 0.002
 

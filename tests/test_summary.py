@@ -12,12 +12,12 @@ from greygate import project, reporting
 from greygate.cli import app
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
+from greygate.compiler.study import size, study
 from greygate.errors import InputError
 from greygate.files import write_manifest
 from greygate.machines import catalog
 from greygate.models.network import Network
 from greygate.pages.report import page
-from greygate.pages.report.study import size, study
 from greygate.pages.summary import aligned, designs, results
 
 NAME = "tiny"

@@ -12,14 +12,15 @@ from networks import delay_line
 
 from greygate import project
 from greygate.compiler.quantize import Formats
+from greygate.compiler.study import size
 from greygate.errors import InputError
 from greygate.hardware import synthesis
+from greygate.hardware.build import Project
 from greygate.hardware.families import DEVICES, LARGE, QUICK, chosen, placing
 from greygate.hardware.synthesis import lacking
 from greygate.hardware.tools import run_tool
-from greygate.pages.report.study import size
-from greygate.project import Project, compile_project, synthesize_project
-from greygate.source import Source
+from greygate.machines.source import Source
+from greygate.project import compile_project, synthesize_project
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from greygate import cli
 from greygate.errors import InputError
+from greygate.machines.source import Source
 from greygate.models.network import Network
 from greygate.models.validation import validate
 from greygate.pages.validation import page
@@ -19,7 +20,6 @@ from greygate.pages.validation.judged import judge, rows, table
 from greygate.pages.validation.records import histogram, run_data
 from greygate.pages.zoomable import DRAWN
 from greygate.plants.recording import Recording
-from greygate.source import Source
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from greygate.machines.catalog import entry
-from greygate.machines.identification import TRAINED
 from greygate.machines.valve_cylinder.warm import (
     OIL,
     SCENARIOS,
@@ -20,6 +19,7 @@ from greygate.machines.valve_cylinder.warm import (
     warm_cylinder,
     without_thermometer,
 )
+from greygate.models.storage import TRAINED
 
 KEPT = json.loads((TRAINED / "valve_cylinder_warm.json").read_text())
 

@@ -6,8 +6,8 @@ import re
 import pytest
 
 from greygate.compiler.quantize import Formats
+from greygate.machines.source import Source
 from greygate.project import compile_project
-from greygate.source import Source
 
 STEP = 7
 SEED = 4  # with it the register that begins the waveform would power up as 1

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from greygate.hardware.board.play import Played
-    from greygate.project import Project
+    from greygate.hardware.build import Project
 
 Board = StrEnum("Board", {name.upper(): name for name in BOARDS})  # type: ignore[misc]  # members that BOARDS lists
 Line = StrEnum("Line", {name.upper(): name for name in PORTS})  # type: ignore[misc]  # members that PORTS lists
@@ -42,7 +42,7 @@ def board(
     The folder stands on its own: `make` in it needs Yosys and nextpnr (or Vivado), and nothing of greygate.
     """
     from greygate.hardware.board.make import make
-    from greygate.project import Project
+    from greygate.hardware.build import Project
 
     with following(f"{folder} on {name.value}") as progress:
         facts = make(
@@ -80,7 +80,7 @@ def play(
     from greygate.emulator.engine import run
     from greygate.hardware.board.play import opened
     from greygate.hardware.board.play import play as through
-    from greygate.project import Project
+    from greygate.hardware.build import Project
 
     project = Project.open(folder)
     codes, clipped = _inputs(project, recording)

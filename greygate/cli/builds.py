@@ -29,9 +29,9 @@ def emulate(
     as_json: Json = False,
 ) -> None:
     """Run the compiled network, bit for bit as the hardware does, over a recording or a scenario of the build."""
-    from greygate.emulation import emulate as run
+    from greygate.emulator.emulation import emulate as run
+    from greygate.hardware.build import Project
     from greygate.plants.recording import Recording
-    from greygate.project import Project
 
     project = Project.open(folder)
     inputs, dt = project.inputs(recording)
@@ -68,7 +68,8 @@ def verify(
     Exit code 1 if a bit differs: simulation/ARCHITECTURE/dump.vcd is then a waveform of the first step that does.
     results-ARCHITECTURE.xml in the folder is JUnit.
     """
-    from greygate.project import Project, verify_project
+    from greygate.hardware.build import Project
+    from greygate.project import verify_project
 
     project = Project.open(folder)
     with following(f"simulating {project.program.name}"):
@@ -102,8 +103,8 @@ def prove(
 
     Exit code 1 if a proof fails; one for which nothing could be shown says why, and is no failure.
     """
+    from greygate.hardware.build import Project
     from greygate.hardware.proofs.build import prove as run
-    from greygate.project import Project
 
     project = Project.open(folder)
     with following(f"proving {project.program.name}") as progress:
@@ -137,7 +138,8 @@ def synthesize(
     as_json: Json = False,
 ) -> None:
     """Count LUTs, flip-flops, DSPs and block RAM with Yosys; with a clock rate also the time of a step. Slow."""
-    from greygate.project import Project, synthesize_project
+    from greygate.hardware.build import Project
+    from greygate.project import synthesize_project
 
     project = Project.open(folder)
     with following(f"synthesizing {project.program.name} for {target.value}") as progress:
@@ -174,8 +176,9 @@ def report(
 
     --all takes one FOLDER, or `hardware` if none is given. Exit code 1 if --verify finds a differing bit.
     """
+    from greygate.hardware.build import Project
     from greygate.pages.summary import aligned, designs, results
-    from greygate.project import Project, verify_project
+    from greygate.project import verify_project
     from greygate.reporting import plants
     from greygate.reporting import report as measure
 
@@ -213,12 +216,12 @@ def compare(
 
     Exit code 1 if a figure of the new build is worse than the budget allows.
     """
-    from greygate.comparing import compare as differences
-    from greygate.comparing import read_budget
+    from greygate.hardware.build import Project
+    from greygate.hardware.comparing import compare as differences
+    from greygate.hardware.comparing import read_budget
     from greygate.pages.compared import LEFT, page, rows
     from greygate.pages.summary import aligned
     from greygate.pages.templates import write
-    from greygate.project import Project
 
     allowed = None if budget is None else read_budget(budget)
     found = differences(Project.open(old), Project.open(new), allowed)

@@ -38,9 +38,9 @@ def ci_template(
 
     Run it in the repository's folder. An earlier workflow is replaced if greygate wrote it.
     """
-    from greygate.exporting.ci import BUILD, write_workflow
+    from greygate.export.ci import BUILD, write_workflow
     from greygate.machines.catalog import CATALOG
-    from greygate.source import Source
+    from greygate.machines.source import Source
 
     words = [network, *(options or [])]
     if any(word.startswith("--out") for word in words):

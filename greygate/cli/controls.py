@@ -27,7 +27,7 @@ def control(
 
     Exit code 1 if the hardware differs from the emulator in any bit.
     """
-    from greygate.controlling import controller as built
+    from greygate.hardware.controlling import controller as built
     from greygate.machines.catalog import CONTROLLED, task
 
     if machine == "list":

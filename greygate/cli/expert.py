@@ -27,7 +27,7 @@ def build_snn(
 
     Exit code 1 if the plant's own simulation is better on what was kept to test on; the network is written then too.
     """
-    from greygate.expert.files import build_files
+    from greygate.identify.expert.files import build_files
 
     with following("building") as progress:
         found = build_files(plant, recordings(record), recordings(test), sensor, target, seconds, out, progress)

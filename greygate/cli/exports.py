@@ -29,8 +29,8 @@ def c(
     as_json: Json = False,
 ) -> None:
     """Write the step of a build in C99, and the functions that turn physical values into codes and back."""
-    from greygate.exporting.export import export_c
-    from greygate.project import Project
+    from greygate.export.export import export_c
+    from greygate.hardware.build import Project
 
     files = export_c(Project.open(folder), out)
     give("export-c", {"out": str(out), "files": files}, as_json, [", ".join(files), f"written to {out}"])
@@ -50,7 +50,7 @@ def fmu(
     as_json: Json = False,
 ) -> None:
     """Write an FMU for co-simulation: a network bit for bit as compiled, or a plant, as it is or corrected."""
-    from greygate.exporting.export import export_fmu
+    from greygate.export.export import export_fmu
     from greygate.mismatch.simulation import read
 
     with following("compiling the FMU"):
@@ -68,8 +68,8 @@ def fusesoc(
     as_json: Json = False,
 ) -> None:
     """Write a core for FuseSoC, Vivado and Quartus, with its benches in Verilog and cocotb."""
-    from greygate.exporting.hdl import export_fusesoc
-    from greygate.project import Project
+    from greygate.export.hdl import export_fusesoc
+    from greygate.hardware.build import Project
 
     held = export_fusesoc(Project.open(folder), out, architecture)
     lines = [f"{held['core']}, {held['architecture']}: {len(held['files'])} files", f"written to {out}"]
@@ -84,7 +84,7 @@ def modelica(
     as_json: Json = False,
 ) -> None:
     """Write a plant's equations as a Modelica model, as they are or corrected."""
-    from greygate.exporting.export import export_modelica
+    from greygate.export.export import export_modelica
     from greygate.mismatch.simulation import read
 
     name = export_modelica(source, out, None if diagnosis is None else read(diagnosis))
@@ -99,7 +99,7 @@ def latex(
     as_json: Json = False,
 ) -> None:
     """Write a plant's equations in LaTeX, each term with its name under it, as they are or corrected."""
-    from greygate.exporting.export import export_latex
+    from greygate.export.export import export_latex
     from greygate.mismatch.simulation import read
 
     name = export_latex(source, out, None if diagnosis is None else read(diagnosis))
@@ -119,7 +119,7 @@ def mjcf(
     """Write damping, dry friction and added inertia of a plant as joint classes of MuJoCo, as it is or corrected."""
     from dataclasses import asdict
 
-    from greygate.exporting.export import export_mjcf
+    from greygate.export.export import export_mjcf
     from greygate.mismatch.simulation import read
 
     names = {v: name or v for v, _, name in (text.partition("=") for text in joint)}

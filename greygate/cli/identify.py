@@ -36,7 +36,7 @@ def identify(
 
     Exit code 1 if no network predicts better than the mean of what was held out, or the chosen one diverges on a test.
     """
-    from greygate.identifying.files import identify_files, lines
+    from greygate.identify.files import identify_files, lines
 
     side_by_side = jobs if backend is Backend.LOKY else -1
     with joblib_on(backend, scheduler), following("identifying") as progress:

@@ -16,8 +16,8 @@ from greygate.progress import Progress
 
 if TYPE_CHECKING:
     from greygate.compiler.pipeline import Compiled
-    from greygate.exploring import Explorer
-    from greygate.source import Source
+    from greygate.hardware.exploring import Explorer
+    from greygate.machines.source import Source
 
 _architectures = {name.upper(): name for name in (*NAMES, "both")}
 Architecture = StrEnum("Architecture", _architectures)  # type: ignore[misc]  # members that NAMES lists
@@ -133,17 +133,21 @@ def _train_own(
     network: str, record: list[str], held: list[str], settle: str, how: dict, out: Path | None, as_json: bool
 ) -> None:
     """Train a user's network."""
+    from dataclasses import replace
+
+    from greygate.identify.training import table, train_records
+    from greygate.machines.source import Source
     from greygate.pages.summary import aligned
-    from greygate.source import Source
-    from greygate.training import table, train_source
+    from greygate.pages.training import page
 
     if not out:
         raise InputError("--out is missing; give the folder to write the trained network to")
-    samples = _settle(settle)
-    how["find_settle"] = samples is None
-    source, others = Source(network, recordings(record), samples or 0), recordings(held)
+    how |= {"settle": _settle(settle), "page": page}
+    source, others = Source(network, recordings(record)), recordings(held)
     with following(f"training {Path(network).stem}") as progress:
-        trained = train_source(source, out, others, progress=progress, **how)
+        records, judges = source.apart(others)
+        start = replace(source.network(), dt=source.period)
+        trained = train_records(start, records, judges, out, progress=progress, **how)
     for remark in trained["remarks"]:
         say(remark)
     lines = []
@@ -166,7 +170,7 @@ def _train_own(
 
 def _settle(text: str) -> int | None:
     """Samples; None where they are to be found. Raises InputError for another text."""
-    from greygate.settling import AUTO
+    from greygate.identify.settling import AUTO
 
     if text == AUTO:
         return None
@@ -238,9 +242,9 @@ def compile(
     there is none it says what binds and what is nearest, and exits with 1. A width, a number of multipliers,
     their factor or an architecture that is given is not varied.
     """
-    from greygate.exploring import Unmet, facts, lines
+    from greygate.hardware.exploring import Unmet, facts, lines
+    from greygate.machines.source import Source
     from greygate.project import compile_project, fixed_and_float
-    from greygate.source import Source
 
     found = None
     given = {n for n in context.params if getattr(context.get_parameter_source(n), "name", "") == "COMMANDLINE"}
@@ -326,7 +330,7 @@ def _explorer(
     """What answers the request of the options; None if no device is named."""
     if device is None:
         return None
-    from greygate.exploring import Explorer, requested, side_by_side
+    from greygate.hardware.exploring import Explorer, requested, side_by_side
 
     units = {port.name: port.unit for port in source.network().outputs}
     asked = requested(device, units, *limits, **tried)
@@ -374,11 +378,11 @@ def validate(
 
     Exit code 1 if a free run is unbounded.
     """
+    from greygate.machines.source import Source
     from greygate.pages import templates
     from greygate.pages.validation import page
     from greygate.pages.validation.advice import advice
     from greygate.pages.validation.judged import judge, table
-    from greygate.source import Source
 
     source = Source(network, recordings(record), settle)
     with following(f"validating {network}") as progress:

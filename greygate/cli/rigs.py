@@ -38,15 +38,16 @@ def diagnose(
     docs/diagnosis.md describes the files. The exit code is 0 whatever the verdict. If one of several rigs cannot be
     diagnosed, the command says so, writes the others, and exits with 2.
     """
-    from greygate.explain import explain, explain_all
+    from greygate.mismatch.explain import explain, explain_all
+    from greygate.pages.diagnosis import page
 
     if len(rigs) == 1 and backend is Backend.LOKY and scheduler is None:
         with following("diagnosing") as progress:
-            found, lines = explain(rigs[0], out, html, effects, progress)
+            found, lines = explain(rigs[0], out, html, effects, progress, page)
         failed = []
     else:
         with joblib_on(backend, scheduler), following("diagnosing") as progress:
-            results = explain_all(rigs, out, html, effects, jobs, progress)
+            results = explain_all(rigs, out, html, effects, jobs, progress, page)
         found = {name: content for name, (content, _) in results.items()}
         failed = [name for name, content in found.items() if "error" in content]
         found = found if len(rigs) > 1 else next(iter(found.values()))
@@ -72,7 +73,7 @@ def isolability(
 
     If there is no identify.csv, --range says what motions within the inputs' ranges could tell apart.
     """
-    from greygate.explain import isolable
+    from greygate.mismatch.explain import isolable
 
     spans = [_range(text) for text in ranges]
     if len(dict(spans)) < len(spans):
@@ -96,7 +97,7 @@ def next_(
 
     Exit code 1 if the diagnosis leaves nothing to tell apart, or no experiment does; it then says which sensor would.
     """
-    from greygate.proposing import propose
+    from greygate.mismatch.proposing import propose
 
     with following("looking for an experiment") as progress:
         found, lines, tells = propose(rig, diagnosis, out, effects, longest, progress)
@@ -134,7 +135,7 @@ def simulate(
 
     Exit code 1 if the simulation diverges; the CSV file then ends in nan.
     """
-    from greygate.explain import predict
+    from greygate.mismatch.explain import predict
 
     rms = predict(rig, recording, diagnosis, out, effects, own)
     lines = [
@@ -156,11 +157,12 @@ def augment(
 
     Writes both networks as NAME.toml for `greygate compile`, and the recordings as the networks read them.
     """
-    from greygate.augment import augment as join
+    from greygate.machines.catalog import AUGMENTED
+    from greygate.mismatch.augment import augment as join
     from greygate.mismatch.simulation import read
 
     with following("augmenting") as progress:
-        facts = join(rig, read(diagnosis), out, progress)
+        facts = join(rig, read(diagnosis), out, AUGMENTED, progress)
     lines = []
     for name, figures in facts["networks"].items():
         lines.append(f"{name}: {figures['neurons']} neurons, {figures['seconds']} s. {figures['outcome']}")
@@ -205,7 +207,7 @@ def reveal(
 
     Exit code 1 if the diagnosis is wrong in its verdict, its effects, or the parameter.
     """
-    from greygate.explain import score
+    from greygate.mismatch.explain import score
 
     found, lines, right = score(folder, diagnosis, effects)
     give("reveal", found, as_json, lines)
@@ -224,7 +226,7 @@ def fit_fmu(
 
     The last part of the recording is held out, and judges.
     """
-    from greygate.exporting.calibrate import calibrate
+    from greygate.export.calibrate import calibrate
 
     if not trust:
         raise InputError(f"{fmu}: an FMU is a program and runs with your rights; if you trust its maker, give --trust")

@@ -28,7 +28,7 @@ def init(
     as_json: Json = False,
 ) -> None:
     """Write a structured network to start from: limits, curves and linear dynamics on the channels of a recording."""
-    from greygate.starting import init as write
+    from greygate.identify.starting import init as write
 
     found = write(new_name, record, input, output, block, order, python)
     give("init", found, as_json, [*(f"written to {file}" for file in found["written"]), f"next: {found['next']}"])
@@ -42,7 +42,7 @@ def init_rig(
     as_json: Json = False,
 ) -> None:
     """Write a rig folder to start from: rig.toml, the recordings, and a placeholder plant to be replaced."""
-    from greygate.starting_rig import init_rig as write
+    from greygate.mismatch.starting import init_rig as write
 
     found = write(new_name, record, input, output)
     give("init-rig", found, as_json, [*(f"written to {file}" for file in found["written"]), f"next: {found['next']}"])

@@ -13,7 +13,7 @@ from greygate.plants.excitation import chirp, prms
 from greygate.plants.plant import Equation, Parameter, Plant, State
 from greygate.plants.preparation import filtered
 from greygate.plants.recording import Recording
-from greygate.plants.simulate import simulate
+from greygate.plants.simulator import simulate
 
 BENCH = {
     "area_a": Parameter(1963.5e-6, "m^2", meaning="cap side"),

@@ -10,12 +10,12 @@ from functools import lru_cache
 import numpy as np
 
 from greygate.machines.asymmetric_cylinder.plant import CONVERTER, SENSORS, asymmetric_cylinder, record
-from greygate.machines.identification import TRAINED
 from greygate.machines.procedure import Procedure, bar
 from greygate.machines.valve_cylinder.network import measured_spool, valve_srnn
 from greygate.models.adaptation import adopt
 from greygate.models.families.blocks import feedforward
 from greygate.models.network import Network, Port
+from greygate.models.storage import TRAINED
 from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
 from greygate.progress import Progress, silent

@@ -20,10 +20,10 @@ from greygate.control.stepping import Floating
 from greygate.machines.belt_drive.network import X_SCALE, E, X
 from greygate.machines.belt_drive.plant import ENCODER, PARAMETERS, SAMPLE_TIME, SLIP, belt_drive
 from greygate.machines.control import Task
-from greygate.machines.identification import TRAINED
 from greygate.models.network import Layer, Network, Port
+from greygate.models.storage import TRAINED
 from greygate.plants.excitation import band_limited_noise
-from greygate.plants.simulate import Stepper
+from greygate.plants.simulator import Stepper
 
 SPEED = Port("v", "m/s", 2.0**-3)
 CREEP = 0.1  # 0.3 leads out of the play as well

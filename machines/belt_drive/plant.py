@@ -21,7 +21,7 @@ from greygate.errors import InputError
 from greygate.plants.excitation import band_limited_noise
 from greygate.plants.plant import Definition, Equation, Parameter, Plant, State
 from greygate.plants.recording import Recording
-from greygate.plants.simulate import simulate
+from greygate.plants.simulator import simulate
 
 SAMPLE_TIME = 5e-3
 TRAVEL = 0.3  # m

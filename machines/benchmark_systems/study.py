@@ -10,14 +10,14 @@ from time import process_time
 
 import numpy as np
 
-from greygate.compiler.grouped import ROUNDS, emptied, train_grouped
-from greygate.compiler.prune import Round, prune_by_entropy, remove_neurons
-from greygate.compiler.saliency import Method, nonzero, obs, prune_by_saliency
-from greygate.compiler.simplify import parameter_count
 from greygate.machines.benchmark_systems.plant import b1, b1_input, b2, b2_input, b2_test_input
 from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.regression import noe
+from greygate.models.grouped import ROUNDS, emptied, train_grouped
 from greygate.models.network import Network, Port
+from greygate.models.prune import Round, prune_by_entropy, remove_neurons
+from greygate.models.saliency import Method, nonzero, obs, prune_by_saliency
+from greygate.models.simplify import parameter_count
 from greygate.models.training.levenberg import train
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record

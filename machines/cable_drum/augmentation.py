@@ -14,8 +14,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from greygate.machines.augmentation import ROOM, Augmentation, Law, grid, port
 from greygate.machines.cable_drum.plant import SAMPLE_TIME
+from greygate.mismatch.augmentation import ROOM, Augmentation, Law, grid, port
 from greygate.mismatch.rig import Rig
 from greygate.models.network import Layer, Network, Port
 from greygate.plants.recording import Recording

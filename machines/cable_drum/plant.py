@@ -14,7 +14,7 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.plants.plant import Definition, Equation, Parameter, Plant, State
 from greygate.plants.recording import Recording
-from greygate.plants.simulate import simulate
+from greygate.plants.simulator import simulate
 
 SAMPLE_TIME = 0.02  # s; 9776 samples are 196 s
 TRAVEL = 0.6  # m

@@ -9,8 +9,7 @@ import numpy as np
 
 from greygate.machines.cable_drum.network import ERROR, FASTEST, cable_drum
 from greygate.machines.cable_drum.plant import SAMPLE_TIME, STEP, record
-from greygate.machines.identification import rmse
-from greygate.models.accuracy import float_error
+from greygate.models.accuracy import float_error, rmse
 from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.regression import nfir, noe
 from greygate.models.network import Network, Port

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 
+from greygate.identify.study import Study, identify
 from greygate.machines.entry import Entry, Machine
-from greygate.machines.identification import Study, identify
 from greygate.machines.measured.study import CED, CRANE, EMPS, MTS, TANKS
 from greygate.models.network import Network
 from greygate.progress import Progress

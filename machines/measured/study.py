@@ -9,23 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.machines.identification import (
-    Fold,
-    Runs,
-    Structure,
-    Study,
-    blocked,
-    initialised,
-    masked,
-    resting,
-    tails,
-)
+from greygate.identify.study import Fold, Runs, Structure, Study, blocked, masked, tails
 from greygate.machines.measured.axis import axis, moving, starting
 from greygate.machines.measured.crane import crane
 from greygate.machines.measured.drives import PULSES, VOLTAGE, drives
 from greygate.machines.measured.tanks import LEVEL, PUMP, pumped, tanks
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
+from greygate.models.training.initial import initialised, resting
 from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
 from greygate.plants.recording import Recording, read_csv

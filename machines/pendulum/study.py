@@ -21,7 +21,7 @@ from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
 from greygate.plants.excitation import multisine
 from greygate.plants.plant import Plant
-from greygate.plants.simulate import simulate
+from greygate.plants.simulator import simulate
 from greygate.progress import Progress, silent
 
 SAMPLE_TIME = 0.01  # s

@@ -13,7 +13,7 @@ from greygate.errors import InputError
 from greygate.plants.excitation import chirp, prms
 from greygate.plants.plant import Definition, Equation, Parameter, Plant, State
 from greygate.plants.recording import Recording
-from greygate.plants.simulate import simulate
+from greygate.plants.simulator import simulate
 
 PUMP_CYLINDER = {
     "mass": Parameter(12.3, "kg"),

@@ -18,7 +18,7 @@ from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
-from greygate.plants.simulate import simulate
+from greygate.plants.simulator import simulate
 from greygate.progress import Progress, silent, titled
 
 TRAINING = ("rig_training",)

@@ -1,13 +1,13 @@
-"""The chamber pressures of the valve-controlled cylinder, with a module for a leakage (greygate/augment.py)."""
+"""The chamber pressures of the valve-controlled cylinder, with a module for a leakage (mismatch/augment.py)."""
 
 from collections.abc import Callable, Mapping
 from typing import ClassVar
 
 import numpy as np
 
-from greygate.machines.augmentation import ROOM, Augmentation, Law, grid, port
 from greygate.machines.valve_cylinder.network import driven_spool, valve_srnn
 from greygate.machines.valve_cylinder.plant import spool_discrete
+from greygate.mismatch.augmentation import ROOM, Augmentation, Law, grid, port
 from greygate.mismatch.rig import Rig
 from greygate.models.adaptation import frozen
 from greygate.models.families.library import library

@@ -23,7 +23,6 @@ from greygate.control.prediction import Prediction, hats, knots, online
 from greygate.control.predictive import Aim, Limits, Predictive
 from greygate.control.stepping import Floating
 from greygate.machines.control import Task
-from greygate.machines.identification import TRAINED
 from greygate.machines.valve_cylinder.network import (
     POSITION,
     V_SCALE,
@@ -38,8 +37,9 @@ from greygate.machines.valve_cylinder.scenarios import RESOLUTION, SAMPLE_TIME, 
 from greygate.models.adaptation import adopt
 from greygate.models.families.library import library
 from greygate.models.network import Layer, Network, Port
+from greygate.models.storage import TRAINED
 from greygate.plants.excitation import multisine
-from greygate.plants.simulate import Stepper
+from greygate.plants.simulator import Stepper
 
 LOAD = 1e4  # N, the scale of the load
 BOX = (2e6, 1.8e7)  # Pa

@@ -7,7 +7,7 @@ from greygate.machines.valve_cylinder.plant import valve_cylinder
 from greygate.plants.excitation import chirp, prms
 from greygate.plants.plant import Plant
 from greygate.plants.recording import Recording
-from greygate.plants.simulate import simulate
+from greygate.plants.simulator import simulate
 
 SAMPLE_TIME = 1e-3
 RESOLUTION = 5e-6

@@ -6,8 +6,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from greygate.compiler.prune import Round, prune_by_entropy, retrained
-from greygate.compiler.saliency import Method, prune_by_saliency
 from greygate.machines.procedure import OWN, Procedure, bar
 from greygate.machines.valve_cylinder.network import driven_spool, valve_srnn
 from greygate.machines.valve_cylinder.plant import SPOOL, spool_discrete, valve_cylinder
@@ -16,6 +14,8 @@ from greygate.models.accuracy import float_error, pooled_rms
 from greygate.models.adaptation import adopt
 from greygate.models.families.blocks import divider_record, feedforward, fit_divider, fit_flow, flow_record
 from greygate.models.network import Network
+from greygate.models.prune import Round, prune_by_entropy, retrained
+from greygate.models.saliency import Method, prune_by_saliency
 from greygate.models.training.record import Record
 from greygate.plants.excitation import band_limited_noise, prms
 from greygate.plants.recording import Recording

@@ -482,3 +482,11 @@ class Objective:
         acts = used[((used >= lo) & (used < hi)) | (used >= size)]
         first, last = (int(acts[0]), int(acts[-1]) + 1) if len(acts) else (0, 0)
         return slice(first, last) if len(acts) > NARROW * (last - first) else acts
+
+
+def traces(objective: Objective) -> list[np.ndarray]:
+    """`Objective.simulate` with the weights as they are. Raises InputError if a run diverges."""
+    runs = objective.simulate(objective.theta)
+    if runs is None:
+        raise InputError(f"network {objective.flat.name}: diverges on the records; train it before compiling")
+    return runs

@@ -1,0 +1,301 @@
+"""The model of a plant: its equations in C, and the steps of `plants.simulate`, with its parameters to be set."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+
+from greygate.errors import InputError
+from greygate.export.model import Model, Variable
+from greygate.plants.expressions import Call, Name, Node, Number, Operation, Signed, names, parse
+from greygate.plants.plant import Equation, Plant
+from greygate.plants.simulator import coupled, weights
+
+FUNCTIONS = {"abs": "fabs", "min": "least", "max": "greatest", "sign": "sign_of"}  # the others have C's own names
+SOURCE = """#include "model.h"
+#include <math.h>
+
+#define STATES {states}
+
+static const double WEIGHTS[7][6] = {{ /* Dormand and Prince: six stages, and the fifth-order solution */
+{weights}
+}};
+
+/* Functions of NumPy: what is no number stays so. */
+static double least(double a, double b) {{ return ((a != a) || (a < b)) ? a : b; }}
+static double greatest(double a, double b) {{ return ((a != a) || (a > b)) ? a : b; }}
+static double sign_of(double a) {{ return (a != a) ? a : (double)((a > 0.0) - (a < 0.0)); }}
+static double smooth_step(double a, double width) {{ return 0.5 + (0.5 * tanh(a / width)); }}
+static double orifice(double u, double p_1, double p_2)
+{{
+    return greatest(u, 0.0) * sign_of(p_1 - p_2) * sqrt(fabs(p_1 - p_2));
+}}
+static double whole(double a, int n)
+{{
+    double y = 1.0;
+    for (int k = (n < 0) ? -n : n; k > 0; k >>= 1)
+    {{
+        y = ((k & 1) != 0) ? (y * a) : y;
+        a = a * a;
+    }}
+    return (n < 0) ? (1.0 / y) : y;
+}}
+
+{starts}
+void model_initialize(model *m, double time)
+{{
+    (void)time;
+{parameters}
+{initial}
+{limits}
+}}
+
+void model_outputs(model *m)
+{{
+{known}
+{definitions}
+{outputs}
+}}
+
+static void derivative(const model *m, const double *x, double *dx)
+{{
+{moving}
+}}
+
+/* No state at its bound, nor the rate of one, moves further outward. */
+static void hold(const model *m, const double *x, double *dx)
+{{
+    static const int rate[STATES] = {{{rates}}};
+    for (int j = 0; j < STATES; j++)
+    {{
+        const int moved = (rate[j] >= 0) ? rate[j] : j;
+        if (((x[j] <= m->low[j]) && (dx[moved] < 0.0)) || ((x[j] >= m->high[j]) && (dx[moved] > 0.0)))
+        {{
+            dx[moved] = 0.0;
+        }}
+    }}
+}}
+
+static void step(model *m, double h)
+{{
+    static const int rate[STATES] = {{{rates}}};
+    double k[6][STATES];
+    double y[STATES];
+    for (int stage = 0; stage < 6; stage++)
+    {{
+        for (int j = 0; j < STATES; j++)
+        {{
+            double move = 0.0;
+            for (int i = 0; i < stage; i++)
+            {{
+                move += WEIGHTS[stage][i] * k[i][j];
+            }}
+            y[j] = m->x[j] + (h * move);
+        }}
+        derivative(m, y, k[stage]);
+        hold(m, y, k[stage]);
+    }}
+    for (int j = 0; j < STATES; j++)
+    {{
+        double move = 0.0;
+        for (int i = 0; i < 6; i++)
+        {{
+            move += WEIGHTS[6][i] * k[i][j];
+        }}
+        m->x[j] += h * move;
+    }}
+    for (int j = 0; j < STATES; j++)
+    {{
+        if (m->x[j] < m->low[j])
+        {{
+            m->x[j] = m->low[j];
+            if (rate[j] >= 0)
+            {{
+                m->x[rate[j]] = greatest(m->x[rate[j]], 0.0);
+            }}
+        }}
+        else if (m->x[j] > m->high[j])
+        {{
+            m->x[j] = m->high[j];
+            if (rate[j] >= 0)
+            {{
+                m->x[rate[j]] = least(m->x[rate[j]], 0.0);
+            }}
+        }}
+        else
+        {{
+            /* within its bounds */
+        }}
+    }}
+}}
+
+int model_advance(model *m, double from, double to)
+{{
+    const double steps = floor(((to - from) / MODEL_PERIOD) + 0.5);
+    const int64_t count = (steps < 1.0) ? 1 : (int64_t)steps;
+    for (int64_t n = 0; n < count; n++)
+    {{
+        step(m, (to - from) / (double)count);
+    }}
+    for (int j = 0; j < STATES; j++)
+    {{
+        if (!isfinite(m->x[j]))
+        {{
+            return 1;
+        }}
+    }}
+    return 0;
+}}
+"""
+
+
+def model(plant: Plant) -> Model:
+    """The model of a plant. A communication step is divided into equal steps of about `plant.step`.
+
+    Raises InputError for a plant without a state, which has nothing to step, and for an output that is an input.
+    """
+    if not plant.states:
+        raise InputError(f"plant {plant.name}: has no state; an FMU of a static plant is not made here")
+    if through := [o for o in plant.outputs if o in plant.inputs]:
+        raise InputError(f"plant {plant.name}: the output {through[0]} is an input; leave it out of `outputs`")
+    initial = plant.initial()
+    inputs = tuple(Variable(s, unit, 0.0, plant.derived.get(s, "")) for s, unit in plant.inputs.items())
+    parameters = tuple(Variable(s, p.unit, p.value, p.meaning) for s, p in plant.parameters.items())
+    outputs = tuple(Variable(s, plant.unit(s)) for s in plant.outputs)
+    seen = tuple(Variable(s, state.unit) for s, state in plant.states.items() if s not in plant.outputs)
+    n = len(initial)
+    made = Model(
+        name=plant.name,
+        meaning=f"plant {plant.name}",
+        period=plant.step,
+        discrete=False,
+        inputs=inputs,
+        parameters=parameters,
+        outputs=outputs,
+        seen=seen,
+        state=(f"double x[{n}];", f"double low[{n}];", f"double high[{n}];"),
+        includes=(),
+        sources={},
+    )
+    return replace(made, sources={"model.c": _source(plant, made)})
+
+
+def _source(plant: Plant, made: Model) -> str:
+    states = list(plant.states)
+    place = {v.name: i for i, v in enumerate(made.variables)}
+    fixed = {v.name: place[v.name] for v in made.parameters}
+    given = {v.name: place[v.name] for v in (*made.inputs, *made.parameters)}
+    used = names(t for equation in plant.equations.values() for t in equation.texts)
+    bounds = [
+        (f"m->{which}[{j}]", getattr(state, which), free)
+        for j, state in enumerate(plant.states.values())
+        for which, free in (("low", "-INFINITY"), ("high", "INFINITY"))
+    ]
+    shown = (*made.outputs, *made.seen)
+    rates = (-1 if s.rate is None else states.index(s.rate) for s in plant.states.values())
+    return SOURCE.format(
+        states=len(states),
+        weights="\n".join(f"    {{{', '.join(map(_fraction, row))}}}," for row in weights()),
+        starts=made.starts(),
+        parameters="\n".join(_quantities(fixed)),
+        initial="\n".join(f"    m->x[{j}] = {_bound(s.initial, '')};" for j, s in enumerate(plant.states.values())),
+        limits="\n".join(f"    {to} = {_bound(bound, free)};" for to, bound, free in bounds),
+        known="\n".join([*_quantities(given), *_states(states, "m->x")]),
+        definitions="\n".join(_defined(plant, plant.outputs)),
+        outputs="\n".join(f"    m->value[{place[v.name]}] = q_{v.name};" for v in shown),
+        moving="\n".join(
+            [*_quantities(given), *_states(states, "x"), *_defined(plant, used), *_rates(plant, states)],
+        ),
+        rates=", ".join(map(str, rates)),
+    )
+
+
+def _fraction(weight: str) -> str:
+    over, _, under = weight.partition("/")
+    return f"{over}.0 / {under}.0" if under else f"{over}.0"
+
+
+def _quantities(places: Mapping[str, int]) -> Iterator[str]:
+    for symbol, i in places.items():
+        yield f"    const double q_{symbol} = m->value[{i}];"
+        yield f"    (void)q_{symbol};"
+
+
+def _states(states: Iterable[str], array: str) -> Iterator[str]:
+    for j, symbol in enumerate(states):
+        yield f"    const double q_{symbol} = {array}[{j}];"
+        yield f"    (void)q_{symbol};"
+
+
+def _defined(plant: Plant, symbols: Iterable[str]) -> Iterator[str]:
+    for d in plant.needed(symbols):
+        yield f"    const double q_{d.symbol} = {_sum(d.terms)};"
+
+
+def _rates(plant: Plant, states: list[str]) -> Iterator[str]:
+    for group in coupled(plant):
+        if len(group) > 1:
+            yield from _solved(group, states)
+        else:
+            (e,) = group
+            yield f"    dx[{states.index(e.state)}] = ({_sum(e.terms)}) / ({c(e.storage)});"
+
+
+def _solved(group: list[Equation], states: list[str]) -> Iterator[str]:
+    """Elimination without pivots, as in `plants.simulate`."""
+    n = len(group)
+    yield f"    double a[{n}][{n}];"
+    yield f"    double b[{n}];"
+    for i, e in enumerate(group):
+        yield f"    b[{i}] = {_sum(e.terms)};"
+        of = {e.state: e.storage, **e.couples}
+        yield from (f"    a[{i}][{j}] = {c(of.get(o.state, '0'))};" for j, o in enumerate(group))
+    for k in range(n):
+        for i in range(k + 1, n):
+            ratio = f"(a[{i}][{k}] / a[{k}][{k}])"
+            yield f"    b[{i}] -= {ratio} * b[{k}];"
+            yield from (f"    a[{i}][{j}] -= {ratio} * a[{k}][{j}];" for j in reversed(range(k, n)))
+    for i in reversed(range(n)):
+        known = "".join(f" - (a[{i}][{j}] * dx[{states.index(group[j].state)}])" for j in range(i + 1, n))
+        yield f"    dx[{states.index(group[i].state)}] = (b[{i}]{known}) / a[{i}][{i}];"
+
+
+def _bound(bound: float | str | None, free: str) -> str:
+    return free if bound is None else c(bound) if isinstance(bound, str) else repr(float(bound))
+
+
+def _sum(terms: Mapping[str, str]) -> str:
+    return " + ".join(c(text) for text in terms.values()) or "0.0"
+
+
+def c(expression: str) -> str:
+    """An expression in C; the symbol x is the variable q_x."""
+    return _c(parse(expression).tree)
+
+
+def _c(node: Node) -> str:
+    match node:
+        case Number(value):
+            return repr(float(value))
+        case Name(symbol):
+            return f"q_{symbol}"
+        case Signed(sign, of):
+            return f"({sign}{_c(of)})"
+        case Operation(constant=float(value)) | Call(constant=float(value)):
+            return f"({value!r})"
+        case Operation("**", base, exponent):
+            n = _whole(exponent)
+            return f"pow({_c(base)}, {_c(exponent)})" if n is None else f"whole({_c(base)}, {n})"
+        case Operation(sign, left, right):
+            return f"({_c(left)} {sign} {_c(right)})"
+        case Call("when", (condition, value)):
+            return f"(({_c(condition)} != 0.0) ? {_c(value)} : 0.0)"
+        case Call(function, given):
+            return f"{FUNCTIONS.get(function, function)}({', '.join(map(_c, given))})"
+
+
+def _whole(node: Node) -> int | None:
+    match node:
+        case Number(int(value)):
+            return value
+        case Signed("-", Number(int(value))):
+            return -value
+    return None

@@ -1,0 +1,76 @@
+"""From files to files: `greygate build-snn`."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from greygate.errors import InputError
+from greygate.files import making, replacing, writing
+from greygate.identify.expert.building import Built, build
+from greygate.mismatch.rig import load
+from greygate.plain import json_text, plain
+from greygate.plants.plant import Plant
+from greygate.plants.readers.read import read_recording
+from greygate.plants.recording import Recording
+from greygate.progress import Progress, once, silent
+
+RIG = "rig.toml"
+
+
+def build_files(
+    where: Path,
+    recordings: Mapping[str, str],
+    tests: Mapping[str, str],
+    sensors: Sequence[str],
+    targets: Sequence[str],
+    seconds: float,
+    out: Path,
+    progress: Progress = silent,
+) -> dict:
+    """Build the network of the plant in a file or of a rig, and write it with its figures and decisions to a folder.
+
+    Returns the figures. Raises InputError as `build`, before anything is written.
+    """
+    if both := set(recordings) & set(tests):
+        raise InputError(f"{min(both)} is both a recording to train on and one to test on; rename one of them")
+    files = {**recordings, **tests}
+    if len({Path(path).resolve() for path in files.values()}) < len(files):
+        raise InputError("one file is given twice, under two names; leave one out")
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: is not a folder; give another one")
+    plant, found = read(where, files)
+    used = {n: found[n] for n in recordings}
+    built = build(plant, used, {n: found[n] for n in tests}, sensors, targets, seconds, progress)
+    return _written(built, {n: files[n] for n in found}, out)
+
+
+def read(where: Path, files: Mapping[str, str]) -> tuple[Plant, dict[str, Recording]]:
+    """The plant of a file, or of a rig with its data sheet, and the recordings. Raises InputError."""
+    folder = where if where.is_dir() else where.parent
+    if where.is_dir() or where.name == RIG:
+        rig = load(folder)
+        return rig.plant, {name: rig.recording(Path(path)) for name, path in files.items()}
+    return Plant.read(where), {name: read_recording(path, told=once) for name, path in files.items()}
+
+
+def _written(built: Built, files: Mapping[str, str], out: Path) -> dict:
+    name = built.network.name
+    kept = {"rms": built.rms, "decisions": built.log.facts}
+    first = next(iter(built.rms["network"]))
+    with making(out), writing(out):
+        built.network.save(out / name, json_text(plain(kept)))
+        with replacing(out / f"{name}.decisions.txt") as path:
+            path.write_text(built.log.text, encoding="utf-8")
+    judged = [n for n in built.rms["network"] if n not in files or n != first]
+    command = f"greygate compile {out / name}.toml --record {next(iter(files.values()))} --out {out / 'compiled'}"
+    about = {"better": _better(built, judged), "seconds": round(built.seconds, 1), "neurons": built.network.neurons()}
+    text = built.log.text.splitlines()
+    return plain({**kept, **about, "out": str(out / f"{name}.toml"), "next": f"next: {command}", "text": text})
+
+
+def _better(built: Built, judged: Sequence[str]) -> bool:
+    """Whether the network beats the plant's own simulation on what was kept: the mean over targets of their ratio."""
+    ratios = [
+        built.rms["network"][n][t] / built.rms["nominal"][n][t]
+        for n in judged for t in built.rms["nominal"][n] if built.rms["nominal"][n][t]
+    ]  # fmt: skip
+    return bool(ratios) and sum(ratios) / len(ratios) < 1.0

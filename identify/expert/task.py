@@ -1,0 +1,179 @@
+"""The part of a plant that a network is to compute: from what is measured in the field to what is not."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from greygate.errors import InputError
+from greygate.models.sampling import same
+from greygate.models.training.record import Record
+from greygate.plants.closure import Closure
+from greygate.plants.expressions import names
+from greygate.plants.plant import Definition, Plant
+from greygate.plants.recording import Recording
+from greygate.plants.simulator import simulate
+
+SHORTEST = 40  # samples of a recording
+
+
+@dataclass(frozen=True)
+class Task:
+    """plant: with the values of the data sheet. inputs: recorded signals that the network reads. targets: its outputs.
+
+    rates: signal -> the measured signal whose rate it is, and how the plant derives it. step: sample time in s.
+    """
+
+    plant: Plant
+    inputs: tuple[str, ...]
+    targets: tuple[str, ...]
+    rates: Mapping[str, tuple[str, str]]
+    step: float
+
+    @classmethod
+    def of(
+        cls, plant: Plant, recordings: Sequence[Recording], sensors: Sequence[str], targets: Sequence[str]
+    ) -> "Task":
+        """sensors: outputs that are measured in the field too. targets: by default every other output on record.
+
+        Raises InputError for a signal that is not there or a plant that no network is made of.
+        """
+        step, recorded = recordings[0].dt, set(recordings[0].channels)
+        for recording in recordings:
+            if recording.samples < SHORTEST:
+                raise InputError(f"{recording.source}: {recording.samples} samples; give at least {SHORTEST}")
+            if not same(recording.dt, step):
+                raise InputError(f"{recording.source}: sampled every {recording.dt:g} s, not {step:g} s; resample it")
+        for name in (*sensors, *targets):
+            if name not in plant.symbols - set(plant.parameters):
+                raise InputError(f"plant {plant.name}: has no signal {name}; it has {', '.join(plant.outputs)}")
+        targets = tuple(targets or (n for n in plant.outputs if n in recorded and n not in sensors))
+        if not targets:
+            raise InputError(f"plant {plant.name}: no output is on record but those of a sensor; name one by --target")
+        if both := set(targets) & set(sensors):
+            raise InputError(f"{min(both)} is both --sensor and --target; leave one out")
+        task = cls(plant, (), targets, _rates(plant, sensors), step)
+        measured = {*sensors, *(n for n in plant.inputs if n not in plant.derived)}
+        needed = task._needed(measured)
+        inputs = tuple(n for n in (*plant.inputs, *sensors) if n in needed & measured)
+        for recording in recordings:
+            for name in (*inputs, *targets):
+                if name not in recording.channels:
+                    there = ", ".join(recording.channels)
+                    raise InputError(f"{recording.source}: no channel {name}, which {plant.name} needs; it has {there}")
+                if (unit := recording.units[name]) != plant.unit(name):
+                    raise InputError(f"{recording.source}: {name} is in {unit}; convert it to {plant.unit(name)}")
+        if not inputs:
+            raise InputError(f"plant {plant.name}: {', '.join(targets)} depends on no recorded input; name a --sensor")
+        return replace(task, inputs=inputs, rates={n: v for n, v in task.rates.items() if n in needed})
+
+    def _needed(self, measured: set[str]) -> set[str]:
+        """Every symbol on which the targets depend, up to what is measured."""
+        found: set[str] = set()
+        waiting = [*self.targets]
+        while waiting:
+            symbol = waiting.pop()
+            if symbol in found:
+                continue
+            found.add(symbol)
+            if symbol in self.rates:
+                waiting.append(self.rates[symbol][0])
+            elif symbol not in measured and symbol not in self.plant.parameters:
+                waiting += self._texts(symbol)
+        return found
+
+    def _texts(self, symbol: str) -> set[str]:
+        """What its sum reads, and what an unknown term of it would."""
+        return self._known_texts(symbol) | self._unknown_texts(symbol)
+
+    def _unknown_texts(self, symbol: str) -> set[str]:
+        closure, found = self.plant.closure, set()
+        for where, place in closure.places.items():
+            sums = (self.plant.equations.get(where), self.plant.definitions.get(where))
+            if symbol in {sums[0] and sums[0].state, sums[1] and sums[1].symbol}:
+                texts = [t for name in place.libraries for t in closure.libraries.get(name, {}).values()]
+                found |= names([t for t in texts if names([t]) <= self.plant.symbols])
+                found |= names([place.term]) - {"f"}
+        return found - {symbol}
+
+    def _known_texts(self, symbol: str) -> set[str]:
+        if symbol in self.plant.states:
+            equation = next(e for e in self.plant.equations.values() if e.state == symbol)
+            if equation.couples:
+                raise InputError(
+                    f"plant {self.plant.name}: {symbol} has coupled rates; solve its equation for the rate"
+                )
+            return names(equation.texts)
+        found = next((d for d in self.plant.definitions.values() if d.symbol == symbol), None)
+        return names(found.terms.values()) if found else set()
+
+    @cached_property
+    def needed(self) -> set[str]:
+        return self._needed(set(self.inputs))
+
+    @cached_property
+    def states(self) -> tuple[str, ...]:
+        """The states that the network keeps."""
+        known = {*self.inputs, *self.rates}
+        return tuple(s for s in self.plant.states if s in self.needed and s not in known)
+
+    @cached_property
+    def definitions(self) -> dict[str, Definition]:
+        return {n: d for n, d in self.plant.definitions.items() if d.symbol in self.needed}
+
+    @cached_property
+    def equations(self) -> dict[str, str]:
+        """State -> name of its equation."""
+        return {e.state: n for n, e in self.plant.equations.items() if e.state in self.states}
+
+    @cached_property
+    def reduced(self) -> Plant:
+        """The plant with the measured signals, and their rates, as inputs."""
+        given = [*self.inputs, *self.rates]
+        kept = {s: self.plant.states[s] for s in self.states}
+        states = {s: replace(v, rate=v.rate if v.rate in kept else None, start=None) for s, v in kept.items()}
+        equations = {n: self.plant.equations[n] for n in self.equations.values()}
+        inputs = {n: self.plant.unit(n) for n in given}
+        return replace(
+            self.plant, inputs=inputs, states=states, equations=equations, definitions=self.definitions,
+            outputs=self.targets, derived={}, switches={}, required=(), closure=Closure(), experiments={},
+        )  # fmt: skip
+
+    def signals(self, recording: Recording) -> dict[str, np.ndarray]:
+        """What the network reads and the rates of it, as the plant has them over the interval after each sample."""
+        found = {n: recording[n] for n in self.inputs}
+        for rate, (source, how) in self.rates.items():
+            moved = np.diff(recording[source], append=recording[source][-1:]) / self.step
+            found[rate] = np.gradient(moved, self.step) if "acceleration" in how else moved
+        return found
+
+    def nominal(self, recording: Recording) -> dict[str, np.ndarray]:
+        """Every signal of the plant's own simulation on what the recording's inputs are."""
+        inner = max(int(np.ceil(self.step / self.plant.step - 1e-9)), 1)
+        start = {s: float(recording[s][0]) for s in self.states if s in self.targets}
+        symbols = [*self.states, *(d.symbol for d in self.definitions.values())]
+        run = simulate(
+            self.reduced, self.signals(recording), sample_time=self.step, step=self.step / inner, initial=start,
+            channels=symbols,
+        )  # fmt: skip
+        return dict(run.channels)
+
+    def record(self, recording: Recording) -> Record:
+        """What a network of this task learns, with the inputs at rest before the first sample."""
+        inputs = {n: recording[n] for n in self.inputs}
+        initial = {n: float(v[0]) for n, v in inputs.items()}
+        return Record(inputs, {n: recording[n] for n in self.targets}, initial)
+
+
+def _rates(plant: Plant, sensors: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """The signals that are rates of measured ones: inputs derived from them, and velocities of measured positions."""
+    found = {}
+    for name, text in plant.derived.items():
+        how, _, source = text.partition(" ")
+        found[name] = (source, how)
+    for equation in plant.equations.values():
+        (rate, *others) = equation.terms.values()
+        if equation.state in sensors and not others and rate in plant.states and equation.storage == "1":
+            found.setdefault(rate, (equation.state, "rate"))
+    return {n: v for n, v in found.items() if n not in sensors}

@@ -1,0 +1,217 @@
+"""From files to files: `greygate identify`."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import monotonic
+
+import numpy as np
+
+from greygate.errors import InputError
+from greygate.files import replaceable, replacing_folder
+from greygate.identify.halving import WORSE, Halving, Tried, interval, reach, segments, sure_of
+from greygate.identify.looking import look
+from greygate.identify.task import Task, task
+from greygate.models.accuracy import rms
+from greygate.models.network import Network
+from greygate.models.sampling import same
+from greygate.plain import json_text, plain
+from greygate.plants.readers.read import read_recording
+from greygate.plants.recording import Recording
+from greygate.progress import Progress, once, silent
+
+KIND = "identify"  # of the folder's manifest
+UNLIKE = 5.0  # times the median part's error, from which a part is taken to hold what no other does
+SHOWN = 12  # models in the table of a terminal
+
+
+@dataclass(frozen=True)
+class Identified:
+    """The chosen model, fitted to everything, and every model that was tried. seen: of each recording, by `look`."""
+
+    task: Task
+    chosen: Tried
+    network: Network
+    search: Halving
+    seen: Mapping[str, dict]
+    tests: Mapping[str, Recording]
+    seconds: float
+
+
+def identify(
+    recordings: Mapping[str, Recording],
+    inputs: Sequence[str],
+    output: str,
+    tests: Mapping[str, Recording],
+    *,
+    seconds: float,
+    jobs: int,
+    settle: int | None = None,
+    progress: Progress = silent,
+) -> Identified:
+    """Find a network of one output from recordings. Raises InputError as `task` and `Halving`."""
+    began = monotonic()
+    first = next(iter(recordings.values()))
+    for other in (*recordings.values(), *tests.values()):
+        if not same(other.dt, first.dt):
+            raise InputError(f"{other.source}: sampled every {other.dt:g} s, {first.source} every {first.dt:g} s")
+    posed = task(recordings, inputs, output, settle)
+    seen = {name: look(r, inputs, output) for name, r in recordings.items()}
+    search = Halving(posed, seconds - (monotonic() - began), jobs, progress)
+    search.run(*reach(posed, seen.values()))
+    chosen, fit = search.final()
+    network = replace(fit.network, dt=first.dt)
+    return Identified(search.task, chosen, network, search, seen, tests, monotonic() - began)
+
+
+# ---- what is told
+
+
+def figures(found: Identified) -> dict:
+    """Everything that is told, as plain data."""
+    t, search, folds = found.task, found.search, found.search.shared()
+    finalists = search.finalists()
+    line = next((x for x in finalists if x.model.form.linear), found.chosen)
+    runner = next((x for x in finalists if x is not found.chosen), None)
+    tested = {n: t.errors(found.network, t.record(r)) for n, r in found.tests.items()}
+    sure = None if found.chosen.model.form.linear else sure_of(found.chosen, line, folds)
+    return {
+        "chosen": _row(t, found.chosen, folds),
+        "better_than_mean": bool(_row(t, found.chosen, folds)["fit"] > 0),
+        "whole": search.whole(found.network),
+        "part_count": t.parts,
+        "parts": {place + 1: found.chosen.over([place]) for place in folds},
+        "held_out_interval": interval(segments(found.chosen, folds)),
+        "test": {n: None if e is None else rms(e) for n, e in tested.items()},
+        "unit": t.output.unit,
+        "confidence": {
+            "better_than_linear": sure,
+            "better_than_next": None if runner is None else sure_of(found.chosen, runner, folds),
+            "next": None if runner is None else runner.model.name,
+        },
+        "models": [_row(t, tried, folds) for tried in finalists],
+        "tried": len(search.tried),
+        "settle": t.settle,
+        "seconds": round(found.seconds, 1),
+        "recordings": found.seen,
+    }
+
+
+def _row(t: Task, tried: Tried, folds: Sequence[int]) -> dict:
+    spread = float(np.std(np.concatenate([r.targets[t.output.name] for r in t.records.values()])))
+    error = tried.over(folds)
+    return {
+        "model": tried.model.name,
+        "parameters": tried.parameters,
+        "held_out": error,
+        "fit": 100 * (1 - error / spread),
+        "seconds": round(tried.seconds, 2),
+    }
+
+
+def lines(found: dict) -> list[str]:
+    """What a person reads of the figures."""
+    unit = f" {found['unit']}" if found["unit"] != "1" else ""
+    rows = [f"{'model':62} {'weights':>7} {'held out':>10} {'fit %':>7} {'s':>6}"]
+    for row in found["models"][:SHOWN]:
+        mark = "*" if row["model"] == found["chosen"]["model"] else " "
+        rows.append(
+            f"{mark} {row['model'][:60]:60} {row['parameters']:7d} {row['held_out']:10.4g} {row['fit']:7.2f} "
+            f"{row['seconds']:6.1f}"
+        )
+    if len(found["models"]) > SHOWN:
+        rows.append(f"  and {len(found['models']) - SHOWN} more; all are in the .json")
+    low, high = found["held_out_interval"]
+    several = len(found["recordings"]) > 1
+    told = [f"{n}: {r}" if several else r for n, seen in found["recordings"].items() for r in seen["remarks"]]
+    told = [*told, *rows, f"chosen: {found['chosen']['model']}; held out {found['chosen']['held_out']:.4g}{unit}"]
+    told.append(f"of held-out stretches, drawn again and again: {low:.4g} to {high:.4g}{unit} (95 %)")
+    told.append("these stretches chose the model too, so a new recording may well lie above")
+    sure = found["confidence"]
+    if sure["better_than_linear"] is not None:
+        told.append(f"better than the best linear model with probability {sure['better_than_linear']:.2f}")
+    if sure["better_than_next"] is not None:
+        told.append(f"better than the next, {sure['next']}, with probability {sure['better_than_next']:.2f}")
+    usual = float(np.median(list(found["parts"].values())))
+    for part, error in found["parts"].items():
+        if error > UNLIKE * usual:
+            told.append(
+                f"part {part} of {found['part_count']} errs by {error:.4g}{unit} where {usual:.4g}{unit} is usual: "
+                "what happens there happens nowhere else; record more of it, or cut it off"
+            )
+    if not found["better_than_mean"]:
+        told.append(
+            "no model predicts better than the output's mean: other inputs, a longer recording, or more --seconds"
+        )
+    if found["whole"] > WORSE * found["chosen"]["held_out"]:
+        told.append(
+            f"over the complete recordings it errs by {found['whole']:.4g}{unit}: it drifts in longer runs; "
+            "give the input that is missing, or a structure (greygate build-snn)"
+        )
+    for name, error in found["test"].items():
+        told.append(f"test {name}: RMSE {'inf' if error is None else format(error, '.4g')}{unit}")
+    return told
+
+
+def identify_files(
+    files: Mapping[str, str],
+    tests: Mapping[str, str],
+    inputs: Sequence[str],
+    output: str,
+    out: Path,
+    *,
+    dt: float | None,
+    seconds: float,
+    jobs: int,
+    settle: int | None,
+    progress: Progress = silent,
+) -> dict:
+    """Identify from CSV files and write OUT/NAME.toml, .safetensors, .json and recordings of canonical form.
+
+    OUT is written completely or not at all; it replaces what an earlier search wrote there, and nothing else. Returns
+    the figures. Raises InputError before anything is written.
+    """
+    if both := set(files) & set(tests):
+        raise InputError(f"{min(both)} is both a recording to train on and one to test on; rename one of them")
+    if len({Path(p).resolve() for p in (*files.values(), *tests.values())}) < len(files) + len(tests):
+        raise InputError("one file is given twice; leave one out")
+    name = out.name
+    if not re.fullmatch(r"[A-Za-z]\w*", name):
+        raise InputError(f"--out {out}: the folder gives the network its name; use letters, digits and _")
+    replaceable(out, KIND)
+    if not inputs:
+        raise InputError("--input is missing; give the channels that drive the plant")
+    if output in inputs or len(set(inputs)) < len(inputs):
+        raise InputError(f"--input {', '.join(inputs)}, --output {output}: name each channel once")
+    read_in, read_tests = (
+        {n: read_recording(p, dt=dt, bare=True, told=once) for n, p in of.items()} for of in (files, tests)
+    )
+    first = next(iter(read_in.values()))
+    for recording in (*read_in.values(), *read_tests.values()):
+        for channel in (*inputs, output):
+            recording[channel]  # raises InputError for an unknown name
+            if recording.units[channel] != first.units[channel]:
+                raise InputError(f"{recording.source}: {channel} is in another unit than in {first.source}")
+    with replacing_folder(out, KIND) as new:
+        found = identify(
+            read_in, inputs, output, read_tests, seconds=seconds, jobs=jobs, settle=settle, progress=progress
+        )
+        kept = figures(found)
+        replace(found.network, name=name).save(new / name, json_text(plain(kept)))
+        used = (*inputs, output)
+        for label, recording in {**read_in, **read_tests}.items():
+            of = Recording(recording.dt, {c: recording[c] for c in used}, {c: recording.units[c] for c in used})
+            of.write_csv(new / f"{label}.csv")
+    records = " ".join(f"--record {out / n}.csv" for n in read_in)
+    file = out / f"{name}.toml"
+    return plain(
+        {
+            **kept,
+            "out": str(file),
+            "next": [
+                f"greygate validate {file} {records} --settle {kept['settle']}",
+                f"greygate compile {file} {records} --out {out / 'compiled'}",
+            ],
+        }
+    )

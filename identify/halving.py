@@ -1,0 +1,520 @@
+"""Which model is best on blocks that it has not seen, by successive halving (Jamieson, Talwalkar 2016)."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from time import time
+
+import numpy as np
+
+from greygate import children
+from greygate.errors import InputError
+from greygate.identify.ladder import (
+    ARMAX,
+    ARX,
+    BJ,
+    FIR,
+    FORMS,
+    LINEAR,
+    LOOP,
+    RATE,
+    SUBSPACE,
+    Form,
+    Orders,
+    falling,
+    grown,
+    own,
+)
+from greygate.identify.linear import estimated, taught
+from greygate.identify.study import Fold, parameters
+from greygate.identify.subspace import subspace
+from greygate.identify.task import HALVES, Task, started
+from greygate.models.accuracy import rms
+from greygate.models.network import Network, Port
+from greygate.models.training.levenberg import Outcome, Trained, train
+from greygate.models.training.record import Record
+from greygate.progress import Progress, silent
+
+ORDERS = (1, 2, 3, 4)
+PAST = (16, 48)  # taps of a FIR model: it sees a decay of three and of ten of the longest taps of the others
+DECAY = 1e-3  # a prior: no normalised weight should be far above thirty deviations of one normalised error
+STRONG = 3e-2  # the same for recordings whose noise would be learnt with DECAY
+SIMPLER = 1.03  # a model of fewer weights wins if no other is better by more than this factor: few blocks judge
+WORSE = 2.0  # factor of the held-out error that the error over everything may have: above it the free run drifts off
+LEAST = 0.1  # s that a training has, where its rung has just run out of time
+DRAWS = 2000  # resampled sets of segments, from which confidence and interval follow
+SEGMENTS = 4  # of a held-out block: its errors are resampled in runs, because neighbours are alike
+REFITTED = 5  # models that are fitted to everything at most
+LONG = 50_000  # samples that they are then searched on, at most
+WINDOWS = 2  # for each part, into which a fold is cut that is too long to be trained on whole
+EPOCHS = 150  # of a fit to everything
+
+
+@dataclass(frozen=True)
+class Rung:
+    """keep: models that enter it. seeds: starts for each. epochs: of each. samples: at most, of a fold to train on.
+
+    every: 2 for every second fold. until: share of the time limit at which it must end.
+    """
+
+    keep: int
+    seeds: int
+    epochs: int
+    samples: int
+    every: int
+    until: float
+
+
+LADDER = Rung(10**6, 1, 60, 8000, 1, 0.2)
+ALONE = replace(LADDER, epochs=20, every=2)  # where nothing grows from the linear models: the best one is fitted anew
+NOISES = replace(LADDER, until=0.25)  # the best of those under other ideas of the noise
+RUNGS = (Rung(10**6, 1, 20, 4000, 2, 0.55), Rung(12, 2, 40, 8000, 1, 0.7), Rung(5, 3, 120, 20000, 1, 0.87))
+FULL = 2  # the first rung at which every fold judges
+BASES = 3  # linear models from which networks are grown, the best ones
+RICH = 3  # order of one more at each stride
+STILL = 1e-3  # fall of the loss over ten epochs from which a model that is only compared is done
+DONE = 1e-7  # the same where the network is kept
+
+
+@dataclass(frozen=True)
+class Model:
+    """A model of the ladder. decay: D of the loss."""
+
+    form: Form
+    orders: Orders
+    decay: float = DECAY
+
+    @property
+    def name(self) -> str:
+        return f"{self.form.name}, {self.orders}" + (", strong decay" if self.decay > DECAY else "")
+
+    @property
+    def line(self) -> "Model":
+        """The linear model from which it is grown."""
+        return Model(LINEAR, self.orders, 0.0)
+
+
+@dataclass(frozen=True)
+class Tried:
+    """What became of a model.
+
+    networks: fold -> network. errors: fold -> errors (N,) over each of its held-out blocks, in the unit of the output,
+    None where the free run diverges or would in time. seconds: that it took in all.
+    """
+
+    model: Model
+    rung: int
+    networks: Mapping[int, Network]
+    errors: Mapping[int, Sequence[np.ndarray | None]]
+    seconds: float
+
+    @cached_property
+    def parameters(self) -> int:
+        return parameters(self.first)
+
+    @property
+    def first(self) -> Network:
+        """As its first fold left it."""
+        return next(iter(self.networks.values()))
+
+    def blocks(self, folds: Iterable[int]) -> list[np.ndarray | None]:
+        """Errors over the blocks that these folds hold out."""
+        return [e for place in folds for e in self.errors[place]]
+
+    @cached_property
+    def error(self) -> float:
+        """RMS error over everything that was held out; inf: diverges."""
+        return self.over(self.errors)
+
+    @cached_property
+    def typical(self) -> float:
+        """Geometric mean of the errors over each fold: a half-trained network may err wildly over one of them."""
+        found = [self.over([place]) for place in self.errors]
+        return float(np.exp(np.mean(np.log(np.maximum(found, np.finfo(float).tiny)))))
+
+    def over(self, folds: Iterable[int]) -> float:
+        """RMS error over the blocks of these folds; inf: diverges."""
+        return pooled(self.blocks(folds))
+
+
+def pooled(errors: Sequence[np.ndarray | None]) -> float:
+    """RMS of errors; inf where one is None."""
+    found = [e for e in errors if e is not None]
+    return rms(np.concatenate(found)) if found and len(found) == len(errors) else np.inf
+
+
+def segments(tried: Tried, folds: Sequence[int]) -> np.ndarray:
+    """Mean squared errors of the segments of held-out blocks; inf where a free run diverges."""
+    blocks = tried.blocks(folds)
+    if not np.isfinite(tried.over(folds)):
+        return np.full(SEGMENTS * len(blocks), np.inf)
+    return segmented([e for e in blocks if e is not None])
+
+
+def segmented(blocks: Iterable[np.ndarray]) -> np.ndarray:
+    """Mean squared errors of the segments of blocks of errors (N,)."""
+    return np.array([np.mean(s**2) for e in blocks for s in np.array_split(e, SEGMENTS)])
+
+
+def draws(count: int) -> np.ndarray:
+    """Sets of `count` segments, each drawn with replacement (DRAWS, count)."""
+    return np.random.default_rng(0).integers(0, count, (DRAWS, count))
+
+
+def sure_of(one: Tried, other: Tried, folds: Sequence[int]) -> float:
+    """Share of the drawn sets of segments over which `one` errs less."""
+    a, b = segments(one, folds), segments(other, folds)
+    drawn = draws(len(a))
+    return float(np.mean(a[drawn].mean(1) < b[drawn].mean(1)))
+
+
+def interval(squares: np.ndarray) -> list[float]:
+    """95 % of the RMS errors over drawn sets of segments, of mean squared errors `squares` (N,)."""
+    found = np.sqrt(squares[draws(len(squares))].mean(1))
+    return [float(v) for v in np.quantile(found, (0.025, 0.975))]
+
+
+def reach(task: Task, seen: Iterable[Mapping], deepest: int = max(ORDERS)) -> tuple[list[tuple[int, ...]], list[int]]:
+    """Delays and strides to try. seen: of each recording, by `look`. deepest: an order for which a stride leaves room.
+
+    Delays around those that were seen, and none: which one is best shows only with a model.
+    """
+    seen = list(seen)
+    apart = min(max(s["stride"] for s in seen), max(task.settle // deepest, 1))
+    names = [p.name for p in task.inputs]
+    found = [min((s["delays"][n] for s in seen if s["delays"][n] is not None), default=0) for n in names]
+    delays = {tuple(max(d + shift, 0) for d in found) for shift in (-2, -1, 0, 1)} | {(0,) * len(names)}
+    return sorted(delays), sorted({1, apart})
+
+
+class Halving:
+    """A search over one task. seconds: its time limit. jobs: trainings side by side."""
+
+    def __init__(self, task: Task, seconds: float, jobs: int, progress: Progress = silent):
+        self.task, self.jobs, self.progress = task, jobs, progress
+        self.began, self.seconds = time(), seconds
+        self.folds = task.folds()
+        self.tried: dict[Model, Tried] = {}
+
+    def deadline(self, until: float = 1.0) -> float:
+        """The time at which that share of the limit is used."""
+        return self.began + until * self.seconds
+
+    def run(self, delays: Sequence[tuple[int, ...]], strides: Sequence[int]) -> None:
+        """Try the linear models and what grows from them. Raises InputError if no linear model was finished."""
+        ladder = [Model(LINEAR, Orders(o, d, s)).line for o in ORDERS for s in strides for d in delays]
+        self.rung(0, LADDER, ladder)
+        if not self.tried:  # not one was finished in its share of the time: the simplest has it all
+            self.rung(0, replace(LADDER, until=RUNGS[-1].until), ladder[: self.jobs])
+        if self.tried and self.drifts():
+            self.lengthen(ladder, strides)
+        self.rung(0, NOISES, self.noises())
+        # where time ends, every base has had the same
+        kinds = [(form, decay) for form in FORMS for decay in (DECAY, STRONG)]
+        models = [Model(form, o, decay) for form, decay in kinds for o in self.grown_from() if form.suits(o)]
+        for number, rung in enumerate(RUNGS, 1):
+            self.rung(number, rung, models[: rung.keep])
+            models = [t.model for t in sorted(self.tried.values(), key=lambda t: t.typical) if t.rung == number]
+
+    def lengthen(self, ladder: Sequence[Model], strides: Sequence[int]) -> None:
+        """Try the linear models again where longer runs judge, longer windows train and an output may rest anywhere.
+
+        Where time does not suffice for one of them, all stays as it is.
+        """
+        before, late, step = (self.task, self.folds, self.tried), self.ranked()[0].model.orders.delays, self.task.step
+        resting = [Model(LINEAR, Orders(o, late, s, step), 0.0) for s in strides for o in ORDERS[:-1]]
+        self.task = replace(self.task, parts=HALVES)
+        self.folds, self.tried = self.task.folds(), {}
+        self.rung(0, replace(LADDER, until=NOISES.until), [*resting, *ladder])
+        if not self.tried:
+            self.task, self.folds, self.tried = before
+
+    def noises(self) -> list[Model]:
+        """The best linear models under other ideas of the noise, of which an integrating one has none."""
+        best = [base.model.orders for base in self.bases() if not base.model.orders.integrating]
+        longer = [replace(orders, order=taps - 1) for orders in best[:1] for taps in PAST]
+        shortest = min(len(p) for f in self.folds for p in thinned(f.pieces, NOISES.samples, self.task))
+        found = [Model(SUBSPACE, orders, 0.0) for orders in best if orders.stride == 1]
+        found += [Model(form, orders, 0.0) for form in (ARX, ARMAX, BJ) for orders in best]
+        return found + [Model(FIR, orders, 0.0) for orders in longer if orders.deepest < shortest]
+
+    def drifts(self) -> bool:
+        """Whether the best stable linear model does not settle within a recording, or errs far more over everything."""
+        best = next((t for t in self.ranked() if t.model.form == LINEAR and np.isfinite(t.error)), None)
+        if best is None:
+            return True
+        longest, networks = max(len(r) for r in self.task.records.values()), best.networks.values()
+        falls = [falling(n, best.model.orders, self.task.output) for n in networks]
+        slow = most(not 0 <= f <= longest for f in falls)
+        return slow or most(self.whole(n) > WORSE * best.error for n in networks)
+
+    def bases(self) -> list[Tried]:
+        """The best linear models that differ in more than their delays, from which networks are grown."""
+        found: dict[Orders, Tried] = {}
+        for tried in self.ranked():
+            if np.isfinite(tried.error) and tried.model.form == LINEAR:
+                found.setdefault(replace(tried.model.orders, delays=()), tried)
+        if not found:
+            raise InputError("no linear model was finished in time, or every one diverges; give more --seconds")
+        return list(found.values())[:BASES]
+
+    def grown_from(self) -> list[Orders]:
+        """Taps of the linear models from which networks are grown: of the best, and of rich ones without delay.
+
+        What a linear model takes for a delay, or does without, a curve may explain.
+        """
+        found = [base.model.orders for base in self.bases()]
+        rich = [t.model.orders for t in self.ranked() if t.model.form == LINEAR and np.isfinite(t.error)]
+        rich = [o for o in rich if o.order == RICH and not any(o.delays)]
+        return found + [o for o in rich if o not in found]
+
+    def ranked(self) -> list[Tried]:
+        return sorted(self.tried.values(), key=lambda t: (t.error, t.parameters))
+
+    def rung(self, number: int, rung: Rung, models: Sequence[Model]) -> None:
+        """Train the models on every fold and judge them; those that time does not suffice for stay as they are."""
+        until = self.deadline(rung.until)
+        folds = {  # every process is sent only what is trained on
+            place: replace(self.folds[place], pieces=thinned(self.folds[place].pieces, rung.samples, self.task))
+            for place in range(0, len(self.folds), rung.every)
+        }
+        tasks = [partial(judged, self.task, folds, m, self.tried.get(m.line), number, rung, until) for m in models]
+        for tried in children.workers(self.jobs, tasks, in_order=False):
+            if tried is children.DIED:
+                raise InputError(children.KILLED)
+            if tried is not None:
+                before = self.tried.get(tried.model)
+                if before and set(before.errors) == set(tried.errors) and before.error < tried.error:
+                    tried = replace(before, rung=number)  # more training has made it worse on what it has not seen
+                self.tried[tried.model] = tried
+                best = self.ranked()[0]
+                self.progress(f"{len(self.tried)} models, best {best.model.name}: {best.error:.4g} held out")
+
+    def shared(self) -> list[int]:
+        """The folds that judged every finalist."""
+        return sorted(set.intersection(*(set(t.errors) for t in self._last())))
+
+    def _last(self) -> list[Tried]:
+        """Linear models, and the networks that every fold has judged; where there are none, those of half the folds."""
+        least = min(max(t.rung for t in self.tried.values()), FULL)
+        return [t for t in self.tried.values() if t.rung == 0 or t.rung >= least]
+
+    def finalists(self) -> list[Tried]:
+        """Linear models and the networks that came far enough, the best first, by blocks that judged all."""
+        folds = self.shared()
+        return sorted(self._last(), key=lambda t: (t.over(folds), t.parameters))
+
+    def chosen(self) -> Tried:
+        """The best of the finalists; a simpler one that is as good wins."""
+        ranked, folds = self.finalists(), self.shared()
+        near = [t for t in ranked if t.over(folds) <= SIMPLER * ranked[0].over(folds)]
+        return min(near, key=lambda t: (t.parameters, t.over(folds)))
+
+    def whole(self, network: Network) -> float:
+        """RMS error of free runs over the complete recordings; inf: diverges."""
+        return pooled([self.task.errors(network, r) for r in self.task.records.values()])
+
+    def final(self) -> tuple[Tried, Trained]:
+        """The chosen model, fitted to everything; the next one where its free run over everything drifts off.
+
+        Where all of the best do, it is the one that errs least: the recordings' inputs do not explain their output.
+        """
+        first = self.chosen()
+        best = [first, *(t for t in self.finalists() if t is not first)][:REFITTED]
+        before = {t.model: self.whole(t.first) for t in best}
+        sound = [t for t in best if before[t.model] <= WORSE * t.error]
+        best = sound[:1] or sorted(best, key=lambda t: before[t.model])
+        found: list[tuple[float, Tried, Trained]] = []
+        for done, tried in enumerate(best):
+            left = self.deadline() - time()
+            if found and left <= 0:
+                break
+            fit = self.complete(tried, left / (len(best) - done))
+            error = self.whole(fit.network) if stable(tried.model, fit.network, self.task) else np.inf
+            if before[tried.model] < error:  # more data have made it worse: as its first fold left it
+                error, fit = before[tried.model], replace(fit, network=tried.first, initial=())
+            found.append((error, tried, fit))
+        error, tried, fit = min(found, key=lambda f: f[0])
+        if not np.isfinite(error):
+            raise InputError("every model diverges over the complete recordings; are they of one plant?")
+        return tried, fit
+
+    def best_linear(self) -> tuple[Tried, Network]:
+        """The linear model that errs least on what was held out and does not drift off, fitted to everything.
+
+        Where all drift, the one that errs least over everything. Raises InputError where none runs.
+        """
+        found = []
+        for tried in [t for t in self.ranked() if t.model.form.linear and np.isfinite(t.error)][:REFITTED]:
+            network = self.complete(tried, np.inf).network
+            error = self.whole(network)
+            if error <= WORSE * tried.error:
+                return tried, network
+            found.append((error, tried, network))
+        if not found:
+            raise InputError("every linear model diverges")
+        return min(found, key=lambda f: f[0])[1:]
+
+    def linear_only(self, delays: Sequence[tuple[int, ...]], strides: Sequence[int]) -> None:
+        """Try linear models without a limit of time: orders, then delays of the best order, then ideas of the noise."""
+        shortest = min(len(p) for f in self.folds for p in thinned(f.pieces, ALONE.samples, self.task))
+
+        def fitted(orders: Iterable[Orders], forms: Sequence[Form] = (LINEAR,)) -> None:
+            models = [Model(form, o, 0.0) for o in orders if 2 * o.deepest < shortest for form in forms]
+            self.rung(0, ALONE, [m for m in models if m not in self.tried])
+
+        fitted(Orders(o, delays[0], s) for o in ORDERS for s in strides)
+        if not self.tried:
+            raise InputError("the recordings are too short for a linear model")
+        fitted(replace(self.ranked()[0].model.orders, delays=d) for d in delays)
+        if self.drifts():
+            self.lengthen([t.model for t in self.ranked()], strides)
+        if not (best := self.ranked()[0].model.orders).integrating:
+            fitted([best], [ARX, ARMAX, BJ, *[SUBSPACE] * (best.stride == 1)])
+
+    def complete(self, tried: Tried, seconds: float) -> Trained:
+        """A model fitted to everything, from what two of its folds have made of it; the lower loss wins."""
+        records, starts = list(self.task.records.values()), list(tried.networks.values())
+        starts, fits = starts[:: max(len(starts) // 2, 1)], []
+        until = time() + seconds
+        for done, start in enumerate(starts):
+            share = time() + (until - time()) / (len(starts) - done)
+            fits.append(refitted(tried.model, self.task, start, records, EPOCHS, share, DONE))
+        return lowest(fits)
+
+
+def judged(
+    task: Task, folds: Mapping[int, Fold], model: Model, line: Tried | None, number: int, rung: Rung, until: float
+) -> Tried | None:
+    """The model, trained on the folds of a rung and judged; None if time is up before. line: what it is grown from."""
+    began = time()
+    if began > until:
+        return None
+    networks, errors = {}, {}
+    for place, fold in folds.items():
+        grows = line.networks[place] if line else None
+        if grows is None or model.form.linear:
+            fit = linear(task, model, grows, fold.pieces, rung, until)
+        else:
+            fit = network(task, model, grows, fold.pieces, rung, until)
+        if fit.outcome is Outcome.TIME:
+            return None
+        networks[place] = fit.network
+        errors[place] = [task.errors(networks[place], block) for block in fold.blocks]
+    if most(not stable(model, n, task) for n in networks.values()):
+        errors = {place: [None] * len(of) for place, of in errors.items()}
+    return Tried(model, number, networks, errors, time() - began)
+
+
+def most(of: Iterable[bool]) -> bool:
+    """Whether more than half are true."""
+    found = list(of)
+    return 2 * sum(found) > len(found)
+
+
+def stable(model: Model, network: Network, task: Task) -> bool:
+    """Whether its own motions do not grow by e within the longest recording, as far as a linear loop says.
+
+    A model whose motions grow is of no use beyond what it was fitted to.
+    """
+    longest = max(len(r) for r in task.records.values())
+    return not (model.form.loop_is_linear and -longest < falling(network, model.orders, task.output) < 0)
+
+
+def linear(
+    task: Task, model: Model, line: Network | None, pieces: Sequence[Record], rung: Rung, until: float
+) -> Trained:
+    """The linear model under its idea of the noise. line: the output-error model of the same taps, if there is one.
+
+    An output-error model begins as the better one of ARX and of the subspace.
+    """
+    if line is None and model.orders.integrating:
+        start = summed(model, task, pieces)
+    else:
+        start = line or begun(model, task, pieces)
+    return refitted(model, task, start, pieces, rung.epochs, until)
+
+
+def begun(model: Model, task: Task, pieces: Sequence[Record]) -> Network:
+    """The linear model as ARX, or by the subspace where that runs free better."""
+    start = taught(model.form.build(model.orders, task.inputs, task.output, 0), pieces).network
+    if model.form != LINEAR or model.orders.stride > 1:
+        return start
+    ways = [start, subspace(model.orders, task.output, start, pieces)]
+    return lowest([as_it_is(way, pieces) for way in ways if way]).network
+
+
+def summed(model: Model, task: Task, pieces: Sequence[Record]) -> Network:
+    """The integrating model: its rate begins as a model of the output's differences."""
+    steps = replace(task.output, scale=task.output.scale * model.orders.step, offset=0.0, initial=0.0)
+    of = replace(model, orders=replace(model.orders, step=0.0))
+    found = begun(of, replace(task, output=steps), [differences(p, steps) for p in pieces]).parameters()
+    network = model.form.build(model.orders, task.inputs, task.output, 0)
+    taken = [p.name for p in (*task.inputs, task.output)]
+    loop, rate = own(LOOP, taken), own(RATE, taken)
+    return network.with_parameters({rate + n.removeprefix(loop): v for n, v in found.items()})
+
+
+def differences(record: Record, output: Port) -> Record:
+    """The record from its second sample on, of the output's difference from one sample to the next."""
+    inputs = {n: v[1:] for n, v in record.inputs.items()}
+    return started(Record(inputs, {output.name: np.diff(record.targets[output.name])}), output)
+
+
+def refitted(
+    model: Model,
+    task: Task,
+    start: Network,
+    records: Sequence[Record],
+    epochs: int,
+    until: float,
+    tolerance: float = STILL,
+) -> Trained:
+    """The model fitted to records from `start` on, in free run, or as its idea of the noise asks."""
+    if model.form == SUBSPACE:
+        found = subspace(model.orders, task.output, start, records)
+        if found is None:  # too short for it: left untried, as what time does not suffice for
+            return replace(as_it_is(start, records), outcome=Outcome.TIME)
+        return as_it_is(found, records)
+    if model.form in (ARX, ARMAX, BJ):
+        left = max(until - time(), LEAST)
+        return estimated(model.form, model.orders, task.output, start, records, epochs, left)
+    return trained(start, records, epochs, model.decay, until, tolerance)
+
+
+def network(task: Task, model: Model, line: Network, pieces: Sequence[Record], rung: Rung, until: float) -> Trained:
+    """The network, grown from the linear one with each seed; the lowest loss wins."""
+    builds = (model.form.build(model.orders, task.inputs, task.output, seed) for seed in range(rung.seeds))
+    fits = [trained(grown(b, line), pieces, rung.epochs, model.decay, until) for b in builds]
+    return next((f for f in fits if f.outcome is Outcome.TIME), lowest(fits))
+
+
+def as_it_is(network: Network, records: Sequence[Record]) -> Trained:
+    """The network and its loss in free run, not trained."""
+    return train(network, records, estimate_initial=True, epochs=0)
+
+
+def trained(
+    start: Network, pieces: Sequence[Record], epochs: int, decay: float, until: float, tolerance: float = STILL
+) -> Trained:
+    left = max(until - time(), LEAST)
+    return train(start, pieces, estimate_initial=True, epochs=epochs, decay=decay, seconds=left, tolerance=tolerance)
+
+
+def lowest(fits: Sequence[Trained]) -> Trained:
+    """The fit of the lowest loss; one that diverges comes last."""
+    return min(fits, key=lambda f: (f.outcome is Outcome.DIVERGED, f.history[-1]))
+
+
+def thinned(pieces: Sequence[Record], samples: int, task: Task) -> list[Record]:
+    """The pieces, or as many windows of them, evenly spread, as hold at most `samples`."""
+    total = sum(len(p) for p in pieces)
+    if total <= samples:
+        return list(pieces)
+    length = max(10 * task.settle, samples // (WINDOWS * task.parts))
+    found = []
+    for piece in pieces:
+        count = max(int(len(piece) * samples / total / length), 1)
+        for start in np.linspace(0, max(len(piece) - length, 0), count).astype(int):
+            found.append(started(piece.cut(int(start), int(start) + length), task.output))
+    return found

@@ -1,0 +1,103 @@
+"""What a training came to, for its page and its JSON: what moved, poles, how well each weight is known, residuals."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greygate.errors import InputError
+from greygate.models.accuracy import float_error
+from greygate.models.adaptation import weight_changes
+from greygate.models.deviations import deviations
+from greygate.models.linearised import Linearised, linearised
+from greygate.models.network import Network
+from greygate.models.residuals import Correlation, asks_for, residual_tests
+from greygate.models.training.record import Record
+
+LAGS = 25  # of the residual tests, in steps
+MOVED = 12  # weights that are listed as those that moved most
+POINTS, LOWEST, HIGHEST = 80, 1e-3, 0.5  # of a frequency response: how many, from where to where, times the sample rate
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """before, after: the network. about: its linearisation on the first record; None where that diverges.
+
+    weights: name -> (value, standard deviation), normalised. tests: (record, output) -> residual tests of the free run.
+    period: s.
+    """
+
+    before: Network
+    after: Network
+    about: Linearised | None
+    weights: Mapping[str, tuple[float, float]]
+    tests: Mapping[tuple[str, str], Sequence[Correlation]]
+    period: float
+
+    @property
+    def frequency(self) -> np.ndarray:
+        """Hz, (F,)."""
+        return np.geomspace(LOWEST, HIGHEST, POINTS) / self.period
+
+    def moved(self) -> list[tuple[str, float, float]]:
+        """(weight, before, after), normalised: those that training moved most."""
+        old, new = self.before.flatten().parameters(), self.after.flatten().parameters()
+        found = [
+            (f"{name}[{', '.join(map(str, at))}]", float(old[name][at]), float(new[name][at]))
+            for name in weight_changes(self.before, self.after)
+            for at in np.ndindex(old[name].shape)
+        ]
+        return sorted(found, key=lambda w: -abs(w[2] - w[1]))[:MOVED]
+
+    def figures(self) -> dict:
+        """As data: complex numbers as [real, imaginary]."""
+        frequency = self.frequency
+        pairs = {}
+        if self.about is not None:
+            response = self.about.response(frequency, self.period)
+            for o, output in enumerate(self.after.outputs):
+                for u, drive in enumerate(self.after.inputs):
+                    pairs[f"{output.name}/{drive.name}"] = [[v.real, v.imag] for v in response[:, o, u]]
+        return {
+            "moved": [{"weight": n, "before": a, "after": b} for n, a, b in self.moved()],
+            "poles": [] if self.about is None else [[p.real, p.imag] for p in self.about.poles()],
+            "response": {"frequency": frequency, "pairs": pairs},
+            "weights": {n: {"value": v, "deviation": s} for n, (v, s) in self.weights.items()},
+            "tests": [
+                {"record": record, "output": output, "test": t.name, "passed": t.passed, "outside": t.outside,
+                 "lags": len(t.lags), "do": "" if t.passed else asks_for(t, output)}
+                for (record, output), found in self.tests.items()
+                for t in found
+            ],
+        }  # fmt: skip
+
+
+def evidence(
+    before: Network,
+    after: Network,
+    learnt: Sequence[Record],
+    judged: Mapping[str, Record],
+    period: float,
+    decay: float,
+) -> Evidence:
+    """learnt: what was trained on, with its initial states. judged: by name, likewise, from `skip` on."""
+    return Evidence(
+        before,
+        after,
+        linearised(after, learnt[0]),
+        deviations(after, learnt, decay),
+        {(name, o): t for name, r in judged.items() for o, t in _tests(after, r).items()},
+        period,
+    )
+
+
+def _tests(network: Network, record: Record) -> dict[str, Sequence[Correlation]]:
+    """Of each output; none where the free run diverges or is too short to be tested."""
+    if len(record) - record.skip < 4 * (LAGS + 2):
+        return {}
+    try:
+        errors = float_error(network, record)
+    except InputError:
+        return {}
+    inputs = {p.name: np.asarray(record.inputs[p.name], float)[record.skip :] for p in network.inputs}
+    return {name: residual_tests(-e[record.skip :], inputs, LAGS) for name, e in errors.items()}

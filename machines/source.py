@@ -1,0 +1,145 @@
+"""Where a network and its records come from: the catalogue, or the user's files."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from greygate.compiler.quantize import Formats
+from greygate.errors import InputError
+from greygate.machines.catalog import CATALOG, entry
+from greygate.models import sampling
+from greygate.models.importers.files import foreign, load, load_quantized
+from greygate.models.importers.qonnx import Quantized
+from greygate.models.network import Network, Port
+from greygate.models.training.record import Record
+from greygate.plants.readers.read import read_recording
+from greygate.progress import once
+
+
+def read_record(network: Network, path: Path | str, targets: bool = True) -> tuple[Record, float]:
+    """Read a recording for a network: a column for each port, in its unit or one that is converted to it, and the time.
+
+    targets: read the network's outputs too. Returns the record and its sample time in s. Raises InputError for a
+    missing column or unit, NaN, non-uniform time, an empty file, and a sample time that is not the network's.
+    """
+    for port in network.inputs + network.outputs:
+        if port.size > 1:
+            raise InputError(f"port {port.name} has {port.size} elements, but a CSV column holds one; use scalar ports")
+    wanted = network.inputs + (network.outputs if targets else [])
+    recording = read_recording(path, {p.name: p.unit for p in wanted}, told=once)
+    sampling.check_file(network, recording.dt, path)
+
+    def channels(ports: list[Port]) -> dict[str, np.ndarray]:
+        return {p.name: recording[p.name] for p in ports}
+
+    return Record(channels(network.inputs), channels(network.outputs) if targets else {}), recording.dt
+
+
+def read_records(network: Network, paths: Mapping[str, Path | str]) -> dict[str, Record]:
+    """Read recordings by scenario, as `read_record`. Raises InputError if their sample times differ."""
+    found = {scenario: read_record(network, path) for scenario, path in paths.items()}
+    times = {path: dt for path, (_, dt) in zip(paths.values(), found.values(), strict=True)}
+    for path, dt in times.items():
+        first, expected = next(iter(times.items()))
+        if not sampling.same(dt, expected):
+            raise InputError(
+                f"{path}: sampled every {dt:g} s, {first} every {expected:g} s; {sampling.resampling(path, expected)}"
+            )
+    return {scenario: record for scenario, (record, _) in found.items()}
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a network and its records come from: a name of the catalogue, or a network file with recordings.
+
+    recordings: scenario -> CSV; empty for the records of the catalogue. The first one sets the ranges of the formats.
+    settle: the number of first samples of each recording that only give its initial state.
+    Its methods raise InputError for a name, a file or a recording that cannot be used.
+
+    >>> lag.save("lag")
+    >>> source = Source("lag.toml", {"train": "lag.csv"})
+    >>> source.training, source.period
+    (('train',), 0.001)
+    """
+
+    name: str
+    recordings: Mapping[str, str] = field(default_factory=dict)
+    settle: int = 0
+
+    def network(self) -> Network:
+        path = Path(self.name)
+        if foreign(self.name):
+            return load(path)
+        written = self.name.endswith((".toml", ".safetensors")) or (path.name and path.with_suffix(".toml").exists())
+        if self.name not in CATALOG and written:
+            return Network.load(self.name)
+        return entry(self.name).network()
+
+    def quantized(self) -> Quantized | None:
+        """The network and the formats of its signals, of a file that declares them (QONNX); else None."""
+        return load_quantized(self.name) if foreign(self.name) else None
+
+    def records(self) -> dict[str, Record]:
+        if not self.recordings:
+            if self.name not in CATALOG:
+                self.network()  # that there is none of that name is the first mistake
+                raise InputError(f"{self.name}: no recordings; give --record FILE.csv")
+            return dict(entry(self.name).records())
+        records = read_records(self.network(), self.recordings)
+        return {scenario: replace(record, skip=self.settle) for scenario, record in records.items()}
+
+    def apart(self, held: Mapping[str, str]) -> tuple[dict[str, Record], dict[str, Record]]:
+        """The records to train on, and those of other recordings, scenario -> file, that are held out."""
+        if both := set(self.recordings) & set(held):
+            raise InputError(f"{min(both)} is both a record to train on and a held-out record; rename one of them")
+        files = {**self.recordings, **held}
+        paths = {name: Path(path).resolve() for name, path in files.items()}
+        if len(set(paths.values())) < len(paths):
+            raise InputError("one file is given twice, under two names; hold out another file")
+        found = replace(self, recordings=files).records()
+        return {n: found[n] for n in self.recordings}, {n: found[n] for n in held}
+
+    @property
+    def title(self) -> str:
+        return entry(self.name).title if self.name in CATALOG else Path(self.name).stem
+
+    @cached_property
+    def period(self) -> float:
+        """Sample time of the network, or else of its first recording [s]."""
+        if (known := self.network().sample_time()) is not None:
+            return known
+        return read_recording(next(iter(self.recordings.values()))).dt if self.recordings else 1e-3
+
+    @property
+    def supposed(self) -> str:
+        """What is supposed of the sample time where the network does not say it; else empty."""
+        network = self.network()
+        if network.sample_time() is not None or not self.recordings:
+            return ""
+        path = next(iter(self.recordings.values()))
+        taken = f"that of {path} ({sampling.spoken(self.period)})"
+        return f"network {network.name} does not say its sample time; taken as {taken}"
+
+    @property
+    def training(self) -> tuple[str, ...]:
+        """Scenarios that set ranges and formats: the catalogue's training runs, or the first recording given."""
+        return entry(self.name).training if not self.recordings else tuple(self.recordings)[:1]
+
+    @property
+    def scenarios(self) -> tuple[str, ...]:
+        """The scenarios on which hardware is verified."""
+        if self.name in CATALOG and not self.recordings:
+            return entry(self.name).scenarios
+        return tuple(self.recordings)
+
+    def formats(self, width: int = 16, finer: int | None = None) -> Formats:
+        """Formats of that word width; finer: as in `Formats`, the catalogue's choice for the network if not given."""
+        own = entry(self.name).finer if self.name in CATALOG else 0
+        return Formats(width, own if finer is None else finer)
+
+    @property
+    def references(self) -> Mapping[str, Mapping]:
+        return entry(self.name).references if self.name in CATALOG else {}

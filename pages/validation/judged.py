@@ -1,0 +1,107 @@
+"""A network judged on its records, for the validation page and for the terminal."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+from greygate.errors import InputError
+from greygate.machines.catalog import CATALOG, entry
+from greygate.machines.source import Source
+from greygate.models.training.initial import initialised
+from greygate.models.validation import Correlation, Covered, Validation, coverage, validate
+from greygate.pages.units import NONE, display, per_cent, shown
+from greygate.plain import plain
+from greygate.progress import Progress, silent
+
+
+@dataclass(frozen=True)
+class Judged:
+    """One network judged on its records. training: the records it was trained on. period: s."""
+
+    title: str
+    name: str
+    parameters: int
+    period: float
+    training: tuple[str, ...]
+    validations: list[Validation]
+    ranges: list[Covered]
+
+    @property
+    def bounded(self) -> bool:
+        return all(v.bounded for v in self.validations)
+
+    def figures(self) -> dict:
+        """JSON-able: SI units, None for what is not finite; signals are left out."""
+        found = {k: getattr(self, k) for k in ("title", "name", "parameters", "period", "training", "bounded")}
+        found["outputs"] = [v.figures() for v in self.validations]
+        return plain(found | {"ranges": [asdict(r) for r in self.ranges]})
+
+
+def judge(source: Source, lags: int = 25, progress: Progress = silent) -> Judged:
+    """Validate a network of the catalogue, or a file, on its records. Raises InputError as `validate` and `Source`.
+
+    A network of the catalogue is also judged on its training records, even if recordings are given. Any other network
+    is assumed to be trained on the first recording.
+    """
+    network, records, training = source.network(), source.records(), source.training
+    if source.name in CATALOG and source.recordings:
+        training, own = entry(source.name).training, entry(source.name).records()
+        if taken := set(training) & set(records):
+            raise InputError(f"record {min(taken)}: {source.name} learnt from one of that name; name yours otherwise")
+        records = {n: own[n] for n in training} | records
+    records = {name: initialised(network, record) for name, record in records.items()}
+    validations = validate(network, records, period=source.period, lags=lags, progress=progress)
+    size = sum(v.size for v in network.flatten().parameters().values())
+    ranges = coverage(network, records, training)
+    return Judged(source.title, network.name, size, source.period, training, validations, ranges)
+
+
+def tally(tests: Sequence[Correlation] | None) -> str:
+    """`4/5` of the tests passed."""
+    return NONE if tests is None else f"{sum(t.passed for t in tests)}/{len(tests)}"
+
+
+def long_run(v: Validation) -> str:
+    return "unbounded" if not v.bounded else "stable" if v.long_run.stable else "drifts"
+
+
+def rows(judged: Judged) -> list[dict]:
+    """The rows of the table, {column: cell}, one for each record and output."""
+    found = []
+    for v in judged.validations:
+        reach = v.rms if math.isfinite(v.rms) else v.spread
+        ahead = {k: per_cent(v.ahead[k][1] if k in v.ahead else None) for k in (1, 10)}
+        found.append(
+            {
+                "record": v.record + ("*" if v.record in judged.training else ""),
+                "output": v.output,
+                "std": shown(v.spread, v.unit, reach),
+                "RMS": shown(v.rms, v.unit, reach) if math.isfinite(v.rms) else "∞",
+                "unit": display(v.unit, reach)[1] or "1",
+                "fit %": per_cent(v.fit),
+                "1 step": ahead[1],
+                "10 steps": ahead[10],
+                "free run": tally(v.tests.get("free run")),
+                "one step": tally(v.tests.get("one step ahead")),
+                "long run": long_run(v),
+            }
+        )
+    return found
+
+
+def table(judged: Judged) -> list[str]:
+    """Lines for a terminal."""
+    found = rows(judged)
+    names = list(found[0])
+    widths = {n: max(len(n), *(len(r[n]) for r in found)) for n in names}
+    left = ("record", "output", "unit", "long run")
+
+    def line(cells: dict) -> str:
+        return "  ".join(f"{cells[n]:{'<' if n in left else '>'}{widths[n]}}" for n in names).rstrip()
+
+    sentences = {
+        "*": "* learnt from this record",
+        "fits": "fit %: free run; 1 step, 10 steps: fit % of the prediction that far ahead from what was measured",
+        "tests": "free run, one step: residual tests passed; long run: ten times the record, inputs to 1.2 times",
+    }
+    return [judged.title, line({n: n for n in names}), *(line(r) for r in found), *sentences.values()]
