@@ -29,7 +29,7 @@ from greygate.files import (
     writing,
 )
 from greygate.hardware.board.benches import core_bench
-from greygate.hardware.build import LATER, Project, kept, result_files
+from greygate.hardware.build import LATER, Project, kept_file, result_files
 from greygate.hardware.exploring import Explorer
 from greygate.hardware.facts import FACTS
 from greygate.hardware.replay import replay
@@ -308,7 +308,7 @@ def synthesize_project(
             found[f"{architecture}, {target}"] = counts
         _write_json(project.folder / "resources.json", found)
     if keep:
-        _write_json(kept(name), {"size": size(project.program), "resources": found})
+        _write_json(kept_file(name), {"size": size(project.program), "resources": found})
     return found
 
 

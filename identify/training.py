@@ -58,6 +58,8 @@ def train_records(
     makes (`greygate.pages.training.page`). seconds: for all starts together. options: of `train`. Raises InputError as
     `train`, before anything is written.
     """
+    if (period := network.sample_time()) is None:
+        raise InputError(f"network {network.name}: does not say its sample time; give it one (dt)")
     tail = options.get("tail", 0.0)
     if seeds > 1 and not (others or tail):
         raise InputError(
@@ -106,7 +108,7 @@ def train_records(
         judged = _judged(trained, records, others, tail)
         known = [judged[name] for name in records]
         learnt = held_out(trained, known, tail, ())[0]
-        shown = evidence(network, trained, learnt, judged, network.dt, options.get("decay", 0.0))
+        shown = evidence(network, trained, learnt, judged, period, options.get("decay", 0.0))
         figures = plain(
             {
                 **_told(starts[0].fit),

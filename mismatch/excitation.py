@@ -140,7 +140,7 @@ def signals(rig: Rig, recording: Recording) -> dict[str, np.ndarray]:
         each = [signals(rig, run) for run in recording.runs]
         return {name: np.concatenate([found[name] for found in each]) for name in each[0]}
     found = {"t": recording.time, **recording.channels}
-    rates = {state.rate: x for x, state in rig.plant.states.items() if state.rate in rig.plant.states}
+    rates = {state.rate: x for x, state in rig.plant.states.items() if state.rate and state.rate in rig.plant.states}
     rates |= {name: how.split()[1] for name, how in rig.plant.derived.items() if how.split()[0] in RATES}
     for rate, position in rates.items():
         if rate not in found and position in recording.channels:

@@ -64,7 +64,7 @@ def explain(
     for path in (out, html):
         if path is not None and not path.absolute().parent.is_dir():
             raise InputError(f"{path.parent}: no such folder; make it, or write elsewhere")
-    made = Explained.of(folder, html and page, own, progress)
+    made = Explained.of(folder, page if html else None, own, progress)
     made.write(out, html)
     return made.found, made.lines
 
@@ -96,7 +96,7 @@ def explain_all(
     for path in (out, html) if several else ():
         if path is not None and not path.is_dir():
             raise InputError(f"{path}: no such folder; of several rigs --out and --html name folders, make it")
-    tasks = [partial(_attempt, folder, html and page, own) for folder in folders]
+    tasks = [partial(_attempt, folder, page if html else None, own) for folder in folders]
     results = {}
     for name, made in zip(names, children.workers(jobs, tasks), strict=True):
         try:

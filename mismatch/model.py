@@ -426,7 +426,7 @@ def backlash(signal: np.ndarray, width: float, dt: float) -> np.ndarray:
     return out
 
 
-FILTERS = {
+FILTERS: dict[str, Callable[..., np.ndarray]] = {
     "delay": delayed,
     "lag": lagged,
     "lag_from_rest": lambda signal, lag, dt: lagged(signal, lag, dt, 0.0),

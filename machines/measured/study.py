@@ -1,4 +1,4 @@
-"""The studies on measured recordings: which runs train and test, which structures compete (identification.py)."""
+"""The studies on measured recordings: which runs train and test, which structures compete (identify/study.py)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

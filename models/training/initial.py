@@ -47,7 +47,7 @@ def initialised(network: Network, record: Record, prior: float = PRIOR, steps: i
         if not trial < value:
             break
         objective.theta, value = objective.moved(objective.theta, step), trial
-    return replace(record, initial=record.initial | objective.initial(objective.theta)[0])
+    return replace(record, initial={**record.initial, **objective.initial(objective.theta)[0]})
 
 
 def resting(network: Network, initial: Mapping[str, np.ndarray]) -> Network:
