@@ -14,6 +14,7 @@ from greygate.compiler.quantize import Formats
 from greygate.compiler.targets import BOTH
 from greygate.files import replacing
 from greygate.hardware.build import Project
+from greygate.machines.catalog import AUGMENTED
 from greygate.machines.source import Source, read_record
 from greygate.mismatch.augment import FACTS, augment
 from greygate.mismatch.concealed.conceal import conceal
@@ -37,7 +38,7 @@ def chain(folder: Path, plant: str) -> dict:
     conceal(plant, seed, rig, kind="one", effect=effect)
     diagnosis, lines = explain(rig, told)
     print(*lines, sep="\n", file=sys.stderr, flush=True)
-    return augment(rig, diagnosis, folder / plant / "networks") | {"diagnosis": diagnosis}
+    return augment(rig, diagnosis, folder / plant / "networks", AUGMENTED) | {"diagnosis": diagnosis}
 
 
 def hardware(folder: Path, name: str) -> dict:

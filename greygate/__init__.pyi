@@ -6,6 +6,7 @@ from greygate.compiler.quantize import Formats
 from greygate.emulator.emulation import emulate
 from greygate.emulator.program import Program
 from greygate.errors import InputError
+from greygate.hardware.build import Project
 from greygate.hardware.comparing import compare
 from greygate.machines.source import Source
 from greygate.mismatch.diagnose import diagnose
@@ -22,7 +23,6 @@ from greygate.plants.plant import Plant
 from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import Recording, read_csv
 from greygate.plants.simulator import simulate
-from greygate.project import Project
 from greygate.project import compile_project as build
 from greygate.project import synthesize_project as synthesize
 from greygate.project import verify_project as verify

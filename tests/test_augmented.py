@@ -44,7 +44,7 @@ def valve(tmp_path_factory) -> Path:
 def written(drum, tmp_path_factory) -> Path:
     """What `augment` leaves for the cable drum."""
     out = tmp_path_factory.mktemp("augmented") / "networks"
-    augment(drum, FIGURES["cable_drum"]["diagnosis"], out)
+    augment(drum, FIGURES["cable_drum"]["diagnosis"], out, AUGMENTED)
     return out
 
 
@@ -126,7 +126,7 @@ def test_an_effect_whose_form_has_a_memory_is_taught_by_its_plain_form(drum, wri
     (entry,) = said["effects"]
     entry["form"] = "speed_slip_late"
     entry["parameters"]["slip_time"] = {"value": 0.02, "ci95": [0.01, 0.03], "unit": "s"}
-    found, plain = augment(drum, said, tmp_path / "out"), json.loads((written / "augment.json").read_text())
+    found, plain = augment(drum, said, tmp_path / "out", AUGMENTED), json.loads((written / "augment.json").read_text())
     for name, network in found["networks"].items():
         assert network["trained"] == plain["networks"][name]["trained"]
 
@@ -144,7 +144,7 @@ def test_an_effect_whose_form_has_a_memory_is_taught_by_its_plain_form(drum, wri
 )
 def test_a_diagnosis_of_which_no_module_can_be_made_is_refused(diagnosis, says, drum, tmp_path):
     with pytest.raises(InputError, match=says):
-        augment(drum, diagnosis, tmp_path / "out")
+        augment(drum, diagnosis, tmp_path / "out", AUGMENTED)
     assert not (tmp_path / "out").exists()
 
 
@@ -155,7 +155,7 @@ def test_a_recording_that_starts_elsewhere_is_refused(drum, tmp_path):
         table = np.column_stack([t, x + 0.1, load + 0.1])
         np.savetxt(tmp_path / f"{name}.csv", table, "%.7f", ",", header="t,x_drum,x_load", comments="")
     with pytest.raises(InputError, match=r"x_drum starts at 0\.1 m"):
-        augment(tmp_path, FIGURES["cable_drum"]["diagnosis"], tmp_path / "out")
+        augment(tmp_path, FIGURES["cable_drum"]["diagnosis"], tmp_path / "out", AUGMENTED)
 
 
 def test_the_command_writes_both_networks_and_names_their_errors(drum, tmp_path, monkeypatch, capsys):
@@ -184,7 +184,7 @@ def test_a_leakage_outward_is_a_module_at_either_chamber(tmp_path, monkeypatch):
     found = {key: {"value": value} for key, value in answer["effects_true"].items()}
     told = named("external_leakage", plant="valve_hydraulic") | {"parameters": true}
     told["effects"][0]["parameters"] = found
-    without, with_it = augment(rig, told, tmp_path / "out")["networks"].values()
+    without, with_it = augment(rig, told, tmp_path / "out", AUGMENTED)["networks"].values()
     for output in ("p_a", "p_b"):
         assert with_it["trained"]["holdout"][output] < 0.2 * without["trained"]["holdout"][output]
     parameters = Network.load(tmp_path / "out" / "valve_hydraulic_external_leakage").parameters()

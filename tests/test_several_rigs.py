@@ -13,6 +13,7 @@ from greygate.cli import backends
 from greygate.errors import InputError
 from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.explain import explain, explain_all
+from greygate.pages.diagnosis import page
 
 WITHOUT = "distributed is not installed: pip install 'greygate[cluster]'"
 
@@ -43,7 +44,7 @@ def test_they_run_where_joblib_is_told_to(drums, tmp_path):
     joblib.register_parallel_backend("watched", Watched)
     followed = []
     with joblib.parallel_config(backend="watched", n_jobs=2):
-        results = explain_all(drums, out=tmp_path, html=tmp_path, progress=followed.append)
+        results = explain_all(drums, out=tmp_path, html=tmp_path, progress=followed.append, page=page)
     assert len(taken) == 2
     assert verdicts(results) == {"fast": "missing_physics", "clean": "consistent"}
     assert followed == ["1 of 2: fast", "2 of 2: clean"]
