@@ -6,8 +6,7 @@ import time
 import numpy as np
 
 from greygate.machines.valve_cylinder.plant import valve_cylinder
-from greygate.plants import prms
-from greygate.plants import simulator as simulate
+from greygate.plants import prms, simulate
 
 
 def seconds(supply: str, runs: int = 9) -> tuple[float, float]:

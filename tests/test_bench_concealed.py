@@ -27,7 +27,7 @@ from greygate.mismatch.concealed.rig import rms
 from greygate.mismatch.concealed.stress import CONDITIONS, Recorder
 from greygate.mismatch.entrant import answer as our_answer
 from greygate.mismatch.rig import load
-from greygate.plants import simulator as simulate
+from greygate.plants import simulate
 
 SECRET = "nobody will guess this secret"
 

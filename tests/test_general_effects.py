@@ -10,8 +10,7 @@ from greygate.mismatch import filters, places
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import load
-from greygate.plants import Plant, units
-from greygate.plants import simulator as simulate
+from greygate.plants import Plant, simulate, units
 
 DT = 5e-3
 MOTOR = """

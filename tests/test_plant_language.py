@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from greygate.errors import InputError
-from greygate.plants import Plant, curve
-from greygate.plants import simulator as simulate
+from greygate.plants import Plant, curve, simulate
 from greygate.plants.functions import FUNCTIONS
 from greygate.plants.plant import Values
 

@@ -9,8 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from greygate.errors import InputError
-from greygate.plants import Definition, Equation, Parameter, Plant, State
-from greygate.plants import simulator as simulate
+from greygate.plants import Definition, Equation, Parameter, Plant, State, simulate
 from greygate.plants.simulator import Restarted, Stepper, _module, source
 
 PARAMETERS = {"mass": Parameter(2.0, "kg", 0.1, "of the slide"), "stiffness": Parameter(50.0, "N/m")}

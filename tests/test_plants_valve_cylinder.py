@@ -11,8 +11,7 @@ from greygate.errors import InputError
 from greygate.machines.valve_cylinder.line import Line
 from greygate.machines.valve_cylinder.plant import CYLINDER, SUPPLY, spool_discrete, valve_cylinder
 from greygate.machines.valve_cylinder.scenarios import RESOLUTION, converted, scenario
-from greygate.plants import Plant, band_limited_noise, chirp, multisine, prms, read_csv
-from greygate.plants import simulator as simulate
+from greygate.plants import Plant, band_limited_noise, chirp, multisine, prms, read_csv, simulate
 from greygate.plants.simulator import _module, source
 
 STATES = ("i", "u", "u_dot", "x", "v", "z", "p_a", "p_b")

@@ -21,8 +21,7 @@ from greygate.mismatch.seen import Seen
 from greygate.mismatch.several import Several, modelled
 from greygate.mismatch.shown_by import recording_of
 from greygate.mismatch.uneven import resampled
-from greygate.plants import Plant
-from greygate.plants import simulator as simulate
+from greygate.plants import Plant, simulate
 from greygate.plants.plant import Parameter
 
 AXIS = """
