@@ -184,7 +184,7 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	@touch $@
 
 $(VENV)/.ready-dev: $(VENV)/.ready
-	$(INSTALL) -e '.[dev,synthesis,proof,board,cluster,control,browser,fmi,fusesoc,onnx,matlab,parquet,mdf,tdms,mcap,pandas]'
+	$(INSTALL) -e '.[dev,synthesis,proof,board,cluster,control,torch,browser,fmi,fusesoc,onnx,matlab,parquet,mdf,tdms,mcap,pandas]'
 	@touch $@
 
 $(VENV)/.ready-docs: $(VENV)/.ready

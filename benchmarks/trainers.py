@@ -80,9 +80,10 @@ def evaluated(case, function, start):
 
 
 def greygate(case, start, gradient=False):
+    from descent import _Swept
+
     from greygate.models.families.regression import noe
     from greygate.models.network import Port
-    from greygate.models.training.descent import _Swept
     from greygate.models.training.levenberg import train
     from greygate.models.training.record import Record
 

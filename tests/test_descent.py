@@ -3,6 +3,7 @@ from threading import Barrier
 import numpy as np
 import pytest
 import torch
+from benchmarks.descent import _Static, _Swept, adam, gradient_descent, lbfgs, rtrl
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from networks import random_network
@@ -14,7 +15,6 @@ from greygate.machines.benchmark_systems.plant import b1, b1_input
 from greygate.models.families.blocks import feedforward, nguyen_widrow
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
-from greygate.models.training.descent import _Static, _Swept, adam, gradient_descent, lbfgs, rtrl
 from greygate.models.training.levenberg import Outcome, multistart, train
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record

@@ -16,6 +16,7 @@ from torch import nn
 
 from greygate.errors import InputError
 from greygate.hardware.build import Project
+from greygate.models.importers import pytorch
 from greygate.models.importers.files import load
 from greygate.models.importers.onnx_graph import from_onnx
 from greygate.models.importers.pytorch import from_torch, to_torch
@@ -53,6 +54,14 @@ def test_a_network_goes_to_torch_and_back_with_what_it_learnt_there(tmp_path):
     after = module.network()
     assert np.abs(free_run(after, x) - before).max() > 1e-4
     assert np.abs(module(torch.tensor(x)).detach().numpy() - free_run(after, x)).max() < 1e-12
+
+
+def test_without_torch_its_extra_is_named(monkeypatch):
+    network = from_torch(mlp(), ["u0", "u1"], ["y"])
+    monkeypatch.setattr(pytorch, "find_spec", lambda name: None)
+    for ask in (lambda: from_torch(mlp(), ["u0", "u1"], ["y"]), lambda: to_torch(network)):
+        with pytest.raises(InputError, match=re.escape("torch is not installed; pip install 'greygate[torch]'")):
+            ask()
 
 
 @pytest.mark.skipif(find_spec("keras") is None, reason="keras is not installed; pip install 'greygate[dev]'")

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import torch
+from benchmarks.descent import _Swept
 
 from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.compiler.quantize import Formats
@@ -9,7 +10,6 @@ from greygate.machines.benchmark_systems.plant import b1, b1_input
 from greygate.models.accuracy import float_error
 from greygate.models.families.radial import RecursiveLeastSquares, radial, rbf
 from greygate.models.network import Port
-from greygate.models.training.descent import _Swept
 from greygate.models.training.levenberg import train
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record

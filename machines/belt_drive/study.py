@@ -16,7 +16,6 @@ from greygate.models.families.radial import rbf as radial_fit
 from greygate.models.families.regression import noe
 from greygate.models.families.templates import elman, frnn
 from greygate.models.network import Layer, Network, Port
-from greygate.models.training.descent import gradient_descent
 from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
 from greygate.progress import Progress, silent
@@ -186,27 +185,6 @@ def rnn(part: str, inputs: tuple[str, ...], data: Record, seed: int) -> Network:
     both = [{n: np.append(v, v[::-1]) for n, v in values.items()} for values in (data.inputs, data.targets)]
     options = {"epochs": RECURRENT_EPOCHS, "decay": DECAY[part], "bounds": fading}
     return train(network.with_parameters(known), [Record(*both)], **options).network
-
-
-AS_THESIS = {"fnn": {"e": 8, "d": 60}, "rbf": {"e": 25, "d": 235}}  # table 4.2; the radial ones differ by direction
-DESCENT_EPOCHS = 225
-
-
-def thesis_fnn(part: str, inputs: tuple[str, ...], data: Record, seed: int) -> Network:
-    """A tanh network of the thesis's size, by gradient descent for its epochs; `sp` and `b` as `fnn`."""
-    if part not in AS_THESIS["fnn"]:
-        return fnn(part, inputs, data, seed)
-    network = feedforward(part, inputs, [AS_THESIS["fnn"][part]], seed)
-    return gradient_descent(network, [data], epochs=DESCENT_EPOCHS).network
-
-
-def thesis_rbf(part: str, inputs: tuple[str, ...], data: Record, seed: int) -> Network:
-    """A radial network of the thesis's size; `sp` and `b` as `fnn`."""
-    if part not in AS_THESIS["rbf"]:
-        return fnn(part, inputs, data, seed)
-    return radial_fit(
-        [data], {Port(i): (0,) for i in inputs}, Port("y"), (), AS_THESIS["rbf"][part], seed, name=part
-    ).network
 
 
 KINDS = {"fnn": fnn, "rbf": rbf, "rnn": rnn}

@@ -19,6 +19,7 @@ import re
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -58,6 +59,7 @@ def from_torch(
     >>> from_torch(net, ["u"], ["y"])
     <Network imported: u [1] -> y [1]; 2 layers, 13 parameters>
     """
+    _needed()
     import torch
 
     if not isinstance(module, torch.nn.Module):
@@ -72,6 +74,11 @@ def from_torch(
         if not re.search(r"\bFloat\b|float32", str(error)):
             raise
     return _imported(module, Builder(name, inputs, outputs), starts, torch.float64)  # tensors that forward makes
+
+
+def _needed() -> None:
+    if find_spec("torch") is None:
+        raise InputError("torch is not installed; pip install 'greygate[torch]'")
 
 
 def _imported(
@@ -98,6 +105,7 @@ def to_torch(network: Network) -> "torch.nn.Module":
     >>> module.network()
     <Network imported: u [1] -> y [1]; 2 layers, 13 parameters>
     """
+    _needed()
     import torch
 
     class Module(torch.nn.Module):
