@@ -12,13 +12,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from concealed_bench import tables
+from concealed_bench.diagram import draw
+from concealed_bench.make import COMMITMENT, make
+from concealed_bench.run import BASELINES, OURS, run
+from concealed_bench.score import Score, score
 from made import stamp
-
-from greygate.mismatch.concealed.bench import tables
-from greygate.mismatch.concealed.bench.diagram import draw
-from greygate.mismatch.concealed.bench.make import COMMITMENT, make
-from greygate.mismatch.concealed.bench.run import BASELINES, OURS, run
-from greygate.mismatch.concealed.bench.score import Score, score
 
 RESULTS = Path(__file__).parent / "results"
 CASES, LIMIT = 180, 300.0  # each kind under each condition twice, on every plant; s for an explanation

@@ -11,21 +11,21 @@ import tomllib
 
 import numpy as np
 import pytest
+from concealed_bench import tables
+from concealed_bench.answer import Answer
+from concealed_bench.baselines import gaussian, linear, sparse
+from concealed_bench.entrant import answer as our_answer
+from concealed_bench.make import COMMITMENT, KINDS, committed, make, plan
+from concealed_bench.run import BASELINES, run
+from concealed_bench.score import score
+from concealed_bench.vocabulary import FAULTS, right, vocabulary
 from test_children import ended
 
 from greygate.errors import InputError
-from greygate.mismatch.concealed.bench import tables
-from greygate.mismatch.concealed.bench.answer import Answer
-from greygate.mismatch.concealed.bench.baselines import gaussian, linear, sparse
-from greygate.mismatch.concealed.bench.make import COMMITMENT, KINDS, committed, make, plan
-from greygate.mismatch.concealed.bench.run import BASELINES, run
-from greygate.mismatch.concealed.bench.score import score
-from greygate.mismatch.concealed.bench.vocabulary import FAULTS, right, vocabulary
 from greygate.mismatch.concealed.conceal import EVERY_RIG, conceal
 from greygate.mismatch.concealed.domains import DOMAINS
 from greygate.mismatch.concealed.rig import rms
 from greygate.mismatch.concealed.stress import CONDITIONS, Recorder
-from greygate.mismatch.entrant import answer as our_answer
 from greygate.mismatch.rig import load
 from greygate.plants import simulate
 
@@ -404,3 +404,10 @@ def test_our_own_answer_has_the_names_of_the_benchmark():
     found = our_answer(diagnosis)
     assert [claim["name"] for claim in found["claims"]] == ["dry_friction"]
     assert found["where"] == [{"equation": "body", "depends_on": ["v"]}]
+
+
+def test_without_a_checkout_the_command_says_that_it_needs_one(tmp_path, greygate, monkeypatch):
+    monkeypatch.setattr("greygate.cli.bench.BENCHMARK", tmp_path / "none")
+    code, printed, error = greygate("bench-concealed", "make", tmp_path / "new")
+    assert (code, printed, error.count("\n")) == (2, "", 1)
+    assert "needs a checkout of greygate's repository" in error

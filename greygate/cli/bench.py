@@ -1,7 +1,10 @@
 """The blind benchmark of missing physics: `greygate bench-concealed make`, `run`, `score`."""
 
+import sys
+from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -12,6 +15,18 @@ from greygate.errors import InputError
 app = typer.Typer(help="Make cases of missing physics, run any tool on them, score it.", no_args_is_help=True)
 Bench = Annotated[Path, typer.Argument(metavar="BENCH", help="Folder that `bench-concealed make` wrote.")]
 LIMIT = 600.0  # s
+BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "concealed_bench"
+
+
+def _part(name: str) -> Any:
+    """A module of the benchmark, which a checkout of the repository has and an installed greygate has not."""
+    if not BENCHMARK.is_dir():
+        raise InputError("bench-concealed: needs a checkout of greygate's repository; pip install -e . in one")
+    if BENCHMARK.name not in sys.modules:
+        spec = spec_from_file_location(BENCHMARK.name, BENCHMARK / "__init__.py")
+        assert spec is not None, "it is a folder"
+        sys.modules[BENCHMARK.name] = module_from_spec(spec)
+    return import_module(f"{BENCHMARK.name}.{name}")
 
 
 @app.command()
@@ -26,9 +41,7 @@ def make(
     as_json: Json = False,
 ) -> None:
     """Write the cases of a split, and the commitment that seals their answers."""
-    from greygate.mismatch.concealed.bench.make import COMMITMENT
-    from greygate.mismatch.concealed.bench.make import make as write
-
+    cases_of = _part("make")
     word = ""
     if secret is not None:
         try:
@@ -38,9 +51,9 @@ def make(
         if not word:
             raise InputError(f"{secret}: is empty; write a secret into it")
     with following("concealing") as progress:
-        commitment = write(out, cases, word, plant, condition, progress)
+        commitment = cases_of.make(out, cases, word, plant, condition, progress)
     lines = [f"{len(commitment['cases'])} cases ({commitment['split']}) written to {out}"]
-    lines += [f"publish {out / COMMITMENT}; keep {out / 'sealed'} until the answers are in"] if word else []
+    lines += [f"publish {out / cases_of.COMMITMENT}; keep {out / 'sealed'} until the answers are in"] if word else []
     facts = {"out": str(out), "split": commitment["split"], "cases": len(commitment["cases"])}
     give("bench-concealed-make", facts | {"secret_sha256": commitment["secret_sha256"]}, as_json, lines)
 
@@ -61,10 +74,8 @@ def run(
 
     Exit code 1 if the tool fails in a case: it says where, and goes on.
     """
-    from greygate.mismatch.concealed.bench.run import run as answer
-
     with following("explaining") as progress:
-        found = answer(bench, tool, out, limit, cases, jobs, progress)
+        found = _part("run").run(bench, tool, out, limit, cases, jobs, progress)
     failed = {name: facts["error"] for name, facts in found.items() if facts["error"]}
     give(
         "bench-concealed-run",
@@ -88,14 +99,13 @@ def score(
 ) -> None:
     """Open the sealed answers and score: names, false claims, intervals, error removed on unseen data, seconds."""
     from greygate.files import replacing
-    from greygate.mismatch.concealed.bench import diagram, tables
-    from greygate.mismatch.concealed.bench.score import score as score_of
 
+    tables = _part("tables")
     names = [folder.resolve().name for folder in answers]
     if len(set(names)) < len(names):
         raise InputError(f"{' '.join(names)}: two tools of one name; rename the folder of one")
-    scores = {name: score_of(bench, folder) for name, folder in zip(names, answers, strict=True)}
-    for path, write in ((rows, tables.write_rows), (picture, diagram.draw)):
+    scores = {name: _part("score").score(bench, folder) for name, folder in zip(names, answers, strict=True)}
+    for path, write in ((rows, tables.write_rows), (picture, _part("diagram").draw)):
         if path is not None:
             with replacing(path) as temporary:
                 write(scores[names[0]], temporary)

@@ -28,7 +28,7 @@ from .make import committed
 
 OURS = "greygate"
 BASELINES = ("nominal", "calibrated", *MODELS)
-TOOLS = {OURS: children.python("-m", "greygate.mismatch.entrant")}
+TOOLS = {OURS: children.python(str(Path(__file__).with_name("entrant.py")))}
 LONGEST = 1e6  # s: waiting for more is waiting for ever
 LOOKS = 0.1  # s between two looks whether a tool has ended
 SAID = 400  # characters of what a tool that fails has said last

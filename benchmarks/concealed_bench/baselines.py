@@ -22,12 +22,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from greygate.errors import InputError
+from greygate.mismatch.concealed.conceal import EVERY_RIG
+from greygate.mismatch.concealed.rig import Columns, ConcealedRig, Sensor, calibrate, rms
+from greygate.mismatch.concealed.stress import between
 from greygate.reading import read_json
 from greygate.table import read_table
 
-from ..conceal import EVERY_RIG
-from ..rig import Columns, ConcealedRig, Sensor, calibrate, rms
-from ..stress import between
 from .answer import PREDICTED, Answer
 
 LENGTHS = (1e-1, 1e3)  # of the kernel, in standard deviations of a signal

@@ -9,11 +9,11 @@ import numpy as np
 
 from greygate.contents import contents
 from greygate.errors import InputError
+from greygate.mismatch.concealed.conceal import place
+from greygate.mismatch.concealed.rig import rms, within
 from greygate.reading import read_json
 from greygate.table import read_table
 
-from ..conceal import place
-from ..rig import rms, within
 from .answer import FILE, PREDICTED, RUN, Answer, read
 from .make import committed
 from .vocabulary import LATE, PICKUP, right

@@ -1,4 +1,4 @@
-"""Our own diagnosis as a tool of the blind benchmark: `python -m greygate.mismatch.entrant explain|predict ...`.
+"""Our own diagnosis as a tool of the blind benchmark: `python entrant.py explain|predict ...`.
 
 It reads and writes files as every tool does; the names of our table become those of the benchmark's vocabulary.
 """

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from ..conceal import EVERY_RIG
+from greygate.mismatch.concealed.conceal import EVERY_RIG
 
 LATE, PICKUP = "late_channel", "line_pickup"  # names of what a recording may have
 FAULTS = {

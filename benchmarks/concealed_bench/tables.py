@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..conceal import EVERY_RIG
-from ..stress import CONDITIONS
+from greygate.mismatch.concealed.conceal import EVERY_RIG
+from greygate.mismatch.concealed.stress import CONDITIONS
+
 from .score import SURE, Score
 
 HALF = 0.5  # of the error: an effect that removes so much of it is to be found

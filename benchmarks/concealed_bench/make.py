@@ -22,11 +22,11 @@ from pathlib import Path
 from greygate.contents import contents
 from greygate.errors import InputError
 from greygate.files import replaceable, replacing_folder
+from greygate.mismatch.concealed.conceal import BOTH, EVERY_RIG, conceal
+from greygate.mismatch.concealed.stress import CONDITIONS
 from greygate.progress import Progress, silent
 from greygate.reading import anything, line, maybe, named, read_json, table
 
-from ..conceal import BOTH, EVERY_RIG, conceal
-from ..stress import CONDITIONS
 from .vocabulary import vocabulary
 
 KIND = "bench-concealed"
