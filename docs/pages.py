@@ -14,6 +14,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import jinja2
+import rooms
 
 DOCS = Path(__file__).parent
 ROOT = DOCS.parent
@@ -80,7 +81,7 @@ def page(path: Path) -> str:
     environment.filters |= {f.__name__: f for f in (pair, mpa, figures)}
     stored = {"results": Stored(ROOT / "benchmarks" / "results"), "trained": Stored(ROOT / "models" / "trained")}
     template = environment.get_template(f"{path.stem.lower()}.j2")
-    context = template.new_context({**stored, **{f.__name__: f for f in (made, share, median, worst)}})
+    context = template.new_context({**stored, **{f.__name__: f for f in (made, share, median, worst, rooms.drawn)}})
 
     def filled(place: re.Match) -> str:
         if place[2] not in template.blocks:
@@ -91,7 +92,7 @@ def page(path: Path) -> str:
 
 
 def pages() -> list[Path]:
-    return [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+    return [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md"))]
 
 
 def main() -> int:

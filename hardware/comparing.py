@@ -14,9 +14,9 @@ import numpy as np
 from greygate.compiler.pipeline import fixed_error
 from greygate.compiler.targets import Architecture, target
 from greygate.errors import InputError
+from greygate.hardware.build import Project
 from greygate.models.accuracy import rms_by_column
 from greygate.names import check_text
-from greygate.hardware.build import Project
 from greygate.reading import Kind, named, one_of, read_toml, table, truth, within
 
 ERROR = "error"

@@ -10,38 +10,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-
-ROOT = Path(__file__).parents[1]
-LAYERS = (  # from the top; what stands on one line imports nothing of another on it
-    ("greygate",),  # the roof: the command line, projects
-    ("export", "pages"),
-    ("hardware",),
-    ("machines",),
-    ("identify",),
-    ("compiler", "control", "mismatch"),
-    ("emulator", "plants"),
-    ("models",),
-    ("rtl", "recordings"),
-    ("ground",),
-)
-GROUND = (  # modules of greygate/ on which all stands
-    "caches",
-    "children",
-    "contents",
-    "errors",
-    "files",
-    "foreign",
-    "generated",
-    "limits",
-    "names",
-    "plain",
-    "progress",
-    "reading",
-    "schemas",
-    "table",
-    "version",
-)
-FOLDERS = ("greygate", *(name for layer in LAYERS[1:-1] for name in layer))
+from rooms import ROOT, imports, layer, modules
 
 CONCEALED = "mismatch/concealed"  # an independent second implementation of four machines, as a referee
 WORDS = {  # of machines and their parts
@@ -50,45 +19,6 @@ WORDS = {  # of machines and their parts
     *("tanks", "transmission", "valve", "valves"),
 }
 PLAIN = {"measured", "benchmark_systems"}  # folders whose names are words of every day
-
-
-@cache
-def modules() -> dict[str, Path]:
-    """Import name -> file."""
-    found = {}
-    for folder in FOLDERS:
-        for path in sorted((ROOT / folder).rglob("*.py")):
-            parts = path.relative_to(ROOT).with_suffix("").parts
-            parts = parts if folder == "greygate" else ("greygate", *parts)
-            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
-    return found
-
-
-@cache
-def imports() -> dict[str, set[str]]:
-    """Module -> the modules of the house that it imports anywhere."""
-    return {name: set(_imported(name, path)) - {name} for name, path in modules().items()}
-
-
-def _imported(name: str, path: Path) -> Iterator[str]:
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names if alias.name in modules())
-        elif isinstance(node, ast.ImportFrom):
-            source = node.module or ""
-            if node.level:
-                package = name.split(".") if path.name == "__init__.py" else name.split(".")[:-1]
-                source = ".".join([*package[: len(package) - node.level + 1], *filter(None, [source])])
-            for alias in node.names:
-                found = f"{source}.{alias.name}"
-                yield from (m for m in [found if found in modules() else source] if m in modules())
-
-
-def layer(module: str) -> tuple[int, str]:
-    """(how far down, which folder)."""
-    part = module.removeprefix("greygate").removeprefix(".").partition(".")[0]
-    folder = "ground" if part in GROUND else part if any(part in names for names in LAYERS) else "greygate"
-    return next((depth, folder) for depth, names in enumerate(LAYERS) if folder in names)
 
 
 def test_imports_point_down():

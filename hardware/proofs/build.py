@@ -8,6 +8,7 @@ import numpy as np
 
 from greygate.compiler.emit import sources
 from greygate.errors import InputError
+from greygate.hardware.build import Project
 from greygate.hardware.proofs.accumulators import accumulators
 from greygate.hardware.proofs.bound import bounded, contraction, feedback
 from greygate.hardware.proofs.drift import STEPS, no_drift
@@ -18,7 +19,6 @@ from greygate.hardware.proofs.proof import Proof
 from greygate.hardware.proofs.sums import sums
 from greygate.hardware.proofs.tables import tables
 from greygate.progress import Progress, silent, titled
-from greygate.hardware.build import Project
 
 # a table, every code of which is tried, or what computes nothing
 ELSEWHERE = ("greygate_lookup", "greygate_product", "greygate_stream")
