@@ -14,6 +14,7 @@ from pathlib import Path
 import cocotb
 import numpy as np
 from cocotb.clock import Clock
+from cocotb.handle import HierarchyObject, LogicArrayObject, LogicObject
 from cocotb.triggers import RisingEdge, Timer
 from cocotb.utils import get_sim_time
 
@@ -21,7 +22,6 @@ from greygate.errors import one_line
 
 HALF = 1  # simulator steps in half a clock: stimulus changes at the falling edge, or right after the rising one
 CLOCK = 2 * HALF
-HANDLES = "clk rst source s_tready m_tvalid m_tready seen load initial"
 RECORDING = "recording step wanted"  # handles of a bench that records a waveform
 PAUSED = 0.1  # share of the steps before which the source pauses, and of those before which the sink does
 PATIENCE = 100_000  # clocks without an answer before the design is said to hang
@@ -34,10 +34,20 @@ class Mismatch(AssertionError):
 class UnderTest:
     """One design in the bench: its handles, and how to read what is seen of it: {states, m_axis_tdata}."""
 
-    def __init__(self, dut, job: dict, since: int | None):
+    clk: LogicObject
+    rst: LogicObject
+    source: LogicArrayObject
+    s_tready: LogicObject
+    m_tvalid: LogicObject
+    m_tready: LogicObject
+    seen: LogicArrayObject
+    load: LogicObject
+    initial: LogicArrayObject
+
+    def __init__(self, dut: HierarchyObject, job: dict, since: int | None):
         self.job = job
         self.since = since  # the step from which on a waveform is recorded
-        for name in HANDLES.split():
+        for name in UnderTest.__annotations__:
             setattr(self, name, getattr(dut, f"{name}_{job['index']}"))
         self.told = {n: getattr(dut, f"{n}_{job['index']}") for n in RECORDING.split()} if job["since"] else {}
         self.rise = RisingEdge(self.m_tvalid)
@@ -150,14 +160,14 @@ async def watch(design: UnderTest, verdict: dict) -> None:
 def make_test(job: dict, scenario: dict, arrays, seed: int, verdicts: list, report: Path):
     """The cocotb test of one design in one scenario: a run cut short by a reset, then the whole of it."""
 
-    async def run(dut):
+    async def run(dut: HierarchyObject) -> None:
         key = f"{job['index']}_{scenario['index']}_"
         samples = [row.tobytes() for row in arrays[key + "samples"]]
         expected = bit_strings(arrays[key + "seen"])
         steps = len(samples)
         initial = arrays[key + "initial"][0].tobytes() if scenario["loads"] else None
-        began = np.frombuffer(bytes.fromhex(job["initial"]) if initial is None else initial, np.uint8)
-        began = bit_strings(began[None])[0] if began.size else ""
+        state = np.frombuffer(bytes.fromhex(job["initial"]) if initial is None else initial, np.uint8)
+        began = bit_strings(state[None])[0] if state.size else ""
         rng = np.random.default_rng(seed)
         since = job["since"][1] if job["since"] and job["since"][0] == scenario["name"] else None
         design = UnderTest(dut, job, since)

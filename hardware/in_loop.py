@@ -50,8 +50,8 @@ class Clocked:
     def step(self, inputs: Mapping[str, float]) -> dict[str, float]:
         """Raises InputError where the design does not answer."""
         wanted = self._emulated.step(inputs)
-        inputs, expected, state = self._emulated.inputs, self._emulated.outputs, self._emulated.state
-        self._say(OFFER, lanes(self._bench.inputs, inputs[None])[0][::-1].tobytes().hex())
+        codes, expected, state = self._emulated.inputs, self._emulated.outputs, self._emulated.state
+        self._say(OFFER, lanes(self._bench.inputs, codes[None])[0][::-1].tobytes().hex())
         assert self._simulation.stdout
         said = self._simulation.stdout.readline().split()
         if len(said) != 2:
@@ -86,8 +86,8 @@ def clocked(cases: Sequence[Case], folder: Path | str, progress: Progress = sile
     benches = [Bench(i, case) for i, case in enumerate(cases)]
     files = {f.name: f for case in cases for f in case.sources(Path(folder).resolve())}
     with built(list(files.values()), _bench(benches), {}, (), progress) as work:
-        command, ways = [str(work / "bench")], {"stdin": PIPE, "stdout": PIPE}
-        with started(command, cwd=work, env=simulator_environment(), **ways) as simulation:
+        command, environment = [str(work / "bench")], simulator_environment()
+        with started(command, cwd=work, env=environment, stdin=PIPE, stdout=PIPE) as simulation:
             yield [Clocked(simulation, bench) for bench in benches]
 
 

@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import re
+import secrets
 import shutil
 import sys
 import time
@@ -138,7 +139,7 @@ def verify_many(
     folder = Path(folder).resolve()
     with writing(folder, "make this folder"):
         folder.mkdir(parents=True, exist_ok=True)
-    seed = int(np.random.SeedSequence().entropy % (1 << 31)) if seed is None else seed
+    seed = secrets.randbits(31) if seed is None else seed
     designs = [Bench(i, case, since) for i, case in enumerate(cases)]
     files = {file.name: file for case in cases for file in case.sources(folder)}
     junit = folder / "results.xml"
@@ -151,7 +152,8 @@ def verify_many(
         build(["bench.v", *files], work, folder, environment, waves or since is not None)
         built = time.perf_counter()
         (work / "job.json").write_text(json.dumps({"seed": seed, "designs": [d.job() for d in designs]}))
-        np.savez(work / "job.npz", **{k: v for d in designs for k, v in d.arrays().items()})
+        arrays = {k: v for d in designs for k, v in d.arrays().items()}
+        np.savez(work / "job.npz", allow_pickle=False, **arrays)
         simulate(work, folder, junit, seed, environment, waves)
         ended = time.perf_counter()
         print(f"verify: {', '.join(sorted({case.architecture for case in cases}))}: seed {seed}", file=sys.stderr)
@@ -440,8 +442,11 @@ def simulate(work: Path, folder: Path, junit: Path, seed: int, environment: dict
 
 def run_logged(command: list[str], log: Path, environment: dict[str, str], where: Path) -> None:
     """Run a tool in a folder with its output in a file; InputError with the last line of that if the tool fails."""
-    ways = {"stderr": children.STDOUT, "env": environment, "cwd": where}
-    with writing(log), log.open("w") as out, children.started(command, stdout=out, **ways) as tool:
+    with (
+        writing(log),
+        log.open("w") as out,
+        children.started(command, cwd=where, env=environment, stdout=out, stderr=children.STDOUT) as tool,
+    ):
         code = tool.wait()
     if code:
         last = (log.read_text(errors="replace").strip().splitlines() or ["no word"])[-1]

@@ -101,8 +101,8 @@ class Frames:
             if check_sum(body, self.seed) == received[at + 1 + len(body) : at + self.answer_size]:
                 del received[: at + self.answer_size]
                 tag = body[0]
-                flags = (bool(tag & flag) for flag in (REFUSED, OVERRUN, LIMITED))
-                return Answer(tag % NUMBERS, *flags, body[1:])
+                refused, overrun, limited = (bool(tag & flag) for flag in (REFUSED, OVERRUN, LIMITED))
+                return Answer(tag % NUMBERS, refused, overrun, limited, body[1:])
             del received[: at + 1]
         if at < 0:
             received.clear()

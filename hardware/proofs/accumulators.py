@@ -28,7 +28,7 @@ def accumulators(program: Program, design: Design, found: Sequence[Block]) -> li
     what = "no accumulator overflows"
     with timed() as seconds:
         width = min(block.number("ACC_W") for block in macs)
-        reach, rows, why = reachable(program), [], None
+        reach, rows, spares, why = reachable(program), [], [], None
         layers = fold(program, design.multipliers, design.factor).products.layers
         shifts = drains[0].field("SHIFTS", 8)
         for o in program.operations:
@@ -47,10 +47,11 @@ def accumulators(program: Program, design: Design, found: Sequence[Block]) -> li
                 rows.append(
                     {"signal": f"{o.out.name}[{r}]", "lo": ends[0], "hi": ends[1], "width": width, "spare": spare}
                 )
+                spares.append(spare)
                 if spare < 0 and why is None:
                     why = f"{o.out.name}[{r}] takes {ends[0]} to {ends[1]}, which {width} bits do not hold"
-    spare = min((row["spare"] for row in rows), default=None)
-    return [Proof(what, HOW, why is None, seconds[0], why, {"sums": len(rows), "least spare bits": spare}, tuple(rows))]
+    figures = {"sums": len(rows), "least spare bits": min(spares, default=None)}
+    return [Proof(what, HOW, why is None, seconds[0], why, figures, tuple(rows))]
 
 
 def _sums(o: Affine, columns: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:

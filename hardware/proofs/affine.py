@@ -6,7 +6,7 @@ matter. Bits that are dropped become unknowns of their own, `Rest` and `Some`, w
 slices is exact.
 """
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 Vector = tuple[str, str]  # (cell, port), or ("", element) for an element of an input
 Bit = int | str
-Key = tuple[tuple[tuple[Hashable, int], ...], int]  # weights and constant of a function modulo a power of two
 
 REGISTERS = ("$dff", "$dffe", "$sdff", "$sdffe", "$sdffce", "$adff", "$adffe", "$aldff")
 ADDERS = ("$add", "$sub", "$neg")
@@ -24,22 +23,26 @@ LINEAR = (*ADDERS, "$mul", "$pos", "$not", "$shl", "$sshl")
 class Rest(NamedTuple):
     """The unknown: a function modulo 2^bits."""
 
-    of: Key
+    of: "Key"
     bits: int
 
 
 class Some(NamedTuple):
     """The unknown: 1 if that is not 0, else 0."""
 
-    of: Key
+    of: "Key"
     bits: int
+
+
+Unknown = str | Rest | Some  # a str names an element
+Key = tuple[tuple[tuple[Unknown, int], ...], int]  # weights and constant of a function modulo a power of two
 
 
 @dataclass(frozen=True)
 class Affine:
     """const + sum of weight * unknown, exactly; `weights` holds no zero. Unknowns: names of elements, Rest, Some."""
 
-    weights: Mapping[Hashable, Fraction] = field(default_factory=dict)
+    weights: Mapping[Unknown, Fraction] = field(default_factory=dict)
     const: Fraction = Fraction(0)
 
     def __add__(self, other: "Affine") -> "Affine":

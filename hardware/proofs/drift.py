@@ -32,14 +32,15 @@ def no_drift(
         float_ = float_error(network, Record(inputs, nothing, record.initial))  # from zero: the prediction itself
         progress("drift: fixed point")
         fixed = program.decode(run(program, program.encode(inputs), states=False).outputs)
-        rows, tenth = [], times // TENTH * length
+        moved, tenth = {}, times // TENTH * length
         for port in program.outputs:
             lsb = abs(port.signal.fix.lsb * port.scale)
             error = (np.asarray(fixed[port.name]) - np.asarray(float_[port.name]))[length:] / lsb
             first, last = (part.mean(axis=0) for part in (error[:tenth], error[-tenth:]))
-            rows.append({"output": port.name, "moved": float(np.max(np.abs(last - first)))})
+            moved[port.name] = float(np.max(np.abs(last - first)))
     what = f"no drift over {times * length:,} steps in closed loop"
-    worst = max(rows, key=lambda row: row["moved"])
-    holds = bool(worst["moved"] <= 1.0)
-    why = None if holds else f"{worst['output']}: the mean error moved by {worst['moved']:.3g} LSB"
-    return Proof(what, how, holds, seconds[0], why, {"mean error moved by, in LSB": worst["moved"]}, tuple(rows))
+    worst = max(moved, key=lambda name: moved[name])
+    holds = moved[worst] <= 1.0
+    why = None if holds else f"{worst}: the mean error moved by {moved[worst]:.3g} LSB"
+    rows = tuple({"output": name, "moved": value} for name, value in moved.items())
+    return Proof(what, how, holds, seconds[0], why, {"mean error moved by, in LSB": moved[worst]}, rows)

@@ -1,7 +1,7 @@
 """What came of a proof."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -19,7 +19,7 @@ class Proof:
     holds: bool | None
     seconds: float = 0.0
     counterexample: str | None = None
-    figures: dict[str, float | str | None] = field(default_factory=dict)
+    figures: Mapping[str, float | str | None] = field(default_factory=dict)
     rows: tuple[dict, ...] = ()
 
     def line(self) -> str:

@@ -4,7 +4,7 @@ The emitted module is read back: its adders give the weights of each sum and the
 follows a sum, rounding and saturation, is proved by z3 for every value of the sum.
 """
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from math import gcd
 from pathlib import Path
@@ -17,7 +17,7 @@ from greygate.emulator.numbers import Overflow, Rounding
 from greygate.emulator.program import Affine as Operation
 from greygate.emulator.program import Lookup, Program
 from greygate.errors import InputError
-from greygate.hardware.proofs.affine import Affine, Module, Rest, Some, Value, Vector, signed_bits
+from greygate.hardware.proofs.affine import Affine, Module, Rest, Some, Unknown, Value, Vector, signed_bits
 from greygate.hardware.proofs.elaborated import elaborate
 from greygate.hardware.proofs.proof import Proof, timed
 from greygate.hardware.proofs.reach import reachable
@@ -42,7 +42,9 @@ def sums(files: Sequence[Path], program: Program, progress: Progress = silent) -
     modules = elaborate([*own, *blocks], None, FLAT, progress)
     progress("adders")
     reach = reachable(program)
-    found, rows, wrong = [], [], None
+    found: list[Proof] = []
+    rows: list[dict] = []
+    wrong = None
     operations = [o for o in program.operations if isinstance(o, Operation)]
     with timed() as seconds:
         for o in operations:
@@ -140,7 +142,7 @@ def _row(o: Operation, r: int, wanted: Affine, module: Module, bits: Sequence) -
     if step := gcd(*(int(w) for w in wanted.weights.values())):  # bits of the sum that never change
         same = (step & -step).bit_length() - 1
         solver.add(acc & ((1 << same) - 1) == int(wanted.const) & ((1 << same) - 1))
-    rests: dict[Hashable, Any] = {}
+    rests: dict[Rest | Some, Any] = {}
 
     def cut(vector: Vector) -> Any:
         value = module.value(vector)
@@ -174,7 +176,7 @@ def _row(o: Operation, r: int, wanted: Affine, module: Module, bits: Sequence) -
     raise _Different(f"a sum of {sum_} is rounded to {got}, not {right}")
 
 
-def _occurs(total: int, rests: Mapping[Hashable, int], wanted: Affine, module: Module) -> bool:
+def _occurs(total: int, rests: Mapping[Rest | Some, int], wanted: Affine, module: Module) -> bool:
     """Whether elements within their ranges give this sum, and dropped bits of these values."""
     import z3
 
@@ -186,20 +188,20 @@ def _occurs(total: int, rests: Mapping[Hashable, int], wanted: Affine, module: M
         elements[name] = z3.Int(name)
         solver.add(elements[name] >= lo, elements[name] <= hi)
 
-    def number(name: Hashable) -> Any:
-        if not isinstance(name, Rest | Some):
+    def number(name: Unknown) -> Any:
+        if isinstance(name, str):
             return elements[name]
         weights, const = name.of
         low = (z3.Sum([w * number(n) for n, w in weights]) + const) % (1 << name.bits)
         return z3.If(low == 0, 0, 1) if isinstance(name, Some) else low
 
-    solver.add(z3.Sum([int(w) * elements[n] for n, w in wanted.weights.items()]) + int(wanted.const) == total)
+    solver.add(z3.Sum([int(w) * number(n) for n, w in wanted.weights.items()]) + int(wanted.const) == total)
     solver.add(*(number(rest) == value for rest, value in rests.items()))
     return solver.check() == z3.sat
 
 
 def _relate(
-    solver: Any, acc: Any, wanted: Affine, value: Value, variable: Any, rests: dict[Hashable, Any], name: str
+    solver: Any, acc: Any, wanted: Affine, value: Value, variable: Any, rests: dict[Rest | Some, Any], name: str
 ) -> None:
     """Tell the solver what the vector has to do with the row's sum; raise _Different if nothing.
 
