@@ -32,11 +32,11 @@ SAME_ERRORS = 1e-6  # relative: processors change an error by 1e-12 of it, anoth
 
 def digest(network: Network) -> str:
     """SHA-256 of a flat network: its ports, connections, layers and every bit of its numbers."""
-    layers = {n: (v.activation, sorted(v.frozen), list(v.weights)) for n, v in network.modules.items()}
+    layers = {n: (v.activation, sorted(v.frozen), list(v.weights)) for n, v in network.layers().items()}
     found = hashlib.sha256(
         repr((network.name, network.inputs, network.outputs, network.connections, layers)).encode("utf-8")
     )
-    for layer in network.modules.values():
+    for layer in network.layers().values():
         for numbers in (*layer.weights.values(), layer.bias, layer.initial):
             found.update(np.ascontiguousarray(numbers, "<f8").tobytes())
     return found.hexdigest()

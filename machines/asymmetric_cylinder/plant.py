@@ -94,14 +94,14 @@ def asymmetric_cylinder(**values: float) -> Plant:
     equations = {name: e for name, e in plant.equations.items() if name != "coil"}
     spool = {"command": "omega_n**2 * (v_c + k_position * (x_ref - x))"}
     spool |= {term: text for term, text in equations["spool"].terms.items() if term != "coil"}
-    motion = equations["motion"].terms | {"pressure": "p_a * area_a - p_b * area_b", "gravity": "-mass * gravity"}
+    motion = {**equations["motion"].terms, "pressure": "p_a * area_a - p_b * area_b", "gravity": "-mass * gravity"}
     equations |= {"spool": Equation("u_dot", spool), "motion": Equation("v", motion, "mass")}
     for chamber, sign in (("a", "+"), ("b", "-")):
         piston = f"{'-' if sign == '+' else ''}area_{chamber} * v"
         volume = f"(v_{chamber}0 {sign} area_{chamber} * x)"
         equations[f"continuity_{chamber}"] = Equation(
             f"p_{chamber}",
-            equations[f"continuity_{chamber}"].terms | {"piston": piston},
+            {**equations[f"continuity_{chamber}"].terms, "piston": piston},
             storage=f"{volume} / bulk_modulus * (1 + p_air / (p_{chamber} + {ATMOSPHERE}))",
         )
     states |= {

@@ -55,7 +55,7 @@ def belt_machine(experts: Mapping[str, Network], play: float = PLAY) -> Network:
         """A library network; sources: port -> (source, delay, gain)."""
         arguments = {"reach": FAR} if kind == "switch_2" else {}
         module = library(kind, **arguments)
-        module.modules["out"] = replace(module.modules["out"], initial=initial)
+        module.modules["out"] = replace(module.layers()["out"], initial=np.asarray(initial))
         machine.add(name, module)
         connect(name, sources)
 
@@ -76,8 +76,8 @@ def belt_machine(experts: Mapping[str, Network], play: float = PLAY) -> Network:
             if f"{part}_{way}" not in machine.modules:
                 machine.add(f"{part}_{way}", experts[f"{part}_{way}"])
                 connect(f"{part}_{way}", sources)
-        values = {port: (f"{part}_{way}", 0, gain) for port, way in zip(("u1", "u2"), DIRECTIONS, strict=True)}
-        logic(name, "switch_2", s=("direction",), **values)
+        u1, u2 = ((f"{part}_{way}", 0, gain) for way in DIRECTIONS)
+        logic(name, "switch_2", s=("direction",), u1=u1, u2=u2)
 
     whole = play / X.scale
     machine.add(

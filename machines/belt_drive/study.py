@@ -182,9 +182,9 @@ def rnn(part: str, inputs: tuple[str, ...], data: Record, seed: int) -> Network:
     known |= {f"hidden1.{i}_z0": known.pop(f"hidden1.{i}") for i in inputs}
     known["hidden1.hidden1_past"] = np.zeros((NEURONS[part], NEURONS[part]))
     fading = {"hidden1.hidden1_past": (-FADING / NEURONS[part], FADING / NEURONS[part])}
-    both = [{n: np.append(v, v[::-1]) for n, v in values.items()} for values in (data.inputs, data.targets)]
-    options = {"epochs": RECURRENT_EPOCHS, "decay": DECAY[part], "bounds": fading}
-    return train(network.with_parameters(known), [Record(*both)], **options).network
+    inputs_, targets = ({n: np.append(v, v[::-1]) for n, v in of.items()} for of in (data.inputs, data.targets))
+    start, both = network.with_parameters(known), Record(inputs_, targets)
+    return train(start, [both], epochs=RECURRENT_EPOCHS, decay=DECAY[part], bounds=fading).network
 
 
 KINDS = {"fnn": fnn, "rbf": rbf, "rnn": rnn}
@@ -247,8 +247,8 @@ def baseline(kind: str, neurons: int, seed: int = 0, epochs: int = 125, seconds:
 
 def thinned(record: Record) -> Record:
     """Every `BASELINE_STEP`-th sample."""
-    parts = ({n: v[::BASELINE_STEP] for n, v in part.items()} for part in (record.inputs, record.targets))
-    return Record(*parts)
+    inputs, targets = ({n: v[::BASELINE_STEP] for n, v in part.items()} for part in (record.inputs, record.targets))
+    return Record(inputs, targets)
 
 
 def baselines(sizes: tuple[int, ...] = (10, 25, 50), progress: Progress = silent) -> dict[str, dict]:

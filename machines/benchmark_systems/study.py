@@ -132,6 +132,7 @@ def identify(system: System, seed: int, progress: Progress = silent) -> tuple[Ne
         progress(f"{system.name}, seed {seed}, start {tried}: {found:.3g} held out, {fit.outcome.value}")
         if best is None or found < error:
             best, error = fit.network, found
+    assert best is not None  # a system has at least one start
     return best, figures(system, best, seed) | {"starts": tried, "cpu_seconds": round(process_time() - began, 1)}
 
 

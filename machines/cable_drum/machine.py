@@ -2,7 +2,7 @@
 
 from greygate.machines.cable_drum.augmentation import Slip
 from greygate.machines.cable_drum.plant import SAMPLE_TIME
-from greygate.machines.cable_drum.study import SCENARIOS, THESIS, TRAINING, records, train_snn
+from greygate.machines.cable_drum.study import SCENARIOS, TRAINING, VALIDATED, records, train_snn
 from greygate.machines.entry import Entry, Machine
 
 MACHINE = Machine(
@@ -17,7 +17,7 @@ MACHINE = Machine(
             TRAINING,
             SCENARIOS,
             SAMPLE_TIME,
-            {"thesis": {name: {"e": 1e-6 * THESIS[name]} for name in ("validation", "home")}},
+            {"thesis": {name: {"e": 1e-6 * um} for name, um in VALIDATED.items()}},
             row=5,
         ),
     ),

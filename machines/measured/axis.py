@@ -10,6 +10,7 @@ directions it is the model of Janot, Gautier, Brunot, Data Set and Reference Mod
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.record import Record
@@ -37,7 +38,7 @@ def axis(
     """
     step = period * FORCE.scale / (mass * SPEED)
     network = Network("axis", [FORCE], [POSITION], dt=period)
-    parts = {
+    parts: dict[str, ArrayLike] = {
         "force": [[1.0]],
         "v": [[-viscous * SPEED / FORCE.scale]],
         "forward": [[0.0]],
@@ -88,6 +89,8 @@ def starting(network: Network, record: Record) -> Network:
     flat, state = network.flatten(), record.initial
     return replace(
         flat,
-        inputs=[replace(p, initial=state.get(p.name, p.initial)) for p in flat.inputs],
-        modules={n: replace(layer, initial=state.get(n, layer.initial)) for n, layer in flat.modules.items()},
+        inputs=[replace(p, initial=float(state.get(p.name, p.initial))) for p in flat.inputs],
+        modules={
+            n: replace(layer, initial=np.asarray(state.get(n, layer.initial))) for n, layer in flat.layers().items()
+        },
     )

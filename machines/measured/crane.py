@@ -10,6 +10,7 @@ keeps its amplitude.
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from greygate.models.network import Layer, Network, Port
 
@@ -25,7 +26,7 @@ def crane(flow: int, friction: int, delay: int = 1, seed: int = 0) -> Network:
     network.add("spool", Layer({"s": [[0.3]], "u": [[0.7]]}, [0.0], frozen={"bias"}))
     network.connect("spool", "spool.s", delay=1)
     network.connect(VALVE.name, "spool.u", delay)
-    entering = {"s": [[-0.5]]}
+    entering: dict[str, ArrayLike] = {"s": [[-0.5]]}
     if flow:
         _neurons(network, "orifice", flow, "spool", 0, rng)
         entering["orifice"] = 0.1 * rng.normal(size=(1, flow))
@@ -36,7 +37,7 @@ def crane(flow: int, friction: int, delay: int = 1, seed: int = 0) -> Network:
     network.connect("pressure", "pressure.p", delay=1)
     network.connect("flow", "pressure.flow")
     network.connect("speed", "pressure.v", delay=1)
-    moving = {"v": [[1 - 0.5 * TURN]], "p": [[TURN]]}
+    moving: dict[str, ArrayLike] = {"v": [[1 - 0.5 * TURN]], "p": [[TURN]]}
     if friction:
         _neurons(network, "friction", friction, "speed", 1, rng)
         moving["friction"] = 0.02 * rng.normal(size=(1, friction))

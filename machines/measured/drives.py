@@ -28,7 +28,8 @@ def drives(seed: int, order: int = 3, friction: int = 2, counter: int = 0, drive
     share = 1 / order + 0.3 * rng.normal(size=order)
     taps = {f"u{i}": [[0.6 * polynomial.sum() * share[i - 1]]] for i in range(1, order + 1)}
     network = Network("ced", [VOLTAGE], [PULSES])
-    into_speed, into_pulses = {}, {}
+    into_speed: dict[str, np.ndarray] = {}
+    into_pulses: dict[str, np.ndarray] = {}
 
     def small(name: str, neurons: int, source: str, delay: int, into: dict) -> None:
         if neurons:
@@ -38,14 +39,13 @@ def drives(seed: int, order: int = 3, friction: int = 2, counter: int = 0, drive
 
     small("drive", drive, VOLTAGE.name, 1, into_speed)
     small("friction", friction, "speed", 1, into_speed)
-    network.add("speed", Layer(taps | own | into_speed, [0.0]))
+    network.add("speed", Layer({**taps, **own, **into_speed}, [0.0]))
     sides = Layer({"v": [[1 / REACH], [-1 / REACH]]}, [0.0, 0.0], "satlin", frozen={"v", "bias"})
     network.add("sides", sides)
     network.add("magnitude", Layer({"sides": [[REACH, REACH]]}, [0.0], frozen={"sides", "bias"}))
     network.add("square", Layer({"v": [[1.0]]}, [0.0], "square", frozen={"v", "bias"}))
     small("counter", counter, "magnitude", 0, into_pulses)
-    weights = {"magnitude": [[0.5]], "square": [[0.3]], "z1": [[0.5]]} | into_pulses
-    network.add("pulses", Layer(weights, [0.0]))
+    network.add("pulses", Layer({"magnitude": [[0.5]], "square": [[0.3]], "z1": [[0.5]], **into_pulses}, [0.0]))
     for i in range(1, order + 1):
         network.connect(VOLTAGE.name, f"speed.u{i}", delay=i)
         network.connect("speed", f"speed.v{i}", delay=i)

@@ -1,6 +1,6 @@
 """The studies on measured recordings: which runs train and test, which structures compete (identify/study.py)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -36,13 +36,18 @@ def _linear(name: str, inputs: Mapping[Port, Sequence[int]], output: Port, feedb
     return Structure(lambda seed: noe(name, inputs, output, feedback), fit)
 
 
-def _hammerstein(hidden: int, *orders, **options) -> dict[str, Structure]:
+def _hammerstein(
+    hidden: int, name: str, inputs: Mapping[Port, Sequence[int]], output: Port, feedback: Sequence[int], **options
+) -> dict[str, Structure]:
     """`hidden` neurons on the inputs beside a linear model, trained from the linear model of the same orders."""
+
+    def build(seed: int) -> Network:
+        return noe(name, inputs, output, feedback, (hidden,), seed, linear_loop=True)
 
     def fit(network: Network, records: Sequence[Record]) -> Trained:
         return train(network, list(records), **options)
 
-    return {f"{hidden} neurons": Structure(lambda seed: noe(*orders, (hidden,), seed, True), fit, grown=True)}
+    return {f"{hidden} neurons": Structure(build, fit, grown=True)}
 
 
 # ---- servo-hydraulic test machine
@@ -157,6 +162,10 @@ def _emps_folds(runs: Runs) -> list[Fold]:
     return found
 
 
+def _with_residual(hidden: int) -> Callable[[int], Network]:
+    return lambda seed: axis(hidden=hidden, seed=seed)
+
+
 def _emps_fit(network: Network, records: Sequence[Record], free=None) -> Trained:
     fit = train(network, list(records), epochs=60, free=free)
     return replace(fit, network=starting(fit.network, records[0]))
@@ -171,7 +180,7 @@ EMPS = Study(
         lambda seed: axis(coulomb=0.0),
         partial(_emps_fit, free={f"balance.{part}": np.zeros(1, bool) for part in ("sign", "forward")}),
     ),
-    {f"residual {n}": Structure(lambda seed, n=n: axis(hidden=n, seed=seed), _emps_fit) for n in (0, 2, 4)},
+    {f"residual {n}": Structure(_with_residual(n), _emps_fit) for n in (0, 2, 4)},
     seeds=range(3),
     folds=_emps_folds,
     period=1e-3,
@@ -212,16 +221,13 @@ TANKS = Study(
     _tanks,
     _linear("tanks", {PUMP: (1, 2)}, LEVEL, (1, 2), epochs=200, estimate_initial=True),
     {
-        name: Structure(partial(tanks, **options), _tanks_fit)
-        for name, options in {
-            "plain": {"rim": False, "widening": False},
-            "rim": {"widening": False},
-            "widening": {"rim": False},
-            "rim, widening": {},
-            "rim, widening, delay 0": {"delay": 0},
-            "rim, widening, exchange 1": {"exchange": 1},
-            "rim, widening, exchange 2": {"exchange": 2},
-        }.items()
+        "plain": Structure(partial(tanks, rim=False, widening=False), _tanks_fit),
+        "rim": Structure(partial(tanks, widening=False), _tanks_fit),
+        "widening": Structure(partial(tanks, rim=False), _tanks_fit),
+        "rim, widening": Structure(tanks, _tanks_fit),
+        "rim, widening, delay 0": Structure(partial(tanks, delay=0), _tanks_fit),
+        "rim, widening, exchange 1": Structure(partial(tanks, exchange=1), _tanks_fit),
+        "rim, widening, exchange 2": Structure(partial(tanks, exchange=2), _tanks_fit),
     },
     seeds=range(4),
     folds=blocked(8, 20),

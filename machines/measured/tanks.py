@@ -12,10 +12,10 @@ Equations of the plant: Schoukens, Mattson, Wigren, Noel, "Cascaded tanks benchm
 nonlinearities", 2016; Rogers et al. 2017 for the overflow.
 """
 
-from dataclasses import replace
-
 import numpy as np
+from numpy.typing import ArrayLike
 
+from greygate.models.adaptation import frozen
 from greygate.models.families.blocks import feedforward
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import train
@@ -43,15 +43,15 @@ def tanks(seed: int, rim: bool = True, widening: bool = True, exchange: int = 0,
     network.add("upper", Layer({"fill": [[1.0]]}, [0.0], "satlin", HALF, {"fill", "bias"}))
     kept = {"fill"} if rim else {"fill", "bias"}
     network.add("spill", Layer({"fill": [[1.0]]}, [-1.0 - 0.005 * rim], "satlin", frozen=kept))
-    weights = {"level": [[1.0]], "inflow": [[RATE]], "outflow": [[-RATE]], "spill": [[0.5]]}
+    filling: dict[str, ArrayLike] = {"level": [[1.0]], "inflow": [[RATE]], "outflow": [[-RATE]], "spill": [[0.5]]}
     if exchange:
         drawn = {"upper": rng.normal(size=(exchange, 1)), "lower": rng.normal(size=(exchange, 1))}
         network.add("exchange", Layer(drawn, rng.normal(size=exchange), "tansig"))
         network.connect("upper", "exchange.upper", delay=1)
         network.connect("lower", "exchange.lower", delay=1)
-        weights["exchange"] = 0.002 * rng.normal(size=(1, exchange))
+        filling["exchange"] = 0.002 * rng.normal(size=(1, exchange))
         network.connect("exchange", "lower_fill.exchange")
-    network.add("lower_fill", Layer(weights, [0.0], initial=HALF, frozen={"level", "bias"}))
+    network.add("lower_fill", Layer(filling, [0.0], initial=HALF, frozen={"level", "bias"}))
     network.add("lower", Layer({"fill": [[1.0]]}, [0.0], "satlin", HALF, {"fill", "bias"}))
     level = "lower"
     if widening:
@@ -96,6 +96,4 @@ def square_root(neurons: int = 3) -> Network:
     """y = sqrt(x) for x from 0.02 to 1.2, frozen; below it falls to 0.08 at 0 without becoming steep."""
     x = np.linspace(0.02, 1.2, 200)
     start = feedforward("root", ["x"], [neurons], 0)
-    flat = train(start, [Record({"x": x}, {"y": np.sqrt(x)})], epochs=300, decay=1e-6).network.flatten()
-    modules = {n: replace(layer, frozen=frozenset({*layer.weights, "bias"})) for n, layer in flat.modules.items()}
-    return replace(flat, modules=modules)
+    return frozen(train(start, [Record({"x": x}, {"y": np.sqrt(x)})], epochs=300, decay=1e-6).network.flatten())

@@ -9,9 +9,9 @@ two runs with the same inputs shrinks in every step, so no pressure error can bu
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 from greygate.machines.valve_cylinder.network import pressure
+from greygate.models.adaptation import frozen
 from greygate.models.network import Layer, Network, Port
 
 LEAST, MOST = 0.2, 10.0  # of the leakage that a network starts with: what its own may become
@@ -46,7 +46,7 @@ def pump_srnn(
     network.connect(position.name, "velocity.before", delay=1)
     for c in predicted:
         g = k["bulk_modulus"] * q_max * sample_time / (k[f"v_{c}0"] * p_max)
-        network.add(f"p{c}", pressure(_fixed(divider), g, k[f"p_{c}_rest"] / p_max, stretch))
+        network.add(f"p{c}", pressure(frozen(divider), g, k[f"p_{c}_rest"] / p_max, stretch))
     for c in predicted:
         other, sign = "ba"["ab".index(c)], 1.0 if c == "a" else -1.0
         pumps = {"1": speeds[0], "2": speeds[1]} if c == "a" else {"2": speeds[1]}
@@ -66,8 +66,8 @@ def pump_srnn(
         network.connect(sources[other], f"d{c}.other", delay=1)
         network.connect(sources[c], f"q{c}.own", delay=1)
         network.connect(f"d{c}", f"q{c}.across")
-        for n in range(taps):
-            network.connect("velocity", f"speed_{c}.d{n}", delay=n)
+        for tap in range(taps):
+            network.connect("velocity", f"speed_{c}.d{tap}", delay=tap)
         network.connect(position.name, f"gamma_{c}.x")
         network.connect(f"q{c}", f"p{c}.omega")
         network.connect(f"speed_{c}", f"p{c}.omega", gain=-displaced / (q_max * sample_time))
@@ -86,8 +86,3 @@ def leakage_bounds(network: Network) -> dict[str, tuple[float, float]]:
         for end, part in least.items()
         if f"q{c}{end}" in w
     }
-
-
-def _fixed(network: Network) -> Network:
-    layers = {n: replace(v, frozen=frozenset({*v.weights, "bias"})) for n, v in network.modules.items()}
-    return replace(network, modules=layers)

@@ -239,7 +239,8 @@ def measure(
     """
     true = simulate(plant, {"x_ref": x_ref, "n_ref": n_ref, "p_ref": p_ref}, sample_time=SAMPLE_TIME)
     rng = np.random.default_rng(seed)
-    channels, units = {}, {}
+    channels: dict[str, np.ndarray] = {}
+    units: dict[str, str] = {}
     for name, (full_scale, noise, step) in SENSORS.items():
         read = true[name] + noise * rng.standard_normal(true.samples)
         channels[name] = step * np.round(np.clip(read, -full_scale, full_scale - step) / step)

@@ -72,8 +72,8 @@ def assemble(known: str = "") -> Network:
     k = {symbol: p.value for symbol, p in PUMP_CYLINDER.items()} | {"q_max": Q_MAX, "p_max": P_MAX}
     k |= {f"p_{c}_rest": plant.constant(plant.states[f"p_{c}"].initial) for c in "ab"}
     rest = plant.initial()
-    speeds = tuple(Port(n, "rev/s", SENSORS[n][0], initial=rest[n], resolution=SENSORS[n][2]) for n in ("n_1", "n_2"))
-    return pump_srnn(k, library("divider"), speeds, Port("x", "m", X_SCALE, resolution=SENSORS["x"][2]), known)
+    n_1, n_2 = (Port(n, "rev/s", SENSORS[n][0], initial=rest[n], resolution=SENSORS[n][2]) for n in ("n_1", "n_2"))
+    return pump_srnn(k, library("divider"), (n_1, n_2), Port("x", "m", X_SCALE, resolution=SENSORS["x"][2]), known)
 
 
 def fit(network: Network, name: str, known: str = "", progress: Progress = silent) -> Trained:
@@ -91,8 +91,8 @@ def train_srnn(progress: Progress = silent) -> tuple[Network, dict]:
     snn.join(assemble)
     snn.step("nominal", partial(fit, snn.network, "training", progress=progress))
     snn.step("adapted", partial(fit, snn.network, "rig_training", progress=progress))
-    figures = {name: {r: tuple(e.values()) for r, e in snn[name].errors.items()} for name in ("joined", "nominal")}
-    figures["adapted"] = {r: tuple(e.values()) for r, e in snn["adapted"].errors.items()}
+    steps = ("joined", "nominal", "adapted")
+    figures: dict = {name: {r: tuple(e.values()) for r, e in snn[name].errors.items()} for name in steps}
     figures |= {"constant": constant(), "sensor_backup": sensor_backup(progress), "thesis": THESIS}
     figures["noisy_position"] = noisy_position(snn["nominal"].network)
     figures["seconds"] = {name: snn[name].seconds for name in ("nominal", "adapted")}
@@ -122,7 +122,7 @@ def noisy_position(nominal: Network) -> dict[str, tuple[float, ...]]:
     def noisier(name: str) -> Record:
         r, (_, noise, _) = recording(name), SENSORS["x"]
         more = np.sqrt(24.0) * noise * np.random.default_rng(RECORDS[name][1] + 500).standard_normal(len(r))
-        return replace(r, inputs=r.inputs | {"x": r.inputs["x"] + more})
+        return replace(r, inputs={**r.inputs, "x": r.inputs["x"] + more})
 
     bounds = leakage_bounds(assemble())
     network = train(nominal, [noisier("rig_training")], epochs=EPOCHS, bounds=bounds).network

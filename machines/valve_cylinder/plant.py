@@ -232,7 +232,9 @@ def _line(line: Line, pressure: float):
     gains = line.fit()
     omegas = line.frequencies(len(gains["transmission"]))
     parameters = {"line_damping": Parameter(line.damping, "1/s", meaning="32 nu / d^2 of the supply line")}
-    states, equations, p_s, q_line = {}, {}, {}, {}
+    states, equations = {}, {}
+    p_s: dict[str, str] = {}
+    q_line: dict[str, str] = {}
     for n, omega in enumerate(omegas, start=1):
         parameters[f"line_omega_{n}"] = Parameter(omega, "rad/s", meaning=f"mode {n} of the supply line")
         for function, unit in (("transmission", "1"), ("impedance", "Pa s/m^3"), ("admittance", "m^3/(Pa s)")):
@@ -297,7 +299,7 @@ def _steady_supply(k: dict[str, float]) -> dict[str, float]:
 SPOOL = 1  # the place of u in the state (i, u, u_dot) of `spool_discrete`
 
 
-def spool_discrete(plant: Plant, sample_time: float = 1e-3) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def spool_discrete(plant: Plant, sample_time: float = 1e-3) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Coil and spool (5.9, 5.10), exactly discretised for a held `v_c`: `A` (3, 3), `B` (3,), `C` (3,), `D` scalar.
 
     With s = (i, u, u_dot) and inside the saturations,

@@ -57,9 +57,9 @@ def assemble(
     """
     plant = valve_cylinder()
     k = {symbol: p.value for symbol, p in plant.parameters.items()}
-    training = (training or scenario("training")).channels
-    rest = float(training["p_a"][0])
-    k |= {"p_s": float(np.mean(training["p_s"])), "p_a_rest": rest, "p_b_rest": rest}
+    channels = (training or scenario("training")).channels
+    rest = float(channels["p_a"][0])
+    k |= {"p_s": float(np.mean(channels["p_s"])), "p_a_rest": rest, "p_b_rest": rest}
     k |= {"area_a": k["area"], "area_b": k["area"]}
     a, b, c, d = spool_discrete(plant)
     if not mean:
@@ -127,7 +127,7 @@ def prune(
     say = progress or (lambda line: None)
 
     def retrain(smaller: Network) -> Network:
-        say(f"retraining with {sum(layer.size for layer in smaller.modules.values())} neurons")
+        say(f"retraining with {sum(layer.size for layer in smaller.layers().values())} neurons")
         return retrained(smaller, kept, PRUNING_EPOCHS)
 
     bound = allowed * pooled_rms(network, kept)
