@@ -1,5 +1,7 @@
 """Every page in a real browser: telephone, tablet, desk and paper, light and dark, by mouse and by keyboard."""
 
+from pathlib import Path
+
 import browsing
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from greygate.pages.diagnosis import page as diagnosis_page
 from greygate.pages.report import page as report_page
 
 pytestmark = pytest.mark.skipif(bool(browsing.missing()), reason=f"a browser needs {browsing.missing()}")
+SITE = Path(__file__).parents[1] / "build" / "site"
 PAGE = """<!doctype html><html lang=en><meta name=viewport content='width=device-width'><title>x</title>
 <main>{}</main></html>"""
 
@@ -143,4 +146,13 @@ def test_keys_zoom_move_and_return(greygate, build, browser):
         assert pressed("ArrowRight") == pytest.approx(near + np.ptp(near) / 4)
         assert np.ptp(pressed("-")) == pytest.approx(np.ptp(whole))
         assert pressed("0") == pytest.approx(whole)
+        assert told == []
+
+
+@pytest.mark.skipif(not SITE.exists(), reason="the site is not built: make docs")
+def test_the_site_is_searched_without_a_server(browser):
+    with browsing.opened(browser, SITE / "training.html", browsing.SIZES["desk"], "light") as (tab, told):
+        tab.keyboard.press("s")
+        tab.keyboard.type("levenberg", delay=20)
+        tab.wait_for_selector(".md-search-result__item a[href*='training.html']")
         assert told == []
