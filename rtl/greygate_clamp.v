@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Clamp: SIZE codes limited to [LO, HI], then brought to the output format, saturating.
 // docs/integer-program.md, "CLAMP". One clock: y follows x when en is high.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // CRC: a check sum of 16 bits over a stream of bits, x^16 + x^12 + x^5 + 1, lowest bit of a byte first.
 // The check sum leaves bit by bit at crc[0] when it is fed with itself. Over data and check sum it is 0.
 

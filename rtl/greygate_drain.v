@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Drain: bring a sum, to which the rounding constant has been added, to one of few formats.
 // docs/integer-program.md, "Numbers". One clock from a and mode to y.
 // A tie that goes to even is seen by the bits that are dropped: with the constant added they are all 0.

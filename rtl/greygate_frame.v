@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Frame: a core behind a line of bits. A request brings one sample, the answer its result; docs/board.md, "Frames".
 //
 // One shift register holds the sample while it comes in, and the result while it goes out. A sample is stepped only if

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Last: the tlast of each sample, kept until its result leaves.
 
 `default_nettype none

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Lookup: one neuron answered from the words {base, slope} of a table of a symmetric function.
 // docs/integer-program.md, "Lookup". Three clocks, and a new code in every clock:
 // 1: the word of the code's segment is read, outside; 2: slope times the code's place in the segment; 3: the sum.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Multiply-accumulate: acc = bias + sum of (word x << shift), exact. A shift is BASE and the stages that `select` names.
 // Four clocks from x and word to acc; `select` comes one clock after them, `first` and `bias` three.
 

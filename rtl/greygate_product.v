@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Product: a number times an unsigned one, by adders instead of a multiplier; combinational.
 // A row of every bit of the factor is added to the rows before it, of which one bit a row is done. Two such chains, of
 // the lower and of the upper half of the factor, stand side by side, so that half as many additions follow each other.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Requantize: bring an exact accumulator to an output format, rounding once.
 // docs/integer-program.md, "Numbers". One clock: y follows a when en is high.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Select: for each of SIZE elements, ABOVE where the condition is not negative, else BELOW, in the output format.
 // docs/integer-program.md, "SELECT". One clock: y follows when en is high.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Serial: a machine of one adder that performs a program of additions and single-bit shifts, one word a clock.
 // docs/hardware.md, "The least design"; compiler/serial/writer.py writes its words.
 //

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // SPI slave, mode 0, sampled by the clock: sck at most a sixth of it. It listens or sends, and hands over bits.
 // Each byte goes lowest bit first. While there is nothing to send, miso is high.
 

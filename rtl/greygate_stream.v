@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Stream: the AXI4-Stream edge of a core that works on one sample at a time.
 // Takes a beat, raises start, waits for done, gives a beat. A reset drops a sample under way.
 // The clock in which a result is taken may bring the next sample.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // Threshold: for each of SIZE codes, ABOVE from AT upwards, BELOW otherwise.
 // docs/integer-program.md, "THRESHOLD". One clock: y follows x when en is high.
 

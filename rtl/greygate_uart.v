@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: MIT
 // UART: 8 data bits, lowest first, no parity, one stop bit. It listens or sends, and hands over bits, not bytes.
 
 `default_nettype none
