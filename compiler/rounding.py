@@ -2,9 +2,12 @@
 
 A weight of few signed digits (7 = 8 - 1 has two) costs few adders. Rounding one weight alone costs accuracy; rounding
 them one after the other, with all those still free correcting what each rounding did, costs far less (optimal brain
-surgeon, Hassibi, Stork 1993, with a grid in place of zero). The correction is the Gauss-Newton step of the outputs in
-free run, feedback included; it is computed anew after every few weights. Biases stay free: a constant costs the same
-whatever its digits.
+surgeon, Hassibi, Stork 1993, with a grid in place of zero). A weight q moves by d to the grid, and with it the others:
+
+    dw = d C e_q / C_qq,    cost = d^2 / (2 C_qq) + price digits,    C = (J'J)^-1
+
+J (samples, weights): slopes of the outputs in free run, feedback included, anew after every few weights. Biases stay
+free: a constant costs the same whatever its digits.
 
 All of it is computed portably (models/arithmetic.py): a build is a function of its inputs on every processor.
 """

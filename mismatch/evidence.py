@@ -1,10 +1,13 @@
 """What a recording says for an effect where its fit did not look: an e-value, and how many names it bears.
 
 The recording is cut into stretches, by turns in one half or the other (or in one of five parts, where halves teach too
-little). The hypothesis learns from the rest and is judged on a part, against the same without the effect, which has
-learnt from all. Where the effect is not there, the
-ratio of the two likelihoods is 1 on average at most, whatever was learnt: an e-value (Wasserman, Ramdas, Balakrishnan:
-Universal inference, 2020). That of the recording is the mean over its parts.
+little). The hypothesis learns from the rest and is judged on a part k, against the same without the effect, which has
+learnt from all:
+
+    E = mean_k exp((D0_k - D1_k) / (2 wider)),    D = -2 log likelihood of part k
+
+Where the effect is not there, E is 1 on average at most, whatever was learnt: an e-value (Wasserman, Ramdas,
+Balakrishnan: Universal inference, 2020).
 
 Of m candidates K may be named whose e-values are all m / (K FALSE) or more: then at most a share FALSE of all names is
 wrong in the long run, however the candidates depend on each other (e-BH, Wang and Ramdas, 2022).

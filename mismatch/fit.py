@@ -1,8 +1,14 @@
 """Maximum-likelihood fit of a plant's free parameters to one recording.
 
-Gauss-Newton fits two kinds of unknowns together. The first are free parameters: those with a tolerance, which draws
-them to the data sheet, and those of the effects under test. The second are the states in which the windows begin (x, v,
-pressures): as recorded, plus a shift. The shifts of a window act on that window alone and are eliminated there.
+    minimise  |e(n, s)|^2 + sum_j (n_j / prior_j)^2 + sum_w heavy |s_w|^2,    e = white(recorded - simulated(n, s))
+
+n (k,): parameters in units of their scales, those with a tolerance and those of the effects under test. s_w: shifts of
+the state in which window w begins, from what was recorded. white: noise.py. Each step of Gauss-Newton solves
+
+    (J'J + L) dn = -(J'e + L n),    J = de/dn,  L = diag(1 / prior^2)
+
+with the shifts eliminated window by window: J and e are what the slopes by s_w leave of them (variable projection;
+Golub, Pereyra 1973). Covariance of n: B (S'S + L) B with B = (J'J + L)^-1 and S_w = J_w' e_w (Huber's sandwich).
 """
 
 import copy

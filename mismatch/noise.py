@@ -1,8 +1,12 @@
 """The noise of the sensors, as a rig states it and as a recording shows it.
 
-What a fit leaves is modelled as noise of the told size times a scale, coloured by a short autoregression, in each
-channel. Both are found by restricted maximum likelihood: within a stretch of samples a cubic counts as what the plant
-leaves out, and only what stands out against every cubic as noise.
+What a fit leaves, in units of the told noise, is modelled in each channel as e = X b + v: in every stretch of samples a
+cubic X b that the plant leaves out, and noise v(t) = sum_k a_k v(t-k) + scale w(t) with w white of unit variance. Scale
+and a minimise the restricted likelihood (Patterson, Thompson 1971), V scale^2 being the covariance of v:
+
+    -2 log L = N log scale^2 + log|V| + log|X' V^-1 X|,    scale^2 = e'(V^-1 - V^-1 X (X' V^-1 X)^-1 X' V^-1) e / N
+
+N: samples less coefficients of the cubics. BIC chooses the order of a.
 """
 
 from collections.abc import Sequence

@@ -39,6 +39,8 @@ def feedforward(
 def nguyen_widrow(network: Network, seed: int) -> Network:
     """Return the flat network with new weights: neurons of a sigmoid layer share its input range [-1, 1] (1990).
 
+    Of H neurons with n inputs: |w_i| = 0.7 H^(1/n) in a random direction, b_i = +-|w_i| (2 i / (H - 1) - 1), i < H.
+
     A linear layer's weights on a sigmoid layer are drawn with deviation 0.3; frozen weights and all others stay. The
     networks of the thesis's benchmarks are `nguyen_widrow(noe(..., bypass=False), seed)`.
     """
