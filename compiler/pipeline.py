@@ -22,6 +22,7 @@ from greygate.models.prune import Pruning, Round, prune_by_entropy
 from greygate.models.simplify import SIMPLIFICATIONS, merge_linear, multiplications, parameter_count
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
+from greygate.plain import Count, Figure
 
 PERIOD = 1e-3  # s, of a step, where neither the caller nor the network says it
 SAME = 1e-9  # largest relative change of any output that a simplification may cause
@@ -37,10 +38,10 @@ class Pass:
     """
 
     name: str
-    layers: int
-    parameters: int
-    multiplications: int
-    change: float
+    layers: Count
+    parameters: Count
+    multiplications: Count
+    change: Figure
     remarks: tuple[str, ...] = ()
 
 

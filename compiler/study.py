@@ -5,10 +5,12 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import count
+from typing import Annotated, Any, Literal, TypedDict
 
 import numpy as np
 
-from greygate.compiler.pipeline import Compiled, quantize_centred
+from greygate.compiler.explore.told import Explored
+from greygate.compiler.pipeline import Compiled, Pass, quantize_centred
 from greygate.compiler.quantize import Formats
 from greygate.emulator.engine import run
 from greygate.emulator.numbers import Fix, signed_width
@@ -20,12 +22,152 @@ from greygate.models.drawn import envelope, shortened
 from greygate.models.network import Network
 from greygate.models.spectra import frequency_response, spectrum
 from greygate.models.training.record import Record
-from greygate.plain import plain
+from greygate.plain import Count, Figure, Json, plain
 from greygate.progress import Progress, silent
 
 RUN_BINS = 2000  # of a whole run, into which a reader can zoom; each has its least and its largest value
 ZOOM = 200  # steps drawn around the largest error
 QUANTILES = (5, 25, 50, 75, 100)  # of |signal|, in per cent
+
+
+class ScenarioVerified(TypedDict):
+    steps: Count
+    differing_bits: Literal[0] | None
+    mismatch: str | None
+
+
+class Verified(TypedDict):
+    clocks_per_step: Figure
+    seed: Count
+    scenarios: dict[str, ScenarioVerified]
+
+
+class OutputVerified(ScenarioVerified):
+    equals_fixed: bool
+    rmse: Figure
+
+
+class Rmse(TypedDict):
+    float: Figure
+    fixed: Figure
+
+
+class Quantization(TypedDict):
+    rms: Figure
+    max: Figure
+    frequency: list[float]
+    psd: list[Figure]
+
+
+class Curve(TypedDict):
+    step: list[float]
+    value: list[Figure]
+
+
+class Curves(TypedDict):
+    reference: Curve
+    fixed: Curve
+    error: Curve
+    cost: Curve
+
+
+class Zoom(TypedDict):
+    start: Count
+    worst: Count
+    reference: list[Figure]
+    fixed: list[Figure]
+    float: list[Figure]
+
+
+class Output(TypedDict):
+    unit: str
+    spread: Figure
+    rmse: Rmse
+    ratio: Figure
+    quantization: Quantization
+    model_psd: list[Figure]
+    frf: dict[str, Any]
+    drawn: Curves
+    zoom: Zoom
+    hardware: dict[str, OutputVerified | None]
+    references: dict[str, Any]
+
+
+class Scenario(TypedDict):
+    steps: Count
+    seconds: float
+    skip: Count
+    outputs: dict[str, Output]
+
+
+class Widths(TypedDict):
+    width: list[Count]
+    ratio: dict[str, dict[str, list[Figure]]]
+    word: Count | None
+    finer: Count
+
+
+class Held(TypedDict):
+    name: str
+    size: Count
+    fix: str
+    width: Count
+    frac: int
+    holds: tuple[float, float]
+    observed: tuple[float, float]
+    sound: tuple[float, float] | None
+    quantiles: list[float] | None
+    saturations: dict[str, Count]
+
+
+class HeldSignal(Held):
+    kind: Literal["input", "state", "operation"]
+    note: str | None
+
+
+class Lookups(TypedDict):
+    name: str
+    function: str
+    points: Count
+    interpolated: bool
+    argument: str
+    result: str
+    worst_error: float
+    worst_error_lsb: float
+    used_by: list[str]
+
+
+class Size(TypedDict):
+    operations: Count
+    multiplications: Count
+    state_bits: Count
+    table_bits: Count
+    accumulator_bits: Count
+
+
+class Study(TypedDict):
+    title: str
+    name: str
+    program: str
+    period: float
+    ranged_on: list[str]
+    size: Size
+    scenarios: dict[str, Scenario]
+    widths: Widths
+    signals: list[HeldSignal]
+    weights: list[Held]
+    tables: list[Lookups]
+    passes: list[Pass]
+    references: dict[str, Any]
+    hardware: dict[str, Verified]
+    resources: dict[str, dict[str, Figure]]
+    explored: Explored | Annotated[dict[str, Any], Json(maxProperties=0)]
+
+
+Verifications = Annotated[dict[str, Verified], "Architecture -> what the last verification found."]
+Studies = Annotated[
+    list[Study], "One study for each build: what fixed point costs, in SI units; a figure is finite or null."
+]
 
 
 def study(

@@ -32,7 +32,6 @@ GROUND = (  # modules of greygate/ on which all stands
     "plain",
     "progress",
     "reading",
-    "schemas",
     "table",
     "version",
 )

@@ -1,7 +1,8 @@
 """Writes dataclasses as plain JSON and reads them: each field is an entry, of the kind that its annotation names.
 
 `Annotated[type, kind]` gives the kind itself (greygate/reading.py). A number, an enumeration, a tuple, a named tuple, a
-table of texts and a dataclass each have one kind. So declaring a class is enough to write and read it.
+table of texts and a dataclass each have one kind. So declaring a class is enough to write and read it, and to describe
+it (greygate/schemas.py).
 """
 
 from dataclasses import fields, is_dataclass
@@ -47,7 +48,7 @@ def record(cls: type) -> Kind:
 def _kind(annotation: Any) -> Kind:
     inner = get_args(annotation)
     if get_origin(annotation) is Annotated:
-        return inner[1]
+        return next((note for note in inner[1:] if callable(note)), None) or _kind(inner[0])
     if get_origin(annotation) is tuple:
         elements = listed(_kind(inner[0]))
         return lambda value, where: tuple(elements(value, where))

@@ -6,12 +6,13 @@ docs/integer-program.md, "Numbers", is their normative text.
 from collections.abc import Iterator
 from enum import StrEnum
 from numbers import Integral
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.names import check_path, check_text, check_unit
+from greygate.names import LONGEST_NAME, LONGEST_TEXT, LONGEST_UNIT, PART, check_path, check_text, check_unit
+from greygate.plain import Json, span
 from greygate.reading import listed, whole
 
 ACCUMULATOR_BITS = 62  # room for one more addition in int64
@@ -21,13 +22,14 @@ LARGEST_SHIFT = 1 << 10  # of any width, fraction or shift in a file; legal valu
 
 # -- kinds of fields in program.json ---------------------------------------------------------------------------------
 
-Name = Annotated[str, check_path]
-Text = Annotated[str, check_text]
-Unit = Annotated[str, check_unit]
+Name = Annotated[str, check_path, Json(maxLength=LONGEST_NAME, pattern=rf"^{PART}(\.{PART})*$")]
+Text = Annotated[str, check_text, Json(minLength=1, maxLength=LONGEST_TEXT)]
+Unit = Annotated[str, check_unit, Json(minLength=1, maxLength=LONGEST_UNIT)]
 _code, _shift = whole(-(1 << ACCUMULATOR_BITS), 1 << ACCUMULATOR_BITS), whole(-LARGEST_SHIFT, LARGEST_SHIFT)
 _codes, _shifts = listed(_code), listed(_shift)
-Code = Annotated[int, _code]
+Code = Annotated[int, _code, span(-(1 << ACCUMULATOR_BITS), 1 << ACCUMULATOR_BITS)]
 Shift = Annotated[int, _shift]
+Bits = Annotated[int, _shift, span(0, ACCUMULATOR_BITS)]
 
 
 def _matrix(value: object, where: str) -> np.ndarray:
@@ -37,9 +39,13 @@ def _matrix(value: object, where: str) -> np.ndarray:
     return np.array(rows, np.int64)
 
 
-Codes = Annotated[np.ndarray, lambda value, where: np.array(_codes(value, where), np.int64)]
-Shifts = Annotated[np.ndarray, lambda value, where: np.array(_shifts(value, where), np.int64)]
-Matrix = Annotated[np.ndarray, _matrix]
+def _some(kind: Any) -> Json:
+    return Json(type="array", items=kind, minItems=1)
+
+
+Codes = Annotated[np.ndarray, lambda value, where: np.array(_codes(value, where), np.int64), _some(Code)]
+Shifts = Annotated[np.ndarray, lambda value, where: np.array(_shifts(value, where), np.int64), _some(Shift)]
+Matrix = Annotated[np.ndarray, _matrix, _some(Codes)]
 
 
 # -- numbers ---------------------------------------------------------------------------------------------------------
@@ -48,8 +54,8 @@ Matrix = Annotated[np.ndarray, _matrix]
 class Fix(NamedTuple):
     """Two's complement of `width` bits, the sign counted; value = integer * 2^-frac."""
 
-    width: Shift
-    frac: Shift
+    width: Annotated[Shift, span(WIDTHS.start, WIDTHS.stop - 1)]
+    frac: Annotated[Shift, span(FRACTIONS.start, FRACTIONS.stop - 1)]
 
     @property
     def lo(self) -> int:

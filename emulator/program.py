@@ -15,7 +15,7 @@ from enum import StrEnum
 from functools import cached_property
 from numbers import Real
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, get_args
 
 import numpy as np
 
@@ -30,15 +30,18 @@ from greygate.emulator.numbers import (
     Overflow,
     Rounding,
     Shifts,
+    Text,
     Unit,
     signed_width,
 )
 from greygate.emulator.tables import Lines, Table, read_tables
 from greygate.errors import InputError
 from greygate.files import replacing
-from greygate.names import check_name, check_path, check_text, check_unit
+from greygate.names import LONGEST_NAME, PART, check_name, check_path, check_text, check_unit
+from greygate.plain import SOME, Count, Json, span
 from greygate.reading import listed, one_of, read_json, whole
 
+WORD = Json(maxLength=LONGEST_NAME, pattern=f"^{PART}$")
 SIZES = range(1, (1 << 16) + 1)  # elements of a signal
 
 
@@ -62,7 +65,7 @@ class Signal:
     """A vector of `size` codes that share one format."""
 
     name: Name
-    size: Annotated[int, whole(SIZES.start, SIZES.stop - 1)]
+    size: Annotated[int, whole(SIZES.start, SIZES.stop - 1), span(SIZES.start, SIZES.stop - 1)]
     fix: Fix
 
     def problems(self) -> Iterator[str]:
@@ -101,7 +104,7 @@ class Terminal:
 class Clipped:
     """Values of an input outside its format: count and share, the range of the format and that of the values."""
 
-    count: int
+    count: Count
     share: float
     holds: tuple[float, float]  # in the port's unit, as `given`
     given: tuple[float, float]
@@ -113,7 +116,7 @@ class State:
 
     signal: Signal
     source: Name
-    initial: tuple[Code, ...]
+    initial: Annotated[tuple[Code, ...], SOME, "A code of the signal's format for each element."]
 
     def problems(self, program: "Program") -> Iterator[str]:
         source = program.signals.get(self.source)
@@ -128,15 +131,19 @@ class State:
 # -- operations ------------------------------------------------------------------------------------------------------
 
 
+OfArgument = Annotated[Code, "In the argument's format."]
+OfResult = Annotated[Code, "In the result's format."]
+
+
 @dataclass(frozen=True)
 class Affine:
     """out = requantize(bias + weights @ concatenate(args)), exact up to its single rounding; `frac` is per row."""
 
     out: Signal
-    args: tuple[Name, ...]
-    weights: Matrix  # int64 (size, columns)
+    args: Annotated[tuple[Name, ...], SOME, "Signals whose elements are the columns."]
+    weights: Annotated[Matrix, "A row for each element of the result."]  # int64 (size, columns)
     bias: Codes  # int64 (size,)
-    frac: Shifts  # int64 (size,), fraction bits of each row's accumulator
+    frac: Annotated[Shifts, "Fraction bits of each row's sum."]  # int64 (size,)
     rounding: Rounding = Rounding.HALF_UP
     overflow: Overflow = Overflow.SATURATE
     op = Op.AFFINE
@@ -186,7 +193,7 @@ class Lookup(Elementwise):
     """out = table(arg)."""
 
     arg: Name
-    table: Name
+    table: Annotated[Name, "Name of a table with the formats of argument and result."]
     op = Op.TABLE
 
     def problems(self, program: "Program") -> Iterator[str]:
@@ -203,8 +210,8 @@ class Clamp(Elementwise):
     """out = requantize(min(max(arg, lo), hi)); lo and hi are codes of the arg's format."""
 
     arg: Name
-    lo: Code
-    hi: Code
+    lo: OfArgument
+    hi: OfArgument
     rounding: Rounding = Rounding.HALF_UP
     op = Op.CLAMP
     overflow = Overflow.SATURATE
@@ -225,9 +232,9 @@ class Threshold(Elementwise):
     """out = above if arg >= at else below; `at` is a code of the arg's format, the others of out's."""
 
     arg: Name
-    at: Code
-    below: Code
-    above: Code
+    at: OfArgument
+    below: OfResult
+    above: OfResult
     op = Op.THRESHOLD
 
     def problems(self, program: "Program") -> Iterator[str]:
@@ -258,8 +265,8 @@ class Select(Elementwise):
             yield f"{self.out.name}: needs {width} bits on the way, more than {ACCUMULATOR_BITS}"
 
 
-Operation = Affine | Elementwise
-_KINDS = {kind.op: kind for kind in (Affine, Lookup, Clamp, Threshold, Select)}
+Operation = Affine | Lookup | Clamp | Threshold | Select
+_KINDS = {kind.op: kind for kind in get_args(Operation)}
 
 
 def _operations(value: object, where: str) -> tuple[Operation, ...]:
@@ -284,14 +291,14 @@ class Program:
     <Program lag: u Fix(18, 17) -> y Fix(19, 18); 1 operations, 1 states>
     """
 
-    name: Annotated[str, check_name]
-    inputs: tuple[Terminal, ...]
+    name: Annotated[str, check_name, WORD, "Also the name of the top module."]
+    inputs: Annotated[tuple[Terminal, ...], SOME, "In the order of the input stream."]
     states: tuple[State, ...]
-    operations: Annotated[tuple[Operation, ...], _operations]
-    outputs: tuple[Terminal, ...]
+    operations: Annotated[tuple[Operation, ...], _operations, "In the order in which a step performs them."]
+    outputs: Annotated[tuple[Terminal, ...], SOME, "In the order of the output stream."]
     tables: Annotated[tuple[Table | Lines, ...], read_tables] = ()
-    period: float = 1e-3  # s, of a step; it changes no bit
-    notes: dict[str, str] = field(default_factory=dict)  # signal -> why it has its format
+    period: Annotated[float, Json(exclusiveMinimum=0), "Seconds of a step, for reports only."] = 1e-3
+    notes: Annotated[dict[Name, Text], "Signal -> why it has its format."] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         inputs, outputs = (

@@ -7,10 +7,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import accumulate, pairwise
-from typing import ClassVar, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 from greygate.emulator.fields import record
-from greygate.emulator.numbers import ACCUMULATOR_BITS, Code, Fix, Name, Shift, Text, signed_width
+from greygate.emulator.numbers import ACCUMULATOR_BITS, Bits, Code, Fix, Name, Text, signed_width
+from greygate.plain import SOME, Json
 from greygate.reading import listed
 
 
@@ -20,6 +21,13 @@ class Symmetry(StrEnum):
     ODD = "odd"  # f(-x) = -f(x): tansig
     EVEN = "even"  # f(-x) = f(x): radbas
     COMPLEMENT = "complement"  # f(-x) = 1 - f(x): logsig
+
+
+Function = Annotated[Text, "What it is a table of; for people."]
+Answer = Annotated[Symmetry, "Answer to x < 0: -y, y, or 2^out.frac - y."]
+Argument = Annotated[Fix, "Format of the argument."]
+Outcome = Annotated[Fix, "Format of the result."]
+Worst = Annotated[float, "Largest deviation from the function over every code, in units of the result. Changes no bit."]
 
 
 class Segments(NamedTuple):
@@ -113,14 +121,14 @@ class Table:
     """
 
     name: Name
-    function: Text
-    symmetry: Symmetry
-    shift: Shift
-    points: tuple[Code, ...]
-    interpolated: bool
-    arg: Fix
-    out: Fix
-    worst_error: float
+    function: Function
+    symmetry: Answer
+    shift: Bits
+    points: Annotated[tuple[Code, ...], Json(minItems=2), "Codes of the result's format."]
+    interpolated: Annotated[bool, "true: a line between two points; false: the nearest point."]
+    arg: Argument
+    out: Outcome
+    worst_error: Worst
 
     @property
     def segments(self) -> Segments:
@@ -168,18 +176,18 @@ class Lines:
     """
 
     name: Name
-    function: Text
-    symmetry: Symmetry
-    start: Shift
-    shifts: tuple[Shift, ...]
-    drops: tuple[Shift, ...]
-    slope_frac: Shift
-    guard: Shift
-    bases: tuple[Code, ...]
-    slopes: tuple[Code, ...]
-    arg: Fix
-    out: Fix
-    worst_error: float
+    function: Function
+    symmetry: Answer
+    start: Bits
+    shifts: Annotated[tuple[Bits, ...], SOME, "log2 of the codes of a segment, for each octave."]
+    drops: Annotated[tuple[Bits, ...], SOME, "Low bits that the place in a segment leaves out, for each octave."]
+    slope_frac: Annotated[Bits, "Fraction bits of a slope, in LSB of the result."]
+    guard: Annotated[Bits, "Fraction bits of a base, in LSB of the result."]
+    bases: Annotated[tuple[Code, ...], SOME, "One for each segment."]
+    slopes: Annotated[tuple[Code, ...], SOME, "One for each segment."]
+    arg: Argument
+    out: Outcome
+    worst_error: Worst
     interpolated: ClassVar[bool] = True
 
     @property

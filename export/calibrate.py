@@ -10,12 +10,13 @@ from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Annotated, Any, TypedDict
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from greygate.errors import InputError, one_line
+from greygate.plain import Json
 from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import Recording
 from greygate.progress import Progress, once, silent
@@ -28,6 +29,42 @@ STEP = 1e-5  # of a parameter's scale, for differences
 KINDS = ("delay", "offset", "gain")
 PAIRED = 6  # faults, those that fit best alone, of which all pairs are tried
 FAR = 1e6  # deviations of a channel: a run that fails is said to be so far off
+
+
+Parts = Annotated[dict[str, float], Json(minProperties=1)]
+
+
+class FittedParameter(TypedDict):
+    value: float
+    interval: tuple[float, float]
+    start: float
+    unit: str
+
+
+class FittedOutput(TypedDict):
+    unit: str
+    start: Parts
+    calibrated: Parts
+    with_faults: Parts
+
+
+class FittedFault(TypedDict):
+    channel: str
+    kind: str
+    size: float
+    interval: tuple[float, float]
+    unit: str
+
+
+class Calibrated(TypedDict):
+    """Parameters of an FMU fitted to a recording."""
+
+    fmu: str
+    recording: str
+    parameters: dict[str, FittedParameter]
+    rms: dict[str, FittedOutput]
+    faults: list[FittedFault]
+    cannot_show: str
 
 
 @dataclass(frozen=True)

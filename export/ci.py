@@ -3,7 +3,7 @@
 import shlex
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, TypedDict
 
 from greygate.errors import InputError
 from greygate.files import making, replacing
@@ -23,6 +23,13 @@ verified = true     # every bit simulated, none differs
 error = 0.02
 luts = 0.02
 """
+
+
+class Workflow(TypedDict):
+    """A workflow."""
+
+    written: list[str]
+    next: list[str]
 
 
 def write_workflow(

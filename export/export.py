@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypedDict
 
 from greygate.errors import InputError, shown
 from greygate.export import fmu, network, plant, values
@@ -20,6 +20,19 @@ from greygate.mismatch.model import BLUR, EARLY, TIMING
 from greygate.mismatch.simulation import asked, check, corrected
 from greygate.plants.plant import Plant
 from greygate.plants.symbolic import latex
+
+
+class ExportedFmu(TypedDict):
+    """An FMU."""
+
+    out: str
+    fmi: Literal["2.0", "3.0"]
+    model: str
+    step_s: float
+    library: str
+    inputs: list[str]
+    parameters: list[str]
+    outputs: list[str]
 
 
 def export_c(project: Project, out: Path | str) -> list[str]:

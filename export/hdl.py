@@ -1,7 +1,7 @@
 """A design of a build as a folder for FuseSoC, Vivado and Quartus, with benches in Verilog and in cocotb."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from greygate.compiler.emit import emitted
 from greygate.compiler.verilog import lane_width
@@ -17,6 +17,15 @@ PART, DEVICE = "xc7a35tcsg324-1", "5CSEMA5F31C6"  # of two common boards; an arg
 SCENARIO = "bench/scenario.hex"
 LATER = r"build/.*|bench/(__pycache__/.*|\w+\.(xml|vcd|fst))|\w+\.rpt|fusesoc\.conf|\.Xil/.*|vivado.*"  # of the tools
 FOLDED = "folded"  # unless another is asked for: the smaller one
+
+
+class ExportedCore(TypedDict):
+    """A core for FuseSoC."""
+
+    out: str
+    core: str
+    architecture: str
+    files: list[str]
 
 
 def export_fusesoc(project: Project, out: Path | str, architecture: str | None = None) -> dict[str, Any]:

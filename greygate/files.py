@@ -26,9 +26,11 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
+from typing import Literal, TypedDict
 
 from greygate.contents import contents
 from greygate.errors import InputError, shown
+from greygate.plain import Hash
 from greygate.reading import line, named, read_json, table, whole
 from greygate.version import __version__
 
@@ -42,6 +44,15 @@ LACKING = (errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK)  # the fi
 AT_FDCWD, RENAME_EXCHANGE = -100, 2  # linux/fcntl.h, linux/fs.h
 
 _staged: set[Path] = set()  # folders being filled: files in them need no replacing of their own
+
+
+class Manifest(TypedDict):
+    """The files of the folder. A file that it does not list is never replaced."""
+
+    schema: Literal[1]
+    kind: str
+    tool: str
+    files: dict[str, Hash]
 
 
 @contextmanager

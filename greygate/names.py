@@ -15,7 +15,9 @@ LONGEST_UNIT = 40  # characters
 LONGEST_TEXT = 500  # characters of a note, a title or a scenario
 LONGEST_FILE = 238  # characters: file systems take 255, of which `..greygate-commit` (files.py) takes 17
 
-_PART = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+PART = r"[A-Za-z_][A-Za-z0-9_]*"
+
+_PART = re.compile(PART)
 _FILE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _RESERVED = re.compile(
     r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE

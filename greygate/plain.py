@@ -1,11 +1,29 @@
-"""Results as the JSON that greygate writes: without numpy, finite, one indented text."""
+"""Results as the JSON that greygate writes: without numpy, finite, one indented text; and types that declare them."""
 
 import json
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+
+
+class Json(dict):
+    """Keywords of JSON Schema, in `Annotated`; a type among them stands for its schema (greygate/schemas.py)."""
+
+    __hash__ = object.__hash__  # type: ignore[assignment]  # one is no other
+
+
+Figure = Annotated[float, Json(type=["number", "null"])]  # null where it is not finite
+Count = Annotated[int, Json(minimum=0)]
+Hash = Annotated[str, Json(pattern="^[0-9a-f]{64}$")]  # SHA-256
+SOME = Json(minItems=1)
+OTHERS = Json(additionalProperties=True)
+
+
+def span(low: int, high: int) -> Json:
+    """Keywords for a number from low to high."""
+    return Json(minimum=low, maximum=high)
 
 
 def plain(value: Any) -> Any:

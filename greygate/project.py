@@ -9,12 +9,14 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
+from typing import Annotated, Any, NotRequired, TypedDict
 
 import numpy as np
 
 from greygate import children
 from greygate.compiler.emit import emit, sources
-from greygate.compiler.pipeline import Compiled, compile_declared, compile_network, entropy_pruning, fixed_error
+from greygate.compiler.explore.told import Explored
+from greygate.compiler.pipeline import Compiled, Pass, compile_declared, compile_network, entropy_pruning, fixed_error
 from greygate.compiler.quantize import Formats
 from greygate.compiler.study import size
 from greygate.compiler.targets import BOTH, NAMES, Architecture, Design, target
@@ -43,11 +45,25 @@ from greygate.models.network import Network
 from greygate.models.prune import Round, retrained
 from greygate.models.saliency import METHODS, saliency_pruning
 from greygate.models.training.record import Record
-from greygate.plain import json_text
+from greygate.plain import Count, Json, json_text
 from greygate.progress import Progress, silent, titled
 
 RETRAIN_EPOCHS = 4
 COUNTED_STEPS = 4  # of a simulation that only counts the clocks between them
+
+
+class Facts(TypedDict):
+    """What a build was compiled from, and how."""
+
+    source: str
+    recordings: dict[str, str]
+    title: str
+    architectures: Annotated[list[str], Json(minItems=1, uniqueItems=True)]
+    design: Design
+    finer: Count
+    passes: list[Pass]
+    pruning: list[dict[str, Any]]
+    explored: NotRequired[Explored]
 
 
 def compile_project(

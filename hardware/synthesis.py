@@ -10,16 +10,26 @@ import time
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import Annotated
 
 from greygate.compiler.emit import sources
 from greygate.errors import InputError
 from greygate.files import scratch
 from greygate.hardware.families import COUNTED, LARGE, Device, Family, PlaceAndRoute, chosen, placing
 from greygate.hardware.tools import run_tool, yosys
+from greygate.plain import Figure, Json
 from greygate.progress import Progress, silent
 
 HELD = ("luts", "flip_flops", "dsps", "block_rams")  # what of COUNTED a device says how many it has
 NETLIST, STAT, REPORT = "netlist.json", "stat.json", "report.json"
+
+
+Resources = Annotated[
+    dict[str, dict[str, Figure]],
+    Json(minProperties=1),
+    '"ARCHITECTURE, TARGET" -> figures: luts, flip_flops, dsps, block_rams, lut_rams, fits, clock_mhz, clocks, '
+    "us_per_step, meets, or stopped_after_s.",
+]
 
 
 def synthesize(

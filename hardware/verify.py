@@ -16,6 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from greygate.compiler.verilog import lane_width, remark, sign_extended, verilog
 from greygate.emulator.program import Program, Signal
 from greygate.errors import InputError
 from greygate.files import replacing, scratch, writing
+from greygate.plain import Count, Figure
 
 
 @dataclass(frozen=True)
@@ -70,10 +72,10 @@ class Comparison:
     program: str
     architecture: str
     scenario: str
-    steps: int
-    clocks_per_step: float
+    steps: Count
+    clocks_per_step: Figure
     seconds: float
-    mismatch: str | None
+    mismatch: Annotated[str | None, "Step, signal and both values; null if every bit is equal."]
 
     @property
     def step(self) -> int | None:

@@ -5,18 +5,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import monotonic
+from typing import Annotated, NotRequired, TypedDict
 
 import numpy as np
 
 from greygate.errors import InputError
 from greygate.files import replaceable, replacing_folder
 from greygate.identify.halving import WORSE, Halving, Tried, interval, reach, segments, sure_of
-from greygate.identify.looking import look
+from greygate.identify.looking import Seen, look
 from greygate.identify.task import Task, task
 from greygate.models.accuracy import rms
 from greygate.models.network import Network
 from greygate.models.sampling import same
-from greygate.plain import json_text, plain
+from greygate.plain import Count, Figure, json_text, plain
 from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import Recording
 from greygate.progress import Progress, once, silent
@@ -24,6 +25,41 @@ from greygate.progress import Progress, once, silent
 KIND = "identify"  # of the folder's manifest
 UNLIKE = 5.0  # times the median part's error, from which a part is taken to hold what no other does
 SHOWN = 12  # models in the table of a terminal
+
+
+class Row(TypedDict):
+    model: str
+    parameters: Count
+    held_out: Figure
+    fit: Figure
+    seconds: float
+
+
+class Confidence(TypedDict):
+    better_than_linear: float | None
+    better_than_next: float | None
+    next: str | None
+
+
+class IdentifiedFacts(TypedDict):
+    """What was tried and chosen. Errors are RMS in free run in the output's unit; null where it diverges."""
+
+    chosen: Row
+    better_than_mean: bool
+    whole: Figure
+    part_count: Annotated[int, "Parts of each recording, one held out at a time: 8, or 2 where models drift."]
+    parts: Annotated[dict[str, Figure], "Part that was held out -> error over it."]
+    held_out_interval: tuple[Figure, Figure]
+    test: dict[str, Figure]
+    unit: str
+    confidence: Confidence
+    models: list[Row]
+    tried: Count
+    settle: Count
+    seconds: float
+    recordings: dict[str, Seen]
+    out: NotRequired[str]
+    next: NotRequired[list[str]]
 
 
 @dataclass(frozen=True)

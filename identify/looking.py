@@ -1,11 +1,13 @@
 """What a recording is like, before anything is fitted to it: numbers for each channel, and what to do about them."""
 
 from collections.abc import Mapping, Sequence
+from typing import TypedDict
 
 import numpy as np
 from scipy.signal import welch
 
 from greygate.errors import InputError
+from greygate.plain import Count
 from greygate.plants.preparation import estimated_delay
 from greygate.plants.recording import Recording
 
@@ -16,6 +18,26 @@ COARSE = 0.02  # of a signal's deviation: a sensor's step above it is seen in th
 DRIFT = 1.0  # deviations that a signal's mean may move between the first and the last quarter
 LONGEST = 50  # samples of delay that are looked for
 STRIDE = 10.0  # samples in a period of the bandwidth that taps should have
+
+
+class Channel(TypedDict):
+    unit: str
+    range: tuple[float, float]
+    deviation: float
+    step: float
+    levels: Count
+    at_ends: float
+    drift: float
+    bandwidth: float
+
+
+class Seen(TypedDict):
+    samples: Count
+    dt: float
+    channels: dict[str, Channel]
+    delays: dict[str, int | None]
+    stride: Count
+    remarks: list[str]
 
 
 def look(recording: Recording, inputs: Sequence[str], output: str) -> dict:

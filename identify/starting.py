@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypedDict
 
 from greygate.errors import InputError, one_line
 from greygate.files import replacing
@@ -13,6 +14,7 @@ from greygate.models.layer import Layer
 from greygate.models.network import Network, Port
 from greygate.models.ports import ports
 from greygate.names import check_name
+from greygate.plain import Count
 from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import twice
 from greygate.progress import once
@@ -35,6 +37,14 @@ network = Network({name!r}, inputs, outputs, dt=recording.dt)
 {blocks}
 network.check().save({name!r})
 '''
+
+
+class NetworkStart(TypedDict):
+    """A network to start from. delays: input -> samples. next: the command that goes on."""
+
+    written: list[str]
+    delays: dict[str, Count]
+    next: str
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated, TypedDict
 
 import numpy as np
 
@@ -13,10 +14,45 @@ from greygate.models.linearised import Linearised, linearised
 from greygate.models.network import Network
 from greygate.models.residuals import Correlation, asks_for, residual_tests
 from greygate.models.training.record import Record
+from greygate.plain import Count, Figure
 
 LAGS = 25  # of the residual tests, in steps
 MOVED = 12  # weights that are listed as those that moved most
 POINTS, LOWEST, HIGHEST = 80, 1e-3, 0.5  # of a frequency response: how many, from where to where, times the sample rate
+
+
+class Moved(TypedDict):
+    weight: str
+    before: float
+    after: float
+
+
+class Responses(TypedDict):
+    frequency: list[float]
+    pairs: dict[str, list[tuple[float, float]]]
+
+
+class Weight(TypedDict):
+    value: float
+    deviation: Figure
+
+
+class Tested(TypedDict):
+    record: str
+    output: str
+    test: str
+    passed: bool
+    outside: Count
+    lags: Count
+    do: str
+
+
+class EvidenceFigures(TypedDict):
+    moved: list[Moved]
+    poles: Annotated[list[tuple[float, float]], "Real and imaginary part, of one step, the slowest first."]
+    response: Annotated[Responses, "Hz; output/input -> real and imaginary part, in the output's unit per the input's."]
+    weights: Annotated[dict[str, Weight], "Normalised; null where the recordings do not determine it."]
+    tests: list[Tested]
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Annotated, NotRequired, TypedDict
 
 import numpy as np
 
@@ -14,20 +15,64 @@ from greygate.files import making, replacing, writing
 from greygate.identify.baseline import linear_rms
 from greygate.identify.sensors import own_sensors
 from greygate.identify.settling import settling
-from greygate.identify.trained import Evidence, evidence
-from greygate.models.accuracy import free_run_rms, pooled_rms, rms
+from greygate.identify.trained import Evidence, EvidenceFigures, evidence
+from greygate.models.accuracy import Errors, free_run_rms, pooled_rms, rms
 from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.linearised import linearised
 from greygate.models.network import Network
 from greygate.models.training.initial import initialised
 from greygate.models.training.levenberg import Outcome, Start, Trained, multistart, narx_noe, train
 from greygate.models.training.record import Record, held_out
-from greygate.plain import json_text, plain
+from greygate.plain import SOME, Count, Figure, json_text, plain
 from greygate.progress import Progress, silent, titled
 
 ALIKE = 1.05  # factor between the held-out errors of the two best starts, up to which they end alike
 APART = 1.5  # factor from which the best one is luck
 CHECKPOINTS = ("", ".narx", ".shooting")
+
+
+class Run(TypedDict):
+    outcome: str
+    sentence: str
+    epochs: Count
+    loss: Figure
+    seconds: float
+    history: Annotated[list[Figure], "Loss after each epoch, from epoch 0 on."]
+    held: Annotated[list[Figure], "RMS on what is held out after each epoch, normalised; empty where nothing is."]
+
+
+class StartFigures(Run):
+    """held_out: RMS over everything held out, normalised. pole: modulus of the slowest one."""
+
+    start: Count
+    held_out: Figure
+    pole: Figure
+
+
+class Training(Run):
+    """How a network of yours was trained. RMSE in free run, in the output's unit; null where it diverges."""
+
+    rmse: Annotated[Errors, "Recording -> output -> RMSE."]
+    linear: Annotated[Errors, "The same of a linear model of the same orders."]
+    remarks: list[str]
+    settle: Annotated[Count, "First samples that only give the initial state."]
+    offsets: Annotated[
+        dict[str, dict[str, float]],
+        "Recording -> output -> measured less predicted, in its unit, where the offset is the recording's own.",
+    ]
+    gains: NotRequired[
+        Annotated[
+            dict[str, dict[str, float]],
+            "Recording -> output -> measured over predicted, where the gain is the recording's own.",
+        ]
+    ]
+    starts: Annotated[list[StartFigures], SOME, "The chosen one first."]
+    evidence: Annotated[
+        EvidenceFigures,
+        "About the chosen start: what moved, its linearisation, how well weights are known, residual tests of the free "
+        "run.",
+    ]
+    out: str
 
 
 def train_records(

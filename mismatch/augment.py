@@ -12,6 +12,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypedDict
 
 import numpy as np
 
@@ -24,10 +25,11 @@ from greygate.mismatch.effects import Effect, join
 from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.simulation import _form as form
 from greygate.mismatch.simulation import check
-from greygate.models.accuracy import free_run_rms
+from greygate.models.accuracy import Errors, free_run_rms
 from greygate.models.network import Network
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
+from greygate.plain import Count
 from greygate.plants.plant import Values
 from greygate.plants.recording import Recording
 from greygate.progress import Progress, silent, titled
@@ -41,6 +43,23 @@ ROUNDING = 1e-9  # error of the starting position, in its unit, by the rounding 
 
 Kinds = Mapping[str, type[Augmentation]]
 """Plant -> its augmentation; those of the catalogue are `greygate.machines.catalog.AUGMENTED`."""
+
+
+class Trial(TypedDict):
+    joined: Errors
+    trained: Errors
+    neurons: Count
+    seconds: float
+    outcome: str
+
+
+class Augmented(TypedDict):
+    """A network of a plant without and with the physics that a diagnosis named."""
+
+    plant: str
+    effect: str
+    period_s: float
+    networks: dict[str, Trial]
 
 
 def augment(folder: Path | str, diagnosis: Mapping, out: Path | str, kinds: Kinds, progress: Progress = silent) -> dict:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypedDict
 
 import numpy as np
 
@@ -20,6 +21,13 @@ KEPT = 0.75  # share of the recording that is explained; the rest is held out
 UNSURE = 0.5  # tolerance of what was read off the recording
 STEPS = 4  # of the integrator in a sample, or in the shortest time constant
 QUICK, SLOW = 0.05, 0.9995  # share of the past that a sample keeps: beyond them no time constant can be read off
+
+
+class RigStart(TypedDict):
+    """A rig folder to start from. next: the command that goes on."""
+
+    written: list[str]
+    next: str
 
 
 def init_rig(path: Path, record: str, inputs: Sequence[str], outputs: Sequence[str]) -> dict:

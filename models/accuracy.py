@@ -10,6 +10,9 @@ from greygate.models.arithmetic import mean
 from greygate.models.network import Network
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
+from greygate.plain import Figure
+
+Errors = dict[str, dict[str, Figure]]  # recording -> output -> RMS
 
 
 def rms(error: np.ndarray, skip: int = 0) -> float:

@@ -1,10 +1,16 @@
-"""What greygate prints and writes as JSON, against the published schemas."""
+"""What greygate prints and writes as JSON, against the published schemas.
+
+With GREYGATE_EXAMPLES=1 in the environment, what the tests make becomes the examples of its schemas, in
+greygate/examples.json: `GREYGATE_EXAMPLES=1 python -m pytest tests/test_report.py`.
+"""
 
 import json
+import os
+import re
 from functools import cache
 from pathlib import Path
 
-from greygate.schemas import load
+from greygate.schemas import EXAMPLES, examples, load
 
 FILES = {
     **{f"{name}.json": name for name in ("program", "manifest", "diagnosis", "board", "augment", "commitment")},
@@ -14,6 +20,38 @@ FILES = {
 }
 """Name of a file -> its schema."""
 TRAINED = ("train", "identify", "build-snn")  # of NAME.json beside NAME.toml
+
+
+MADE: dict[str, list] = {}  # in this run: name -> examples, each with other fields
+
+
+def valid(name, content):
+    """Check a result, and keep it as an example if that is asked for."""
+    validator(name).validate(content)
+    fresh = all(isinstance(content, dict) and content.keys() != e.keys() for e in MADE.get(name, ()))
+    if fresh and name in examples() and os.environ.get("GREYGATE_EXAMPLES"):
+        MADE.setdefault(name, []).append(short(content))
+        made = {**examples(), **MADE}
+        EXAMPLES.write_text(lines({n: made[n] for n in examples()}), encoding="utf-8")
+
+
+def short(value):
+    """A value whose lists have at most two entries, without folders of this computer."""
+    if isinstance(value, dict):
+        return {key: short(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [short(inner) for inner in value[:2]]
+    return re.sub(r"/\S*/pytest-\d+/[^/\s]+/", "", value) if isinstance(value, str) else value
+
+
+def lines(found):
+    """JSON of lists or tables by name, an entry a line."""
+    blocks = []
+    for name, entries in found.items():
+        named = isinstance(entries, dict)
+        rows = [f"{json.dumps(e)}: " * named + json.dumps(entries[e] if named else e) for e in entries]
+        blocks.append(f"{json.dumps(name)}: {'[{'[named]}\n" + ",\n".join(rows) + f"\n{']}'[named]}")
+    return "{\n" + ",\n".join(blocks) + "\n}\n"
 
 
 @cache
@@ -32,6 +70,6 @@ def valid_files(folder: Path) -> dict[str, str]:
             found[path.name] = next((name for name in TRAINED if validator(name).is_valid(content)), "")
             assert found[path.name], f"{path}: is of none of {TRAINED}"
         elif name := FILES.get(path.name):
-            validator(name).validate(content)
+            valid(name, content)
             found[path.name] = name
     return found

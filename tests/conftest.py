@@ -31,7 +31,7 @@ def every_json_that_a_command_prints_follows_its_schema():
 
     def checked(name, result):
         found = marked(name, result)
-        checking.validator(name).validate(found)
+        checking.valid(name, found)
         return found
 
     with pytest.MonkeyPatch.context() as patch:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from checking import valid
 from networks import delay_line
 from typer.testing import CliRunner
 
@@ -182,9 +183,11 @@ def test_a_users_network_goes_the_whole_road(tmp_path, built):
     assert code == 0
     assert json.loads(out)["steps"] == 60
     assert (tmp_path / "p.csv").read_text().startswith("t_s,y_m\n")
-    code, _, _ = greygate("report", built, "--out", tmp_path / "r.html")
+    code, out, _ = greygate("report", built, "--out", tmp_path / "r.html", "--json")
     assert code == 0
-    study = json.loads((tmp_path / "r.json").read_text())[0]
+    (study,) = json.loads((tmp_path / "r.json").read_text())
+    assert json.loads(out) == [study]
+    valid("report", [study])
     assert study["scenarios"]["train"]["outputs"]["y"]["hardware"]["parallel"]["equals_fixed"]
 
 

@@ -4,7 +4,7 @@ import json
 import re
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NotRequired, TypedDict
 
 from greygate.compiler.emit import emitted
 from greygate.errors import InputError
@@ -13,7 +13,7 @@ from greygate.hardware.board.boards import BAUD, PORTS
 from greygate.hardware.board.frames import seed
 from greygate.hardware.board.package import Package, board, write
 from greygate.hardware.tools import run_tool, yosys
-from greygate.plain import json_text
+from greygate.plain import Count, json_text
 from greygate.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -25,6 +25,25 @@ FULL = "no BELs remaining"  # how nextpnr says that a device is too small
 LATER = (  # what `make` in the folder adds
     r"\w+\.(json|asc|config|bin|bit)|\w+\.vvp|obj_dir/.*|\w+\.rpt|build/.*|\.Xil/.*|vivado.*"
 )
+
+
+class BoardFacts(TypedDict):
+    """A folder for a board."""
+
+    board: str
+    architecture: str
+    port: str
+    baud: int | None
+    clock_mhz: float
+    tick_clocks: Count
+    scenario: str
+    identity: str
+    folder: NotRequired[str]
+    bitstream: NotRequired[str | None]
+    cells: NotRequired[dict[str, Count]]
+    reached_mhz: NotRequired[float]
+    meets: NotRequired[bool]
+    seconds: NotRequired[float]
 
 
 def make(

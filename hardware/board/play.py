@@ -16,6 +16,7 @@ from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.hardware.board.frames import IDLE, NUMBERS, Answer, Frames
 from greygate.hardware.verify import lanes, words
+from greygate.plain import Count
 
 AHEAD = NUMBERS // 2  # requests that may be under way: fewer than the numbers, so that none is taken for another
 LINE = 2048  # bytes that may be under way: more would only wait in the computer
@@ -198,15 +199,15 @@ class Session:
 class Played:
     """What came of it. mismatch: the first differing code, in words, or None."""
 
-    samples: int
-    differing_samples: int
-    differing_bits: int
+    samples: Count
+    differing_samples: Count
+    differing_bits: Count
     mismatch: str | None
     seconds: float
-    resent: int
-    restarts: int
-    overruns: int
-    limited: int
+    resent: Count
+    restarts: Count
+    overruns: Count
+    limited: Count
 
 
 def play(

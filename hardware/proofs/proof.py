@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Annotated
 
 
 @dataclass(frozen=True)
@@ -16,10 +17,10 @@ class Proof:
 
     what: str
     how: str
-    holds: bool | None
+    holds: Annotated[bool | None, "null: nothing was shown."]
     seconds: float = 0.0
     counterexample: str | None = None
-    figures: Mapping[str, float | str | None] = field(default_factory=dict)
+    figures: Mapping[str, float | str | bool | None] = field(default_factory=dict)
     rows: tuple[dict, ...] = ()
 
     def line(self) -> str:

@@ -2,18 +2,33 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Annotated, NotRequired, TypedDict
 
 from greygate.errors import InputError
 from greygate.files import making, replacing, writing
 from greygate.identify.expert.building import Built, build
+from greygate.identify.expert.decisions import Decision
 from greygate.mismatch.rig import load
-from greygate.plain import json_text, plain
+from greygate.models.accuracy import Errors
+from greygate.plain import Count, json_text, plain
 from greygate.plants.plant import Plant
 from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import Recording
 from greygate.progress import Progress, once, silent
 
 RIG = "rig.toml"
+
+
+class BuiltFacts(TypedDict):
+    """A structured network from a plant's equations. Errors are RMS; null where it diverges."""
+
+    rms: Annotated[dict[str, Errors], "network, nominal, linear -> recording -> target -> RMS."]
+    decisions: list[Decision]
+    better: NotRequired[bool]
+    seconds: NotRequired[float]
+    neurons: NotRequired[Count]
+    out: NotRequired[str]
+    next: NotRequired[str]
 
 
 def build_files(

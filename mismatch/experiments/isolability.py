@@ -9,6 +9,7 @@ table's.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
+from typing import TypedDict
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -19,6 +20,8 @@ from greygate.mismatch.experiments.rivals import ITERATIONS
 from greygate.mismatch.experiments.separation import (
     NEEDED,
     WORTH,
+    Described,
+    Sensor,
     Separation,
     Trials,
     deviations,
@@ -29,10 +32,39 @@ from greygate.mismatch.experiments.separation import (
 from greygate.mismatch.fit import Fit, Likelihood, tame
 from greygate.mismatch.model import TINY
 from greygate.mismatch.search import ROUGH, Hypothesis, Search
+from greygate.plain import Figure
 
 FORM = 0.1  # of an effect, by which a machine's may differ from the table's: a smaller difference tells nothing
 TOLD = 1.0  # singular value below which the data sheet knows more than the recording
 WEIGHTY = 0.3  # of a combination of parameters, the least that is named
+
+
+class Apart(Described):
+    apart: Figure
+    here: Figure
+
+
+class Alike(TypedDict):
+    effects: list[str]
+    pair: list[str]
+    here: Figure
+    experiment: Apart | None
+    sensor: Sensor | None
+
+
+class LeftToSheet(TypedDict):
+    singular_value: Figure
+    parameters: dict[str, float]
+
+
+class Isolated(TypedDict):
+    """What a rig's sensors cannot tell apart."""
+
+    plant: str
+    groups: list[Alike]
+    unseen: list[Alike]
+    singular_values: list[Figure]
+    left_to_data_sheet: list[LeftToSheet]
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ itself: the parameters adapt to it as far as the data sheet lets them.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
+from typing import TypedDict
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from greygate.mismatch.experiments.separation import (
     NEEDED,
     REACHES,
     WORTH,
+    Described,
+    Sensor,
     Trial,
     Trials,
     described,
@@ -27,10 +30,33 @@ from greygate.mismatch.experiments.separation import (
     words,
 )
 from greygate.mismatch.fit import Fit
+from greygate.plain import Figure
 from greygate.progress import Progress, silent
 
 LENGTHS = (1.0, 4.0)  # times the usual one; the second where the first tells too little
 LEAST = 0.1  # standard deviations: a distance below is none
+
+
+class PairFacts(TypedDict):
+    one: str
+    other: str
+    here: Figure
+    then: Figure
+    both: Figure
+    told_apart: bool
+    sensor: Sensor | None
+
+
+class Played(Described):
+    reach: float
+
+
+class Proposed(TypedDict):
+    """The experiment that tells apart what a diagnosis does not."""
+
+    plant: str
+    pairs: list[PairFacts]
+    experiment: Played | None
 
 
 @dataclass(frozen=True)

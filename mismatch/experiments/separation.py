@@ -9,6 +9,7 @@ import copy
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TypedDict
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from greygate.mismatch.noise import Noise
 from greygate.mismatch.rig import Channel
 from greygate.mismatch.runs import with_channels
 from greygate.mismatch.several import modelled
+from greygate.plain import Figure
 from greygate.plants.recording import Recording
 
 REACHES = (1.0, 1.5)  # of what was recorded; the second where the first tells too little
@@ -34,6 +36,23 @@ FINE = 1e-3  # of its range: the noise of a sensor that might be added
 LARGEST = float(np.sqrt(np.finfo(float).max))  # range of a signal whose square is a number
 INDEPENDENT = 1e-13  # of the largest singular value, below which parameters count as dependent on each other
 TWO_DIGITS = 10  # from which a distance is written without digits after the point
+
+
+class Span(TypedDict):
+    low: float
+    high: float
+    unit: str
+
+
+class Described(TypedDict):
+    shape: str
+    inputs: dict[str, Span]
+    seconds: float
+
+
+class Sensor(TypedDict):
+    state: str
+    apart: Figure
 
 
 @dataclass(frozen=True)

@@ -3,15 +3,82 @@
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from typing import Annotated, NotRequired, TypedDict
 
 from greygate.errors import InputError
 from greygate.machines.catalog import CATALOG, entry
 from greygate.machines.source import Source
+from greygate.models.spectra import Octave
 from greygate.models.training.initial import initialised
 from greygate.models.validation import Correlation, Covered, Validation, coverage, validate
 from greygate.pages.units import NONE, display, per_cent, shown
-from greygate.plain import plain
+from greygate.plain import Count, Figure, plain
 from greygate.progress import Progress, silent
+
+
+class TestFigures(TypedDict):
+    name: str
+    lags: list[int]
+    values: list[Figure]
+    plain: Figure
+    band: Figure
+    allowed: Count
+    limit: Figure
+    outside: Count
+    passed: bool
+
+
+class Response(TypedDict):
+    frequency: list[float]
+    magnitude: list[Figure]
+    phase: list[Figure]
+    coherence: list[Figure]
+
+
+class LongRunFigures(TypedDict):
+    rms: list[Figure]
+    reach: list[list[Figure]]
+    growth: Figure
+    bounded: bool
+    stable: bool
+
+
+class OutputFigures(TypedDict):
+    record: str
+    output: str
+    unit: str
+    samples: Count
+    skip: Count
+    spread: Figure
+    rms: Figure
+    worst: Figure
+    fit: Figure
+    ahead: Annotated[dict[str, list[Figure]], "Steps ahead -> figures."]
+    tests: Annotated[dict[str, list[TestFigures]], "Residual -> its tests."]
+    response: Response | None
+    octaves: NotRequired[
+        Annotated[
+            list[Octave],
+            "By octave, the fastest first: RMS of error and signal, by Haar's wavelet; at: s from the first sample "
+            "that counts, where the error is most.",
+        ]
+    ]
+    long_run: LongRunFigures
+    bounded: bool
+
+
+class ValidationFigures(TypedDict):
+    """A float network in free run, a few steps ahead, under residual tests, over a long run."""
+
+    title: str
+    name: str
+    parameters: Count
+    period: float
+    training: list[str]
+    bounded: bool
+    outputs: list[OutputFigures]
+    ranges: list[Covered]
+    advice: list[str]
 
 
 @dataclass(frozen=True)
