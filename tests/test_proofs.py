@@ -100,6 +100,40 @@ def test_a_sum_that_takes_over_a_carry_is_proved_and_without_it_is_refused(carry
     assert "is rounded to" in wrong.counterexample
 
 
+QUARTERED = """
+module p_y (input clk, input [5:0] u, output reg [8:0] y);
+    wire signed [9:0] more = $signed(u) * $signed(6'd11);
+    wire [9:0] carried = {{5{u[5]}}, u[5:2], 1'b1} + {more[9], more[9:2], LOW};
+    always @(posedge clk) y <= carried[9:1];
+endmodule
+"""
+BESIDE = """
+module p_y (input clk, input [5:0] u, output reg [8:0] y);
+    wire signed [8:0] more = $signed(u) * $signed(6'd3);
+    always @(posedge clk) y <= more + {7'd0, u[1:0]} - {8'd0, LOW};
+endmodule
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "low", "holds"),
+    [
+        (QUARTERED, "|u[1:0]", True),  # (u + 11 u) / 4: two low bits are dropped, and their carry is taken over
+        (QUARTERED, "u[0]", False),
+        (QUARTERED, "1'b0", False),
+        (BESIDE, "|u[1:0]", False),  # u modulo 4 is not 1 where that is not 0
+    ],
+)
+def test_what_dropped_bits_are_and_whether_any_is_set_are_two_unknowns(tmp_path, text, low, holds):
+    pytest.importorskip("z3")
+    u, y = Signal("u", 1, Fix(6, 4)), Signal("y", 1, Fix(9, 4))
+    affine = Affine(y, ("u",), np.array([[3]]), np.array([0]), np.array([4]))
+    program = Program("p", (Terminal("u", u, "V", 1.0, 0.0),), (), (affine,), (Terminal("y", y, "m", 1.0, 0.0),), ())
+    (tmp_path / "p_y.v").write_text(text.replace("LOW", low))
+    rows, _ = sums([tmp_path / "p_y.v"], program.check())
+    assert (rows.holds is True) is holds, rows.counterexample  # what is not shown is not called right
+
+
 NARROW = """
 module p_n (input clk, input [11:0] u, output reg [15:0] n);
     wire signed [5:0] total = u[5:0] + u[11:6];

@@ -20,14 +20,16 @@ ADDERS = ("$add", "$sub", "$neg")
 LINEAR = (*ADDERS, "$mul", "$pos", "$not", "$shl", "$sshl")
 
 
-class Rest(NamedTuple):
-    """The unknown: a function modulo 2^bits."""
+@dataclass(frozen=True)
+class Rest:
+    """The unknown: a function modulo 2^bits. Never equal to the Some of the same bits, as two named tuples would be."""
 
     of: "Key"
     bits: int
 
 
-class Some(NamedTuple):
+@dataclass(frozen=True)
+class Some:
     """The unknown: 1 if that is not 0, else 0."""
 
     of: "Key"
