@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,8 @@ from greygate.emulator.numbers import Fix, Overflow, Rounding
 from greygate.emulator.program import Affine, Lookup, Program, Signal, State, Terminal
 from greygate.emulator.tables import Symmetry
 from greygate.hardware.proofs.accumulators import accumulators
-from greygate.hardware.proofs.affine import Module
+from greygate.hardware.proofs.affine import Affine as Sum
+from greygate.hardware.proofs.affine import Module, Some
 from greygate.hardware.proofs.bound import bounded, contraction
 from greygate.hardware.proofs.drift import no_drift
 from greygate.hardware.proofs.elaborated import Block, blocks, elaborate
@@ -100,38 +102,96 @@ def test_a_sum_that_takes_over_a_carry_is_proved_and_without_it_is_refused(carry
     assert "is rounded to" in wrong.counterexample
 
 
+TOP = "module p_y (input clk, input [11:0] u, output reg [8:0] y);"
+
+
+def tripled(other: int = 0) -> Program:
+    """Three times an element, and another as often as `other` says."""
+    u, y = Signal("u", 2, Fix(6, 4)), Signal("y", 1, Fix(9, 4))
+    affine = Affine(y, ("u",), np.array([[3, other]]), np.array([0]), np.array([4]))
+    ports = (Terminal("u", u, "V", 1.0, 0.0),), (Terminal("y", y, "m", 1.0, 0.0),)
+    return Program("p", ports[0], (), (affine,), ports[1], ()).check()
+
+
 QUARTERED = """
-module p_y (input clk, input [5:0] u, output reg [8:0] y);
-    wire signed [9:0] more = $signed(u) * $signed(6'd11);
-    wire [9:0] carried = {{5{u[5]}}, u[5:2], 1'b1} + {more[9], more[9:2], LOW};
+    wire signed [9:0] more = $signed(u[5:0]) * $signed(6'd11);
+    wire [9:0] carried = {{5{u[5]}}, u[5:2], 1'b1} + {more[9], more[9:2], BIT};
     always @(posedge clk) y <= carried[9:1];
-endmodule
-"""
+"""  # (u + 11 u) / 4: two low bits are dropped, and their carry is taken over
+AGAIN = """
+    wire signed [9:0] more = $signed(u[5:0]) * $signed(6'd11);
+    wire [9:0] carried = {{5{u[5]}}, u[5:2], 1'b1} + {more[9], more[9:2], |u[1:0]};
+    wire signed [10:0] most = $signed(u[5:0]) * $signed(6'd21);
+    wire [9:0] shared = {{3{carried[9]}}, carried[9:4], 1'b1} + {most[10], most[10:3], BIT};
+    always @(posedge clk) y <= shared[9:1];
+"""  # (3 u + 21 u) / 8, of a sum that has taken over a carry
 BESIDE = """
-module p_y (input clk, input [5:0] u, output reg [8:0] y);
-    wire signed [8:0] more = $signed(u) * $signed(6'd3);
-    always @(posedge clk) y <= more + {7'd0, u[1:0]} - {8'd0, LOW};
-endmodule
+    wire signed [8:0] more = $signed(u[5:0]) * $signed(6'd3);
+    always @(posedge clk) y <= more + {LEFT} - {8'd0, BIT};
 """
 
 
 @pytest.mark.parametrize(
-    ("text", "low", "holds"),
+    ("text", "bit", "holds"),
     [
-        (QUARTERED, "|u[1:0]", True),  # (u + 11 u) / 4: two low bits are dropped, and their carry is taken over
+        (QUARTERED, "|u[1:0]", True),
         (QUARTERED, "u[0]", False),
         (QUARTERED, "1'b0", False),
-        (BESIDE, "|u[1:0]", False),  # u modulo 4 is not 1 where that is not 0
+        (AGAIN, "|carried[3:1]", True),
+        (AGAIN, "|carried[3:0]", False),
+        (BESIDE.replace("LEFT", "8'd0, |u[1:0]"), "|u[1:0]", True),
+        (BESIDE.replace("LEFT", "7'd0, u[1:0]"), "|u[1:0]", False),  # a remainder is not 1 wherever it is not 0
+        (BESIDE.replace("LEFT", "8'd0, |{u[6], u[1:0]}"), "|u[1:0]", False),  # nor is it of another element
     ],
 )
-def test_what_dropped_bits_are_and_whether_any_is_set_are_two_unknowns(tmp_path, text, low, holds):
+def test_what_dropped_bits_are_and_whether_any_is_set_are_two_unknowns(tmp_path, text, bit, holds):
     pytest.importorskip("z3")
-    u, y = Signal("u", 1, Fix(6, 4)), Signal("y", 1, Fix(9, 4))
-    affine = Affine(y, ("u",), np.array([[3]]), np.array([0]), np.array([4]))
-    program = Program("p", (Terminal("u", u, "V", 1.0, 0.0),), (), (affine,), (Terminal("y", y, "m", 1.0, 0.0),), ())
-    (tmp_path / "p_y.v").write_text(text.replace("LOW", low))
-    rows, _ = sums([tmp_path / "p_y.v"], program.check())
+    (tmp_path / "p_y.v").write_text(TOP + text.replace("BIT", bit) + "endmodule")
+    rows, *_ = sums([tmp_path / "p_y.v"], tripled())
     assert (rows.holds is True) is holds, rows.counterexample  # what is not shown is not called right
+
+
+def valued(function: Sum, codes: dict[str, int]) -> int:
+    """The value of a function of elements and of what is left of others."""
+    found = function.const
+    for name, weight in function.weights.items():
+        part = codes[name] if isinstance(name, str) else valued(Sum(dict(name.of[0]), name.of[1]), codes) % 2**name.bits
+        found += weight * (bool(part) if isinstance(name, Some) else part)
+    return int(found)
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_a_remainder_and_whether_it_is_0_have_the_values_that_the_integers_have(seed):
+    draw = np.random.default_rng(seed).integers
+    function = Sum()
+    for _ in range(4):  # each of the one before, as a sum of sums that dropped bits is
+        own = {name: Fraction(int(draw(1, 40)) << int(draw(4))) for name in "ab" if draw(3)}
+        function = Sum(own, Fraction(int(draw(-9, 9)))) + function.times(int(draw(-3, 4)))
+        bits = int(draw(1, 6))
+        rest = function.modulo(bits)
+        some = rest.some()
+        for a, b in draw(-99, 99, (40, 2)).tolist():
+            codes = {"a": a, "b": b}
+            right = valued(function, codes) % 2**bits
+            assert valued(rest, codes) == right
+            assert some is None or valued(some, codes) == bool(right)
+        function = function + rest.times(int(draw(-2, 3))) + (some or Sum()).times(int(draw(-2, 3)))
+
+
+UNREAD = """
+    wire signed [8:0] more = $signed(u[5:0]) * $signed(6'd3);
+    wire signed [8:0] right = $signed(u[11:6]);
+    always @(posedge clk) y <= (more ^ right) + {(more & right), 1'b0};
+endmodule
+"""
+
+
+def test_a_right_sum_of_an_adder_that_is_not_read_is_not_called_wrong(tmp_path):
+    pytest.importorskip("z3")
+    (tmp_path / "p_y.v").write_text(TOP + UNREAD)
+    rows, *_ = sums([tmp_path / "p_y.v"], tripled(1))
+    assert rows.holds is None
+    assert "not known" in rows.counterexample
 
 
 NARROW = """

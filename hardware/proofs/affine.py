@@ -81,6 +81,12 @@ class Affine:
             (name, weight), *_ = weights.items()
             step = (const + weight) % size - const
             return Affine({name: Fraction(step)} if step else {}, Fraction(const))
+        if shared := min((w & -w for n, w in weights.items() if isinstance(n, str)), default=1).bit_length() - 1:
+            whole = Affine({n: Fraction(w) for n, w in weights.items()}, Fraction(const))
+            low = whole.modulo(shared)  # no element has a part in these bits
+            if low.weights.keys() <= weights.keys():
+                above = (whole + low.times(-1)).times(Fraction(1, 1 << shared))
+                return low + above.modulo(bits - shared).times(1 << shared)
         order = sorted(weights, key=repr)
         key = tuple((n, weights[n]) for n in order), const
         minus = tuple((n, size - weights[n]) for n in order), -const % size
@@ -89,6 +95,21 @@ class Affine:
         least = min(key, minus, key=repr)
         rest = Affine({Rest(least, bits): Fraction(1)})
         return rest if key == least else Affine({Some(least, bits): Fraction(size)}) + rest.times(-1)
+
+    def some(self) -> "Affine | None":
+        """1 where a function, as `modulo` gives it, is not 0, else 0; None if that is no affine function."""
+        if any(isinstance(n, str) for n in self.weights):
+            return None
+        names = {(n.of, n.bits) for n in self.weights}
+        if len(names) != 1:
+            return None if names else Affine({}, Fraction(int(self.const != 0)))
+        rest, some = Rest(*(name := names.pop())), Some(*name)
+        weight, other = self.weights.get(rest, Fraction(0)), self.weights.get(some, Fraction(0))
+        if not weight:  # it takes two values
+            never, ever = int(self.const != 0), int(self.const + other != 0)
+            return Affine({some: Fraction(ever - never)} if ever != never else {}, Fraction(never))
+        negated = other == -weight * (1 << rest.bits)  # 0 where the remainder is 0, and only there
+        return Affine({some: Fraction(1)}) if (negated or not other) and not self.const else None
 
 
 def signed_bits(lo: int, hi: int) -> int:
@@ -246,10 +267,8 @@ class Module:
     def _some(self, bits: Sequence[Bit]) -> Value | None:
         """1 if any of the bits is set: of the rest of a function."""
         found = self.number(bits, False, False)
-        for name in found.function.weights if found else ():
-            if isinstance(name, Rest | Some):
-                return Value(Affine({Some(name.of, name.bits): Fraction(1)}), 0, 1)
-        return None
+        function = found.function.some() if found else None
+        return Value(function, 0, 1) if function else None
 
     # -- bits ----------------------------------------------------------------------------------------------------------
 
@@ -293,9 +312,10 @@ class Module:
             return (self._dropped(value, first) if value.fits(first + count, True) else None), count
         if value.fits(first + count, False):
             return self._dropped(value, first), count
-        if first or not value.function.whole:
+        shifted = self._dropped(value, first)
+        if shifted is None or not shifted.function.whole:
             return None, count
-        rest = value.function.modulo(count)
+        rest = shifted.function.modulo(count)
         return self.valued(rest, 0, (1 << count) - 1), count
 
     def _dropped(self, value: Value, bits: int) -> Value | None:

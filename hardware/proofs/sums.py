@@ -17,7 +17,7 @@ from greygate.emulator.numbers import Overflow, Rounding
 from greygate.emulator.program import Affine as Operation
 from greygate.emulator.program import Lookup, Program
 from greygate.errors import InputError
-from greygate.hardware.proofs.affine import Affine, Module, Rest, Some, Unknown, Value, Vector, signed_bits
+from greygate.hardware.proofs.affine import ADDERS, Affine, Module, Rest, Some, Unknown, Value, Vector, signed_bits
 from greygate.hardware.proofs.elaborated import elaborate
 from greygate.hardware.proofs.proof import Proof, timed
 from greygate.hardware.proofs.reach import reachable
@@ -143,13 +143,20 @@ def _row(o: Operation, r: int, wanted: Affine, module: Module, bits: Sequence) -
         same = (step & -step).bit_length() - 1
         solver.add(acc & ((1 << same) - 1) == int(wanted.const) & ((1 << same) - 1))
     rests: dict[Rest | Some, Any] = {}
+    other: list[str] = []  # adders on the way that are no affine functions: what they take need not be the row's sum
 
     def cut(vector: Vector) -> Any:
         value = module.value(vector)
         if value is None:
+            other.extend([module.name(vector)] if module.cells[vector[0]]["type"] in ADDERS else [])
             return None
         variable = z3.BitVec(f"{vector[0]}.{vector[1]}", module.width(vector))
-        _relate(solver, acc, wanted, value, variable, rests, module.name(vector))
+        try:
+            _relate(solver, acc, wanted, value, variable, rests, module.name(vector))
+        except _Different:
+            if other:
+                raise _Unknown(f"what adder {other[0]} computes is not known here") from None
+            raise
         return variable
 
     try:
