@@ -214,6 +214,23 @@ def test_an_adder_that_is_too_narrow_is_named_with_the_range_that_it_should_hold
         assert (name, value.lo, value.hi, value.fits(width, True)) == ("total", *ends, fits)
 
 
+SHORT = """
+module p_n (input clk, input [11:0] u, output reg [6:0] n);
+    wire signed [6:0] total = {{4{u[2]}}, u[2:0]} + {u[11], u[11:6]};
+    always @(posedge clk) n <= total;
+endmodule
+"""
+
+
+@pytest.mark.parametrize(("most", "known"), [(3, True), (4, False)])
+def test_low_bits_that_hold_the_range_of_an_element_are_the_element(tmp_path, most, known):
+    (tmp_path / "p_n.v").write_text(SHORT)
+    elements = {"u[0]": ("u", 0, 6), "u[1]": ("u", 6, 6)}
+    module = Module(elaborate([tmp_path / "p_n.v"], "p_n")["p_n"], elements, {"u[0]": (-4, most)})
+    weights = [dict(value.function.weights) for value, _ in module.sums().values()]
+    assert weights == ([{"u[0]": 1, "u[1]": 1}] if known else [])
+
+
 def test_reachable_codes_are_those_that_the_emulator_reaches():
     program = small()
     codes = np.stack(np.meshgrid(*[np.arange(-32, 32)] * 2), -1).reshape(-1, 2)

@@ -301,11 +301,12 @@ class Module:
         count = 0
         while count < len(found) and found[count] == (vector, first + count):
             count += 1
-        value, width, above = self.value(vector), self.width(vector), found[count:]
+        value, above = self.value(vector), found[count:]
         if value is None:
             return None, count
-        if above and first + count == width and all(bit == (vector, width - 1) for bit in above):
-            return (self._dropped(value, first) if value.fits(width, True) else None), len(found)
+        sign = (vector, first + count - 1)  # of bits that hold the whole range, be they all of the vector or not
+        if above and all(bit == sign for bit in above) and value.fits(first + count, True):
+            return self._dropped(value, first), len(found)
         if not above and modular:
             return self._dropped(value, first), count
         if not above and signed:
