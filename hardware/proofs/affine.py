@@ -98,9 +98,10 @@ class Affine:
 
     def some(self) -> "Affine | None":
         """1 where a function, as `modulo` gives it, is not 0, else 0; None if that is no affine function."""
-        if any(isinstance(n, str) for n in self.weights):
+        unknowns = [n for n in self.weights if not isinstance(n, str)]
+        if len(unknowns) < len(self.weights):
             return None
-        names = {(n.of, n.bits) for n in self.weights}
+        names = {(n.of, n.bits) for n in unknowns}
         if len(names) != 1:
             return None if names else Affine({}, Fraction(int(self.const != 0)))
         rest, some = Rest(*(name := names.pop())), Some(*name)
