@@ -1,6 +1,6 @@
 """From the generic network to the integer program: formats, weights, tables.
 
-A signal of largest value m gets ceil(log2(margin m)) integer bits, and the rest of the word as fraction. A linear
+A signal of largest value m gets floor(log2(margin m)) + 1 integer bits, the rest of the word as fraction. A linear
 layer with the slowest pole a adds up its rounding for M = 1 / (1 - a^2) steps: x more fraction bits, 4^x >= M / 3, keep
 its deviation sqrt(M / 12) 2^-x within half an LSB of the word. Its weights get log2 g more bits where its feedback,
 weights W_d over d steps, amplifies an error by g = max_w |(I - sum_d W_d e^(-jwd))^-1|.
