@@ -21,7 +21,14 @@ demo: $(VENV)/.ready | tools
 	@echo "open $(OUT)/report.html; the Verilog is in $(OUT)/*/rtl"
 
 test: $(VENV)/.ready-dev | tools
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 -m "not nightly"
+
+# What is slow and seldom alone in finding something: fuzz, browsers, random hardware and rigs, every fault of writing, the
+# commands of all pages; then what holds floats once more on an old processor.
+nightly: $(VENV)/.ready-dev docs | tools
+	GREYGATE_FUZZ=10000 GREYGATE_FAULTS=all $(BIN)/python -m pytest -n 2 -m nightly
+	$(BIN)/python benchmarks/made.py
+	$(MAKE) --no-print-directory test-old
 
 # The same on the processor of another age: its BLAS and its numpy compute other last bits. Left out is what has no floats:
 # Verilog, C and what is made of it, browsers, wrong uses, files that break and strangers that break in.

@@ -21,7 +21,10 @@ from greygate.pages import changes as changed
 from greygate.pages.diagnosis import page as diagnosis_page
 from greygate.pages.report import page as report_page
 
-pytestmark = pytest.mark.skipif(bool(browsing.missing()), reason=f"a browser needs {browsing.missing()}")
+pytestmark = [
+    pytest.mark.nightly,
+    pytest.mark.skipif(bool(browsing.missing()), reason=f"a browser needs {browsing.missing()}"),
+]
 SITE = Path(__file__).parents[1] / "build" / "site"
 PAGE = """<!doctype html><html lang=en><meta name=viewport content='width=device-width'><title>x</title>
 <main>{}</main></html>"""

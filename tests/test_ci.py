@@ -43,6 +43,7 @@ def run(scripts: list[str]) -> subprocess.CompletedProcess:
     return done
 
 
+@pytest.mark.nightly
 def test_a_workflow_runs_and_a_worse_build_fails_it(greygate, repository):
     code, said, error = greygate("ci-template", "github", "line.toml", "--", "--record", "a.csv", "--width", "14")
     assert (code, error) == (0, "")

@@ -19,6 +19,8 @@ from greygate.models.training.levenberg import Outcome, multistart, train
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 
+pytestmark = pytest.mark.nightly
+
 METHODS = {
     "gradient_descent": (gradient_descent, {"rate": 0.05}),
     "rtrl": (rtrl, {"rate": 0.02}),

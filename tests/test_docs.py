@@ -42,6 +42,7 @@ def run(command: str) -> None:
     assert done.returncode == 0, f"{command}{done.stdout}{done.stderr}"
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("page", [name for name, blocks in BLOCKS.items() if blocks and name not in NOTEBOOKS])
 def test_the_python_and_the_commands_in_a_page_run(page, folder):
     namespace = {}
@@ -56,6 +57,7 @@ def test_the_python_and_the_commands_in_a_page_run(page, folder):
     valid_files(folder)
 
 
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore")  # of Jupyter's own
 @pytest.mark.parametrize("page", NOTEBOOKS)
 def test_the_notebook_of_a_tutorial_runs(page, folder):

@@ -330,6 +330,7 @@ def fusesoc(folder, target):
     return subprocess.run(command, cwd=folder, env=simulator_environment(), capture_output=True, text=True)
 
 
+@pytest.mark.nightly
 def test_fusesoc_runs_the_scenario_and_every_bit_is_equal(project):
     done = fusesoc(project, "sim")
     assert done.returncode == 0, done.stderr[-2000:]
@@ -337,6 +338,7 @@ def test_fusesoc_runs_the_scenario_and_every_bit_is_equal(project):
     assert fusesoc(project, "lint").returncode == 0
 
 
+@pytest.mark.nightly
 def test_the_simulation_of_fusesoc_fails_where_a_bit_differs(project, tmp_path):
     folder = tmp_path / "core"
     shutil.copytree(project, folder, ignore=shutil.ignore_patterns("build"))

@@ -32,6 +32,8 @@ from greygate.models.training.levenberg import Outcome, Trained
 from greygate.pages import report
 from greygate.project import compile_project
 
+pytestmark = pytest.mark.nightly
+
 ALL = os.environ.get("GREYGATE_FAULTS") == "all"
 SAMPLE = 8  # points of each command and way that `make test` tries, and the last ones
 ENDS = 8  # the last points, in which results are put in their places

@@ -29,6 +29,8 @@ from greygate.models.ports import ports
 from greygate.plants.recording import read_csv
 from greygate.project import compile_project
 
+pytestmark = pytest.mark.nightly
+
 ROOT = Path(__file__).parent.parent
 RIGS = sorted(path.parent for path in (ROOT / "recordings" / "rigs").glob("*/rig.toml"))
 IN_TESTS = 100  # mutants a parser; `make fuzz` takes 10,000

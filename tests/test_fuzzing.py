@@ -5,9 +5,12 @@ import warnings
 from contextlib import suppress
 from pathlib import Path
 
+import pytest
 from fuzzing import MEMORY, Sandbox
 
 from greygate.errors import InputError
+
+pytestmark = pytest.mark.nightly
 
 
 def write(folder: Path) -> None:

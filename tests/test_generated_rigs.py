@@ -9,6 +9,8 @@ from generated_rigs import KINDS, make
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.verdict import Verdict
 
+pytestmark = pytest.mark.nightly
+
 SEEDS = {  # of rigs that take a second or two, one of a kind at least; what each has
     0: "a network in windows",
     1: "a chain, and an effect with a state of its own",

@@ -85,6 +85,7 @@ def case(tmp_path_factory):
     return give
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", CASES)
 def test_what_was_concealed_is_what_is_said(name, case):
     folder, result = case(name)

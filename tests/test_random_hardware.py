@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from networks import random_inputs
 from test_compiler import random_program
 
@@ -15,6 +16,8 @@ from greygate.hardware.verify import Case, Scenario, verify_many
 from greygate.models.families.radial import radial
 from greygate.models.network import Port
 from greygate.models.training.record import Record
+
+pytestmark = pytest.mark.nightly
 
 COUNT = 30
 
