@@ -8,7 +8,7 @@ FOLDERS := models plants emulator compiler rtl mismatch control identify machine
 NO_FLOATS := rtl random_hardware adders_hardware synthesis proofs engine board c99 browser fuzz fuzzing faults attacks \
     names escapes waveform testing ci schemas invocations imports files serial pipelined targets export
 
-.PHONY: demo docs pages test test-old lint types bench bench-training bench-diagnosis bench-rigs bench-programs fuzz faults \
+.PHONY: demo docs pages test nightly test-old lint types bench bench-training bench-diagnosis bench-rigs bench-programs fuzz faults \
     mutants train clean tools bench-accuracy calibrate bench-adders resources proofs bench-board bench-tables \
     bench-flow bench-growth bench-exploring bench-blind bench-next bench-speed bench-c99 bench-fmus bench-importers bench-wheel bench-browser bench-memory bench-kills
 
