@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import count
 from typing import Annotated, Any, Literal, TypedDict
 
@@ -221,7 +221,7 @@ def study(
             "signals": _signals(compiled, records[ranged_on[0]], saturations),
             "weights": [w for o in program.operations if isinstance(o, Affine) for w in _weights(o, program)],
             "tables": [_table(t, program) for t in program.tables],
-            "passes": [asdict(p) for p in compiled.passes],
+            "passes": compiled.passes,
             "references": references,
             "hardware": hardware,
             "resources": resources or {},
@@ -421,7 +421,7 @@ def _weights(o: Affine, program: Program) -> list[dict]:
     return found
 
 
-def _table(t: Table | Lines, program: Program) -> dict:
+def _table(t: Table | Lines, program: Program) -> Lookups:
     """A table of the program: its formats, its worst error, and the operations that look up in it."""
     return {
         "name": t.name,
@@ -436,7 +436,7 @@ def _table(t: Table | Lines, program: Program) -> dict:
     }
 
 
-def size(program: Program) -> dict[str, int]:
+def size(program: Program) -> Size:
     """The size of the program: products of one step, and bits of weights, of states and of tables."""
     affine = [o for o in program.operations if isinstance(o, Affine)]
     return {

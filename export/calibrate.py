@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 from types import TracebackType
-from typing import Annotated, Any, TypedDict
+from typing import Annotated, TypedDict
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -155,7 +155,7 @@ class Unit:
 
 def calibrate(
     path: Path | str, recording: Path | str | Recording, parameters: Sequence[str], progress: Progress = silent
-) -> dict[str, Any]:
+) -> Calibrated:
     """Fit parameters of an FMU to the first part of a recording; judge on the rest.
 
     recording: with a channel for every input of the FMU and for one output or more, in any units. parameters: names.
@@ -196,7 +196,7 @@ class _Tried:
     faults: tuple[Fault, ...]
     values: np.ndarray
     spread: np.ndarray
-    rms: Mapping[str, Mapping[str, float]]
+    rms: dict[str, dict[str, float]]
     parameters: int
 
     @property
@@ -290,13 +290,13 @@ class _Fit:
             np.sqrt(np.mean([(rms[n]["held_out"] / s) ** 2 for n, s in zip(self.outputs, self.scale, strict=True)]))
         )
 
-    def result(self, progress: Progress) -> dict[str, Any]:
+    def result(self, progress: Progress) -> Calibrated:
         progress("fitting the parameters")
         faults: list[Fault] = []
         before = self.rms(np.array(self.start), [])
         values, spread = self.fitted(self.start, [])
         plain = self.rms(values, [])
-        after: Mapping[str, Mapping[str, float]] = plain
+        after = plain
         known = [Fault(n, k, n in self.entered) for n in (*self.entered, *self.outputs) for k in KINDS]
         singles = self._tried([(f,) for f in known], values, progress)
         near = [t.faults[0] for t in sorted(singles, key=lambda t: t.misfit)[:PAIRED]]
@@ -312,7 +312,7 @@ class _Fit:
             "parameters": {
                 n: {
                     "value": float(v),
-                    "interval": [float(v - WIDE * s), float(v + WIDE * s)],
+                    "interval": (float(v - WIDE * s), float(v + WIDE * s)),
                     "start": start,
                     "unit": self.unit.unit(n),
                 }
@@ -335,15 +335,15 @@ class _Fit:
             found.append(_Tried(faults, values, spread, self.rms(values, faults), len(self.parameters)))
         return found
 
-    def _fault(self, fault: Fault, size: float, spread: float) -> dict[str, Any]:
+    def _fault(self, fault: Fault, size: float, spread: float) -> FittedFault:
         by = {"delay": (self.given.dt, "s"), "gain": (1.0, "1")}
         by["offset"] = (float(self.given[fault.channel].std() or 1.0), self.given.units[fault.channel])
         factor, unit = by[fault.kind]
-        ends = [float((size + k * WIDE * spread) * factor) for k in (-1, 1)]
+        low, high = (float((size + k * WIDE * spread) * factor) for k in (-1, 1))
         return {
             "channel": fault.channel,
             "kind": fault.kind,
             "size": float(size * factor),
-            "interval": ends,
+            "interval": (low, high),
             "unit": unit,
         }

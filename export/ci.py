@@ -3,7 +3,7 @@
 import shlex
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
-from typing import Any, TypedDict
+from typing import TypedDict
 
 from greygate.errors import InputError
 from greygate.files import making, replacing
@@ -41,7 +41,7 @@ def write_workflow(
     budget: str = "budget.toml",
     install: str = f"greygate[synthesis]=={__version__}",
     out: Path | str | None = None,
-) -> dict[str, Any]:
+) -> Workflow:
     """Write the workflow, and the budget if there is none, below the current folder; what was written and what is next.
 
     service: a key of `PLACES`. compiling: the network and the options of `greygate compile`, without --out. files:

@@ -1,7 +1,7 @@
 """A design of a build as a folder for FuseSoC, Vivado and Quartus, with benches in Verilog and in cocotb."""
 
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import TypedDict
 
 from greygate.compiler.emit import emitted
 from greygate.compiler.verilog import lane_width
@@ -28,7 +28,7 @@ class ExportedCore(TypedDict):
     files: list[str]
 
 
-def export_fusesoc(project: Project, out: Path | str, architecture: str | None = None) -> dict[str, Any]:
+def export_fusesoc(project: Project, out: Path | str, architecture: str | None = None) -> ExportedCore:
     """Write one design of a build as such a folder, completely or not at all; what it holds.
 
     Raises InputError for an architecture that the build has not, and for Verilog that was changed.

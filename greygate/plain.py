@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from typing import Annotated, Any
 
 import numpy as np
@@ -28,6 +29,8 @@ def span(low: int, high: int) -> Json:
 
 def plain(value: Any) -> Any:
     """What `json.dumps(..., allow_nan=False)` takes: numpy's numbers and arrays become Python's, NaN and inf None."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, str | bool) or value is None:

@@ -45,7 +45,7 @@ from greygate.models.network import Network
 from greygate.models.prune import Round, retrained
 from greygate.models.saliency import METHODS, saliency_pruning
 from greygate.models.training.record import Record
-from greygate.plain import Count, Json, json_text
+from greygate.plain import Count, Json, json_text, plain
 from greygate.progress import Progress, silent, titled
 
 RETRAIN_EPOCHS = 4
@@ -173,9 +173,9 @@ def _write(
         "recordings": {n: str(Path(p).resolve()) for n, p in source.recordings.items()},
         "title": source.title,
         "architectures": list(architectures),
-        "design": asdict(design),
+        "design": design,
         "finer": formats.finer,
-        "passes": [asdict(p) for p in compiled.passes],
+        "passes": list(compiled.passes),
         "pruning": [asdict(r) for r in compiled.pruning],
         **more,
     }
@@ -344,4 +344,4 @@ def clocks_per_step(project: Project, architecture: str, progress: Progress = si
 
 def _write_json(path: Path, value: object) -> None:
     with replacing(path) as temporary:
-        temporary.write_text(json_text(value), encoding="utf-8")
+        temporary.write_text(json_text(plain(value)), encoding="utf-8")

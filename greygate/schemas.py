@@ -127,7 +127,7 @@ class _Maker:
 
     def _named(self, key: Schema, value: Schema) -> Schema:
         found = {"type": "object"} | ({"additionalProperties": value} if value else {})
-        return found if key == {"type": "string"} else found | {"propertyNames": key}
+        return found if key.keys() == {"type"} else found | {"propertyNames": key}
 
     def _listed(self, inner: tuple) -> Schema:
         if len(inner) == 1 or inner[1] is ...:

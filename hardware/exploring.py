@@ -3,13 +3,14 @@
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import partial
 
 from greygate import children
 from greygate.compiler.centre import centre_biases
 from greygate.compiler.explore import Exploration, Point, Request, Room, Unmet, explore, told
 from greygate.compiler.explore.judge import Bound, Judge, Scale
+from greygate.compiler.explore.told import Costed, Explored
 from greygate.compiler.explore.trail import Maker
 from greygate.compiler.quantize import Formats
 from greygate.compiler.ranges import Range
@@ -142,13 +143,13 @@ class Explorer:
         return lines(self.found) if self.found else []
 
     @property
-    def facts(self) -> dict:
+    def facts(self) -> Explored:
         """What compile.json and --json tell of the exploration."""
         assert self.found, "it has explored"
         return facts(self.found)
 
 
-def facts(found: Exploration) -> dict:
+def facts(found: Exploration) -> Explored:
     """An exploration as plain data."""
     request = found.request
     limits = {"error": request.bound.limit, "latency_us": request.latency}
@@ -161,7 +162,7 @@ def facts(found: Exploration) -> dict:
         "programs": found.programs,
         "points": found.points,
         "front": [_facts(p) for p in found.front],
-        "chosen": found.chosen and _facts(found.chosen),
+        "chosen": None if found.chosen is None else _facts(found.chosen),
         "why": found.why,
     }
 
@@ -183,7 +184,7 @@ def _how(p: Point) -> str:
     return (f"x{p.design.multipliers}" if p.architecture == "folded" else f"{p.candidate.formats.width} bits") + memory
 
 
-def _facts(p: Point) -> dict:
+def _facts(p: Point) -> Costed:
     formats, cost = p.candidate.formats, p.cost
     return {
         "error": p.candidate.error,
@@ -194,7 +195,7 @@ def _facts(p: Point) -> dict:
         "period_ns": cost.period,
         "microseconds": cost.microseconds,
         "architecture": p.architecture,
-        "design": asdict(p.design),
+        "design": p.design,
         "width": formats.width,
         "finer": formats.finer,
         "tables": str(formats.tables),

@@ -48,9 +48,9 @@ class IdentifiedFacts(TypedDict):
     better_than_mean: bool
     whole: Figure
     part_count: Annotated[int, "Parts of each recording, one held out at a time: 8, or 2 where models drift."]
-    parts: Annotated[dict[str, Figure], "Part that was held out -> error over it."]
+    parts: Annotated[dict[int, Figure], "Part that was held out -> error over it."]
     held_out_interval: tuple[Figure, Figure]
-    test: dict[str, Figure]
+    test: dict[str, float | None]
     unit: str
     confidence: Confidence
     models: list[Row]
@@ -70,7 +70,7 @@ class Identified:
     chosen: Tried
     network: Network
     search: Halving
-    seen: Mapping[str, dict]
+    seen: dict[str, Seen]
     tests: Mapping[str, Recording]
     seconds: float
 
@@ -104,7 +104,7 @@ def identify(
 # ---- what is told
 
 
-def figures(found: Identified) -> dict:
+def figures(found: Identified) -> IdentifiedFacts:
     """Everything that is told, as plain data."""
     t, search, folds = found.task, found.search, found.search.shared()
     finalists = search.finalists()
@@ -134,7 +134,7 @@ def figures(found: Identified) -> dict:
     }
 
 
-def _row(t: Task, tried: Tried, folds: Sequence[int]) -> dict:
+def _row(t: Task, tried: Tried, folds: Sequence[int]) -> Row:
     spread = float(np.std(np.concatenate([r.targets[t.output.name] for r in t.records.values()])))
     error = tried.over(folds)
     return {
@@ -146,7 +146,7 @@ def _row(t: Task, tried: Tried, folds: Sequence[int]) -> dict:
     }
 
 
-def lines(found: dict) -> list[str]:
+def lines(found: IdentifiedFacts) -> list[str]:
     """What a person reads of the figures."""
     unit = f" {found['unit']}" if found["unit"] != "1" else ""
     rows = [f"{'model':62} {'weights':>7} {'held out':>10} {'fit %':>7} {'s':>6}"]
@@ -185,8 +185,8 @@ def lines(found: dict) -> list[str]:
             f"over the complete recordings it errs by {found['whole']:.4g}{unit}: it drifts in longer runs; "
             "give the input that is missing, or a structure (greygate build-snn)"
         )
-    for name, error in found["test"].items():
-        told.append(f"test {name}: RMSE {'inf' if error is None else format(error, '.4g')}{unit}")
+    for name, missed in found["test"].items():
+        told.append(f"test {name}: RMSE {'inf' if missed is None else format(missed, '.4g')}{unit}")
     return told
 
 
@@ -202,7 +202,7 @@ def identify_files(
     jobs: int,
     settle: int | None,
     progress: Progress = silent,
-) -> dict:
+) -> IdentifiedFacts:
     """Identify from CSV files and write OUT/NAME.toml, .safetensors, .json and recordings of canonical form.
 
     OUT is written completely or not at all; it replaces what an earlier search wrote there, and nothing else. Returns

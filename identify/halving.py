@@ -168,10 +168,11 @@ def sure_of(one: Tried, other: Tried, folds: Sequence[int]) -> float:
     return float(np.mean(a[drawn].mean(1) < b[drawn].mean(1)))
 
 
-def interval(squares: np.ndarray) -> list[float]:
+def interval(squares: np.ndarray) -> tuple[float, float]:
     """95 % of the RMS errors over drawn sets of segments, of mean squared errors `squares` (N,)."""
     found = np.sqrt(squares[draws(len(squares))].mean(1))
-    return [float(v) for v in np.quantile(found, (0.025, 0.975))]
+    low, high = np.quantile(found, (0.025, 0.975))
+    return float(low), float(high)
 
 
 def reach(task: Task, seen: Iterable[Mapping], deepest: int = max(ORDERS)) -> tuple[list[tuple[int, ...]], list[int]]:

@@ -40,7 +40,7 @@ class Seen(TypedDict):
     remarks: list[str]
 
 
-def look(recording: Recording, inputs: Sequence[str], output: str) -> dict:
+def look(recording: Recording, inputs: Sequence[str], output: str) -> Seen:
     """Figures by channel, delays by input, and remarks that say what to do.
 
     Each channel: unit, range, deviation, step (smallest difference, in its unit), share of samples at its ends, drift
@@ -67,14 +67,14 @@ def stride(bandwidth: float, dt: float) -> int:
     return max(int(1 / (STRIDE * bandwidth * dt)), 1)
 
 
-def _channel(x: np.ndarray, unit: str, dt: float) -> dict:
+def _channel(x: np.ndarray, unit: str, dt: float) -> Channel:
     deviation = float(np.std(x))
     steps = np.diff(np.unique(x))
     quarter = max(len(x) // 4, 1)
     ends = float(np.mean((x == x.min()) | (x == x.max())))
     return {
         "unit": unit,
-        "range": [float(x.min()), float(x.max())],
+        "range": (float(x.min()), float(x.max())),
         "deviation": deviation,
         "step": float(steps.min()) if len(steps) else 0.0,
         "levels": len(steps) + 1,

@@ -133,7 +133,7 @@ def init(
     more: Sequence[str],
     order: int,
     python: bool,
-) -> dict:
+) -> NetworkStart:
     """Write a network to start from beside nothing of its name; what was written, and the next command.
 
     inputs: every channel that is no output, if none is given. more: library networks of one input, ahead of the curves.
@@ -160,7 +160,7 @@ def init(
         )
     ins, outs = (ports(recording.channels, recording.units, names) for names in (inputs, outputs))
     seen = [look(recording, inputs, output) for output in outputs]
-    late = {n: min((s["delays"][n] for s in seen if s["delays"][n] is not None), default=1) for n in inputs}
+    late = {n: min((d for s in seen if (d := s["delays"][n]) is not None), default=1) for n in inputs}
     parts = blocks(ins, outs, late, more, order)
     network = joined(name, ins, outs, parts, recording.dt)
     train = f"greygate train {path.with_suffix('.toml')} --record {record} --tail 0.2 --out trained"

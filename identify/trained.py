@@ -85,19 +85,19 @@ class Evidence:
         ]
         return sorted(found, key=lambda w: -abs(w[2] - w[1]))[:MOVED]
 
-    def figures(self) -> dict:
+    def figures(self) -> EvidenceFigures:
         """As data: complex numbers as [real, imaginary]."""
         frequency = self.frequency
-        pairs = {}
+        pairs: dict[str, list[tuple[float, float]]] = {}
         if self.about is not None:
             response = self.about.response(frequency, self.period)
             for o, output in enumerate(self.after.outputs):
                 for u, drive in enumerate(self.after.inputs):
-                    pairs[f"{output.name}/{drive.name}"] = [[v.real, v.imag] for v in response[:, o, u]]
+                    pairs[f"{output.name}/{drive.name}"] = [(v.real, v.imag) for v in response[:, o, u]]
         return {
             "moved": [{"weight": n, "before": a, "after": b} for n, a, b in self.moved()],
-            "poles": [] if self.about is None else [[p.real, p.imag] for p in self.about.poles()],
-            "response": {"frequency": frequency, "pairs": pairs},
+            "poles": [] if self.about is None else [(p.real, p.imag) for p in self.about.poles()],
+            "response": {"frequency": frequency.tolist(), "pairs": pairs},
             "weights": {n: {"value": v, "deviation": s} for n, (v, s) in self.weights.items()},
             "tests": [
                 {"record": record, "output": output, "test": t.name, "passed": t.passed, "outside": t.outside,

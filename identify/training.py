@@ -46,7 +46,7 @@ class StartFigures(Run):
 
     start: Count
     held_out: Figure
-    pole: Figure
+    pole: float | None
 
 
 class Training(Run):
@@ -234,7 +234,7 @@ def _library(network: Network, prefix: str = "") -> list[str]:
     return found
 
 
-def _told(fit: Trained) -> dict:
+def _told(fit: Trained) -> Run:
     """How a training went. held: root mean square by epoch, normalised."""
     return {
         "outcome": fit.outcome.name.lower(),
@@ -247,7 +247,7 @@ def _told(fit: Trained) -> dict:
     }
 
 
-def _start(start: Start, record: Record) -> dict:
+def _start(start: Start, record: Record) -> StartFigures:
     """One start, for the comparison of all. pole: modulus of the slowest one, about the means of the record."""
     about = linearised(start.fit.network, record)
     poles = np.abs(about.poles()) if about else np.zeros(0)

@@ -28,6 +28,7 @@ from greygate.mismatch.fit import Likelihood
 from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.search import Search
 from greygate.mismatch.simulation import asked, read, simulate
+from greygate.mismatch.told import Rms
 from greygate.models import accuracy
 from greygate.plants.recording import Recording
 from greygate.progress import Progress, silent
@@ -202,7 +203,7 @@ def isolable(
 
 def predict(
     folder: Path, recording: Path, diagnosis: Path | None, out: Path, own: Sequence[Path] = (), name: str | None = None
-) -> dict[str, dict]:
+) -> dict[str, Rms]:
     """Write `t`, as it stands in `recording`, and the predicted channels to the CSV file `out`.
 
     name: of the recording of rig.toml whose own parameters hold, by default that of the file.
@@ -220,7 +221,7 @@ def predict(
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["t", *found])
         writer.writerows(zip(clock, *(values.tolist() for values in found.values()), strict=True))
-    rms = {}
+    rms: dict[str, Rms] = {}
     for name, values in found.items():
         with np.errstate(over="ignore", invalid="ignore"):
             error = accuracy.rms(values - measured[name])

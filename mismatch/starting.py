@@ -30,7 +30,7 @@ class RigStart(TypedDict):
     next: str
 
 
-def init_rig(path: Path, record: str, inputs: Sequence[str], outputs: Sequence[str]) -> dict:
+def init_rig(path: Path, record: str, inputs: Sequence[str], outputs: Sequence[str]) -> RigStart:
     """Write the folder of a rig that `greygate diagnose` takes; what was written, and the next command.
 
     The plant is a placeholder: every output follows the inputs with a lag, whose numbers are read off the recording.

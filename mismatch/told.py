@@ -97,6 +97,12 @@ class Diagnosed(TypedDict):
     noise: NotRequired[dict[str, Noisy]]
 
 
+class Rms(TypedDict):
+    rms: float | None
+    unit: str
+    finite: bool
+
+
 class Failed(TypedDict):
     error: str
 

@@ -3,7 +3,7 @@
 from typing import Annotated, TypedDict
 
 from greygate.compiler.targets import Design
-from greygate.plain import Count, Figure
+from greygate.plain import Count
 
 
 class Costed(TypedDict):
@@ -33,7 +33,7 @@ class Explored(TypedDict):
     device: str
     family: str
     error_in: str
-    request: Annotated[dict[str, Figure], "The limits; null where none is set."]
+    request: Annotated[dict[str, float | None], "The limits; null where none is set."]
     programs: Count
     points: Count
     front: list[Costed]

@@ -1,6 +1,5 @@
 """Commands that bring a folder of `greygate compile` onto a board: board, play."""
 
-from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -77,6 +76,7 @@ def play(
 
     Exit code 1 if a bit differs.
     """
+    from greygate.cli.printed import Playing
     from greygate.emulator.engine import run
     from greygate.hardware.board.play import opened
     from greygate.hardware.board.play import play as through
@@ -88,8 +88,8 @@ def play(
     with opened(port, baud) as line, counting(f"playing {recording}", len(codes)) as told:
         played = through(project.program, codes, answer.outputs, line, told)
     saturations = {name: count for name, count in answer.saturations.items() if count}
-    counted = {"saturations": saturations, "clipped": clipped}
-    give("play", asdict(played) | counted, as_json, _lines(played, saturations, clipped))
+    result = Playing(**vars(played), saturations=saturations, clipped=clipped)
+    give("play", result, as_json, _lines(played, saturations, clipped))
     if played.differing_bits:
         raise typer.Exit(1)
 

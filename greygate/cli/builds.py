@@ -1,6 +1,5 @@
 """Commands on folders that `greygate compile` wrote: emulate, verify, prove, synthesize, report, compare."""
 
-from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,6 +12,7 @@ from greygate.errors import InputError
 from greygate.hardware.families import PLACED, TARGETS
 
 if TYPE_CHECKING:
+    from greygate.cli.printed import Comparing, Emulating, Proving, Verifying
     from greygate.emulator.program import Clipped, Terminal
 
 _targets = {name.upper().replace("-", "_"): name for name in TARGETS}
@@ -41,8 +41,8 @@ def emulate(
     counted = f"saturations {answer.saturations or 'none'}, clipped inputs {len(answer.clipped) or 'none'}"
     lines = [f"{answer.steps} steps, {counted}"]
     lines += [_clipping(p, answer.clipped[p.name]) for p in project.program.inputs if p.name in answer.clipped]
-    result = {"steps": answer.steps, "saturations": answer.saturations}
-    result |= {"clipped": {name: asdict(found) for name, found in answer.clipped.items()}, "out": str(out)}
+    counts = dict(answer.saturations)
+    result: Emulating = {"steps": answer.steps, "saturations": counts, "clipped": dict(answer.clipped), "out": str(out)}
     give("emulate", result, as_json, [*lines, f"written to {out}"])
 
 
@@ -83,7 +83,8 @@ def verify(
     passed = all(r.passed for r in results.values())
     waveforms = {name: str(r.waveform) for name, r in results.items() if r.waveform is not None}
     lines += [f"waveform of the first step that differs: {path}" for path in waveforms.values()]
-    give("verify", {"passed": passed, "verdicts": [vars(v) for v in verdicts], "waveforms": waveforms}, as_json, lines)
+    result: Verifying = {"passed": passed, "verdicts": verdicts, "waveforms": waveforms}
+    give("verify", result, as_json, lines)
     if not passed:
         raise typer.Exit(1)
 
@@ -110,9 +111,10 @@ def prove(
     with following(f"proving {project.program.name}") as progress:
         proofs = run(project, tuple(only), target.value, tuple(architecture), steps, limit, progress)
     holds = all(proof.holds is not False for proof in proofs)
+    result: Proving = {"holds": holds, "proofs": proofs}
     give(
         "prove",
-        {"holds": holds, "proofs": [asdict(proof) for proof in proofs]},
+        result,
         as_json,
         [proof.line() for proof in proofs],
     )
@@ -228,7 +230,7 @@ def compare(
     if out is not None:
         write(page(found, str(old), str(new)), out)
     worse = [one for one in found if one.worse]
-    result = {"worse": len(worse), "differences": [asdict(one) | {"growth": one.growth} for one in found]}
+    result: Comparing = {"worse": len(worse), "differences": [{**vars(one), "growth": one.growth} for one in found]}  # type: ignore[typeddict-item]
     verdict = f"{len(worse)} of {len(found)} figures worse than allowed" if worse else "no figure worse than allowed"
     give("compare", result, as_json, [*aligned(rows(found), LEFT), verdict, *([f"written to {out}"] if out else [])])
     if worse:

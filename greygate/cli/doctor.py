@@ -1,10 +1,13 @@
 """The command that looks at the machine: doctor."""
 
-from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 import typer
 
 from greygate.cli.terminal import Json, give
+
+if TYPE_CHECKING:
+    from greygate.cli.printed import Doctor
 
 
 def doctor(as_json: Json = False) -> None:
@@ -28,7 +31,7 @@ def doctor(as_json: Json = False) -> None:
     ]
     healthy = all(tool.version or not tool.needed for tool in found)
     verdict = "every command of the plain installation can run" if healthy else "some commands cannot run: see MISSING"
-    result = {"greygate": __version__, "healthy": healthy, "tools": [asdict(tool) for tool in found]}
+    result: Doctor = {"greygate": __version__, "healthy": healthy, "tools": found}
     lines = [f"greygate {__version__}", *aligned(rows, ("name", "version", "for", "remedy")), verdict]
     give("doctor", result, as_json, lines)
     if not healthy:

@@ -2,11 +2,14 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from greygate.cli.terminal import Json, following, give
+
+if TYPE_CHECKING:
+    from greygate.cli.printed import ExportedMjcf
 
 app = typer.Typer(help="Write a build, a rig or a plant for another tool.", no_args_is_help=True)
 Folder = Annotated[Path, typer.Argument(metavar="BUILD", help="A folder that `greygate compile` wrote.")]
@@ -117,8 +120,6 @@ def mjcf(
     as_json: Json = False,
 ) -> None:
     """Write damping, dry friction and added inertia of a plant as joint classes of MuJoCo, as it is or corrected."""
-    from dataclasses import asdict
-
     from greygate.export.export import export_mjcf
     from greygate.mismatch.simulation import read
 
@@ -129,9 +130,10 @@ def mjcf(
         sizes = [f"{what} {getattr(one, what):.6g} ({', '.join(terms)})" for what, terms in one.carried.items()]
         lines.append(f"{one.name}: {'; '.join(sizes) or 'nothing resists'}")
         lines += [f"  not here: {', '.join(one.left)}"] * bool(one.left)
+    result: ExportedMjcf = {"out": str(out), "joints": found}
     give(
         "export-mjcf",
-        {"out": str(out), "joints": [asdict(one) for one in found]},
+        result,
         as_json,
         [*lines, f"written to {out}"],
     )

@@ -11,6 +11,7 @@ from greygate.hardware.board.play import Played
 from greygate.hardware.proofs.proof import Proof
 from greygate.hardware.verify import Comparison
 from greygate.mismatch.concealed.told import Score, Sealed
+from greygate.mismatch.told import Rms
 from greygate.plain import Count, Figure, Hash, Json
 
 Catalogue = Annotated[dict[str, str], "Name -> title of a network or a machine of the catalogue."]
@@ -198,12 +199,6 @@ class Revealing(Revealed, Score):
 
 
 Reveal = Annotated[Revealing | Revealed, "The sealed answer, and the score of a diagnosis if there is one."]
-
-
-class Rms(TypedDict):
-    rms: float | None
-    unit: str
-    finite: bool
 
 
 class Simulating(TypedDict):

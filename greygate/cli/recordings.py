@@ -2,13 +2,16 @@
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from greygate.cli import options
 from greygate.cli.terminal import Json, give, say
 from greygate.errors import InputError
+
+if TYPE_CHECKING:
+    from greygate.cli.printed import ChannelRead, Looking
 
 AUTO = "auto"
 SHOWN = 6  # names in a message
@@ -58,7 +61,7 @@ def look(
     if missing := [c.name for c in found if c.unit == UNKNOWN]:
         names = ", ".join(missing[:SHOWN]) + (", ..." if len(missing) > SHOWN else "")
         say(f"no unit is told of {names}; give --unit {missing[0]}=UNIT, or =1 for none, for each")
-    channels = [
+    channels: list[ChannelRead] = [
         {
             "name": c.name,
             "unit": c.unit,
@@ -74,7 +77,8 @@ def look(
         }
         for c in found
     ]
-    give("look", {"recording": str(recording), "channels": channels}, as_json, lines)
+    result: Looking = {"recording": str(recording), "channels": channels}
+    give("look", result, as_json, lines)
 
 
 def _unit(text: str) -> tuple[str, str]:

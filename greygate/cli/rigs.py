@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -10,6 +10,9 @@ from greygate.cli import options
 from greygate.cli.backends import Backend, Scheduler, joblib_on
 from greygate.cli.terminal import Json, finite, following, give, say
 from greygate.errors import InputError
+
+if TYPE_CHECKING:
+    from greygate.cli.printed import Simulating
 
 Tables = Annotated[list[Path], typer.Option(help="TOML file with effects to try besides greygate's own.")]
 RigFolder = Annotated[Path, typer.Argument(metavar="RIG_FOLDER", help="Folder that holds rig.toml.")]
@@ -141,7 +144,8 @@ def simulate(
     lines = [
         f"{name:10} RMS of simulated minus recorded {finite(e['rms'], '.5g')} {e['unit']}" for name, e in rms.items()
     ]
-    give("simulate", {"out": str(out), "rms": rms}, as_json, [*lines, f"written to {out}"])
+    result: Simulating = {"out": str(out), "rms": rms}
+    give("simulate", result, as_json, [*lines, f"written to {out}"])
     if not all(e["finite"] for e in rms.values()):
         say("greygate: the simulation diverges")
         raise typer.Exit(1)

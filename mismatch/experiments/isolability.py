@@ -81,7 +81,7 @@ class Group:
     experiment: Separation | None
     sensor: tuple[str, float] | None
 
-    def as_dict(self, units: Mapping[str, str]) -> dict:
+    def as_dict(self, units: Mapping[str, str]) -> Alike:
         named = dict(zip(("state", "apart"), self.sensor, strict=True)) if self.sensor else None
         tried = self.experiment.as_dict(units) if self.experiment else None
         return {"effects": self.effects, "pair": self.pair, "here": self.here, "experiment": tried, "sensor": named}

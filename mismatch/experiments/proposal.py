@@ -83,7 +83,7 @@ class Pair:
     def told(self) -> bool:
         return self.then is not None and self.then > self.needed
 
-    def as_dict(self) -> dict:
+    def as_dict(self) -> PairFacts:
         named = dict(zip(("state", "apart"), self.sensor, strict=True)) if self.sensor else None
         figures = {"here": self.here, "then": self.then, "both": self.both}
         return {"one": self.one, "other": self.other, **figures, "told_apart": self.told, "sensor": named}

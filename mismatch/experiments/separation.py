@@ -85,7 +85,7 @@ class Separation:
         return f"{words(self.experiment, units)}; {deviations(self.apart)} apart, here {figure(self.here)}"
 
 
-def described(experiment: Experiment, units: Mapping[str, str]) -> dict:
+def described(experiment: Experiment, units: Mapping[str, str]) -> Described:
     """shape, inputs: channel -> low, high, unit; seconds."""
     spans = {
         n: {"low": float(np.min(s)), "high": float(np.max(s)), "unit": units[n]} for n, s in experiment.inputs.items()
