@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, TypedDict
 
 import numpy as np
 
-from greygate.compiler.explore.told import Explored
+from greygate.compiler.explore.printed import Explored
 from greygate.compiler.pipeline import Compiled, Pass, quantize_centred
 from greygate.compiler.quantize import Formats
 from greygate.emulator.engine import run

@@ -15,7 +15,7 @@ import numpy as np
 
 from greygate import children
 from greygate.compiler.emit import emit, sources
-from greygate.compiler.explore.told import Explored
+from greygate.compiler.explore.printed import Explored
 from greygate.compiler.pipeline import Compiled, Pass, compile_declared, compile_network, entropy_pruning, fixed_error
 from greygate.compiler.quantize import Formats
 from greygate.compiler.study import size

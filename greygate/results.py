@@ -47,7 +47,7 @@ RESULTS = {
     "emulate": Result("greygate emulate --json", "cli.printed:Emulating"),
     "explored": Result(
         "greygate compile --device DEVICE --json, where no design meets the request (exit code 1)",
-        "compiler.explore.told:Explored",
+        "compiler.explore.printed:Explored",
     ),
     "export-c": Result("greygate export c --json", "cli.printed:ExportedC"),
     "export-fmu": Result("greygate export fmu --json", "export.export:ExportedFmu"),

@@ -10,7 +10,7 @@ from greygate import children
 from greygate.compiler.centre import centre_biases
 from greygate.compiler.explore import Exploration, Point, Request, Room, Unmet, explore, told
 from greygate.compiler.explore.judge import Bound, Judge, Scale
-from greygate.compiler.explore.told import Costed, Explored
+from greygate.compiler.explore.printed import Costed, Explored
 from greygate.compiler.explore.trail import Maker
 from greygate.compiler.quantize import Formats
 from greygate.compiler.ranges import Range
@@ -20,6 +20,7 @@ from greygate.errors import InputError
 from greygate.hardware.families import DEVICES
 from greygate.models.network import Network
 from greygate.models.training.record import Record
+from greygate.plain import plain
 from greygate.plants.readers.units import factor
 from greygate.progress import Progress, silent
 
@@ -154,7 +155,7 @@ def facts(found: Exploration) -> Explored:
     request = found.request
     limits = {"error": request.bound.limit, "latency_us": request.latency}
     limits |= dict(zip(("luts", "dsps", "memories"), _limits(request.room), strict=True))
-    return {
+    content: Explored = {
         "device": request.device,
         "family": request.family,
         "error_in": request.bound.unit if request.bound.scale is Scale.UNIT else str(request.bound.scale),
@@ -165,6 +166,7 @@ def facts(found: Exploration) -> Explored:
         "chosen": None if found.chosen is None else _facts(found.chosen),
         "why": found.why,
     }
+    return plain(content)
 
 
 def lines(found: Exploration) -> list[str]:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated, Any, NotRequired, TypedDict
 
-from greygate.compiler.explore.told import Explored
+from greygate.compiler.explore.printed import Explored
 from greygate.doctor import Tool
 from greygate.emulator.program import Clipped
 from greygate.export.mjcf import Joint
