@@ -1,6 +1,4 @@
-"""Adders of constant matrices: our solver beside alkaid's on the same integer matrices (`make bench-adders`).
-
-python benchmarks/adders.py MATRICES.json [--peers build/alkaid/bin/python] [--bits 16 12 10 8] [--efforts 0 1 4]
+"""Adders of constant matrices: our solver beside alkaid's on the same integer matrices.
 
 MATRICES.json holds `cases`: name, bits, matrix (inputs, outputs; y = x @ M). Without it, random matrices are solved.
 The peer is alkaid's `cmvm_solve` with its defaults, in this run and in the interpreter that --peers names; without it,
@@ -8,17 +6,22 @@ the figures that the file brings are shown. Adders are additions and subtraction
 LUTs, `bits` ours; seconds are of the processor. build/adders.json keeps what it printed.
 """
 
-import argparse
 import json
 import subprocess
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from greygate.compiler.adders import Graph, solve
 
-OUT = Path(__file__).parents[1] / "build" / "adders.json"
+from .made import ROOT
+from .shared import stopwatch
+
+TAKES = "not timed"
+OUT = ROOT / "build" / "adders.json"
 WIDTH = 16  # bits of every input code
 SIZES = ((8, 8), (16, 16), (32, 32), (100, 100))  # random matrices for growth: 64 to 10,000 weights
 GROWTH_BITS = 12
@@ -40,24 +43,23 @@ json.dump(found, sys.stdout)
 """
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("matrices", type=Path, nargs="?")
-    parser.add_argument("--peers", help="a Python interpreter that imports alkaid")
-    parser.add_argument("--bits", type=int, nargs="*", default=[16, 12, 10, 8])
-    parser.add_argument("--efforts", type=float, nargs="*", default=[0.0, 1.0])
-    arguments = parser.parse_args()
+def main(
+    matrices: Path | None = None,
+    *,
+    peers: Annotated[str, "a Python interpreter that imports alkaid"] = "",
+    bits: Sequence[int] = (16, 12, 10, 8),
+    efforts: Sequence[float] = (0.0, 1.0),
+) -> None:
     solve(np.array([[5], [45], [225]]), [WIDTH])  # numba compiles, or reads what it compiled
     result: dict = {"width": WIDTH, "cases": [], "sums": [], "growth": []}
-    if arguments.matrices:
-        given = json.loads(arguments.matrices.read_text(encoding="utf-8"))["cases"]
-        cases = [c for c in given if c["bits"] in arguments.bits]
-        peers = beside(arguments.peers, [c["matrix"] for c in cases]) if arguments.peers else [None] * len(cases)
-        result["cases"] = [measured(c, arguments.efforts, p) for c, p in zip(cases, peers, strict=True)]
-        result["sums"] = sums(result["cases"], arguments.efforts)
+    if matrices:
+        cases = [c for c in json.loads(matrices.read_text(encoding="utf-8"))["cases"] if c["bits"] in bits]
+        found = beside(peers, [c["matrix"] for c in cases]) if peers else [None] * len(cases)
+        result["cases"] = [measured(c, efforts, p) for c, p in zip(cases, found, strict=True)]
+        result["sums"] = sums(result["cases"], efforts)
     save(result)
     for size in SIZES:
-        result["growth"].append(growth(*size, arguments.efforts))
+        result["growth"].append(growth(*size, efforts))
         save(result)
 
 
@@ -66,7 +68,7 @@ def save(result: dict) -> None:
     OUT.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
-def measured(case: dict, efforts: list[float], peer: dict | None) -> dict:
+def measured(case: dict, efforts: Sequence[float], peer: dict | None) -> dict:
     """One matrix by each effort, beside the peer in this run or, without one, as the file has it."""
     weights = np.array(case["matrix"]).T
     row = {"name": case["name"], "bits": case["bits"], "shape": list(weights.shape), "ours": {}}
@@ -81,19 +83,19 @@ def measured(case: dict, efforts: list[float], peer: dict | None) -> dict:
 
 
 def figures(weights: np.ndarray, effort: float) -> dict:
-    began = time.process_time()
+    watch = stopwatch(time.process_time)
     graph: Graph = solve(weights, [WIDTH] * weights.shape[1], effort=effort)
-    seconds = time.process_time() - began
+    seconds = watch(3)
     return {
         "adders": graph.adders,
         "bits": graph.adder_bits,
         "depth": graph.depth,
         "negations": graph.negations,
-        "seconds": round(seconds, 3),
+        "seconds": seconds,
     }
 
 
-def sums(cases: list[dict], efforts: list[float]) -> list[dict]:
+def sums(cases: list[dict], efforts: Sequence[float]) -> list[dict]:
     """The sums over the matrices of each network (the name before the first dot) and number of bits."""
     found = []
     for network, bits in dict.fromkeys((c["name"].split(".")[0], c["bits"]) for c in cases):
@@ -117,7 +119,7 @@ def beside(interpreter: str, matrices: list) -> list[dict]:
     return json.loads(answer.stdout)
 
 
-def growth(rows: int, columns: int, efforts: list[float]) -> dict:
+def growth(rows: int, columns: int, efforts: Sequence[float]) -> dict:
     """Seconds and adders of a random matrix."""
     draw = np.random.default_rng(rows)
     weights = draw.integers(-(1 << (GROWTH_BITS - 1)), 1 << (GROWTH_BITS - 1), (rows, columns))
@@ -125,7 +127,3 @@ def growth(rows: int, columns: int, efforts: list[float]) -> dict:
     row |= {f"effort {e:g}": figures(weights, e) for e in efforts}
     print(row, flush=True)
     return row
-
-
-if __name__ == "__main__":
-    main()

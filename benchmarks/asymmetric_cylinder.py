@@ -1,23 +1,18 @@
-"""The asymmetric cylinder beside the thesis (section 5.4): `python benchmarks/asymmetric_cylinder.py [PART ...]`.
+"""The asymmetric cylinder beside the thesis (section 5.4).
 
     filters       the kept network behind the thesis's filters and others, looking ahead and causal
     white_box     the equations (5.2), (5.5) with the data sheet's numbers, in the network's place (fig. 5.18)
     black_boxes   NARX with the taps of (5.14), 10 neurons, and output error from its weights (table 5.6); two starts
     changes       how far training moved the weights
 
-What is found is kept in results/asymmetric_cylinder.json, from which `make pages` writes the tables. A black
-box is chosen among its starts by its free run over the last fifth of the training run.
+A black box is chosen among its starts by its free run over the last fifth of the training run.
 """
 
-import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from made import keep
-from threadpoolctl import threadpool_limits
-from valve_cylinder import TAIL, at_rest, free_run, one_step
 
 from greygate.machines import catalog
 from greygate.machines.asymmetric_cylinder.plant import SAMPLE_TIME, SENSORS, asymmetric_cylinder
@@ -38,7 +33,11 @@ from greygate.models.training.record import Record
 from greygate.plants.preparation import filtered
 from greygate.plants.recording import Recording
 
-BAR = 1e5
+from .shared import say
+from .valve_cylinder import BAR, TAIL, at_rest, free_run, one_step
+
+TAKES = "not timed"
+
 STARTS = 2
 SUBSTEPS = 10  # of a sample, in which the equations are integrated
 INPUTS = {Port("u", "V", 5.0): (0, 1), Port("x", "m", 0.05): (0, 1), Port("v", "m/s", 0.2): (0, 1)}
@@ -139,7 +138,7 @@ def _black_box(chamber: str, port: Port) -> dict:
         found = {"narx": one_step(narx, training), "tail": np.inf if diverged else free_run(fit.network, judged)}
         found |= {name: float(free_run(fit.network, run)) for name, run in runs.items()}
         starts.append(found | {"seconds": seconds})
-        print(f"{chamber}, start {seed}: {starts[-1]}", file=sys.stderr, flush=True)
+        say(f"{chamber}, start {seed}: {starts[-1]}")
     return {"chosen": min(starts, key=lambda s: s["tail"]), "starts": starts}
 
 
@@ -157,9 +156,4 @@ def changes() -> dict:
     return found
 
 
-PARTS: dict[str, Callable[[], dict]] = {p.__name__: p for p in (filters, white_box, black_boxes, changes)}
-
-if __name__ == "__main__":
-    with threadpool_limits(1, "blas"):
-        for part in sys.argv[1:] or PARTS:
-            keep("asymmetric_cylinder", part, PARTS[part]())
+PARTS = {p.__name__: p for p in (filters, white_box, black_boxes, changes)}

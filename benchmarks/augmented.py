@@ -1,14 +1,13 @@
 """From a concealed rig to verified Verilog, without and with the module of what was concealed: docs/augmented.md.
 
-python benchmarks/augmented.py FOLDER [--hardware] : conceal, diagnose, augment; with --hardware compile and verify both
-networks in FOLDER. Prints the page's table, draws its picture, keeps networks and figures in results/augmented.
+Conceals, diagnoses, augments; with --hardware compiles and verifies both networks in FOLDER. Prints the page's table,
+draws its picture, keeps networks and figures in results/augmented.
 """
 
 import json
-import sys
 from pathlib import Path
 
-from made import stamp
+from pictures import FOLDER, over_time, panel, picture
 
 from greygate.compiler.quantize import Formats
 from greygate.compiler.targets import BOTH
@@ -23,11 +22,11 @@ from greygate.models.accuracy import float_error
 from greygate.models.network import Network
 from greygate.project import compile_project, fixed_and_float, verify_project
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
-from pictures import FOLDER, over_time, panel, picture
+from .made import place, stamp
+from .shared import say
 
+TAKES = "not timed"
 CASES = {"cable_drum": (3, "speed_slip"), "valve_hydraulic": (8, "internal_leakage")}
-RESULTS = Path(__file__).parent / "results" / "augmented"
 UNITS = {"slip": (1e6, "µm"), "p_a": (1e-5, "bar"), "p_b": (1e-5, "bar")}
 
 
@@ -37,11 +36,11 @@ def chain(folder: Path, plant: str) -> dict:
     rig, told = folder / plant / "rig", folder / plant / "diagnosis.json"
     conceal(plant, seed, rig, kind="one", effect=effect)
     diagnosis, lines = explain(rig, told)
-    print(*lines, sep="\n", file=sys.stderr, flush=True)
+    say(*lines, sep="\n")
     return augment(rig, diagnosis, folder / plant / "networks", AUGMENTED) | {"diagnosis": diagnosis}
 
 
-def hardware(folder: Path, name: str) -> dict:
+def in_hardware(folder: Path, name: str) -> dict:
     """One network compiled and verified on the held-out recording, ranges from the other one."""
     recordings = {r: str(folder / "networks" / f"{r}.csv") for r in ("identify", "holdout")}
     source = Source(str(folder / "networks" / f"{name}.toml"), recordings)
@@ -99,20 +98,17 @@ def draw(folder: Path) -> None:
         path.write_text(picture(panels, keys))
 
 
-def main(folder: Path, to_hardware: bool) -> None:
-    found = {}
+def main(folder: Path, *, hardware: bool = False) -> None:
+    found, kept = {}, place("augmented")
+    kept.mkdir(exist_ok=True)
     for plant in CASES:
         found[plant] = chain(folder, plant)
-        if to_hardware:
+        if hardware:
             names = found[plant]["networks"]
-            found[plant]["hardware"] = {name: hardware(folder / plant, name) for name in names}
+            found[plant]["hardware"] = {name: in_hardware(folder / plant, name) for name in names}
         for name in found[plant]["networks"]:
-            Network.load(folder / plant / "networks" / name).save(RESULTS / name)
-    (RESULTS / "figures.json").write_text(json.dumps(found, indent=1) + "\n")
-    stamp(RESULTS, str(folder))
+            Network.load(folder / plant / "networks" / name).save(kept / name)
+    (kept / "figures.json").write_text(json.dumps(found, indent=1) + "\n")
+    stamp(kept)
     draw(folder)
     print(*rows(found), sep="\n")
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]), "--hardware" in sys.argv)

@@ -1,25 +1,16 @@
 """The rig of the timing belt: what it does at a turn, and what the machine's errors on it are made of.
 
-    python benchmarks/belt_rig.py [turn repeated shares black_boxes elman sizes]
-
-    turn         one turn in time; closing distances by speed and inertia (fig. 4.6)
-    repeated     12 round trips of one day: how well a boundary repeats, how far apart the two are
-    shares       the stored machine on s1 to s4 of rigs that lack one effect, nothing trained anew
-    black_boxes  the networks of table 4.1, trained for the thesis's epochs: half an hour on one core
-    elman        what Elman 10 says, for the picture
-    sizes        experts of the sizes of table 4.2, by its methods
-
-What is found is kept in results/belt_rig.json, from which `make pages` writes the tables of the page.
+turn         one turn in time; closing distances by speed and inertia (fig. 4.6)
+repeated     12 round trips of one day: how well a boundary repeats, how far apart the two are
+shares       the stored machine on s1 to s4 of rigs that lack one effect, nothing trained anew
+black_boxes  the networks of table 4.1, trained for the thesis's epochs: half an hour on one core
+elman        what Elman 10 says, for the picture
+sizes        experts of the sizes of table 4.2, by its methods
 """
 
-import sys
-import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from descent import gradient_descent
-from made import keep
 
 from greygate.machines.belt_drive import plant as rig
 from greygate.machines.belt_drive import study
@@ -32,6 +23,11 @@ from greygate.models.families.radial import rbf as radial_fit
 from greygate.models.network import Network, Port
 from greygate.models.training.record import Record
 from greygate.plants.simulator import simulate
+
+from .descent import gradient_descent
+from .shared import say, stopwatch
+
+TAKES = "half an hour"
 
 FINE = 1e-3  # s
 SPEEDS = (0.02, 0.04, 0.08)  # m/s
@@ -152,9 +148,9 @@ def sizes() -> dict:
     """Table 4.2: experts of the thesis's sizes, by its methods: errors in training, and on s1 to s4."""
     found = {}
     for name, kind in (("fnn", thesis_fnn), ("rbf", thesis_rbf)):
-        began = time.perf_counter()
+        watch = stopwatch()
         parts, errors = study.experts(kind, say), {}
-        seconds = time.perf_counter() - began
+        seconds = watch()
         for way in DIRECTIONS:
             data = {"e": study.boundary_data(way), "d": study.path_data(parts, way)}
             for part, record in data.items():
@@ -165,12 +161,4 @@ def sizes() -> dict:
     return {"found": found}
 
 
-def say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
-
-
-PARTS: dict[str, Callable[[], dict]] = {p.__name__: p for p in (turn, repeated, shares, black_boxes, elman, sizes)}
-
-if __name__ == "__main__":
-    for part in sys.argv[1:] or PARTS:
-        keep("belt_rig", part, PARTS[part]())
+PARTS = {p.__name__: p for p in (turn, repeated, shares, black_boxes, elman, sizes)}

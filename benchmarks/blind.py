@@ -1,25 +1,27 @@
-"""The blind benchmark of missing physics on its development split: `python benchmarks/blind.py [TOOL ...]`.
+"""The blind benchmark of missing physics on its development split.
 
 Writes results/NAME.json (every figure of every tool), NAME.txt (the table), NAME.csv (a line a case of the first tool)
 and NAME.svg (its reliability diagram). An interrupted run goes on from the answers in FOLDER. With `--secret` the split
 is the sealed one that the secret stands for.
 """
 
-import argparse
 import hashlib
 import json
-import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+from typing import Annotated
 
-from concealed_bench import tables
-from concealed_bench.diagram import draw
-from concealed_bench.make import COMMITMENT, make
-from concealed_bench.run import BASELINES, OURS, run
-from concealed_bench.score import Score, score
-from made import stamp
+from .concealed_bench import tables
+from .concealed_bench.diagram import draw
+from .concealed_bench.make import COMMITMENT, make
+from .concealed_bench.run import BASELINES, OURS, run
+from .concealed_bench.score import Score, score
+from .made import place, stamp
+from .shared import Jobs
 
-RESULTS = Path(__file__).parent / "results"
+TAKES = "hours"
+NEEDS = ("pysindy", "sklearn")
 CASES, LIMIT = 180, 300.0  # each kind under each condition twice, on every plant; s for an explanation
 
 
@@ -30,41 +32,31 @@ def report(scores: dict[str, Sequence[Score]], name: str, commitment: bytes) -> 
     content["commitment_sha256"] = hashlib.sha256(commitment).hexdigest()
     first = next(iter(scores.values()))
     lines = tables.lines(found)
-    (RESULTS / f"{name}.json").write_text(json.dumps(content) + "\n")
-    (RESULTS / f"{name}.txt").write_text("\n".join(lines) + "\n")
-    tables.write_rows(first, RESULTS / f"{name}.csv")
-    draw(first, RESULTS / f"{name}.svg")
+    place(f"{name}.json").write_text(json.dumps(content) + "\n")
+    place(f"{name}.txt").write_text("\n".join(lines) + "\n")
+    tables.write_rows(first, place(f"{name}.csv"))
+    draw(first, place(f"{name}.svg"))
     for ending in ("json", "txt", "csv", "svg"):
-        stamp(RESULTS / f"{name}.{ending}", " ".join(sys.argv[1:]))
+        stamp(place(f"{name}.{ending}"))
     return lines
 
 
-def say(line: str) -> None:
-    print(line, flush=True)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("tools", nargs="*", default=[OURS, *BASELINES])
-    parser.add_argument("--cases", type=int, default=CASES)
-    parser.add_argument("--limit", type=float, default=LIMIT)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--folder", type=Path, default=Path("build/blind"), help="for the cases and the answers")
-    parser.add_argument("--name", default="blind", help="of the results")
-    parser.add_argument("--secret", type=Path, help="file with the secret of the sealed split")
-    parser.add_argument("--table", action="store_true", help="only score what was answered")
-    options = parser.parse_args()
-    bench, answers = options.folder / "bench", options.folder / "answers"
+def main(
+    *tools: Annotated[str, (OURS, *BASELINES)],
+    cases: int = CASES,
+    limit: Annotated[float, "seconds for an explanation"] = LIMIT,
+    jobs: Jobs = 1,
+    folder: Annotated[Path, "for the cases and the answers"] = Path("build/blind"),
+    name: Annotated[str, "of the results"] = "blind",
+    secret: Annotated[Path | None, "file with the secret of the sealed split"] = None,
+    table: Annotated[bool, "only score what was answered"] = False,
+) -> None:
+    asked, bench, answers = tools or (OURS, *BASELINES), folder / "bench", folder / "answers"
     if not bench.exists():
         bench.parent.mkdir(parents=True, exist_ok=True)
-        make(bench, options.cases, options.secret.read_text().strip() if options.secret else "")
-    if not options.table:
-        for tool in options.tools:
-            say(tool)
-            run(bench, tool, answers / tool, options.limit, jobs=options.jobs, progress=say)
-    scores = {tool: score(bench, answers / tool) for tool in options.tools}
-    print("\n".join(report(scores, options.name, (bench / COMMITMENT).read_bytes())))
-
-
-if __name__ == "__main__":
-    main()
+        make(bench, cases, secret.read_text().strip() if secret else "")
+    for tool in () if table else asked:
+        print(tool, flush=True)
+        run(bench, tool, answers / tool, limit, jobs=jobs, progress=partial(print, flush=True))
+    scores = {tool: score(bench, answers / tool) for tool in asked}
+    print("\n".join(report(scores, name, (bench / COMMITMENT).read_bytes())))

@@ -1,24 +1,17 @@
 """A network on a board: whole scenarios played through its port, bit by bit, and what the port and the board take.
 
-Usage: python benchmarks/board.py [--bitstream BOARD]... [--design NAME]... [--json FILE]
-
 The network is that of the valve cylinder: as the explorer builds it for the board's FPGA, and as the least design,
 serial. The port is the one that the bitstream holds, in Verilator behind a
 pseudo terminal, with as many clocks a bit as on the board. The port's own cells are those of Yosys for a core that is
 not there; with --bitstream nextpnr places the whole board.
 """
 
-import argparse
 import json
 import re
-import subprocess
-import sys
-import tempfile
-import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-
-from made import stamp
+from typing import Annotated
 
 from greygate import rtl
 from greygate.compiler.targets import architecture
@@ -30,6 +23,11 @@ from greygate.hardware.board.simulated import simulated_board
 from greygate.hardware.build import Project
 from greygate.hardware.tools import yosys
 
+from .made import store, stored
+from .shared import VERILATOR, scratch, stopwatch, told
+
+TAKES = "ten minutes"
+NEEDS = VERILATOR
 BOARD = "icebreaker"
 NETWORK = "valve_cylinder"
 REQUEST = "--max-error 1.05x --max-latency 20us --max-luts 1300 --max-dsps 3 --max-memories 12"  # 200 LUTs for a port
@@ -60,8 +58,7 @@ def port_alone(program: Program) -> dict[str, int]:
         ("greygate_frame", f".IN_W({width(program.inputs)}), .OUT_W({width(program.outputs)}), .SEED(16'h1234)", frame),
     ):
         text += f"{module} #({parameters}) {module}_i ({', '.join(f'.{k}({v})' for k, v in ports.items())});\n"
-    with tempfile.TemporaryDirectory() as folder:
-        where = Path(folder)
+    with scratch() as where:
         files = ["port.v", *(f"greygate_{name}.v" for name in ("uart", "frame", "crc"))]
         (where / "port.v").write_text(f"{text}endmodule\n")
         for name in files[1:]:
@@ -84,14 +81,12 @@ def played(project: Project, package: Path, names: tuple[str, ...]) -> dict[str,
     return found
 
 
-def measured(options: str, names: tuple[str, ...], boards: list[str]) -> dict:
+def measured(options: str, names: tuple[str, ...], boards: Sequence[str]) -> dict:
     """What one design gives: the port, the scenarios played, the boards placed."""
-    with tempfile.TemporaryDirectory() as folder:
-        build, package = Path(folder, "build"), Path(folder, "package")
-        words = [*NETWORK.split(), *options.split(), "--out", str(build)]
-        command = [sys.executable, "-c", "from greygate.cli import run; run()", "compile", *words, "--json"]
-        told = subprocess.run(command, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL).stdout
-        errors = [e for outputs in json.loads(told)["rmse"].values() for e in outputs.values()]
+    with scratch() as folder:
+        build, package = folder / "build", folder / "package"
+        compiled = told("compile", NETWORK, *options.split(), "--out", build)
+        errors = [e for outputs in compiled["rmse"].values() for e in outputs.values()]
         project = Project.open(build)
         make(project, BOARD, package)
         clocks = architecture(project.designs[0]).clocks
@@ -103,29 +98,20 @@ def measured(options: str, names: tuple[str, ...], boards: list[str]) -> dict:
         print(f"port alone: {found['port']}")
         found |= {"played": played(project, package, names), "boards": {}}
         for board in boards:
-            begun = time.perf_counter()
-            facts = make(project, board, Path(folder, board), bitstream=True)
-            found["boards"][board] = facts | {"seconds": round(time.perf_counter() - begun, 1)}
+            watch = stopwatch()
+            facts = make(project, board, folder / board, bitstream=True)
+            found["boards"][board] = facts | {"seconds": watch(1)}
             if "clocks" in found:
                 found["boards"][board]["us_per_step"] = round(found["clocks"] / facts["clock_mhz"], 2)
             print(f"{board}: {found['boards'][board]}")
     return found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--bitstream", action="append", default=[], help="board to place and route, too")
-    parser.add_argument("--design", action="append", choices=DESIGNS, help="only these")
-    parser.add_argument("--json", default=Path(__file__).parent / "results" / "board.json", type=Path)
-    given = parser.parse_args()
-    found = json.loads(given.json.read_text()) if given.json.exists() else {}
-    for name in given.design or DESIGNS:
+def main(
+    *designs: Annotated[str, DESIGNS], bitstream: Annotated[Sequence[str], "boards to place and route, too"] = ()
+) -> None:
+    found = stored("board")
+    for name in designs or DESIGNS:
         print(name)
-        options, names = DESIGNS[name]
-        found[name] = measured(options, names, given.bitstream)
-        given.json.write_text(json.dumps(found, indent=1) + "\n")
-        stamp(given.json)
-
-
-if __name__ == "__main__":
-    main()
+        found[name] = measured(*DESIGNS[name], bitstream)
+        store("board", found)

@@ -1,13 +1,11 @@
 """Every kind of page, of real machines, and the documentation's site, in Chromium: sizes x themes, paper, keyboard.
 
-`make bench-browser` runs it and writes benchmarks/results/browser.json and the pictures of docs/browser.md. Exit code 1
-if a page has a fault of tests/browsing.py. On the site, whose theme is not ours, console, requests and width are looked
-at.
+Draws the pictures of docs/browser.md. Exit code 1 if a page has a fault of tests/browsing.py. On the site, which `make
+docs` builds and whose theme is not ours, console, requests and width are looked at.
 """
 
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -17,8 +15,12 @@ from pathlib import Path
 from threading import Thread
 
 import browsing
-from made import ROOT, keep
 
+from .made import ROOT, keep
+from .shared import GREYGATE, VERILATOR, scratch
+
+TAKES = "five minutes"
+NEEDS = VERILATOR
 SITE = ROOT / "build" / "site"
 PICTURES = ROOT / "docs" / "pictures"
 SHOWN = {
@@ -28,11 +30,10 @@ SHOWN = {
     "look": ("telephone", "dark"),
     "train": ("desk", "light"),
 }
-GREYGATE = [str(Path(sys.executable).with_name("greygate"))]
 
 
 def greygate(*words: object, folder: Path, code: int = 0) -> None:
-    done = subprocess.run([*GREYGATE, *map(str, words)], cwd=folder, capture_output=True, text=True)
+    done = subprocess.run([GREYGATE, *map(str, words)], cwd=folder, capture_output=True, text=True)
     if done.returncode != code:
         sys.exit(f"greygate {' '.join(map(str, words))}: exit code {done.returncode}\n{done.stderr}")
 
@@ -50,19 +51,8 @@ def pages(folder: Path) -> dict[str, Path]:
     greygate("init", "mine", "--record", recording, "--input", "x_cmd", "--output", "x_meas", folder=folder)
     words = ["--record", recording, "--tail", 0.2, "--seeds", 3, "--epochs", 20]
     greygate("train", "mine.toml", *words, "--out", "trained", "--html", "train.html", folder=folder)
-    greygate(
-        "conceal",
-        "cable_drum",
-        "--seed",
-        "3",
-        "--kind",
-        "one",
-        "--effect",
-        "speed_slip",
-        "--out",
-        "case",
-        folder=folder,
-    )
+    words = ["--seed", 3, "--kind", "one", "--effect", "speed_slip", "--out", "case"]
+    greygate("conceal", "cable_drum", *words, folder=folder)
     greygate("diagnose", "case", "--html", "diagnosis.html", folder=folder)
     return {name: folder / f"{name}.html" for name in ("report", "compare", "validate", "look", "train", "diagnosis")}
 
@@ -97,9 +87,11 @@ def of_site(browser, page: str) -> list[str]:
 def main() -> int:
     if browsing.missing():
         sys.exit(f"missing: {browsing.missing()}")
+    if not SITE.exists():
+        sys.exit(f"{SITE} is not there: make docs")
     rows = []
-    with tempfile.TemporaryDirectory() as folder, browsing.chromium() as browser:
-        for name, page in pages(Path(folder)).items():
+    with scratch() as folder, browsing.chromium() as browser:
+        for name, page in pages(folder).items():
             found = browsing.faults(browser, page)
             wrong = [f"{where}: {what}" for where, all_ in found.items() for what in all_]
             rows.append({"page": f"greygate {name}", "pages": 1, "opened": len(found), "faults": wrong})
@@ -117,7 +109,3 @@ def main() -> int:
         print(rows[-1])
         keep("browser", "pages", {"browser": browser.version, "rows": rows})
     return any(row["faults"] for row in rows)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

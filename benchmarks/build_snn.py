@@ -1,18 +1,14 @@
 """`greygate build-snn` on the four plants of the thesis and on two measured tanks, beside networks built by hand.
 
-`python benchmarks/build_snn.py [valve_cylinder | pump_cylinder | belt_drive | cable_drum | tanks]`: the recordings are
-written as CSV, the command reads them with the plant's file, and the figures go to results/build_snn.json.
+The recordings are written as CSV, and the command reads them with the plant's file.
 """
 
-import json
-import sys
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from time import process_time
 
-import made
 import numpy as np
 
 from greygate.identify.expert.files import build_files
@@ -24,7 +20,11 @@ from greygate.machines.valve_cylinder import scenarios
 from greygate.models.accuracy import free_run_rms
 from greygate.plants.recording import Recording, read_csv
 
-MACHINES = made.ROOT / "machines"
+from .made import ROOT
+from .shared import say, scratch, stopwatch
+
+TAKES = "ten minutes"
+MACHINES = ROOT / "machines"
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Case:
 
 def tanks(name: str) -> Recording:
     """The two tanks as they were measured (recordings/cascaded-tanks): `train` or `test`."""
-    found = read_csv(made.ROOT / "recordings" / "cascaded-tanks" / "cascaded_tanks.csv")
+    found = read_csv(ROOT / "recordings" / "cascaded-tanks" / "cascaded_tanks.csv")
     return Recording(found.dt, {n: found[f"{n}_{name}"] for n in "uy"}, {"u": "V", "y": "V"})
 
 
@@ -71,12 +71,12 @@ CASES = {
 def run(name: str) -> dict:
     """Build one network, and judge it beside the one of the catalogue. RMS in the case's unit, minutes of one core."""
     case = CASES[name]
-    with tempfile.TemporaryDirectory() as folder:
-        files = {n: str(written(case, n, Path(folder))) for n in (*case.training, *case.tests)}
+    with scratch() as folder:
+        files = {n: str(written(case, n, folder)) for n in (*case.training, *case.tests)}
         given = [{n: files[n] for n in names} for names in (case.training, case.tests)]
-        began, out = process_time(), Path(folder) / "out"
-        found = build_files(MACHINES / case.plant, *given, case.sensors, (), np.inf, out, told)
-        minutes = (process_time() - began) / 60
+        watch = stopwatch(process_time)
+        found = build_files(MACHINES / case.plant, *given, case.sensors, (), np.inf, folder / "out", say)
+        minutes = watch() / 60
     hand = {
         n: scaled(free_run_rms(entry(name).network(), r), case) for n, r in entry(name).records().items() if n in files
     }
@@ -91,10 +91,6 @@ def run(name: str) -> dict:
     }  # fmt: skip
 
 
-def told(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
-
-
 def written(case: Case, name: str, folder: Path) -> Path:
     recording = case.record(name)
     channels = {n: recording[n] for n in case.channels}
@@ -106,12 +102,4 @@ def scaled(errors: Mapping[str, float], case: Case) -> list[float]:
     return [value * case.scale for value in errors.values()]
 
 
-def main() -> None:
-    for name in sys.argv[1:] or CASES:
-        found = run(name)
-        made.keep("build_snn", name, found)
-        print(json.dumps({n: v for n, v in found.items() if n != "text"}, indent=1))
-
-
-if __name__ == "__main__":
-    main()
+PARTS = {name: partial(run, name) for name in CASES}

@@ -1,21 +1,19 @@
 """The C99 target: every bit on every scenario of the thesis's machines and on random legal programs; size and pace.
 
-`make bench-c99` runs it and writes benchmarks/results/c99.json. Exit code 1 if a bit differs or a sanitizer speaks.
+Exit code 1 if a bit differs or a sanitizer speaks.
 "controllers" needs gcc-arm-none-eabi, gcc-riscv64-unknown-elf and qemu-user of Debian: bytes of the object code, and
 the instructions of a step, counted by QEMU, which also checks every output.
 """
 
-import argparse
 import re
 import shutil
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from legal_programs import legal_codes, legal_program
-from made import keep
 from test_c99 import COMPILERS, agree, built, fields, same
 
 from greygate.compiler.emit import emit
@@ -24,6 +22,11 @@ from greygate.hardware.build import Project
 from greygate.machines.catalog import REPORTED
 from greygate.machines.source import Source
 from greygate.project import compile_project
+
+from .made import keep
+from .shared import scratch, versions
+
+TAKES = "not timed"
 
 STEPS = 24
 LEVELS = ("-O0", "-O2")
@@ -139,51 +142,32 @@ def controllers(name: str, folder: Path) -> list[dict]:
     return rows
 
 
-def bare() -> int:
+def bare() -> None:
     """Write the part "controllers"."""
     needed = [word for c, _, (e, *_), _ in CONTROLLERS.values() for word in (c, e)]
     if missing := [word for word in needed if shutil.which(word) is None]:
-        print(f"missing: {', '.join(missing)}", file=sys.stderr)
-        return 2
+        sys.exit(f"missing: {', '.join(missing)}")
     rows = []
     for name in REPORTED:
-        with tempfile.TemporaryDirectory() as folder:
-            rows += controllers(name, Path(folder))
+        with scratch() as folder:
+            rows += controllers(name, folder)
         print(*rows[-len(CONTROLLERS) :], sep="\n", flush=True)
-    versions = [
-        subprocess.run([word, "--version"], capture_output=True, text=True, check=True).stdout.splitlines()[0]
-        for word in needed
-    ]
-    keep("c99", "controllers", {"tools": versions, "steps": COUNTED, "rows": rows})
-    return 0
+    keep("c99", "controllers", {"tools": versions(needed), "steps": COUNTED, "rows": rows})
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--programs", type=int, default=100)
-    parser.add_argument("part", choices=["bits", "controllers"], nargs="?")
-    given = parser.parse_args()
-    if given.part == "controllers":
+def main(part: Annotated[str, ("bits", "controllers")] = "bits", *, programs: int = 100) -> None:
+    if part == "controllers":
         return bare()
     machines = []
     for name in REPORTED:
-        with tempfile.TemporaryDirectory() as folder:
-            machines.append(machine(name, Path(folder)))
+        with scratch() as folder:
+            machines.append(machine(name, folder))
         print(machines[-1], flush=True)
-    for seed in range(1000, 1000 + given.programs):
+    for seed in range(1000, 1000 + programs):
         program = legal_program(seed, f"random{seed}")
         codes = np.asarray(legal_codes(program, seed, STEPS))
-        with tempfile.TemporaryDirectory() as folder:
-            agree(program, codes, Path(folder), COMPILERS[seed % len(COMPILERS)], LEVELS[seed // 2 % 2])
-    versions = [
-        subprocess.run([c, "--version"], capture_output=True, text=True, check=True).stdout.splitlines()[0]
-        for c in COMPILERS
-    ]
-    programs = {"count": given.programs, "steps": STEPS}
-    keep("c99", "bits", {"compilers": versions, "levels": LEVELS, "machines": machines, "programs": programs})
-    print("no bit differs; written to benchmarks/results/c99.json")
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        with scratch() as folder:
+            agree(program, codes, folder, COMPILERS[seed % len(COMPILERS)], LEVELS[seed // 2 % 2])
+    found = {"compilers": versions(COMPILERS), "levels": LEVELS, "machines": machines}
+    keep("c99", "bits", found | {"programs": {"count": programs, "steps": STEPS}})
+    print("no bit differs")

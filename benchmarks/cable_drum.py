@@ -1,22 +1,17 @@
-"""The cable-drum sensor beside the thesis (chapter 7): `python benchmarks/cable_drum.py [PART ...]`.
+"""The cable-drum sensor beside the thesis (chapter 7).
 
-    trips       slip of the round trips of figure 7.3
-    noe         table 7.3, five starts of each network
-    drawn       what networks 9 and 10 of table 7.3 leave in training, for the picture
-    starts      every size and seed that `greygate train cable_drum` chooses among, on every record
-    less_slip   the same on a rig whose guide wheels pull a fourth as hard
-    days        the kept network on the course of validation, with what differs on that day changed one by one
-    spread      the kept network on 20 days and courses drawn at random
-
-What is found is kept in results/cable_drum.json, from which `make pages` writes the tables of the page.
+trips       slip of the round trips of figure 7.3
+noe         table 7.3, five starts of each network
+drawn       what networks 9 and 10 of table 7.3 leave in training, for the picture
+starts      every size and seed that `greygate train cable_drum` chooses among, on every record
+less_slip   the same on a rig whose guide wheels pull a fourth as hard
+days        the kept network on the course of validation, with what differs on that day changed one by one
+spread      the kept network on 20 days and courses drawn at random
 """
 
-import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
-from made import keep
-from threadpoolctl import threadpool_limits
 
 from greygate.machines import catalog
 from greygate.machines.cable_drum import plant as rig
@@ -37,9 +32,13 @@ from greygate.models.network import Network
 from greygate.models.training.levenberg import train
 from greygate.plants.recording import Recording
 
+from .shared import say
+from .valve_cylinder import DRAWN, ranked
+
+TAKES = "not timed"
+
 JUDGED = ("training", "choice", "validation", "home")
 LESS = 0.12  # N, of the guide wheels
-DRAWN = 20
 STARTS = 5  # of a black box
 BINS = 400  # of a curve
 
@@ -69,7 +68,7 @@ def noe() -> dict:
             ahead = train(recurrent(taps, neurons, seed), [training], epochs=100, teacher=True).network
             rows.append(1e6 * rmse(train(ahead, [training], epochs=10).network, training))
         found.append(rows)
-        print(f"NOE {taps} taps, {neurons}: {rows}", file=sys.stderr, flush=True)
+        say(f"NOE {taps} taps, {neurons}: {rows}")
     return {"um": found}
 
 
@@ -90,7 +89,7 @@ def drawn() -> dict:
 
 def every_start(**values: float) -> dict:
     """RMS in um of each size and seed by record, and which one the record `choice` takes."""
-    networks, scores = starts(lambda line: print(line, file=sys.stderr, flush=True), **values)
+    networks, scores = starts(say, **values)
     rows = [
         {"neurons": n, "seed": s} | {name: micrometres(net, name, **values) for name in JUDGED}
         for (n, s), net in networks.items()
@@ -137,26 +136,8 @@ def spread() -> dict:
     same = [both(network, rig.validation(plant, seed)) for seed in seeds]
     other = [both(network, rig.validation(rig.another_day(plant, drawn(seed)), seed)) for seed in seeds]
     picked = [micrometres(network, name) for name in ("validation", "home")]
-    return {"picked": picked, "same_day": ranked(same, picked), "another_day": ranked(other, picked)}
+    return {"picked": picked, "same_day": ranked(same, picked) | {"each": same},
+            "another_day": ranked(other, picked) | {"each": other}}  # fmt: skip
 
 
-def ranked(rows: list[list[float]], picked: list[float]) -> dict:
-    """Median, worst, and how many are better than the picked one, without and with the beacon."""
-    values = np.array(rows)
-    return {
-        "median": np.median(values, axis=0).tolist(),
-        "worst": values.max(axis=0).tolist(),
-        "better": (values < np.array(picked)).sum(axis=0).tolist(),
-        "of": len(rows),
-        "each": rows,
-    }
-
-
-PARTS: dict[str, Callable[[], dict]] = {"starts": every_start} | {
-    p.__name__: p for p in (trips, noe, drawn, less_slip, days, spread)
-}
-
-if __name__ == "__main__":
-    with threadpool_limits(1, "blas"):
-        for part in sys.argv[1:] or PARTS:
-            keep("cable_drum", part, PARTS[part]())
+PARTS = {"starts": every_start} | {p.__name__: p for p in (trips, noe, drawn, less_slip, days, spread)}

@@ -3,21 +3,16 @@
 Every design is synthesized once for each family; results stay in build/calibrate, so a run that was stopped goes on.
 The fit minimises relative errors, with no negative size of a part. Designs that are not fitted on judge it. Clock
 periods are nextpnr's where it places the family, and ECP5's elsewhere.
-Usage: python benchmarks/calibrate.py [--families ecp5 ice40 xilinx] [--architectures parallel folded] [--limit SECONDS]
 """
 
-import argparse
 import hashlib
 import json
 import statistics
-import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import tomli_w
-from flow import flow
 from scipy.optimize import nnls
 
 from greygate.compiler.emit import emit, emitted
@@ -30,10 +25,15 @@ from greygate.emulator.program import Program
 from greygate.hardware.synthesis import synthesize
 from greygate.machines.source import Source
 
+from .flow import flow
+from .made import ROOT
+from .shared import Limit, scratch
+
+TAKES = "half an hour"
 FAMILIES = ("ecp5", "ice40", "xilinx")
 PLACED = {"ecp5": "ecp5-85k", "ice40": "up5k"}  # the device that tells the clock period of a family
 PLACEABLE = 6_000  # LUTs up to which a design is placed and routed for its clock
-CACHE = Path(__file__).parents[1] / "build/calibrate"
+CACHE = ROOT / "build" / "calibrate"
 FITTED_WIDTHS, JUDGED_WIDTHS = (8, 12, 16), (10, 14)
 OCTAVES = (10, 12)  # widths at which tables are kept by octaves
 PLANTS = {"valve_cylinder": True, "pump_cylinder": False, "mts": False}  # plant -> whether the fit sees it
@@ -81,7 +81,7 @@ def measured(case: Case, family: str, limit: float, clock: bool = False) -> dict
     kept = CACHE / f"{digest}.json"
     if not kept.exists():
         CACHE.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory() as folder:
+        with scratch() as folder:
             emit(case.program, folder, case.architecture, case.design)
             found = synthesize(folder, case.program.name, PLACED[family] if clock else family, clock, limit)
         kept.write_text(json.dumps(found))
@@ -118,21 +118,17 @@ def period(chosen: list[Case], family: str, limit: float) -> float | None:
     return round(max(known), 1) if known else None
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--families", nargs="*", default=FAMILIES)
-    parser.add_argument("--architectures", nargs="*", default=explored())
-    parser.add_argument("--limit", type=float, default=300.0, help="seconds of processor time for each tool")
-    given = parser.parse_args()
-    every = [c for c in cases() if c.architecture in given.architectures]
+def main(*, families: Sequence[str] = FAMILIES, architectures: Sequence[str] = (), limit: Limit = 300.0) -> None:
+    architectures = architectures or explored()
+    every = [c for c in cases() if c.architecture in architectures]
     table = {family: dict(rows) for family, rows in coefficients().items()}
-    for family in given.families:
-        for name in given.architectures:
+    for family in families:
+        for name in architectures:
             chosen, rows = [c for c in every if c.architecture == name], []
             for case in chosen:
-                cells = measured(case, family, given.limit)
+                cells = measured(case, family, limit)
                 if "luts" not in cells:
-                    print(f"{family} {name} {case.title}: no answer in {given.limit:g} s", flush=True)
+                    print(f"{family} {name} {case.title}: no answer in {limit:g} s", flush=True)
                     continue
                 counted = parts(case, family)
                 rows.append((case, counted, cells))
@@ -151,13 +147,11 @@ def main() -> None:
                 for what, key in (("dsps", "dsps"), ("memories", "block_rams"))
             }
             small = [case for case, _, cells in rows if case.fitted and cells["luts"] < PLACEABLE]
-            clock = period([c for c in small if c.design.memory is Memory.BLOCK], family, given.limit)
+            clock = period([c for c in small if c.design.memory is Memory.BLOCK], family, limit)
             before = table.get(family, {}).get(name, {}).get("period", 10.0)
             table.setdefault(family, {})[name] = {"period": clock or before, "luts": luts, "error": told}
             print(family, name, luts, told, clock, flush=True)
-    head = "# LUTs of a part of each kind (cost.py beside it), shortest clock in ns: written by make calibrate.\n"
+    head = (
+        "# LUTs of a part of each kind (cost.py beside it), shortest clock in ns: by python -m benchmarks calibrate.\n"
+    )
     COEFFICIENTS.write_text(f"{head}\n{tomli_w.dumps(table)}", encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()

@@ -2,24 +2,16 @@
 
 import statistics
 import subprocess
-import sys
-import tempfile
-import time
-from pathlib import Path
 
-COMMAND = [str(Path(sys.executable).with_name("greygate")), "compile", "valve_cylinder", "--out"]
+from .shared import GREYGATE, scratch, taken
+
+TAKES = "a minute"
+THREADS = "all"
 
 
 def main() -> None:
-    seconds = []
-    with tempfile.TemporaryDirectory() as folder:
-        for i in range(6):
-            began = time.perf_counter()
-            subprocess.run([*COMMAND, f"{folder}/{i}"], check=True, capture_output=True)
-            seconds.append(time.perf_counter() - began)
-    warm = seconds[1:]  # the first run may fill numba's cache
-    print(f"compile valve_cylinder: {statistics.median(warm):.2f} s (first {seconds[0]:.2f} s)")
-
-
-if __name__ == "__main__":
-    main()
+    with scratch() as folder:
+        command, names = [GREYGATE, "compile", "valve_cylinder", "--out"], iter("abcdef")
+        run = lambda: subprocess.run([*command, folder / next(names)], check=True, capture_output=True)  # noqa: E731
+        first, *warm = taken(run, 6)
+    print(f"compile valve_cylinder: {statistics.median(warm):.2f} s (first {first:.2f} s)")  # it may fill numba's cache

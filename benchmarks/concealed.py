@@ -1,28 +1,29 @@
-"""Hundreds of recordings with something concealed in them, diagnosed and scored: `python benchmarks/concealed.py`.
+"""Hundreds of recordings with something concealed in them, diagnosed and scored.
 
 Every case is drawn by `greygate conceal`, whose equations, integrator, step and sensors are not the diagnoser's. The
 diagnosis runs in its own process on a folder that holds the recordings and `rig.toml` alone. A line a case goes to
-`results/concealed.csv` as it ends (an interrupted run goes on from there); `--table` prints the table from it and draws
-the confusion matrix.
+`results/concealed.csv` as it ends (an interrupted run goes on from there); `--only-table` prints the table from it and
+draws the confusion matrix.
 """
 
-import argparse
 import csv
 import json
 import shutil
-import tempfile
 import time
 from collections import Counter, defaultdict
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from itertools import pairwise
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from made import stamp
 
 from greygate.mismatch.verdict import Verdict
 
-RESULTS = Path(__file__).parent / "results"
+from .made import place, stamp
+from .shared import Jobs, scratch, stopwatch
+
+TAKES = "an hour"
 PLANTS = ("valve_hydraulic", "pump_hydraulic", "belt_drive", "cable_drum")
 CASES = {"one": 38, "clean": 8, "parameter": 4, "foreign": 10, "two": 10}  # of each plant
 SEED = 1000
@@ -40,16 +41,16 @@ def case(plant: str, kind: str, seed: int) -> dict:
     from greygate.mismatch.diagnose import diagnose
     from greygate.mismatch.simulation import simulate
 
-    with tempfile.TemporaryDirectory() as temporary:
-        sealed, seen = Path(temporary) / "sealed", Path(temporary) / "seen"
+    with scratch() as folder:
+        sealed, seen = folder / "sealed", folder / "seen"
         conceal(plant, seed, sealed, kind=kind)
         seen.mkdir()
         for name in ("rig.toml", "identify.csv", "holdout.csv"):
             shutil.copy(sealed / name, seen)
-        wall, cpu = time.perf_counter(), time.process_time()
+        wall, cpu = stopwatch(), stopwatch(time.process_time)
         rig = rigs.load(seen)
         result = diagnose(rig)
-        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+        wall, cpu = wall(1), cpu(1)
         result.write(seen / "diagnosis.json")
         claim = json.loads((seen / "diagnosis.json").read_text())
         third = rig.recording(sealed / "third.csv")
@@ -77,7 +78,7 @@ def case(plant: str, kind: str, seed: int) -> dict:
         "equation": score["right_equation"], "place": score["right_place"], "variables": score["depends_on"],
         "released": "+".join(n for n, p in claim["parameters"].items() if p.get("outside_tolerance")),
         "inside": json.dumps(score["inside"]), "off": json.dumps(off), "removed": score["removed"],
-        "seconds": round(wall, 1), "cpu": round(cpu, 1),
+        "seconds": wall, "cpu": cpu,
     }  # fmt: skip
 
 
@@ -235,24 +236,20 @@ def draw(rows: list[dict], path: Path) -> None:
     path.write_text("\n".join([*parts, "</svg>", ""]))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--table", action="store_true", help="only print the table and draw the matrix")
-    parser.add_argument("--fresh", action="store_true", help="112 cases of other seeds, to results/concealed_fresh.csv")
-    options = parser.parse_args()
-    path = RESULTS / ("concealed_fresh.csv" if options.fresh else "concealed.csv")
-    if not options.table:
-        run(path, options.jobs, options.fresh)
+def main(
+    *,
+    jobs: Jobs = 2,
+    only_table: Annotated[bool, "only print the table and draw the matrix"] = False,
+    fresh: Annotated[bool, "112 cases of other seeds, to results/concealed_fresh.csv"] = False,
+) -> None:
+    path = place("concealed_fresh.csv" if fresh else "concealed.csv")
+    if not only_table:
+        run(path, jobs, fresh)
     rows = read(path)
     lines = table(rows)
     path.with_suffix(".txt").write_text("\n".join(lines) + "\n")
-    if not options.fresh:
+    if not fresh:
         draw(rows, path.with_suffix(".svg"))
-    for ending in (".csv", ".txt", *[".svg"] * (not options.fresh)):
-        stamp(path.with_suffix(ending), "--fresh" * options.fresh)
+    for ending in (".csv", ".txt", *[".svg"] * (not fresh)):
+        stamp(path.with_suffix(ending))
     print("\n".join(lines))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""Position control in closed loop on the simulated machines: `python benchmarks/control.py [PART ...]`.
+"""Position control in closed loop on the simulated machines.
 
     MACHINE        PI, predictive control and the network that imitates it (float, emulator, RTL) on three trajectories
                    that nothing was tuned or learnt on; undisturbed, with a disturbed load, with a supply that sags
@@ -6,17 +6,13 @@
     drawn          a second of the cylinder's errors, for the picture of the page
     MACHINE_long   ten minutes of the network under a disturbed load, in RTL up to 200,000 steps, else in the emulator
 
-What is found is kept in results/control.json, from which `make pages` writes the tables of docs/control.md. A time is
-the median of a step on one core of this computer; hardware counts clocks.
+A time is the median of a step on one core of this computer; hardware counts clocks.
 """
 
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-from made import keep
-from threadpoolctl import threadpool_limits
 
 from greygate.control.choices import JUDGED, Case, Method, Place
 from greygate.control.loop import Run
@@ -24,6 +20,10 @@ from greygate.hardware.controlling import controller
 from greygate.hardware.in_loop import Clocked
 from greygate.machines.catalog import CONTROLLED, task
 from greygate.machines.control import Task
+
+from .shared import say
+
+TAKES = "hours"
 
 SEEDS = tuple(range(JUDGED + 1, JUDGED + 4))
 LONG, LONG_SEED = 600.0, JUDGED + 10  # s
@@ -36,10 +36,6 @@ ROWS = (
     (Method.NETWORK, Place.EMULATOR),
     (Method.NETWORK, Place.RTL),
 )
-
-
-def say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
 
 
 def pooled(runs: Sequence[Run], settle: int) -> dict:
@@ -122,13 +118,8 @@ def drawn() -> dict:
     return {"start": start, "period": asked.period, "errors": found}
 
 
-PARTS: dict[str, Callable[[], dict]] = {"drawn": drawn}
+PARTS = {"drawn": drawn}
 for machine in CONTROLLED:
     PARTS[machine] = partial(compared, machine)
     PARTS[f"{machine}_fixed"] = partial(fixed, machine)
     PARTS[f"{machine}_long"] = partial(long, machine)
-
-if __name__ == "__main__":
-    for part in sys.argv[1:] or PARTS:
-        with threadpool_limits(1):
-            keep("control", part, PARTS[part]())

@@ -1,33 +1,28 @@
 """How long does a diagnosis take, and how long did it take an earlier state of the code? Both in one run, by turns.
 
-    python benchmarks/diagnosis_speed.py --before OTHER/.venv/bin   # with `greygate` of another checkout beside it
-    python benchmarks/diagnosis_speed.py                            # ours alone, printed
-
-The first writes results/diagnosis_speed.json, of which a page is made.
+With `--before OTHER/.venv/bin` it keeps both, of which a page is made; ours alone is printed.
 
 A diagnosis is the command `greygate diagnose` in a process of its own, so that its start and what it compiles count.
 Both states are given the same folders: four cases of each concealed machine, one of each small machine of another
 field, and measured recordings where they are at hand. One that outlasts LIMIT counts as LIMIT.
 """
 
-import argparse
 import json
 import subprocess
-import sys
-import tempfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from statistics import median
-
-from made import made, stamp
-from measured_mismatch import make
+from typing import Annotated
 
 from greygate.errors import InputError
 from greygate.mismatch.concealed.conceal import RIGS, conceal
 from greygate.mismatch.concealed.domains import DOMAINS
 
-RESULT = Path(__file__).parent / "results" / "diagnosis_speed.json"
+from .made import made, store
+from .measured_mismatch import make
+from .shared import GREYGATE, say, scratch, stopwatch
+
+TAKES = "half an hour"
 LIMIT = 600.0  # s
 SEED = 9700  # of the concealed cases: no other benchmark has it
 KINDS = ("clean", "one", "two", "foreign")
@@ -46,7 +41,7 @@ def rigs(folder: Path) -> Iterator[tuple[str, Path]]:
         try:
             yield "measured", make(name, folder / name)
         except (InputError, FileNotFoundError) as error:
-            print(f"{name}: left out, {error}", file=sys.stderr)
+            say(f"{name}: left out, {error}")
 
 
 def hidden(plant: str, kind: str, folder: Path) -> Path:
@@ -61,12 +56,12 @@ def diagnosed(command: Path, rig: Path) -> dict:
     """Seconds of one diagnosis, and what it says: verdict and effects, or its exit code and last words."""
     out = rig / "d.json"
     out.unlink(missing_ok=True)
-    began = time.perf_counter()
+    watch = stopwatch()
     try:
         ran = subprocess.run([command, "diagnose", rig, "--out", out], capture_output=True, text=True, timeout=LIMIT)
     except subprocess.TimeoutExpired:
         return {"seconds": LIMIT, "says": "not done"}
-    seconds = round(time.perf_counter() - began, 2)
+    seconds = watch(2)
     if ran.returncode not in (0, 1) or not out.exists():
         last = (ran.stderr.strip().splitlines() or [""])[-1]
         return {"seconds": seconds, "says": f"exit code {ran.returncode}: {last[:120]}"}
@@ -103,27 +98,17 @@ def failed(said: dict) -> bool:
     return said["says"].startswith("exit code")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--before", type=Path, help="the folder of another checkout's `greygate`")
-    parser.add_argument("--out", type=Path, help="rewritten after every rig")
-    given = parser.parse_args()
-    commands, origin = {"now": Path(sys.executable).parent / "greygate"}, made("")
-    if given.before:
-        commands = {"before": given.before.absolute() / "greygate"} | commands
-        origin = made("--before OTHER/.venv/bin") | {"before": commit(given.before)}
-    out = given.out or (RESULT if given.before else None)  # the page compares: ours alone would not make it
+def main(*, before: Annotated[Path | None, "the folder of another checkout's `greygate`"] = None) -> None:
+    commands, origin = {"now": Path(GREYGATE)}, made()
+    if before:
+        commands = {"before": before.absolute() / "greygate"} | commands
+        origin |= {"before": commit(before)}
     rows: list[dict] = []
-    with tempfile.TemporaryDirectory() as scratch:
-        for group, rig in rigs(Path(scratch)):
+    with scratch() as folder:
+        for group, rig in rigs(folder):
             rows.append({"rig": rig.name, "group": group} | {s: diagnosed(c, rig) for s, c in commands.items()})
-            print(rows[-1], file=sys.stderr, flush=True)
+            say(rows[-1])
             content = {"made": origin, "summary": summary(rows, list(commands)), "rigs": rows}
-            if out:
-                out.write_text(json.dumps(content, indent=1) + "\n")
-                stamp(out)
+            if before:  # the page compares: ours alone would not make it
+                store("diagnosis_speed", content)
     print(json.dumps(content["summary"], indent=1))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,16 +1,7 @@
-"""Closed-loop steps per CPU second of the compiled cylinder network: engines, Verilator, cocotb, interpreter, one run.
+"""Closed-loop steps per CPU second of the compiled cylinder network: engines, Verilator, cocotb, interpreter."""
 
-Usage: python benchmarks/engine.py [--json FILE]
-"""
-
-import json
 import statistics
-import sys
-import tempfile
 import time
-from pathlib import Path
-
-from verilator_bench import measure
 
 from greygate.compiler.pipeline import compile_network
 from greygate.emulator.engine import run
@@ -18,18 +9,19 @@ from greygate.emulator.interpreter import interpret
 from greygate.hardware.verify import Scenario, verify
 from greygate.machines.catalog import entry
 
+from .shared import VERILATOR, scratch, taken
+from .verilator_bench import measure
+
+TAKES = "minutes"
+NEEDS = VERILATOR
+
 REPEATS = 7
 SLOW_STEPS = 2000  # for the interpreter
 
 
 def steps_per_second(work, steps: int, repeats: int = REPEATS) -> float:
     """Median over `repeats` of steps per CPU second."""
-    rates = []
-    for _ in range(repeats):
-        began = time.process_time()
-        work()
-        rates.append(steps / (time.process_time() - began))
-    return statistics.median(rates)
+    return steps / statistics.median(taken(work, repeats, time.process_time))
 
 
 def main() -> None:
@@ -38,9 +30,9 @@ def main() -> None:
     program = compile_network(chosen.network(), records).program
     codes = program.encode(records["training"].inputs)
     answer = run(program, codes)
-    with tempfile.TemporaryDirectory() as folder:
+    with scratch() as folder:
         scenario = Scenario(codes, answer.outputs, answer.states)
-        checked = verify(program, Path(folder), {"training": scenario}, seed=0)
+        checked = verify(program, folder, {"training": scenario}, seed=0)
         assert checked.passed
 
     def engine(specialised: bool) -> float:
@@ -60,9 +52,3 @@ def main() -> None:
     }
     for name, rate in found.items():
         print(f"{name:28} {rate:12,.0f} steps/s   engine is {found['engine'] / rate:8.1f} times as fast")
-    if sys.argv[1:2] == ["--json"]:
-        Path(sys.argv[2]).write_text(json.dumps(found, indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()

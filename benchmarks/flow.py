@@ -1,6 +1,9 @@
 """The flow network, 2-10-10-1: `qa` of the trained valve cylinder as a network of its own, and a grid of its inputs."""
 
+import json
+import subprocess
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -10,6 +13,7 @@ from greygate.models.layer import Port
 from greygate.models.network import Network
 from greygate.models.training.record import Record
 
+PEERS = ("da4ml", "alkaid")
 SIDE = 99  # points of the grid along each input
 ENDS = {"u": (-1.0, 1.0), "p": (0.01, 0.99)}
 
@@ -32,7 +36,7 @@ def flow() -> tuple[Network, Record]:
 
 
 def arrays() -> dict[str, np.ndarray]:
-    """The network for accuracy_peers.py: x (N, 2), y (N,) of float, and weights, bias and reach of each layer."""
+    """The network for flow_peers.py: x (N, 2), y (N,) of float, and weights, bias and reach of each layer."""
     network, record = flow()
     layers, found = network.layers(), {"x": np.stack(list(record.inputs.values()), 1), "y": record.targets["y"]}
     seen = ranges(network.flatten(), [record])
@@ -40,3 +44,12 @@ def arrays() -> dict[str, np.ndarray]:
         found |= {f"w{n}": np.hstack(list(layers[name].weights.values())), f"b{n}": layers[name].bias}
         found[f"reach{n}"] = np.array(seen[f"{name}.n"].magnitude)
     return found
+
+
+def of_peer(python: Path, package: str, folder: Path, *words: object) -> dict:
+    """What flow_peers.py prints for a package, in the interpreter that has it; it works in the folder."""
+    np.savez(folder / "data.npz", **arrays())
+    script = Path(__file__).with_name("flow_peers.py").resolve()
+    command = [python.absolute(), script, package, "data.npz", *map(str, words)]
+    done = subprocess.run(command, cwd=folder, check=True, stdout=subprocess.PIPE, text=True)
+    return json.loads(done.stdout.splitlines()[-1])

@@ -1,26 +1,17 @@
 """Parallel designs of the flow network: the smallest in LUTs, by the cost model, that keep an RMS against float.
 
 Weights have few signed digits, each signal a word that is searched; Yosys says what that takes, and on ECP5 nextpnr
-how fast it is.
-With --peers, an interpreter that has da4ml and alkaid, their designs at 16 bits and tables of 12 go through the same
-Yosys script in the same run.
-Usage: python benchmarks/flow_designs.py [--families xilinx ecp5] [--limit SECONDS] [--only NAME...] [--peers PYTHON]
+how fast it is. Where the interpreter of the peers is there, the designs of da4ml and alkaid at 16 bits and tables of 12
+go through the same Yosys script in the same run.
 """
 
-import argparse
 import json
-import os
 import re
 import shutil
-import subprocess
-import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
-from accuracy_per_bit import PEERS
-from flow import arrays, flow
-from made import stamp
+from typing import Annotated
 
 from greygate.compiler.emit import emit
 from greygate.compiler.explore.cost import cost
@@ -33,6 +24,13 @@ from greygate.hardware.families import FAMILIES
 from greygate.hardware.synthesis import counted, synthesize
 from greygate.hardware.tools import run_tool
 
+from . import shared
+from .flow import PEERS, flow, of_peer
+from .made import store, stored
+from .shared import scratch
+
+TAKES = "five minutes"
+
 DESIGNS = {  # name -> RMS against float, prices of a digit that are tried, design
     "fine": (1e-4, (3e-9,), Design(dsps=10, adders=5)),
     "fine, no DSP": (1e-4, (3e-9,), Design(dsps=0, adders=5)),
@@ -42,7 +40,6 @@ WIDTHS = range(10, 19)
 PEER_WIDTH, PEER_INDEX = 16, 12  # bits of the peers' words, and of the argument of their tables
 CUTS = range(3)  # bits that the inputs may have less than the word
 ROM_STYLE = re.compile(r"\(\* rom_style[^*]*\*\)")
-RESULTS = Path(__file__).parent / "results/flow_designs.json"
 
 
 def smallest(rms: float, prices: tuple[float, ...], design: Design) -> Candidate:
@@ -67,15 +64,10 @@ def smallest(rms: float, prices: tuple[float, ...], design: Design) -> Candidate
     return min(met, key=lambda one: (cost(one.program, "parallel", design, "xilinx").luts, one.error))
 
 
-def of_peer(python: str, package: str, families: list[str], limit: float) -> dict:
+def beside(python: Path, package: str, families: Sequence[str], limit: float) -> dict:
     """RMS of a peer's design, and what the families count."""
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        np.savez(folder / "data.npz", **arrays())
-        script = Path(__file__).with_name("flow_peers.py").resolve()
-        command = [python, str(script), package, "data.npz", str(PEER_WIDTH), str(PEER_INDEX)]
-        done = subprocess.run(command, cwd=folder, check=True, stdout=subprocess.PIPE, text=True)
-        told = json.loads(done.stdout.splitlines()[-1])
+    with scratch() as folder:
+        told = of_peer(python, package, folder, PEER_INDEX, PEER_WIDTH, "--design")
         for path in folder.rglob("*.mem"):  # read by their bare names
             shutil.copy(path, folder)
         for path in (folder / name for name in told["files"]):  # Yosys refuses it where a family has no such ROM
@@ -95,35 +87,28 @@ def of_peer(python: str, package: str, families: list[str], limit: float) -> dic
     return row
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--families", nargs="*", default=["xilinx", "ecp5"])
-    parser.add_argument("--limit", type=float, default=300.0, help="seconds of processor time for each tool")
-    parser.add_argument("--only", nargs="*", default=DESIGNS)
-    parser.add_argument("--peers", type=os.path.abspath, help="path of an interpreter that has da4ml and alkaid")
-    given = parser.parse_args()
-    rows = json.loads(RESULTS.read_text()) if RESULTS.exists() else {}
+def main(
+    *designs: Annotated[str, DESIGNS],
+    families: Sequence[str] = ("xilinx", "ecp5"),
+    limit: shared.Limit = 300.0,
+    peers: shared.Peers = shared.PEERS,
+) -> None:
+    rows = stored("flow_designs")
     clocks = architecture("parallel").clocks
     assert clocks is not None
-    for name in given.only:
+    for name in designs or DESIGNS:
         rms, prices, design = DESIGNS[name]
         one = smallest(rms, prices, design)
         row = rows.setdefault(name, {}) | {"rms": one.error, "clocks": clocks(one.program, design), "dsps": design.dsps}
         row["foretold_luts"] = cost(one.program, "parallel", design, "xilinx").luts
-        for family in given.families:
-            with tempfile.TemporaryDirectory() as folder:
+        for family in families:
+            with scratch() as folder:
                 emit(one.program, folder, "parallel", design)
-                row[family] = synthesize(folder, one.program.name, family, family == "ecp5", given.limit)
+                row[family] = synthesize(folder, one.program.name, family, family == "ecp5", limit)
             rows[name] = row
-            RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
-            stamp(RESULTS)
+            store("flow_designs", rows)
         print(name, row, flush=True)
-    for package in PEERS if given.peers else ():
-        rows[package] = of_peer(given.peers, package, given.families, given.limit)
-        RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
-        stamp(RESULTS)
+    for package in PEERS if peers.exists() else ():
+        rows[package] = beside(peers, package, families, limit)
+        store("flow_designs", rows)
         print(package, rows[package], flush=True)
-
-
-if __name__ == "__main__":
-    main()

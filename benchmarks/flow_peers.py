@@ -1,33 +1,64 @@
-"""The flow network as Verilog of da4ml or alkaid. Run by flow_designs.py, elsewhere.
+"""The flow network in da4ml or alkaid, with a full table for each neuron. flow.py runs it in their interpreter.
 
-Usage: python flow_peers.py PACKAGE DATA.npz WIDTH INDEX    writes flow/, prints {"rms": ..., "files": [...]}
-DATA: as of accuracy_peers.py. WIDTH: bits of weights, inputs and results. INDEX: bits of the argument of a table.
+    python flow_peers.py PACKAGE DATA.npz INDEX WIDTH...    prints {"width": [RMS, seconds], ...}
+    python flow_peers.py PACKAGE DATA.npz INDEX WIDTH --design    writes flow/, prints {"rms": ..., "files": [...]}
+
+DATA: x (N, 2), y (N,) of float, and w1, b1, w2, b2, w3, b3 of y = w3 tanh(w2 tanh(w1 x + b1) + b2) + b3. INDEX: bits of
+the argument of a table; 0: as many as the word. WIDTH: bits of weights, inputs and results.
 """
 
+import importlib
 import json
 import sys
-from importlib import import_module
+import time
 from pathlib import Path
 
 import numpy as np
-from accuracy_peers import PACKAGES, network
 
+FLAT = 3  # whole bits of an argument: beyond 8, tanh is 1 to 20 bits
 CUTOFF = 5  # of the peers' measure of depth, between two registers
+PACKAGES = {  # package -> (module, class of arrays), (module, function that traces)
+    "da4ml": (("da4ml.trace", "FixedVariableArray"), ("da4ml.trace", "comb_trace")),
+    "alkaid": (("alkaid.trace", "FVArray"), ("alkaid.trace", "trace")),
+}
 
 
-def main() -> None:
-    package, path, width, index = sys.argv[1], sys.argv[2], *map(int, sys.argv[3:])
-    array, trace = (getattr(import_module(module), name) for module, name in PACKAGES[package])
-    data = dict(np.load(path))
-    made = network(array, trace, data, width, index)
-    lsb = 2.0 ** (1 - width)
-    x = np.clip(np.floor(data["x"] / lsb + 0.5) * lsb, -1, 1 - lsb)
-    y = np.asarray(made.predict(x)).reshape(-1)
-    model = import_module(f"{package}.codegen.rtl.rtl_model").RTLModel
-    model(made, prj_name="flow", path="flow", latency_cutoff=CUTOFF, print_latency=False).write()
-    files = sorted(str(f) for f in Path("flow/src").rglob("*.v") if "wrapper" not in f.name)
-    print(json.dumps({"rms": float(np.sqrt(np.mean((y - data["y"]) ** 2))), "files": files}))
+def rounded(weights: np.ndarray, width: int) -> np.ndarray:
+    """Weights with `width` significant bits, the sign counted, of the largest of the matrix."""
+    scale = 2.0 ** (width - 1 - int(np.frexp(np.abs(weights).max())[1]))
+    return np.floor(weights * scale + 0.5) / scale
+
+
+def network(array, trace, data, width: int, index: int):
+    """The logic: inputs, sums, tables with arguments of `index` bits, an output as wide as the inputs."""
+    x = array.from_kif(np.array([1, 1]), np.array([0, 0]), np.array([width - 1, width - 1]))
+    h = x
+    for n in (1, 2):
+        w, b = rounded(data[f"w{n}"], width), rounded(data[f"b{n}"], width)
+        whole = min(int(np.frexp(float(data[f"reach{n}"]))[1]), FLAT)
+        z = (h @ w.T + b).quantize(k=1, i=whole, f=index - 1 - whole, overflow_mode="SAT", round_mode="RND")
+        h = z.apply(np.tanh).quantize(k=1, i=0, f=width - 1, overflow_mode="SAT", round_mode="RND")
+    y = h @ rounded(data["w3"], width).T + rounded(data["b3"], width)
+    return trace(x, y.quantize(k=1, i=0, f=width - 1, overflow_mode="SAT", round_mode="RND"))
+
+
+def main(package: str, path: str, index: str, *widths: str) -> None:
+    array, trace = (getattr(importlib.import_module(module), name) for module, name in PACKAGES[package])
+    data, found = dict(np.load(path)), {}
+    for width in map(int, (w for w in widths if w != "--design")):
+        start, lsb = time.monotonic(), 2.0 ** (1 - width)
+        logic = network(array, trace, data, width, int(index) or width)
+        x = np.clip(np.floor(data["x"] / lsb + 0.5) * lsb, -1, 1 - lsb)
+        y = np.asarray(logic.predict(x)).reshape(-1)
+        found[width] = [float(np.sqrt(np.mean((y - data["y"]) ** 2))), round(time.monotonic() - start, 2)]
+        print(width, found[width], file=sys.stderr)
+    if "--design" in widths:
+        model = importlib.import_module(f"{package}.codegen.rtl.rtl_model").RTLModel
+        model(logic, prj_name="flow", path="flow", latency_cutoff=CUTOFF, print_latency=False).write()
+        files = sorted(str(f) for f in Path("flow/src").rglob("*.v") if "wrapper" not in f.name)
+        found = {"rms": found[width][0], "files": files}
+    print(json.dumps(found))
 
 
 if __name__ == "__main__":
-    main()
+    main(*sys.argv[1:])

@@ -1,17 +1,12 @@
 """FMUs of the thesis's machines, of both versions, in fmpy: every output of every step of every scenario, to the bit.
 
-`make bench-fmus` runs it and writes benchmarks/results/fmus.json. Exit code 1 if an output differs.
+Exit code 1 if an output differs.
 """
 
-import argparse
-import sys
-import tempfile
-import time
 from pathlib import Path
 
 import fmpy
 import numpy as np
-from made import keep
 from test_export import Slave
 
 from greygate.emulator.emulation import emulate
@@ -21,6 +16,11 @@ from greygate.hardware.build import Project
 from greygate.machines.catalog import REPORTED
 from greygate.machines.source import Source
 from greygate.project import compile_project
+
+from .made import keep
+from .shared import scratch, stopwatch
+
+TAKES = "two minutes"
 
 
 def differing(project: Project, scenario: str, path: Path, folder: Path) -> tuple[int, int]:
@@ -43,19 +43,15 @@ def differing(project: Project, scenario: str, path: Path, folder: Path) -> tupl
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("part", choices=["networks"], nargs="?")
-    parser.parse_args()
     rows = []
     for name in REPORTED:
-        with tempfile.TemporaryDirectory() as work:
-            folder = Path(work)
+        with scratch() as folder:
             compile_project(Source(name), folder / "build", architectures=("c99",))
             project = Project.open(folder / "build")
             for version in VERSIONS:
-                path, start = folder / f"{name}{version}.fmu", time.monotonic()
+                path, watch = folder / f"{name}{version}.fmu", stopwatch()
                 export_fmu(folder / "build", path, version)
-                seconds = round(time.monotonic() - start, 2)
+                seconds = watch(2)
                 steps = differ = 0
                 for n, scenario in enumerate(project.source.scenarios):
                     more, wrong = differing(project, scenario, path, folder / f"{version}-{n}")
@@ -66,7 +62,3 @@ def main() -> int:
                 print(rows[-1], flush=True)
     keep("fmus", "networks", {"fmpy": fmpy.__version__, "rows": rows})
     return int(any(row["differing"] for row in rows))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,35 +1,29 @@
 """One Gauss-Newton evaluation (run, Jacobian, J'J and J'e) of the cylinder's network: 10,001 samples, two outputs.
 
-python benchmarks/gauss_newton.py [PART] [--repeats 40]
-
 Seconds of the wall clock on one core and on two, medians, beside the floor: forming one J'J of that size in BLAS alone,
-on one core. results/gauss_newton.json keeps them as PART, `now` by default: another version of the project is measured
-beside by this file, put into it.
+on one core. They are kept as PART, `now` by default: another version of the project is measured beside by this folder,
+put into it.
 """
 
-import argparse
 import os
 from statistics import median
-from time import perf_counter
 
 import numpy as np
-from made import keep
-from threadpoolctl import threadpool_limits
 
 from greygate.machines import catalog
 from greygate.models.training.objective import Objective
+
+from .made import keep
+from .shared import taken
+
+TAKES = "a minute"
 
 ROWS = 2048  # of the floor's Jacobian; the rest is scaled
 
 
 def timed(work, repeats: int) -> float:
     work()
-    times = []
-    for _ in range(repeats):
-        began = perf_counter()
-        work()
-        times.append(perf_counter() - began)
-    return median(times)
+    return median(taken(work, repeats))
 
 
 def pin(cores: list[int]) -> None:
@@ -38,7 +32,7 @@ def pin(cores: list[int]) -> None:
         os.sched_setaffinity(int(thread), cores)
 
 
-def main(part: str, repeats: int) -> None:
+def main(part: str = "now", *, repeats: int = 40) -> None:
     entry = catalog.entry("valve_cylinder")
     objective = Objective(entry.network(), [entry.records()["training"]])
     size = len(objective.free)
@@ -50,20 +44,12 @@ def main(part: str, repeats: int) -> None:
         objective.squares(objective.theta)
         objective.normal_equations(objective.theta)
 
-    with threadpool_limits(1, "blas"):
-        evaluation()  # all threads have begun
-        for name, used in (("one_core", cores[:1]), ("two_cores", cores[:2])):
-            pin(used)
-            found[name] = round(timed(evaluation, repeats), 4)
-        pin(cores[:1])
-        found["run"] = round(timed(lambda: objective.squares(objective.theta), repeats), 4)
-        found["floor"] = round(objective.samples / ROWS * timed(lambda: jacobian.T @ jacobian, 4 * repeats), 4)
+    evaluation()  # all threads have begun
+    for name, used in (("one_core", cores[:1]), ("two_cores", cores[:2])):
+        pin(used)
+        found[name] = round(timed(evaluation, repeats), 4)
+    pin(cores[:1])
+    found["run"] = round(timed(lambda: objective.squares(objective.theta), repeats), 4)
+    found["floor"] = round(objective.samples / ROWS * timed(lambda: jacobian.T @ jacobian, 4 * repeats), 4)
     keep("gauss_newton", part, found)
     print(", ".join(f"{name} {value}" for name, value in found.items()))
-
-
-parser = argparse.ArgumentParser()
-parser.add_argument("part", nargs="?", default="now")
-parser.add_argument("--repeats", type=int, default=40)
-options = parser.parse_args()
-main(options.part, options.repeats)

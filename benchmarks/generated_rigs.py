@@ -1,31 +1,28 @@
-"""Runs every command of diagnosis over random valid rigs: no traceback, no hang. Writes results/generated_rigs.json.
-
-    python benchmarks/generated_rigs.py --rigs 200 --jobs 2
+"""Runs every command of diagnosis over random valid rigs: no traceback, no hang.
 
 Each rig is diagnosed (with its page), simulated by its data sheet and with the diagnosis, and asked for what it can
 tell apart. Every fiftieth is a concealed case of a known machine, which is concealed and revealed too, and augmented
 where its network has a module for the effect. A command that ends with exit code 2 is counted with what it says.
 """
 
-import argparse
 import contextlib
 import io
 import json
-import os
-import platform
 import signal
 import sys
-import tempfile
 import time
 import traceback
 from collections import Counter
 from pathlib import Path
+from typing import Annotated
 
+from generated_rigs import make
 from joblib import Parallel, delayed
-from made import stamp
 
-ROOT = Path(__file__).parents[1]
-RESULT = ROOT / "benchmarks" / "results" / "generated_rigs.json"
+from .made import store
+from .shared import Jobs, say, scratch, stopwatch
+
+TAKES = "ten minutes"
 HANG = 600.0  # s, after which a command hangs
 CONCEALED = 50  # one rig in so many is a concealed case
 MACHINES = {"cable_drum": "speed_slip", "belt_drive": "scale_error"}  # with the shortest diagnoses: what is concealed
@@ -77,11 +74,8 @@ def strict(path: Path) -> str:
 
 def generated(seed: int) -> dict:
     """Every command on one random rig."""
-    sys.path.insert(0, str(ROOT / "tests"))
-    from generated_rigs import make
-
-    with tempfile.TemporaryDirectory() as scratch:
-        rig = Path(scratch) / f"rig{seed}"
+    with scratch() as folder:
+        rig = folder / f"rig{seed}"
         drawn = make(seed, rig)
         return {**drawn, "commands": _commands(rig)}
 
@@ -90,8 +84,8 @@ def concealed(seed: int) -> dict:
     """Every command on one concealed case."""
     name = list(MACHINES)[seed // CONCEALED % len(MACHINES)]
     what = ("--kind", "one", "--effect", MACHINES[name])
-    with tempfile.TemporaryDirectory() as scratch:
-        rig = Path(scratch) / name
+    with scratch() as folder:
+        rig = folder / name
         ran = {"conceal": called("conceal", name, "--seed", seed, *what, "--out", rig)}
         ran |= _commands(rig)
         ran["reveal"] = called("reveal", rig, "--diagnosis", rig / "d.json")
@@ -118,7 +112,7 @@ def _commands(rig: Path) -> dict[str, dict]:
 def one(seed: int) -> dict:
     found = (concealed if seed % CONCEALED == CONCEALED - 1 else generated)(seed)
     codes = " ".join(f"{name} {c['code']}" for name, c in found["commands"].items())
-    print(f"{seed:4} {found['kind']:12} {codes}", file=sys.stderr, flush=True)
+    say(f"{seed:4} {found['kind']:12} {codes}")
     return found
 
 
@@ -154,24 +148,13 @@ def _general(said: str) -> str:
     return " ".join(word for word in said.split() if "/" not in word)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rigs", type=int, default=200)
-    parser.add_argument("--first", type=int, default=1000, help="first seed; the tests have 0 to 14")
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=RESULT, help="rewritten after every rig")
-    given = parser.parse_args()
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    began = time.perf_counter()
-    found = []
-    tasks = (delayed(one)(given.first + k) for k in range(given.rigs))
-    for rig in Parallel(given.jobs, return_as="generator_unordered")(tasks):
+def main(
+    *, rigs: int = 200, first: Annotated[int, "first seed; the tests have 0 to 14"] = 1000, jobs: Jobs = 2
+) -> None:
+    watch, found = stopwatch(), []
+    tasks = (delayed(one)(first + k) for k in range(rigs))
+    for rig in Parallel(jobs, return_as="generator_unordered")(tasks):
         found.append(rig)
-        content = {**summary(found), "wall_seconds": round(time.perf_counter() - began), "machine": platform.machine()}
-        given.out.write_text(json.dumps(content, indent=1) + "\n")
-        stamp(given.out)
+        content = {**summary(found), "wall_seconds": round(watch())}
+        store("generated_rigs", content)
     print(json.dumps({k: v for k, v in content.items() if k not in ("traits", "kinds")}, indent=1))
-
-
-if __name__ == "__main__":
-    main()

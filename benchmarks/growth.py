@@ -3,17 +3,11 @@
 Networks of two layers of tanh with 10 to 10,000 weights are compiled, written folded and parallel (with the adders that
 its sums take), synthesized folded on ECP5 and emulated; one of 100,000 weights is compiled and written folded. Seconds
 of the wall clock, and steps a second of the emulator.
-Usage: python benchmarks/growth.py [--weights N...] [--limit SECONDS]
 """
 
-import argparse
-import json
-import tempfile
-import time
-from pathlib import Path
+from collections.abc import Sequence
 
 import numpy as np
-from made import stamp
 
 from greygate.compiler.adders import solve
 from greygate.compiler.dataflow import Dataflow
@@ -27,13 +21,18 @@ from greygate.models.layer import Layer, Port
 from greygate.models.network import Network
 from greygate.models.training.record import Record
 
+from .made import store
+from .shared import VERILATOR, Limit, scratch, stopwatch
+
+TAKES = "two minutes"
+THREADS = "all"
+NEEDS = VERILATOR
 WEIGHTS = (10, 100, 1_000, 10_000, 100_000)
 SYNTHESIZED = 10_000  # weights up to which a design is synthesized and emulated
 STEPS = 2_000  # of the record that sets the ranges
 EMULATED = 20_000_000  # products that are emulated, in as many steps as that makes
 INPUTS = 4
 MULTIPLIERS = 4
-RESULTS = Path(__file__).parent / "results/growth.json"
 
 
 def network(weights: int) -> tuple[Network, Record]:
@@ -57,10 +56,10 @@ def network(weights: int) -> tuple[Network, Record]:
 
 def parallel(program: Program) -> dict[str, float]:
     """Seconds in which the parallel design is written, and its adders."""
-    with tempfile.TemporaryDirectory() as folder:
-        start = time.perf_counter()
+    with scratch() as folder:
+        watch = stopwatch()
         emit(program, folder, "parallel")
-        seconds = round(time.perf_counter() - start, 2)
+        seconds = watch(2)
     adders = sum(sums.graph.adders for sums in Dataflow(program, Design()).sums.values())
     return {"parallel_emit_s": seconds, "adders": adders}
 
@@ -69,13 +68,13 @@ def grown(weights: int, limit: float) -> dict[str, float]:
     """Figures of one size."""
     made, record = network(weights)
     found: dict[str, float] = {"weights": sum(w.size for n, w in made.parameters().items() if not n.endswith("bias"))}
-    start = time.perf_counter()
+    watch = stopwatch()
     program = compile_network(made, {"grid": record}).program
-    found["compile_s"] = round(time.perf_counter() - start, 2)
-    with tempfile.TemporaryDirectory() as folder:
-        start = time.perf_counter()
+    found["compile_s"] = watch(2)
+    with scratch() as folder:
+        watch = stopwatch()
         emit(program, folder, "folded", Design(multipliers=MULTIPLIERS))
-        found["emit_s"] = round(time.perf_counter() - start, 2)
+        found["emit_s"] = watch(2)
         if weights > SYNTHESIZED:
             return found
         found |= parallel(program)
@@ -83,25 +82,16 @@ def grown(weights: int, limit: float) -> dict[str, float]:
     codes = program.encode(record.inputs)
     many = np.tile(codes, (max(1, EMULATED // found["weights"] // STEPS), 1))
     run(program, codes, states=False)
-    start = time.perf_counter()
+    watch = stopwatch()
     run(program, many, states=False)
-    found["steps_per_s"] = round(len(many) / (time.perf_counter() - start))
+    found["steps_per_s"] = round(len(many) / watch())
     return found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--weights", nargs="*", type=int, default=WEIGHTS)
-    parser.add_argument("--limit", type=float, default=300.0, help="seconds of processor time for Yosys")
-    given = parser.parse_args()
+def main(*, weights: Sequence[int] = WEIGHTS, limit: Limit = 300.0) -> None:
     solve(np.array([[5], [45], [225]]), [8])  # numba compiles, or reads what it compiled
     rows = []
-    for weights in given.weights:
-        rows.append(grown(weights, given.limit))
+    for size in weights:
+        rows.append(grown(size, limit))
         print(rows[-1], flush=True)
-    RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
-    stamp(RESULTS)
-
-
-if __name__ == "__main__":
-    main()
+    store("growth", rows)

@@ -3,27 +3,32 @@
 A NOE of one layer learns a lag behind a curve in free run: 10^3 to 10^6 samples at 61 weights, 13 to 9,997 weights at
 10^4 samples. A step is one of Levenberg-Marquardt (greygate, scipy), or one evaluation of loss and gradient, by which
 first-order methods step (greygate, jax-sysid). CPU seconds of one thread, the mean over SECONDS of steps, compilation
-left out; no step within LIMIT seconds: nothing. Writes results/growth_training.json, docs/pictures/growth_training.svg.
-
-python benchmarks/growth_training.py [PART] [--peers build/peers/bin/python] [--trainers ...] [--draw]
+left out; no step within LIMIT seconds: nothing. Draws
+docs/pictures/growth_training.svg.
 """
 
-import argparse
 import json
 import os
 import subprocess
 import sys
-import tempfile
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from made import RESULTS, keep
-from training import HERE, ONE_THREAD, OURS
+from pictures import FOLDER, panel, picture
 
+from greygate.files import replacing
+from greygate.pages.figures import Curve
 from greygate.plants.excitation import prms
 
+from . import shared
+from .made import keep, stored
+from .shared import scratch
+from .training import HERE, ONE_THREAD, OURS
+
+TAKES = "not timed"
 SAMPLES, WEIGHTS = (1_000, 10_000, 100_000, 1_000_000), (13, 97, 997, 9_997)
 MIDDLE = 10_000  # samples beside growing weights
 NEURONS = 10  # beside growing samples
@@ -52,11 +57,11 @@ def case(samples: int, neurons: int) -> dict[str, np.ndarray]:
     return {"u": u, "y": y, "starts": np.concatenate(theta)[None], **{n: np.array(v) for n, v in options.items()}}
 
 
-def step(trainer: str, given: dict[str, np.ndarray], peers: str) -> float | None:
+def step(trainer: str, given: dict[str, np.ndarray], peers: Path) -> float | None:
     """CPU seconds of a step; None where there was none in time."""
     python = sys.executable if trainer.partition(",")[0] in OURS else peers
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "case.npz"
+    with scratch() as folder:
+        path = folder / "case.npz"
         np.savez(path, **given)
         command = [python, str(HERE / "trainers.py"), trainer, str(path)]
         try:
@@ -80,13 +85,7 @@ def exponent(sizes: Sequence[int], seconds: Sequence[float | None]) -> float | N
 
 def draw() -> None:
     """The picture, from what is stored."""
-    sys.path.insert(0, str(HERE.parent / "docs"))
-    from pictures import FOLDER, panel, picture
-
-    from greygate.files import replacing
-    from greygate.pages.figures import Curve
-
-    found = json.loads((RESULTS / f"{NAME}.json").read_text())
+    found = stored(NAME)
     kinds = dict(zip(TRAINERS, ("fixed", "mark", "cost", "reference"), strict=True))
     panels = []
     for part, x, beside in (("samples", "samples", "61 weights"), ("weights", "weights", "10,000 samples")):
@@ -101,15 +100,18 @@ def draw() -> None:
         path.write_text(picture(panels, [(kinds[t], n) for t, n in zip(TRAINERS, names, strict=True)]))
 
 
-def main(part: str, trainers: Sequence[str], peers: str) -> None:
+def main(
+    *part: Annotated[str, ("samples", "weights")],
+    trainers: Sequence[str] = TRAINERS,
+    peers: shared.Peers = shared.PEERS,
+    only_draw: Annotated[bool, "only draw what is stored"] = False,
+) -> None:
     sweeps = {
         "samples": [(n, n, NEURONS) for n in SAMPLES],
         "weights": [(n, MIDDLE, (n - 1) // OF_NEURON) for n in WEIGHTS],
     }
-    path = RESULTS / f"{NAME}.json"
-    for name, points in sweeps.items():
-        if part not in ("", name):
-            continue
+    for name in () if only_draw else part or sweeps:
+        points = sweeps[name]
         sizes = [size for size, *_ in points]
         seconds: dict[str, list[float | None]] = {trainer: [] for trainer in trainers}
         for size, samples, neurons in points:
@@ -118,20 +120,8 @@ def main(part: str, trainers: Sequence[str], peers: str) -> None:
                 # what took too long once takes longer still
                 times.append(None if times and times[-1] is None else step(trainer, given, peers))
                 print(f"{size} {name}, {trainer}: {times[-1]} s", flush=True)
-        stored = json.loads(path.read_text()) if path.exists() else {}
-        before = stored.get(name, {}).get("seconds", {})
+        before = stored(NAME).get(name, {}).get("seconds", {})
         seconds = {trainer: (before | seconds)[trainer] for trainer in TRAINERS if trainer in before | seconds}
         powers = {trainer: exponent(sizes, times) for trainer, times in seconds.items()}
         keep(NAME, name, {"sizes": sizes, "seconds": seconds, "exponents": powers})
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser()
-    parser.add_argument("part", nargs="?", default="", help="samples or weights; both without it")
-    parser.add_argument("--trainers", nargs="*", default=TRAINERS)
-    parser.add_argument("--peers", default="build/peers/bin/python")
-    parser.add_argument("--draw", action="store_true", help="only draw what is stored")
-    options = parser.parse_args()
-    if not options.draw:
-        main(options.part, options.trainers, options.peers)
     draw()

@@ -1,19 +1,11 @@
 """What fixed point costs networks of the catalogue, and whether the Verilog agrees with the emulator, bit by bit.
 
-    python benchmarks/hardware.py NAME ...
-
 RMS error of every record in float and in words of 12, 16 and 18 bits, in the unit of each output; where the catalogue
 gives weights and neurons bits beyond the word (`finer`), at 16 bits also without them; and of what pruning left.
-Then both architectures at 16 bits in Verilator on the network's scenarios. Kept in results/hardware.json, by name.
+Then both architectures at 16 bits in Verilator on the network's scenarios.
 """
 
-import sys
-import tempfile
 from functools import partial
-from pathlib import Path
-
-from made import keep
-from threadpoolctl import threadpool_limits
 
 from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.hardware.build import Project
@@ -22,6 +14,10 @@ from greygate.machines.kept import ALLOWED
 from greygate.machines.source import Source
 from greygate.models.accuracy import float_error, rms
 from greygate.project import compile_project, verify_project
+
+from .shared import scratch
+
+TAKES = "not timed"
 
 WIDTHS = (12, 16, 18)
 
@@ -50,10 +46,9 @@ def errors(name: str) -> dict:
 
 def verified(name: str) -> dict:
     """Architecture -> clocks of a step, steps, and how many scenarios differ from the emulator in any bit."""
-    with tempfile.TemporaryDirectory() as folder:
-        where = Path(folder) / name
-        compile_project(Source(name), where)
-        project = Project.open(where)
+    with scratch() as folder:
+        compile_project(Source(name), folder / name)
+        project = Project.open(folder / name)
         verify_project(project, seed=1)
         return {
             architecture: {
@@ -66,7 +61,8 @@ def verified(name: str) -> dict:
         }
 
 
-if __name__ == "__main__":
-    with threadpool_limits(1, "blas"):
-        for name in sys.argv[1:] or CATALOG:
-            keep("hardware", name, {"rms": errors(name), "verified": verified(name)})
+def judged(name: str) -> dict:
+    return {"rms": errors(name), "verified": verified(name)}
+
+
+PARTS = {name: partial(judged, name) for name in CATALOG}

@@ -1,30 +1,30 @@
 """Hostile recordings: what `greygate look FILE` does with files that were made to harm whoever opens them.
 
-`python benchmarks/hostile.py` makes each file, looks at it in a fresh folder, and writes benchmarks/results/
-hostile.json: code that ran (a file appears), foreign bytes (a number of a secret file is printed or written), hangs
-(10 s of computing, or a minute of waiting), the most memory of all processes together, and tracebacks.
+Each file is made and looked at in a fresh folder. What is counted: code that ran (a file appears), foreign bytes (a
+number of a secret file is printed or written), hangs (10 s of computing, or a minute of waiting), the most memory of
+all processes together, and tracebacks.
 """
 
 import gzip
 import json
 import os
-import shutil
 import struct
 import subprocess
-import sys
-import tempfile
 import time
 import zlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import h5py
 import numpy as np
-from made import keep
 from scipy.io import savemat
 
-GREYGATE = str(Path(sys.executable).with_name("greygate"))
+from .made import keep
+from .shared import GREYGATE, scratch
+
+TAKES = "five minutes"
 HANGS, WAITS = 10.0, 60.0  # s of computing, s in all
 MOST = 1 << 30  # bytes of memory
 SECRET = 31337.25  # the number in the secret file
@@ -330,8 +330,7 @@ FILES["long.mcap"] = lambda path: mcap(path, [b'{"' + b"a" * 10_000_000 + b'":1}
 
 def looked(name: str, write: Callable[[Path], None]) -> dict:
     """What `look` does with one file."""
-    with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder)
+    with scratch() as place:
         write(place / name)
         size = (place / name).stat().st_size
         begin, used = time.monotonic(), os.times()
@@ -361,7 +360,7 @@ def looked(name: str, write: Callable[[Path], None]) -> dict:
             "traceback": "Traceback" in text,
             "computing_s": round(computed, 1),
             "exit": process.returncode,
-            "said": text.strip().replace(folder, "")[:200],
+            "said": text.strip().replace(str(place), "")[:200],
         }
 
 
@@ -381,7 +380,7 @@ def tree(root: int) -> dict[int, int]:
     return {pid: tops[pid] for pid in found if pid in tops}
 
 
-def main(wanted: list[str]) -> None:
+def main(*wanted: Annotated[str, FILES]) -> None:
     found = {}
     for name in wanted or FILES:
         found[name] = looked(name, FILES[name])
@@ -396,8 +395,3 @@ def main(wanted: list[str]) -> None:
     print(totals)
     if not wanted:
         keep("hostile", "look", {"totals": totals, "each": found})
-
-
-if __name__ == "__main__":
-    shutil.which(GREYGATE) or sys.exit("install greygate first")
-    main([name for name in sys.argv[1:] if name != "look"])

@@ -1,19 +1,16 @@
 """What `greygate identify` finds with no knob turned, beside the best linear model, on measured and simulated plants.
 
-python benchmarks/identify.py [dryer thermal dead_zone pendulum tanks ced crane emps mts]
-
 Simulated plants are integrated by scipy; their test runs are without noise. The first samples of a test give its state,
 as many as the command took itself, or as are published where those are more. Each part takes a minute, the default of
 the command, and the linear models are fitted to the end. Recordings that are not in the repo are looked for in
 GREYGATE_RECORDINGS.
 """
 
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
-from made import keep
 from scipy.integrate import odeint
 
 from greygate.identify.files import figures, identify
@@ -24,6 +21,7 @@ from greygate.plain import plain
 from greygate.plants.excitation import prms
 from greygate.plants.recording import Recording
 
+TAKES = "ten minutes"
 SECONDS, JOBS = 60.0, 2
 NAMES = ("dryer", "thermal", "dead_zone", "pendulum", "tanks", "ced", "crane", "emps", "mts")
 
@@ -97,7 +95,7 @@ def judged(asked: Task, test: Record) -> Record:
     return started(replace(test, skip=max(test.skip, asked.settle), initial={}), asked.output)
 
 
-def main(name: str) -> None:
+def found_by(name: str) -> dict:
     given, inputs, output, tests = recorded(name)
     found = identify(given, inputs, output, {}, seconds=SECONDS, jobs=JOBS)
     task, search = found.task, found.search
@@ -115,10 +113,8 @@ def main(name: str) -> None:
         "linear_held_out": line.error,
     }
     kept["models"] = kept["models"][:5]
-    keep("identify", name, plain(kept))
     print(name, kept["chosen"], kept["tests"], kept["seconds"], flush=True)
+    return plain(kept)
 
 
-if __name__ == "__main__":
-    for part in sys.argv[1:] or NAMES:
-        main(part)
+PARTS = {name: partial(found_by, name) for name in NAMES}

@@ -1,7 +1,5 @@
 """Beside `identify`: a torch network of equal size, and thirty networks as a person would tune them.
 
-    python benchmarks/identify_rivals.py torch|tuned [dryer thermal dead_zone pendulum tanks ced crane emps mts]
-
 torch: `torch.nn.RNN` (tanh) with a linear output, of as many weights as what `identify` chose (results/identify.json)
 or a few more, in float64 by Adam through windows, for the minute that `identify` has. Its weights are those of the
 lowest error on the last quarter of each recording, which it does not train on; it has as many first samples of a test
@@ -10,18 +8,13 @@ three quarters of each recording; the best on the last quarter is fitted to ever
 thirty is given too: no person could choose by it.
 """
 
-import json
 import math
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 from time import monotonic
+from typing import Annotated
 
 import numpy as np
 import torch
-from identify import JOBS, NAMES, SECONDS, judged, recorded
-from made import keep
-from threadpoolctl import threadpool_limits
 
 from greygate.identify.halving import (
     DECAY,
@@ -41,7 +34,11 @@ from greygate.identify.looking import look
 from greygate.identify.task import Task, started, task
 from greygate.models.training.record import Record
 
-RESULTS = Path(__file__).parent / "results"
+from .identify import JOBS, NAMES, SECONDS, judged, recorded
+from .made import keep, stored
+from .shared import say
+
+TAKES = "half an hour"
 RATE, WINDOW, TOGETHER = 1e-2, 200, 64  # of Adam; judged samples of a window; windows of a step
 DRAWS = 30
 LARGEST = 20000  # samples that a tuned network is trained on
@@ -77,7 +74,7 @@ class Net(torch.nn.Module):
 
 def rival(name: str) -> dict:
     asked, tests, _ = posed(name)
-    weights = json.loads((RESULTS / "identify.json").read_text())[name]["chosen"]["parameters"]
+    weights = stored("identify")[name]["chosen"]["parameters"]
     torch.manual_seed(0)
     torch.set_num_threads(JOBS)
     net = next(n for n in (Net(len(asked.inputs), h) for h in range(1, 200)) if size(n) >= weights)
@@ -167,7 +164,7 @@ def tuned(name: str) -> dict:
         row = {"model": model.name, "held_out": error(network, last)}
         row |= {"test": {n: error(network, [r]) for n, r in tests.items()}}
         tried.append((row, model, draw))
-        print(name, draw, row, f"{monotonic() - began:.0f} s", file=sys.stderr, flush=True)
+        say(name, draw, row, f"{monotonic() - began:.0f} s")
     best, model, seed = min(tried, key=lambda t: t[0]["held_out"])
     network = fit(model, seed, list(asked.records.values()))
     return {
@@ -179,10 +176,11 @@ def tuned(name: str) -> dict:
     }
 
 
-if __name__ == "__main__":
-    part, *names = sys.argv[1:]
-    with threadpool_limits(1, "blas"):
-        for one in names or NAMES:
-            found = {"torch": rival, "tuned": tuned}[part](one)
-            keep("identify_rivals", f"{part} {one}", found)
-            print(part, one, found, flush=True)
+KINDS = {"torch": rival, "tuned": tuned}
+
+
+def main(kind: Annotated[str, KINDS], *names: Annotated[str, NAMES]) -> None:
+    for name in names or NAMES:
+        found = KINDS[kind](name)
+        keep("identify_rivals", f"{kind} {name}", found, kind, name)
+        print(kind, name, found, flush=True)

@@ -1,23 +1,24 @@
 """Networks of other tools: the largest difference over a free run, and the bits of the hardware made of them.
 
-`make bench-importers` runs it and writes benchmarks/results/importers.json. Exit code 1 if a bit differs, or an answer
-by more than 1e-6 of its range.
+Exit code 1 if a bit differs, or an answer by more than 1e-6 of its range.
 """
 
-import argparse
-import sys
-import tempfile
 from pathlib import Path
 
 import numpy as np
 from imported_models import ALL, free_run, signal
-from made import keep
 
 from greygate.hardware.build import Project
 from greygate.machines.source import Source
 from greygate.models.training.record import Record
 from greygate.plants.recording import Recording
 from greygate.project import compile_project, fixed_and_float, verify_project
+
+from .made import keep
+from .shared import VERILATOR, scratch
+
+TAKES = "three minutes"
+NEEDS = VERILATOR
 
 STEPS = 1000
 AGREED = 1e-6
@@ -50,17 +51,10 @@ def measured(case, folder: Path) -> dict:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("part", choices=["models"], nargs="?")
-    parser.parse_args()
     rows = []
     for case in ALL:
-        with tempfile.TemporaryDirectory() as folder:
-            rows.append(measured(case, Path(folder)))
+        with scratch() as folder:
+            rows.append(measured(case, folder))
         print(rows[-1], flush=True)
     keep("importers", "models", {"steps": STEPS, "rows": rows})
     return int(any(row["differing"] != 0 or row["largest"] > AGREED for row in rows))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,36 +1,33 @@
 """Every long command is ended at random times, by SIGTERM and by SIGKILL: what is left, and who still runs?
 
-    python benchmarks/kills.py                            # every command, 100 times
-    python benchmarks/kills.py --times 10 identify train  # some of them, fewer times
-
-It adds to results/kills.json, part by part. After each kill it is asked: are the results whole, those from before or
+Every command is a part. After each kill it is asked: are the results whole, those from before or
 those from after; is a process of the command alive after 5 s; was there a traceback; and, after every RERUN-th, does
 the command work again and leave no strays? Half of the kills find an earlier result in place.
 """
 
-import argparse
 import json
 import os
 import random
 import shutil
 import signal
 import subprocess
-import sys
-import tempfile
 import time
 from pathlib import Path
+from typing import Annotated
 
-from made import keep
+from networks import delay_line
 
 from greygate.files import OURS
 from greygate.mismatch.concealed.conceal import conceal
 
-ROOT = Path(__file__).parents[1]
-GREYGATE = str(Path(sys.executable).with_name("greygate"))
+from .made import keep
+from .shared import GREYGATE, scratch, stopwatch
+
+TAKES = "hours"
+THREADS = "all"
 MARK = "GREYGATE_KILLS"  # a variable that every process of a command has
 SOON = 5.0  # s
 SAMPLES = 2001  # lines of a recording
-MEASURES = ["greygate/children.py", "greygate/files.py", "greygate/cli"]
 COMMANDS = {  # name -> (words; {at} is the folder of the inputs, what it writes)
     "identify": ("identify {at}/a.csv --input u --output y --seconds 4 --jobs 2 --out found", ["found"]),
     "diagnose": ("diagnose {at}/fast {at}/clean --jobs 2 --out pages --html pages", ["pages"]),
@@ -59,9 +56,6 @@ def inputs(at: Path) -> None:
         rows.append(f"{k * 1e-3:.3f},{u},{y[-1] + 0.01 * draw.gauss(0, 1):.6f}\n")
     at.mkdir()
     (at / "a.csv").write_text("t_s,u_V,y_m\n" + "".join(rows))
-    sys.path.insert(0, str(ROOT / "tests"))
-    from networks import delay_line
-
     delay_line().save(at / "line")
     for name, kind in (("fast", {"effect": "speed_slip", "kind": "one"}), ("clean", {"kind": "clean"})):
         conceal("cable_drum", 3, at / name, **kind)
@@ -131,9 +125,9 @@ def measured(command: str, at: Path, place: Path, times: int, rerun: int, draw: 
         return folder
 
     def call(folder: Path) -> tuple[int, str, float]:
-        began = time.monotonic()
+        watch = stopwatch()
         done = subprocess.run([GREYGATE, *words(command, at)], cwd=folder, capture_output=True, text=True)
-        return done.returncode, done.stderr, time.monotonic() - began
+        return done.returncode, done.stderr, watch()
 
     folder = fresh(None)
     code, said, _ = call(folder)
@@ -178,23 +172,17 @@ def measured(command: str, at: Path, place: Path, times: int, rerun: int, draw: 
     return found | {"seconds": round(lasts, 2), "wrong": wrong}
 
 
-def main() -> None:
-    asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    asked.add_argument("commands", nargs="*", choices=[*COMMANDS, []], help="by default all")
-    asked.add_argument("--times", type=int, default=100)
-    asked.add_argument("--rerun", type=int, default=1, help="run again after every so-manieth kill")
-    asked.add_argument("--seed", type=int, default=1)
-    given = asked.parse_args()
-    with tempfile.TemporaryDirectory(prefix="kills-") as folder:
-        at = Path(folder) / "in"
-        inputs(at)
-        for command in given.commands or COMMANDS:
-            place = Path(folder) / command.replace(" ", "_")
+def main(
+    *commands: Annotated[str, COMMANDS],
+    times: int = 100,
+    rerun: Annotated[int, "run again after every so-manieth kill"] = 1,
+    seed: int = 1,
+) -> None:
+    with scratch("kills-") as folder:
+        inputs(folder / "in")
+        for command in commands or COMMANDS:
+            place = folder / command.replace(" ", "_")
             place.mkdir()
-            found = measured(command, at, place, given.times, given.rerun, random.Random(given.seed))
-            keep("kills", command, {"seed": given.seed, "rerun": given.rerun, **found}, MEASURES)
+            found = measured(command, folder / "in", place, times, rerun, random.Random(seed))
+            keep("kills", command, {"seed": seed, "rerun": rerun, **found})
             print(command, json.dumps(found), flush=True)
-
-
-if __name__ == "__main__":
-    main()

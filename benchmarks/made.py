@@ -1,64 +1,94 @@
-"""Stored results: which command found them, on which commit and day, and which code they measure.
+"""Stored results: which command found them, on which commit, day and machine, and which code they measure.
 
-JSON by parts says it itself, results/NAME.json: {"PART": {"made": {"command", "commit", "date"}, ...what was found}}.
-The index results/made.json has a line for every other file or folder of results, and says of each which code it
-measures:
+    python -m benchmarks made [PATH ...] [--command COMMAND] [--measures PATH ...]
 
-    {"benchmarks/results/NAME.csv": {"command", "commit", "date", "sha256", "measures": ["folder", "file.py"]}}
+JSON by parts says it itself, results/NAME.json: {"PART": {"made": {"command", "commit", "date", "machine"}, ...what was
+found}}. The index results/made.json has a line for every other file or folder of results, and says of each which code
+it measures:
 
-A script stores by `keep("NAME", "PART", found, measures=[...])`, or writes its file or folder and calls
-`stamp(path, measures=[...])`; `measures` is needed the first time. What no script of this folder wrote is stamped by
-hand: `python benchmarks/made.py PATH [--command COMMAND] [--measures PATH ...]`. Without PATH it stamps whatever was
-changed since its stamp. `stored` in place of `commit` is the commit that brought a file here: what measured it is
-unknown. `benchmarks/stale.py` names what is older than the code it measures. The pages are written from the results
-(`make pages`).
+    {"benchmarks/results/NAME.csv": {"command", "commit", "date", "machine", "sha256", "measures": ["folder"]}}
+
+A benchmark stores by `keep("NAME", "PART", found)` or `store("NAME", found)`, or writes its file or folder and calls
+`stamp(path)`. What none of them wrote is stamped by hand, by this command; without PATH it stamps whatever was changed
+since its stamp. A new result has to be told what it `measures` once, by hand too. `stored` in place of `commit` is the
+commit that brought a file here: what measured it is unknown. `python -m benchmarks stale` names what is older than the
+code it measures. The pages are written from the results (`make pages`).
 """
 
-import argparse
 import hashlib
 import json
+import os
+import platform
+import shlex
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
 from datetime import date
 from pathlib import Path
 
+TAKES = "seconds"
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
 INDEX = RESULTS / "made.json"
 STORED = (RESULTS, ROOT / "models" / "trained")
+RUN = {"results": RESULTS, "name": ""}  # of the run that is on: where its results go, and its benchmark
 
 
-def keep(name: str, part: str, found: Mapping, measures: Sequence[str] = ()) -> None:
-    """Put what was found for `part` into results/NAME.json, beside its other parts."""
-    path = RESULTS / f"{name}.json"
-    content = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    content[part] = {"made": made(part), **found}
-    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    _measured(path, measures)
+def place(name: str) -> Path:
+    """Where this run keeps a file or folder of results."""
+    return RUN["results"] / name
 
 
-def stamp(path: Path, part: str = "", command: str | None = None, measures: Sequence[str] = ()) -> None:
-    """Say in the index how a file, or every file of a folder, was made: just now, by this script.
+def stored(name: str) -> dict:
+    """Content of NAME.json among the results; empty where there is none."""
+    path = place(f"{name}.json")
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
 
-    What is written anywhere else is no stored result, and left alone.
+
+def keep(name: str, part: str, found: Mapping, *words: str) -> None:
+    """Put what was found for `part` into results/NAME.json, beside its other parts.
+
+    words: of the command line that finds it, the part by default.
     """
-    if any(path.resolve().is_relative_to(folder) for folder in STORED):
-        _measured(path, measures, {**made(part, command), "sha256": digest(path)})
+    how = made(shlex.join(["python", "-m", "benchmarks", RUN["name"], *(words or (part,))]))
+    _write(name, stored(name) | {part: {"made": how, **found}})
+    _measured(place(f"{name}.json"))
 
 
-def made(part: str, command: str | None = None) -> dict[str, str]:
-    """What makes that part again, on which commit it was made and when.
+def store(name: str, content: Mapping | Sequence) -> None:
+    """Write results/NAME.json, and say in the index how it was made."""
+    _write(name, content)
+    stamp(place(f"{name}.json"))
+
+
+def stamp(path: Path, command: str = "", measures: Sequence[str] = ()) -> None:
+    """Say in the index how a file, or every file of a folder, was made: just now, by the command that runs."""
+    _measured(path, measures, {**made(command), "sha256": digest(path)})
+
+
+def made(command: str = "") -> dict[str, str]:
+    """What makes a result again, and on which commit, day and machine it was made.
 
     The commit is the last one of `main`, where there is one: a branch's own may be gone tomorrow. A `+` says that code
     was changed since.
     """
-    script = Path(sys.argv[0]).resolve()
-    if command is None:
-        command = f"python {script.relative_to(ROOT)} {part}".rstrip()
     commit = git("merge-base", "HEAD", "main") or git("rev-parse", "HEAD")
     changed = git("diff", "--stat", commit, "--", ".", ":!benchmarks/results", ":!docs", ":!models/trained")
-    return {"command": command, "commit": commit[:10] + "+" * bool(changed), "date": date.today().isoformat()}
+    return {
+        "command": command or shlex.join(["python", "-m", "benchmarks", RUN["name"], *sys.argv[2:]]),
+        "commit": commit[:10] + "+" * bool(changed),
+        "date": date.today().isoformat(),
+        "machine": machine(),
+    }
+
+
+def machine() -> str:
+    """The processor, as Linux or else Python names it, and its cores that this process may use."""
+    told = Path("/proc/cpuinfo")
+    lines = told.read_text(encoding="utf-8").splitlines() if told.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    processor = (names or [platform.processor() or platform.machine()])[0]
+    return f"{processor}, {len(os.sched_getaffinity(0))} cores"
 
 
 def git(*arguments: str) -> str:
@@ -93,27 +123,25 @@ def files() -> list[Path]:
     return sorted(f for f in found if f.is_relative_to(RESULTS) or f.suffix == ".json")
 
 
-def _measured(path: Path, measures: Sequence[str], how: Mapping | None = None) -> None:
-    """Write the line of the index; `measures` stay what they were where none are given."""
-    known, name = index(), str(path.resolve().relative_to(ROOT))
-    line = {**(how or {}), "measures": list(measures) or known.get(name, {}).get("measures", [])}
-    known[name] = line
-    INDEX.write_text(json.dumps(dict(sorted(known.items())), indent=1) + "\n", encoding="utf-8")
+def _write(name: str, content: Mapping | Sequence) -> None:
+    place(f"{name}.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("path", nargs="*", type=Path, help="stored files or folders; all that were changed by default")
-    parser.add_argument("--command", help="what made them; as it was by default")
-    parser.add_argument("--measures", nargs="+", default=[], help="folders and files of code; as they were by default")
-    given = parser.parse_args()
+def _measured(path: Path, measures: Sequence[str] = (), how: Mapping | None = None) -> None:
+    """Write the line of the index; `measures` stay what they were where none are given.
+
+    What is written anywhere else is no stored result, and left alone.
+    """
+    if any(path.resolve().is_relative_to(folder) for folder in STORED):
+        known, name = index(), str(path.resolve().relative_to(ROOT))
+        known[name] = {**(how or {}), "measures": list(measures) or known.get(name, {}).get("measures", [])}
+        INDEX.write_text(json.dumps(dict(sorted(known.items())), indent=1) + "\n", encoding="utf-8")
+
+
+def main(*path: Path, command: str = "", measures: Sequence[str] = ()) -> None:
     known = index()
     changed = [ROOT / n for n, e in known.items() if "sha256" in e and digest(ROOT / n) != e["sha256"]]
-    for path in given.path or changed:
-        before = known.get(str(path.resolve().relative_to(ROOT)), {})
-        stamp(path, command=given.command or before.get("command", "unknown"), measures=given.measures)
-        print(f"stamped {path}")
-
-
-if __name__ == "__main__":
-    main()
+    for one in path or changed:
+        before = known.get(str(one.resolve().relative_to(ROOT)), {})
+        stamp(one, command or before.get("command", "unknown"), measures)
+        print(f"stamped {one}")

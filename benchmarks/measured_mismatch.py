@@ -1,30 +1,30 @@
-"""Diagnose the measured recordings of `recordings/rigs`, and write benchmarks/results/measured_mismatch.csv.
+"""Diagnoses of the measured recordings of `recordings/rigs`.
 
-`python benchmarks/measured_mismatch.py [NAME ...]`: identify.csv and holdout.csv are made from the published
-recordings (`recordings/NAME`, $GREYGATE_RECORDINGS or ../shared/recordings) in a temporary folder, then diagnosed.
-Every diagnosis is kept in benchmarks/results/measured_mismatch.
+identify.csv and holdout.csv are made from the published recordings (`recordings/NAME`, $GREYGATE_RECORDINGS or
+../shared/recordings) in a temporary folder, then diagnosed. Every diagnosis is kept in results/measured_mismatch, the
+table of all in results/measured_mismatch.csv.
 """
 
 import csv
 import json
 import shutil
-import sys
-import tempfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from made import stamp
 from scipy.ndimage import uniform_filter1d
 
 from greygate.identify.study import ROOT, find
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.rig import load
 
+from .made import place, stamp
+from .shared import scratch
+
+TAKES = "ten minutes"
 RIGS = ROOT / "recordings" / "rigs"
-KEPT = ROOT / "benchmarks" / "results" / "measured_mismatch"
-RESULTS = KEPT.with_suffix(".csv")
 
 Columns = dict[str, np.ndarray]
 
@@ -116,14 +116,7 @@ def bam() -> dict[str, Columns]:
     names = {"t": "t_s", "goal": "goal_rad", "supply": "u_V", "on": "torque_on", "q": "q_rad"}
     kinds = {"sine": "sin_sin", "square": "sin_time_square", "updown": "up_and_down"}
     folder, runs = find("bam-servo-pendulum", "its SOURCE.md"), {}
-    for short, gain in [
-        ("sine", 100),
-        ("sine", 400),
-        ("square", 100),
-        ("square", 400),
-        ("updown", 200),
-        ("updown", 800),
-    ]:
+    for short, gain in (*((s, g) for s in ("sine", "square") for g in (100, 400)), ("updown", 200), ("updown", 800)):
         (path,) = folder.glob(f"xl330_{kinds[short]}_m0.49_kp{gain}_*.csv")
         r = read("bam-servo-pendulum", path.name)
         runs[f"{short}_{gain}"] = {name: r[column] for name, column in names.items()}
@@ -179,23 +172,19 @@ def row(name: str, said: dict, channel: str) -> dict:
     }
 
 
-def main(names: list[str]) -> None:
-    """Diagnose the named rigs, all if none is named; keep every diagnosis, and the table of all that are kept."""
-    KEPT.mkdir(parents=True, exist_ok=True)
-    for name in names or list(MAKERS):
-        with tempfile.TemporaryDirectory() as folder:
-            found = diagnose(load(make(name, Path(folder) / name)))
-        found.write(KEPT / f"{name}.json")
-        print(*rows(name, found.as_dict()), sep="\n", flush=True)
-    kept = {name: KEPT / f"{name}.json" for name in MAKERS}
+def main(*names: Annotated[str, MAKERS]) -> None:
+    found, table = place("measured_mismatch"), place("measured_mismatch.csv")
+    found.mkdir(exist_ok=True)
+    for name in names or MAKERS:
+        with scratch() as folder:
+            said = diagnose(load(make(name, folder / name)))
+        said.write(found / f"{name}.json")
+        print(*rows(name, said.as_dict()), sep="\n", flush=True)
+    kept = {name: found / f"{name}.json" for name in MAKERS}
     lines = [line for name, path in kept.items() if path.exists() for line in rows(name, json.loads(path.read_text()))]
-    with RESULTS.open("w", newline="") as out:
+    with table.open("w", newline="") as out:
         writer = csv.DictWriter(out, lines[0], lineterminator="\n")
         writer.writeheader()
         writer.writerows(lines)
-    for path in (KEPT, RESULTS):
+    for path in (found, table):
         stamp(path)
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -1,29 +1,26 @@
-"""Most memory of commands on a recording of 5,000,000 rows: look, a training epoch of a small NOE, validate, emulate,
-identify.
+"""Most memory of look, an epoch of train, validate, emulate and identify on a recording of 5,000,000 rows.
 
-`make bench-memory`, twenty minutes, writes benchmarks/results/memory.json. Each command runs in a process of its own,
-`look` converts the units and writes the recording again. The aim: 4 GB. `python benchmarks/memory.py train` measures
-one of them.
+Each command runs in a process of its own, `look` converts the units and writes the recording again. The aim: 4 GB.
 """
 
 import os
 import subprocess
 import sys
-import tempfile
-import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from made import keep
 
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
 from greygate.plants.excitation import prms
 
-GREYGATE = str(Path(sys.executable).with_name("greygate"))
+from .shared import GREYGATE, scratch, stopwatch
+
+TAKES = "half an hour"
+THREADS = "all"
 ROWS = 5_000_000
-PARTS = ("look", "train", "validate", "emulate", "identify")
 AIM_GB = 4.0
 SECONDS = 120  # that identify may search
 BLOCK = 100_000  # rows that are written at once
@@ -52,12 +49,12 @@ def write(path: Path, rows: int, header: str = "t_s,u_V,y_m") -> None:
 
 def measured(words: list, folder: Path) -> dict:
     """Run a command in the folder: its most memory in GB (resident, of the process), and its seconds."""
-    began = time.monotonic()
+    watch = stopwatch()
     done = subprocess.Popen([GREYGATE, *words], cwd=folder, stdout=subprocess.DEVNULL)
     _, status, used = os.wait4(done.pid, 0)
     if code := os.waitstatus_to_exitcode(status):
         sys.exit(f"greygate {' '.join(words)}: exit code {code}")
-    return {"gb": round(used.ru_maxrss / 1e6, 2), "seconds": round(time.monotonic() - began)}
+    return {"gb": round(used.ru_maxrss / 1e6, 2), "seconds": round(watch())}
 
 
 def prepared(part: str, folder: Path) -> list[str]:
@@ -79,14 +76,9 @@ def prepared(part: str, folder: Path) -> list[str]:
     return ["emulate", "build", "long.csv", "--out", "predicted.csv"]
 
 
-def main(parts: list[str]) -> None:
-    for part in parts or PARTS:
-        with tempfile.TemporaryDirectory() as folder:
-            words = prepared(part, Path(folder))
-            found = {"command": part, "rows": ROWS, "aim_gb": AIM_GB, **measured(words, Path(folder))}
-        print(found, flush=True)
-        keep("memory", part, found)
+def of(command: str) -> dict:
+    with scratch() as folder:
+        return {"command": command, "rows": ROWS, "aim_gb": AIM_GB, **measured(prepared(command, folder), folder)}
 
 
-if __name__ == "__main__":
-    main(sys.argv[1:])
+PARTS = {command: partial(of, command) for command in ("look", "train", "validate", "emulate", "identify")}

@@ -1,17 +1,15 @@
 """Mutants: does `make test` notice when a line of the product is changed? Draws changes by a seed, and runs the tests.
 
-python benchmarks/mutants.py --jobs 2 --count 60 --seed 1 --out FILE.jsonl [--limit SECONDS]
-
 Every mutant is one small change of one file: a comparison, an operator, a constant, a condition, a dropped statement
 or argument, min for max, an end of a range, a line of a template from which code is made. Beside those drawn stand
 some by name that had survived once. Before, the unchanged tree passes every test file, and it is noted which test calls
 which function, and for how long it runs; what fails there (a tool is missing, say) is left out and counted. A mutant
 runs in a copy of the tree against the tests that call its function, the nearest and quickest files first; the first
-failure, or three times the usual time, kills it. Results are appended to FILE.jsonl part by part, so a run that was
-stopped goes on where it was, as long as product and tests stay as they are.
+failure, or three times the usual time, kills it. Results are appended to --out part by part, so a run that was
+stopped goes on where it was, as long as product and tests stay as they are. A run of all tests is kept in
+results/mutants.json, with the reasons that a person gave there for survivors.
 """
 
-import argparse
 import ast
 import hashlib
 import json
@@ -25,14 +23,20 @@ import tempfile
 import time
 import tomllib
 import venv
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from functools import cache
 from pathlib import Path
 from threading import Event
+from typing import Annotated
 
-from made import stamp
-from mutations import ROOT, TEMPLATES, Mutant, drawn, named, sources
+from .made import ROOT, store, stored
+from .mutations import TEMPLATES, Mutant, drawn, named, sources
+from .shared import Jobs
+
+TAKES = "hours"
+THREADS = "all"
+NEEDS = ("pytest", "hypothesis")
 
 SKIPPED = (".git", ".venv", ".*_cache", ".hypothesis", "__pycache__", "*.egg-info")
 PART = 60.0  # s of tests that run in one process
@@ -426,15 +430,14 @@ def summary(mutants: list[Mutant], results: Results, reach: Reach) -> list[dict]
     return told
 
 
-def report(content: list[dict], path: Path | None, head: dict) -> bool:
+def report(content: list[dict], kept: bool, head: dict) -> bool:
     """Print what came out, and write it, the reasons that a person gave in the file before kept. True if it will do."""
 
     def known(name: str) -> str:
         return re.sub(r":\d+ ", " ", name, count=1)  # lines move
 
-    reasons = {}
-    if path and path.exists():
-        reasons = {known(e["mutant"]): e["reason"] for e in json.loads(path.read_text())["mutants"] if "reason" in e}
+    before = stored("mutants").get("mutants", [])
+    reasons = {known(e["mutant"]): e["reason"] for e in before if "reason" in e}
     entries = []
     for e in content:
         why = reasons.get(known(e["mutant"])) if e["outcome"] in ("survived", "unfinished") else None
@@ -447,49 +450,44 @@ def report(content: list[dict], path: Path | None, head: dict) -> bool:
         f"killed {dead} of {len(entries)} ({len(by['timeout'])} out of time), survived {len(by['survived'])}, "
         f"unfinished {len(by['unfinished'])}"
     )
-    if path:
+    if kept:
         counts = {"drawn": len(entries), "killed": dead} | {o: len(by[o]) for o in ("survived", "unfinished")}
-        path.write_text(json.dumps(head | counts | {"mutants": entries}, indent=1) + "\n")
-        stamp(path)
+        store("mutants", head | counts | {"mutants": entries})
     return not by["unfinished"] and dead >= WANTED * len(entries)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--count", type=int, default=60, help="mutants drawn, beside those by name")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=Path("mutants.jsonl"), help="results, appended part by part")
-    parser.add_argument("--report", type=Path, help="a JSON file of what came out; reasons given in it are kept")
-    parser.add_argument("--limit", type=float, default=1e9, help="s after which the run stops cleanly")
-    parser.add_argument("--work", type=Path, help="folder for copies, kept; the same one again saves the baseline")
-    parser.add_argument("--only", help="mutants whose name holds this alone")
-    parser.add_argument("--tests", nargs="*", help="these test files alone; what survives them has not survived all")
-    parser.add_argument("--list", action="store_true", help="print the mutants, run nothing")
-    given = parser.parse_args()
-    until = time.monotonic() + given.limit
-    mutants = [m for m in [*named(), *drawn(given.count, given.seed)] if (given.only or "") in m.name]
-    print(f"{len(mutants)} mutants, seed {given.seed}")
-    if given.list:
+def main(
+    *,
+    jobs: Jobs = 2,
+    count: Annotated[int, "mutants drawn, beside those by name"] = 120,
+    seed: int = 1,
+    out: Annotated[Path, "results, appended part by part"] = Path("build/mutants.jsonl"),
+    limit: Annotated[float, "s after which the run stops cleanly"] = 1e9,
+    work: Annotated[Path, "folder for copies, kept; the same one again saves the baseline"] = Path("/tmp"),
+    only: Annotated[str, "mutants whose name holds this alone; nothing is kept"] = "",
+    tests: Annotated[Sequence[str], "these test files alone; what survives them has not survived all"] = (),
+    show: Annotated[bool, "print the mutants, run nothing"] = False,
+) -> int:
+    until = time.monotonic() + limit
+    mutants = [m for m in [*named(), *drawn(count, seed)] if only in m.name]
+    print(f"{len(mutants)} mutants, seed {seed}")
+    if show:
         print("\n".join(f"{m.key} {m.name}" for m in mutants))
         return 0
-    files = given.tests or [p.relative_to(ROOT).as_posix() for p in sorted((ROOT / "tests").glob("test_*.py"))]
+    files = tests or [p.relative_to(ROOT).as_posix() for p in sorted((ROOT / "tests").glob("test_*.py"))]
     tree = digest()
-    work = (given.work or Path(tempfile.gettempdir())) / f"greygate-mutants-{tree}"
+    work = work / f"greygate-mutants-{tree}"
+    out.parent.mkdir(parents=True, exist_ok=True)
     work.mkdir(parents=True, exist_ok=True)
     bench = Bench(work.resolve(), until)
     try:
-        seconds = bench.baseline(files, given.jobs)
+        seconds = bench.baseline(files, jobs)
     except Stopped:
         print("stopped before the unchanged tree was through; give it more time")
         return 1
     print(f"unchanged: {len(seconds)} tests, {sum(seconds.values()):.0f} s; {len(bench.left_out)} fail here anyway")
     reach = Reach(bench, seconds)
-    results = Results(given.out, tree)
-    run(bench, mutants, reach, results, given.jobs)
-    head = {"seed": given.seed, "left_out": sorted(bench.left_out)}
-    return 0 if report(summary(mutants, results, reach), given.report, head) else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    results = Results(out, tree)
+    run(bench, mutants, reach, results, jobs)
+    head = {"seed": seed, "left_out": sorted(bench.left_out)}
+    return 0 if report(summary(mutants, results, reach), not (only or tests), head) else 1

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+from .made import ROOT
+
 PRODUCT = ("greygate", "models", "compiler", "emulator", "rtl", "plants", "mismatch", "machines", "control")
 AREAS = (*PRODUCT, "models/training")  # a file is of the longest
 TEMPLATES = (

@@ -1,7 +1,5 @@
 """Experiments until the right effect stands alone: those of `greygate next`, random ones, and multisines.
 
-    python benchmarks/next_experiments.py            # writes results/next_experiments.json
-
 Twenty simulated rigs conceal an effect, and their first recording, short and of one kind of motion, leaves several
 explanations. Then the loop runs by itself: an experiment is played on the rig, with fresh noise, and the new recording
 alone is diagnosed, until one name stands alone or MOST experiments are done. Random and multisine experiments have the
@@ -9,20 +7,16 @@ duration of the first that `next` proposes, and the same limits: travel, rates, 
 plant predicts them.
 """
 
-import argparse
 import json
 import shutil
-import sys
-import tempfile
-import time
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import mean, median
+from typing import Annotated
 
 import numpy as np
-from made import stamp
 from numba import njit
 from scipy.interpolate import CubicSpline
 
@@ -35,7 +29,10 @@ from greygate.mismatch.proposing import propose
 from greygate.mismatch.simulation import read
 from greygate.plants.excitation import multisine
 
-RESULT = Path(__file__).parent / "results" / "next_experiments.json"
+from .made import store, stored
+from .shared import say, scratch, stopwatch
+
+TAKES = "three minutes"
 MOST = 4  # experiments on a rig
 LONGEST = 3.0  # times the first recording, that an experiment may take
 HOLDS = (4, 0.2)  # samples, and share of the experiment, between which a random level is held
@@ -329,22 +326,22 @@ def loop(machine: Machine, effect: str, first: dict, choose: Callable[[int, dict
     """Play what `choose` (of round and diagnosis) gives until one name stands alone."""
     found, rounds = first, []
     while not alone(found) and len(rounds) < MOST:
-        began = time.perf_counter()
+        watch = stopwatch()
         inputs = choose(len(rounds), found)
         if inputs is None:
             break
         machine.record(inputs, zlib.crc32(effect.encode()), len(rounds) + 1, len(next(iter(inputs.values()))))
         found = said(machine.folder)
         rounds.append({"verdict": found["verdict"], "explanations": explanations(found)})
-        rounds[-1] |= {"seconds": round(time.perf_counter() - began, 1)}
+        rounds[-1] |= {"seconds": watch(1)}
     name = alone(found)
     resolved = right(name, effect)
     return {"resolved": resolved, "experiments": len(rounds), "wrong": bool(name) and not resolved, "rounds": rounds}
 
 
-def run(case: Case, scratch: Path) -> dict:
+def run(case: Case, work: Path) -> dict:
     """The loop of one case, three ways."""
-    home = machine(case, scratch / "first")
+    home = machine(case, work / "first")
     ((source, span),) = [(n, home.rig.channels[n].unit) for n in home.rig.inputs]
     home.record({source: case.motion(case.samples, home.rig.dt)}, case.seed)
     first = said(home.folder)
@@ -382,7 +379,7 @@ def run(case: Case, scratch: Path) -> dict:
         return choose
 
     for k, way in enumerate(WAYS):
-        folder = Path(shutil.copytree(home.folder, scratch / way))
+        folder = Path(shutil.copytree(home.folder, work / way))
         there = Machine(folder, rigs.load(folder), home.run, home.noise)
         made = proposed(folder) if way == "next" else drawn(random if way == "random" else sines, k)
         out[way] = loop(there, case.effect, first, made)
@@ -408,25 +405,16 @@ def summary(found: list[dict]) -> dict:
     return {"cases": len(ambiguous), "most": MOST, "unresolved_counts_as": MOST + 1, **out}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=RESULT, help="cases that stand there are kept; delete it to begin")
-    parser.add_argument("--only", default="", help="part of a case's name")
-    given = parser.parse_args()
-    kept = {c["case"]: c for c in json.loads(given.out.read_text())["cases"]} if given.out.exists() else {}
+def main(*, only: Annotated[str, "part of a case's name"] = "") -> None:
+    kept = {c["case"]: c for c in stored("next_experiments").get("cases", [])}  # a file that is deleted begins anew
     for case in CASES:
-        if given.only not in case.name or case.name in kept:
+        if only not in case.name or case.name in kept:
             continue
-        began = time.perf_counter()
-        with tempfile.TemporaryDirectory() as scratch:
-            found = run(case, Path(scratch))
-        kept[case.name] = found | {"wall": round(time.perf_counter() - began, 1)}
-        print(json.dumps(kept[case.name]), file=sys.stderr, flush=True)
+        watch = stopwatch()
+        with scratch() as folder:
+            found = run(case, folder)
+        kept[case.name] = found | {"wall": watch(1)}
+        say(json.dumps(kept[case.name]))
         cases = [kept[c.name] for c in CASES if c.name in kept]
-        given.out.write_text(json.dumps({"summary": summary(cases), "cases": cases}, indent=1) + "\n")
-        stamp(given.out)
+        store("next_experiments", {"summary": summary(cases), "cases": cases})
     print(json.dumps(summary([kept[c.name] for c in CASES if c.name in kept]), indent=1))
-
-
-if __name__ == "__main__":
-    main()

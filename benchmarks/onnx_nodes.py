@@ -1,22 +1,22 @@
 """ONNX beside onnxruntime: the node tests of the onnx package, and every choice of options of what is carried.
 
-`PYTHONPATH=tests python benchmarks/onnx_nodes.py [nodes|options]` writes benchmarks/results/onnx_nodes.json. An answer
-is right that is within 1e-6 of onnxruntime's (of ONNX's own reference where onnxruntime lacks the operator), of the
-largest answer or of 1. Exit code 1 if one is wrong without a word, or ends in a traceback.
+An answer is right that is within 1e-6 of onnxruntime's (of ONNX's own reference where onnxruntime lacks the operator),
+of the largest answer or of 1. Exit code 1 if one is wrong without a word, or ends in a traceback.
 """
 
-import argparse
-import sys
-import tempfile
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from pathlib import Path
+from typing import Annotated
 
 import onnx
-from made import keep
 from onnx_cases import AGREED, OPSETS, Case, cases, judged, node_cases
 
 from greygate.models.importers.onnx_graph import FUNCTIONS
+
+from .made import keep
+from .shared import scratch
+
+TAKES = "not timed"
 
 KINDS = ("right", "refused", "wrong", "traceback", "no model")
 FEWER = 50  # of the choices of operators that an opset does not change, every fiftieth is taken
@@ -65,9 +65,9 @@ def counted(given: Iterable[tuple[str, Case]]) -> dict:
     """Row -> kind -> how many; and those that are wrong."""
     rows: dict[str, Counter] = {}
     bad = []
-    with tempfile.TemporaryDirectory() as folder:
+    with scratch() as folder:
         for row, case in given:
-            kind, said = judged(case, Path(folder) / "case.onnx")
+            kind, said = judged(case, folder / "case.onnx")
             rows.setdefault(row, Counter())[kind] += 1
             if kind in ("wrong", "traceback"):
                 bad.append(f"{case.name}: {kind}: {said}")
@@ -82,19 +82,14 @@ def counted(given: Iterable[tuple[str, Case]]) -> dict:
     }
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("part", choices=["nodes", "options"], nargs="?")
-    part = parser.parse_args().part
+GIVEN = {"nodes": offered, "options": chosen}
+
+
+def main(*parts: Annotated[str, GIVEN]) -> int:
     bad = []
-    for name, given in (("nodes", offered), ("options", chosen)):
-        if part in (None, name):
-            found = counted(given())
-            print(name, found["total"], flush=True)
-            keep("onnx_nodes", name, found, measures=["models/importers"])
-            bad += found["bad"]
+    for name in parts or GIVEN:
+        found = counted(GIVEN[name]())
+        print(name, found["total"], flush=True)
+        keep("onnx_nodes", name, found)
+        bad += found["bad"]
     return int(bool(bad))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

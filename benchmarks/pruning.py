@@ -1,13 +1,12 @@
-"""The pruning methods on one network: thesis benchmark system 2 (3.6.2), 341 parameters. `python benchmarks/pruning.py`
+"""The pruning methods on one network: thesis benchmark system 2 (3.6.2), 341 parameters.
 
-Writes results/pruning.json: the error against parameters, and the smallest network, of each method. All choices (rounds
+The error against parameters, and the smallest network, of each method. All choices (rounds
 kept, smallest network) fall on held-out noise; the thesis's validation signal only reports.
 """
 
-from time import perf_counter
+from collections.abc import Callable
 
 import numpy as np
-from made import keep
 
 from greygate.errors import InputError
 from greygate.machines.benchmark_systems.plant import b2, b2_input, b2_test_input
@@ -20,6 +19,9 @@ from greygate.models.simplify import parameter_count
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
 
+from .shared import stopwatch
+
+TAKES = "two minutes"
 SIZES = (341, 300, 270, 244, 220, 200, 170, 140, 110, 80)
 DECAY = 1e-6
 
@@ -35,9 +37,9 @@ def trained(seed: int, training: Record) -> Network:
     return train(network, [training], epochs=150, decay=DECAY).network
 
 
-def main() -> None:
+def methods() -> dict:
     training, held, test = record(b2_input()), record(b2_input(1, 500)), record(b2_test_input())
-    began = perf_counter()
+    watch = stopwatch()
     network = trained(0, training)
 
     def rms(n: Network, r: Record) -> float:
@@ -49,39 +51,38 @@ def main() -> None:
         except InputError:
             return None
 
-    first = {"parameters": parameter_count(network), "seconds": round(perf_counter() - began, 1)}
+    first = {"parameters": parameter_count(network), "seconds": watch(1)}
     first |= {"training": rms(network, training), "held": rms(network, held), "test": rms(network, test)}
     print("trained", first)
     curves, smallest = {}, {}
     for name, method in METHODS.items():
-        began = perf_counter()
+        watch = stopwatch()
         result = prune_by_saliency(network, [training], method, 0.02, held=[held], decay=DECAY, goal=SIZES[-1])
-        curves[name] = {"seconds": round(perf_counter() - began, 1), "held": [at(result, size) for size in SIZES]}
+        curves[name] = {"seconds": watch(1), "held": [at(result, size) for size in SIZES]}
         print(name, curves[name], flush=True)
     allowed = 1.5 * rms(network, held)
 
-    def least(name: str, start: Network, began: float, method: Method) -> None:
+    def least(name: str, start: Network, watch: Callable[[int], float], method: Method) -> None:
         options = {"held": [held], "epochs": 50, "decay": DECAY}
         result = prune_by_saliency(start, [training], method, allowed, **options)
         last = result.steps[-1]
         errors = {n: rms(last.network, r) for n, r in (("training", training), ("held", held), ("test", test))}
         found = {"parameters": last.parameters, "neurons": last.neurons, **errors, "rounds": len(result.rounds)}
-        smallest[name] = {**found, "seconds": round(perf_counter() - began, 1)}
+        smallest[name] = {**found, "seconds": watch(1)}
         print(name, smallest[name], flush=True)
 
     for name, method in METHODS.items():
-        least(name, network, perf_counter(), method)
-    began = perf_counter()
+        least(name, network, stopwatch(), method)
+    watch = stopwatch()
 
     def retrain(n: Network) -> Network:
         return train(n, [training], epochs=50, decay=DECAY).network
 
     fewer, _ = prune_by_entropy(network, [training], retrain, 1.5 * pooled_rms(network, [training]))
     entropy = {"parameters": parameter_count(fewer), "held": rms(fewer, held)}
-    least("entropy, obs", fewer, began, METHODS["obs"])
-    rest = {"allowed": allowed, "curves": curves, "smallest": smallest, "entropy": entropy}
-    keep("pruning", "b2", {"first": first, "sizes": SIZES, **rest})
+    least("entropy, obs", fewer, watch, METHODS["obs"])
+    found = {"first": first, "sizes": SIZES, "allowed": allowed, "curves": curves, "smallest": smallest}
+    return found | {"entropy": entropy}
 
 
-if __name__ == "__main__":
-    main()
+PARTS = {"b2": methods}

@@ -1,28 +1,19 @@
 """The rivals of the pump-controlled cylinder's network, from nothing.
 
-    python benchmarks/pump_cylinder.py [flows black_boxes starts]
-
-    flows        table 6.3: the linear flow networks by least mean squares
-    black_boxes  table 6.2 to the thesis's epochs, output error from the best, a linear model: half an hour on one core
-    starts       the structured network from random weights, with and without bounds on its leakage
-
-What is found is kept in results/pump_cylinder.json, from which `make pages` writes the tables of the page.
+flows        table 6.3: the linear flow networks by least mean squares
+black_boxes  table 6.2 to the thesis's epochs, output error from the best, a linear model: half an hour on one core
+starts       the structured network from random weights, with and without bounds on its leakage
 """
-
-import sys
-from collections.abc import Callable
-
-from made import keep
 
 from greygate.machines.pump_cylinder import study
 
+from .shared import say
 
-def flows() -> dict:
-    return study.flow_models()
+TAKES = "half an hour"
 
 
 def black_boxes() -> dict:
-    return study.black_boxes(lambda text: print(text, file=sys.stderr, flush=True))
+    return study.black_boxes(say)
 
 
 def starts() -> dict:
@@ -30,8 +21,4 @@ def starts() -> dict:
     return {name: study.random_starts(bounded) for name, bounded in (("free", False), ("bounded", True))}
 
 
-PARTS: dict[str, Callable[[], dict]] = {p.__name__: p for p in (flows, black_boxes, starts)}
-
-if __name__ == "__main__":
-    for part in sys.argv[1:] or PARTS:
-        keep("pump_cylinder", part, PARTS[part]())
+PARTS = {"flows": study.flow_models, "black_boxes": black_boxes, "starts": starts}

@@ -1,19 +1,20 @@
-"""Every rig of a folder diagnosed by one command with one setting: `python benchmarks/rigs.py [FOLDER] [--jobs N]`.
+"""Every rig of a folder diagnosed by one command with one setting.
 
 FOLDER holds one folder a rig (default: $GREYGATE_RIGS, else ../shared/rigs). Each diagnosis goes to
 `results/rigs/NAME.json`; a table is printed and kept in `results/rigs/table.md`. Where a rig has an `answer.json`, it
 is read after the diagnosis is written, for the last column alone.
 """
 
-import argparse
 import json
 import os
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from made import stamp
+from .made import place, stamp
+from .shared import Jobs
 
-RESULTS = Path(__file__).parent / "results" / "rigs"
+TAKES = "not timed"
+RIGS = Path(os.environ.get("GREYGATE_RIGS") or "../shared/rigs")
 
 
 def explain(folder: Path) -> dict:
@@ -22,7 +23,7 @@ def explain(folder: Path) -> dict:
     from greygate.mismatch.diagnose import diagnose
 
     result = diagnose(rigs.load(folder))
-    result.write(RESULTS / f"{folder.name}.json")
+    result.write(place("rigs") / f"{folder.name}.json")
     return result.as_dict()
 
 
@@ -58,24 +59,16 @@ def judged(folder: Path, found: dict) -> str:
     return f"{'right' if right else 'wrong'}; {sum(inside)} of {len(inside)} true values inside"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, nargs="?", default=os.environ.get("GREYGATE_RIGS") or "../shared/rigs")
-    parser.add_argument("--jobs", type=int, default=2)
-    options = parser.parse_args()
-    RESULTS.mkdir(parents=True, exist_ok=True)
-    folders = sorted(path.parent for path in Path(options.folder).glob("*/rig.toml"))
+def main(folder: Path = RIGS, *, jobs: Jobs = 2) -> None:
+    place("rigs").mkdir(exist_ok=True)
+    folders = sorted(path.parent for path in folder.glob("*/rig.toml"))
     rows = [
         "| rig | plant | verdict | what | holdout: data sheet / calibrated / corrected, a channel | answer |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
-    with ProcessPoolExecutor(options.jobs) as pool:
+    with ProcessPoolExecutor(jobs) as pool:
         for folder, found in zip(folders, pool.map(explain, folders), strict=True):
             rows.append(line(folder, found))
             print(rows[-1], flush=True)
-    (RESULTS / "table.md").write_text("\n".join(rows) + "\n")
-    stamp(RESULTS)
-
-
-if __name__ == "__main__":
-    main()
+    (place("rigs") / "table.md").write_text("\n".join(rows) + "\n")
+    stamp(place("rigs"))

@@ -1,19 +1,15 @@
-"""Is a headline figure the luck of its scenario? `python benchmarks/spread.py [MACHINE ...]`, minutes each.
+"""Is a headline figure the luck of its scenario?
 
 The kept network of each machine is judged on 20 scenarios of the same kind as the page's, drawn at random; of what is
 no random signal (a chirp) another draw has other noise, of the belt's motions another day and another hand.
-results/spread.json keeps every draw, from which `make pages` writes the tables. The valve-controlled cylinder and the
-cable drum have their own (benchmarks/valve_cylinder.py, benchmarks/cable_drum.py).
+The valve-controlled cylinder and the cable drum have their own (valve_cylinder.py, cable_drum.py).
 """
 
-import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
-from made import keep
-from threadpoolctl import threadpool_limits
-from valve_cylinder import DRAWN, ranked
 
 from greygate.machines import catalog
 from greygate.machines.asymmetric_cylinder import plant as asymmetric
@@ -23,6 +19,11 @@ from greygate.models.accuracy import free_run_rms
 from greygate.models.network import Network
 from greygate.models.training.record import Record
 from greygate.plants.recording import Recording
+
+from .shared import say
+from .valve_cylinder import DRAWN, ranked
+
+TAKES = "minutes"
 
 FIRST = 1000  # seed of the first draw; those of the pages' own scenarios are below
 STOP = 0.0499  # m, from which on the asymmetric cylinder's piston is at its stop
@@ -71,8 +72,8 @@ def judged(machine: str) -> dict:
                 rows.append({"seed": seed, name: errors(network, run, unit)})
             seed += 1
         picked = errors(network, own, unit)
-        found[name] = {"picked": picked} | ranked(rows, name, picked) | {"each": rows}
-        print(machine, name, file=sys.stderr, flush=True)
+        found[name] = {"picked": picked} | ranked([row[name] for row in rows], picked) | {"each": rows}
+        say(machine, name)
     return found
 
 
@@ -80,11 +81,4 @@ def errors(network: Network, run: Record, unit: float) -> list[float]:
     return [value / unit for value in free_run_rms(network, run).values()]
 
 
-def parts(asked: Iterable[str]) -> None:
-    with threadpool_limits(1, "blas"):
-        for machine in asked:
-            keep("spread", machine, judged(machine))
-
-
-if __name__ == "__main__":
-    parts(sys.argv[1:] or MACHINES)
+PARTS = {machine: partial(judged, machine) for machine in MACHINES}

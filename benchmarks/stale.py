@@ -1,10 +1,12 @@
-"""Names stored results whose measured code has changed since: `python benchmarks/stale.py`. Always exit code 0."""
+"""Names stored results whose measured code has changed since. Always exit code 0."""
 
 from collections.abc import Mapping
 from datetime import date
 from functools import cache
 
-import made
+from . import made
+
+TAKES = "seconds"
 
 
 @cache
@@ -50,7 +52,3 @@ def main() -> None:
         return
     lines = stale()
     print(f"results older than the code they measure: {len(lines)}", *lines, sep="\n  ")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,4 +1,4 @@
-"""The thesis's benchmark systems B1 and B2 (3.6) over 10 seeds: `python benchmarks/systems.py [PART ...]`.
+"""The thesis's benchmark systems B1 and B2 (3.6) over 10 seeds.
 
     identified   trained: training MSE and free-run RMSE
     neurons      pruned by the loop of figure 3.7, as in the thesis and with regression onto the other neurons
@@ -8,17 +8,14 @@
     entropies    of the neurons, before and after the loop of figure 3.7, of one seed (figures 3.10 to 3.15)
 
 A seed is the whole procedure, its starts chosen on held-out records (machines/benchmark_systems/study.py). Every seed
-is kept in results/systems.json, from which `make pages` writes the table.
+is kept.
 """
 
-import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from itertools import repeat
 from time import process_time
-
-from made import keep
-from threadpoolctl import threadpool_limits
 
 from greygate.machines.benchmark_systems.study import (
     SYSTEMS,
@@ -33,6 +30,9 @@ from greygate.machines.benchmark_systems.study import (
 from greygate.models.network import Network
 from greygate.models.prune import entropies as entropies_of
 
+from .shared import say, stopwatch
+
+TAKES = "an hour"
 SEEDS = 10
 JOBS = 2
 
@@ -52,22 +52,21 @@ def guarded(system: System, seed: int, network: Network, found: dict) -> dict:
 def _both_ways(loop: Callable, system: System, seed: int, network: Network) -> dict:
     out = {}
     for name, onto_others in (("mean", False), ("onto_others", True)):
-        began = process_time()
+        watch = stopwatch(process_time)
         smaller, rounds = loop(system, seed, network, onto_others)
-        seconds = round(process_time() - began, 1)
-        sizes = [layer.size for layer in smaller.modules.values()]
-        out[f"{system.name} {name}"] = figures(system, smaller, seed) | {"layers": sizes, "rounds": len(rounds)}
-        out[f"{system.name} {name}"] |= {"cpu_seconds": seconds}
+        found = {"layers": [layer.size for layer in smaller.modules.values()], "rounds": len(rounds)}
+        found["cpu_seconds"] = watch(1)
+        out[f"{system.name} {name}"] = figures(system, smaller, seed) | found
     return out
 
 
 def penalised(system: System, seed: int, network: Network, found: dict) -> dict:
     out = {}
     for name, grouped in (("group lasso", True), ("decay", False)):
-        began = process_time()
+        watch = stopwatch(process_time)
         smaller, strength = prune_penalised(system, seed, network, grouped)
-        row = figures(system, smaller, seed) | {"strength": strength, "cpu_seconds": round(process_time() - began, 1)}
-        out[f"{system.name} {name}"] = row
+        found = {"strength": strength, "cpu_seconds": watch(1)}
+        out[f"{system.name} {name}"] = figures(system, smaller, seed) | found
     return out
 
 
@@ -83,39 +82,29 @@ def entropies(system: System, seed: int, network: Network, found: dict) -> dict:
     return {system.name: {**named, "rounds": len(rounds), "kept": sum(r.kept for r in rounds)}}
 
 
-PARTS = {
-    identified: tuple(SYSTEMS),
-    neurons: ("b1_30", "b2"),
-    guarded: ("b2",),
-    penalised: ("b1_30", "b2"),
-    weights: ("b2",),
-    entropies: ("b1_30", "b2"),
-}
-ONE = {"entropies"}  # parts that a single seed shows
-
-
-def one(part: str, name: str, seed: int) -> dict:
-    with threadpool_limits(1, "blas"):
-        work = next(work for work in PARTS if work.__name__ == part)
-        found = work(SYSTEMS[name], seed, *identify(SYSTEMS[name], seed))
+def one(work: Callable, name: str, seed: int) -> dict:
+    found = work(SYSTEMS[name], seed, *identify(SYSTEMS[name], seed))
     for what, row in found.items():
-        print(part, what, seed, row, file=sys.stderr, flush=True)
+        say(work.__name__, what, seed, row)
     return {what: {"seed": seed, **row} for what, row in found.items()}
 
 
-def main(parts: list[str]) -> None:
-    for part in parts or [work.__name__ for work in PARTS]:
-        names = next(systems for work, systems in PARTS.items() if work.__name__ == part)
-        seeds = 1 if part in ONE else SEEDS
-        jobs = [(name, seed) for name in names for seed in range(seeds)]
-        with ProcessPoolExecutor(JOBS) as pool:
-            rows = list(pool.map(one, repeat(part), *zip(*jobs, strict=True)))
-        found: dict[str, list] = {}
-        for row in rows:
+def over_seeds(work: Callable, names: tuple[str, ...], seeds: int = SEEDS) -> dict:
+    """One part, every system and seed."""
+    jobs = [(name, seed) for name in names for seed in range(seeds)]
+    found: dict[str, list] = {}
+    with ProcessPoolExecutor(JOBS) as pool:
+        for row in pool.map(one, repeat(work), *zip(*jobs, strict=True)):
             for what, figures_ in row.items():
                 found.setdefault(what, []).append(figures_)
-        keep("systems", part, {"seeds": seeds, "rows": found})
+    return {"seeds": seeds, "rows": found}
 
 
-if __name__ == "__main__":
-    main(sys.argv[1:])
+PARTS = {
+    "identified": partial(over_seeds, identified, tuple(SYSTEMS)),
+    "neurons": partial(over_seeds, neurons, ("b1_30", "b2")),
+    "guarded": partial(over_seeds, guarded, ("b2",)),
+    "penalised": partial(over_seeds, penalised, ("b1_30", "b2")),
+    "weights": partial(over_seeds, weights, ("b2",)),
+    "entropies": partial(over_seeds, entropies, ("b1_30", "b2"), seeds=1),
+}

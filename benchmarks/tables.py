@@ -1,13 +1,13 @@
-"""What two lookups in one table of tansig take on each family, for every form of table, by Yosys: `make bench-tables`.
+"""What two lookups in one table of tansig take on each family, for every form of table, by Yosys.
 
 Tables are those of the flow network at 12, 16 and 16 + 2 bits, whose worst error is at most 1.25 LSB. A line of
 JSON for each.
 """
 
-import argparse
 import json
-import tempfile
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 from greygate import rtl
 from greygate.compiler.tables import Form, make_table
@@ -17,6 +17,10 @@ from greygate.emulator.program import Lookup, Program, Signal, Terminal
 from greygate.emulator.tables import Lines, Table
 from greygate.hardware.families import FAMILIES
 from greygate.hardware.synthesis import synthesize
+
+from .shared import scratch
+
+TAKES = "ten minutes"
 
 FORMATS = {"12": (Fix(15, 10), Fix(12, 11)), "16": (Fix(19, 14), Fix(16, 15)), "16 + 2": (Fix(19, 14), Fix(18, 17))}
 NEURONS = 2
@@ -42,10 +46,7 @@ def design(table: Table | Lines, memory: str, multipliers: int, folder: Path) ->
     return "pair"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--families", nargs="+", default=["xilinx", "ecp5", "ice40"], choices=list(FAMILIES))
-    options = parser.parse_args()
+def main(*, families: Annotated[Sequence[str], FAMILIES] = ("xilinx", "ecp5", "ice40")) -> None:
     for bits, (arg, out) in FORMATS.items():
         for form in Form:
             table = make_table("tansig", arg, out, 1.25, form=form)
@@ -53,12 +54,8 @@ def main() -> None:
                 row = {"bits": bits, "form": form.value, "entries": table.entries, "table_bits": table.bits}
                 row |= {"worst_error_lsb": round(table.worst_error / out.lsb, 3), "memory": memory}
                 row |= {"multipliers": multipliers}
-                for family in options.families:
-                    with tempfile.TemporaryDirectory() as folder:
-                        row[family] = synthesize(folder, design(table, memory, multipliers, Path(folder)), family,
-                                                 limit=LIMIT)  # fmt: skip
+                for family in families:
+                    with scratch() as folder:
+                        top = design(table, memory, multipliers, folder)
+                        row[family] = synthesize(folder, top, family, limit=LIMIT)
                 print(json.dumps(row), flush=True)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,19 +1,16 @@
-"""Time to the thesis's training error in free run, beside scipy, pyrenn and jax-sysid (`make bench-training`).
+"""Time to the thesis's training error in free run, beside scipy, pyrenn and jax-sysid.
 
 Every trainer starts from the same NARX weights of the same network (Nguyen-Widrow, then series-parallel training to
 LOOSE times the goal), reads the same record, and has one thread. CPU seconds; a machine that does other things distorts
 wall time. Compilation is reported apart. The mean squared error of what a trainer returns is computed here, by
 `Network.run`.
-
-python benchmarks/training.py [--starts 3] [--cap 120] [--peers build/peers/bin/python] [--cases B1-10 B1-30 B2]
 """
 
-import argparse
 import json
 import os
 import subprocess
 import sys
-import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,6 +23,10 @@ from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
 
+from . import shared
+from .shared import scratch
+
+TAKES = "twenty minutes"
 LOOSE = 100  # the NARX start's error over the goal
 HERE = Path(__file__).parent
 TRAINERS = ("greygate", "scipy", "pyrenn", "jax-sysid")
@@ -101,11 +102,11 @@ def free_run_error(case: Case, network: Network) -> float:
     return float(np.mean((network.run({"u": case.u})["y"] - case.y) ** 2))
 
 
-def run(trainer: str, case: Case, starts: list[Network], peers: str, cap: float, cache: str) -> list[dict]:
+def run(trainer: str, case: Case, starts: list[Network], peers: Path, cap: float, cache: Path) -> list[dict]:
     """What the trainer prints for each start, with the error of its weights as computed here."""
     python = sys.executable if trainer in OURS else peers
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "case.npz"
+    with scratch() as folder:
+        path = folder / "case.npz"
         weights = np.array([case.vector(n) for n in starts])
         np.savez(
             path,
@@ -114,7 +115,7 @@ def run(trainer: str, case: Case, starts: list[Network], peers: str, cap: float,
         )  # fmt: skip
         done = subprocess.run(
             [python, str(HERE / "trainers.py"), trainer, str(path)],
-            env=os.environ | ONE_THREAD | {"NUMBA_CACHE_DIR": cache},
+            env=os.environ | ONE_THREAD | {"NUMBA_CACHE_DIR": str(cache)},
             capture_output=True,
             text=True,
         )
@@ -143,34 +144,29 @@ def line_of(trainer: str, case: Case, found: list[dict], reference: float | None
     )
 
 
-def main() -> None:
-    options = argparse.ArgumentParser()
-    options.add_argument("--starts", type=int, default=3)
-    options.add_argument("--cap", type=float, default=120.0)
-    options.add_argument("--peers", default="build/peers/bin/python")
-    options.add_argument("--cases", nargs="*", default=["B1-10", "B1-30", "B2"])
-    options.add_argument("--trainers", nargs="*", default=TRAINERS)
-    args = options.parse_args()
-    with tempfile.TemporaryDirectory() as cache:
-        for name in args.cases:
+def main(
+    *names: str,
+    starts: int = 3,
+    cap: float = 120.0,
+    peers: shared.Peers = shared.PEERS,
+    trainers: Sequence[str] = TRAINERS,
+) -> None:
+    with scratch() as cache:
+        for name in names or cases():
             case = cases()[name]
-            starts = narx_starts(case, args.starts)
-            networks = [network for network, _ in starts]
+            fits = narx_starts(case, starts)
+            networks = [network for network, _ in fits]
             weights = sum(a * b + b for a, b in zip(case.sizes[:-1], case.sizes[1:], strict=True))
             before = ", ".join(f"{free_run_error(case, n):.1e}" for n in networks)
-            narx = float(np.median([seconds for _, seconds in starts]))
+            narx = float(np.median([seconds for _, seconds in fits]))
             print(f"\n{name}: {weights} weights, {len(case.u)} samples, free-run MSE {before} -> {case.goal:.3g}")
             print(f"NARX start by greygate: {narx:.2f} s (median)")
             print(f"{'trainer':10} {'CPU s':>10} {'wall s':>9} {'compile':>8} {'hit':>5} {'MSE':>10} {'against':>10}")
             reference = None
-            for trainer in args.trainers:
-                found = run(trainer, case, networks, args.peers, args.cap, cache)
+            for trainer in trainers:
+                found = run(trainer, case, networks, peers, cap, cache)
                 if not found:
                     continue
-                row, median = line_of(trainer, case, found, reference, args.cap)
+                row, median = line_of(trainer, case, found, reference, cap)
                 reference = median if reference is None else reference
                 print(row, flush=True)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,4 @@
-"""Training times of the thesis's networks beside the thesis's: `python benchmarks/training_times.py`.
-
-Writes results/training_times.json, from which `make pages` makes the table of docs/training_times.md.
+"""Training times of the thesis's networks beside the thesis's.
 
 Networks of the thesis's sizes, epochs and samples; where a plant is still to come (chapter 7) the record is a stand-in
 of the same length, so that only the time says something. CPU seconds of both threads together; wall time beside it.
@@ -10,7 +8,6 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from made import keep
 
 from greygate.machines.asymmetric_cylinder import study as second
 from greygate.machines.benchmark_systems.plant import b1, b1_input, b2, b2_input
@@ -24,6 +21,10 @@ from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
 from greygate.plants.excitation import prms
 
+from .shared import stopwatch
+
+TAKES = "two minutes"
+THREADS = "all"
 ROWS: list[dict[str, str]] = []  # of the table, in its order
 
 
@@ -37,9 +38,9 @@ def row(what: str, thesis: str, reached: str, epochs: int | None = None, cpu: fl
 
 def timed(what: str, thesis: str, work: Callable[[], Trained], figure: Callable[[Trained], str]) -> Trained:
     """Keep a row: ours in CPU and wall seconds, the epochs that were used, the error that was reached."""
-    wall, cpu = time.perf_counter(), time.process_time()
+    wall, cpu = stopwatch(), stopwatch(time.process_time)
     fit = work()
-    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    wall, cpu = wall(), cpu()
     row(what, thesis, figure(fit), len(fit.history) - 1, cpu, wall)
     return fit
 
@@ -108,7 +109,10 @@ def second_machine() -> None:
         )
 
 
-if __name__ == "__main__":
+def every() -> dict:
     for study in (regressions, slip, first_machine, second_machine):
         study()
-    keep("training_times", "all", {"rows": ROWS})
+    return {"rows": ROWS}
+
+
+PARTS = {"all": every}

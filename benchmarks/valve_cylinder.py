@@ -1,23 +1,21 @@
-"""The valve-controlled cylinder beside the thesis (section 5.3): `python benchmarks/valve_cylinder.py [PART ...]`.
+"""The valve-controlled cylinder beside the thesis (section 5.3).
 
     black_boxes   NARX and NOE with the spool position (5.14), and with the valve's voltage in its place; three starts
     axes          the same black boxes on differences and on principal components of the taps
     structured    our network, with the thesis's speed, and with its speed and spool, by the same trainer
     spread        both tasks over 20 scenarios drawn at random: trained on each, and the kept network judged on each
     load          correlation of the external force with the error (5.18), and the error map (fig. 5.10)
+    architectures, laps    of flow networks (valve_flow.py)
+    linearised    the analysis of (5.19) and (5.20) (valve_linear.py)
 
-What is found is kept in results/valve_cylinder.json, from which `make pages` writes the tables of the page. A black box
-is chosen among its starts by its free run over the last fifth of the training run; v1 and v2 choose nothing.
+A black box is chosen among its starts by its free run over the last fifth of the training run; v1 and v2 choose
+nothing.
 """
 
-import sys
 import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from made import keep
-from threadpoolctl import threadpool_limits
 
 from greygate.machines import catalog
 from greygate.machines.valve_cylinder.plant import valve_cylinder
@@ -33,6 +31,11 @@ from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 from greygate.plants.excitation import prms
 
+from .shared import say
+from .valve_flow import architectures, laps
+from .valve_linear import linearised
+
+TAKES = "not timed"
 BAR = 1e5
 TAIL = 0.2
 STARTS = 3
@@ -103,7 +106,7 @@ def _black_box(drive: Port, chamber: str, kind: str = "") -> dict:
         found = {"narx": one_step(narx, training), "tail": np.inf if diverged else free_run(fit.network, judged)}
         found |= {name: free_run(fit.network, run) for name, run in runs.items()}
         starts.append({k: float(v) for k, v in found.items()} | {"seconds": time.perf_counter() - began})
-        print(f"{drive.name} {chamber}, start {seed}: {starts[-1]}", file=sys.stderr, flush=True)
+        say(f"{drive.name} {chamber}, start {seed}: {starts[-1]}")
     return {"chosen": min(starts, key=lambda s: s["tail"]), "starts": starts}
 
 
@@ -143,7 +146,7 @@ def spread() -> dict:
         network = train(assemble(flow, divider, run), [record(run)], **tuning()).network
         every = {"training": record(run), **validation}
         trained.append({"seed": seed} | {name: errors(network, r) for name, r in every.items()})
-        print(trained[-1], file=sys.stderr, flush=True)
+        say(trained[-1])
     judged = {
         name: [{"seed": s, name: errors(kept, record(scenario(name, s)))} for s in drawn(SAMPLES[name])]
         for name in validation
@@ -151,14 +154,14 @@ def spread() -> dict:
     picked = {name: errors(kept, record(scenario(name))) for name in SAMPLES}
     return {
         "picked": picked,
-        "trained_on": {name: ranked(trained, name, picked[name]) for name in SAMPLES} | {"each": trained},
-        "judged_on": {n: ranked(each, n, picked[n]) for n, each in judged.items()} | {"each": judged},
+        "trained_on": {name: ranked([t[name] for t in trained], picked[name]) for name in SAMPLES} | {"each": trained},
+        "judged_on": {n: ranked([e[n] for e in each], picked[n]) for n, each in judged.items()} | {"each": judged},
     }
 
 
-def ranked(rows: list[dict], name: str, picked: list[float]) -> dict:
-    """Of chambers A and B: the median and the worst of the draws, and how many of them are better than the picked."""
-    values = np.array([row[name] for row in rows])
+def ranked(rows: list[list[float]], picked: list[float]) -> dict:
+    """Of each column: the median and the worst of the draws, and how many of them are better than the picked."""
+    values = np.array(rows)
     return {
         "median": np.median(values, axis=0).tolist(),
         "worst": values.max(axis=0).tolist(),
@@ -198,9 +201,4 @@ def load() -> dict:
     }
 
 
-PARTS: dict[str, Callable[[], dict]] = {p.__name__: p for p in (black_boxes, axes, structured, spread, load)}
-
-if __name__ == "__main__":
-    with threadpool_limits(1, "blas"):
-        for part in sys.argv[1:] or PARTS:
-            keep("valve_cylinder", part, PARTS[part]())
+PARTS = {p.__name__: p for p in (black_boxes, axes, structured, spread, load, architectures, laps, linearised)}

@@ -1,18 +1,9 @@
-"""Flow networks of the valve-controlled cylinder: `python benchmarks/valve_flow.py [PART ...]`.
+"""Flow networks of the valve-controlled cylinder: parts of valve_cylinder.py.
 
-    architectures   the four networks of table 5.3 on the 9801 points of its grid, with its epochs
-    laps            networks of under- and overlapped valves in the place of the trained ones (5.4.3), each on rigs with
-                    such valves and v1's voltage
-
-What is found is kept in results/valve_cylinder.json, from which `make pages` writes the tables of the page.
+architectures   the four networks of table 5.3 on the 9801 points of its grid, with its epochs
+laps            networks of under- and overlapped valves in the place of the trained ones (5.4.3), each on rigs with
+                such valves and v1's voltage
 """
-
-import sys
-import time
-from collections.abc import Callable
-
-from made import keep
-from threadpoolctl import threadpool_limits
 
 from greygate.machines import catalog
 from greygate.machines.valve_cylinder.plant import CYLINDER, valve_cylinder
@@ -22,6 +13,8 @@ from greygate.models.accuracy import free_run_rms
 from greygate.models.families.blocks import feedforward, fit_flow, flow_record
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
+
+from .shared import say, stopwatch
 
 BAR = 1e5
 ARCHITECTURES = {"10": (10,), "30": (30,), "5 + 5": (5, 5), "10 + 10": (10, 10)}
@@ -35,15 +28,15 @@ def architectures() -> dict:
     """RMS in m^3/s of each network of table 5.3 in training, its seconds and epochs; one seed."""
     rated, grid, found = CYLINDER["q_max"].value, flow_record(), {}
     for name, hidden in ARCHITECTURES.items():
-        began = time.perf_counter()
+        watch = stopwatch()
         fit = train(feedforward("flow", ["u", "p"], hidden, FLOW_SEED), [grid], epochs=EPOCHS[name], decay=1e-7)
         found[name] = {
             "rms": rated * free_run_rms(fit.network, grid)["y"],
             "thesis": THESIS[name],
-            "seconds": time.perf_counter() - began,
+            "seconds": watch(),
             "epochs": len(fit.history) - 1,
         }
-        print(name, found[name], file=sys.stderr, flush=True)
+        say(name, found[name])
     return {"networks": found}
 
 
@@ -67,11 +60,3 @@ def laps() -> dict:
             for label, network in networks.items()
         }
     }
-
-
-PARTS: dict[str, Callable[[], dict]] = {p.__name__: p for p in (architectures, laps)}
-
-if __name__ == "__main__":
-    with threadpool_limits(1, "blas"):
-        for part in sys.argv[1:] or PARTS:
-            keep("valve_cylinder", part, PARTS[part]())

@@ -1,14 +1,12 @@
-"""The linearised analysis of the prediction error, (5.19) and (5.20): `python benchmarks/valve_linear.py`.
+"""The linearised analysis of the prediction error, (5.19) and (5.20): a part of valve_cylinder.py.
 
 Around a slow extension at mid-stroke, spool and load of the valve-controlled cylinder move a little. From what the
 pressure of chamber A does in answer, k1, k2, k3 of (5.19a) are fitted, for the rig and for the trained network on the
 rig's own signals. With them (5.20) foretells the amplitude of the network's error under a sine of force, which is
-measured beside it. Kept in results/valve_cylinder.json for `make pages`.
+measured beside it.
 """
 
 import numpy as np
-from made import keep
-from threadpoolctl import threadpool_limits
 
 from greygate.machines import catalog
 from greygate.machines.valve_cylinder.plant import valve_cylinder
@@ -83,8 +81,3 @@ def linearised() -> dict:
         told = -(rig[1] / (1j * turn + rig[2]) - ours[1] / (1j * turn + ours[2])) * speed
         sines.append({"hz": frequency, "told": abs(told) / BAR, "measured": abs(error) / BAR})
     return {"formula": [float(f) for f in formula], "rig": rig, "network": ours, "newtons": SINE, "sines": sines}
-
-
-if __name__ == "__main__":
-    with threadpool_limits(1, "blas"):
-        keep("valve_cylinder", "linearised", linearised())

@@ -1,13 +1,10 @@
 """Closed-loop steps per CPU second of the emitted parallel RTL in Verilator, driven by a tight C++ loop on one thread.
 
 The peer of the numba engine: no VPI, -O3, this machine's instructions; its outputs are compared with the emulator's.
-Usage: python benchmarks/verilator_bench.py program.json inputs.npy
 """
 
 import subprocess
-import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +13,8 @@ from greygate.compiler.emit import emit
 from greygate.emulator.interpreter import interpret
 from greygate.emulator.program import Program
 from greygate.hardware.verify import lanes, run_logged, simulator_environment
+
+from .shared import stopwatch
 
 MAIN = Path(__file__).with_name("verilator_main.cpp")
 
@@ -41,7 +40,7 @@ def measure(
     expected = interpret(program, inputs).outputs if expected is None else expected
     wanted = lanes(results, expected)
 
-    start = time.perf_counter()
+    watch = stopwatch()
     sources = [str(f) for f in emit(program, folder / "rtl", "parallel") if f.suffix == ".v"]
     flags = f"-O3 -march=native -DSAMPLE_BYTES={samples.shape[1]} -DRESULT_BYTES={wanted.shape[1]}"
     run_logged(
@@ -55,7 +54,7 @@ def measure(
         environment,
         folder,
     )
-    built = time.perf_counter() - start
+    built = watch()
 
     (folder / "samples").write_bytes(samples.tobytes())
     command = [str(folder / "build" / "bench"), str(folder / "samples"), str(folder / "outputs")]
@@ -77,8 +76,3 @@ def measure(
         "cpu_seconds": seconds,
         "build_seconds": built,
     }
-
-
-if __name__ == "__main__":
-    for key, value in measure(Program.load(sys.argv[1]), np.load(sys.argv[2])).items():
-        print(f"{key}: {value:.4g}")

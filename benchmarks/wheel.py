@@ -1,23 +1,25 @@
 """The wheel in an empty environment and an empty folder: every command of the README, in its order, and its exit code.
 
-`make bench-wheel` runs it and writes benchmarks/results/wheel.json. Exit code 1 if a command does not end with 0. Left
-out is `play`, which needs a board. The recordings that the README calls the reader's own are made here: a lag with a
-dead zone.
+Exit code 1 if a command does not end with 0. Left out is `play`, which needs a board. The recordings that the README
+calls the reader's own are made here: a lag with a dead zone.
 """
 
-import argparse
 import os
 import re
 import shlex
 import shutil
 import subprocess
 import sys
-import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
-from made import ROOT, keep
+
+from .made import ROOT, keep
+from .shared import VERILATOR, scratch, stopwatch
+
+TAKES = "ten minutes"
+THREADS = "all"
+NEEDS = VERILATOR
 
 EXTRAS = "synthesis,proof,board"  # what `synthesize`, `prove` and `board --bitstream` ask for
 LEFT_OUT = ("greygate play", "greygate --help")
@@ -55,12 +57,9 @@ def script() -> str:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("part", choices=["readme"], nargs="?")
-    parser.parse_args()
     rows = []
-    with tempfile.TemporaryDirectory() as work:
-        place, folder = Path(work), Path(work) / "empty"
+    with scratch() as place:
+        folder = place / "empty"
         pip = [sys.executable, "-m", "pip"]
         subprocess.run([*pip, "wheel", "-q", "--no-deps", "-w", place / "dist", ROOT], check=True)
         subprocess.run([sys.executable, "-m", "venv", place / "venv"], check=True)
@@ -82,9 +81,9 @@ def main() -> int:
             command = "the block of Python" if words[0] == "python" else command
             if "accepted" in words:
                 shutil.copytree(folder / "build", folder / "accepted")
-            start = time.monotonic()
+            watch = stopwatch()
             done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-            row = {"command": command, "code": done.returncode, "seconds": round(time.monotonic() - start, 1)}
+            row = {"command": command, "code": done.returncode, "seconds": watch(1)}
             if done.returncode:
                 row["said"] = (done.stderr.strip().splitlines() or done.stdout.strip().splitlines() or [""])[-1][-200:]
             rows.append(row)
@@ -92,7 +91,3 @@ def main() -> int:
         bytes_ = wheel.stat().st_size
     keep("wheel", "readme", {"extras": EXTRAS, "wheel_bytes": bytes_, "rows": rows})
     return int(any(row["code"] for row in rows))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -126,7 +126,7 @@ def belt_scenarios() -> str:
 
 def belt_elman() -> str:
     """A black box on the belt, in training and beyond it (figures 4.8 and 4.9), as it was stored."""
-    found = read_json(RESULTS / "belt_rig.json", "run benchmarks/belt_rig.py elman")["elman"]
+    found = read_json(RESULTS / "belt_rig.json", "run python -m benchmarks belt_rig elman")["elman"]
     panels = []
     for name, title in (("training", "training, one sample every 0.2 s"), ("s2", "s2")):
         curves = []
@@ -139,7 +139,7 @@ def belt_elman() -> str:
 
 def drum_black_boxes() -> str:
     """What networks 9 and 10 of table 7.3 leave in training (figures 7.8 and 7.10), as it was stored."""
-    found = read_json(RESULTS / "cable_drum.json", "run benchmarks/cable_drum.py drawn")["drawn"]["um"]
+    found = read_json(RESULTS / "cable_drum.json", "run python -m benchmarks cable_drum drawn")["drawn"]["um"]
     panels = []
     for number, title in (("9", "NOE #9, 10 epochs"), ("10", "NOE #10, 100 epochs more, with the angle")):
         time = [cable_drum.SAMPLE_TIME * step for step in found[number]["step"]]
@@ -270,7 +270,7 @@ def _panel_of(curves: Mapping[str, np.ndarray], part: slice, period: float, x: s
 
 def explore() -> str:
     """Designs worth having on a small FPGA: LUTs over error and over time, the chosen one marked."""
-    found = read_json(RESULTS / "exploring.json", "run make bench-exploring")["up5k"]["explored"]
+    found = read_json(RESULTS / "exploring.json", "run python -m benchmarks exploring")["up5k"]["explored"]
     front, chosen = found["front"], found["chosen"]
     kinds = {"folded": "fixed", "serial": "cost", "parallel": "reference"}
 
@@ -297,7 +297,7 @@ def explore() -> str:
 
 def control() -> str:
     """A second of the cylinder, alone and under its load: the errors of three controllers, as they were stored."""
-    found = read_json(RESULTS / "control.json", "run benchmarks/control.py drawn")["drawn"]
+    found = read_json(RESULTS / "control.json", "run python -m benchmarks control drawn")["drawn"]
     kinds = {"pi": "reference", "mpc": "fixed", "network": "cost"}
     labels = {"pi": "PI, feed-forward", "mpc": "predictive control", "network": "network, as in RTL"}
     panels = []
@@ -312,7 +312,7 @@ def control() -> str:
 
 def entropies() -> str:
     """Entropies of the neurons of B1 and B2, the largest first, before and after the loop of figure 3.7."""
-    found = read_json(RESULTS / "systems.json", "run benchmarks/systems.py entropies")
+    found = read_json(RESULTS / "systems.json", "run python -m benchmarks systems entropies")
     panels = []
     for name, title in (("b1_30", "B1"), ("b2", "B2")):
         [row] = found["entropies"]["rows"][name]

@@ -18,7 +18,7 @@ from greygate.mismatch.rig import load
 from greygate.mismatch.search import Hypothesis, Search
 from greygate.project import compile_project
 
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))  # last: some of its names are those of packages
+sys.path.append(str(Path(__file__).parents[1]))  # for `benchmarks`; last: folders here have names of packages
 
 settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any machine")  # how fast an example is drawn says nothing of the product

@@ -11,16 +11,16 @@ import tomllib
 
 import numpy as np
 import pytest
-from concealed_bench import tables
-from concealed_bench.answer import Answer
-from concealed_bench.baselines import gaussian, linear, sparse
-from concealed_bench.entrant import answer as our_answer
-from concealed_bench.make import COMMITMENT, KINDS, committed, make, plan
-from concealed_bench.run import BASELINES, run
-from concealed_bench.score import score
-from concealed_bench.vocabulary import FAULTS, right, vocabulary
 from test_children import ended
 
+from benchmarks.concealed_bench import tables
+from benchmarks.concealed_bench.answer import Answer
+from benchmarks.concealed_bench.baselines import gaussian, linear, sparse
+from benchmarks.concealed_bench.entrant import answer as our_answer
+from benchmarks.concealed_bench.make import COMMITMENT, KINDS, committed, make, plan
+from benchmarks.concealed_bench.run import BASELINES, run
+from benchmarks.concealed_bench.score import score
+from benchmarks.concealed_bench.vocabulary import FAULTS, right, vocabulary
 from greygate.errors import InputError
 from greygate.mismatch.concealed.conceal import EVERY_RIG, conceal
 from greygate.mismatch.concealed.domains import DOMAINS
@@ -407,7 +407,7 @@ def test_our_own_answer_has_the_names_of_the_benchmark():
 
 
 def test_without_a_checkout_the_command_says_that_it_needs_one(tmp_path, greygate, monkeypatch):
-    monkeypatch.setattr("greygate.cli.bench.BENCHMARK", tmp_path / "none")
+    monkeypatch.setattr("greygate.cli.bench.BENCHMARKS", tmp_path / "none")
     code, printed, error = greygate("bench-concealed", "make", tmp_path / "new")
     assert (code, printed, error.count("\n")) == (2, "", 1)
     assert "needs a checkout of greygate's repository" in error

@@ -3,13 +3,13 @@ from threading import Barrier
 import numpy as np
 import pytest
 import torch
-from benchmarks.descent import _Static, _Swept, adam, gradient_descent, lbfgs, rtrl
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from networks import random_network
 from test_network import SMOOTH, delay_line
 from test_training import as_record
 
+from benchmarks.descent import _Static, _Swept, adam, gradient_descent, lbfgs, rtrl
 from greygate.errors import InputError
 from greygate.machines.benchmark_systems.plant import b1, b1_input
 from greygate.models.families.blocks import feedforward, nguyen_widrow

@@ -1,6 +1,6 @@
 """Nothing is lost: every command is failed and killed at every touch of the disk.
 
-GREYGATE_FAULTS=all tries every point, else a sample drawn with a seed (`make faults` tries all).
+`GREYGATE_FAULTS=all pytest tests/test_faults.py` tries every point, else a sample drawn with a seed is tried.
 """
 
 import json

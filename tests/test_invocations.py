@@ -11,11 +11,11 @@ from enum import Enum
 
 import pytest
 import typer
-from concealed_bench.make import make
-from concealed_bench.run import run
 from networks import delay_line
 from test_cli import recording
 
+from benchmarks.concealed_bench.make import make
+from benchmarks.concealed_bench.run import run
 from greygate import cli
 from greygate.machines.source import Source
 from greygate.mismatch.concealed.conceal import conceal

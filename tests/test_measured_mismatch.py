@@ -1,12 +1,12 @@
 """Measured rigs: their folders are as a user would write them, and untold noise is learnt with each hypothesis."""
 
-import importlib.util
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks import measured_mismatch as bench
 from greygate.errors import InputError
 from greygate.mismatch import effects as table
 from greygate.mismatch.coloured import Coloured
@@ -20,19 +20,11 @@ RIGS = sorted(path.parent for path in (ROOT / "recordings" / "rigs").glob("*/rig
 
 
 @pytest.fixture(scope="module")
-def bench():
-    spec = importlib.util.spec_from_file_location("measured_mismatch", ROOT / "benchmarks" / "measured_mismatch.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.fixture(scope="module")
-def tanks(bench, tmp_path_factory):
+def tanks(tmp_path_factory):
     return load(bench.make("tanks", tmp_path_factory.mktemp("rigs") / "tanks"))
 
 
-def test_every_measured_rig_has_a_maker(bench):
+def test_every_measured_rig_has_a_maker():
     assert {path.name for path in RIGS} == set(bench.MAKERS)
 
 

@@ -1,16 +1,15 @@
 """The next experiment: what tells apart what a diagnosis does not, as a CSV to play; and the loop that plays it."""
 
-import importlib.util
 import json
 import re
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from test_isolability import motor, search
 
+from benchmarks import next_experiments as bench
 from greygate.errors import InputError
 from greygate.mismatch import effects as table
 from greygate.mismatch import rig as rigs
@@ -25,21 +24,8 @@ from greygate.mismatch.simulation import read
 LONGEST = 18.0  # s
 
 
-def module(name: str):
-    path = Path(__file__).parents[1] / "benchmarks" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(name, path)
-    found = sys.modules[name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(found)
-    return found
-
-
 @pytest.fixture(scope="module")
-def bench():
-    return module("next_experiments")
-
-
-@pytest.fixture(scope="module")
-def ambiguous(bench, tmp_path_factory):
+def ambiguous(tmp_path_factory):
     """A rig that conceals a slip by direction, short strokes of one speed on it, and their diagnosis."""
     case = next(c for c in bench.CASES if c.effect == "direction_slip")
     made = bench.machine(case, tmp_path_factory.mktemp("loop") / "rig")
@@ -225,7 +211,7 @@ def test_a_single_explanation_leaves_nothing_to_propose(rig):
 # -- the loop --------------------------------------------------------------------------------------------------------
 
 
-def test_the_experiment_played_on_the_true_rig_leaves_the_right_name_alone(bench, ambiguous, tmp_path, greygate):
+def test_the_experiment_played_on_the_true_rig_leaves_the_right_name_alone(ambiguous, tmp_path, greygate):
     folder = Path(shutil.copytree(ambiguous.folder, tmp_path / "rig"))
     there = bench.Machine(folder, ambiguous.rig, ambiguous.run, ambiguous.noise)
 
@@ -240,7 +226,7 @@ def test_the_experiment_played_on_the_true_rig_leaves_the_right_name_alone(bench
     assert (ended["resolved"], ended["experiments"]) == (True, 1)
 
 
-def test_every_way_keeps_the_limits_of_the_recording(bench, ambiguous):
+def test_every_way_keeps_the_limits_of_the_recording(ambiguous):
     recording = ambiguous.rig.recording(ambiguous.folder / "identify.csv")
     bounds = Bounds.of(ambiguous.rig, recording)
     travel = bounds.high["x_drum"] - bounds.low["x_drum"]
@@ -252,7 +238,7 @@ def test_every_way_keeps_the_limits_of_the_recording(bench, ambiguous):
             assert np.abs(np.diff(path)).max() / recording.dt <= 1.1 * bounds.speed * travel
 
 
-def test_random_levels_are_held(bench, tmp_path):
+def test_random_levels_are_held(tmp_path):
     folder = motor(tmp_path / "motor")
     loaded = rigs.load(folder)
     bounds = Bounds.of(loaded, loaded.to_explain())

@@ -31,9 +31,9 @@ def test_builds_are_the_same_bytes_under_other_kernels_of_blas_and_numpy(network
         entry(network.partition(" ")[0]).records()
     except InputError as absent:  # its recording is published elsewhere
         pytest.skip(str(absent))
-    settings = ("--setting", "Haswell", "--setting", "old BLAS and numpy")
-    command = [sys.executable, str(ROOT / "benchmarks" / "processors.py"), "--network", network, *settings]
-    done = subprocess.run(command, capture_output=True, text=True)
+    settings = ("--setting", "Haswell", "old BLAS and numpy")
+    command = [sys.executable, "-m", "benchmarks", "processors", network, *settings]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("files, equal") == 2
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 import torch
-from benchmarks.descent import _Swept
 
+from benchmarks.descent import _Swept
 from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.compiler.quantize import Formats
 from greygate.errors import InputError

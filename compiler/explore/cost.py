@@ -1,7 +1,7 @@
 """What a design costs on an FPGA, told in milliseconds: a count of its parts, and what Yosys made of such parts.
 
 The parts of each architecture are counted here, from the program alone. `cost.toml` says what a part of each kind
-takes on each family. `benchmarks/calibrate.py` fits it to synthesized designs, and states its error on others.
+takes on each family. `python -m benchmarks calibrate` fits it to synthesized designs, and states its error on others.
 """
 
 import math

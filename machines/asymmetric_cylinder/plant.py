@@ -67,7 +67,7 @@ CUTOFF = 100.0
 """Hz, of the second-order Butterworth filter that every channel passes, causal, as it would run online (5.4.2).
 
 One filter for all delays all alike, by 2 ms. The thesis's position has 20 Hz beside 100 Hz for the rest: run online, it
-comes 9 ms after the spool, and a chamber does not forgive that. See benchmarks/asymmetric_cylinder.py, `filters`."""
+comes 9 ms after the spool, and a chamber does not forgive that. See `filters` of benchmarks/asymmetric_cylinder.py."""
 
 SAMPLES = {"training": 50_001, "choice": 20_000, "v3": 2_500, "v4": 10_000, "v5": 10_000, "v6": 50_000}
 _SEEDS = {"training": 1, "choice": 3, "v3": 2, "v4": 4, "v6": 6}

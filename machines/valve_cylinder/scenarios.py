@@ -38,7 +38,7 @@ def scenario(name: str, seed: int | None = None) -> Recording:
     those whose path fits the description: training, of 60,000, one with a high mean position (34 mm: the thesis' own
     errors, three times as large in B as in A, tell that its piston worked far out); v1 and v2 within +-20 mm.
 
-    What others would have given: `python benchmarks/valve_cylinder.py spread`. Channels: see `measure`. Raises
+    What others would have given: `python -m benchmarks valve_cylinder spread`. Channels: see `measure`. Raises
     InputError for another name.
     """
     if name not in SAMPLES:
