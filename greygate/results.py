@@ -17,7 +17,7 @@ class Result:
     version: int = 1
 
 
-_CONCEALED = "mismatch.concealed.told"
+_CONCEALED = "mismatch.concealed.printed"
 RESULTS = {
     "augment": Result("greygate augment --json, augment.json", "mismatch.augment:Augmented", file=()),
     "bench-concealed-make": Result("greygate bench-concealed make --json", "cli.printed:BenchMade"),
@@ -42,7 +42,7 @@ RESULTS = {
     "concealed-answer": Result("answer.json of the blind benchmark", f"{_CONCEALED}:AnswerFile", False),
     "concealed-run": Result("run.json of the blind benchmark", f"{_CONCEALED}:Ran", False),
     "control": Result("greygate control MACHINE --json", "cli.printed:Controlling"),
-    "diagnosis": Result("greygate diagnose --json, diagnosis.json", "mismatch.told:Diagnoses", False, version=2),
+    "diagnosis": Result("greygate diagnose --json, diagnosis.json", "mismatch.printed:Diagnoses", False, version=2),
     "doctor": Result("greygate doctor --json", "cli.printed:Doctor"),
     "emulate": Result("greygate emulate --json", "cli.printed:Emulating"),
     "explored": Result(

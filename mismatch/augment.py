@@ -62,7 +62,9 @@ class Augmented(TypedDict):
     networks: dict[str, Trial]
 
 
-def augment(folder: Path | str, diagnosis: Mapping, out: Path | str, kinds: Kinds, progress: Progress = silent) -> dict:
+def augment(
+    folder: Path | str, diagnosis: Mapping, out: Path | str, kinds: Kinds, progress: Progress = silent
+) -> Augmented:
     """Train the network of a rig's plant without and with the module of the diagnosed effect, and write both to `out`.
 
     diagnosis: content of a diagnosis.json of this rig. Writes PLANT.toml and PLANT_EFFECT.toml with their numbers, the
@@ -84,11 +86,17 @@ def augment(folder: Path | str, diagnosis: Mapping, out: Path | str, kinds: Kind
     for name, r in read.items():
         inputs = {n: v for n, v in r.channels.items() if n in augmentation.inputs}
         records[name] = Record(inputs, {n: v for n, v in r.channels.items() if n not in inputs})
-    networks, figures = {}, {}
+    networks: dict[str, Network] = {}
+    figures: dict[str, Trial] = {}
     for name, module in ((rig.plant.name, None), (f"{rig.plant.name}_{effect.id}", law)):
         joined = replace(augmentation.network(recorded["identify"], module), name=name, dt=augmentation.period)
         networks[name], figures[name] = _trained(joined, augmentation, law, records, progress)
-    facts = {"plant": rig.plant.name, "effect": effect.id, "period_s": augmentation.period, "networks": figures}
+    facts: Augmented = {
+        "plant": rig.plant.name,
+        "effect": effect.id,
+        "period_s": augmentation.period,
+        "networks": figures,
+    }
     with replacing_folder(out, "augment") as new:
         for name, network in networks.items():
             network.save(new / name)
@@ -127,7 +135,7 @@ def _law(augmentation: Augmentation, rig: Rig, effect: Effect, values: Mapping[s
 
 def _trained(
     joined: Network, augmentation: Augmentation, law: Law, records: Mapping[str, Record], progress: Progress
-) -> tuple[Network, dict]:
+) -> tuple[Network, Trial]:
     """The network trained in free run on identify.csv, and its figures."""
     own = [n for n in joined.modules if n in augmentation.modules]
     fit = train(

@@ -25,10 +25,10 @@ from greygate.mismatch.excitation import check
 from greygate.mismatch.experiments.experiment import nominal
 from greygate.mismatch.experiments.isolability import isolability
 from greygate.mismatch.fit import Likelihood
+from greygate.mismatch.printed import Rms
 from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.search import Search
 from greygate.mismatch.simulation import asked, read, simulate
-from greygate.mismatch.told import Rms
 from greygate.models import accuracy
 from greygate.plants.recording import Recording
 from greygate.progress import Progress, silent

@@ -4,13 +4,16 @@ import sys
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from greygate.cli import options
 from greygate.cli.terminal import Json, following, give, say
 from greygate.errors import InputError
+
+if TYPE_CHECKING:
+    from greygate.cli.printed import BenchMade, BenchRun
 
 app = typer.Typer(help="Make cases of missing physics, run any tool on them, score it.", no_args_is_help=True)
 Bench = Annotated[Path, typer.Argument(metavar="BENCH", help="Folder that `bench-concealed make` wrote.")]
@@ -54,8 +57,13 @@ def make(
         commitment = cases_of.make(out, cases, word, plant, condition, progress)
     lines = [f"{len(commitment['cases'])} cases ({commitment['split']}) written to {out}"]
     lines += [f"publish {out / cases_of.COMMITMENT}; keep {out / 'sealed'} until the answers are in"] if word else []
-    facts = {"out": str(out), "split": commitment["split"], "cases": len(commitment["cases"])}
-    give("bench-concealed-make", facts | {"secret_sha256": commitment["secret_sha256"]}, as_json, lines)
+    result: BenchMade = {
+        "out": str(out),
+        "split": commitment["split"],
+        "cases": len(commitment["cases"]),
+        "secret_sha256": commitment["secret_sha256"],
+    }
+    give("bench-concealed-make", result, as_json, lines)
 
 
 @app.command()
@@ -77,9 +85,10 @@ def run(
     with following("explaining") as progress:
         found = _part("run").run(bench, tool, out, limit, cases, jobs, progress)
     failed = {name: facts["error"] for name, facts in found.items() if facts["error"]}
+    result: BenchRun = {"out": str(out), "cases": len(found), "errors": failed}
     give(
         "bench-concealed-run",
-        {"out": str(out), "cases": len(found), "errors": failed},
+        result,
         as_json,
         [f"{len(found)} answers in {out}"],
     )

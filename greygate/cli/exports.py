@@ -9,7 +9,7 @@ import typer
 from greygate.cli.terminal import Json, following, give
 
 if TYPE_CHECKING:
-    from greygate.cli.printed import ExportedMjcf
+    from greygate.cli.printed import ExportedC, ExportedLatex, ExportedMjcf, ExportedModelica
 
 app = typer.Typer(help="Write a build, a rig or a plant for another tool.", no_args_is_help=True)
 Folder = Annotated[Path, typer.Argument(metavar="BUILD", help="A folder that `greygate compile` wrote.")]
@@ -36,7 +36,8 @@ def c(
     from greygate.hardware.build import Project
 
     files = export_c(Project.open(folder), out)
-    give("export-c", {"out": str(out), "files": files}, as_json, [", ".join(files), f"written to {out}"])
+    result: ExportedC = {"out": str(out), "files": files}
+    give("export-c", result, as_json, [", ".join(files), f"written to {out}"])
 
 
 @app.command()
@@ -91,7 +92,8 @@ def modelica(
     from greygate.mismatch.simulation import read
 
     name = export_modelica(source, out, None if diagnosis is None else read(diagnosis))
-    give("export-modelica", {"model": name, "out": str(out)}, as_json, [f"model {name}", f"written to {out}"])
+    result: ExportedModelica = {"model": name, "out": str(out)}
+    give("export-modelica", result, as_json, [f"model {name}", f"written to {out}"])
 
 
 @app.command()
@@ -106,7 +108,8 @@ def latex(
     from greygate.mismatch.simulation import read
 
     name = export_latex(source, out, None if diagnosis is None else read(diagnosis))
-    give("export-latex", {"plant": name, "out": str(out)}, as_json, [f"plant {name}", f"written to {out}"])
+    result: ExportedLatex = {"plant": name, "out": str(out)}
+    give("export-latex", result, as_json, [f"plant {name}", f"written to {out}"])
 
 
 @app.command()

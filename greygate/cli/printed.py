@@ -10,8 +10,8 @@ from greygate.export.mjcf import Joint
 from greygate.hardware.board.play import Played
 from greygate.hardware.proofs.proof import Proof
 from greygate.hardware.verify import Comparison
-from greygate.mismatch.concealed.told import Score, Sealed
-from greygate.mismatch.told import Rms
+from greygate.mismatch.concealed.printed import Score, Sealed
+from greygate.mismatch.printed import Rms
 from greygate.plain import Count, Figure, Hash, Json
 
 Catalogue = Annotated[dict[str, str], "Name -> title of a network or a machine of the catalogue."]

@@ -12,7 +12,7 @@ from greygate.cli.terminal import Json, finite, following, give, say
 from greygate.errors import InputError
 
 if TYPE_CHECKING:
-    from greygate.cli.printed import Simulating
+    from greygate.cli.printed import Concealing, Simulating
 
 Tables = Annotated[list[Path], typer.Option(help="TOML file with effects to try besides greygate's own.")]
 RigFolder = Annotated[Path, typer.Argument(metavar="RIG_FOLDER", help="Folder that holds rig.toml.")]
@@ -190,9 +190,10 @@ def conceal(
     with following(f"recording {plant}"):
         write(plant, seed, out, kind=kind, effect=effect, under=condition)
     seal = (out / "sealed.json.sha256").read_text(encoding="utf-8").split()[0]
+    result: Concealing = {"out": str(out), "sha256": seal}
     give(
         "conceal",
-        {"out": str(out), "sha256": seal},
+        result,
         as_json,
         [f"written to {out}", f"answer sealed with SHA-256 {seal}"],
     )

@@ -54,6 +54,7 @@ from greygate.table import read_table
 
 from .domains import DOMAINS
 from .line import BELT, DRUM
+from .printed import Sealed
 from .pump import PUMP
 from .rig import Columns, ConcealedRig, calibrate, errors, rms, within
 from .stress import Recorder, condition
@@ -398,7 +399,7 @@ def _read(path: Path) -> Columns:
     return dict(zip(found.header, found.values.T, strict=True))
 
 
-def sealed(folder: Path) -> dict:
+def sealed(folder: Path) -> Sealed:
     """The answer in `folder`, if its seal is unbroken."""
     path = folder / "sealed.json"
     try:

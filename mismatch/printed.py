@@ -1,4 +1,4 @@
-"""What a diagnosis tells: the types of diagnosis.json. docs/diagnosis.md describes each entry."""
+"""The types of diagnosis.json and of what is said of a recording. docs/diagnosis.md describes each entry."""
 
 from typing import Annotated, Any, Literal, NotRequired, TypedDict
 

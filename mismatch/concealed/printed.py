@@ -1,4 +1,4 @@
-"""What concealed cases and the blind benchmark on them tell: the types of their JSON."""
+"""The types of the JSON of concealed cases, and of the blind benchmark on them."""
 
 from typing import Annotated, Any, Literal, NotRequired, TypedDict
 
