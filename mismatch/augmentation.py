@@ -19,6 +19,7 @@ from greygate.plants.recording import Recording
 HIDDEN, SEED, EPOCHS, DECAY = 5, 0, 200, 1e-6  # of a module, while it is taught its law
 ROOM = 1.5  # times the recording's range, over which a module is taught its law
 FINEST = 2.0**-40  # resolution of a port whose channel has none
+POINTS = 200  # at which a law is taught
 MARGIN = 1.25  # of a port's scale over the largest value recorded
 
 
@@ -85,8 +86,8 @@ def untaught() -> Network:
 
 
 def grid() -> np.ndarray:
-    """200 values from -1 to 1, of which none is 0."""
-    return np.linspace(-1, 1, 200)
+    """Values from -1 to 1, of which none is 0."""
+    return np.linspace(-1, 1, POINTS)
 
 
 def port(name: str, samples: np.ndarray, unit: str, channel: Channel | None) -> Port:

@@ -33,6 +33,7 @@ from greygate.models import accuracy
 from greygate.plants.recording import Recording
 from greygate.progress import Progress, silent
 
+PER_CENT = 100.0
 Page = Callable[[Diagnosis], str]
 """What makes the HTML page of a diagnosis: `greygate.pages.diagnosis.page`."""
 
@@ -267,6 +268,6 @@ def score(folder: Path, diagnosis: Path | None, own: Sequence[Path] = ()) -> tup
     inside = found["inside"]
     out.append(words.row("intervals", f"{sum(inside.values())} of {len(inside)} hold the true value"))
     if found["removed"] is not None:
-        removed = f"{100 * found['removed']:.1f} % of the removable error on the held-out recording"
+        removed = f"{PER_CENT * found['removed']:.1f} % of the removable error on the held-out recording"
         out.append(words.row("removed", removed))
     return {"answer": answer, **found, "right": right}, out, right

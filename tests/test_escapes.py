@@ -15,7 +15,7 @@ from programs import cylinder_program, random_codes, random_program
 from test_names import INJECTED, one_line
 from test_validation import linear, record
 
-import greygate
+from greygate import pages
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
 from greygate.compiler.study import study
@@ -241,7 +241,7 @@ def test_no_text_of_a_drawing_becomes_a_tag():
 
 
 def test_no_template_takes_text_as_it_stands():
-    templates = list(Path(greygate.__file__).parent.glob("**/*.html"))
+    templates = list(Path(pages.__file__).parent.glob("**/*.html"))
     assert len(templates) >= 4
     for template in templates:
         assert not re.search(r"\|\s*safe|autoescape", template.read_text()), template

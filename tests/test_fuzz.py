@@ -38,7 +38,7 @@ SEEDS = 40  # of a parser, about as many of which are opened as they are; `make 
 MUTANTS = int(os.environ.get("GREYGATE_FUZZ", IN_TESTS))
 RESULTS = ROOT / "benchmarks" / "results" / "fuzz.json"
 SIMULATE = importlib.import_module("greygate.plants.simulator")  # the package has a function of this name
-PROJECT = importlib.import_module("greygate.project")
+PROJECT = importlib.import_module("greygate.hardware.build")
 ARITHMETIC = (ast.Module, ast.Expr, ast.Name, ast.Constant, ast.Call, ast.UnaryOp, ast.BinOp, ast.expr_context,
               ast.UAdd, ast.USub, ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Pow)  # fmt: skip
 SHARE = 0.05  # of the mutants that shall be accepted, and refused: else the fuzz reaches nothing, or mends nothing

@@ -8,13 +8,14 @@ import test_report
 from test_report import PERIOD, record
 from typer.testing import CliRunner
 
-from greygate import project, reporting
+from greygate import reporting
 from greygate.cli import app
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
 from greygate.compiler.study import size, study
 from greygate.errors import InputError
 from greygate.files import write_manifest
+from greygate.hardware import build
 from greygate.machines import catalog
 from greygate.models.network import Network
 from greygate.pages.report import page
@@ -115,7 +116,7 @@ def plants(monkeypatch, records, tmp_path):
     monkeypatch.setattr(catalog.Entry, "network", lambda self: network())
     monkeypatch.setitem(catalog.CATALOG, NAME, entry)
     monkeypatch.setattr(reporting, "REPORTED", (NAME,))
-    monkeypatch.setattr(project, "TRAINED", tmp_path / "kept")
+    monkeypatch.setattr(build, "TRAINED", tmp_path / "kept")
     (tmp_path / "kept").mkdir()
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -134,7 +135,7 @@ def test_what_is_missing_is_compiled_and_what_was_left_is_read(plants):
     program = plants / "hardware" / NAME / "program.json"
     left = program.stat().st_mtime_ns
     found = {
-        "size": size(project.Project.open(program.parent).program),
+        "size": size(build.Project.open(program.parent).program),
         "resources": {"folded, ecp5": {"luts": 77}},
     }
     kept = plants / "kept" / f"{NAME}.resources.json"

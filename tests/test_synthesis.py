@@ -14,7 +14,7 @@ from greygate import project
 from greygate.compiler.quantize import Formats
 from greygate.compiler.study import size
 from greygate.errors import InputError
-from greygate.hardware import synthesis
+from greygate.hardware import build, synthesis
 from greygate.hardware.build import Project
 from greygate.hardware.families import DEVICES, LARGE, QUICK, chosen, placing
 from greygate.hardware.synthesis import lacking
@@ -99,7 +99,7 @@ def compiled(tmp_path, monkeypatch) -> Project:
     (tmp_path / "u.csv").write_text("t_s,u_V,y_m\n" + "".join(f"{k * 1e-3:.3f},{k % 5},{k % 5}\n" for k in range(50)))
     delay_line().save(tmp_path / "b2")
     compile_project(Source(str(tmp_path / "b2.toml"), {"u": str(tmp_path / "u.csv")}), tmp_path / "hw", Formats())
-    monkeypatch.setattr(project, "TRAINED", tmp_path)
+    monkeypatch.setattr(build, "TRAINED", tmp_path)
 
     def counted(folder, top, target, clock_rate, limit, mhz, progress):
         return {"luts": 42} if folder.name == "folded" else {"stopped_after_s": limit}

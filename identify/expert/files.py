@@ -54,8 +54,9 @@ def build_files(
         raise InputError(f"{out}: is not a folder; give another one")
     plant, found = read(where, files)
     used = {n: found[n] for n in recordings}
-    built = build(plant, used, {n: found[n] for n in tests}, sensors, targets, seconds, progress)
-    return _written(built, {n: files[n] for n in found}, out)
+    with making(out), writing(out):
+        built = build(plant, used, {n: found[n] for n in tests}, sensors, targets, seconds, progress)
+        return _written(built, {n: files[n] for n in found}, out)
 
 
 def read(where: Path, files: Mapping[str, str]) -> tuple[Plant, dict[str, Recording]]:
@@ -71,10 +72,9 @@ def _written(built: Built, files: Mapping[str, str], out: Path) -> dict:
     name = built.network.name
     kept = {"rms": built.rms, "decisions": built.log.facts}
     first = next(iter(built.rms["network"]))
-    with making(out), writing(out):
-        built.network.save(out / name, json_text(plain(kept)))
-        with replacing(out / f"{name}.decisions.txt") as path:
-            path.write_text(built.log.text, encoding="utf-8")
+    built.network.save(out / name, json_text(plain(kept)))
+    with replacing(out / f"{name}.decisions.txt") as path:
+        path.write_text(built.log.text, encoding="utf-8")
     judged = [n for n in built.rms["network"] if n not in files or n != first]
     command = f"greygate compile {out / name}.toml --record {next(iter(files.values()))} --out {out / 'compiled'}"
     about = {"better": _better(built, judged), "seconds": round(built.seconds, 1), "neurons": built.network.neurons()}
