@@ -208,8 +208,8 @@ class _Unknowns:
                 columns.append(likelihood.rows(column[:, :, None], base.temper))
         if not columns:
             raise NowhereError
-        columns = likelihood.eliminate(np.concatenate(columns, axis=2), None, base.basis)[0]
-        return cls(again, effects, seen, base, keys, columns)
+        joint = likelihood.eliminate(np.concatenate(columns, axis=2), None, base.basis)[0]
+        return cls(again, effects, seen, base, keys, joint)
 
     def chosen(self) -> tuple[str, list[str], float]:
         """(place, its functions, share of the misfit that they take) where a term removes most."""

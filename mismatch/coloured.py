@@ -6,7 +6,7 @@ are -2 log likelihood.
 """
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from scipy.stats import norm
 
 from greygate.mismatch.effects import Effect
-from greygate.mismatch.fit import Fit, Likelihood, Unknown
+from greygate.mismatch.fit import ENOUGH, ITERATIONS, Fit, Likelihood, Unknown
 from greygate.mismatch.model import TINY, Model
 from greygate.mismatch.runs import along, whole
 
@@ -100,12 +100,25 @@ class Coloured(Likelihood):
         tried = [self.learnt(residual, order) for order in orders]
         return min(tried, key=lambda p: p.deviance() + len(p.ar) * p.order * np.log(p.count))
 
-    def fit(self, unknowns: Sequence[Unknown], values=None, shifts=None, **options) -> Fit:
-        """Fit plant and noise in turn until neither gains. `cost` is -2 log of the joint likelihood and the priors."""
-        options = {k: v for k, v in options.items() if k not in ("rival", "tempered")}
-        likelihood, values, best = self, dict(values or {}), None
+    def fit(
+        self,
+        unknowns: Sequence[Unknown],
+        values: Mapping[str, float] | None = None,
+        shifts: np.ndarray | None = None,
+        iterations: int = ITERATIONS,
+        tempered: bool = False,
+        rival: float = np.inf,
+        enough: float = ENOUGH,
+        slack: float = 0.0,
+    ) -> Fit:
+        """Fit plant and noise in turn until neither gains. `cost` is -2 log of the joint likelihood and the priors.
+
+        tempered, rival: without effect, for noise takes up what the plant leaves out, and its size is not known before.
+        """
+        likelihood, values = self, dict(values or {})
+        best: Fit | None = None
         for _ in range(ROUNDS if self.order else WHITE_ROUNDS):
-            fit = Likelihood.fit(likelihood, unknowns, values, shifts, **options)
+            fit = Likelihood.fit(likelihood, unknowns, values, shifts, iterations, enough=enough, slack=slack)
             residual = likelihood.residual(fit.values)
             if not np.isfinite(residual).all():
                 return best or replace(fit, cost=np.inf)
@@ -118,7 +131,14 @@ class Coloured(Likelihood):
                 best = fit
             if gain < GAIN:
                 break
+        assert best is not None  # that of the first round, or a better one
         return best
+
+
+def coloured_likelihood(fit: Fit) -> Coloured:
+    """The likelihood of a fit to a recording whose noise nobody stated."""
+    assert isinstance(fit.likelihood, Coloured)
+    return fit.likelihood
 
 
 def _regressed(error: np.ndarray, order: int, keep: np.ndarray, pieces: Sequence[slice]) -> np.ndarray:
@@ -138,7 +158,7 @@ def _late(signal: np.ndarray, by: int, pieces: Sequence[slice]) -> np.ndarray:
     return along(late, pieces, signal)
 
 
-def resized(likelihood: Coloured, effect: Effect, fit: Fit) -> Effect:
+def resized(likelihood: Likelihood, effect: Effect, fit: Fit) -> Effect:
     """The effect with `typical` strengths that change the prediction by about as much as `fit` leaves unexplained."""
     size = np.std(likelihood.residual(fit.values), axis=0) + TINY
     values = {**likelihood.model.values, **fit.values, **effect.set}
@@ -178,7 +198,7 @@ def remaining(fit: Fit) -> str:
     model = fit.likelihood.model
     signals = {name: model.recording[name] for name in model.rig.inputs}
     found = []
-    keep = fit.likelihood.mask
+    keep = coloured_likelihood(fit).mask
     for channel, error in zip(model.rig.predict, fit.errors.T, strict=True):
         e = error[keep] - error[keep].mean()
         for name, signal in {**signals, "t": model.recording.time}.items():

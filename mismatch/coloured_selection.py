@@ -10,8 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from greygate.mismatch.coloured import Coloured, resized
-from greygate.mismatch.fit import Fit
+from greygate.mismatch.coloured import Coloured, coloured_likelihood, resized
+from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.model import beginnings
 from greygate.mismatch.search import ROUGH, Hypothesis, Score, Search
 from greygate.mismatch.selection import Selection
@@ -145,7 +145,8 @@ class ColouredSelection(Selection):
         for start in starts:
             plain = search.fit(white, hypothesis, start, enough=ROUGH)
             if np.isfinite(plain.cost):
-                coloured = plain.likelihood.learnt(plain.likelihood.residual(plain.values), fit.likelihood.order)
+                order = coloured_likelihood(fit).order
+                coloured = coloured_likelihood(plain).learnt(plain.likelihood.residual(plain.values), order)
                 found.append(search.fit(coloured, hypothesis, plain.values, enough=ROUGH))
         best = min(found, key=lambda f: f.cost)
         return search.led(best) if np.isfinite(best.cost) else best
@@ -155,7 +156,7 @@ class ColouredSelection(Selection):
 
         The blocks of a fold are spread over the recording, so that no regime is held out entirely.
         """
-        mask = fit.likelihood.mask
+        mask = coloured_likelihood(fit).mask
         fold = (np.arange(len(mask)) * FOLDS * BLOCKS // len(mask)) % FOLDS
         costs = [
             [self._unseen(mask & (fold == k), hypothesis, full) for hypothesis, full in ((less, fit), (more, richer))]
@@ -165,10 +166,10 @@ class ColouredSelection(Selection):
 
     def _unseen(self, block: np.ndarray, hypothesis: Hypothesis, full: Fit) -> float:
         """Cost in `block` (samples,) of a fit to all other samples, which starts at `full`."""
-        others = copy.copy(full.likelihood)
-        others.mask = full.likelihood.mask & ~block
+        others = copy.copy(coloured_likelihood(full))
+        others.mask = others.mask & ~block
         fit = self.search.fit(others, hypothesis, full.values, iterations=REFIT)
-        judge = copy.copy(fit.likelihood)
+        judge = copy.copy(coloured_likelihood(fit))
         judge.mask = block
         return float(np.sum(judge.errors(fit.values, fit.shifts) ** 2)) + judge.deviance()
 
@@ -178,14 +179,14 @@ def _calibrated(search: Search) -> Fit:
     nothing = Hypothesis()
     fit = search.led(search.fit(search.final, nothing, drawn(search, search.final, nothing, {})))
     for _ in range(ORDERINGS):
-        likelihood = fit.likelihood.ordered(fit.likelihood.residual(fit.values))
+        likelihood = coloured_likelihood(fit).ordered(fit.likelihood.residual(fit.values))
         fit = search.fit(likelihood, nothing, fit.values)
     return fit
 
 
 def _white(fit: Fit) -> Coloured:
     """The likelihood of `fit` with white noise as large as its residual."""
-    return fit.likelihood.learnt(fit.likelihood.residual(fit.values), 0)
+    return coloured_likelihood(fit).learnt(fit.likelihood.residual(fit.values), 0)
 
 
 def _price(more: Fit, less: Fit) -> float:
@@ -194,7 +195,7 @@ def _price(more: Fit, less: Fit) -> float:
 
 
 def drawn(
-    search: Search, likelihood: Coloured, hypothesis: Hypothesis, values: Mapping[str, float]
+    search: Search, likelihood: Likelihood, hypothesis: Hypothesis, values: Mapping[str, float]
 ) -> dict[str, float]:
     """`values`, and the best of DRAWS sets of the other parameters, drawn within the data sheet's tolerance."""
     rng = np.random.default_rng(0)

@@ -124,8 +124,8 @@ def added(fit: Fit, equation: str, symbols: Iterable[str]) -> np.ndarray:
         scopes.append(scope)
 
     def differ(*places: str) -> np.ndarray:
-        columns = [np.broadcast_to(_difference(model, place, *scopes), len(states)) for place in places]
-        columns = np.stack(columns, axis=1)
+        found = [np.broadcast_to(_difference(model, place, *scopes), len(states)) for place in places]
+        columns = np.stack(found, axis=1)
         return np.where(np.isfinite(columns), columns, 0.0)
 
     outputs = [name for name, d in model.plant.definitions.items() if d.symbol in model.rig.predict]
@@ -273,7 +273,7 @@ def _correlation(rows: np.ndarray, shape: np.ndarray) -> np.ndarray:
 
 def _rare(found: float, drawn: np.ndarray) -> bool:
     """Whether chance is seldom as large: where the same energy stands in another order."""
-    return (1 + np.sum(drawn >= found)) / (1 + len(drawn)) <= CHANCE
+    return bool((1 + np.sum(drawn >= found)) / (1 + len(drawn)) <= CHANCE)
 
 
 def _way(energy: Energy, v: np.ndarray) -> str:
@@ -289,7 +289,7 @@ def _regime(energy: Energy, seen: Mapping[str, np.ndarray], units: Mapping[str, 
     """The region in which the energy is densest, of the variable that tells most."""
     orders = {name: np.argsort(s, kind="stable") for name, s in seen.items()}
     distances = {name: float(_distance(_excess(energy.cells, order))) for name, order in orders.items()}
-    name = max(distances, key=distances.get, default="")
+    name = max(distances, key=lambda name: distances[name], default="")
     if not name or distances[name] < CLEAR:
         return ""
     drawn = np.max([_distance(_excess(energy.shuffled, order)) for order in orders.values()], axis=0)
@@ -312,7 +312,7 @@ def _when(energy: Energy, clock: np.ndarray) -> str:
     part = Region.densest(energy, clock)
     if part.whole:
         return ""
-    ramp, jump = (_correlation(np.sqrt(energy.cells), shape) for shape in (clock, part.inside))
+    ramp, jump = (float(_correlation(np.sqrt(energy.cells), shape)) for shape in (clock, part.inside))
     if part.open and abs(ramp) >= jump:
         steady = _rare(abs(ramp), np.abs(_correlation(np.sqrt(energy.shuffled), clock)))
         return ("grows with time" if ramp > 0 else "fades with time") if steady else ""
@@ -378,11 +378,16 @@ class Region:
         return cls(low, high, True, ~within)
 
     def words(self, name: str, factor: float, unit: str) -> str:
-        """The region as a person says it: "|x| above 31 mm"; a symmetric one is told by its half width."""
+        """The region as a person says it: "|x| above 31 mm"; a symmetric one is told by its half width.
+
+        A whole one is not told.
+        """
         low, high = (None if b is None else b * factor for b in (self.low, self.high))
         unit = f" {unit}" if unit else ""
-        if self.open:
-            return f"{name} above {_figure(low)}{unit}" if high is None else f"{name} below {_figure(high)}{unit}"
+        if high is None:
+            return "" if low is None else f"{name} above {_figure(low)}{unit}"
+        if low is None:
+            return f"{name} below {_figure(high)}{unit}"
         if abs(low + high) < EVEN * (high - low):
             return f"|{name}| {'above' if self.beyond else 'below'} {_figure((high - low) / 2)}{unit}"
         ends = _figure(low), _figure(high)

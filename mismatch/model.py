@@ -66,7 +66,7 @@ class Model:
         if self.finer:
             self._add(BLUR, "1")
         self.values = {symbol: p.value for symbol, p in self.plant.parameters.items()}
-        self._filters = {}
+        self._filters: dict[str, list[tuple[str, tuple[str, ...]]]] = {}
         for effect in effects.values():
             for name, text in effect.filters.items():
                 kind, *symbols = text.split()
@@ -140,7 +140,7 @@ class Model:
         self._parted |= {name: self._summed(np.repeat(recording[u], self._parts)) for name, u in self.integrals.items()}
         self._finer = {name: self._input(name, recording.channels, FINER) - self._inputs[name] for name in self.finer}
         self.target = np.stack([recording[name] for name in self.rig.predict], axis=1)
-        self._last = (None, None)
+        self._last: tuple[tuple | None, np.ndarray] = (None, np.empty((0, 0)))
         self._made: dict[tuple, dict[str, np.ndarray]] = {}
         self._smooth_channels: dict[tuple[str, int], np.ndarray] = {}
 
@@ -243,10 +243,10 @@ class Model:
         at = self.restarts
         scope = Values(self.plant, {name: signal[at] for name, signal in signals.items()})
         scope.update(values)
-        for state in self.measured:
-            scope[state] = self._unread(state, self._unfiltered(state, values)[at], values, at)
-        for rate, state in self.rates.items():
-            scope[rate] = self.smooth_rate(state)[at]
+        for channel in self.measured:
+            scope[channel] = self._unread(channel, self._unfiltered(channel, values)[at], values, at)
+        for rate, channel in self.rates.items():
+            scope[rate] = self.smooth_rate(channel)[at]
         out = np.empty((len(at), len(self.plant.states)))
         for j, (symbol, state) in enumerate(self.plant.states.items()):
             if symbol not in scope:
@@ -297,7 +297,9 @@ class Model:
             shown = of.unfiltered(kind, shown, given, self.rig.dt)
         return read + (shown - smooth)
 
-    def _reading(self, channel: str, state: np.ndarray, values: Mapping[str, float], at=slice(None)) -> np.ndarray:
+    def _reading(
+        self, channel: str, state: np.ndarray, values: Mapping[str, float], at=slice(None)
+    ) -> np.ndarray | float:
         """What the channel's sensor adds to the state, at the samples `at`."""
         scope = Values(self.plant, {channel: state, TIME: self.recording.time[at]})
         scope.update(values)

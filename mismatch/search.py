@@ -7,6 +7,7 @@ ranks the hypotheses, for there even a wrong model stays near the recording. The
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
+from typing import TypedDict
 
 import numpy as np
 
@@ -35,7 +36,6 @@ ADDED, LATE = "offset", "delay"  # the filters that add a constant, and that mov
 TIMELESS = "dead_zone", "skew", "saturation", "quantum"  # filters without memory: before a delay or behind it, alike
 LOST = 0.3  # of a channel's spread, above which its error says that the run is elsewhere
 LED = (1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of the recording: to so much a lost run is fitted first
-ROUGHLY = {"tempered": True, "iterations": 4}  # a fit of the data sheet's plant, where effects can be compared
 LONG = 1.5  # of the travel: the longest period of a wave
 WAVES = 2.0  # periods of a scan for each cycle over the travel: neighbours differ by half a cycle
 FEWEST_WAVES = 4  # periods of a scan, at least
@@ -45,6 +45,16 @@ GUESSES = (0.3, 1.0, 3.0)  # times its typical value, at which a parameter of th
 SECANT_REACH = 3.0  # times the point to which a secant is drawn, beyond which it says nothing
 UNBOUNDED = 1e3  # standard deviations that a released parameter may go in the linearised fit: no bound in practice
 SOLVED_PAIRS = 4  # times the pairs that are wanted are solved within bounds, after a ranking without bounds
+
+
+class Roughly(TypedDict):
+    """Options of `Likelihood.fit`."""
+
+    tempered: bool
+    iterations: int
+
+
+ROUGHLY: Roughly = {"tempered": True, "iterations": 4}  # a fit of the data sheet's plant, where effects can be compared
 
 
 @dataclass(frozen=True)
@@ -101,12 +111,15 @@ class Search:
 
         memories = [memory(run[name]) for run in recording.runs for name in rig.predict]
 
-        def over(samples: int, shares: tuple[float, float]) -> Likelihood:
-            window = min(span(samples, memories, shares, FEWEST), rig.window)
+        def over(most: int, samples: int, shares: tuple[float, float]) -> Likelihood:
+            window = min(span(samples, memories, shares, FEWEST), most)
             return Likelihood(modelled(rig, recording, self.effects, window))
 
-        self.final = over(LONG_WINDOW, LONG_SHARES) if rig.window else free_run(modelled(rig, recording, self.effects))
-        self.screen = over(SHORT, SHORT_SHARES) if rig.window else self.final
+        if rig.window:
+            self.final = over(rig.window, LONG_WINDOW, LONG_SHARES)
+            self.screen = over(rig.window, SHORT, SHORT_SHARES)
+        else:
+            self.final = self.screen = free_run(modelled(rig, recording, self.effects))
         self.within = WITHIN
         self.between = False  # whether inputs moved between the samples
         self.fits: dict[Hypothesis, Fit] = {}  # of rivals, kept for experiments that tell them apart
@@ -163,6 +176,7 @@ class Search:
         """The equations in which a parameter acts; where no effect names an equation, those that use what it makes."""
         named = {place for effect in self.effects.values() for place in effect.equations}
         plant = self.rig.plant
+        texts: dict[str, tuple[str, Iterable[str]]]  # place -> (what it makes, its expressions)
         texts = {name: (d.symbol, d.terms.values()) for name, d in plant.definitions.items()}
         for name, e in plant.equations.items():
             state = plant.states[e.state]
@@ -297,8 +311,8 @@ class Search:
                 found = {s: v * float(size[0]) for s, v in point.items()}
             else:
                 found = {f.symbol: f.typical * float(x) for f, x in zip(effect.strengths, size, strict=True)}
-            reach = {f.symbol: (f.low, f.high) for f in effect.free}
-            values |= {**shape, **{s: float(np.clip(v, *reach[s])) for s, v in found.items()}}
+            limits = {f.symbol: (f.low, f.high) for f in effect.free}
+            values |= {**shape, **{s: float(np.clip(v, *limits[s])) for s, v in found.items()}}
         return values, gain + prior
 
     def directions(self, likelihood: Likelihood, fit: Fit, effect: Effect) -> Iterable[tuple[dict, dict, np.ndarray]]:
@@ -334,7 +348,7 @@ class Search:
         return [dict(zip(guesses, values, strict=True)) for values in product(*guesses.values())]
 
     def _shapes(self, effect: Effect) -> list[dict[str, float]]:
-        grids = {}
+        grids: dict[str, Iterable[float]] = {}
         for f in effect.free:
             if not f.shape:
                 continue

@@ -441,7 +441,7 @@ def possible(search: Search, hypothesis: Hypothesis, fit: Fit) -> bool:
     if not np.isfinite(fit.cost):
         return False
     effects = [search.effects[key] for key in hypothesis.effects]
-    sizes = [[np.hypot(*(fit.values[s] for s in pair)) for pair in effect.wave.values()] for effect in effects]
+    sizes = [[np.hypot(fit.values[sine], fit.values[cosine]) for sine, cosine in e.wave.values()] for e in effects]
     if any(overtones and max(overtones) > fundamental for fundamental, *overtones in filter(None, sizes)):
         return False  # then it is a wave of the overtone's period
     free = [f for effect in effects for f in effect.strengths]

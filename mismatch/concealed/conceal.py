@@ -301,13 +301,13 @@ def _fits(
         "true": errors(rig, third, true, concealed, form),
     }
     without = errors(rig, third, bare, {}, 0.0)
-    fit = {c.name: {key: rms(e[c.name][first:]) for key, e in fits.items()} | {"unit": c.unit} for c in rig.predicted}
+    fit = {c.name: {key: rms(e[c.name][first:]) for key, e in fits.items()} for c in rig.predicted}
     strength = {c.name: rms((fits["true"][c.name] - without[c.name])[first:]) / c.error for c in rig.predicted}
     calibrated_error = _relative({name: values["calibrated"] for name, values in fit.items()}, fit)
     return {
         "strength": strength,
         "removable": max(0.0, 1 - 1 / calibrated_error) if concealed or bare != true else 0.0,
-        "third": fit,
+        "third": {c.name: {**fit[c.name], "unit": c.unit} for c in rig.predicted},
         "counted_from": first,
     }
 

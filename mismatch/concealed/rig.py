@@ -48,11 +48,14 @@ class HiddenEffect:
         `least` (0: barely seen) to 1 (dominant)."""
         place, sign = rng.uniform(least, 1.0), rng.choice([-1.0, 1.0]) if self.signed else 1.0
         sizes = {name: sign * low * (high / low) ** place for name, (low, high) in self.sizes.items()}
-        others = {
-            name: float(rng.integers(*bounds) if isinstance(bounds[0], int) else rng.uniform(*bounds))
-            for name, bounds in self.others.items()
-        }
+        others = {name: _drawn(rng, *bounds) for name, bounds in self.others.items()}
         return sizes | others
+
+
+def _drawn(rng: np.random.Generator, low: float, high: float) -> float:
+    """A number between both; a whole one, below `high`, where they are whole."""
+    whole = isinstance(low, int) and isinstance(high, int)
+    return float(rng.integers(int(low), int(high)) if whole else rng.uniform(low, high))
 
 
 @dataclass(frozen=True)
@@ -188,7 +191,8 @@ def motion(rng: np.random.Generator, seconds: float, dt: float, travel: float, s
     Moves are short or long, in [0, `travel`] m, at up to `speed` m/s and `hardness` m/s^2, each with its own; the
     second goes back, every fifth goes home. Half of the axes follow through a lag of second order.
     """
-    moves, samples = [], round(seconds / dt)
+    moves: list[tuple[float, float, float, float, float]] = []
+    samples = round(seconds / dt)
     at, clock = 0.0, 0.0
     while clock < seconds:
         a, v = hardness * rng.uniform(*HARDNESS), speed * rng.uniform(*SPEED)
@@ -202,14 +206,14 @@ def motion(rng: np.random.Generator, seconds: float, dt: float, travel: float, s
         moves.append((clock, at, to, v, a))
         clock += abs(to - at) / v + v / a + rng.choice([0.0, rng.uniform(*PAUSE)])
         at = to
-    v, t = np.zeros(samples), np.arange(samples) * dt
+    rate, t = np.zeros(samples), np.arange(samples) * dt
     for start, begin, end, top, hard in moves:
         duration = abs(end - begin) / top + top / hard
         into = t - start
-        v += np.sign(end - begin) * np.clip(np.minimum(hard * into, hard * (duration - into)), 0, top)
+        rate += np.sign(end - begin) * np.clip(np.minimum(hard * into, hard * (duration - into)), 0, top)
     if rng.uniform() < EVEN:
-        v = lag(v, dt, *(rng.uniform(*bounds) for bounds in AXIS))
-    return np.cumsum(v) * dt, v, np.gradient(v, dt)
+        rate = lag(rate, dt, *(rng.uniform(*bounds) for bounds in AXIS))
+    return np.cumsum(rate) * dt, rate, np.gradient(rate, dt)
 
 
 @njit(cache=True)

@@ -248,8 +248,9 @@ def record(parameters: dict, extra: dict, form: float, seconds: float, rng: np.r
 def predict(columns: Columns, parameters: dict, extra: dict, form: float, every: int = 1) -> Columns:
     """x, p_a, p_b by the comparison rule: restarted every WINDOW samples from the recorded state."""
     speed = smoothed_difference(columns["x"])
-    signals = (columns[name] for name in SIGNALS)
-    out = _predict(*signals, speed, WINDOW, every, Valve(**parameters), ValveEffects(form=form, **extra), COARSE)
+    volts, x, p_a, p_b = (columns[name] for name in SIGNALS)
+    p, e = Valve(**parameters), ValveEffects(form=form, **extra)
+    out = _predict(volts, x, p_a, p_b, speed, WINDOW, every, p, e, COARSE)
     return dict(zip(SIGNALS[1:], out, strict=True))
 
 

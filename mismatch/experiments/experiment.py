@@ -125,8 +125,8 @@ def _rates(recording: Recording, name: str) -> tuple[float, float]:
     def rates(signal: np.ndarray, order: int) -> np.ndarray:
         return savgol_filter(signal, 2 * reach(signal, SMOOTH) + 1, order + 1, deriv=order, delta=dt)
 
-    found = (max(float(np.max(np.abs(rates(run[name], n)))) for run in recording.runs) for n in (1, 2))
-    return tuple(size / travel for size in found)
+    speed, acceleration = (max(float(np.max(np.abs(rates(run[name], n)))) for run in recording.runs) for n in (1, 2))
+    return speed / travel, acceleration / travel
 
 
 # -- inputs by rule --------------------------------------------------------------------------------------------------
@@ -324,9 +324,9 @@ def nominal(rig: Rig, effects: Mapping[str, Effect], ranges: Mapping[str, tuple[
     rest = {n: float(np.clip(0.0, low, high)) if n in moved else (low + high) / 2 for n, (low, high) in ranges.items()}
     swing = {n: (high - low) / 2 for n, (low, high) in ranges.items() if n not in moved}
     stops = {n: _stops(rig, n) for n, c in rig.channels.items() if c.role == "output"}
-    low, high = ({n: pair[i] for n, pair in {**stops, **ranges}.items()} for i in (0, 1))
+    lowest, highest = ({n: pair[i] for n, pair in {**stops, **ranges}.items()} for i in (0, 1))
     lasts = NOMINAL * rig.dt
-    bounds = Bounds(rest, swing, low, high, SLOW / lasts, SOFT / lasts**2)
+    bounds = Bounds(rest, swing, lowest, highest, SLOW / lasts, SOFT / lasts**2)
     free = FreeRun(rig, fitting(rig.plant, rig.datasheet, effects), {})
     if moved:
         tried = [_moving([m for m in MOVES if not m.rest], bounds, lasts, rig.dt)]

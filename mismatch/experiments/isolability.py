@@ -14,7 +14,7 @@ from typing import TypedDict
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from greygate.mismatch.coloured import resized
+from greygate.mismatch.coloured import coloured_likelihood, resized
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.experiments.rivals import ITERATIONS
 from greygate.mismatch.experiments.separation import (
@@ -164,7 +164,7 @@ def base(search: Search) -> Fit:
     if search.rig.stated:
         return search.screen.fit(unknowns, iterations=0)
     fit = search.fit(search.final, Hypothesis(), {})
-    likelihood = fit.likelihood.ordered(fit.likelihood.residual(fit.values))
+    likelihood = coloured_likelihood(fit).ordered(fit.likelihood.residual(fit.values))
     search.effects = {key: resized(likelihood, effect, fit) for key, effect in search.effects.items()}
     return Likelihood.fit(likelihood, unknowns, fit.values, iterations=0)
 

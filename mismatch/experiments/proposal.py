@@ -20,8 +20,8 @@ from greygate.mismatch.experiments.separation import (
     REACHES,
     WORTH,
     Described,
+    PlayedTrial,
     Sensor,
-    Trial,
     Trials,
     described,
     deviations,
@@ -112,7 +112,7 @@ class Proposal:
         out = [f"play      {words(self.experiment, units)}"] if self.experiment else []
         for i, pair in enumerate(told):
             here = "" if pair.here is None else f", here {figure(pair.here)}"
-            out.append(f"{'' if i else 'tells':<9} {pair.one} from {pair.other}: {deviations(pair.then)}{here}")
+            out.append(f"{'' if i else 'tells':<9} {pair.one} from {pair.other}: {deviations(pair.then or 0.0)}{here}")
         for i, pair in enumerate(left):
             of = f"; a sensor of {pair.sensor[0]} does: {deviations(pair.sensor[1])}" if pair.sensor else ""
             apart = f"here {figure(pair.here or 0.0)}" if pair.then is None else figure(pair.then)
@@ -141,16 +141,17 @@ def proposal(
         if best is not None and all(pair.told for pair in best.claimed):
             break
     pairs = best.pairs if best else [Pair(r.effect, r.name, r.here) for r in left]
-    tells = best is not None and best.tells
     sensed = [_with_sensor(trials, pair, rival) for pair, rival in zip(pairs, left, strict=False)]
     between = pairs[len(left) :]
-    return Proposal((*sensed, *between), best.trial.experiment, best.reach) if tells else Proposal((*sensed, *between))
+    if best is None or not best.tells:
+        return Proposal((*sensed, *between))
+    return Proposal((*sensed, *between), best.trial.experiment, best.reach)
 
 
 class Judged:
     """A trial, and the distances in it between every two of the explanations that are `left`; and from no effect."""
 
-    def __init__(self, trial: Trial, left: Sequence[Rival], nothing: Fit, reach: float):
+    def __init__(self, trial: PlayedTrial, left: Sequence[Rival], nothing: Fit, reach: float):
         self.trial, self.reach = trial, reach
         self.claimed = [
             Pair(r.effect, r.name, r.here, trial.distance(r.fit, alone=True), trial.distance(r.fit)) for r in left
@@ -172,7 +173,7 @@ class Judged:
     def merit(self) -> tuple[bool, int, int, float, float]:
         """Whether it tells; pairs told apart with ease, and at all; what a second brings up to that; and beyond."""
         needed = np.array([*(pair.needed for pair in self.pairs), NEEDED])
-        apart = np.maximum([*(pair.then for pair in self.pairs), self.seen], LEAST) / needed
+        apart = np.maximum([*(pair.then or 0.0 for pair in self.pairs), self.seen], LEAST) / needed
         brings = np.mean(np.log(np.minimum(apart, ENOUGH))) - np.log(self.trial.experiment.seconds) / 2
         told = int(np.sum(apart > ENOUGH)), int(np.sum(apart > 1))
         return self.tells, *told, float(brings), float(np.mean(np.log(apart)))

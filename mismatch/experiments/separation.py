@@ -110,22 +110,18 @@ def figure(size: float) -> str:
 def _span(name: str, signal: np.ndarray, unit: str) -> str:
     low, high = float(np.min(signal)), float(np.max(signal))
     factor, label = display_unit(unit, max(abs(low), abs(high)))
-    low, high = f"{factor * low:.3g}", f"{factor * high:.3g}"
-    return f"{name} {low} to {high} {label}".rstrip() if low != high else f"{name} at {low} {label}".rstrip()
+    least, most = f"{factor * low:.3g}", f"{factor * high:.3g}"
+    return f"{name} {least} to {most} {label}".rstrip() if least != most else f"{name} at {least} {label}".rstrip()
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A recording as it would be if the explanation `values` were true.
-
-    likelihood: that of the recording. experiment: in which it is recorded; None for the recording so far.
-    """
+    """A recording as it would be if the explanation `values` were true. likelihood: that of the recording."""
 
     likelihood: Likelihood
     values: Mapping[str, float]
-    experiment: Experiment | None = None
-    _left: dict[int, tuple[Fit, np.ndarray]] = field(default_factory=dict, compare=False, repr=False)
-    _slopes: dict[int, tuple[Fit, np.ndarray]] = field(default_factory=dict, compare=False, repr=False)
+    _left: dict[int, tuple[Fit, np.ndarray]] = field(default_factory=dict, init=False, compare=False, repr=False)
+    _slopes: dict[int, tuple[Fit, np.ndarray]] = field(default_factory=dict, init=False, compare=False, repr=False)
 
     @cached_property
     def truth(self) -> np.ndarray:
@@ -174,6 +170,13 @@ class Trial:
         return float(np.sqrt(max(left @ left - pull @ step, 0.0)))
 
 
+@dataclass(frozen=True)
+class PlayedTrial(Trial):
+    """The recording of an experiment."""
+
+    experiment: Experiment
+
+
 class Trials:
     """Experiments on the rig of `likelihood`, as they run if the explanation `values` (symbol -> value) is true.
 
@@ -183,7 +186,7 @@ class Trials:
     def __init__(self, likelihood: Likelihood, values: Mapping[str, float], longest: float = np.inf):
         self.likelihood, self.longest = likelihood, longest
         self.free = FreeRun(likelihood.model.rig, likelihood.model.effects, values)
-        self._over: dict[tuple[float, float], list[Trial]] = {}
+        self._over: dict[tuple[float, float], list[PlayedTrial]] = {}
         self._bounds: dict[float, Bounds] = {}
 
     def apart(self, rival: Fit, here: float) -> Separation | None:
@@ -198,7 +201,7 @@ class Trials:
                 break
         return max(found, key=lambda s: s.merit, default=None)
 
-    def likeliest(self, rival: Fit, reach: float, times: float = 1.0) -> list[Trial]:
+    def likeliest(self, rival: Fit, reach: float, times: float = 1.0) -> list[PlayedTrial]:
         """Those in which `rival` differs most before its parameters adapt, in a second. Arguments: as for `over`."""
         trials = self.over(reach, times)
         return sorted(trials, key=lambda t: -np.sum(t.left(rival) ** 2) / t.experiment.seconds)[:SHORTLIST]
@@ -217,7 +220,7 @@ class Trials:
             self._bounds[reach] = self.free.at_rest(bounds, recording, HOLD * self.seconds)
         return self._bounds[reach]
 
-    def over(self, reach: float, times: float = 1.0) -> list[Trial]:
+    def over(self, reach: float, times: float = 1.0) -> list[PlayedTrial]:
         """The strongest and the mildest experiment of every kind that stay within `reach` times what was recorded.
 
         times: as long as usual.
@@ -234,21 +237,22 @@ class Trials:
         """Whether no channel leaves its bounds, whichever of the explanations that are `left` is true."""
         return all(self.free.under(r.fit.values).record(experiment.inputs, self.bounds(reach)) for r in left)
 
-    def _trial(self, experiment: Experiment, record: Recording) -> Trial:
-        return Trial(like(self.likelihood, self.likelihood.model.over(record)), self.free.values, experiment)
+    def _trial(self, experiment: Experiment, record: Recording) -> PlayedTrial:
+        return PlayedTrial(like(self.likelihood, self.likelihood.model.over(record)), self.free.values, experiment)
 
 
 def like(likelihood: Likelihood, model: Model) -> Likelihood:
     """A likelihood with the same noise over the recording of another model, which may have further channels."""
-    made = type(likelihood)(model)
     if isinstance(likelihood, Coloured):
+        coloured = Coloured(model)
         further = [model.rig.channels[name].noise for name in model.rig.predict[len(likelihood.scale) :]]
-        made.ar = [*likelihood.ar, *(np.zeros(likelihood.order) for _ in further)]
-        made.scale = np.append(likelihood.scale, further)
-    else:
-        known, told = likelihood.noise, made.noise
-        count = len(known.scale)
-        made.noise = Noise(np.append(known.scale, told.scale[count:]), (*known.ar, *told.ar[count:]))
+        coloured.ar = [*likelihood.ar, *(np.zeros(likelihood.order) for _ in further)]
+        coloured.scale = np.append(likelihood.scale, further)
+        return coloured
+    made = Likelihood(model)
+    known, told = likelihood.noise, made.noise
+    count = len(known.scale)
+    made.noise = Noise(np.append(known.scale, told.scale[count:]), (*known.ar, *told.ar[count:]))
     return made
 
 
