@@ -120,7 +120,8 @@ class _Maker:
 
     def _any(self, found: list[Schema]) -> Schema:
         if all(one.keys() == {"type"} for one in found):
-            return {"type": [one["type"] for one in found]}
+            listed = (one["type"] if isinstance(one["type"], list) else [one["type"]] for one in found)
+            return {"type": list(dict.fromkeys(name for each in listed for name in each))}  # a Figure may be null
         if len(found) == 2 and found[1] == {"type": "null"} and isinstance(found[0].get("type"), str):
             return found[0] | {"type": [found[0]["type"], "null"]}
         return {"anyOf": found}

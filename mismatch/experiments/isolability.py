@@ -20,7 +20,7 @@ from greygate.mismatch.experiments.rivals import ITERATIONS
 from greygate.mismatch.experiments.separation import (
     NEEDED,
     WORTH,
-    Described,
+    Apart,
     Sensor,
     Separation,
     Trials,
@@ -37,11 +37,6 @@ from greygate.plain import Figure
 FORM = 0.1  # of an effect, by which a machine's may differ from the table's: a smaller difference tells nothing
 TOLD = 1.0  # singular value below which the data sheet knows more than the recording
 WEIGHTY = 0.3  # of a combination of parameters, the least that is named
-
-
-class Apart(Described):
-    apart: Figure
-    here: Figure
 
 
 class Alike(TypedDict):
@@ -82,9 +77,10 @@ class Group:
     sensor: tuple[str, float] | None
 
     def as_dict(self, units: Mapping[str, str]) -> Alike:
-        named = dict(zip(("state", "apart"), self.sensor, strict=True)) if self.sensor else None
+        named: Sensor | None = {"state": self.sensor[0], "apart": self.sensor[1]} if self.sensor else None
         tried = self.experiment.as_dict(units) if self.experiment else None
-        return {"effects": self.effects, "pair": self.pair, "here": self.here, "experiment": tried, "sensor": named}
+        effects, pair = list(self.effects), list(self.pair)
+        return {"effects": effects, "pair": pair, "here": self.here, "experiment": tried, "sensor": named}
 
 
 @dataclass(frozen=True)

@@ -40,9 +40,9 @@ LEAST = 0.1  # standard deviations: a distance below is none
 class PairFacts(TypedDict):
     one: str
     other: str
-    here: Figure
-    then: Figure
-    both: Figure
+    here: Figure | None
+    then: Figure | None
+    both: Figure | None
     told_apart: bool
     sensor: Sensor | None
 
@@ -84,9 +84,15 @@ class Pair:
         return self.then is not None and self.then > self.needed
 
     def as_dict(self) -> PairFacts:
-        named = dict(zip(("state", "apart"), self.sensor, strict=True)) if self.sensor else None
-        figures = {"here": self.here, "then": self.then, "both": self.both}
-        return {"one": self.one, "other": self.other, **figures, "told_apart": self.told, "sensor": named}
+        return {
+            "one": self.one,
+            "other": self.other,
+            "here": self.here,
+            "then": self.then,
+            "both": self.both,
+            "told_apart": self.told,
+            "sensor": {"state": self.sensor[0], "apart": self.sensor[1]} if self.sensor else None,
+        }
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,11 @@ class Described(TypedDict):
     seconds: float
 
 
+class Apart(Described):
+    apart: Figure
+    here: Figure
+
+
 class Sensor(TypedDict):
     state: str
     apart: Figure
@@ -76,9 +81,9 @@ class Separation:
         """Enough comes first, then what tells at all, then what a second of it brings."""
         return self.enough, self.tells, self.apart / np.sqrt(self.experiment.seconds)
 
-    def as_dict(self, units: Mapping[str, str]) -> dict:
+    def as_dict(self, units: Mapping[str, str]) -> Apart:
         """shape, inputs: channel -> low, high, unit; seconds, apart, here."""
-        return described(self.experiment, units) | {"apart": self.apart, "here": self.here}
+        return {**described(self.experiment, units), "apart": self.apart, "here": self.here}
 
     def words(self, units: Mapping[str, str]) -> str:
         """Input, amplitude, duration, and what it brings."""
@@ -87,7 +92,7 @@ class Separation:
 
 def described(experiment: Experiment, units: Mapping[str, str]) -> Described:
     """shape, inputs: channel -> low, high, unit; seconds."""
-    spans = {
+    spans: dict[str, Span] = {
         n: {"low": float(np.min(s)), "high": float(np.max(s)), "unit": units[n]} for n, s in experiment.inputs.items()
     }
     return {"shape": experiment.shape, "inputs": spans, "seconds": experiment.seconds}
