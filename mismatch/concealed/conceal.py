@@ -198,7 +198,7 @@ def reveal(folder: Path, diagnosis: Path, predicted: dict[str, Path] | None = No
         raise InputError(f"{diagnosis}: not as RIGS.md describes a diagnosis ({error!r})") from None
 
 
-def _score(answer: dict, claim: dict) -> dict:
+def _score(answer: Sealed, claim: dict) -> dict:
     true, kind = answer["effects"], answer["kind"]
     claimed = [entry["id"] for entry in claim["effects"] if entry["id"] != "unknown"]
     alike = set(claim["effects"][0].get("not_told_apart_from", [])) if claim["effects"] else set()
@@ -234,7 +234,7 @@ def _score(answer: dict, claim: dict) -> dict:
     }
 
 
-def _inside(answer: dict, claim: dict) -> dict[str, bool]:
+def _inside(answer: Sealed, claim: dict) -> dict[str, bool]:
     """Whether the interval of each claimed parameter holds the true value; only names that the answer has."""
     claimed = dict(claim["parameters"])
     for entry in claim["effects"]:
@@ -251,7 +251,7 @@ def _inside(answer: dict, claim: dict) -> dict[str, bool]:
     return inside
 
 
-def _removed(folder: Path, answer: dict, predicted: dict[str, Path]) -> float | None:
+def _removed(folder: Path, answer: Sealed, predicted: dict[str, Path]) -> float | None:
     """(E_cal - E_corrected) / (E_cal - E_true) over `third.csv`; E is the mean over channels of RMS / true RMS."""
     unknown = set(predicted) - {"corrected", "calibrated"}
     if unknown:
