@@ -5,9 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from benchmarks.pump_cylinder import black_box, narx
 from greygate.machines.catalog import entry
 from greygate.machines.pump_cylinder.network import leakage_bounds
-from greygate.machines.pump_cylinder.study import assemble, black_box, narx, recording
+from greygate.machines.pump_cylinder.study import assemble, recording
 from greygate.models.accuracy import free_run_rms
 from greygate.models.storage import TRAINED
 from greygate.models.training.levenberg import train
