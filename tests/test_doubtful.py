@@ -5,11 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from greygate.mismatch import claims
+from greygate.mismatch import claims, coloured
 from greygate.mismatch import diagnose as finding
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.excitation import Action
+from greygate.mismatch.fit import Fit
 from greygate.mismatch.search import Hypothesis, Search
 
 
@@ -94,3 +95,21 @@ def test_a_name_is_doubtful_beside_one_on_the_same_signals_and_where_it_takes_ne
         _remaining=lambda: "",
     )  # fmt: skip
     assert Diagnosis._doubtful(said, "a") is doubted
+
+
+@pytest.mark.parametrize(("costs", "rounds"), [([9.0, 7.5, 7.0, 5.0], 3), ([9.0, 8.5, 5.0], 2), ([9.0, 9.5, 5.0], 2)])
+def test_plant_and_noise_are_fitted_in_turn_until_a_round_saves_less_than_one_of_cost(costs, rounds, monkeypatch):
+    left, none = iter(costs), np.zeros(0)
+
+    def noise(cost):
+        return SimpleNamespace(
+            order=1, residual=lambda values: none, white=lambda residual: residual, deviance=lambda: cost,
+            learnt=lambda residual: noise(next(left)),
+        )  # fmt: skip
+
+    def fitted(likelihood, *_, **__):
+        return Fit(likelihood, (), {}, none, none, none, none, 0.0, True, none)
+
+    monkeypatch.setattr(coloured.Likelihood, "fit", fitted)
+    assert Coloured.fit(noise(np.inf), ()).cost == min(costs[:rounds])
+    assert len(list(left)) == len(costs) - rounds

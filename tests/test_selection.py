@@ -7,7 +7,7 @@ import pytest
 
 from greygate.mismatch import selection
 from greygate.mismatch.effects import Effect, Free
-from greygate.mismatch.search import Hypothesis, Score
+from greygate.mismatch.search import Hypothesis, Score, Search
 from greygate.mismatch.selection import EVIDENCE, FLOOR, Selection, alternatives, complete, forms, possible, structure
 
 NOTHING, DRIFT, SLIP = Hypothesis(), Hypothesis(("drift",)), Hypothesis(("slip",))
@@ -373,3 +373,34 @@ def test_the_plain_plant_is_fitted_from_the_shifts_of_its_own_windows_alone():
         start = SimpleNamespace(likelihood=likelihood, shifts="shifts", values={})
         assert Selection(SimpleNamespace(fit=fitted), own, start, lambda text: None).plain.cost == 10.0
     assert asked == ["shifts", None]
+
+
+def test_the_plain_plant_counts_among_what_was_fitted():
+    plain = fit(10.0)
+    start = SimpleNamespace(likelihood=None, shifts=None, values={})
+    made = Selection(SimpleNamespace(fit=lambda *_, **__: plain), SimpleNamespace(), start, lambda text: None)
+    assert made.plain is plain
+    assert (made.costs, made.best) == ({NOTHING: 10.0}, {0: (NOTHING, plain)})
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_where_the_plain_plant_does_not_follow_the_recording_every_fit_is_led_through_it(lost, monkeypatch):
+    found, led = fit(100.0), fit(50.0)
+    search = SimpleNamespace(fit=lambda *_, **__: found, led=lambda fit: led, lost=lambda fit: lost)
+    made = Selection(search, SimpleNamespace(), SimpleNamespace(likelihood=None, values={}), lambda text: None)
+    monkeypatch.setattr(selection, "possible", lambda *_: True)
+    assert made.fit(DRIFT, {}, None)[0] is (led if lost else found)
+
+
+@pytest.mark.parametrize(("share", "window", "lost"), [(0.2, None, False), (0.4, None, True), (0.4, 100, False)])
+def test_a_free_run_is_lost_where_one_channel_errs_by_more_than_three_tenths_of_what_it_moves(share, window, lost):
+    target = np.random.default_rng(0).normal(size=(50, 2)) * [1.0, 1000.0]
+    likelihood = SimpleNamespace(residual=lambda values: target * [0.01, share], model=SimpleNamespace(target=target))
+    search = SimpleNamespace(rig=SimpleNamespace(window=window))
+    assert Search.lost(search, SimpleNamespace(likelihood=likelihood, values={})) == lost
+
+
+def test_a_parameter_that_an_effect_frees_is_tried_at_a_third_of_its_typical_size_and_at_three_times():
+    free = SimpleNamespace(symbol="k", typical=10.0)
+    points = Search.points(None, SimpleNamespace(strengths=(), frees=("k",), free=(free,)))
+    assert points == [{"k": pytest.approx(size)} for size in (3.0, 10.0, 30.0)]
