@@ -207,6 +207,7 @@ def test_who_knows_everything_scores_everything_and_removes_all_that_can_be_remo
     assert len(good) == 9
     assert not any(shares(found).get(name) for name in wrong)
     assert found["median removed"] > 1  # it even knows the noise
+    assert found["median seconds"] == 1.0
     assert {s.kind for s in scores} == set(KINDS)
 
 

@@ -109,6 +109,30 @@ def test_every_effect_changes_what_its_plant_records(plant):
             assert change > 1, (name, form)
 
 
+@pytest.mark.parametrize("plant", ["belt_drive", "cable_drum"])
+def test_what_drifts_begins_with_nothing_in_either_form(plant):
+    rig = RIGS[plant]
+    (name,) = [name for name, effect in rig.effects.items() if "drift" in effect.sizes]
+    effects = rig.effects[name].draw(np.random.default_rng(1), least=0.9)
+
+    def recorded(form, effects):
+        return rig.record(rig.parameters, effects, form, 10.0, np.random.default_rng(1))
+
+    nothing = recorded(0.0, {})
+    for form in (0.0, 1.0):
+        true = recorded(form, effects)
+        off = np.max([np.abs(true[c.name] - nothing[c.name]) / c.error for c in rig.channels], axis=0)
+        assert off[:10].max() <= 1, form
+        assert off[-1] > 10, form
+
+
+def test_phases_are_drawn_from_one_whole_turn():
+    effects = [effect for rig in RIGS.values() for effect in (rig.effects | rig.foreign).values()]
+    phases = [bounds for effect in effects for name, bounds in effect.others.items() if name.endswith("phase")]
+    assert phases
+    assert set(phases) == {(0.0, 2 * np.pi)}
+
+
 @pytest.mark.parametrize("plant", ["valve_hydraulic", "pump_hydraulic"])
 def test_a_simulation_restarts_from_the_record_and_leaves_out_windows(plant):
     rig = RIGS[plant]
