@@ -201,6 +201,23 @@ def test_a_state_that_remembers_ten_steps_keeps_its_rounding_under_half_a_step_o
     assert 0.25 * step < fixed_error(program, record)["y"].std() < 0.5 * step
 
 
+def test_neurons_read_a_wide_state_of_another_layer_rounded_to_the_word_and_their_own_as_it_is():
+    network = Network("both", [Port("u")], [Port("y")])
+    network.add("sum", Layer({"u": [[0.001]], "own": [[1.0]]}, [0.0]))
+    network.add("held", Layer({"sum": [[0.5]], "own": [[0.5]]}, [0.0], "tansig"))
+    for source, target, delay in (("u", "sum.u", 0), ("sum", "sum.own", 1), ("sum", "held.sum", 0)):
+        network.connect(source, target, delay)
+    network.connect("held", "held.own", 1)
+    network.connect("held", "y")
+    record = Record({"u": np.sin(np.arange(5000) / 300)}, {"y": np.zeros(5000)})
+    program = quantize(network, ranges(network, [record]), Formats(8, finer=4))
+    (reads,) = (o.args for o in program.operations if o.out.name == "held.n")
+    assert reads == ("sum.view", "held.z1")
+    width = {name: signal.fix.width for name, signal in program.signals.items()}
+    assert min(width["sum"], width["held.z1"]) > 10
+    assert width["sum.view"] == 8
+
+
 def test_weights_in_a_loop_get_bits_for_its_worst_frequency():
     assert loop_gain([np.array([[0.9]])]) == pytest.approx(10)
     assert loop_gain([np.zeros((1, 1)), np.array([[-0.99]])]) == pytest.approx(100, rel=1e-3)  # resonance, not DC

@@ -5,14 +5,15 @@ import math
 import re
 from functools import cache
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from greygate.compiler.adders import solve
 from greygate.compiler.emit import emitted
-from greygate.compiler.explore import Point, Request, Room, designs, explore, misses, pareto
-from greygate.compiler.explore.cost import COUNTS, blocks, clocks_of, cost, digits, explored, sums, tiles
+from greygate.compiler.explore import Point, Request, Room, _Words, designs, explore, misses, pareto
+from greygate.compiler.explore.cost import COUNTS, blocks, clocks_of, cost, digits, explored, sums, tiles, trivial
 from greygate.compiler.explore.judge import Bound, Judge, Scale, agreed
 from greygate.compiler.explore.trail import Candidate, Maker, coarser, knobs, short_neurons, trail
 from greygate.compiler.folding.roms import DEEP
@@ -191,6 +192,21 @@ def test_neurons_are_as_short_as_the_word_where_that_is_tried():
     assert (fine.program.signals["neurons"].fix, short.program.signals["neurons"].fix) == (Fix(16, 15), Fix(14, 13))
     narrow = make(Formats(14))
     assert short_neurons(narrow) == narrow.formats
+
+
+def test_a_word_with_finer_bits_is_tried_with_short_neurons_beside():
+    for short, fixes in ((False, [Fix(16, 15)]), (True, [Fix(16, 15), Fix(14, 13)])):
+        found = _Words(maker(), short)(Formats(14, 2))
+        assert [c.program.signals["neurons"].fix for c in found] == fixes
+
+
+@pytest.mark.parametrize(
+    ("weights", "bias", "alone"),
+    [([[4, 0], [0, -1]], 0, True), ([[4, 0], [0, 3]], 0, False), ([[4, 1], [0, 1]], 0, False), ([[4, 0]], 1, False)],
+)
+def test_an_operation_that_only_shifts_needs_no_adders(weights, bias, alone):
+    operation = SimpleNamespace(weights=np.array(weights), bias=np.full(len(weights), bias))
+    assert trivial(None, operation) is alone
 
 
 def test_an_ice40_multiplies_by_its_own_width_and_rom_is_counted_as_it_is_written():

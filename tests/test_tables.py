@@ -51,6 +51,18 @@ def test_where_the_format_holds_the_function_208_lines_err_by_less_than_one_lsb(
     assert np.abs(lookup(table, codes) - true)[held].max() < 1.0
 
 
+@pytest.mark.parametrize(("shift", "drop", "slopes"), [(3, 1, (0, 1)), (3, 1, (1, 0)), (3, 0, (0, 1)), (3, 1, (0, 0))])
+def test_a_table_reaches_to_the_code_from_which_on_all_answers_of_a_sign_are_alike(shift, drop, slopes):
+    """A negative code on the edge of a place is looked up one place before."""
+    arg = Fix(8, 4)
+    table = Lines("t", "t", Symmetry.ODD, 4, (shift,), (drop,), 3, 0, (0, 2), slopes, arg, Fix(8, 4), 0.0)
+    assert list(table.problems()) == []
+    answers = lookup(table, np.arange(arg.lo, arg.hi + 1))
+    rising, falling = answers[-arg.lo :], answers[-arg.lo :: -1]
+    alike = [int(np.flatnonzero(side != side[-1]).max(initial=-1)) + 1 for side in (rising, falling)]
+    assert table.reach == max(16, *alike)  # its segments hold the codes 0 to 15
+
+
 def test_a_memory_holds_octaves_at_multiples_of_their_length():
     table = make_table("tansig", Fix(19, 14), Fix(16, 15), 1.25, form=Form.OCTAVES)
     layout, s = table_layout(table), table.segments
