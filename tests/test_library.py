@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from greygate.errors import InputError
+from greygate.models.families import blocks
+from greygate.models.families import library as families
 from greygate.models.families.library import LIBRARY, entry, library, markdown, recalled
 from greygate.models.network import Network, Port
+from greygate.models.training.levenberg import train
 
 ARGUMENTS = [
     ("limiter", {"lo": -1e9, "hi": 0.1}),
@@ -26,6 +29,22 @@ def test_the_stated_worst_error_is_the_one_measured_on_a_dense_grid(name):
     found = entry(name)
     measured = found.measured_error()
     assert measured <= found.worst_error <= 1.01 * measured + 1e-15  # three digits are stated, rounded up
+
+
+def test_the_library_is_trained_into_its_files_and_says_their_errors(tmp_path, monkeypatch):
+    def briefly(network, records, **options):
+        return train(network, records, epochs=1)
+
+    for module in (families, blocks):
+        monkeypatch.setattr(module, "train", briefly)
+    monkeypatch.setattr(families, "FUNCTIONS", {"square": families.FUNCTIONS["square"]})
+    monkeypatch.setattr(families, "TRAINED", tmp_path)
+    monkeypatch.setattr(families, "ERRORS", tmp_path / "errors.json")
+    told = []
+    families.fit_library(told.append)
+    assert [text.split(":")[0] for text in told] == ["flow", "divider", "square"]
+    for name in ("flow", "divider", "square"):
+        assert entry(name).worst_error >= entry(name).measured_error() > 0
 
 
 @pytest.mark.parametrize(("name", "args"), [*((name, {}) for name in LIBRARY), *ARGUMENTS])

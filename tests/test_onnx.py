@@ -237,6 +237,16 @@ def test_constants_keep_their_type(tmp_path):
     assert from_onnx(path).run({"x": np.ones(1)})["y"].tolist() == [-3.0]
 
 
+@pytest.mark.parametrize(
+    "held",
+    [{"value": numpy_helper.from_array(np.array([3.0], np.float32))}, {"value_float": 3.0}, {"value_floats": [3.0]}],
+    ids=lambda held: next(iter(held)),
+)
+def test_a_constant_is_carried_in_every_form_that_holds_numbers(held, tmp_path):
+    nodes = [helper.make_node("Constant", [], ["c"], **held), helper.make_node("Mul", ["x", "c"], ["y"])]
+    assert from_onnx(saved(built(nodes, {"x": [1]}, ["y"]), tmp_path)).run({"x": np.ones(1)})["y"].tolist() == [3.0]
+
+
 def test_initial_values_are_of_states_that_there_are(tmp_path):
     case = recurrent("GRU", 18, [1, 1, 3], state=True)
     given = {"state": case.state}

@@ -470,6 +470,15 @@ def test_ties_that_share_a_member_hold_in_any_order_and_fixed_members_are_refuse
         Objective(loop(0.5, 0.3), [record], tied=[(a, b)], free={b: np.zeros(1, bool)})
 
 
+@pytest.mark.parametrize("fixed", ["first", "second"])
+def test_a_group_of_which_some_weights_alone_may_not_move_is_refused(fixed):
+    network = feedforward("f", ["u"], [2, 2], 0)
+    both = {"first": "hidden1.bias", "second": "hidden2.bias"}
+    record = Record({"u": np.ones(5)}, {"y": np.ones(5)})
+    with pytest.raises(InputError, match="may not move; no tie"):
+        Objective(network, [record], tied=[tuple(both.values())], free={both[fixed]: np.array([True, False])})
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
