@@ -118,6 +118,17 @@ def test_a_prediction_is_the_run_of_the_network_from_its_state():
         np.testing.assert_allclose(told[:, column], port.normalised(whole[port.name][30:50]), atol=1e-9)
 
 
+def test_a_prediction_that_diverges_is_told_up_to_there():
+    network = lag()
+    network.modules["memory"].weights["y"] = np.array([[1e100]])
+    prediction = Prediction(network, "u", hats(knots(20, 6)))
+    found = prediction.run(np.ones(6))
+    ends = int(np.isnan(found[:, 0]).argmax())
+    assert 0 < ends < 20
+    assert np.isfinite(found[:ends]).all()
+    assert np.isnan(found[ends:]).all()
+
+
 def test_a_state_that_lacks_a_layer_is_refused():
     prediction = Prediction(*models()["belt"], hats(knots(5, 3)))
     with pytest.raises(InputError, match=r"the state lacks machine\.direction"):
@@ -222,6 +233,21 @@ def test_the_gain_of_the_observer_is_the_stationary_one_of_the_deviations_that_i
         variance = 0.9**2 * (1 - gain) * variance + process**2
     observer = Observer(lag(), "u", {"y": noise * Y.scale}, {"memory": process})
     assert observer._gain.item() == pytest.approx(gain, rel=1e-9)
+
+
+def test_the_observer_corrects_the_older_samples_that_its_model_remembers_too():
+    process, noise = 0.02, 0.05
+    carried, seen = np.array([[1.2, -0.3], [1.0, 0.0]]), np.array([[1.0, 0.0]])
+    spread = np.eye(2)
+    for _ in range(1000):  # prediction and correction of both samples by hand
+        gain = spread @ seen.T / (seen @ spread @ seen.T + noise**2)
+        spread = carried @ (spread - gain @ seen @ spread) @ carried.T + np.diag([process**2, 0.0])
+    network = lag()
+    network.modules["memory"].weights["y"] = np.array([[1.2]])
+    network.modules["memory"].weights["older"] = np.array([[-0.3]])
+    network.connect("memory", "memory.older", delay=2)
+    observer = Observer(network, "u", {"y": noise * Y.scale}, {"memory": process})
+    assert observer._gain == pytest.approx(gain, rel=1e-6)
 
 
 def test_the_observer_finds_a_load_from_position_and_soft_sensor():
