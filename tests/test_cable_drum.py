@@ -12,9 +12,11 @@ from greygate.machines.cable_drum.plant import SEEDS, cable_drum, validation
 from greygate.machines.cable_drum.study import (
     ARCHITECTURES,
     HELD,
+    SIZES,
     THESIS,
     at_rest,
     black_box,
+    chosen,
     drift_at_rest,
     drum,
     fnn,
@@ -47,6 +49,12 @@ def program(snn):
 def test_the_kept_network_gives_the_kept_figures(snn):
     for name in ("training", "validation", "home"):
         assert micrometres(snn, name) == pytest.approx(KEPT["um"][name], rel=1e-6)
+
+
+def test_the_kept_network_is_the_one_that_is_chosen_of_the_kept_starts():
+    assert KEPT["choice_um"].keys() == {str(size) for size in SIZES}
+    scores = {(int(size), seed): um for size, all_um in KEPT["choice_um"].items() for seed, um in enumerate(all_um)}
+    assert chosen(scores) == (KEPT["neurons"], KEPT["seed"])
 
 
 def test_on_the_day_of_training_it_is_below_the_thesis_and_another_day_costs_most_where_no_beacon_helps(snn):

@@ -305,3 +305,13 @@ def test_drives_without_small_networks_are_the_equations_of_their_docstring():
         z[k + 1] = p["pulses.z1"][0] * z[k] + p["pulses.magnitude"][0] * m + p["pulses.square"][0] * m * m
     assert np.abs(v).max() < 2
     assert network.run({"u": u})["z"] == pytest.approx(4 * z[1:], abs=1e-12)
+
+
+def test_small_networks_begin_with_hardly_any_part_in_the_drives():
+    small = ("drive", "friction", "counter")
+    for seed in range(10):
+        weights = drives(seed, friction=2, counter=2, drive=2).parameters()
+        shares = np.array([w.ravel() for name, w in weights.items() if name.rpartition(".")[2] in small])
+        assert shares.shape == (3, 2)
+        assert shares.all()
+        assert (np.abs(shares) < 0.1).all()

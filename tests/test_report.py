@@ -12,6 +12,8 @@ from greygate.compiler.study import study
 from greygate.emulator.interpreter import interpret
 from greygate.emulator.program import Affine
 from greygate.errors import InputError
+from greygate.machines.catalog import entry
+from greygate.machines.source import Source
 from greygate.models.drawn import envelope
 from greygate.models.network import Layer, Network, Port
 from greygate.models.spectra import frequency_response
@@ -259,3 +261,11 @@ def test_numbers_have_three_digits():
         "3.30·10⁻⁵",
         "−2.50·10⁹",
     ]
+
+
+@pytest.mark.parametrize("name", ["valve_cylinder", "asymmetric_cylinder"])
+def test_what_was_published_of_a_machine_stands_beside_its_pressures(name):
+    published = Source(name).references["thesis"]
+    assert published
+    assert published.keys() <= set(entry(name).scenarios)
+    assert all(set(errors) == {"p_a", "p_b"} and min(errors.values()) > 0 for errors in published.values())
