@@ -121,6 +121,14 @@ def test_what_is_said_of_a_recording():
     assert look(late, ["u"], "y")["delays"]["u"] in (1, 2, 3)
 
 
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_sensor_that_stands_at_either_end_of_its_range_is_remarked_on(side):
+    recording = recorded(3)
+    cut = {"u": recording.channels["u"], "y": side * np.minimum(recording.channels["y"], 0.2)}
+    remarks = look(replace(recording, channels=cut), ["u"], "y")["remarks"]
+    assert any(remark.startswith("y stands at an end of its range in") for remark in remarks)
+
+
 def test_the_command_writes_a_network_that_validates_and_compiles(short, greygate, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for seed in (1, 2):

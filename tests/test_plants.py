@@ -72,6 +72,8 @@ BAD = {
     "output unknown": ({"outputs": ("y",)}, "outputs: 'y' is no state, definition or input"),
     "initial uses a state": ({"states": {"x": State("m", "v"), "v": State("m/s")}}, "state x, initial: unknown name"),
     "rate unknown": ({"states": {"x": State("m", rate="w"), "v": State("m/s")}}, "rate 'w' is no state"),
+    "step of nothing": ({"step": 0.0}, "step: 0.0 s; give 1e-09 s or more"),
+    "step backwards": ({"step": -0.001}, "step: -0.001 s; give 1e-09 s or more"),
     "parameter NaN": ({"parameters": {"mass": Parameter(np.nan, "kg")}}, "parameter mass: nan"),
     "one name for two places": (
         {"definitions": {"motion": Definition("f_spring", "N", {"linear": "stiffness * x"})}},

@@ -12,6 +12,7 @@ from greygate.compiler.emit import sources
 from greygate.errors import InputError
 from greygate.files import write_manifest
 from greygate.hardware.build import Project
+from greygate.hardware.verify import Comparison, Verification
 from greygate.identify.training import train_records
 from greygate.machines.source import Source
 from greygate.models.network import Network
@@ -180,6 +181,20 @@ def test_what_lies_in_a_builds_simulation_folder_is_never_built_again(build, mon
     with pytest.raises(InputError, match=r"thesis\.d: greygate verify did not write"):
         verify_project(Project.open(build))
     assert thesis.read_text() == "mine"
+
+
+def test_what_a_verification_found_stands_in_the_build(build, monkeypatch):
+    def simulated(cases, folder, seed):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "results.xml").write_text("<testsuites/>")
+        verdicts = tuple(Comparison("line", case.architecture, "a", 20, 9.0, 0.1, None) for case in cases)
+        return Verification(verdicts, seed, folder / "results.xml", 0.1, 0.1)
+
+    monkeypatch.setattr(project, "verify_many", simulated)
+    for seed in (1, 2):
+        done = verify_project(Project.open(build), seed=seed)
+        assert Project.open(build).hardware.keys() == done.keys()
+        assert all(found["seed"] == seed for found in Project.open(build).hardware.values())
 
 
 def test_a_training_whose_result_cannot_be_saved_is_not_lost(tmp_path, monkeypatch):
