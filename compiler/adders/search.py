@@ -69,7 +69,7 @@ def best_sums(
 
 def looked(columns: int, definitions: Sums, rows: Sums) -> list[int]:
     """The rows' linear forms at columns that are powers of a number, modulo a prime: equal rows give equal numbers."""
-    found = [pow(GENERATOR, c + 1, PRIME) for c in range(columns)]
+    found = [pow(GENERATOR, c, PRIME) for c in range(columns)]
     turned = {s: pow(2, s, PRIME) for s in {s for terms in (*definitions, *rows) for _, s, _ in terms}}
     for terms in definitions:
         found.append(sum(g * found[o] * turned[s] for o, s, g in terms) % PRIME)

@@ -13,7 +13,6 @@ def _environment(package: str) -> Environment:
         loader=PackageLoader(package, "templates"),
         undefined=StrictUndefined,
         trim_blocks=True,
-        lstrip_blocks=True,
         keep_trailing_newline=True,
     )
     found.filters["remark"] = remark

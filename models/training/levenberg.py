@@ -303,7 +303,7 @@ class LevenbergMarquardt:
             damped = (hessian[np.ix_(moving, moving)] if len(moving) < len(hessian) else hessian).copy()
             # Levenberg's identity, times the mean diagonal: Marquardt's diagonal stalls where neurons are redundant
             damped.ravel()[:: len(moving) + 1] += damping * (np.trace(damped) / max(len(moving), 1) + TINY)
-            factor = scipy.linalg.cho_factor(damped, overwrite_a=True, check_finite=False)
+            factor = scipy.linalg.cho_factor(damped, check_finite=False)
             return -scipy.linalg.cho_solve(factor, gradient[moving], check_finite=False)
 
         x = theta[self.objective.free]

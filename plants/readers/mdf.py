@@ -18,7 +18,7 @@ from greygate.plants.expressions import parse
 
 NUMBERS = {3: {0, 1, 2, 3, *range(9, 17)}, 4: set(range(6))}  # major version -> types of data
 COMPLEX = {15, 16}  # of version 4
-VIRTUAL_MASTER, TIME = 3, 1  # type of a channel, and what a master counts, of version 4
+TIME = 1  # what a master counts, of version 4
 ALL_INVALID, SOME_INVALID = 1, 2  # flags of version 4
 MASTERS = {0: "nothing", 2: "an angle", 3: "a distance", 4: "an index"}
 KINDS = {  # major version -> number of a conversion -> what it does
