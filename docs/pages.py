@@ -3,6 +3,7 @@
 What stands between `<!-- begin NAME -->` and `<!-- end -->` on docs/PAGE.md is the block NAME of tables/PAGE.j2, filled
 from benchmarks/results/*.json (`results`) and models/trained/*.json (`trained`). A result that says how it was made
 (`benchmarks/made.py`) is followed by that: `{{ made(results.valve_cylinder.spread) }}`.
+The macros of tables/rows.j2, `table` above all, are known to every template.
 """
 
 import json
@@ -10,7 +11,7 @@ import math
 import re
 import statistics
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import jinja2
@@ -48,6 +49,28 @@ def figures(value: float, digits: int = 3) -> str:
     return f"{float(f'{value:.{digits}g}'):.{max(digits - 1 - math.floor(math.log10(abs(value))), 0)}f}"
 
 
+def cell(row: Sequence, column: object, form: str = "%s", scale: float = 1, at: str = "{column}") -> str:
+    """One cell of the macro `table`, of a row (title, found, key, format): found at a path; its numbers in a format.
+
+    found may be several, of which each gives a number. A path is keys and places with points between. Text stays as it
+    is. Raises KeyError or IndexError where nothing is at the path.
+    """
+    _, found, key, own = (*row, "", "", "")[:4]
+    form = own or form
+    if isinstance(column, tuple):
+        column, form, scale = (*column, *(form, scale)[len(column) - 1 :])
+    path = at.format(column=column, key=key).split(".")
+    numbers: list = []
+    for place in found if isinstance(found, tuple) and isinstance(found[0], Mapping) else (found,):
+        for word in path:
+            place = place[word] if isinstance(place, Mapping) else place[int(word)]
+        numbers += place.values() if isinstance(place, Mapping) else place if isinstance(place, list) else [place]
+    if isinstance(numbers[0], str):
+        return numbers[0]
+    scaled = tuple(number * scale for number in numbers)
+    return figures(*scaled) if form == "figures" else form.format(*scaled) if "{" in form else form % scaled
+
+
 def made(found: Mapping) -> str:
     """The command that makes a result again, and when it was made."""
     how = found["made"]
@@ -78,7 +101,8 @@ def page(path: Path) -> str:
         loader=jinja2.FileSystemLoader(DOCS / "tables"), undefined=jinja2.StrictUndefined, trim_blocks=True,
         lstrip_blocks=True, autoescape=False,
     )  # fmt: skip
-    environment.filters |= {f.__name__: f for f in (pair, mpa, figures)}
+    environment.filters |= {f.__name__: f for f in (pair, mpa, figures, cell)}
+    environment.globals |= vars(environment.get_template("rows.j2").module)
     stored = {"results": Stored(ROOT / "benchmarks" / "results"), "trained": Stored(ROOT / "models" / "trained")}
     template = environment.get_template(f"{path.stem.lower()}.j2")
     context = template.new_context({**stored, **{f.__name__: f for f in (made, share, median, worst, rooms.drawn)}})

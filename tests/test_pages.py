@@ -6,6 +6,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+import pages
 import pictures
 import pytest
 
@@ -109,3 +110,15 @@ def test_a_folder_that_does_not_exist_is_named(tmp_path):
 def test_the_page_of_concealed_effects_has_the_table_that_the_kept_cases_make():
     table = "\n".join(concealed.table(concealed.read(RESULTS / "concealed.csv")))
     assert table in (DOCS / "concealed.md").read_text()
+
+
+def test_a_cell_of_a_table_is_what_stands_at_its_path_in_the_format_and_unit_of_its_column():
+    found = {"v1": {"p": [1e5, 2e5]}, "word": "so", "s": {"a": 1.0, "b": 2.0}}
+    assert pages.cell(("title", found), "v1.p", "%.1f/%.1f", 1e-5) == "1.0/2.0"
+    assert pages.cell(("title", found), "v1.p.1", "figures") == "200000"
+    assert pages.cell(("title", found, "p"), ("v1", "{1:g}"), at="{column}.{key}") == "200000"
+    assert pages.cell(("title", found, "", "%g and %g"), "s", "%.3f") == "1 and 2"
+    assert pages.cell(("title", (found["s"], found["s"])), "b", "%g/%g") == "2/2"
+    assert pages.cell(("title", found), "word", "%.1f") == "so"
+    with pytest.raises(KeyError):
+        pages.cell(("title", found), "v2.p")
