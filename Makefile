@@ -15,7 +15,7 @@ demo: $(VENV)/.ready | tools
 	$(BIN)/greygate compile mts --out $(OUT)/mts
 	$(BIN)/greygate verify $(OUT)/valve_cylinder
 	$(BIN)/greygate verify $(OUT)/mts
-	$(BIN)/greygate report $(OUT)/valve_cylinder $(OUT)/mts --out $(OUT)/report.html
+	$(BIN)/greygate report $(OUT)/valve_cylinder $(OUT)/mts --html $(OUT)/report.html
 	@echo "open $(OUT)/report.html; the Verilog is in $(OUT)/*/rtl"
 
 test: $(VENV)/.ready-dev | tools

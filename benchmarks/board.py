@@ -31,8 +31,8 @@ NEEDS = VERILATOR
 BOARD = "icebreaker"
 NETWORK = "valve_cylinder"
 REQUEST = "--max-error 1.05x --max-latency 20us --max-luts 1300 --max-dsps 3 --max-memories 12"  # 200 LUTs for a port
-DESIGNS = {  # name -> options of greygate compile, scenarios that are played
-    "folded": (f"--device up5k --architecture folded {REQUEST} --jobs 2", ("training", "v1", "v2")),
+DESIGNS = {  # name -> options of greygate, scenarios that are played
+    "folded": (f"--target up5k --architecture folded {REQUEST} --jobs 2", ("training", "v1", "v2")),
     "serial": ("--architecture serial", ("v2",)),
 }
 CLOCKS_PER_BIT = 24  # of 1,000,000 baud at 24 MHz

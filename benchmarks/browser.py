@@ -43,16 +43,16 @@ def pages(folder: Path) -> dict[str, Path]:
     greygate("compile", "valve_cylinder", "--out", "whole", folder=folder)
     greygate("compile", "valve_cylinder", "--prune", "1.0", "--out", "pruned", folder=folder)
     greygate("verify", "pruned", folder=folder)
-    greygate("report", "pruned", "--out", "report.html", folder=folder)
-    greygate("compare", "whole", "pruned", "--out", "compare.html", folder=folder, code=1)
-    greygate("validate", "valve_cylinder", "--out", "validate.html", folder=folder)
+    greygate("report", "pruned", "--html", "report.html", folder=folder)
+    greygate("compare", "whole", "pruned", "--html", "compare.html", folder=folder, code=1)
+    greygate("validate", "valve_cylinder", "--html", "validate.html", folder=folder)
     recording = ROOT / "recordings" / "servohydraulic-mts" / "mts_15Hz0A.csv"
     greygate("look", recording, "--html", "look.html", folder=folder)
-    greygate("init", "mine", "--record", recording, "--input", "x_cmd", "--output", "x_meas", folder=folder)
-    words = ["--record", recording, "--tail", 0.2, "--seeds", 3, "--epochs", 20]
+    greygate("init", recording, "--input", "x_cmd", "--output", "x_meas", "--out", "mine", folder=folder)
+    words = [recording, "--tail", 0.2, "--seeds", 3, "--epochs", 20]
     greygate("train", "mine.toml", *words, "--out", "trained", "--html", "train.html", folder=folder)
     words = ["--seed", 3, "--kind", "one", "--effect", "speed_slip", "--out", "case"]
-    greygate("conceal", "cable_drum", *words, folder=folder)
+    greygate("dev", "conceal", "cable_drum", *words, folder=folder)
     greygate("diagnose", "case", "--html", "diagnosis.html", folder=folder)
     return {name: folder / f"{name}.html" for name in ("report", "compare", "validate", "look", "train", "diagnosis")}
 

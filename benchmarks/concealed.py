@@ -1,7 +1,7 @@
 """Hundreds of recordings with something concealed in them, diagnosed and scored.
 
-Every case is drawn by `greygate conceal`, whose equations, integrator, step and sensors are not the diagnoser's. The
-diagnosis runs in its own process on a folder that holds the recordings and `rig.toml` alone. A line a case goes to
+Every case is drawn by `greygate dev conceal`, whose equations, integrator, step and sensors are not the diagnoser's.
+The diagnosis runs in its own process on a folder that holds the recordings and `rig.toml` alone. A line a case goes to
 `results/concealed.csv` as it ends (an interrupted run goes on from there); `--only-table` prints the table from it and
 draws the confusion matrix.
 """

@@ -86,9 +86,9 @@ def concealed(seed: int) -> dict:
     what = ("--kind", "one", "--effect", MACHINES[name])
     with scratch() as folder:
         rig = folder / name
-        ran = {"conceal": called("conceal", name, "--seed", seed, *what, "--out", rig)}
+        ran = {"conceal": called("dev", "conceal", name, "--seed", seed, *what, "--out", rig)}
         ran |= _commands(rig)
-        ran["reveal"] = called("reveal", rig, "--diagnosis", rig / "d.json")
+        ran["reveal"] = called("dev", "reveal", rig, "--diagnosis", rig / "d.json")
         if name in AUGMENTED:
             ran["augment"] = called("augment", rig, "--diagnosis", rig / "d.json", "--out", rig / "augmented")
         return {"seed": seed, "kind": name, "traits": ["concealed case"], "commands": ran}
@@ -97,13 +97,13 @@ def concealed(seed: int) -> dict:
 def _commands(rig: Path) -> dict[str, dict]:
     held = rig / "holdout.csv"
     ran = {"diagnose": called("diagnose", rig, "--out", rig / "d.json", "--html", rig / "page.html")}
-    ran["simulate"] = called("simulate", rig, "--recording", rig / "identify.csv", "--out", rig / "s.csv")
+    ran["simulate"] = called("simulate", rig, rig / "identify.csv", "--out", rig / "s.csv")
     if (rig / "d.json").exists():
         found = json.loads((rig / "d.json").read_text(encoding="utf-8"))
         ran["diagnose"] |= {"verdict": found["verdict"], "json": strict(rig / "d.json")}
         recording = held if held.exists() else rig / "identify.csv"
         options = ("--diagnosis", rig / "d.json", "--out", rig / "c.csv")
-        ran["corrected"] = called("simulate", rig, "--recording", recording, *options)
+        ran["corrected"] = called("simulate", rig, recording, *options)
         ran["next"] = called("next", rig, "--diagnosis", rig / "d.json", "--out", rig / "next.csv")
     ran["isolability"] = called("isolability", rig)
     return ran

@@ -31,18 +31,18 @@ SAMPLES = 2001  # lines of a recording
 COMMANDS = {  # name -> (words; {at} is the folder of the inputs, what it writes)
     "identify": ("identify {at}/a.csv --input u --output y --seconds 4 --jobs 2 --out found", ["found"]),
     "diagnose": ("diagnose {at}/fast {at}/clean --jobs 2 --out pages --html pages", ["pages"]),
-    "train": ("train {at}/line.toml --record {at}/a.csv --epochs 20 --out learnt", ["learnt"]),
-    "compile": ("compile {at}/line.toml --record {at}/a.csv --out built", ["built"]),
+    "train": ("train {at}/line.toml {at}/a.csv --epochs 20 --out learnt", ["learnt"]),
+    "compile": ("compile {at}/line.toml {at}/a.csv --out built", ["built"]),
     "compile --device": (
-        "compile {at}/line.toml --record {at}/a.csv --device up5k --max-error 5% --jobs 2 --out built", ["built"]
+        "explore {at}/line.toml {at}/a.csv --target up5k --max-error 5% --jobs 2 --out built", ["built"]
     ),
     "verify": ("verify build", ["build"]),
     "synthesize": ("synthesize build --target ice40", ["build"]),
     "report": ("report build --out report.html", ["report.html", "report.json"]),
     "emulate": ("emulate build {at}/a.csv --out told.csv", ["told.csv"]),
-    "simulate": ("simulate {at}/fast --recording {at}/fast/identify.csv --out told.csv", ["told.csv"]),
+    "simulate": ("simulate {at}/fast {at}/fast/identify.csv --out told.csv", ["told.csv"]),
     "export fmu": ("export fmu {at}/fast --out plant.fmu", ["plant.fmu"]),
-    "validate": ("validate {at}/line.toml --record {at}/a.csv --out page.html", ["page.html", "page.json"]),
+    "validate": ("validate {at}/line.toml {at}/a.csv --html page.html", ["page.html", "page.json"]),
 }  # fmt: skip
 
 

@@ -68,11 +68,11 @@ def prepared(part: str, folder: Path) -> list[str]:
         channels = ["--input", "u", "--output", "y"]
         return ["identify", "long.csv", *channels, "--seconds", str(SECONDS), "--jobs", "1", "--out", "found"]
     if part == "train":
-        return ["train", "mine.toml", "--record", "long.csv", "--no-narx", "--epochs", "1", "--out", "out"]
+        return ["train", "mine.toml", "long.csv", "--no-narx", "--epochs", "1", "--out", "out"]
     if part == "validate":
-        return ["validate", "mine.toml", "--record", "long.csv", "--out", "page.html"]
+        return ["validate", "mine.toml", "long.csv", "--html", "page.html"]
     write(folder / "short.csv", 10_000)
-    measured(["compile", "mine.toml", "--record", "short.csv", "--out", "build"], folder)
+    measured(["compile", "mine.toml", "short.csv", "--out", "build"], folder)
     return ["emulate", "build", "long.csv", "--out", "predicted.csv"]
 
 

@@ -44,7 +44,7 @@ def write_workflow(
 ) -> Workflow:
     """Write the workflow, and the budget if there is none, below the current folder; what was written and what is next.
 
-    service: a key of `PLACES`. compiling: the network and the options of `greygate compile`, without --out. files:
+    service: a key of `PLACES`. compiling: the command that compiles or explores, without --out. files:
     those of them that are files. accepted: folder of the build to compare with. install: what pip installs. out: file
     to write, its usual place if not given. Raises InputError, before anything is written, for a path outside the
     current folder, a budget that is none, and a workflow that somebody else wrote.
@@ -62,8 +62,8 @@ def write_workflow(
     if known:
         read_budget(budget)
     judge = [
-        _greygate("report", BUILD, "--out", "build/report.html"),
-        _greygate("compare", accepted, BUILD, "--budget", budget, "--out", "build/compare.html"),
+        _greygate("report", BUILD, "--html", "build/report.html"),
+        _greygate("compare", accepted, BUILD, "--budget", budget, "--html", "build/compare.html"),
     ]
     context = {"mark": MARK, "install": shlex.quote(install), "build": _making(compiling, BUILD), "judge": judge}
     with making(place.parent), replacing(place) as new:
@@ -82,7 +82,7 @@ def _greygate(*words: str) -> str:
 
 def _making(compiling: Sequence[str], folder: str) -> list[str]:
     """The commands that make a build, and the figures that `compare` judges."""
-    made = _greygate("compile", *compiling, "--out", folder)
+    made = _greygate(*compiling, "--out", folder)
     return [made, _greygate("verify", folder), _greygate("synthesize", folder)]
 
 

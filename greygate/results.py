@@ -20,9 +20,9 @@ class Result:
 _CONCEALED = "mismatch.concealed.printed"
 RESULTS = {
     "augment": Result("greygate augment --json, augment.json", "mismatch.augment:Augmented", file=()),
-    "bench-concealed-make": Result("greygate bench-concealed make --json", "cli.printed:BenchMade"),
-    "bench-concealed-run": Result("greygate bench-concealed run --json", "cli.printed:BenchRun"),
-    "bench-concealed-score": Result("greygate bench-concealed score --json", f"{_CONCEALED}:Scores", False),
+    "bench-concealed-make": Result("greygate dev bench-concealed make --json", "cli.printed:BenchMade"),
+    "bench-concealed-run": Result("greygate dev bench-concealed run --json", "cli.printed:BenchRun"),
+    "bench-concealed-score": Result("greygate dev bench-concealed score --json", f"{_CONCEALED}:Scores", False),
     "board": Result("greygate board --json, board.json", "hardware.board.make:BoardFacts", file=("folder",)),
     "build": Result("compile.json of a build", "project:Facts", False),
     "build-snn": Result(
@@ -38,7 +38,7 @@ RESULTS = {
     "commitment": Result("commitment.json of the blind benchmark", f"{_CONCEALED}:Commitment", False),
     "compare": Result("greygate compare --json", "cli.printed:Comparing"),
     "compile": Result("greygate compile --json", "cli.printed:Compiling"),
-    "conceal": Result("greygate conceal --json", "cli.printed:Concealing"),
+    "conceal": Result("greygate dev conceal --json", "cli.printed:Concealing"),
     "concealed-answer": Result("answer.json of the blind benchmark", f"{_CONCEALED}:AnswerFile", False),
     "concealed-run": Result("run.json of the blind benchmark", f"{_CONCEALED}:Ran", False),
     "control": Result("greygate control MACHINE --json", "cli.printed:Controlling"),
@@ -46,7 +46,7 @@ RESULTS = {
     "doctor": Result("greygate doctor --json", "cli.printed:Doctor"),
     "emulate": Result("greygate emulate --json", "cli.printed:Emulating"),
     "explored": Result(
-        "greygate compile --device DEVICE --json, where no design meets the request (exit code 1)",
+        "greygate explore --json, where no design meets the request (exit code 1)",
         "compiler.explore.printed:Explored",
     ),
     "export-c": Result("greygate export c --json", "cli.printed:ExportedC"),
@@ -72,8 +72,8 @@ RESULTS = {
     "prove": Result("greygate prove --json", "cli.printed:Proving"),
     "report": Result("greygate report --json, report.json", "compiler.study:Studies", False),
     "resources": Result("greygate synthesize --json, resources.json", "hardware.synthesis:Resources", False),
-    "reveal": Result("greygate reveal --json", "cli.printed:Reveal"),
-    "sealed-answer": Result("sealed.json of greygate conceal", f"{_CONCEALED}:Sealed", False),
+    "reveal": Result("greygate dev reveal --json", "cli.printed:Reveal"),
+    "sealed-answer": Result("sealed.json of greygate dev conceal", f"{_CONCEALED}:Sealed", False),
     "simulate": Result("greygate simulate --json", "cli.printed:Simulating"),
     "train": Result(
         "greygate train NAME.toml --json, and NAME.json beside the trained network",

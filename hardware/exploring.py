@@ -1,4 +1,4 @@
-"""A request such as `--device up5k --max-error 0.2bar`, and what answers it while a network is compiled."""
+"""A request such as `--target up5k --max-error 0.2bar`, and what answers it while a network is compiled."""
 
 import math
 import re
@@ -81,7 +81,7 @@ def requested(
     """The request that the options of the command line make. tried: of `Request`. Raises InputError."""
     if device not in DEVICES:
         *others, last = DEVICES
-        raise InputError(f"--device {device}: not known; choose {', '.join(others)} or {last}")
+        raise InputError(f"--target {device}: cannot be explored; choose {', '.join(others)} or {last}")
     chip = DEVICES[device]
     whole = Room(math.floor(FILLED * chip.luts), chip.dsps, chip.block_rams)
     asked = (luts, dsps, memories)

@@ -239,7 +239,7 @@ def identify_files(
         for label, recording in {**read_in, **read_tests}.items():
             of = Recording(recording.dt, {c: recording[c] for c in used}, {c: recording.units[c] for c in used})
             of.write_csv(new / f"{label}.csv")
-    records = " ".join(f"--record {out / n}.csv" for n in read_in)
+    records = " ".join(f"{out / n}.csv" for n in read_in)
     file = out / f"{name}.toml"
     return plain(
         {

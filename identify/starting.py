@@ -139,11 +139,11 @@ def init(
     inputs: every channel that is no output, if none is given. more: library networks of one input, ahead of the curves.
     Raises InputError for a name, a channel or a library network that cannot be, and for files that are there.
     """
-    name = check_name(path.name, "NAME")
+    name = check_name(path.name, "--out")
     files = [path.with_name(f"{name}{end}") for end in ((".py",) if python else (".toml", ".safetensors"))]
     for file in files:
         if file.exists():
-            raise InputError(f"{file}: is there already; choose another NAME, or remove it")
+            raise InputError(f"{file}: is there already; choose another --out, or remove it")
     for kind in more:
         if kind not in LIBRARY or len(library(kind).inputs) != 1:
             known = ", ".join(k for k in LIBRARY if len(library(k).inputs) == 1)
@@ -163,7 +163,7 @@ def init(
     late = {n: min((d for s in seen if (d := s["delays"][n]) is not None), default=1) for n in inputs}
     parts = blocks(ins, outs, late, more, order)
     network = joined(name, ins, outs, parts, recording.dt)
-    train = f"greygate train {path.with_suffix('.toml')} --record {record} --tail 0.2 --out trained"
+    train = f"greygate train {path.with_suffix('.toml')} {record} --tail 0.2 --out trained"
     if python:
         with replacing(files[0]) as new:
             new.write_text(script(name, record, ins, outs, parts), encoding="utf-8")

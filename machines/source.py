@@ -86,7 +86,7 @@ class Source:
         if not self.recordings:
             if self.name not in CATALOG:
                 self.network()  # that there is none of that name is the first mistake
-                raise InputError(f"{self.name}: no recordings; give --record FILE.csv")
+                raise InputError(f"{self.name}: no recordings; give FILE.csv after it")
             return dict(entry(self.name).records())
         records = read_records(self.network(), self.recordings)
         return {scenario: replace(record, skip=self.settle) for scenario, record in records.items()}

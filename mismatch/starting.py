@@ -37,9 +37,9 @@ def init_rig(path: Path, record: str, inputs: Sequence[str], outputs: Sequence[s
     inputs: every channel that is no output, if none is given. Raises InputError for a name or a channel that cannot be,
     a recording that is too short, and a folder that is there; nothing is written then.
     """
-    check_name(path.name, "NAME")
+    check_name(path.name, "--out")
     if path.exists():
-        raise InputError(f"{path}: is there already; choose another NAME, or remove it")
+        raise InputError(f"{path}: is there already; choose another --out, or remove it")
     recording = read_recording(record, told=once)
     inputs = inputs or [n for n in recording.channels if n not in outputs]
     for name in (*inputs, *outputs):

@@ -57,7 +57,7 @@ def test_training_shows_a_linear_model_beside(greygate, tmp_path, monkeypatch):
     u = prms(300, -1, 1, (5, 30), 1)
     Recording(0.1, {"u": u, "y": np.abs(LAG.run({"u": u})["y"])}, {"u": "V", "y": "m"}).write_csv("a.csv")
     noe("mine", {Port("u", "V"): (1, 2)}, Port("y", "m"), (1, 2), hidden=4).save("mine")
-    code, printed, _ = greygate("train", "mine.toml", "--record", "a.csv", "--epochs", "30", "--out", "out", "--json")
+    code, printed, _ = greygate("train", "mine.toml", "a.csv", "--epochs", "30", "--out", "out", "--json")
     found = json.loads(printed)
     assert code == 0
     assert 0 < found["rmse"]["a"]["y"] < found["linear"]["a"]["y"]

@@ -299,12 +299,12 @@ def test_a_strangers_tool_enters_by_a_command(bench, tmp_path, greygate):
     (tmp_path / "tool.py").write_text(STRANGER)
     command = f"{sys.executable} {tmp_path / 'tool.py'}"
     code, printed, _ = greygate(
-        "bench-concealed", "run", bench, "--out", tmp_path / "a", "--tool", command, "--cases", 2, "--jobs", 2
+        "dev", "bench-concealed", "run", bench, "--out", tmp_path / "a", "--tool", command, "--cases", 2, "--jobs", 2
     )
     assert code == 0, printed
     rows, picture = tmp_path / "rows.csv", tmp_path / "picture.svg"
     code, printed, _ = greygate(
-        "bench-concealed", "score", bench, tmp_path / "a", "--json", "--rows", rows, "--picture", picture
+        "dev", "bench-concealed", "score", bench, tmp_path / "a", "--json", "--out", rows, "--picture", picture
     )
     assert code == 0
     found = json.loads(printed)["a"]
@@ -338,7 +338,7 @@ def test_a_tool_that_hangs_or_fails_is_an_error_of_that_case_alone(bench, tmp_pa
     (tmp_path / "tool.py").write_text(code)
     command = f"{sys.executable} {tmp_path / 'tool.py'}"
     status, _, err = greygate(
-        "bench-concealed", "run", bench, "--out", tmp_path / "a", "--tool", command, "--cases", 1, "--limit", 1
+        "dev", "bench-concealed", "run", bench, "--out", tmp_path / "a", "--tool", command, "--cases", 1, "--seconds", 1
     )
     assert status == 1
     assert said in err
@@ -355,7 +355,18 @@ def test_an_interrupted_run_ends_its_tools_and_counts_no_case(bench, tmp_path):
     )
     began = "from greygate.cli import run; run()"
     tool = f"{sys.executable} {tmp_path / 'tool.py'}"
-    arguments = ["bench-concealed", "run", str(bench), "--out", str(tmp_path / "a"), "--tool", tool, "--cases", "1"]
+    arguments = [
+        "dev",
+        "bench-concealed",
+        "run",
+        str(bench),
+        "--out",
+        str(tmp_path / "a"),
+        "--tool",
+        tool,
+        "--cases",
+        "1",
+    ]
     process = subprocess.Popen(
         [sys.executable, "-c", began, *arguments],
         stderr=subprocess.PIPE,
@@ -409,6 +420,6 @@ def test_our_own_answer_has_the_names_of_the_benchmark():
 
 def test_without_a_checkout_the_command_says_that_it_needs_one(tmp_path, greygate, monkeypatch):
     monkeypatch.setattr("greygate.cli.bench.BENCHMARKS", tmp_path / "none")
-    code, printed, error = greygate("bench-concealed", "make", tmp_path / "new")
+    code, printed, error = greygate("dev", "bench-concealed", "make", "--out", tmp_path / "new")
     assert (code, printed, error.count("\n")) == (2, "", 1)
     assert "needs a checkout of greygate's repository" in error

@@ -194,7 +194,7 @@ def test_a_pll_makes_the_frequency(pll, given, wanted, made):
     ("how", "why"),
     [
         ({"name": "arduino"}, "board 'arduino' does not exist; choose ulx3s"),
-        ({"port": "usb"}, "--port usb: choose uart or spi"),
+        ({"port": "usb"}, "--interface usb: choose uart or spi"),
         ({"architecture": "listing"}, "has no architecture 'listing'; it has parallel, folded"),
         ({"mhz": 23.4567}, "--mhz 23.4567: the PLL of this board does not make it of 12 MHz"),
         ({"baud": 9_000_000}, "--baud 9000000: a clock of 24 MHz does not give it"),

@@ -41,25 +41,22 @@ def build(greygate, tmp_path):
     """A folder with `line.toml`, a recording, and the build `line`."""
     delay_line().save(tmp_path / "line")
     recording(tmp_path / "run.csv", steps=200)
-    assert (
-        greygate("compile", tmp_path / "line.toml", "--record", tmp_path / "run.csv", "--out", tmp_path / "line")[0]
-        == 0
-    )
+    assert greygate("compile", tmp_path / "line.toml", tmp_path / "run.csv", "--out", tmp_path / "line")[0] == 0
     return tmp_path
 
 
 def report(greygate, folder):
-    assert greygate("report", folder / "line", "--out", folder / "page.html")[0] == 0
+    assert greygate("report", folder / "line", "--html", folder / "page.html")[0] == 0
 
 
 def compare(greygate, folder):
-    words = ["--record", folder / "run.csv", "--width", "8", "--out", folder / "coarse"]
+    words = [folder / "run.csv", "--width", "8", "--out", folder / "coarse"]
     assert greygate("compile", folder / "line.toml", *words)[0] == 0
-    assert greygate("compare", folder / "line", folder / "coarse", "--out", folder / "page.html")[0] == 1
+    assert greygate("compare", folder / "line", folder / "coarse", "--html", folder / "page.html")[0] == 1
 
 
 def validate(greygate, folder):
-    words = ["--record", folder / "run.csv", "--out", folder / "page.html"]
+    words = [folder / "run.csv", "--out", folder / "page.html"]
     assert greygate("validate", folder / "line.toml", *words)[0] == 0
 
 
@@ -74,7 +71,7 @@ def diagnosis(greygate, folder):
 
 def train(greygate, folder):
     noe("lag", {Port("u", "V"): (1,)}, Port("y", "m"), (1,), hidden=2).save(folder / "lag")
-    words = ["--record", folder / "run.csv", "--tail", "0.3", "--seeds", "2", "--epochs", "5"]
+    words = [folder / "run.csv", "--tail", "0.3", "--seeds", "2", "--epochs", "5"]
     assert greygate("train", folder / "lag.toml", *words, "--out", folder, "--html", folder / "page.html")[0] == 0
 
 

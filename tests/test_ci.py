@@ -45,7 +45,7 @@ def run(scripts: list[str]) -> subprocess.CompletedProcess:
 
 @pytest.mark.nightly
 def test_a_workflow_runs_and_a_worse_build_fails_it(greygate, repository):
-    code, said, error = greygate("ci-template", "github", "line.toml", "--", "--record", "a.csv", "--width", "14")
+    code, said, error = greygate("ci-template", "github", "line.toml", "--", "a.csv", "--width", "14")
     assert (code, error) == (0, "")
     *first, keep = [line for line in said.splitlines() if line.startswith(("greygate ", "git "))]
     assert keep == "git add --force .github/workflows/greygate.yml budget.toml accepted"
@@ -63,7 +63,7 @@ def test_a_workflow_runs_and_a_worse_build_fails_it(greygate, repository):
 
 def test_both_services_run_the_same(greygate, repository):
     for service in ("github", "gitlab"):
-        assert greygate("ci-template", service, "line.toml", "--", "--record", "a.csv")[0] == 0
+        assert greygate("ci-template", service, "line.toml", "--", "a.csv")[0] == 0
     one, other = ("".join(lines_of(service)).splitlines() for service in ("github", "gitlab"))
     assert one == other
     assert [line.split()[1] for line in one] == ["compile", "verify", "synthesize", "report", "compare"]
@@ -71,11 +71,11 @@ def test_both_services_run_the_same(greygate, repository):
 
 def test_what_a_user_has_written_is_kept(greygate, repository):
     Path(".gitlab-ci.yml").write_text("stages: [mine]\n")
-    code, _, error = greygate("ci-template", "gitlab", "line.toml", "--", "--record", "a.csv")
+    code, _, error = greygate("ci-template", "gitlab", "line.toml", "--", "a.csv")
     assert code == 2
     assert ".gitlab-ci.yml: exists and is not of greygate; give --out FILE" in error
     Path("budget.toml").write_text("[growth]\nerror = 0.5\n")
-    arguments = ("line.toml", "--out", "ci/greygate.yml", "--", "--record", "a.csv")
+    arguments = ("line.toml", "--out", "ci/greygate.yml", "--", "a.csv")
     assert greygate("ci-template", "gitlab", *arguments)[0] == 0
     assert greygate("ci-template", "gitlab", *arguments)[0] == 0  # its own file is replaced
     assert Path("budget.toml").read_text() == "[growth]\nerror = 0.5\n"
@@ -85,14 +85,14 @@ def test_what_a_user_has_written_is_kept(greygate, repository):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["line.toml", "--", "--record", "none.csv"], "none.csv: cannot be read"),
-        (["line.toml", "--", "--record", "a.csv", "--widht", "8"], "No such option: --widht"),
-        (["line.toml", "--", "--record", "a.csv", "--width", "99"], "--width 99: give 4 to 32 bits"),
-        (["line.toml", "--", "--record", "a.csv", "--out", "x"], "--out: the workflow compiles into build/greygate"),
-        (["line.toml"], "line.toml: no recordings; give --record FILE.csv"),
-        (["line.toml", "--accepted", "../b", "--", "--record", "a.csv"], "../b: a clone has no such path"),
-        (["line.toml", "--install", "${{ secrets.X }}", "--", "--record", "a.csv"], "GitHub replaces what follows"),
-        (["line.toml", "--install", "a\nb", "--", "--record", "a.csv"], "a text is one line"),
+        (["line.toml", "--", "none.csv"], "none.csv: cannot be read"),
+        (["line.toml", "--", "a.csv", "--widht", "8"], "No such option: --widht"),
+        (["line.toml", "--", "a.csv", "--width", "99"], "--width 99: give 4 to 32 bits"),
+        (["line.toml", "--", "a.csv", "--out", "x"], "--out: the workflow compiles into build/greygate"),
+        (["line.toml"], "line.toml: no recordings; give FILE.csv after it"),
+        (["line.toml", "--accepted", "../b", "--", "a.csv"], "../b: a clone has no such path"),
+        (["line.toml", "--install", "${{ secrets.X }}", "--", "a.csv"], "GitHub replaces what follows"),
+        (["line.toml", "--install", "a\nb", "--", "a.csv"], "a text is one line"),
     ],
 )
 def test_what_no_clone_could_run_is_refused(greygate, repository, arguments, told):
@@ -106,8 +106,8 @@ def test_what_no_clone_could_run_is_refused(greygate, repository, arguments, tol
 def test_a_word_is_data_in_the_shell_and_in_yaml(greygate, repository):
     wicked = "a: $(touch spoilt) 'b' \"c\" # d.csv"
     Path("a.csv").rename(wicked)
-    assert greygate("ci-template", "github", "line.toml", "--", "--record", f"x={wicked}")[0] == 0
+    assert greygate("ci-template", "github", "line.toml", "--", f"x={wicked}")[0] == 0
     (first, *_), *_ = (script.splitlines() for script in lines_of("github"))
     echoed = run(["printf '%s\\n' " + first.removeprefix("greygate ")]).stdout.splitlines()
-    assert echoed[:4] == ["compile", "line.toml", "--record", f"x={wicked}"]
+    assert echoed[:3] == ["compile", "line.toml", f"x={wicked}"]
     assert not Path("spoilt").exists()

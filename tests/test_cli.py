@@ -50,9 +50,7 @@ def network(tmp_path) -> Path:
 
 @pytest.fixture
 def built(tmp_path, network) -> Path:
-    code, _, error = greygate(
-        "compile", network, "--record", f"train={recording(tmp_path / 'a.csv')}", "--out", tmp_path / "build"
-    )
+    code, _, error = greygate("compile", network, f"train={recording(tmp_path / 'a.csv')}", "--out", tmp_path / "build")
     assert code == 0, error
     return tmp_path / "build"
 
@@ -71,7 +69,7 @@ def test_a_users_network_is_trained_on_a_users_recordings(tmp_path, network):
     start.with_parameters(off).save(tmp_path / "off")
     out, record = tmp_path / "out", recording(tmp_path / "a.csv", steps=300)
     out.mkdir()
-    code, text, error = greygate("train", tmp_path / "off.toml", "--record", record, "--out", out, "--json")
+    code, text, error = greygate("train", tmp_path / "off.toml", record, "--out", out, "--json")
     assert code == 0, error
     figures = json.loads(text)
     assert figures["rmse"]["a"]["y"] < 1e-4
@@ -89,20 +87,18 @@ def test_a_recording_that_starts_in_motion_is_trained_and_judged_from_a_state_of
         return path
 
     files = moving(tmp_path / "a.csv", 40.0), moving(tmp_path / "b.csv", -30.0)
-    common = ["train", network, "--record", files[0], "--held", files[1], "--json", "--epochs", "30"]
+    common = ["train", network, files[0], "--held", files[1], "--json", "--epochs", "30"]
     for settle, good in ((0, False), (20, True)):
         code, text, error = greygate(*common, "--settle", settle, "--out", tmp_path / "new" / str(settle))
         assert code == 0, error
         assert all((errors["y"] < 1e-3) == good for errors in json.loads(text)["rmse"].values())
-    code, _, error = greygate(
-        "train", network, "--record", files[0], "--held", f"x={files[0]}", "--out", tmp_path / "n"
-    )
+    code, _, error = greygate("train", network, files[0], "--held", f"x={files[0]}", "--out", tmp_path / "n")
     assert (code, "given twice" in error) == (2, True)
 
 
 def test_a_training_that_is_refused_leaves_no_folder(tmp_path, network):
     record, out = recording(tmp_path / "a.csv"), tmp_path / "new"
-    code, _, error = greygate("train", network, "--record", record, "--decay", "-1", "--out", out)
+    code, _, error = greygate("train", network, record, "--decay", "-1", "--out", out)
     assert (code, "decay -1" in error) == (2, True)
     assert not out.exists()
 
@@ -124,9 +120,7 @@ def test_a_library_network_that_is_trained_within_a_whole_keeps_its_meaning(tmp_
         ",".join(map(repr, map(float, row))) for row in zip(np.arange(100) / 1000, *signals.values(), y, strict=True)
     ]
     (tmp_path / "r.csv").write_text("\n".join(lines) + "\n")
-    code, _, error = greygate(
-        "train", tmp_path / "whole.toml", "--record", tmp_path / "r.csv", "--out", tmp_path / "out"
-    )
+    code, _, error = greygate("train", tmp_path / "whole.toml", tmp_path / "r.csv", "--out", tmp_path / "out")
     assert code == 0, error
     trained = Network.load(tmp_path / "out" / "whole")
     assert trained.modules["switch"].meaning == whole.modules["switch"].meaning
@@ -135,10 +129,10 @@ def test_a_library_network_that_is_trained_within_a_whole_keeps_its_meaning(tmp_
 
 def test_weights_are_pruned_by_saliency_on_request(tmp_path, network):
     record = f"train={recording(tmp_path / 'a.csv', steps=300)}"
-    code, out, error = greygate("compile", network, "--record", record, "--weights", "obs", "--out", tmp_path / "b")
+    code, out, error = greygate("compile", network, record, "--weights", "obs", "--out", tmp_path / "b")
     assert code == 0, error
     assert "prune" in out
-    code, _, error = greygate("compile", network, "--record", record, "--weights", "guess", "--out", tmp_path / "c")
+    code, _, error = greygate("compile", network, record, "--weights", "guess", "--out", tmp_path / "c")
     assert code == 2
     assert "there are magnitude, obd" in error
 
@@ -159,14 +153,14 @@ def test_pruning_keeps_what_a_held_recording_shows_and_every_recording_is_printe
         Recording(1e-3, inputs | {"y": y}, {"u": "V", "v": "V", "y": "m"}).write_csv(tmp_path / f"{name}.csv")
 
     def moved(*arguments) -> dict:
-        given = ["compile", "two.toml", "--record", "still.csv", *how, *arguments, "--json", "--out", "b"]
+        given = ["compile", "two.toml", "still.csv", *how, *arguments, "--json", "--out", "b"]
         code, out, error = greygate(*given, cwd=tmp_path)
         assert code == 0, error
         rmse = json.loads(out)["rmse"]
         assert list(rmse) == ["still", "moved"]
         return rmse["moved"]["y"]
 
-    blind, seen = moved("--record", "moved.csv"), moved("--held", "moved.csv")
+    blind, seen = moved("moved.csv"), moved("--held", "moved.csv")
     assert blind["before"] == seen["before"] == pytest.approx(0.01, rel=0.1)
     assert blind["float"] > 20 * blind["before"]
     assert seen["float"] <= 1.02 * seen["before"]
@@ -183,7 +177,7 @@ def test_a_users_network_goes_the_whole_road(tmp_path, built):
     assert code == 0
     assert json.loads(out)["steps"] == 60
     assert (tmp_path / "p.csv").read_text().startswith("t_s,y_m\n")
-    code, out, _ = greygate("report", built, "--out", tmp_path / "r.html", "--json")
+    code, out, _ = greygate("report", built, "--html", tmp_path / "r.html", "--json")
     assert code == 0
     (study,) = json.loads((tmp_path / "r.json").read_text())
     assert json.loads(out) == [study]
@@ -203,9 +197,7 @@ def test_changed_verilog_is_not_run_unless_that_is_asked_for(built):
 
 def test_compiling_again_replaces_the_folder_and_forgets_what_was_verified(tmp_path, network, built):
     (built / "verify.json").write_text("{}")
-    code, _, _ = greygate(
-        "compile", network, "--record", f"t={tmp_path / 'a.csv'}", "--out", built, "--architecture", "folded"
-    )
+    code, _, _ = greygate("compile", network, f"t={tmp_path / 'a.csv'}", "--out", built, "--architecture", "folded")
     assert code == 0
     assert not (built / "verify.json").exists()
     assert not (built / "rtl" / "parallel").exists()
@@ -237,7 +229,7 @@ def swapped(rows, row, column, text):
 )
 def test_a_bad_recording_is_named_in_one_line_and_nothing_is_written(tmp_path, network, make, message):
     before = {*tmp_path.iterdir(), make(tmp_path / "a.csv")}
-    code, out, error = greygate("compile", network, "--record", "t=a.csv", "--out", "build", cwd=tmp_path)
+    code, out, error = greygate("compile", network, "t=a.csv", "--out", "build", cwd=tmp_path)
     assert (code, out) == (2, "")
     assert error.count("\n") == 1
     assert error.startswith("greygate: ")
@@ -249,22 +241,22 @@ def test_a_bad_recording_is_named_in_one_line_and_nothing_is_written(tmp_path, n
     ("arguments", "message"),
     [
         (["compile", "nobody", "--out", "b"], "no network is called 'nobody'"),
-        (["compile", "missing.toml", "--record", "t=a.csv", "--out", "b"], "missing.toml: no such file"),
+        (["compile", "missing.toml", "t=a.csv", "--out", "b"], "missing.toml: no such file"),
         (["compile", "line.toml", "--out", "b"], "no recordings"),
-        (["compile", "line.toml", "--record", "=a.csv", "--out", "b"], "write SCENARIO=FILE.csv"),
-        (["validate", "line.toml"], "line.toml: no recordings; give --record FILE.csv\n"),
-        (["compile", "line.toml", "--record", "a.csv", "--record", "slow.csv", "--out", "b"], TWO_TIMES),
-        (["validate", "line.toml", "--record", "a.csv", "--record", "slow.csv"], TWO_TIMES),
-        (["compile", "line.toml", "--record", "a.csv", "--held", "big.csv", "--out", "b"], "give --prune or --weights"),
+        (["compile", "line.toml", "=a.csv", "--out", "b"], "write SCENARIO=FILE.csv"),
+        (["validate", "line.toml"], "line.toml: no recordings; give FILE.csv after it\n"),
+        (["compile", "line.toml", "a.csv", "slow.csv", "--out", "b"], TWO_TIMES),
+        (["validate", "line.toml", "a.csv", "slow.csv"], TWO_TIMES),
+        (["compile", "line.toml", "a.csv", "--held", "big.csv", "--out", "b"], "give --prune or --weights"),
         (["compile", "line.toml", "--held", "a.csv", "--prune", "1.1", "--out", "b"], "a sets the ranges"),
-        (["compile", "line.toml", "--record", "t=a.csv", "--width", "3", "--out", "b"], "--width 3: give 4 to 32 bits"),
-        (["compile", "line.toml", "--record", "t=big.csv", "--width", "8", "--out", "b"], "8 bits cannot hold"),
-        (["compile", "line.toml", "--record", "t=a.csv", "--budget", "0.5", "--out", "b"], "--budget 0.5"),
-        (["compile", "line.toml", "--record", "t=a.csv", "--prune", "0.5", "--out", "b"], "--prune 0.5"),
-        (["compile", "line.toml", "--record", "t=a.csv", "--macs", "0", "--out", "b"], "--macs 0: give 1 to 256"),
-        (["compile", "line.toml", "--record", "t=a.csv", "--out", "/proc/b"], "cannot make this folder"),
-        (["compile", "line.toml", "--record", "t=a.csv", "--out", "other"], "holds other files"),
-        (["compile", "line.toml", "--record", "t=a.csv", "--out", "a.csv"], "a file of that name is in the way"),
+        (["compile", "line.toml", "t=a.csv", "--width", "3", "--out", "b"], "--width 3: give 4 to 32 bits"),
+        (["compile", "line.toml", "t=big.csv", "--width", "8", "--out", "b"], "8 bits cannot hold"),
+        (["compile", "line.toml", "t=a.csv", "--max-error", "0.5x", "--out", "b"], "--max-error 0.5x"),
+        (["compile", "line.toml", "t=a.csv", "--prune", "0.5", "--out", "b"], "--prune 0.5"),
+        (["compile", "line.toml", "t=a.csv", "--macs", "0", "--out", "b"], "--macs 0: give 1 to 256"),
+        (["compile", "line.toml", "t=a.csv", "--out", "/proc/b"], "cannot make this folder"),
+        (["compile", "line.toml", "t=a.csv", "--out", "other"], "holds other files"),
+        (["compile", "line.toml", "t=a.csv", "--out", "a.csv"], "a file of that name is in the way"),
         (["verify", "other"], "run greygate compile first"),
         (["report", "other"], "run greygate compile first"),
         (["train", "nobody"], "no network is called 'nobody'"),
@@ -274,13 +266,13 @@ def test_a_bad_recording_is_named_in_one_line_and_nothing_is_written(tmp_path, n
             ["train", "crane", "--epochs", "5", "--no-narx"],
             "crane is trained with its own options; give --narx, --epochs with",
         ),
-        (["train", "line.toml", "--record", "a.csv", "--settle", "60", "--out", "b"], "skips 60 of its 60 samples"),
+        (["train", "line.toml", "a.csv", "--settle", "60", "--out", "b"], "skips 60 of its 60 samples"),
         (
-            ["train", "line.toml", "--record", "a.csv", "--shooting", "31", "--out", "b"],
+            ["train", "line.toml", "a.csv", "--shooting", "31", "--out", "b"],
             "give windows of 1 to 30 steps",
         ),
-        (["validate", "line.toml", "--record", "a.csv", "--settle", "61"], "skips 61 of its 60 samples"),
-        (["validate", "line.toml", "--record", "a.csv", "--lags", "25"], "60 samples are too few for 25 lags"),
+        (["validate", "line.toml", "a.csv", "--settle", "61"], "skips 61 of its 60 samples"),
+        (["validate", "line.toml", "a.csv", "--lags", "25"], "60 samples are too few for 25 lags"),
     ],
 )
 def test_wrong_use_is_one_line_with_exit_code_2_and_nothing_is_left(tmp_path, network, arguments, message):
@@ -301,7 +293,7 @@ def test_a_truncated_network_file_is_named(tmp_path, network):
     numbers = network.with_suffix(".safetensors")
     numbers.write_bytes(numbers.read_bytes()[:40])
     recording(tmp_path / "a.csv")
-    code, _, error = greygate("compile", network, "--record", f"t={tmp_path / 'a.csv'}", "--out", tmp_path / "b")
+    code, _, error = greygate("compile", network, f"t={tmp_path / 'a.csv'}", "--out", tmp_path / "b")
     assert code == 2
     assert "not a readable network" in error
     assert not (tmp_path / "b").exists()
@@ -427,9 +419,7 @@ def test_a_training_whose_free_run_diverges_falls_back_to_shooting_and_says_so(t
 
     monkeypatch.setattr(training, "Objective", watched)
     out = tmp_path / "out"
-    code, printed, error = greygate(
-        "train", tmp_path / "line.toml", "--record", record, "--epochs", 4, "--out", out, *how
-    )
+    code, printed, error = greygate("train", tmp_path / "line.toml", record, "--epochs", 4, "--out", out, *how)
     assert (code, "Traceback" in error) == (1, False)
     assert {w for w in windows if w is not None} == {40 if "--tail" in how else 50}
     assert "The free run diverges" in printed
@@ -474,7 +464,7 @@ def rig(tmp_path) -> Path:
 def test_a_simulation_that_diverges_is_told_with_exit_code_1(rig, tmp_path, greygate):
     (rig / "rig.toml").write_text(RIG.format(gain=50.0))
     out = tmp_path / "out.csv"
-    code, printed, error = greygate("simulate", rig, "--recording", rig / "run.csv", "--out", out)
+    code, printed, error = greygate("simulate", rig, rig / "run.csv", "--out", out)
     assert (code, error) == (1, "greygate: the simulation diverges\n")
     assert printed.startswith("y          RMS of simulated minus recorded inf m\n")
     assert out.read_text().endswith(",nan\n")
@@ -490,9 +480,9 @@ def test_a_simulation_that_diverges_is_told_with_exit_code_1(rig, tmp_path, grey
     ],
 )
 def test_a_simulation_reads_its_times_as_it_reads_its_channels(rig, tmp_path, written, greygate):
-    greygate("simulate", rig, "--recording", rig / "run.csv", "--out", tmp_path / "plain.csv")
+    greygate("simulate", rig, rig / "run.csv", "--out", tmp_path / "plain.csv")
     (rig / "run.csv").write_text(written((rig / "run.csv").read_text()), newline="")
-    code, _, error = greygate("simulate", rig, "--recording", rig / "run.csv", "--out", tmp_path / "out.csv")
+    code, _, error = greygate("simulate", rig, rig / "run.csv", "--out", tmp_path / "out.csv")
     assert (code, error) == (0, "")
     assert (tmp_path / "out.csv").read_text() == (tmp_path / "plain.csv").read_text()
 
@@ -538,7 +528,7 @@ def completed(words: str) -> list[str]:
     [
         ("greygate comp", ["compile", "compare"]),
         ("greygate export f", ["fmu", "fusesoc"]),
-        ("greygate compile build --max-l", ["--max-latency", "--max-luts"]),
+        ("greygate explore build --max-l", ["--max-latency", "--max-luts"]),
         ("greygate synthesize build --target ice", ["ice40"]),
         ("greygate compile valve", [name for name in CATALOG if name.startswith("valve")]),
         ("greygate compile ./mi", []),  # left to the shell: a file

@@ -53,7 +53,7 @@ def test_a_build_is_no_worse_than_itself(greygate, builds):
 
 
 def test_a_coarser_build_is_worse_and_the_line_says_by_how_much(greygate, builds, tmp_path):
-    code, out, _ = greygate("compare", builds["good"], builds["coarse"], "--out", tmp_path / "c.html")
+    code, out, _ = greygate("compare", builds["good"], builds["coarse"], "--html", tmp_path / "c.html")
     assert code == 1
     (line,) = [line for line in out.splitlines() if line.startswith("error")]
     assert "a.y" in line

@@ -47,7 +47,6 @@ def test_the_json_of_a_training_has_poles_weights_and_tests_with_what_to_do(grey
     words = [
         "train",
         "lag.toml",
-        "--record",
         "run.csv",
         "--epochs",
         "20",

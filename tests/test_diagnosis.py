@@ -58,7 +58,7 @@ def test_what_is_concealed_is_diagnosed_written_and_revealed(drum, tmp_path, gre
     assert [e["id"] for e in found["effects"]] == ["speed_slip"]
     assert "slip per travel that grows with speed" in printed
     assert "transmission, depends on v" in printed
-    code, printed, _ = greygate("reveal", drum, "--diagnosis", out, "--json")
+    code, printed, _ = greygate("dev", "reveal", drum, "--diagnosis", out, "--json")
     scored = json.loads(printed)
     assert code == 0
     assert scored["right"]
@@ -70,7 +70,7 @@ def test_a_wrong_diagnosis_is_revealed_with_exit_code_one(drum, tmp_path, greyga
     wrong = {"schema": "diagnosis/1", "plant": "cable_drum", "verdict": "consistent", "where": [], "effects": [],
              "parameters": {}}  # fmt: skip
     out.write_text(json.dumps(wrong))
-    code, printed, _ = greygate("reveal", drum, "--diagnosis", out)
+    code, printed, _ = greygate("dev", "reveal", drum, "--diagnosis", out)
     assert code == 1
     assert "speed_slip" in printed
     assert "wrong" in printed
@@ -96,7 +96,7 @@ def test_several_rigs_are_diagnosed_by_one_command(drum, clean, tmp_path, greyga
 
 def test_a_simulation_is_written_at_the_times_of_the_recording(drum, tmp_path, greygate):
     out = tmp_path / "predicted.csv"
-    code, printed, _ = greygate("simulate", drum, "--recording", drum / "holdout.csv", "--out", out, "--json")
+    code, printed, _ = greygate("simulate", drum, drum / "holdout.csv", "--out", out, "--json")
     assert code == 0
     given, made = ([line.split(",") for line in p.read_text().split()] for p in (drum / "holdout.csv", out))
     assert made[0] == ["t", "x_load"]
@@ -304,7 +304,7 @@ def test_a_diagnosis_is_refused_that_is_or_has(case, clean, tmp_path, greygate):
     text, problem = DIAGNOSES[case]
     given, out = tmp_path / "d.json", tmp_path / "predicted.csv"
     given.write_text(text)
-    code, _, err = greygate("simulate", clean, "--recording", clean / "holdout.csv", "--diagnosis", given, "--out", out)
+    code, _, err = greygate("simulate", clean, clean / "holdout.csv", "--diagnosis", given, "--out", out)
     assert code == 2
     assert problem in err
     assert len(err.strip().splitlines()) == 1
@@ -321,14 +321,14 @@ def test_a_diagnosis_is_refused_that_is_or_has(case, clean, tmp_path, greygate):
     ],
 )
 def test_conceal_names_what_it_does_not_know(arguments, problem, tmp_path, greygate):
-    code, _, err = greygate("conceal", *arguments, "--out", tmp_path / "case")
+    code, _, err = greygate("dev", "conceal", *arguments, "--out", tmp_path / "case")
     assert code == 2
     assert problem in err
     assert not (tmp_path / "case").exists()
 
 
 def test_only_what_was_concealed_can_be_revealed(tmp_path, greygate):
-    code, _, err = greygate("reveal", tmp_path)
+    code, _, err = greygate("dev", "reveal", tmp_path)
     assert code == 2
     assert "holds no sealed answer" in err
 

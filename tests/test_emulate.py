@@ -23,7 +23,7 @@ def built(greygate, tmp_path):
     rng = np.random.default_rng(0)
     u, w = rng.uniform(-1, 3, 80), rng.uniform(-5, 5, 80)
     record = write(tmp_path / "a.csv", u, w)
-    code, _, error = greygate("compile", tmp_path / "line.toml", "--record", f"a={record}", "--out", tmp_path / "build")
+    code, _, error = greygate("compile", tmp_path / "line.toml", f"a={record}", "--out", tmp_path / "build")
     assert code == 0, error
     return tmp_path / "build"
 

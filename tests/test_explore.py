@@ -309,7 +309,7 @@ def test_bounds_are_per_cent_or_growth():
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"device": "zx81"}, "--device zx81: not known; choose up5k"),
+        ({"device": "zx81"}, "--target zx81: cannot be explored; choose up5k"),
         ({"device": "up5k", "error": "-1%"}, "--max-error -1%: give per cent"),
         ({"device": "up5k", "error": "0%"}, "--max-error 0%: give per cent"),
         ({"device": "up5k", "error": "1..2%"}, r"--max-error 1\.\.2%: give per cent"),
@@ -328,37 +328,35 @@ def test_a_unit_of_no_output_is_one_line(error):
         requested("up5k", {"y": "V"}, error)
 
 
-def test_options_without_a_device_are_refused(greygate, tmp_path):
+def test_a_bound_that_takes_exploring_is_refused_without(greygate, tmp_path):
     code, _, err = greygate("compile", "mts", "--max-luts", 5, "--out", tmp_path / "b")
-    assert code == 2
-    assert "--max-luts needs --device" in err
-    code, _, err = greygate("compile", "mts", "--device", "up5k", "--budget", 1.05, "--out", tmp_path / "b")
-    assert code == 2
-    assert "--budget does not go with --device" in err
+    assert (code, "No such option: --max-luts" in err) == (2, True)
+    code, _, err = greygate("compile", "mts", "--max-error", "5%", "--out", tmp_path / "b")
+    assert (code, "greygate explore takes other bounds" in err) == (2, True)
 
 
 @pytest.fixture
 def line(compiled):
-    return compiled.parent / "line.toml", "--record", f"a={compiled.parent / 'a.csv'}"
+    return compiled.parent / "line.toml", f"a={compiled.parent / 'a.csv'}"
 
 
 def test_a_build_says_what_was_asked_and_found(greygate, line, tmp_path):
-    asked = ("--device", "up5k", "--max-error", "1%", "--width", 12, "--architecture", "folded", "--macs", 1)
-    code, out, err = greygate("compile", *line, *asked, "--out", tmp_path / "b", "--json")
+    asked = ("--target", "up5k", "--max-error", "1%", "--width", 12, "--architecture", "folded", "--macs", 1)
+    code, out, err = greygate("explore", *line, *asked, "--out", tmp_path / "b", "--json")
     assert code == 0, err
     told = json.loads((tmp_path / "b/compile.json").read_text())
     assert told["explored"] == json.loads(out)["explored"]
     assert told["explored"]["chosen"]["width"] == 12
     assert told["architectures"] == ["folded"]
     assert told["design"]["multipliers"] == 1
-    code, _, err = greygate("report", tmp_path / "b", "--out", tmp_path / "r.html")
+    code, _, err = greygate("report", tmp_path / "b", "--html", tmp_path / "r.html")
     assert code == 0, err
     assert "The designs worth having on up5k" in (tmp_path / "r.html").read_text()
 
 
 def test_a_request_that_no_design_meets_writes_nothing(greygate, line, tmp_path):
-    asked = ("--device", "up5k", "--max-luts", 3, "--width", 12, "--architecture", "folded")
-    code, out, _ = greygate("compile", *line, *asked, "--out", tmp_path / "b")
+    asked = ("--target", "up5k", "--max-luts", 3, "--width", 12, "--architecture", "folded")
+    code, out, _ = greygate("explore", *line, *asked, "--out", tmp_path / "b")
     assert code == 1
     assert "--max-luts binds: with" in out
     assert not (tmp_path / "b").exists()

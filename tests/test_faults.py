@@ -160,7 +160,7 @@ def test_train_leaves_the_old_network_or_the_new_one_with_its_figures(line, tmp_
     def read():
         Network.load(out / "line")
 
-    tried(Command(["train", line.name, "--record", tmp_path / "a.csv", "--out", out], out, [out], read))
+    tried(Command(["train", line.name, tmp_path / "a.csv", "--out", out], out, [out], read))
 
 
 @pytest.mark.parametrize("exchange", [True, False])
@@ -169,7 +169,7 @@ def test_compile_leaves_the_old_build_or_the_new_one(line, built, tmp_path, monk
         pytest.skip("renameat2: this system has none")
     compiled = project.compile_network(line.network(), line.records(), Formats(), ranged_on=("a",))
     monkeypatch.setattr(project, "compile_network", lambda *a, **o: compiled)
-    arguments = ["compile", line.name, "--record", tmp_path / "a.csv", "--out", built, "--macs", "4"]
+    arguments = ["compile", line.name, tmp_path / "a.csv", "--out", built, "--macs", "4"]
     before = (lambda: None) if exchange else without_exchange
     tried(Command(arguments, built.parent, [built], lambda: Project.open(built), before))
 
@@ -179,11 +179,7 @@ def test_compile_into_a_new_folder_leaves_nothing_or_all(line, tmp_path, monkeyp
     monkeypatch.setattr(project, "compile_network", lambda *a, **o: compiled)
     root = tmp_path / "here"
     root.mkdir()
-    tried(
-        Command(
-            ["compile", line.name, "--record", tmp_path / "a.csv", "--out", root / "n" / "b"], root, [root / "n" / "b"]
-        )
-    )
+    tried(Command(["compile", line.name, tmp_path / "a.csv", "--out", root / "n" / "b"], root, [root / "n" / "b"]))
 
 
 def test_verify_leaves_the_old_verdict_or_the_new_one(built, monkeypatch):
@@ -215,7 +211,7 @@ def test_report_leaves_the_old_pages_or_the_new_ones(built, tmp_path, monkeypatc
     target = [root / "r.html", root / "r.json"]
     for path in target:
         path.write_text("old")
-    tried(Command(["report", built, "--out", target[0]], root, target, lambda: files.settle(target)))
+    tried(Command(["report", built, "--html", target[0]], root, target, lambda: files.settle(target)))
 
 
 def test_diagnose_leaves_each_file_old_or_new(tmp_path, monkeypatch):

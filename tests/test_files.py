@@ -258,7 +258,7 @@ def test_a_disk_that_is_full_is_one_line_and_the_old_build_stays(tmp_path):
     delay_line().save(tmp_path / "line")
     rows = "".join(f"{k * 1e-3:.3f},{k % 5},{k % 3}\n" for k in range(50))
     (tmp_path / "a.csv").write_text("t_s,u_V,y_m\n" + rows)
-    command = [GREYGATE, "compile", "line.toml", "--record", "a.csv", "--out", "b"]
+    command = [GREYGATE, "compile", "line.toml", "a.csv", "--out", "b"]
     subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
     before = tree(tmp_path)
     full = subprocess.run(

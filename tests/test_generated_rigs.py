@@ -45,9 +45,7 @@ def test_every_command_answers(seed, tmp_path, greygate):
     assert strictly(file)["verdict"] in list(Verdict)
     assert "</html>" in page.read_text(encoding="utf-8")
     for given in ((), ("--diagnosis", file)):
-        code, _, err = greygate(
-            "simulate", folder, "--recording", folder / "identify.csv", "--out", tmp_path / "s.csv", *given
-        )
+        code, _, err = greygate("simulate", folder, folder / "identify.csv", "--out", tmp_path / "s.csv", *given)
         assert code == 0, err
     code, out, err = greygate("next", folder, "--diagnosis", file, "--out", tmp_path / "next.csv")
     assert (code, (tmp_path / "next.csv").exists()) in ((0, True), (1, False)), out + err

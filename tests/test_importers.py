@@ -231,7 +231,7 @@ def test_a_file_of_another_tool_stands_wherever_a_network_does(model, tmp_path):
     Recording(1e-3, columns, units).write_csv(tmp_path / "run.csv")
     file = next(p for p in tmp_path.iterdir() if p.suffix in (".onnx", ".mat"))
     code, _, told = greygate(
-        "compile", file, "--record", tmp_path / "run.csv", "--architecture", "folded", "--out", tmp_path / "build"
+        "compile", file, tmp_path / "run.csv", "--architecture", "folded", "--out", tmp_path / "build"
     )
     assert code == 0, told
     assert Project.open(tmp_path / "build").program.name == file.stem

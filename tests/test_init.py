@@ -19,13 +19,13 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_a_network_to_start_from_trains_at_once_and_says_what_its_parts_are_for(greygate, folder):
-    code, printed, _ = greygate("init", "net", "--record", "run.csv", "--output", "y", "--json")
+    code, printed, _ = greygate("init", "run.csv", "--out", "net", "--output", "y", "--json")
     assert code == 0
     assert json.loads(printed)["written"] == ["net.toml", "net.safetensors"]
     text = (folder / "net.toml").read_text()
     assert "# A curve of u, 6 neurons" in text.split("[modules.u_curve]")[0]
     code, printed, _ = greygate(
-        "train", "net.toml", "--record", "run.csv", "--tail", "0.2", "--epochs", "30", "--settle", "20",
+        "train", "net.toml", "run.csv", "--tail", "0.2", "--epochs", "30", "--settle", "20",
         "--out", "out", "--json",
     )  # fmt: skip
     found = json.loads(printed)
@@ -34,12 +34,12 @@ def test_a_network_to_start_from_trains_at_once_and_says_what_its_parts_are_for(
 
 
 def test_the_script_makes_the_network_that_the_toml_holds(greygate, folder):
-    words = ["--record", "run.csv", "--output", "y", "--block", "absolute", "--order", "3"]
-    assert greygate("init", "net", *words)[0] == 0
+    words = ["run.csv", "--output", "y", "--block", "absolute", "--order", "3"]
+    assert greygate("init", *words, "--out", "net")[0] == 0
     wanted = (folder / "net.toml").read_text(), (folder / "net.safetensors").read_bytes()
     for file in ("net.toml", "net.safetensors"):
         (folder / file).unlink()
-    assert greygate("init", "net", *words, "--python")[0] == 0
+    assert greygate("init", *words, "--out", "net", "--python")[0] == 0
     subprocess.run([sys.executable, "net.py"], check=True)
     made = (folder / "net.toml").read_text(), (folder / "net.safetensors").read_bytes()
     assert made[1] == wanted[1]
@@ -48,7 +48,7 @@ def test_the_script_makes_the_network_that_the_toml_holds(greygate, folder):
 
 
 def test_a_rig_to_start_from_is_read_at_once(greygate, folder):
-    assert greygate("init-rig", "rig", "--record", "run.csv", "--output", "y")[0] == 0
+    assert greygate("init-rig", "run.csv", "--out", "rig", "--output", "y")[0] == 0
     rig = load("rig")
     assert (rig.predict, rig.inputs, rig.channels["u"].unit) == (("y",), ("u",), "V")
     assert rig.plant.parameters["tau_y"].value == pytest.approx(0.01 / 0.105, rel=0.5)
@@ -59,7 +59,7 @@ def test_a_rig_to_start_from_is_read_at_once(greygate, folder):
 def test_what_is_there_is_not_overwritten(greygate, folder):
     for command, file in (("init", "net.toml"), ("init-rig", "rig")):
         (folder / file).write_text("mine")
-        code, _, said = greygate(command, file.removesuffix(".toml"), "--record", "run.csv", "--output", "y")
+        code, _, said = greygate(command, file.removesuffix(".toml"), "run.csv", "--output", "y")
         assert code == 2
         assert "is there already" in said
         assert (folder / file).read_text() == "mine"
@@ -67,7 +67,7 @@ def test_what_is_there_is_not_overwritten(greygate, folder):
 
 def test_a_rig_to_start_from_is_diagnosed_at_once(greygate, folder):
     """What the lag of the file leaves out is a tanh of the input, which is in no table."""
-    assert greygate("init-rig", "rig", "--record", "run.csv", "--output", "y")[0] == 0
+    assert greygate("init-rig", "run.csv", "--out", "rig", "--output", "y")[0] == 0
     code, printed, _ = greygate("diagnose", "rig", "--json")
     found = json.loads(printed)
     assert (code, found["verdict"], found["effects"]) == (0, "unexplained", [])

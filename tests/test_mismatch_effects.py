@@ -197,7 +197,7 @@ def car(tmp_path_factory):
 
 def test_a_plant_keeps_a_term_that_is_called_as_a_general_effect(car, greygate):
     out = car / "predicted.csv"
-    code, printed, message = greygate("simulate", car, "--recording", car / "identify.csv", "--out", out, "--json")
+    code, printed, message = greygate("simulate", car, car / "identify.csv", "--out", out, "--json")
     assert code == 0, message
     found = json.loads(printed)["rms"]["z_b"]["rms"]
     assert found < 1e-9  # m, of a motion of some 20 mm

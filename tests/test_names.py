@@ -197,7 +197,7 @@ def test_a_network_of_a_hostile_name_writes_nothing_outside_or_inside_the_folder
     for name in ("../up", str(tmp_path / "absolute"), "a/b"):
         network = saved_network(inside, lambda data, name=name: data.update(name=name))
         before = sorted(tmp_path.rglob("*"))
-        for command in (("train", network, "--record", record), ("compile", network, "--record", f"train={record}")):
+        for command in (("train", network, record), ("compile", network, f"train={record}")):
             code, out, error = greygate(*command, "--out", inside / "out")
             assert (code, out) == (2, "")
             assert error.strip().count("\n") == 0

@@ -134,7 +134,7 @@ def test_a_qonnx_model_is_compiled_and_emulated_as_any_network(tmp_path):
     project = Project.open(tmp_path / "build")
     found = emulate(project.program, project.inputs("r")[0]).outputs
     assert np.array_equal(np.stack([found["p"], found["q"]], 1), executed(path, x))
-    code, _, err = greygate("compile", path, "--record", tmp_path / "r.csv", "--out", tmp_path / "b", "--width", "12")
+    code, _, err = greygate("compile", path, tmp_path / "r.csv", "--out", tmp_path / "b", "--width", "12")
     assert code == 2
     assert "Quant nodes fix every weight and format; leave out the width" in err
     assert not (tmp_path / "b").exists()

@@ -58,7 +58,7 @@ def place(tmp_path, monkeypatch, greygate) -> Path:
     record(Path("slow.csv"), 0.01)
     Path("the bench").mkdir()
     record(Path("the bench/fast run.csv"), 0.002)
-    words = ["--record", "slow.csv", "--no-narx", "--epochs", "1", "--out", "out"]
+    words = ["slow.csv", "--no-narx", "--epochs", "1", "--out", "out"]
     code, _, error = greygate("train", "lag.toml", *words)
     assert (code, "sample time" in error) == (0, False)
     return tmp_path
@@ -66,7 +66,7 @@ def place(tmp_path, monkeypatch, greygate) -> Path:
 
 @pytest.fixture
 def build(place, greygate) -> Path:
-    words = ["--record", "slow.csv", "--architecture", "parallel", "--out", "build"]
+    words = ["slow.csv", "--architecture", "parallel", "--out", "build"]
     assert greygate("compile", "out/lag.toml", *words)[0] == 0
     return place / "build"
 
@@ -74,10 +74,10 @@ def build(place, greygate) -> Path:
 FAST = "the bench/fast run.csv"
 SAID = "sample time 2 ms, the network lag was made for 10 ms; resample it: "
 COMMANDS = {
-    "validate": ("validate", "out/lag.toml", "--record", FAST),
-    "compile": ("compile", "out/lag.toml", "--record", FAST, "--architecture", "c99", "--out", "other"),
-    "compile held": ("compile", "out/lag.toml", "--record", "slow.csv", "--held", FAST, "--prune", "1.1", "--out", "o"),
-    "train": ("train", "out/lag.toml", "--record", FAST, "--no-narx", "--epochs", "1", "--out", "more"),
+    "validate": ("validate", "out/lag.toml", FAST),
+    "compile": ("compile", "out/lag.toml", FAST, "--architecture", "c99", "--out", "other"),
+    "compile held": ("compile", "out/lag.toml", "slow.csv", "--held", FAST, "--prune", "1.1", "--out", "o"),
+    "train": ("train", "out/lag.toml", FAST, "--no-narx", "--epochs", "1", "--out", "more"),
     "emulate": ("emulate", "build", FAST, "--out", "predicted.csv"),
 }
 
@@ -104,7 +104,7 @@ def test_play_refuses_it_before_it_opens_the_port(build, greygate):
 
 def test_verify_and_report_refuse_a_recording_that_has_become_another_one(build, greygate):
     record(Path("slow.csv"), 0.002)
-    for words in (("verify", "build"), ("report", "build", "--out", "r.html"), ("compare", "build", "build")):
+    for words in (("verify", "build"), ("report", "build", "--html", "r.html"), ("compare", "build", "build")):
         code, _, error = greygate(*words)
         assert (code, SAID in error) == (2, True), words
 
@@ -124,13 +124,13 @@ def test_a_build_of_before_networks_had_a_sample_time_has_that_of_its_program(bu
 @pytest.mark.parametrize(("dt", "code"), [(0.010004, 0), (0.009995, 0), (0.0101, 2), (0.02, 2)])
 def test_a_sample_time_is_equal_to_the_error_of_a_printed_time(place, greygate, dt, code):
     record(Path("other.csv"), dt)
-    assert greygate("validate", "out/lag.toml", "--record", "other.csv")[0] == code
+    assert greygate("validate", "out/lag.toml", "other.csv")[0] == code
 
 
 def test_init_writes_the_sample_time_too(place, greygate):
-    assert greygate("init", "begun", "--record", "slow.csv", "--output", "y")[0] == 0
+    assert greygate("init", "slow.csv", "--out", "begun", "--output", "y")[0] == 0
     assert Network.load("out/lag").dt == Network.load("begun").dt == 0.01
-    assert greygate("init", "script", "--record", "slow.csv", "--output", "y", "--python")[0] == 0
+    assert greygate("init", "slow.csv", "--out", "script", "--output", "y", "--python")[0] == 0
     assert "dt=recording.dt" in Path("script.py").read_text()
 
 
@@ -154,7 +154,7 @@ def test_the_network_that_identify_finds_has_the_sample_time_of_its_recordings(t
     "words", [("validate",), ("compile", "--architecture", "c99", "--out", "b")], ids=lambda w: w[0]
 )
 def test_a_network_that_does_not_say_its_sample_time_is_taken_at_its_recordings_with_a_line(place, greygate, words):
-    code, _, error = greygate(words[0], "lag.toml", "--record", FAST, *words[1:])
+    code, _, error = greygate(words[0], "lag.toml", FAST, *words[1:])
     line = f"network lag does not say its sample time; taken as that of {FAST} (2 ms)"
     assert (code, error.splitlines()) == (0, [line])
     if words[0] == "compile":
@@ -164,7 +164,7 @@ def test_a_network_that_does_not_say_its_sample_time_is_taken_at_its_recordings_
 def test_a_recording_in_another_unit_of_the_house_is_converted_whatever_its_form(place, greygate):
     replace(noe("lag", {U: (1,)}, Port("p", "Pa"), (1,)), dt=0.01).save("pascal")
     record(Path("bar.csv"), 0.01, "t_s,u_V,p_bar")
-    assert greygate("validate", "pascal.toml", "--record", "bar.csv")[0] == 0
+    assert greygate("validate", "pascal.toml", "bar.csv")[0] == 0
 
 
 @pytest.mark.parametrize("dt", ["0", "-0.01", "1e400", "nan", '"10 ms"', "true"])
@@ -268,8 +268,6 @@ def test_the_resampled_file_has_the_recordings_name_and_the_sample_time(path, ou
 
 @pytest.mark.skipif(not CASE.is_dir(), reason="the case is not on this machine")
 def test_the_network_of_the_case_says_nothing_so_a_line_does(tmp_path, greygate):
-    code, _, error = greygate(
-        "validate", CASE / "mot2.toml", "--record", CASE / "m1_2ms.csv", "--out", tmp_path / "v.html"
-    )
+    code, _, error = greygate("validate", CASE / "mot2.toml", CASE / "m1_2ms.csv", "--html", tmp_path / "v.html")
     assert code == 0
     assert "network mot2 does not say its sample time; taken as that of" in error

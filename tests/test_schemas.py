@@ -110,11 +110,11 @@ def test_the_files_of_a_build_follow_their_schemas(compiled):
 
 
 def test_schema_prints_one_or_lists_all(greygate):
-    code, out, _ = greygate("schema", "verify")
+    code, out, _ = greygate("dev", "schema", "verify")
     assert (code, json.loads(out)) == (0, schemas.load("verify"))
-    code, out, _ = greygate("schema", "--json")
+    code, out, _ = greygate("dev", "schema", "--json")
     assert (code, list(json.loads(out))) == (0, schemas.names())
-    code, _, error = greygate("schema", "verified?")
+    code, _, error = greygate("dev", "schema", "verified?")
     assert code == 2
     assert error.startswith("greygate: no schema 'verified?'; there are augment, ")
 

@@ -46,7 +46,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_the_start_with_the_least_held_out_error_is_written_and_all_are_told(greygate, folder):
-    words = ["train", "mine.toml", "--record", "rest.csv", "--held", "held.csv", "--seeds", "3", "--epochs", "25"]
+    words = ["train", "mine.toml", "rest.csv", "--held", "held.csv", "--seeds", "3", "--epochs", "25"]
     code, printed, said = greygate(*words, "--settle", "40", "--out", "out")
     assert code == 0
     found = json.loads((folder / "out" / "mine.json").read_text())
@@ -61,7 +61,7 @@ def test_the_start_with_the_least_held_out_error_is_written_and_all_are_told(gre
 
 
 def test_several_starts_need_something_that_chooses(greygate, folder):
-    code, _, said = greygate("train", "mine.toml", "--record", "rest.csv", "--seeds", "2", "--out", "out")
+    code, _, said = greygate("train", "mine.toml", "rest.csv", "--seeds", "2", "--out", "out")
     assert code == 2
     assert "--held FILE.csv or --tail 0.2" in said
     assert not (folder / "out").exists()
@@ -93,7 +93,7 @@ def test_a_recording_from_rest_settles_in_no_sample_and_one_that_is_not_in_what_
 
 
 def test_a_training_settles_by_itself_and_says_so(greygate, folder):
-    words = ["train", "mine.toml", "--record", "rest.csv", "--record", "away.csv", "--epochs", "25"]
+    words = ["train", "mine.toml", "rest.csv", "away.csv", "--epochs", "25"]
     code, printed, said = greygate(*words, "--settle", "auto", "--out", "out", "--json")
     assert code == 0
     assert json.loads(printed)["settle"] == 40
@@ -131,7 +131,7 @@ def test_what_the_starts_say_depends_on_how_far_they_are_apart():
 def test_offsets_of_single_recordings_are_found_beside_the_weights_and_taken_off(greygate, folder):
     write("low.csv", record(4, offset=-0.3))
     write("high.csv", record(5, offset=0.2))
-    words = ["train", "mine.toml", "--record", "rest.csv", "--record", "low.csv", "--held", "high.csv"]
+    words = ["train", "mine.toml", "rest.csv", "low.csv", "--held", "high.csv"]
     errors = {}
     for asked in ([], ["--offset", "y"]):
         code, printed, _ = greygate(*words, "--epochs", "40", *asked, "--out", f"out{len(asked)}", "--json")
@@ -162,7 +162,7 @@ def test_the_gradient_and_the_gauss_newton_matrix_are_of_errors_about_their_mean
 def test_gains_and_offsets_of_single_recordings_are_found_beside_the_weights_and_undone(greygate, folder):
     write("weak.csv", record(4, gain=0.8))
     write("strong.csv", record(5, gain=1.3, offset=0.2))
-    words = ["train", "mine.toml", "--record", "rest.csv", "--record", "weak.csv", "--held", "strong.csv"]
+    words = ["train", "mine.toml", "rest.csv", "weak.csv", "--held", "strong.csv"]
     code, printed, _ = greygate(*words, "--epochs", "40", "--gain", "y", "--offset", "y", "--out", "out")
     assert code == 0
     assert "gain" in printed
@@ -211,13 +211,13 @@ def test_the_gradient_is_that_of_errors_at_the_best_gain(offset):
         (["--gain", "y"], "give another one beside it"),
         (["--offset", "u", "--held", "held.csv"], "no such output"),
         (["--offset", "y"], "give another one beside it"),
-        (["--offset", "y", "--record", "away.csv", "--shooting", "40"], "leave one out"),
+        (["--offset", "y", "away.csv", "--shooting", "40"], "leave one out"),
         (["--held", "slow.csv"], "greygate look slow.csv --resample 0.01 --out slow_10ms.csv"),
     ],
 )
 def test_what_several_recordings_cannot_be_is_refused_with_what_to_do(greygate, folder, words, said):
     write("slow.csv", record(4), dt=0.02)
-    code, _, told = greygate("train", "mine.toml", "--record", "rest.csv", *words, "--out", "out")
+    code, _, told = greygate("train", "mine.toml", "rest.csv", *words, "--out", "out")
     assert (code, said in told, (folder / "out").exists()) == (2, True, False)
 
 

@@ -8,7 +8,7 @@ from legal_programs import legal_program
 from networks import delay_line
 from programs import cylinder_program, random_program
 
-from greygate.cli import builds, networks
+from greygate.cli import words
 from greygate.compiler import targets
 from greygate.compiler.emit import emit, emitted
 from greygate.compiler.targets import BOTH, NAMES, Architecture, Design, Target, target
@@ -49,8 +49,8 @@ def test_an_architecture_has_a_register_for_each_code_of_the_states(name):
 
 
 def test_the_command_line_offers_what_the_registries_hold():
-    assert [*networks.Architecture] == [*NAMES, "both"]
-    assert [*builds.Device] == [*TARGETS]
+    assert [*words.Architecture] == [*NAMES, "both"]
+    assert [*words.Target] == [*TARGETS]
 
 
 def test_a_listing_has_a_line_for_every_row_and_names_every_signal():
@@ -67,7 +67,7 @@ def test_a_build_without_verilog_is_neither_verified_nor_synthesized(greygate, t
     rows = "".join(f"{k * 1e-3:.3f},{k % 5},{k % 5}\n" for k in range(50))
     (tmp_path / "u.csv").write_text("t_s,u_V,y_m\n" + rows)
     delay_line().save(tmp_path / "line")
-    command = ["compile", tmp_path / "line.toml", "--record", f"u={tmp_path / 'u.csv'}", "--out", tmp_path / "build"]
+    command = ["compile", tmp_path / "line.toml", f"u={tmp_path / 'u.csv'}", "--out", tmp_path / "build"]
     code, _, error = greygate(*command, "--architecture", "listing")
     assert code == 0, error
     assert json.loads((tmp_path / "build" / "compile.json").read_text())["architectures"] == ["listing"]

@@ -100,7 +100,7 @@ def test_a_network_of_the_catalogue_is_judged_on_what_it_learnt_from_too(folder)
 
 
 def test_the_command_prints_a_table_writes_a_page_and_exits_with_0(folder):
-    code, out, error = greygate("validate", "arx.toml", "--record", "train.csv", "--record", "new=<test>.csv")
+    code, out, error = greygate("validate", "arx.toml", "train.csv", "new=<test>.csv")
     assert (code, error) == (
         0,
         "network arx does not say its sample time; taken as that of train.csv (10 ms)\n",
@@ -111,7 +111,7 @@ def test_the_command_prints_a_table_writes_a_page_and_exits_with_0(folder):
 
 
 def test_an_unbounded_free_run_is_exit_code_1_with_page_and_json(folder):
-    done = CliRunner().invoke(cli.app, ["validate", "wild.toml", "--record", "train.csv", "--json", "--out", "w.html"])
+    done = CliRunner().invoke(cli.app, ["validate", "wild.toml", "train.csv", "--json", "--html", "w.html"])
     assert done.exit_code == 1
     found = json.loads(done.stdout)
     assert found["bounded"] is False
@@ -124,9 +124,9 @@ def test_an_unbounded_free_run_is_exit_code_1_with_page_and_json(folder):
     [
         (["arx.toml"], "no recordings"),
         (["nobody"], "no network is called 'nobody'"),
-        (["arx.toml", "--record", "missing.csv"], "missing.csv: cannot be read"),
-        (["arx.toml", "--record", "train.csv", "--lags", "200"], "600 samples are too few for 200 lags"),
-        (["arx.toml", "--record", "train.csv", "--out", "no/page.html"], "cannot write here"),
+        (["arx.toml", "missing.csv"], "missing.csv: cannot be read"),
+        (["arx.toml", "train.csv", "--lags", "200"], "600 samples are too few for 200 lags"),
+        (["arx.toml", "train.csv", "--out", "no/page.html"], "cannot write here"),
     ],
 )
 def test_wrong_use_is_named_and_nothing_is_written(folder, arguments, message):

@@ -132,7 +132,7 @@ def committed(bench: Path, sealed: bool) -> dict[str, Path]:
     missing or was changed, and for a split whose answers are not there.
     """
     bench = Path(bench)
-    found = table(read_json(bench / COMMITMENT, "make the folder with greygate bench-concealed make"),
+    found = table(read_json(bench / COMMITMENT, "make the folder with greygate dev bench-concealed make"),
                   f"{bench / COMMITMENT}:", SEALS)  # fmt: skip
     part = "sealed" if sealed else "cases"
     if sealed and not (bench / part).is_dir():

@@ -18,6 +18,7 @@ from greygate.cli import (
     boards,
     builds,
     ci,
+    compiling,
     controls,
     doctor,
     expert,
@@ -29,6 +30,7 @@ from greygate.cli import (
     schemas,
     starts,
 )
+from greygate.cli.grammar import Commands
 from greygate.cli.terminal import say
 from greygate.errors import InputError
 
@@ -36,26 +38,35 @@ INTERRUPTED, TERMINATED = 130, 143  # exit codes after Ctrl-C and after `kill`, 
 AGAIN_S = 0.05  # so long a signal that was ignored waits: longer than a callback, shorter than one notices
 UsageError: Any = typer.BadParameter.__base__  # raised for an argument or option that is missing, unknown or wrong
 _stopped: list[int] = []  # the exit codes that signals have asked for
-COMMANDS = (
-    *(recordings.look, starts.init, identify.identify, networks.train, expert.build_snn, networks.compile),
-    *(builds.emulate, builds.verify, builds.prove, builds.synthesize, builds.report, builds.compare),
-    *(boards.board, boards.play),
-    networks.validate,
-    *(controls.control, doctor.doctor),
-    *(starts.init_rig, rigs.diagnose, rigs.next_, rigs.isolability, rigs.simulate, rigs.augment),
-    *(rigs.conceal, rigs.reveal, rigs.fit_fmu, ci.ci_template, schemas.schema),
-)
+DEVELOPERS = "Developers"
+COMMANDS = {  # heading -> commands; those for developers are a group
+    "Data": (recordings.look, starts.init, starts.init_rig),
+    "Networks": (identify.identify, networks.train, expert.build_snn, networks.validate, controls.control),
+    "Hardware": (
+        *(compiling.compile, compiling.explore, builds.emulate, builds.verify, builds.prove, builds.synthesize),
+        *(builds.report, builds.compare, boards.board, boards.play),
+    ),
+    "Diagnosis": (rigs.diagnose, rigs.next_, rigs.isolability, rigs.simulate, rigs.augment),
+    "Other tools": (rigs.fit_fmu, ci.ci_template, doctor.doctor),
+    DEVELOPERS: (rigs.conceal, rigs.reveal, schemas.schema),
+}
 
 app = typer.Typer(
+    cls=Commands,
     help="Grey-box networks from a mechanical plant to an FPGA.",
     no_args_is_help=True,
     add_completion=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
 )
-for command in COMMANDS:
-    app.command(command.__name__.rstrip("_").replace("_", "-"))(command)
-app.add_typer(exports.app, name="export")
-app.add_typer(bench.app, name="bench-concealed")
+dev = typer.Typer(help="Test the diagnosis, and read the schemas of greygate's JSON.", no_args_is_help=True)
+for heading, commands in COMMANDS.items():
+    for command in commands:
+        group = dev if heading == DEVELOPERS else app
+        group.command(command.__name__.rstrip("_").replace("_", "-"), rich_help_panel=heading)(command)
+app.add_typer(exports.app, name="export", rich_help_panel="Other tools")
+dev.add_typer(bench.app, name="bench-concealed")
+app.add_typer(dev, name="dev", rich_help_panel=DEVELOPERS)
 
 
 def _version(wanted: bool) -> None:

@@ -11,12 +11,15 @@ import typer
 from greygate.errors import InputError
 
 REACHED = 10.0  # s to wait for the answer of a cluster's scheduler
-Scheduler = Annotated[str | None, typer.Option(help="Address of the dask cluster: tcp://HOST:PORT.")]
+Scheduler = Annotated[str | None, typer.Option(metavar="tcp://HOST:PORT", help="Address of the dask cluster.")]
 
 
 class Backend(StrEnum):
     LOKY = "loky"
     DASK = "dask"
+
+
+OnBackend = Annotated[Backend, typer.Option(help="Run on this computer, or on all workers of a cluster.")]
 
 
 @contextmanager

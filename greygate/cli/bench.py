@@ -1,4 +1,4 @@
-"""The blind benchmark of missing physics: `greygate bench-concealed make`, `run`, `score`."""
+"""The blind benchmark of missing physics: `greygate dev bench-concealed make`, `run`, `score`."""
 
 import sys
 from importlib import import_module
@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from greygate.cli import options
+from greygate.cli import words
 from greygate.cli.terminal import Json, following, give, say
 from greygate.errors import InputError
 
 if TYPE_CHECKING:
     from greygate.cli.printed import BenchMade, BenchRun
 
-app = typer.Typer(help="Make cases of missing physics, run any tool on them, score it.", no_args_is_help=True)
-Bench = Annotated[Path, typer.Argument(metavar="BENCH", help="Folder that `bench-concealed make` wrote.")]
+app = typer.Typer(help="Make cases of missing physics; run and score any tool.", no_args_is_help=True)
+Bench = Annotated[Path, typer.Argument(metavar="BENCH", help="Folder that `make` wrote.")]
 LIMIT = 600.0  # s
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
@@ -34,16 +34,16 @@ def _part(name: str) -> Any:
 
 @app.command()
 def make(
-    out: Annotated[Path, typer.Argument(metavar="BENCH", help="Folder to write; an earlier one is replaced.")],
-    cases: Annotated[int, typer.Option(callback=options.COUNT, help="Number of cases.")] = 180,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder to write; an earlier one is replaced.")],
+    cases: Annotated[int, words.CASES] = 180,
     secret: Annotated[
-        Path | None, typer.Option(help="File with a secret: makes the sealed split that it stands for.")
+        Path | None, typer.Option(metavar="FILE", help="With a secret: makes the sealed split that it stands for.")
     ] = None,
-    plant: Annotated[list[str], typer.Option(help="Only this plant; may be given several times.")] = [],
-    condition: Annotated[list[str], typer.Option(help="Only this condition; may be given several times.")] = [],
+    plant: Annotated[list[str], typer.Option(metavar="NAME", help="Only this plant.")] = [],
+    condition: Annotated[list[str], words.CONDITION] = [],
     as_json: Json = False,
 ) -> None:
-    """Write the cases of a split, and the commitment that seals their answers."""
+    """Write the cases of a split, and what seals their answers."""
     cases_of = _part("make")
     word = ""
     if secret is not None:
@@ -69,21 +69,21 @@ def make(
 @app.command()
 def run(
     bench: Bench,
-    out: Annotated[Path, typer.Option(help="Folder for the answers; those that it holds are kept.")],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the answers; those that it holds are kept.")],
     tool: Annotated[
         str, typer.Option(help="greygate, nominal, calibrated, linear, sparse, gaussian, or a command of your own.")
     ] = "greygate",
-    limit: Annotated[float, typer.Option(callback=options.SECONDS, help="Seconds for an explanation.")] = LIMIT,
-    cases: Annotated[int | None, typer.Option(callback=options.COUNT, help="Only so many cases.")] = None,
-    jobs: Annotated[int, typer.Option(callback=options.JOBS, help="Number of cases at a time.")] = 1,
+    seconds: Annotated[float, words.SECONDS] = LIMIT,
+    cases: Annotated[int | None, words.CASES] = None,
+    jobs: words.Jobs = 1,
     as_json: Json = False,
 ) -> None:
-    """Let a tool explain every case, and then predict the recording that it has not seen.
+    """Let a tool explain cases, and predict what it has not seen.
 
-    Exit code 1 if the tool fails in a case: it says where, and goes on.
+    The time limit is that of an explanation. Exit code 1 if the tool fails in a case: it says where, and goes on.
     """
     with following("explaining") as progress:
-        found = _part("run").run(bench, tool, out, limit, cases, jobs, progress)
+        found = _part("run").run(bench, tool, out, seconds, cases, jobs, progress)
     failed = {name: facts["error"] for name, facts in found.items() if facts["error"]}
     result: BenchRun = {"out": str(out), "cases": len(found), "errors": failed}
     give(
@@ -101,12 +101,19 @@ def run(
 @app.command()
 def score(
     bench: Bench,
-    answers: Annotated[list[Path], typer.Argument(metavar="ANSWERS...", help="Folders that `run` wrote, one a tool.")],
-    rows: Annotated[Path | None, typer.Option(help="CSV to write: one line a case, of the first tool.")] = None,
-    picture: Annotated[Path | None, typer.Option(help="SVG to write: reliability diagram of the first tool.")] = None,
+    answers: Annotated[list[Path], typer.Argument(metavar="ANSWERS", help="Folders that `run` wrote, one a tool.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.csv", help="CSV to write: one line a case, of the first tool.")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE.svg", help="SVG to write: reliability diagram of the first tool.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Open the sealed answers and score: names, false claims, intervals, error removed on unseen data, seconds."""
+    """Open the sealed answers and score those of tools.
+
+    Scored are names, false claims, intervals, the error removed on unseen data, and seconds.
+    """
     from greygate.files import replacing
 
     tables = _part("tables")
@@ -114,7 +121,7 @@ def score(
     if len(set(names)) < len(names):
         raise InputError(f"{' '.join(names)}: two tools of one name; rename the folder of one")
     scores = {name: _part("score").score(bench, folder) for name, folder in zip(names, answers, strict=True)}
-    for path, write in ((rows, tables.write_rows), (picture, _part("diagram").draw)):
+    for path, write in ((out, tables.write_rows), (picture, _part("diagram").draw)):
         if path is not None:
             with replacing(path) as temporary:
                 write(scores[names[0]], temporary)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greygate.cli import options
+from greygate.cli import options, words
 from greygate.cli.terminal import Json, counting, following, give, say
 from greygate.hardware.board.boards import BAUD, BOARDS, PORTS
 
@@ -19,26 +19,27 @@ if TYPE_CHECKING:
 Board = StrEnum("Board", {name.upper(): name for name in BOARDS})  # type: ignore[misc]  # members that BOARDS lists
 Line = StrEnum("Line", {name.upper(): name for name in PORTS})  # type: ignore[misc]  # members that PORTS lists
 UART = Line("uart")
-Folder = Annotated[Path, typer.Argument(metavar="BUILD", help="A folder that `greygate compile` wrote.")]
 
 
 def board(
-    name: Annotated[Board, typer.Argument(help="; ".join(f"{name}: {b.title}" for name, b in BOARDS.items()))],
-    folder: Folder,
-    out: Annotated[Path, typer.Option(help="Folder to write.")],
-    architecture: Annotated[str | None, typer.Option(help="Of the build; folded if it has that.")] = None,
-    port: Annotated[Line, typer.Option(help="How samples come to the board.")] = UART,
-    mhz: Annotated[
-        float | None, typer.Option(callback=options.MEGAHERTZ, help="Clock of the core; the board's own if not given.")
-    ] = None,
-    baud: Annotated[int, typer.Option(callback=options.BAUD, help="Of the UART.")] = BAUD,
+    name: Annotated[
+        Board, typer.Argument(metavar="BOARD", help="; ".join(f"{name}: {b.title}" for name, b in BOARDS.items()))
+    ],
+    folder: words.Build,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder to write.")],
+    architecture: Annotated[words.Architecture | None, words.ARCHITECTURE] = None,
+    interface: Annotated[Line, typer.Option(help="How samples come to the board.")] = UART,
+    mhz: Annotated[float | None, typer.Option(callback=options.MEGAHERTZ, help=words.MHZ.help)] = None,
+    baud: Annotated[int, words.BAUD] = BAUD,
     tick: Annotated[bool, typer.Option("--tick", help="Begin the steps with the network's own period.")] = False,
     bitstream: Annotated[bool, typer.Option("--bitstream", help="Make the bitstream too: minutes.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Write a folder that puts a network on a board: Verilog, pins, makefile, bench; with --bitstream that as well.
+    """Write what puts a build on a board.
 
-    The folder stands on its own: `make` in it needs Yosys and nextpnr (or Vivado), and nothing of greygate.
+    Pins, makefile, bench; with --bitstream that as well. The core is the folded one if the build has that, at the
+    board's own clock. The folder stands on its own: `make` in it needs Yosys and nextpnr (or Vivado), and nothing of
+    greygate.
     """
     from greygate.hardware.board.make import make
     from greygate.hardware.build import Project
@@ -48,8 +49,8 @@ def board(
             Project.open(folder),
             name.value,
             out,
-            architecture=architecture,
-            port=port.value,
+            architecture=architecture and architecture.value,
+            port=interface.value,
             mhz=mhz,
             baud=baud,
             tick=tick,
@@ -66,13 +67,13 @@ def board(
 
 
 def play(
-    folder: Folder,
-    recording: Annotated[str, typer.Argument(help="CSV with a column `name_unit` for every input, or a scenario.")],
+    folder: words.Build,
+    recording: words.Scenario,
     port: Annotated[str, typer.Option(help="The serial port of the board, such as /dev/ttyUSB1.")],
-    baud: Annotated[int, typer.Option(callback=options.BAUD, help="As the board was built with.")] = BAUD,
+    baud: Annotated[int, words.BAUD] = BAUD,
     as_json: Json = False,
 ) -> None:
-    """Stream a recording, or a scenario of the build, through a board, and compare every bit with the emulator.
+    """Play a recording on a board; compare every bit.
 
     Exit code 1 if a bit differs.
     """

@@ -1,34 +1,29 @@
 """Commands on folders that `greygate compile` wrote: emulate, verify, prove, synthesize, report, compare."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greygate.cli import options
+from greygate.cli import options, words
 from greygate.cli.terminal import Json, following, give
 from greygate.errors import InputError
-from greygate.hardware.families import PLACED, TARGETS
+from greygate.hardware.families import PLACED
 
 if TYPE_CHECKING:
     from greygate.cli.printed import Comparing, Emulating, Proving, Verifying
     from greygate.emulator.program import Clipped, Terminal
 
-_targets = {name.upper().replace("-", "_"): name for name in TARGETS}
-Device = StrEnum("Device", _targets)  # type: ignore[misc]  # members that TARGETS lists
-ECP5, ICE40 = Device("ecp5"), Device("ice40")
-DEVICES = "; ".join(f"{name}: {title}" for name, title in TARGETS.items())
-Folder = Annotated[Path, typer.Argument(help="A folder that `greygate compile` wrote.")]
+ECP5, ICE40 = words.Target("ecp5"), words.Target("ice40")
 
 
 def emulate(
-    folder: Folder,
-    recording: Annotated[str, typer.Argument(help="CSV with a column `name_unit` for every input, or a scenario.")],
-    out: Annotated[Path, typer.Option(help="CSV to write the predicted outputs to.")],
+    folder: words.Build,
+    recording: words.Scenario,
+    out: Annotated[Path, typer.Option(metavar="FILE.csv", help="CSV to write the predicted outputs to.")],
     as_json: Json = False,
 ) -> None:
-    """Run the compiled network, bit for bit as the hardware does, over a recording or a scenario of the build."""
+    """Compute what the hardware answers, bit for bit."""
     from greygate.emulator.emulation import emulate as run
     from greygate.hardware.build import Project
     from greygate.plants.recording import Recording
@@ -54,19 +49,17 @@ def _clipping(port: "Terminal", found: "Clipped") -> str:
 
 
 def verify(
-    folder: Folder,
-    scenario: Annotated[list[str], typer.Option(help="Verify only these scenarios.")] = [],
-    seed: Annotated[
-        int | None,
-        typer.Option(callback=options.SEED, help="Seed of back-pressure and reset; drawn and printed if not given."),
-    ] = None,
+    folder: words.Build,
+    scenario: Annotated[list[str], typer.Option(metavar="NAME", help="Only this scenario.")] = [],
+    seed: Annotated[int | None, words.SEED] = None,
     as_is: Annotated[bool, typer.Option("--as-is", help="Verify changed Verilog too. It is code: read it.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Simulate the emitted Verilog in Verilator and compare every output and every state with the emulator.
+    """Simulate the Verilog; compare every bit with the emulator.
 
-    Exit code 1 if a bit differs: simulation/ARCHITECTURE/dump.vcd is then a waveform of the first step that does.
-    results-ARCHITECTURE.xml in the folder is JUnit.
+    The seed is that of back-pressure and reset; it is drawn and printed if not given. Exit code 1 if a bit differs:
+    simulation/ARCHITECTURE/dump.vcd is then a waveform of the first step that does. results-ARCHITECTURE.xml in the
+    folder is JUnit.
     """
     from greygate.hardware.build import Project
     from greygate.project import verify_project
@@ -90,26 +83,27 @@ def verify(
 
 
 def prove(
-    folder: Folder,
-    only: Annotated[list[str], typer.Option(help="Only this proof: primitives, sums, bound, netlist or drift.")] = [],
-    target: Annotated[Device, typer.Option(help="Device or family of the netlist.")] = ICE40,
-    architecture: Annotated[list[str], typer.Option(help="Only this architecture of the build.")] = [],
+    folder: words.Build,
+    only: Annotated[
+        list[str], typer.Option(metavar="PROOF", help="primitives, sums, bound, netlist or drift, and no other.")
+    ] = [],
+    target: Annotated[words.Target, words.TARGET] = ICE40,
+    architecture: Annotated[list[words.Architecture], words.ARCHITECTURE] = [],
     steps: Annotated[int, typer.Option(callback=options.COUNT, help="Steps of the long run.")] = 1_000_000,
-    limit: Annotated[
-        float | None, typer.Option(callback=options.SECONDS, help="Stop each tool after this many CPU seconds.")
-    ] = None,
+    seconds: Annotated[float | None, words.SECONDS] = None,
     as_json: Json = False,
 ) -> None:
-    """Prove that the Verilog means what program.json means, and bound what fixed point costs.
+    """Prove what the Verilog computes, and bound its errors.
 
-    Exit code 1 if a proof fails; one for which nothing could be shown says why, and is no failure.
+    Every architecture of the build is proved if none is given. The time limit is that of each tool, on the CPU. Exit
+    code 1 if a proof fails; one for which nothing could be shown says why, and is no failure.
     """
     from greygate.hardware.build import Project
     from greygate.hardware.proofs.build import prove as run
 
     project = Project.open(folder)
     with following(f"proving {project.program.name}") as progress:
-        proofs = run(project, tuple(only), target.value, tuple(architecture), steps, limit, progress)
+        proofs = run(project, tuple(only), target.value, tuple(a.value for a in architecture), steps, seconds, progress)
     holds = all(proof.holds is not False for proof in proofs)
     result: Proving = {"holds": holds, "proofs": proofs}
     give(
@@ -123,29 +117,27 @@ def prove(
 
 
 def synthesize(
-    folder: Folder,
-    target: Annotated[Device, typer.Option(help=DEVICES)] = ECP5,
+    folder: words.Build,
+    target: Annotated[words.Target, words.TARGET] = ECP5,
     clock_rate: Annotated[
         bool, typer.Option("--clock-rate", help=f"Place and route with nextpnr, too: {', '.join(PLACED)}.")
     ] = False,
-    mhz: Annotated[
-        float | None,
-        typer.Option(callback=options.MHZ, help="Place and route for this clock rate; exit code 1 if it is not met."),
-    ] = None,
-    limit: Annotated[
-        float | None,
-        typer.Option(callback=options.SECONDS, help="Stop the tools of each design after this many CPU seconds."),
-    ] = None,
+    mhz: Annotated[float | None, words.MHZ] = None,
+    seconds: Annotated[float | None, words.SECONDS] = None,
     keep: Annotated[bool, typer.Option(help="Keep the figures in the package, for `report --all`.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Count LUTs, flip-flops, DSPs and block RAM with Yosys; with a clock rate also the time of a step. Slow."""
+    """Count LUTs, DSPs and memories; find the clock rate.
+
+    Yosys counts, nextpnr places and routes: slow. The time limit is that of the tools of each design, on the CPU. Exit
+    code 1 if the design does not reach --mhz.
+    """
     from greygate.hardware.build import Project
     from greygate.project import synthesize_project
 
     project = Project.open(folder)
     with following(f"synthesizing {project.program.name} for {target.value}") as progress:
-        found = synthesize_project(project, target.value, clock_rate, limit, keep, mhz, progress)
+        found = synthesize_project(project, target.value, clock_rate, seconds, keep, mhz, progress)
     give("resources", found, as_json, [f"{name}: {_counted(figures)}" for name, figures in found.items()])
     met = [figures.get("meets") for name, figures in found.items() if name.endswith(f", {target.value}")]
     if mhz is not None and not all(met):
@@ -163,7 +155,7 @@ def _counted(figures: dict[str, float | None]) -> str:
 
 
 def report(
-    folders: Annotated[list[Path], typer.Argument(help="Folders that `greygate compile` wrote.")] = [],
+    folders: words.Builds = [],
     every: Annotated[
         bool,
         typer.Option("--all", help="Compare the thesis's plants, each from FOLDER/NAME; compile what is missing."),
@@ -171,10 +163,12 @@ def report(
     check: Annotated[
         bool, typer.Option("--verify", help="First verify the builds that have not been verified.")
     ] = False,
-    out: Annotated[Path, typer.Option(help="HTML page to write; the JSON goes beside it.")] = Path("report.html"),
+    html: Annotated[
+        Path, typer.Option(metavar="FILE.html", help="HTML page to write; the JSON goes beside it.")
+    ] = Path("report.html"),
     as_json: Json = False,
 ) -> None:
-    """Report what quantization cost for each plant and scenario, as one HTML page and one JSON file.
+    """Report what fixed point costs, as one HTML page.
 
     --all takes one FOLDER, or `hardware` if none is given. Exit code 1 if --verify finds a differing bit.
     """
@@ -188,8 +182,8 @@ def report(
         raise InputError(f"--all takes one folder that holds a folder for each plant, not {len(folders)}")
     if not every and not folders:
         raise InputError("report: give folders that `greygate compile` wrote, or --all")
-    if not out.name or out.suffix == ".json":
-        raise InputError(f"--out {out}: name an HTML page, such as report.html; the JSON beside it ends in .json")
+    if not html.name or html.suffix == ".json":
+        raise InputError(f"--html {html}: name an HTML page, such as report.html; the JSON beside it ends in .json")
     passed = True
     with following("measuring") as progress:
         projects = plants((folders or [Path("hardware")])[0], progress) if every else [Project.open(f) for f in folders]
@@ -197,26 +191,24 @@ def report(
             if project.hardware is None:
                 progress(f"simulating {project.program.name}")
                 passed &= all(result.passed for result in verify_project(project).values())
-        studies = measure(projects, out, side_by_side=every, progress=progress)
+        studies = measure(projects, html, side_by_side=every, progress=progress)
     tables = [results(studies), designs(studies)] if every else []
     lines = [line for table in tables for line in (*aligned(table), "")] or _errors(studies)
-    give("report", studies, as_json, [*lines, f"written to {out} and {out.with_suffix('.json')}"])
+    give("report", studies, as_json, [*lines, f"written to {html} and {html.with_suffix('.json')}"])
     if not passed:
         raise typer.Exit(1)
 
 
 def compare(
-    old: Annotated[Path, typer.Argument(help="A folder that `greygate compile` wrote: how it was.")],
-    new: Annotated[Path, typer.Argument(help="Another one: how it is.")],
-    budget: Annotated[
-        Path | None, typer.Option(help="TOML file: how much each figure may grow, and its limit. Default: not at all.")
-    ] = None,
-    out: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
+    old: Annotated[Path, typer.Argument(metavar="OLD", help="The build as it was.")],
+    new: Annotated[Path, typer.Argument(metavar="NEW", help="The build as it is.")],
+    budget: Annotated[Path | None, words.BUDGET] = None,
+    html: Annotated[Path | None, typer.Option(metavar="FILE.html", help="HTML page to write.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Compare two builds: error, size, resources, clocks, verified bits.
+    """Compare two builds: error, size, resources, clocks.
 
-    Exit code 1 if a figure of the new build is worse than the budget allows.
+    Without a budget no figure may grow. Exit code 1 if one of the new build is worse than the budget allows.
     """
     from greygate.hardware.build import Project
     from greygate.hardware.comparing import compare as differences
@@ -227,12 +219,12 @@ def compare(
 
     allowed = None if budget is None else read_budget(budget)
     found = differences(Project.open(old), Project.open(new), allowed)
-    if out is not None:
-        write(page(found, str(old), str(new)), out)
+    if html is not None:
+        write(page(found, str(old), str(new)), html)
     worse = [one for one in found if one.worse]
     result: Comparing = {"worse": len(worse), "differences": [{**vars(one), "growth": one.growth} for one in found]}  # type: ignore[typeddict-item]
     verdict = f"{len(worse)} of {len(found)} figures worse than allowed" if worse else "no figure worse than allowed"
-    give("compare", result, as_json, [*aligned(rows(found), LEFT), verdict, *([f"written to {out}"] if out else [])])
+    give("compare", result, as_json, [*aligned(rows(found), LEFT), verdict, *([f"written to {html}"] if html else [])])
     if worse:
         raise typer.Exit(1)
 

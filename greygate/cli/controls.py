@@ -5,27 +5,28 @@ from typing import Annotated
 
 import typer
 
-from greygate.cli import options
+from greygate.cli import options, words
 from greygate.cli.terminal import Json, following, give
 from greygate.control.choices import JUDGED, Case, Method, Place
 
 
 def control(
-    machine: Annotated[str, typer.Argument(help="A machine of the catalogue that has position control, or `list`.")],
+    machine: Annotated[
+        str, typer.Argument(metavar="MACHINE", help="A machine of the catalogue that has position control, or `list`.")
+    ],
     controller: Annotated[Method, typer.Option(help="Who controls.")] = Method.MPC,
     place: Annotated[Place, typer.Option(help="Where the network and its soft sensor are computed.")] = Place.FLOAT,
     case: Annotated[Case, typer.Option(help="What disturbs the machine.")] = Case.NOMINAL,
-    seed: Annotated[
-        int, typer.Option(callback=options.SEED, help="Of the trajectory and the machine's day; below 1000: learnt on.")
-    ] = JUDGED,
+    seed: Annotated[int, words.SEED] = JUDGED,
     samples: Annotated[int, typer.Option(callback=options.SAMPLES, help="0 for the machine's own number.")] = 0,
-    out: Annotated[Path | None, typer.Option(help="FILE.csv for the signals of the run.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="CSV for the signals of the run.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Track a trajectory with a machine of the catalogue: a tuned PI, predictive control, or the network that
-    imitates it, in float, emulator or simulated hardware.
+    """Control the position of a simulated machine.
 
-    Exit code 1 if the hardware differs from the emulator in any bit.
+    A tuned PI, predictive control, or the network that imitates it. The network and its soft sensor are computed in
+    float, by the emulator or by simulated hardware. Seeds below 1000 are trajectories and days that it learnt on. Exit
+    code 1 if the hardware differs from the emulator in any bit.
     """
     from greygate.hardware.controlling import controller as built
     from greygate.machines.catalog import CONTROLLED, task

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def doctor(as_json: Json = False) -> None:
-    """List the programs and packages that greygate uses, with their versions, and how to get what is missing.
+    """List the tools that greygate uses, and what is missing.
 
     Exit code 1 if a command of the plain installation would fail.
     """

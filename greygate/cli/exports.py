@@ -6,16 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from greygate.cli import words
 from greygate.cli.terminal import Json, following, give
 
 if TYPE_CHECKING:
     from greygate.cli.printed import ExportedC, ExportedLatex, ExportedMjcf, ExportedModelica
 
 app = typer.Typer(help="Write a build, a rig or a plant for another tool.", no_args_is_help=True)
-Folder = Annotated[Path, typer.Argument(metavar="BUILD", help="A folder that `greygate compile` wrote.")]
-
-PlantOf = Annotated[Path, typer.Argument(metavar="RIG|PLANT.toml", help="A folder with rig.toml, or a plant.")]
-Corrected = Annotated[Path | None, typer.Option(help="diagnosis.json of the rig: the plant with its corrections.")]
+Corrected = Annotated[Path | None, words.DIAGNOSIS]
 
 
 class Fmi(StrEnum):
@@ -27,11 +25,11 @@ class Fmi(StrEnum):
 
 @app.command()
 def c(
-    folder: Folder,
-    out: Annotated[Path, typer.Option(help="Folder to write; an earlier export is replaced.")],
+    folder: words.Build,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder to write; an earlier export is replaced.")],
     as_json: Json = False,
 ) -> None:
-    """Write the step of a build in C99, and the functions that turn physical values into codes and back."""
+    """Write a build in C99, with conversions of its values."""
     from greygate.export.export import export_c
     from greygate.hardware.build import Project
 
@@ -44,16 +42,14 @@ def c(
 def fmu(
     source: Annotated[
         Path,
-        typer.Argument(
-            metavar="BUILD|RIG|PLANT.toml", help="What `greygate compile` wrote, a folder with rig.toml, or a plant."
-        ),
+        typer.Argument(metavar="BUILD|PLANT", help="A build, PLANT.toml, rig.toml, or a folder with one."),
     ],
-    out: Annotated[Path, typer.Option(help="FMU to write.")],
+    out: Annotated[Path, typer.Option(metavar="FILE.fmu", help="FMU to write.")],
     fmi: Annotated[Fmi, typer.Option(help="Version of FMI.")] = Fmi.THREE,
     diagnosis: Corrected = None,
     as_json: Json = False,
 ) -> None:
-    """Write an FMU for co-simulation: a network bit for bit as compiled, or a plant, as it is or corrected."""
+    """Write an FMU for co-simulation of a build or a plant."""
     from greygate.export.export import export_fmu
     from greygate.mismatch.simulation import read
 
@@ -66,28 +62,31 @@ def fmu(
 
 @app.command()
 def fusesoc(
-    folder: Folder,
-    out: Annotated[Path, typer.Option(help="Folder to write; an earlier export is replaced.")],
-    architecture: Annotated[str | None, typer.Option(help="Of the build; folded if it has that.")] = None,
+    folder: words.Build,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder to write; an earlier export is replaced.")],
+    architecture: Annotated[words.Architecture | None, words.ARCHITECTURE] = None,
     as_json: Json = False,
 ) -> None:
-    """Write a core for FuseSoC, Vivado and Quartus, with its benches in Verilog and cocotb."""
+    """Write a core for FuseSoC, Vivado, Quartus, with benches.
+
+    The core is the folded one if the build has that. The benches are in Verilog and cocotb.
+    """
     from greygate.export.hdl import export_fusesoc
     from greygate.hardware.build import Project
 
-    held = export_fusesoc(Project.open(folder), out, architecture)
+    held = export_fusesoc(Project.open(folder), out, architecture and architecture.value)
     lines = [f"{held['core']}, {held['architecture']}: {len(held['files'])} files", f"written to {out}"]
     give("export-fusesoc", held, as_json, lines)
 
 
 @app.command()
 def modelica(
-    source: PlantOf,
-    out: Annotated[Path, typer.Option(help="FILE.mo to write.")],
+    source: words.Plant,
+    out: Annotated[Path, typer.Option(metavar="FILE.mo", help="Model to write.")],
     diagnosis: Corrected = None,
     as_json: Json = False,
 ) -> None:
-    """Write a plant's equations as a Modelica model, as they are or corrected."""
+    """Write a plant as a Modelica model, corrected or not."""
     from greygate.export.export import export_modelica
     from greygate.mismatch.simulation import read
 
@@ -98,12 +97,12 @@ def modelica(
 
 @app.command()
 def latex(
-    source: PlantOf,
-    out: Annotated[Path, typer.Option(help="FILE.tex to write.")],
+    source: words.Plant,
+    out: Annotated[Path, typer.Option(metavar="FILE.tex", help="LaTeX to write.")],
     diagnosis: Corrected = None,
     as_json: Json = False,
 ) -> None:
-    """Write a plant's equations in LaTeX, each term with its name under it, as they are or corrected."""
+    """Write a plant's equations in LaTeX, each term named."""
     from greygate.export.export import export_latex
     from greygate.mismatch.simulation import read
 
@@ -114,15 +113,18 @@ def latex(
 
 @app.command()
 def mjcf(
-    source: PlantOf,
-    out: Annotated[Path, typer.Option(help="FILE.xml to write, which a model includes.")],
+    source: words.Plant,
+    out: Annotated[Path, typer.Option(metavar="FILE.xml", help="MJCF to write, which a model includes.")],
     joint: Annotated[
-        list[str], typer.Option(help="VELOCITY=NAME: the class of its joint; may be given several times.")
+        list[str], typer.Option(metavar="VELOCITY=NAME", help="The class of the joint of a velocity.")
     ] = [],
     diagnosis: Corrected = None,
     as_json: Json = False,
 ) -> None:
-    """Write damping, dry friction and added inertia of a plant as joint classes of MuJoCo, as it is or corrected."""
+    """Write joint classes of MuJoCo from a plant, corrected or not.
+
+    They have damping, dry friction and added inertia.
+    """
     from greygate.export.export import export_mjcf
     from greygate.mismatch.simulation import read
 

@@ -5,36 +5,29 @@ from typing import Annotated
 
 import typer
 
-from greygate.cli import options
-from greygate.cli.backends import Backend, Scheduler, joblib_on
+from greygate.cli import words
+from greygate.cli.backends import Backend, OnBackend, Scheduler, joblib_on
 from greygate.cli.terminal import Json, following, give, recordings
 
 
 def identify(
-    record: Annotated[list[str], typer.Argument(metavar="RECORDINGS...", help="FILE.csv to train on.")],
-    output: Annotated[str, typer.Option(help="The channel to predict in free run.")],
-    out: Annotated[Path, typer.Option(help="Folder to write; its name becomes the network's.")],
-    input: Annotated[list[str], typer.Option(help="A channel that drives the plant; several may be given.")] = [],
-    test: Annotated[list[str], typer.Option(help="FILE.csv that is scored once, at the end.")] = [],
-    sample_time: Annotated[
-        float | None, typer.Option(callback=options.SECONDS, help="Seconds, for a file without a time column.")
-    ] = None,
-    settle: Annotated[
-        int | None,
-        typer.Option(callback=options.COUNT, help="First samples that only give the initial state; found if omitted."),
-    ] = None,
-    seconds: Annotated[float, typer.Option(callback=options.SECONDS, help="Time limit of the search.")] = 60.0,
-    jobs: Annotated[
-        int, typer.Option(callback=options.JOBS, help="Trainings side by side; dask uses all its workers.")
-    ] = 2,
-    backend: Annotated[Backend, typer.Option(help="Train on this computer, or on a cluster.")] = Backend.LOKY,
+    record: words.Recordings,
+    output: Annotated[str, words.OUTPUT],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder to write; its name becomes the network's.")],
+    input: Annotated[list[str], words.INPUT] = [],
+    test: Annotated[list[str], words.TEST] = [],
+    sample_time: Annotated[float | None, words.SAMPLE_TIME] = None,
+    settle: Annotated[str, words.SETTLE] = words.AUTO,
+    seconds: Annotated[float, words.SECONDS] = 60.0,
+    jobs: words.Jobs = 2,
+    backend: OnBackend = Backend.LOKY,
     scheduler: Scheduler = None,
     as_json: Json = False,
 ) -> None:
-    """Find a network from recordings: look at them, fit linear models, grow networks from the best, choose by held-out
-    blocks.
+    """Find a network from recordings alone.
 
-    Exit code 1 if no network predicts better than the mean of what was held out, or the chosen one diverges on a test.
+    It fits linear models, grows networks from the best, and chooses by held-out blocks. Exit code 1 if no network
+    predicts better than the mean of what was held out, or the chosen one diverges on a test.
     """
     from greygate.identify.files import identify_files, lines
 
@@ -42,7 +35,7 @@ def identify(
     with joblib_on(backend, scheduler), following("identifying") as progress:
         found = identify_files(
             recordings(record), recordings(test), input, output, out,
-            dt=sample_time, seconds=seconds, jobs=side_by_side, settle=settle, progress=progress,
+            dt=sample_time, seconds=seconds, jobs=side_by_side, settle=words.settled(settle), progress=progress,
         )  # fmt: skip
     give(
         "identify",

@@ -6,32 +6,37 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greygate.cli import options
+from greygate.cli import words
 from greygate.cli.terminal import Json, give, say
 from greygate.errors import InputError
 
 if TYPE_CHECKING:
     from greygate.cli.printed import ChannelRead, Looking
 
-AUTO = "auto"
 SHOWN = 6  # names in a message
 
 
 def look(
-    recording: Annotated[Path, typer.Argument(help="CSV, .mat, .h5, .parquet, .mf4, .tdms or .mcap.")],
-    unit: Annotated[list[str], typer.Option(help="NAME=UNIT for a channel whose header does not say it.")] = [],
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help="CSV, .mat, .h5, .parquet, .mf4, .tdms or .mcap.")
+    ],
+    unit: Annotated[
+        list[str], typer.Option(metavar="NAME=UNIT", help="Of a channel whose header does not say it.")
+    ] = [],
     time: Annotated[str | None, typer.Option(help="Name of the time, if it is not t or time.")] = None,
-    sample_time: Annotated[
-        float | None, typer.Option(callback=options.SECONDS, help="Seconds between samples, where there is no time.")
-    ] = None,
+    sample_time: Annotated[float | None, words.SAMPLE_TIME] = None,
     resample: Annotated[
         str | None, typer.Option(help="auto, or a step in s: bring all channels to one uniform time.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="CSV to write, as every command reads it.")] = None,
-    html: Annotated[Path | None, typer.Option(help="HTML page to write, which draws every channel.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.csv", help="CSV to write, as every command reads it.")
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="HTML page to write, which draws every channel.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Print the channels of a recording: units, rates, ranges, gaps; draw them; write them as a CSV.
+    """Print, draw or convert the channels of a recording.
 
     Units other than the house's are converted to SI. Exit code 2 for a unit or a time that cannot be read in one way.
     """
@@ -92,7 +97,7 @@ def _step(text: str | None) -> float | bool:
     """What `columns.recording` takes."""
     if text is None:
         return False
-    if text == AUTO:
+    if text == words.AUTO:
         return True
     try:
         step = float(text)

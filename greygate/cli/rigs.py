@@ -6,38 +6,35 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greygate.cli import options
-from greygate.cli.backends import Backend, Scheduler, joblib_on
+from greygate.cli import options, words
+from greygate.cli.backends import Backend, OnBackend, Scheduler, joblib_on
 from greygate.cli.terminal import Json, finite, following, give, say
 from greygate.errors import InputError
 
 if TYPE_CHECKING:
     from greygate.cli.printed import Concealing, Simulating
 
-Tables = Annotated[list[Path], typer.Option(help="TOML file with effects to try besides greygate's own.")]
-RigFolder = Annotated[Path, typer.Argument(metavar="RIG_FOLDER", help="Folder that holds rig.toml.")]
+Diagnosis = Annotated[Path, words.DIAGNOSIS]
+MaybeDiagnosis = Annotated[Path | None, words.DIAGNOSIS]
 
 
 def diagnose(
-    rigs: Annotated[list[Path], typer.Argument(metavar="RIG_FOLDER...", help="Folders with rig.toml, identify.csv.")],
+    rigs: Annotated[list[Path], typer.Argument(metavar="RIG", help="Folders with rig.toml, identify.csv.")],
     out: Annotated[
-        Path | None, typer.Option(help="diagnosis.json to write; for several rigs a folder, which gets NAME.json.")
+        Path | None, typer.Option(metavar="FILE.json", help="diagnosis.json; for several rigs a folder for NAME.json.")
     ] = None,
     html: Annotated[
-        Path | None, typer.Option(help="HTML page to write; for several rigs a folder, which gets NAME.html.")
+        Path | None, typer.Option(metavar="FILE.html", help="HTML page; for several rigs a folder for NAME.html.")
     ] = None,
-    effects: Tables = [],
-    jobs: Annotated[
-        int, typer.Option(callback=options.JOBS, help="Number of rigs diagnosed at a time; dask uses all its workers.")
-    ] = 1,
-    backend: Annotated[
-        Backend, typer.Option(help="Run on processes of this computer, or on a cluster.")
-    ] = Backend.LOKY,
+    effects: words.Effects = [],
+    jobs: words.Jobs = 1,
+    backend: OnBackend = Backend.LOKY,
     scheduler: Scheduler = None,
     as_json: Json = False,
 ) -> None:
-    """Say where a simulation and a recording differ, what physics is left out, and how much better it fits with it.
+    """Name the physics that a simulation leaves out.
 
+    It says where simulation and recording differ, and how much better the simulation fits with what it names.
     docs/diagnosis.md describes the files. The exit code is 0 whatever the verdict. If one of several rigs cannot be
     diagnosed, the command says so, writes the others, and exits with 2.
     """
@@ -64,16 +61,17 @@ def diagnose(
 
 
 def isolability(
-    rig: RigFolder,
-    effects: Tables = [],
+    rig: words.Rig,
+    effects: words.Effects = [],
     ranges: Annotated[
         list[str],
-        typer.Option("--range", help="NAME=LOW:HIGH for every input: designs motions where there is no data yet."),
+        typer.Option("--range", metavar="NAME=LOW:HIGH", help="Of every input: designs motions without data."),
     ] = [],
     as_json: Json = False,
 ) -> None:
-    """Say which effects a rig's sensors and its identify.csv cannot tell apart, and which experiment or sensor would.
+    """Say which effects a rig's sensors and data cannot tell apart.
 
+    It names the experiment or the sensor that would.
     If there is no identify.csv, --range says what motions within the inputs' ranges could tell apart.
     """
     from greygate.mismatch.explain import isolable
@@ -87,18 +85,22 @@ def isolability(
 
 
 def next_(
-    rig: RigFolder,
-    diagnosis: Annotated[Path, typer.Option(help="diagnosis.json of this rig's identify.csv, by `greygate diagnose`.")],
-    out: Annotated[Path | None, typer.Option(help="CSV to write: t and every input, to be played.")] = None,
-    effects: Annotated[list[Path], typer.Option(help="Tables that the diagnosis had, too.")] = [],
+    rig: words.Rig,
+    diagnosis: Diagnosis,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE.csv", help="CSV to write: t and every input, to be played.")
+    ] = None,
+    effects: words.Effects = [],
     longest: Annotated[
         float, typer.Option(callback=options.SECONDS, help="Seconds that the experiment may take.")
     ] = math.inf,
     as_json: Json = False,
 ) -> None:
-    """Find the experiment that tells apart what a diagnosis does not, within what the recording shows the rig stands.
+    """Find the experiment that resolves a diagnosis.
 
-    Exit code 1 if the diagnosis leaves nothing to tell apart, or no experiment does; it then says which sensor would.
+    It tells apart what the diagnosis does not. It stays within what the recording shows the rig stands, and has the
+    effects that the diagnosis had. Exit code 1 if the diagnosis leaves nothing to tell apart, or no experiment does; it
+    then says which sensor would.
     """
     from greygate.mismatch.proposing import propose
 
@@ -119,24 +121,21 @@ def _range(text: str) -> tuple[str, tuple[float, float]]:
 
 
 def simulate(
-    rig: RigFolder,
-    recording: Annotated[
-        Path, typer.Option(help="CSV of this rig: its inputs, and the states that the simulation begins from.")
-    ],
-    out: Annotated[Path, typer.Option(help="CSV to write: t and the predicted channels.")],
-    diagnosis: Annotated[
-        Path | None, typer.Option(help="diagnosis.json of this plant: simulate with its corrections.")
-    ] = None,
-    effects: Annotated[list[Path], typer.Option(help="Tables that the diagnosis had, too.")] = [],
+    rig: words.Rig,
+    recording: words.Recording,
+    out: Annotated[Path, typer.Option(metavar="FILE.csv", help="CSV to write: t and the predicted channels.")],
+    diagnosis: MaybeDiagnosis = None,
+    effects: words.Effects = [],
     own: Annotated[
         str | None,
-        typer.Option("--as", help="NAME of the [recordings.NAME] whose parameters hold; by default the file's name."),
+        typer.Option("--as", metavar="NAME", help="Of the [recordings.NAME] that holds; else the file's name."),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Simulate a recording with the values of the data sheet, or with the plant as a diagnosis corrects it.
+    """Simulate a recording, as the data sheet says or a diagnosis.
 
-    Exit code 1 if the simulation diverges; the CSV file then ends in nan.
+    The recording has the rig's inputs, and the states that the simulation begins from. Exit code 1 if the simulation
+    diverges; the CSV file then ends in nan.
     """
     from greygate.mismatch.explain import predict
 
@@ -152,12 +151,12 @@ def simulate(
 
 
 def augment(
-    rig: RigFolder,
-    diagnosis: Annotated[Path, typer.Option(help="diagnosis.json of this rig, by `greygate diagnose`.")],
-    out: Annotated[Path, typer.Option(help="Folder to write; an earlier augmentation is replaced.")],
+    rig: words.Rig,
+    diagnosis: Diagnosis,
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder to write; an earlier augmentation is replaced.")],
     as_json: Json = False,
 ) -> None:
-    """Train the network of a rig's plant without and with a module of the physics that a diagnosis named.
+    """Train a rig's network without and with the physics named.
 
     Writes both networks as NAME.toml for `greygate compile`, and the recordings as the networks read them.
     """
@@ -176,15 +175,15 @@ def augment(
 
 
 def conceal(
-    plant: Annotated[str, typer.Argument(help="Name of a plant; an unknown name lists the plants.")],
-    seed: Annotated[int, typer.Option(callback=options.SEED, help="Seed from which the whole case is drawn.")],
-    out: Annotated[Path, typer.Option(help="Folder to write; an earlier case is replaced.")],
+    plant: Annotated[str, typer.Argument(metavar="PLANT", help="Name of a plant; an unknown name lists the plants.")],
+    seed: Annotated[int, words.SEED],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder to write; an earlier case is replaced.")],
     kind: Annotated[str, typer.Option(help="clean, parameter, one, two, both, foreign, or any.")] = "any",
     effect: Annotated[str | None, typer.Option(help="Name of the (first) effect; drawn if not given.")] = None,
-    condition: Annotated[str, typer.Option(help="How it is recorded; an unknown name lists the ways.")] = "white",
+    condition: Annotated[str, words.CONDITION] = "white",
     as_json: Json = False,
 ) -> None:
-    """Write recordings of a rig with a concealed effect, and the sealed answer."""
+    """Write a rig with a concealed effect and a sealed answer."""
     from greygate.mismatch.concealed.conceal import conceal as write
 
     with following(f"recording {plant}"):
@@ -200,17 +199,15 @@ def conceal(
 
 
 def reveal(
-    folder: Annotated[Path, typer.Argument(help="A folder that `greygate conceal` wrote.")],
-    diagnosis: Annotated[
-        Path | None,
-        typer.Option(help="diagnosis.json to score; FOLDER/diagnosis.json if not given, where there is one."),
-    ] = None,
-    effects: Annotated[list[Path], typer.Option(help="Tables that the diagnosis had, too.")] = [],
+    folder: Annotated[Path, typer.Argument(metavar="RIG", help="A folder that `greygate dev conceal` wrote.")],
+    diagnosis: MaybeDiagnosis = None,
+    effects: words.Effects = [],
     as_json: Json = False,
 ) -> None:
     """Open the sealed answer, and score a diagnosis against it.
 
-    Exit code 1 if the diagnosis is wrong in its verdict, its effects, or the parameter.
+    That is RIG/diagnosis.json, where there is one, if none is given. Exit code 1 if the diagnosis is wrong in its
+    verdict, its effects, or the parameter.
     """
     from greygate.mismatch.explain import score
 
@@ -221,15 +218,15 @@ def reveal(
 
 
 def fit_fmu(
-    fmu: Annotated[Path, typer.Argument(help="FMU for co-simulation, FMI 2.0 or 3.0.")],
-    recording: Annotated[Path, typer.Argument(help="Recording with every input of the FMU, and outputs.")],
-    parameter: Annotated[list[str], typer.Option(help="NAME of a parameter to fit; may be given several times.")] = [],
+    fmu: Annotated[Path, typer.Argument(metavar="FMU", help="FMU for co-simulation, FMI 2.0 or 3.0.")],
+    recording: words.Recording,
+    parameter: Annotated[list[str], typer.Option(metavar="NAME", help="A parameter to fit.")] = [],
     trust: Annotated[bool, typer.Option("--trust", help="Run the FMU: it is a program of whoever made it.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Fit the parameters of an FMU to a recording, and say whether the recording is late, off or scaled.
+    """Fit an FMU to a recording, which may be late, off or scaled.
 
-    The last part of the recording is held out, and judges.
+    The recording has every input of the FMU, and outputs. The last part of the recording is held out, and judges.
     """
     from greygate.export.calibrate import calibrate
 

@@ -17,11 +17,14 @@ def named(begun: str) -> list[str]:
 def schema(
     name: Annotated[
         str | None,
-        typer.Argument(help="Of a schema; all are listed if not given.", autocompletion=named),
+        typer.Argument(metavar="NAME", help="Of a schema; all are listed if not given.", autocompletion=named),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Print the JSON Schema of what a command prints with --json, or of a file that greygate writes; or list them."""
+    """Print the JSON Schema of a result, or list them.
+
+    A result is what a command prints with --json, or a file that greygate writes.
+    """
     if name is None:
         found = {name: schemas.load(name)["title"] for name in schemas.names()}
         give("catalogue", found, as_json, [f"{name:22} {title}" for name, title in found.items()])

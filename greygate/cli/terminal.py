@@ -102,9 +102,9 @@ def recordings(given: list[str]) -> dict[str, str]:
     for text in map(named, given):
         scenario, equals, path = text.partition("=")
         if not equals or not scenario:
-            raise InputError(f"--record {text}: write SCENARIO=FILE.csv, e.g. training=train.csv")
-        check_text(scenario, "--record, scenario")
+            raise InputError(f"recording {text}: write SCENARIO=FILE.csv, e.g. training=train.csv")
+        check_text(scenario, "recording, scenario")
         if scenario in found:
-            raise InputError(f"--record {text}: the scenario {scenario} is given twice; rename one of them")
+            raise InputError(f"recording {text}: the scenario {scenario} is given twice; rename one of them")
         found[scenario] = path
     return found

@@ -69,7 +69,7 @@ def make(
     """
     chosen = board(name)
     if port not in PORTS:
-        raise InputError(f"--port {port}: choose {' or '.join(PORTS)}")
+        raise InputError(f"--interface {port}: choose {' or '.join(PORTS)}")
     if bitstream and chosen.toolchain is None:
         raise InputError(
             f"{name}: its bitstream is made by its vendor's tool alone; leave out --bitstream, then `make`"

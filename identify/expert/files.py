@@ -76,7 +76,7 @@ def _written(built: Built, files: Mapping[str, str], out: Path) -> dict:
     with replacing(out / f"{name}.decisions.txt") as path:
         path.write_text(built.log.text, encoding="utf-8")
     judged = [n for n in built.rms["network"] if n not in files or n != first]
-    command = f"greygate compile {out / name}.toml --record {next(iter(files.values()))} --out {out / 'compiled'}"
+    command = f"greygate compile {out / name}.toml {next(iter(files.values()))} --out {out / 'compiled'}"
     about = {"better": _better(built, judged), "seconds": round(built.seconds, 1), "neurons": built.network.neurons()}
     text = built.log.text.splitlines()
     return plain({**kept, **about, "out": str(out / f"{name}.toml"), "next": f"next: {command}", "text": text})

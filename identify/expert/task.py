@@ -50,9 +50,9 @@ class Task:
                 raise InputError(f"plant {plant.name}: has no signal {name}; it has {', '.join(plant.outputs)}")
         targets = tuple(targets or (n for n in plant.outputs if n in recorded and n not in sensors))
         if not targets:
-            raise InputError(f"plant {plant.name}: no output is on record but those of a sensor; name one by --target")
+            raise InputError(f"plant {plant.name}: no output is on record but those of a sensor; name one by --output")
         if both := set(targets) & set(sensors):
-            raise InputError(f"{min(both)} is both --sensor and --target; leave one out")
+            raise InputError(f"{min(both)} is both --sensor and --output; leave one out")
         task = cls(plant, (), targets, _rates(plant, sensors), step)
         measured = {*sensors, *(n for n in plant.inputs if n not in plant.derived)}
         needed = task._needed(measured)

@@ -406,7 +406,7 @@ def sealed(folder: Path) -> Sealed:
         seal = contents(folder / "sealed.json.sha256").decode().split()[0]
         unbroken = hashlib.sha256(contents(path)).hexdigest() == seal
     except (OSError, ValueError, IndexError):
-        raise InputError(f"{folder}: holds no sealed answer; make the folder with greygate conceal") from None
+        raise InputError(f"{folder}: holds no sealed answer; make the folder with greygate dev conceal") from None
     if not unbroken:
         raise InputError(f"{path}: is not what was sealed (SHA-256 differs); make the case again")
     return read_json(path, "make the case again")
