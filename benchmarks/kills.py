@@ -29,7 +29,7 @@ MARK = "GREYGATE_KILLS"  # a variable that every process of a command has
 SOON = 5.0  # s
 SAMPLES = 2001  # lines of a recording
 COMMANDS = {  # name -> (words; {at} is the folder of the inputs, what it writes)
-    "identify": ("identify {at}/a.csv --input u --output y --seconds 4 --jobs 2 --out found", ["found"]),
+    "identify": ("identify {at}/a.csv --input u --output y --seconds 20 --jobs 2 --out found", ["found"]),
     "diagnose": ("diagnose {at}/fast {at}/clean --jobs 2 --out pages --html pages", ["pages"]),
     "train": ("train {at}/line.toml {at}/a.csv --epochs 20 --out learnt", ["learnt"]),
     "compile": ("compile {at}/line.toml {at}/a.csv --out built", ["built"]),
