@@ -34,6 +34,10 @@ class Activation:
     flat_from: Callable[[float, float], float] | None = None
     rows: int = 1
 
+    def __post_init__(self) -> None:
+        if self.lowered == "table" and not (self.symmetry and self.flat_from):
+            raise ValueError("an activation in a table needs `symmetry` and `flat_from`: half of it is kept")
+
     @property
     def is_bounded(self) -> bool:
         return math.isfinite(self.image[0]) and math.isfinite(self.image[1])
@@ -45,7 +49,7 @@ class Activation:
     @property
     def is_sigmoid(self) -> bool:
         """Whether it rises from one limit to another and bends all the way, as tansig does."""
-        return self.symmetry in ("odd", "complement")
+        return self.lowered == "table" and self.symmetry in ("odd", "complement")
 
 
 def _select(xp, n):

@@ -53,7 +53,7 @@ def test_numpy_torch_portable_arithmetic_and_kernels_agree(name):
 @pytest.mark.parametrize("name", ONE_ROW)
 def test_a_slope_is_the_derivative_of_the_value(name):
     a = ACTIVATIONS[name]
-    n = N[~np.isin(N, (0.0, 1.0))]  # where some bend
+    n = N[~np.isin(N, (-1.0, 0.0, 1.0))]  # where some bend
     at = torch.tensor(n, requires_grad=True)
     y = a.value(torch, at)
     want = np.zeros(len(n))
@@ -103,6 +103,13 @@ def test_compiled_kernels_are_kept_under_a_name_that_changes_with_the_entries():
     text = b"".join(Path(module.__file__).read_bytes() for module in (activations, scalars, kernels))
     for function in (kernels.forward, kernels.sensitivities):
         assert function.py_func.__qualname__.endswith(hashlib.sha256(text).hexdigest()[:12])
+
+
+def test_half_of_an_activation_can_only_be_kept_where_it_tells_the_other_half():
+    with pytest.raises(ValueError, match="needs `symmetry` and `flat_from`"):
+        activations.Activation(lambda xp, n: n, lambda xp, y: y, (-1.0, math.inf), lowered="table")
+    clamp = activations.Activation(lambda xp, n: n, lambda xp, y: y, (-1.0, 1.0), lowered="clamp", symmetry="odd")
+    assert not clamp.is_sigmoid
 
 
 def test_the_documentation_lists_every_activation():
