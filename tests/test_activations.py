@@ -106,9 +106,10 @@ def test_compiled_kernels_are_kept_under_a_name_that_changes_with_the_entries():
 
 
 def test_half_of_an_activation_can_only_be_kept_where_it_tells_the_other_half():
+    line = {"value": lambda xp, n: n, "slope": lambda xp, y: y, "image": (-1.0, 1.0)}
     with pytest.raises(ValueError, match="needs `symmetry` and `flat_from`"):
-        activations.Activation(lambda xp, n: n, lambda xp, y: y, (-1.0, math.inf), lowered="table")
-    clamp = activations.Activation(lambda xp, n: n, lambda xp, y: y, (-1.0, 1.0), lowered="clamp", symmetry="odd")
+        activations.Activation(**line, lowered="table")
+    clamp = activations.Activation(**line, lowered="clamp", symmetry="odd")
     assert not clamp.is_sigmoid
 
 
