@@ -92,7 +92,7 @@ def test_the_same_inputs_give_the_same_bytes(files, found, tmp_path):
     ("changed", "says"),
     [
         ({"sensors": ("speed",)}, "plant motor: has no signal speed"),
-        ({"targets": ("w",), "sensors": ("w",)}, "w is both --sensor and --target"),
+        ({"targets": ("w",), "sensors": ("w",)}, "w is both --sensor and --output"),
         ({"sensors": ("w",)}, "no output is on record but those of a sensor"),
         ({"tests": {"training": "training.csv"}}, "training is both a recording to train on and one to test on"),
     ],

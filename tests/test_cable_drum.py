@@ -13,7 +13,7 @@ from greygate.machines.cable_drum.study import (
     ARCHITECTURES,
     HELD,
     SIZES,
-    THESIS,
+    VALIDATED,
     at_rest,
     black_box,
     chosen,
@@ -60,8 +60,8 @@ def test_the_kept_network_is_the_one_that_is_chosen_of_the_kept_starts():
 def test_on_the_day_of_training_it_is_below_the_thesis_and_another_day_costs_most_where_no_beacon_helps(snn):
     courses = [validation(cable_drum(), seed) for seed in range(1000, 1005)]
     without, home = (np.median([1e6 * rmse(snn, record_of(c, beacon)) for c in courses]) for beacon in (False, True))
-    assert without <= THESIS["validation"]
-    assert home <= THESIS["home"]
+    assert without <= VALIDATED["validation"]
+    assert home <= VALIDATED["home"]
     same_day = 1e6 * rmse(snn, record_of(validation(cable_drum(), SEEDS["validation"]), beacon=False))
     assert KEPT["um"]["validation"] - same_day > 5 * (KEPT["um"]["home"] - home) > 0
 
