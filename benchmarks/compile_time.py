@@ -12,6 +12,9 @@ THREADS = "all"
 def main() -> None:
     with scratch() as folder:
         command, names = [GREYGATE, "compile", "valve_cylinder", "--out"], iter("abcdef")
-        run = lambda: subprocess.run([*command, folder / next(names)], check=True, capture_output=True)  # noqa: E731
+
+        def run() -> None:
+            subprocess.run([*command, folder / next(names)], check=True, capture_output=True)
+
         first, *warm = taken(run, 6)
     print(f"compile valve_cylinder: {statistics.median(warm):.2f} s (first {first:.2f} s)")  # it may fill numba's cache
