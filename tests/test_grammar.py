@@ -115,3 +115,9 @@ def test_help_is_a_line_a_command_under_headings():
         rows = told.split("--help", 1)[1].splitlines()[1:]
         assert not [row for row in rows if row.endswith("...") or row.startswith("    ")]
     assert {*RESULTS} <= {*COMMANDS}
+
+
+def test_two_recordings_are_no_old_spelling(greygate):
+    code, _, error = greygate("init", "a.csv", "b.csv", "--output", "y")
+    assert code == 2
+    assert "old spelling" not in error

@@ -91,7 +91,8 @@ def _of(name: str, args: list[str], known: dict[str, Any]) -> list[str]:
     moved = [value for word, value, _ in found if word and renamed.get(word) == ARGUMENT]
     arguments = [value for word, value, _ in found if not word] + moved
     options = [w for word, value, written in found if word for w in _option(renamed, word, value, written)]
-    if name in RESULTS and not {"--out", "-o"} & {word for word, _, _ in found} and len(arguments) > len(slots):
+    named = {"--out", "-o"} & {word for word, _, _ in found}
+    if name in RESULTS and not named and len(arguments) > len(slots) and (moved or not slots):
         options += ["--out", arguments.pop(0)]
     elif not any(word in renamed for word, _, _ in found):
         return [*name.split(), *args]
