@@ -6,6 +6,7 @@ An old spelling is understood, and one line on stderr says what it is called.
 import shlex
 from collections.abc import Iterator
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 from typer.core import TyperGroup
@@ -34,7 +35,7 @@ OLD_OPTIONS = {  # command -> old option -> what it is called; {} is its value
     "dev bench-concealed run": LIMIT,
     "dev bench-concealed score": {"--rows": "--out"},
 }
-RESULTS = ("init", "init-rig", "dev bench-concealed make")  # whose first argument was what is --out
+RESULTS = ("init", "init-rig", "dev bench-concealed make")  # whose first argument, a name, was what is --out
 
 
 class Commands(TyperGroup):
@@ -92,7 +93,7 @@ def _of(name: str, args: list[str], known: dict[str, Any]) -> list[str]:
     arguments = [value for word, value, _ in found if not word] + moved
     options = [w for word, value, written in found if word for w in _option(renamed, word, value, written)]
     named = {"--out", "-o"} & {word for word, _, _ in found}
-    if name in RESULTS and not named and len(arguments) > len(slots) and (moved or not slots):
+    if name in RESULTS and not named and len(arguments) > len(slots) and not (slots and Path(arguments[0]).suffix):
         options += ["--out", arguments.pop(0)]
     elif not any(word in renamed for word, _, _ in found):
         return [*name.split(), *args]
