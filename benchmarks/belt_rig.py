@@ -49,9 +49,7 @@ def thesis_rbf(part: str, inputs: tuple[str, ...], data: Record, seed: int) -> N
     """A radial network of the thesis's size; `sp` and `b` as `fnn`."""
     if part not in AS_THESIS["rbf"]:
         return study.fnn(part, inputs, data, seed)
-    return radial_fit(
-        [data], {Port(i): (0,) for i in inputs}, Port("y"), (), AS_THESIS["rbf"][part], seed, name=part
-    ).network
+    return radial_fit([data], {Port(i): (0,) for i in inputs}, Port("y"), (), AS_THESIS["rbf"][part], seed, name=part)
 
 
 def driven(speed: float, **values: float) -> dict[str, np.ndarray]:

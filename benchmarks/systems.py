@@ -18,23 +18,32 @@ from itertools import repeat
 from time import process_time
 
 from greygate.machines.benchmark_systems.study import (
+    AGAIN,
     SYSTEMS,
     System,
     figures,
     identify,
     prune_guarded,
     prune_neurons,
-    prune_penalised,
     prune_weights,
+    rms,
+    training_again,
 )
 from greygate.models.network import Network
 from greygate.models.prune import entropies as entropies_of
+from greygate.models.prune import remove_neurons
+from greygate.models.training.levenberg import train
+from greygate.progress import Progress, silent
 
 from .shared import say, stopwatch
+from .thesis.grouped import ROUNDS, emptied, train_grouped
 
 TAKES = "an hour"
 SEEDS = 10
 JOBS = 2
+STRENGTHS = 1e-6, 1e-5, 5e-5, 1e-4  # of the group lasso that makes neurons prunable,
+DECAYS = 1e-4, 1e-3, 1e-2, 0.1  # and of a decay that does
+PULLED = 150  # epochs of each of its trainings
 
 
 def identified(system: System, seed: int, network: Network, found: dict) -> dict:
@@ -58,6 +67,31 @@ def _both_ways(loop: Callable, system: System, seed: int, network: Network) -> d
         found["cpu_seconds"] = watch(1)
         out[f"{system.name} {name}"] = figures(system, smaller, seed) | found
     return out
+
+
+def prune_penalised(
+    system: System, seed: int, network: Network, grouped: bool, progress: Progress = silent
+) -> tuple[Network, float]:
+    """(the smallest network, the strength) of a training with a group lasso, or with a decay, that empties neurons.
+
+    These are removed, and what is left is trained without. Bound and judges are those of `prune_guarded`; nothing but
+    the strength is tried.
+    """
+    training, held = [system.record(system.excite(seed))], [system.record(u) for u in system.held]
+    title = f"{system.name}, seed {seed}"
+    again = training_again(title, training, held, AGAIN, progress, held=held, patience=250)
+    bound, best = max(rms(network, held), system.spare), (network, 0.0)
+    for strength in STRENGTHS if grouped else DECAYS:
+        if grouped:
+            pulled = train_grouped(network, training, strength, epochs=PULLED)
+        else:
+            pulled = train(network, training, epochs=ROUNDS * PULLED, decay=strength).network.flatten()
+        if not (empty := emptied(pulled)):
+            continue
+        smaller = again(remove_neurons(pulled, training, empty, onto_others=False))
+        if smaller.neurons() < best[0].neurons() and rms(smaller, held) <= bound:
+            best = smaller, strength
+    return best
 
 
 def penalised(system: System, seed: int, network: Network, found: dict) -> dict:

@@ -15,7 +15,7 @@ from greygate.machines.valve_cylinder import study as first
 from greygate.models.accuracy import free_run_rms
 from greygate.models.adaptation import adopt
 from greygate.models.families.blocks import nguyen_widrow
-from greygate.models.families.regression import regression
+from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
 from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
@@ -54,7 +54,7 @@ def regressions() -> None:
     ):
         u = signal()
         record = Record({"u": u}, {"y": plant(u)})
-        network = regression("noe", {Port("u"): taps[0]}, Port("y"), taps[1], hidden=hidden, bypass=False)
+        network = noe("noe", {Port("u"): taps[0]}, Port("y"), taps[1], hidden=hidden, bypass=False)
         _narx_noe(name, nguyen_widrow(network, seed=0), record, (epochs, 50), thesis)
 
 
@@ -66,7 +66,7 @@ def slip() -> None:
     for k in range(1, len(x)):
         e[k] = 0.99 * e[k - 1] + 0.02 * np.tanh(2 * v[k]) * (1 + 0.2 * np.sin(x[k]))
     inputs = {Port("x", scale=float(np.abs(x).max())): (0, 1, 2), Port("v"): (0, 1, 2)}
-    network = regression("noe", inputs, Port("e"), (1,), hidden=(30,), bypass=False)
+    network = noe("noe", inputs, Port("e"), (1,), hidden=(30,), bypass=False)
     record = Record({"x": x, "v": v}, {"e": e})
     _narx_noe("drum, 30", nguyen_widrow(network, seed=0), record, (100, 10), ("29 s", "428 s"), shown=False)
 

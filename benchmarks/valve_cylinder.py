@@ -22,7 +22,6 @@ from greygate.machines.valve_cylinder.plant import valve_cylinder
 from greygate.machines.valve_cylinder.scenarios import HOLD, LEVEL, SAMPLE_TIME, SAMPLES, measure, scenario
 from greygate.machines.valve_cylinder.study import DIVIDER_SEED, FLOW_SEED, assemble, record, tuning
 from greygate.models.accuracy import free_run_rms
-from greygate.models.families.axes import KINDS, on_axes
 from greygate.models.families.blocks import fit_divider, fit_flow, nguyen_widrow
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
@@ -32,6 +31,7 @@ from greygate.models.training.record import Record
 from greygate.plants.excitation import prms
 
 from .shared import say
+from .thesis.axes import KINDS, on_axes
 from .valve_flow import architectures, laps
 from .valve_linear import linearised
 

@@ -54,31 +54,21 @@ def imitator(
         f"{port}_z{delay}": np.array([[f.get((port, delay), 0.0) * ports[port].scale] for f in features])
         for port, delay in taps
     }
-    network.add("seen", Layer(weights, np.zeros(len(features)), frozen={*weights, "bias"}))
-    for port, delay in taps:
-        network.connect(port, f"seen.{port}_z{delay}", delay)
+    fixed = Layer(weights, np.zeros(len(features)), frozen={*weights, "bias"})
+    network.add("seen", fixed, dict(zip(weights, taps, strict=True)))
     rng, count = np.random.default_rng(seed), len(features)
     spread = rng.normal(size=(hidden, count)) / np.sqrt(count)
-    network.add("hidden", Layer({"seen": spread}, rng.normal(size=hidden), "tansig"))
-    network.connect("seen", "hidden.seen")
+    network.add("hidden", Layer({"seen": spread}, rng.normal(size=hidden), "tansig"), {"seen": "seen"})
     start = {"seen": np.zeros((1, count)), "hidden": 0.01 * rng.normal(size=(1, hidden))}
-    network.add("wanted", Layer(start, [0.0]))
-    network.connect("seen", "wanted.seen")
-    network.connect("hidden", "wanted.hidden")
+    network.add("wanted", Layer(start, [0.0]), {"seen": "seen", "hidden": "hidden"})
     one = {"wanted": [[1.0]], "last": [[-1.0]]}
-    network.add("change", Layer(one, [0.0], frozen={*one, "bias"}))
-    network.connect("wanted", "change.wanted")
-    network.connect(LAST, "change.last")
+    network.add("change", Layer(one, [0.0], frozen={*one, "bias"}), {"wanted": "wanted", "last": LAST})
     rate = limits.rate / abs(drive.scale)
     low, high = sorted(drive.normalised(v) for v in (limits.low, limits.high))
-    network.add("rate", library("limiter", lo=-rate, hi=rate))
-    network.connect("change", "rate.x")
+    network.add("rate", library("limiter", lo=-rate, hi=rate), {"x": "change"})
     both = {"rate": [[1.0]], "last": [[1.0]]}
-    network.add("sum", Layer(both, [0.0], frozen={*both, "bias"}))
-    network.connect("rate", "sum.rate")
-    network.connect(LAST, "sum.last")
-    network.add("range", library("limiter", lo=low, hi=high))
-    network.connect("sum", "range.x")
+    network.add("sum", Layer(both, [0.0], frozen={*both, "bias"}), {"rate": "rate", "last": LAST})
+    network.add("range", library("limiter", lo=low, hi=high), {"x": "sum"})
     network.connect("range", drive.name)
     return network.check()
 

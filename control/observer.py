@@ -6,14 +6,15 @@ import numpy as np
 from scipy.linalg import solve_discrete_are
 
 from greygate.control.prediction import online
+from greygate.control.stepping import Floating
 from greygate.errors import InputError
 from greygate.models.network import Network
-from greygate.models.training.kernels import forward, sensitivities, tabulate
+from greygate.models.training.kernels import sensitivities
 
 LEAST = 1e-6  # deviation, normalised, of what is said to be exact: the Riccati equation needs some
 
 
-class Observer:
+class Observer(Floating):
     """Runs a model beside the plant and corrects its state by what is measured.
 
     model: network whose only input is `drive`. measured: output of the model -> standard deviation of what is given for
@@ -24,55 +25,38 @@ class Observer:
     """
 
     def __init__(self, model: Network, drive: str, measured: Mapping[str, float], disturbed: Mapping[str, float]):
-        self.flat = online(model, drive)
-        tables, names = tabulate(self.flat)
-        values = self.flat.parameters()
-        self._tables, self._theta = tables, np.concatenate([values[n].ravel() for n in names])
-        self._now = np.zeros((tables.depth + 1, int(tables.layers[-1, 0])))
-        self._forced = np.zeros(self._now.shape[1], bool)
+        super().__init__(online(model, drive))
         order = self.flat.order()
-        heads = dict(zip(order, tables.layers[:, 0].tolist(), strict=False))
-        layers = self.flat.layers()
-        self._place = {n: slice(heads[n], heads[n] + layers[n].size) for n in order}
         lags = {n: 0 for n in order}
         for c in self.flat.connections:
             if c.source in lags:
                 lags[c.source] = max(lags[c.source], c.delay)
-        state = [(e, lag) for n in order for e in range(self._place[n].start, self._place[n].stop)
-                 for lag in range(1, lags[n] + 1)]  # fmt: skip
+        state = [(int(e), lag) for n in order for e in self._place[n] for lag in range(1, lags[n] + 1)]
         self._state = np.array(state, int).reshape(-1, 2)
-        self._remembered = [n for n in order if lags[n]]
         self.port = self.flat.inputs[0]
-        shown = dict(zip((p.name for p in self.flat.outputs), tables.rows[tables.shown].tolist(), strict=True))
-        self.ports = {p.name: p for p in self.flat.outputs}
+        shown = dict(
+            zip((p.name for p in self.flat.outputs), self._tables.rows[self._tables.shown].tolist(), strict=True)
+        )
+        ports = {p.name: p for p in self.flat.outputs}
         for name in measured:
             if name not in shown or (shown[name], 1) not in state:
                 raise InputError(f"network {model.name}: {name} is no output that the model remembers; measure another")
         for name in disturbed:
             if name not in self._remembered:
                 raise InputError(f"network {model.name}: {name} is no layer that it remembers: {', '.join(lags)}")
-        self.measured = {n: self.ports[n] for n in measured}
+        self.measured = {n: ports[n] for n in measured}
         self._seen = np.array([state.index((shown[n], 1)) for n in measured])
-        deviation = np.array([disturbed.get(self._owner(e), 0.0) * (lag == 1) for e, lag in state])
-        noise = np.array([max(d / abs(self.ports[n].scale), LEAST) for n, d in measured.items()])
-        self.reset()
+        owner = {int(e): n for n in order for e in self._place[n]}
+        deviation = np.array([disturbed.get(owner[e], 0.0) * (lag == 1) for e, lag in state])
+        noise = np.array([max(d / abs(ports[n].scale), LEAST) for n, d in measured.items()])
         self._gain = self._stationary(deviation, noise)
         self.reset()
-
-    def _owner(self, element: int) -> str:
-        return next(n for n, place in self._place.items() if place.start <= element < place.stop)
-
-    def reset(self) -> None:
-        rest = self.flat.rest()
-        self._now[:, 0] = rest[self.port.name]
-        for name, place in self._place.items():
-            self._now[:, place] = rest[name]
 
     def _stationary(self, deviation: np.ndarray, noise: np.ndarray) -> np.ndarray:
         """(state, measured): the gain, by the discrete algebraic Riccati equation."""
         t, size = self._tables, len(self._state)
         n = len(self._theta)
-        self._advance(self.port.rest)
+        self.advance({self.port.name: self.port.rest})
         carried = np.zeros((t.depth + 1, len(t.rows), n + size))
         slot, row = -self._state[:, 1] % (t.depth + 1), t.row_of[self._state[:, 0]]
         carried[slot, row, n + np.arange(size)] = 1.0
@@ -91,16 +75,10 @@ class Observer:
             raise InputError(f"network {self.flat.name}: the measured outputs do not tell its state") from None
         return spread @ seen.T @ np.linalg.inv(seen @ spread @ seen.T + np.diag(noise**2))
 
-    def _advance(self, drive: float) -> None:
-        now, t = self._now, self._tables
-        now[:-1] = now[1:]
-        now[-1, 0] = drive
-        forward(t.layers, t.links, t.n_inputs, t.depth, self._theta, now, now, self._forced)
-
-    def step(self, applied: float, measured: Mapping[str, float]) -> dict[str, np.ndarray]:
+    def corrected(self, applied: float, measured: Mapping[str, float]) -> dict[str, np.ndarray]:
         """The state now: layer or input -> (lags, size), newest first. applied: what acted since the last step, and
         measured: what is seen now, each in its unit."""
-        self._advance(self.port.normalised(applied))
+        self.advance({self.port.name: self.port.normalised(applied)})
         rows, columns = len(self._now) - self._state[:, 1], self._state[:, 0]
         now = self._now[rows, columns]
         seen = np.array([p.normalised(measured[n]) for n, p in self.measured.items()])
@@ -108,9 +86,8 @@ class Observer:
         return self.state()
 
     def state(self) -> dict[str, np.ndarray]:
-        found = {n: self._now[::-1, self._place[n]].copy() for n in self._remembered}
-        return found | {self.port.name: self._now[::-1, :1].copy()}
+        return super().state() | {self.port.name: self._now[::-1, :1].copy()}
 
     def value(self, layer: str) -> float:
         """Of one layer of size 1, normalised."""
-        return float(self._now[-1, self._place[layer].start])
+        return float(self._now[-1, self._place[layer][0]])

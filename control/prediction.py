@@ -12,7 +12,8 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.models.network import Layer, Network, Port
-from greygate.models.training.kernels import forward, sensitivities, tabulate
+from greygate.models.training.kernels import forward, sensitivities
+from greygate.models.training.objective import Objective
 
 PLAN = "plan"
 State = Mapping[str, np.ndarray]  # layer or input -> (lags, size), newest first, normalised
@@ -73,27 +74,20 @@ class Prediction:
         layer = Layer({PLAN: np.zeros((1, plan.size))}, [0.0], initial=self.port.rest)
         flat = replace(flat, inputs=[plan], modules={drive: layer, **flat.modules})
         flat.connect(PLAN, f"{drive}.{PLAN}")
-        self.flat = flat.flatten()
-        tables, names = tabulate(self.flat)
-        values = self.flat.parameters()
-        ends = np.cumsum([values[n].size for n in names])
-        last = int(ends[names.index(f"{drive}.{PLAN}")])
-        self._theta = np.concatenate([values[n].ravel() for n in names])
-        self._columns = slice(last - plan.size, last)
+        objective = Objective(flat, [])
+        self.flat, tables, self.place = objective.flat, objective.tables, objective.elements()
+        self._theta, self._forced = objective.theta.copy(), objective.forced
+        planned = objective.slices()[f"{drive}.{PLAN}"]
+        self._columns = slice(int(planned[0]), int(planned[-1]) + 1)
         spans = np.broadcast_to([self._columns.start, self._columns.stop], (len(tables.rows), 2))
         self._tables = tables._replace(spans=np.ascontiguousarray(spans))  # of all derivatives those by the plan
-        order = self.flat.order()
-        heads = dict(zip(order, tables.layers[:, 0].tolist(), strict=False))
-        self.place = {n: slice(heads[n], heads[n] + self.flat.modules[n].size) for n in order}  # type: ignore[union-attr]
         self._shown = tables.rows[tables.shown]
-        elements, steps = int(tables.layers[-1, 0]), len(self.basis)
-        self._now = np.zeros((tables.depth + steps, elements))
-        self._forced = np.zeros(elements, bool)
-        self._jacobian = np.zeros((steps, len(tables.shown), len(self._theta)))
+        self._now = np.zeros((tables.depth + self.steps, len(self._forced)))
+        self._jacobian = np.zeros((self.steps, len(tables.shown), len(self._theta)))
         self._now[tables.depth :, : plan.size] = self.basis
         self._remembered = {c.source for c in self.flat.connections if c.delay}
-        for name in order:
-            self._now[: tables.depth, self.place[name]] = self.flat.modules[name].initial  # type: ignore[union-attr]
+        for name, layer in self.flat.layers().items():
+            self._now[: tables.depth, self.place[name]] = layer.initial
 
     @property
     def steps(self) -> int:

@@ -8,7 +8,8 @@ import numpy as np
 from greygate.emulator.engine import run
 from greygate.emulator.program import Program
 from greygate.models.network import Network
-from greygate.models.training.kernels import forward, tabulate
+from greygate.models.training.kernels import forward
+from greygate.models.training.objective import Objective
 
 
 class Stepped(Protocol):
@@ -25,37 +26,30 @@ class Floating:
     """A float network under way, by the compiled kernel that training uses."""
 
     def __init__(self, network: Network):
-        self.flat = network.flatten()
-        tables, names = tabulate(self.flat)
-        values = self.flat.parameters()
-        self._tables, self._theta = tables, np.concatenate([values[n].ravel() for n in names])
-        self._now = np.zeros((tables.depth + 1, int(tables.layers[-1, 0])))
-        self._forced = np.zeros(self._now.shape[1], bool)
-        self._shown = tables.rows[tables.shown]
-        order = self.flat.order()
-        heads = dict(zip(order, tables.layers[:, 0].tolist(), strict=False))
-        self._place = {n: slice(heads[n], heads[n] + layer.size) for n, layer in self.flat.layers().items()}
-        self._remembered = sorted({c.source for c in self.flat.connections if c.delay and c.source in self._place})
+        objective = Objective(network, [])
+        self.flat, self._tables, self._theta = objective.flat, objective.tables, objective.theta
+        self._place, self._forced = objective.elements(), objective.forced
+        self._now = np.zeros((self._tables.depth + 1, len(self._forced)))  # the newest step last
+        self._remembered = sorted(
+            {c.source for c in self.flat.connections if c.delay and c.source in self.flat.modules}
+        )
         self.reset()
 
     def reset(self) -> None:
-        rest = self.flat.rest()
-        at = 0
-        for port in self.flat.inputs:
-            self._now[:, at : at + port.size] = rest[port.name]
-            at += port.size
-        for name, place in self._place.items():
-            self._now[:, place] = rest[name]
+        for name, rest in self.flat.rest().items():
+            self._now[:, self._place[name]] = rest
 
-    def step(self, inputs: Mapping[str, float]) -> dict[str, float]:
+    def advance(self, inputs: Mapping[str, float]) -> None:
+        """A step of inputs, normalised."""
         now, t = self._now, self._tables
         now[:-1] = now[1:]
-        at = 0
-        for port in self.flat.inputs:
-            now[-1, at : at + port.size] = port.normalised(inputs[port.name])
-            at += port.size
+        for name, value in inputs.items():
+            now[-1, self._place[name]] = value
         forward(t.layers, t.links, t.n_inputs, t.depth, self._theta, now, now, self._forced)
-        shown = now[-1, self._shown]
+
+    def step(self, inputs: Mapping[str, float]) -> dict[str, float]:
+        self.advance({p.name: p.normalised(inputs[p.name]) for p in self.flat.inputs})
+        shown = self._now[-1, self._tables.rows[self._tables.shown]]
         return {p.name: float(v) * p.scale + p.offset for p, v in zip(self.flat.outputs, shown, strict=True)}
 
     def state(self) -> dict[str, np.ndarray]:

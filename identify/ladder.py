@@ -4,7 +4,7 @@ A network begins as the linear model, with neurons that weigh next to nothing: i
 epoch on, and training can only improve on the linear model.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import count
 
@@ -106,11 +106,10 @@ class Form:
         weights = {port: np.zeros((1, 1)) for port in ports}
         if self.inside:
             read = {"all": ports, "inputs": fed_in}.get(self.reads, {n: p for n, p in ports.items() if n not in fed_in})
-            network.add(neurons, Layer({p: np.zeros((self.inside, 1)) for p in read}, np.zeros(self.inside), "tansig"))
-            connect(network, neurons, read)
+            hidden = Layer({p: np.zeros((self.inside, 1)) for p in read}, np.zeros(self.inside), "tansig")
+            network.add(neurons, hidden, read)
             weights[neurons], ports = np.zeros((1, self.inside)), ports | {neurons: (neurons, 0)}
-        network.add(dynamics, Layer(weights, [0.0], initial=0.0 if orders.integrating else output.rest))
-        connect(network, dynamics, ports)
+        network.add(dynamics, Layer(weights, [0.0], initial=0.0 if orders.integrating else output.rest), ports)
         if orders.integrating:
             _summed(network, rate, loop, orders.step, output.rest)
         if self.after:
@@ -142,26 +141,19 @@ def falling(network: Network, orders: Orders, output: Port) -> float:
     return np.inf if largest == 1 else 0.0 if largest == 0 else -orders.stride / float(np.log(largest))
 
 
-def connect(network: Network, layer: str, ports: Mapping[str, tuple[str, int]]) -> None:
-    """Connect the layer's ports, each to a source behind a delay."""
-    for port, (source, delay) in ports.items():
-        network.connect(source, f"{layer}.{port}", delay)
-
-
 def _curve(network: Network, source: str, name: str, neurons: int) -> None:
     """Layer `name`: the signal itself, plus neurons of it."""
     hidden = f"{name}_{NEURONS}"
-    network.add(hidden, Layer({source: np.zeros((neurons, 1))}, np.zeros(neurons), "tansig"))
-    connect(network, hidden, {source: (source, 0)})
-    network.add(name, Layer({"itself": [[1.0]], hidden: np.zeros((1, neurons))}, [0.0], frozen={"itself", "bias"}))
-    connect(network, name, {"itself": (source, 0), hidden: (hidden, 0)})
+    network.add(hidden, Layer({source: np.zeros((neurons, 1))}, np.zeros(neurons), "tansig"), {source: source})
+    joined = Layer({"itself": [[1.0]], hidden: np.zeros((1, neurons))}, [0.0], frozen={"itself", "bias"})
+    network.add(name, joined, {"itself": source, hidden: hidden})
 
 
 def _summed(network: Network, source: str, name: str, step: float, initial: float) -> None:
     """Layer `name`: the sum of a signal over all samples, `step` for each 1 of it."""
     weights = {source: [[step]], "before": [[1.0]]}
-    network.add(name, Layer(weights, [0.0], initial=initial, frozen={*weights, "bias"}))
-    connect(network, name, {source: (source, 0), "before": (name, 1)})
+    level = Layer(weights, [0.0], initial=initial, frozen={*weights, "bias"})
+    network.add(name, level, {source: source, "before": (name, 1)})
 
 
 def _shrunk(network: Network) -> Network:

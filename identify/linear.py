@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from greygate.identify.ladder import ARMAX, ARX, LOOP, Form, Orders, connect, own
+from greygate.identify.ladder import ARMAX, ARX, LOOP, Form, Orders, own
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
@@ -55,15 +55,13 @@ def predictor(form: Form, orders: Orders, inputs: Sequence[Port], output: Port) 
         ports |= {f"{output.name}_z{d}": (measured, d) for d in orders.feedback} | past
     else:
         ports |= {f"{output.name}_z{d}": (loop, d) for d in orders.feedback}
-    network.add(loop, Layer({port: np.zeros((1, 1)) for port in ports}, [0.0], initial=output.rest))
-    connect(network, loop, ports)
+    network.add(loop, Layer({port: np.zeros((1, 1)) for port in ports}, [0.0], initial=output.rest), ports)
     shown = loop
     if form != ARMAX:
         _difference(network, rest, measured, loop)
         past |= {f"{rest}_z{d}": (rest, d) for d in orders.feedback}
         weights = {loop: np.ones((1, 1)), **{port: np.zeros((1, 1)) for port in past}}
-        network.add(predicted, Layer(weights, [0.0], frozen={loop, "bias"}))
-        connect(network, predicted, {loop: (loop, 0), **past})
+        network.add(predicted, Layer(weights, [0.0], frozen={loop, "bias"}), {loop: loop, **past})
         shown = predicted
     _difference(network, error, measured, shown)
     network.connect(shown, output.name)
@@ -72,8 +70,7 @@ def predictor(form: Form, orders: Orders, inputs: Sequence[Port], output: Port) 
 
 def _difference(network: Network, name: str, of: str, less: str) -> None:
     """Layer `name`: the signal `of` less the signal `less`."""
-    network.add(name, Layer({of: [[1.0]], less: [[-1.0]]}, [0.0], frozen={of, less, "bias"}))
-    connect(network, name, {of: (of, 0), less: (less, 0)})
+    network.add(name, Layer({of: [[1.0]], less: [[-1.0]]}, [0.0], frozen={of, less, "bias"}), {of: of, less: less})
 
 
 def _measured(record: Record, output: Port, form: Form) -> Record:

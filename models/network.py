@@ -9,6 +9,7 @@ same network as layers alone, each port fed by exactly one signal: the form on w
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Self
 
 import numpy as np
@@ -50,11 +51,16 @@ class Network:
 
     # ---- building
 
-    def add(self, name: str, module: "Layer | Network") -> None:
-        """Add a module. Raises InputError if the name is taken."""
+    def add(
+        self, name: str, module: "Layer | Network", feeds: Mapping[str, str | tuple[str, int]] = MappingProxyType({})
+    ) -> None:
+        """Add a module. feeds: port -> its source, or (source, delay). Raises InputError if the name is taken."""
         if name in self.modules or name in {p.name for p in self.inputs + self.outputs}:
             raise InputError(f"network {self.name}: the name {name} is used twice; rename one")
         self.modules[name] = module
+        for port, feed in feeds.items():
+            source, delay = (feed, 0) if isinstance(feed, str) else feed
+            self.connect(source, f"{name}.{port}", delay)
 
     def connect(self, source: str, target: str, delay: int = 0, gain: float | np.ndarray | None = None) -> None:
         """Let `target` receive gain @ source(k - delay); several connections to one port add up."""

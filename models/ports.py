@@ -1,7 +1,6 @@
 """Ports whose normalisation comes from a training recording and is kept with the network."""
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
 
 import numpy as np
 
@@ -10,17 +9,11 @@ from greygate.models.network import Port
 from greygate.names import check_path, check_unit
 
 
-def ports(
-    channels: Mapping[str, np.ndarray],
-    units: Mapping[str, str],
-    names: Sequence[str],
-    to: Literal["range", "deviation"] = "range",
-) -> list[Port]:
-    """One scalar port a channel; inside stands (value - offset) / scale, and before the first step the first sample.
+def ports(channels: Mapping[str, np.ndarray], units: Mapping[str, str], names: Sequence[str]) -> list[Port]:
+    """One scalar port a channel: inside, its range is [-1, 1], and before the first step stands the first sample.
 
-    channels: name -> (samples,), of the training recording. to: "range" gives [-1, 1] on it, "deviation" mean 0 and
-    standard deviation 1. Raises InputError for a channel that is missing, constant or not finite, and for a name or
-    unit that a port cannot have (`greygate.names`).
+    channels: name -> (samples,), of the training recording. Raises InputError for a channel that is missing, constant
+    or not finite, and for a name or unit that a port cannot have (`greygate.names`).
     """
     found = []
     for name in names:
@@ -34,11 +27,5 @@ def ports(
         low, high = float(x.min()), float(x.max())
         if not high - low > 1e-12 * max(abs(low), abs(high)):
             raise InputError(f"port {name}: its channel is constant at {low:g}; nothing can be learnt from it")
-        if to == "range":
-            scale, offset = (high - low) / 2, (high + low) / 2
-        elif to == "deviation":
-            scale, offset = float(np.std(x)), float(np.mean(x))
-        else:
-            raise InputError(f"port {name}: normalisation to {to!r}; choose 'range' or 'deviation'")
-        found.append(Port(name, unit, scale, offset, initial=float(x[0])))
+        found.append(Port(name, unit, (high - low) / 2, (high + low) / 2, initial=float(x[0])))
     return found

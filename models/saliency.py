@@ -23,13 +23,8 @@ from greygate.models.training.objective import Objective, traces
 from greygate.models.training.record import Record
 from greygate.progress import Progress, silent
 
-RIDGES = (
-    1e-8,
-    1e-6,
-    1e-4,
-    1e-2,
-)  # of the Hessian, times its mean diagonal; with a small one a step goes too far where the loss is no quadratic
-
+RIDGES = (1e-8, 1e-6, 1e-4, 1e-2)  # of the Hessian, times its mean diagonal
+"""With a small one a step goes too far where the loss is no quadratic."""
 POPULATION, GENERATIONS = 16, 10  # of sets of weights that compete
 MUTATED = 0.05  # share of what both parents remove that a child gives back
 NEAR = 3  # times the weights to remove: among so many of the least saliency others are drawn

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from benchmarks.thesis.axes import KINDS, on_axes
 from greygate.compiler.pipeline import compile_network
 from greygate.compiler.quantize import Formats
 from greygate.errors import InputError
 from greygate.machines.benchmark_systems.plant import b1, b1_input
-from greygate.models.families.axes import KINDS, on_axes
 from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.regression import noe
 from greygate.models.network import Port

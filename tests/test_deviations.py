@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from test_starts import record, write
 
+from benchmarks.thesis.linear import arx
 from greygate.models.deviations import deviations
-from greygate.models.families.regression import arx, nfir
+from greygate.models.families.regression import nfir
 from greygate.models.network import Port
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from benchmarks.thesis.grouped import emptied, neurons, train_grouped
 from greygate.errors import InputError
 from greygate.models.accuracy import pooled_rms
 from greygate.models.families.blocks import feedforward
-from greygate.models.grouped import emptied, neurons, train_grouped
 from greygate.models.network import Layer, Network, Port
 from greygate.models.prune import entropies, remove_neurons
 from greygate.models.training.levenberg import train

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from benchmarks.thesis.linear import arx
+from benchmarks.thesis.orders import lipschitz
 from greygate.errors import InputError
 from greygate.machines.benchmark_systems.plant import b1, b1_input
-from greygate.models.families.orders import lipschitz
-from greygate.models.families.regression import arx
 from greygate.models.network import Port
 from greygate.models.training.record import Record
 

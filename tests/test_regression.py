@@ -2,23 +2,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from benchmarks.thesis.linear import armax, arx, bj, fir, oe
+from benchmarks.thesis.noise import box_jenkins, free_run, narmax, with_measured
 from greygate.errors import InputError
-from greygate.models.families.regression import (
-    armax,
-    arx,
-    bj,
-    box_jenkins,
-    fir,
-    free_run,
-    narmax,
-    narx,
-    nfir,
-    noe,
-    oe,
-    regression,
-    regressors,
-    with_measured,
-)
+from greygate.models.families.regression import narx, nfir, noe, regressors
 from greygate.models.network import Port
 from greygate.models.training.levenberg import Outcome, train
 from greygate.models.training.objective import Objective
@@ -107,15 +94,15 @@ def test_the_names_of_table_3_1_make_these_regressors():
     assert narx is noe
     assert read(noe("n", *taps, (1, 2), (2,))) == inputs | {"hidden1.y_z1", "hidden1.y_z2"}
     assert read(narmax("n", *taps, (1,), (3,), (2,))) == inputs | {"hidden1.y_z1", "hidden1.e_z3"}
-    linear_loop = narmax("n", *taps, (1,), (3,), (2,), linear_loop=True)
+    linear_loop = noe("n", *taps, (1,), (2,), linear_loop=True)
     assert read(linear_loop) == inputs
-    assert linear_loop.layers()["sum"].weights.keys() == {"u_z0", "u_z1", "y_z1", "e_z3", "hidden1"}
+    assert linear_loop.layers()["sum"].weights.keys() == {"u_z0", "u_z1", "y_z1", "hidden1"}
 
 
 def test_without_a_bypass_it_is_the_network_of_the_thesis_with_its_341_parameters():
     network = noe("b2", {Port("u"): (1, 2)}, Port("y"), (1, 2, 3), (20, 10), bypass=False)
     assert sum(w.size for w in network.parameters().values()) == 341
-    logistic = regression("l", {Port("u"): (1,)}, Port("y"), hidden=(2,), activation="logsig")
+    logistic = noe("l", {Port("u"): (1,)}, Port("y"), hidden=(2,), activation="logsig")
     assert logistic.layers()["hidden1"].activation == "logsig"
 
 

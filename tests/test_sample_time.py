@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from benchmarks.thesis.noise import box_jenkins, free_run
 from greygate.compiler.pipeline import compile_network
 from greygate.control.prediction import Prediction, hats, knots, online
 from greygate.errors import InputError
@@ -19,7 +20,7 @@ from greygate.identify import files
 from greygate.machines.catalog import CATALOG, CONTROLLED, task
 from greygate.machines.control import CONTROL
 from greygate.machines.kept import PRUNED
-from greygate.models.families.regression import box_jenkins, free_run, noe
+from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
 from greygate.models.sampling import resampling, spoken
 from greygate.models.simplify import SIMPLIFICATIONS

@@ -14,12 +14,12 @@ import numpy as np
 
 from greygate.compiler.pipeline import entropy_pruning
 from greygate.errors import InputError
+from greygate.identify.baseline import linear, of_one
 from greygate.identify.expert.decisions import Log
 from greygate.identify.expert.parts import Part
-from greygate.identify.expert.rivals import Compared, scores
 from greygate.identify.expert.task import Task
 from greygate.identify.expert.wiring import Choices, Joined, Wiring, poor
-from greygate.models.accuracy import float_error, free_run_rms
+from greygate.models.accuracy import Errors, float_error, free_run_rms, rms
 from greygate.models.network import Network
 from greygate.models.prune import retrained
 from greygate.models.saliency import obs, saliency_pruning
@@ -30,10 +30,7 @@ from greygate.plants.plant import Plant
 from greygate.plants.recording import Recording
 from greygate.progress import Progress, silent
 
-JUDGED, TESTED = (
-    0.25,
-    0.2,
-)  # shares at the end of each recording: for decisions, and to test where nothing else is given
+JUDGED, TESTED = 0.25, 0.2  # of each recording, its end: for decisions, and to test where nothing else is given
 GAIN = 0.98  # of the error before: what a step that adds something must reach
 ALLOWED = 1.02  # of the error before: what a step that removes something may reach
 TAPS, NEURONS = 4, (4, 8)
@@ -49,7 +46,7 @@ class Built:
 
     network: Network
     log: Log
-    rms: Mapping[str, Mapping[str, Mapping[str, float]]]
+    rms: Mapping[str, Errors]
     seconds: float
 
 
@@ -81,8 +78,7 @@ def build(
     expert = Expert(task, recordings, tests, began + seconds, progress)
     network = expert.built()
     progress("training a linear model to compare with")
-    compared = Compared(task, expert.record, expert.nominal, recordings, tests, expert.ends)
-    return Built(network, expert.log, scores(network, compared), monotonic() - began)
+    return Built(network, expert.log, expert.scores(network), monotonic() - began)
 
 
 class Expert:
@@ -135,6 +131,26 @@ class Expert:
         """RMS over all records of the targets' errors, each over the deviation of its target; inf where it diverges."""
         found = [free_run_rms(network, r)[t] / self.sizes[t] for r in records for t in self.task.targets]
         return float(np.sqrt(np.mean(np.square(found))))
+
+    def scores(self, network: Network) -> dict[str, Errors]:
+        """RMS error of the network, the plant's own simulation and linear models, by recording and target, in its unit.
+
+        Of a recording that is learnt in part, its end apart.
+        """
+        found: dict[str, Errors] = {"network": {}, "nominal": {}, "linear": {}}
+        learnt, targets = [self.record(n).cut(0, end) for n, end in self.ends.items()], self.task.targets
+        rivals = {t: linear([of_one(r, t) for r in learnt]) for t in targets}
+        for name, recording in {**self.recordings, **self.tests}.items():
+            record, simulated = self.record(name), self.nominal[name]
+            spans = {name: (0, self.ends.get(name, len(record)))}
+            if name in self.recordings and not self.tests:
+                spans[f"{name} end"] = (self.ends[name], len(record))
+            for label, (start, stop) in spans.items():
+                cut = record.cut(0, stop, skip=start)
+                found["network"][label] = free_run_rms(network, cut)
+                found["nominal"][label] = {t: rms((simulated[t] - recording[t])[start:stop]) for t in targets}
+                found["linear"][label] = {t: free_run_rms(rival, of_one(cut, t))[t] for t, rival in rivals.items()}
+        return found
 
     # ---- exercises
 

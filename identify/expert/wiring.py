@@ -158,18 +158,15 @@ class Wiring:
         name = f"mean_{symbol}"
         weights = {"now": [[0.0 if held else 0.5]], "before": [[1.0 if held else 0.5]]}
         measured = self.choices.free and not held and symbol in self.plant.inputs
-        self.network.add(name, Layer(weights, [0.0], frozen={"bias"} if measured else {"now", "before", "bias"}))
-        self.network.connect(symbol, f"{name}.now")
-        self.network.connect(symbol, f"{name}.before", delay=1)
+        layer = Layer(weights, [0.0], frozen={"bias"} if measured else {"now", "before", "bias"})
+        self.network.add(name, layer, {"now": symbol, "before": (symbol, 1)})
         return self.wired(f"{symbol}_mean", name, self.size(symbol), symbol=symbol)
 
     def rate(self, symbol: str) -> Form:
         source, _ = self.task.rates[symbol]
         scale, ratio = self.size(symbol), self.size(source) / (self.task.step * self.size(symbol))
         difference = Layer({"now": [[1.0]], "before": [[-1.0]]}, [0.0], frozen={"now", "before", "bias"})
-        self.network.add(f"moved_{symbol}", difference)
-        self.network.connect(source, f"moved_{symbol}.now")
-        self.network.connect(source, f"moved_{symbol}.before", delay=1)
+        self.network.add(f"moved_{symbol}", difference, {"now": source, "before": (source, 1)})
         first = {f"d{n}": [[float(n == 0)]] for n in range(self.choices.taps)}
         known = {"bias"} if self.choices.taps > 1 else {"bias", *first}
         self.network.add(f"rate_{symbol}", Layer(first, [0.0], frozen=known))
@@ -201,8 +198,7 @@ class Wiring:
         key, source = (symbol, name) if now else (f"{symbol}_mean", f"{name}_mean")
         pick = f"{key}_of"
         row = np.array([[float(s == symbol) for s in lag.states]])
-        self.network.add(pick, Layer({"lag": row}, [0.0], frozen={"lag", "bias"}))
-        self.network.connect(source, f"{pick}.lag")
+        self.network.add(pick, Layer({"lag": row}, [0.0], frozen={"lag", "bias"}), {"lag": source})
         return self.wired(key, pick, self.size(symbol), symbol=symbol)
 
     # ---- sums
@@ -339,9 +335,7 @@ class Wiring:
         level = Layer({"move": [[size / scale]], "before": [[1.0]]}, [0.0], initial=first, frozen=kept)
         self.joined.states[f"state_{state}"] = (state, scale)
         if limits is None:
-            self.network.add(f"state_{state}", level)
-            self.network.connect(source, f"state_{state}.move")
-            self.network.connect(f"state_{state}", f"state_{state}.before", delay=1)
+            self.network.add(f"state_{state}", level, {"move": source, "before": (f"state_{state}", 1)})
         else:
             self._clipped(state, source, level, limits, scale)
         what = "sum and integrator" if storage.is_constant else "sum, divider and integrator"
@@ -361,13 +355,10 @@ class Wiring:
         part = Layer(
             {"level": [[1 / span]]}, [-low / span], "satlin", np.clip((first - low) / span, 0, 1), {"level", "bias"}
         )
-        self.network.add(f"free_{state}", level)
-        self.network.add(f"part_{state}", part)
-        self.network.add(f"state_{state}", Layer({"part": [[span]]}, [low], initial=first, frozen={"part", "bias"}))
-        self.network.connect(source, f"free_{state}.move")
-        self.network.connect(f"state_{state}", f"free_{state}.before", delay=1)
-        self.network.connect(f"free_{state}", f"part_{state}.level")
-        self.network.connect(f"part_{state}", f"state_{state}.part")
+        limited = Layer({"part": [[span]]}, [low], initial=first, frozen={"part", "bias"})
+        self.network.add(f"free_{state}", level, {"move": source, "before": (f"state_{state}", 1)})
+        self.network.add(f"part_{state}", part, {"level": f"free_{state}"})
+        self.network.add(f"state_{state}", limited, {"part": f"part_{state}"})
         self.log("decompose", state, f"kept between {limits[0]:.4g} and {limits[1]:.4g}", "it reaches its limits")
 
     # ---- structure from library networks

@@ -13,8 +13,8 @@ from greygate.machines.procedure import Procedure
 from greygate.models.accuracy import float_error, free_run_rms, rms
 from greygate.models.families.blocks import feedforward
 from greygate.models.families.radial import rbf as radial_fit
+from greygate.models.families.recurrent import elman, frnn
 from greygate.models.families.regression import noe
-from greygate.models.families.templates import elman, frnn
 from greygate.models.network import Layer, Network, Port
 from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
@@ -164,7 +164,7 @@ def rbf(part: str, inputs: tuple[str, ...], data: Record, seed: int) -> Network:
     if data.targets["y"].ndim > 1 or part == "b":
         return fnn(part, inputs, data, seed)
     taps = {Port(i): (0,) for i in inputs}
-    return radial_fit([data], taps, Port("y"), (), RADIAL[part], seed, name=part).network
+    return radial_fit([data], taps, Port("y"), (), RADIAL[part], seed, name=part)
 
 
 def rnn(part: str, inputs: tuple[str, ...], data: Record, seed: int) -> Network:

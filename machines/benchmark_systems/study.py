@@ -13,9 +13,8 @@ import numpy as np
 from greygate.machines.benchmark_systems.plant import b1, b1_input, b2, b2_input, b2_test_input
 from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.regression import noe
-from greygate.models.grouped import ROUNDS, emptied, train_grouped
 from greygate.models.network import Network, Port
-from greygate.models.prune import Round, prune_by_entropy, remove_neurons
+from greygate.models.prune import Round, prune_by_entropy
 from greygate.models.saliency import Method, nonzero, obs, prune_by_saliency
 from greygate.models.simplify import parameter_count
 from greygate.models.training.levenberg import train
@@ -42,9 +41,6 @@ THESIS = {
 ALLOWED = {"b1_30": THESIS["b1_30"]["mse"], "b2": THESIS["b2"]["pruned_mse"]}  # training MSE of a pruned network
 AGAIN = 500, 500  # epochs of a network that lost neurons: one step ahead, as in table 3.3, and in free run
 GUARDED = 150, 150  # the same, where held-out records end the free run's
-STRENGTHS = 1e-6, 1e-5, 5e-5, 1e-4  # of the group lasso that makes neurons prunable,
-DECAYS = 1e-4, 1e-3, 1e-2, 0.1  # and of a decay that does
-PULLED = 150  # epochs of each of its trainings
 TRIES = 8  # neurons in a row that may not be removed, before the guarded loop ends
 
 
@@ -156,7 +152,7 @@ def prune_neurons(
     run alone counts, if it is better. onto_others: of `remove_neurons`.
     """
     training = [system.record(system.excite(seed))]
-    again = _again(f"{system.name}, seed {seed}", training, training, AGAIN, progress)
+    again = training_again(f"{system.name}, seed {seed}", training, training, AGAIN, progress)
     bound = np.sqrt([ALLOWED[system.name]])
     return prune_by_entropy(network, training, again, bound, onto_others=onto_others)
 
@@ -170,37 +166,12 @@ def prune_guarded(
     run stops on them, too. Where the neuron of lowest entropy may not go, the next ones are tried.
     """
     training, held = [system.record(system.excite(seed))], [system.record(u) for u in system.held]
-    again = _again(f"{system.name}, seed {seed}", training, held, GUARDED, progress, held=held, patience=60)
+    again = training_again(f"{system.name}, seed {seed}", training, held, GUARDED, progress, held=held, patience=60)
     bound = np.array([max(rms(network, held), system.spare)])
     return prune_by_entropy(network, training, again, bound, held=held, onto_others=onto_others, tries=TRIES)
 
 
-def prune_penalised(
-    system: System, seed: int, network: Network, grouped: bool, progress: Progress = silent
-) -> tuple[Network, float]:
-    """(the smallest network, the strength) of a training with a group lasso, or with a decay, that empties neurons.
-
-    These are removed, and what is left is trained without. Bound and judges are those of `prune_guarded`; nothing but
-    the strength is tried.
-    """
-    training, held = [system.record(system.excite(seed))], [system.record(u) for u in system.held]
-    title = f"{system.name}, seed {seed}"
-    again = _again(title, training, held, AGAIN, progress, held=held, patience=250)
-    bound, best = max(rms(network, held), system.spare), (network, 0.0)
-    for strength in STRENGTHS if grouped else DECAYS:
-        if grouped:
-            pulled = train_grouped(network, training, strength, epochs=PULLED)
-        else:
-            pulled = train(network, training, epochs=ROUNDS * PULLED, decay=strength).network.flatten()
-        if not (empty := emptied(pulled)):
-            continue
-        smaller = again(remove_neurons(pulled, training, empty, onto_others=False))
-        if smaller.neurons() < best[0].neurons() and rms(smaller, held) <= bound:
-            best = smaller, strength
-    return best
-
-
-def _again(
+def training_again(
     title: str, training: list[Record], judges: list[Record], epochs: tuple[int, int], progress: Progress, **options
 ) -> Callable[[Network], Network]:
     """What trains a smaller network again: in free run as it is, and after one step ahead; the better one by `judges`.

@@ -154,7 +154,7 @@ class Predicted:
     def __call__(self, measured: Mapping[str, float], before: float, reference: np.ndarray) -> float:
         self.predictive.applied(before)
         pressures = self.sensor.step({"v_c": before, **measured})
-        state = self.observer.step(before, {**measured, **pressures})
+        state = self.observer.corrected(before, {**measured, **pressures})
         return self.predictive(state, reference[1:])
 
 

@@ -3,38 +3,7 @@
 This is an independent second implementation on purpose: the head of the package says why.
 
 A diagnosis must not depend on one formula. So half of the seeds use the standard form of an effect, and half its
-variant, which stands after the slashes here ("same": there is one form).
-
-    valve and pump
-    internal, cylinder, external leakage   c dp // c dp / sqrt(1 + |dp| / 8 MPa)
-    turbulent_leakage                      c sqrt|dp| // laminar below 0.1 MPa
-    entrained_air                          1/B0 + air p0 / p^2, p absolute, p0 = 0.1 MPa // polytropic, exponent 1.4
-    input_delay                            late by `delay`, also between samples // same
-    constant_load, hardening_spring        f_load against extension, k_cubic x^3 // same
-    motor_lag                              first order // two equal lags of half the time
-    pump_ripple                            1 + ripple sin(2 pi teeth turns + phase) // pump 1 half a rad ahead
-    displacement_loss                      pump 1 by p_a, pump 2 by |p_a - p_b| // both by p_a
-    valve
-    overlap, underlap                      edges open at s u - overlap, sharp // rounded over 4 um
-    orifice_asymmetry                      supply edges 1 + asym // supply 1 + asym / 2, tank 1 - asym / 2
-    supply_droop                           of the chamber's own draw, at once // of both, through 20 ms
-    dry_friction                           LuGre with the usual bristles // half as stiff, half the Stribeck speed
-    end_cushion                            over 1 + cushion ((|x| - 18 mm) / 31.9 mm)^2 // linear, (|x| - 20 mm) / 50 mm
-    sensor_offset_p_a, sensor_gain_p_a     p_a (1 + gain) + offset // same
-    belt
-    tooth_ripple, guide_error              sine of x // with a second harmonic of 10 %
-    pulley_eccentricity, scale_error       sine of x, scale x // same
-    inertial_stretch                       -inertia a // through 5 ms
-    thermal_growth                         thermal x t // with 30 s of saturation
-    rate_dependent_band                    band (1 + rate_band |v|) at once // as the level that the micro-slip tends to
-    drift                                  drift t // with 40 s of saturation (drum: likewise)
-    reversal_play                          belt slips by the motor's path // by what the play leaves of it
-    drum
-    drum_eccentricity                      sin(x / radius + phase) - sin(phase) // with a second harmonic of 10 %
-    speed_slip, acceleration_slip          k |v| dx, k |a| dx // |v|, |a| through 20 ms
-    direction_slip                         asym dx backward // asym dx creep / 2e-4
-    cable_stretch                          -stretch a (0.8 m - x) // (length + x)
-    rest_relaxation                        dw = k dx - w dt / rest_time // half of it three times slower
+variant, which the kernels name where they differ; docs/concealed.md has them side by side.
 """
 
 import hashlib
@@ -64,11 +33,7 @@ RIGS: dict[str, ConcealedRig] = {rig.plant: rig for rig in (VALVE, PUMP, BELT, D
 EVERY_RIG = RIGS | DOMAINS
 KINDS = {"clean": 0.15, "parameter": 0.1, "one": 0.5, "two": 0.1, "foreign": 0.15}
 BOTH = "both"  # a kind that is never drawn: a wrong parameter and an effect
-LEAST = {
-    "two": 0.4,
-    "foreign": 0.3,
-    BOTH: 0.3,
-}  # where the sizes begin, of their range: a pair or an unknown is to be seen
+LEAST = {"two": 0.4, "foreign": 0.3, BOTH: 0.3}  # of their range, where sizes begin: pairs and unknowns shall be seen
 CLAIM = {"verdict": line, "effects": listed(anything), "where": listed(anything), "parameters": named(anything)}
 OFF_TOLERANCES = 3, 6  # by how many tolerances a wrong parameter is off
 FARTHEST_DOWN = 0.7  # of its value: a parameter that is off by more is larger than the data sheet's, not smaller
@@ -352,9 +317,8 @@ def _sensors(rig: ConcealedRig, rng: np.random.Generator) -> ConcealedRig:
 
 
 def _verdict(kind: str) -> str:
-    return {"clean": "consistent", "parameter": "parameter_error", "foreign": "unexplained"}.get(
-        kind, "missing_physics"
-    )
+    known = {"clean": "consistent", "parameter": "parameter_error", "foreign": "unexplained"}
+    return known.get(kind, "missing_physics")
 
 
 def place(equation: str) -> str:

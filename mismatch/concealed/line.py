@@ -1,11 +1,9 @@
 """Belt drive and cable drum: an error between motor and load that depends on the path travelled."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
 
-from .rig import SAMPLE_TIME, Columns, ConcealedRig, HiddenEffect, Sensor, motion, smoothed_difference
+from .rig import SAMPLE_TIME, Columns, ConcealedRig, HiddenEffect, Sensor, fields, motion, nothing, smoothed_difference
 
 FINE = 10  # steps of the true motion in a recorded sample
 HALF = 8  # samples on either side, over which a recorded speed or acceleration is taken
@@ -22,40 +20,48 @@ PHASE = (0.0, TURN)
 WHERE = ("transmission",)
 
 
-class Belt(NamedTuple):
-    """Parameters of the belt drive, SI."""
-
-    band: float
-    closing: float
-    play: float = 0.0
-    offset: float = 0.0
+def _effect(sizes: dict, on: str, others: dict | None = None, **options) -> HiddenEffect:
+    return HiddenEffect(WHERE, tuple(on.split()), sizes, others or {}, **options)
 
 
-class BeltEffects(NamedTuple):
-    """What the belt drive may conceal, SI; all zero: nothing. The last lines are outside the vocabulary."""
-
-    form: float = 0.0
-    ripple: float = 0.0
-    pitch: float = 1.0
-    ripple_phase: float = 0.0
-    ecc: float = 0.0
-    pulley_rev: float = 1.0
-    ecc_phase: float = 0.0
-    guide: float = 0.0
-    guide_period: float = 1.0
-    guide_phase: float = 0.0
-    inertia: float = 0.0
-    thermal: float = 0.0
-    scale: float = 0.0
-    rate_band: float = 0.0
-    drift: float = 0.0
-    play: float = 0.0
-    bump: float = 0.0
-    bump_at: float = 0.0
-    bump_width: float = 1.0
-    speed_stretch: float = 0.0
-    speed_from: float = 0.0
-    drag: float = 0.0
+BELT_PARAMETERS = {"band": 0.00015, "closing": 0.004, "play": 6e-05, "offset": 0.0}  # SI
+BELT_EFFECTS = {
+    "tooth_ripple": _effect({"ripple": (1.0e-6, 3e-5)}, "x", {"pitch": (0.003, 0.008), "ripple_phase": PHASE}),
+    "pulley_eccentricity": _effect({"ecc": (1.5e-6, 6e-5)}, "x", {"pulley_rev": (0.07, 0.14), "ecc_phase": PHASE}),
+    "guide_error": _effect({"guide": (1.5e-6, 4e-5)}, "x", {"guide_period": (0.016, 0.05), "guide_phase": PHASE}),
+    "inertial_stretch": _effect({"inertia": (1e-5, 4e-4)}, "a"),
+    "thermal_growth": _effect({"thermal": (1.5e-6, 8e-5)}, "x t", signed=True),
+    "scale_error": _effect({"scale": (1.2e-5, 8e-4)}, "x", signed=True),
+    "rate_dependent_band": _effect({"rate_band": (0.4, 12.0)}, "v"),
+    "drift": _effect({"drift": (2e-7, 8e-6)}, "t", signed=True),
+    "reversal_play": _effect({"play": (2.5e-6, 1e-4)}, "x v", without=("play",)),
+}
+BELT_FOREIGN = {
+    "damaged_tooth": _effect({"bump": (1e-5, 8e-5)}, "x", {"bump_at": (0.02, 0.1), "bump_width": (0.004, 0.012)}),
+    "speed_stretch": _effect({"speed_stretch": (2e-4, 4e-3)}, "v", {"speed_from": (0.005, 0.015)}),
+    "guide_drag": _effect({"drag": (2e-4, 6e-3)}, "v x"),
+}
+DRUM_PARAMETERS = {"radius": 0.025, "creep": 0.0002}  # SI
+DRUM_EFFECTS = {
+    "drum_eccentricity": _effect({"ecc": (1.5e-6, 6e-5)}, "x", {"ecc_phase": PHASE}),
+    "speed_slip": _effect({"speed_slip": (4e-4, 1e-2)}, "v", signed=True),
+    "direction_slip": _effect({"asym": (1e-5, 4e-4)}, "v"),
+    "drift": _effect({"drift": (3e-7, 8e-6)}, "t", signed=True),
+    "acceleration_slip": _effect({"accel_slip": (5e-4, 1.5e-2)}, "a"),
+    "cable_stretch": _effect({"stretch": (3e-5, 1e-3)}, "a x", {"length": (0.2, 0.5)}),
+    "rest_relaxation": _effect({"rest_relax": (4e-5, 1e-3)}, "x t", {"rest_time": (0.5, 2.5)}),
+}
+DRUM_FOREIGN = {
+    "winding_layers": _effect({"winding": (6e-5, 1.5e-3)}, "x", signed=True),
+    "wind_up_step": _effect({"step": (4e-6, 6e-5)}, "x", {"step_at": (0.03, 0.15)}),
+    "temperature_cycle": _effect({"warmth": (4e-6, 5e-5)}, "t", {"cycle": (4.0, 9.0), "cycle_phase": PHASE}),
+}
+Belt = fields("Belt", __name__, BELT_PARAMETERS | {"play": 0.0})  # none if it is not told
+BeltEffects = nothing(
+    "BeltEffects", __name__, BELT_EFFECTS | BELT_FOREIGN, "pitch", "pulley_rev", "guide_period", "bump_width"
+)
+Drum = fields("Drum", __name__, DRUM_PARAMETERS)
+DrumEffects = nothing("DrumEffects", __name__, DRUM_EFFECTS | DRUM_FOREIGN, "rest_time", "cycle")
 
 
 @njit(cache=True)
@@ -95,35 +101,6 @@ def _belt(x, v, a, dt, plant, e):
         error -= e.drag * v[k] * (DRAGGED - x[k])
         y[k] = x[k] + error
     return y
-
-
-class Drum(NamedTuple):
-    """Parameters of the cable drum, SI."""
-
-    radius: float
-    creep: float
-
-
-class DrumEffects(NamedTuple):
-    """What the cable drum may conceal, SI; all zero: nothing. The last lines are outside the vocabulary."""
-
-    form: float = 0.0
-    ecc: float = 0.0
-    ecc_phase: float = 0.0
-    speed_slip: float = 0.0
-    asym: float = 0.0
-    drift: float = 0.0
-    accel_slip: float = 0.0
-    stretch: float = 0.0
-    length: float = 0.0
-    rest_relax: float = 0.0
-    rest_time: float = 1.0
-    winding: float = 0.0
-    step: float = 0.0
-    step_at: float = 0.0
-    warmth: float = 0.0
-    cycle: float = 1.0
-    cycle_phase: float = 0.0
 
 
 @njit(cache=True)
@@ -178,14 +155,10 @@ def _pair(kernel, plant, effects, motor: str, motions: tuple[float, float, float
     return record, predict
 
 
-def _effect(sizes: dict, on: str, others: dict | None = None, **options) -> HiddenEffect:
-    return HiddenEffect(WHERE, tuple(on.split()), sizes, others or {}, **options)
-
-
 _belt_record, _belt_predict = _pair(_belt, Belt, BeltEffects, "x_motor", (0.30, 0.07, 0.2))
 BELT = ConcealedRig(
     plant="belt_drive",
-    parameters={"band": 0.00015, "closing": 0.004, "play": 6e-05, "offset": 0.0},
+    parameters=BELT_PARAMETERS,
     tolerance={"band": 0.08, "closing": 0.15, "play": 0.08},
     places={"band": WHERE, "closing": WHERE, "play": WHERE},
     channels=(Sensor("x_motor", "m", "input", resolution=1e-6), Sensor("x_load", "m", "output", noise=1e-6)),
@@ -193,46 +166,20 @@ BELT = ConcealedRig(
     optional=("play",),
     record=_belt_record,
     predict=_belt_predict,
-    effects={
-        "tooth_ripple": _effect({"ripple": (1.0e-6, 3e-5)}, "x", {"pitch": (0.003, 0.008), "ripple_phase": PHASE}),
-        "pulley_eccentricity": _effect({"ecc": (1.5e-6, 6e-5)}, "x", {"pulley_rev": (0.07, 0.14), "ecc_phase": PHASE}),
-        "guide_error": _effect({"guide": (1.5e-6, 4e-5)}, "x", {"guide_period": (0.016, 0.05), "guide_phase": PHASE}),
-        "inertial_stretch": _effect({"inertia": (1e-5, 4e-4)}, "a"),
-        "thermal_growth": _effect({"thermal": (1.5e-6, 8e-5)}, "x t", signed=True),
-        "scale_error": _effect({"scale": (1.2e-5, 8e-4)}, "x", signed=True),
-        "rate_dependent_band": _effect({"rate_band": (0.4, 12.0)}, "v"),
-        "drift": _effect({"drift": (2e-7, 8e-6)}, "t", signed=True),
-        "reversal_play": _effect({"play": (2.5e-6, 1e-4)}, "x v", without=("play",)),
-    },
-    foreign={
-        "damaged_tooth": _effect({"bump": (1e-5, 8e-5)}, "x", {"bump_at": (0.02, 0.1), "bump_width": (0.004, 0.012)}),
-        "speed_stretch": _effect({"speed_stretch": (2e-4, 4e-3)}, "v", {"speed_from": (0.005, 0.015)}),
-        "guide_drag": _effect({"drag": (2e-4, 6e-3)}, "v x"),
-    },
+    effects=BELT_EFFECTS,
+    foreign=BELT_FOREIGN,
 )
 
 _drum_record, _drum_predict = _pair(_drum, Drum, DrumEffects, "x_drum", (0.60, 0.12, 0.3))
 DRUM = ConcealedRig(
     plant="cable_drum",
-    parameters={"radius": 0.025, "creep": 0.0002},
+    parameters=DRUM_PARAMETERS,
     tolerance={"creep": 0.25},
     places={"creep": WHERE},
     channels=(Sensor("x_drum", "m", "input", resolution=2e-6), Sensor("x_load", "m", "output", noise=1e-6)),
     window=None,
     record=_drum_record,
     predict=_drum_predict,
-    effects={
-        "drum_eccentricity": _effect({"ecc": (1.5e-6, 6e-5)}, "x", {"ecc_phase": PHASE}),
-        "speed_slip": _effect({"speed_slip": (4e-4, 1e-2)}, "v", signed=True),
-        "direction_slip": _effect({"asym": (1e-5, 4e-4)}, "v"),
-        "drift": _effect({"drift": (3e-7, 8e-6)}, "t", signed=True),
-        "acceleration_slip": _effect({"accel_slip": (5e-4, 1.5e-2)}, "a"),
-        "cable_stretch": _effect({"stretch": (3e-5, 1e-3)}, "a x", {"length": (0.2, 0.5)}),
-        "rest_relaxation": _effect({"rest_relax": (4e-5, 1e-3)}, "x t", {"rest_time": (0.5, 2.5)}),
-    },
-    foreign={
-        "winding_layers": _effect({"winding": (6e-5, 1.5e-3)}, "x", signed=True),
-        "wind_up_step": _effect({"step": (4e-6, 6e-5)}, "x", {"step_at": (0.03, 0.15)}),
-        "temperature_cycle": _effect({"warmth": (4e-6, 5e-5)}, "t", {"cycle": (4.0, 9.0), "cycle_phase": PHASE}),
-    },
+    effects=DRUM_EFFECTS,
+    foreign=DRUM_FOREIGN,
 )

@@ -1,13 +1,11 @@
 """Pump-controlled cylinder: Runge-Kutta 4 at 40 us (simulations at 62.5 us), under digital control of position, and in
 half of the rigs of the sum of the pressures, as in chapter 6 of the thesis."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
 
 from .cylinder import HALF, QUANTUM, SIGN_SPEED, STOP, WEIGHTS, WINDOW, bulk, command_at, reference, seep, stribeck
-from .rig import SAMPLE_TIME, Columns, ConcealedRig, HiddenEffect, Sensor, smoothed_difference
+from .rig import SAMPLE_TIME, Columns, ConcealedRig, HiddenEffect, Sensor, fields, nothing, smoothed_difference
 
 FINE, COARSE = 25, 16  # steps a sample: the true rig, a simulation of it
 OFFSETS = -1.2294  # lambda: offset speed of pump 1 over that of pump 2
@@ -28,48 +26,51 @@ SUM_GAIN, SUM_RESET = (2e-8, 8e-8), (2e-8, 2e-7)  # rev/s per Pa, rev/s per Pa a
 GAIN = (150, 350)  # rev/s per m
 P_A, P_B, X, V, BRISTLE, TURN_1, TURN_2, N_1, N_2, M_1, M_2, SENSED, STATES = range(13)
 
-
-class Pump(NamedTuple):
-    """Parameters of the pump-controlled cylinder, SI and rev/s."""
-
-    mass: float
-    viscous: float
-    gravity: float
-    area_a: float
-    area_b: float
-    v_a0: float
-    v_b0: float
-    bulk_modulus: float
-    displacement: float
-    c_i: float
-    c_ea: float
-    c_eb: float
-    sigma0: float
-    sigma1: float
-    sigma2: float
-    f_coulomb: float
-    f_static: float
-    v_stribeck: float
+PARAMETERS = {
+    "mass": 12.3, "viscous": 2600.0, "gravity": 9.81, "area_a": 0.0019635, "area_b": 0.0010014, "v_a0": 0.00014258,
+    "v_b0": 7.6821e-05, "bulk_modulus": 1.3e9, "displacement": 1.56e-05, "c_i": 1.027e-12, "c_ea": 1.2e-13,
+    "c_eb": 1.2e-13, "sigma0": 1.2e6, "sigma1": 2600.0, "sigma2": 0.0, "f_coulomb": 330.0, "f_static": 360.0,
+    "v_stribeck": 0.1,
+}  # fmt: skip
+"""SI and rev/s."""
+FLOWS, FILLS, MOTION = ("flow_a", "flow_b"), ("continuity_a", "continuity_b"), ("motion",)
+UNCERTAIN = {
+    "viscous": (0.1, MOTION),
+    "bulk_modulus": (0.08, FILLS),
+    "displacement": (0.02, FLOWS),
+    "c_i": (0.08, FLOWS),
+    "v_a0": (0.04, ("continuity_a",)),
+    "v_b0": (0.04, ("continuity_b",)),
+    "f_coulomb": (0.08, MOTION),
+    "f_static": (0.05, MOTION),
+}
+"""Parameter -> its tolerance, and the equations in which it stands."""
 
 
-class PumpEffects(NamedTuple):
-    """What the rig may conceal, SI; all zero: nothing. The last lines are outside the vocabulary."""
+def _effect(
+    equation: tuple[str, ...], on: str, others: dict | None = None, signed: bool = False, **sizes
+) -> HiddenEffect:
+    return HiddenEffect(equation, tuple(on.split()), sizes, others or {}, signed=signed)
 
-    form: float = 0.0
-    c_cyl: float = 0.0
-    c_turb: float = 0.0
-    air_fraction: float = 0.0
-    delay: float = 0.0
-    f_load: float = 0.0
-    ripple: float = 0.0
-    teeth: float = 1.0
-    ripple_phase: float = 0.0
-    speed_lag: float = 0.0
-    disp_loss: float = 0.0
-    f_position: float = 0.0
-    warming: float = 0.0
-    n1_offset: float = 0.0
-    pb_lag: float = 0.0
+
+EFFECTS = {
+    "cylinder_leakage": _effect(FILLS, "p_a p_b", c_cyl=(2e-14, 4e-12)),
+    "turbulent_leakage": _effect(FLOWS, "p_a p_b", c_turb=(6e-11, 1e-8)),
+    "entrained_air": _effect(FILLS, "p_a p_b", air_fraction=(0.02, 0.3)),
+    "input_delay": _effect(FLOWS, "n_1 n_2", delay=(6e-4, 1.5e-2)),
+    "constant_load": _effect(MOTION, "", f_load=(30.0, 2000.0)),
+    "pump_ripple": _effect(FLOWS, "n_1 n_2", {"teeth": (7, 14), "ripple_phase": (0.0, 2 * np.pi)}, ripple=(0.01, 0.2)),
+    "motor_lag": _effect(FLOWS, "n_1 n_2", speed_lag=(1e-3, 4e-2)),
+    "displacement_loss": _effect(FLOWS, "p_a p_b n_1 n_2", disp_loss=(0.006, 0.12)),
+}
+FOREIGN = {
+    "position_friction": _effect(MOTION, "x v", f_position=(4000.0, 6e4)),
+    "leakage_drift": _effect(FLOWS, "p_a p_b t", warming=(0.003, 0.1)),
+    "speed_sensor_offset_n_1": _effect(FLOWS, "n_1", n1_offset=(0.005, 0.2)),
+    "sensor_lag_p_b": _effect(("sensor_p_b",), "p_b", pb_lag=(0.002, 0.06)),
+}
+Pump = fields("Pump", __name__, PARAMETERS)
+PumpEffects = nothing("PumpEffects", __name__, EFFECTS | FOREIGN, "teeth")
 
 
 @njit(cache=True)
@@ -207,7 +208,7 @@ def _predict(n_1, n_2, x, p_a, p_b, speed, window, every, p, e, fine):
     return out
 
 
-def _offset(p: Pump, e: PumpEffects, total: float) -> float:
+def _offset(p, e, total: float) -> float:
     """n_1 - (gamma - 1) n_2 [rev/s] that keeps the sum of the pressures at `total` [Pa] while the cylinder rests."""
     p_a = (total * p.area_b + p.mass * p.gravity + e.f_load) / (p.area_a + p.area_b)
     p_b = total - p_a
@@ -238,57 +239,11 @@ def predict(columns: Columns, parameters: dict, extra: dict, form: float, every:
     return dict(zip(SIGNALS[2:], out, strict=True))
 
 
-FLOWS, FILLS, MOTION = ("flow_a", "flow_b"), ("continuity_a", "continuity_b"), ("motion",)
-
-
-def _effect(
-    equation: tuple[str, ...], on: str, others: dict | None = None, signed: bool = False, **sizes
-) -> HiddenEffect:
-    return HiddenEffect(equation, tuple(on.split()), sizes, others or {}, signed=signed)
-
-
 PUMP = ConcealedRig(
     plant="pump_hydraulic",
-    parameters={
-        "mass": 12.3,
-        "viscous": 2600.0,
-        "gravity": 9.81,
-        "area_a": 0.0019635,
-        "area_b": 0.0010014,
-        "v_a0": 0.00014258,
-        "v_b0": 7.6821e-05,
-        "bulk_modulus": 1.3e9,
-        "displacement": 1.56e-05,
-        "c_i": 1.027e-12,
-        "c_ea": 1.2e-13,
-        "c_eb": 1.2e-13,
-        "sigma0": 1.2e6,
-        "sigma1": 2600.0,
-        "sigma2": 0.0,
-        "f_coulomb": 330.0,
-        "f_static": 360.0,
-        "v_stribeck": 0.1,
-    },
-    tolerance={
-        "viscous": 0.1,
-        "bulk_modulus": 0.08,
-        "displacement": 0.02,
-        "c_i": 0.08,
-        "v_a0": 0.04,
-        "v_b0": 0.04,
-        "f_coulomb": 0.08,
-        "f_static": 0.05,
-    },
-    places={
-        "viscous": MOTION,
-        "bulk_modulus": FILLS,
-        "displacement": FLOWS,
-        "c_i": FLOWS,
-        "v_a0": ("continuity_a",),
-        "v_b0": ("continuity_b",),
-        "f_coulomb": MOTION,
-        "f_static": MOTION,
-    },
+    parameters=PARAMETERS,
+    tolerance={name: tolerance for name, (tolerance, _) in UNCERTAIN.items()},
+    places={name: equations for name, (_, equations) in UNCERTAIN.items()},
     channels=(
         Sensor("n_1", "rev/s", "input", resolution=0.001),
         Sensor("n_2", "rev/s", "input", resolution=0.001),
@@ -300,22 +255,6 @@ PUMP = ConcealedRig(
     record=record,
     predict=predict,
     same=(frozenset({"cylinder_leakage", "turbulent_leakage"}), frozenset({"input_delay", "motor_lag"})),
-    effects={
-        "cylinder_leakage": _effect(FILLS, "p_a p_b", c_cyl=(2e-14, 4e-12)),
-        "turbulent_leakage": _effect(FLOWS, "p_a p_b", c_turb=(6e-11, 1e-8)),
-        "entrained_air": _effect(FILLS, "p_a p_b", air_fraction=(0.02, 0.3)),
-        "input_delay": _effect(FLOWS, "n_1 n_2", delay=(6e-4, 1.5e-2)),
-        "constant_load": _effect(MOTION, "", f_load=(30.0, 2000.0)),
-        "pump_ripple": _effect(
-            FLOWS, "n_1 n_2", {"teeth": (7, 14), "ripple_phase": (0.0, 2 * np.pi)}, ripple=(0.01, 0.2)
-        ),
-        "motor_lag": _effect(FLOWS, "n_1 n_2", speed_lag=(1e-3, 4e-2)),
-        "displacement_loss": _effect(FLOWS, "p_a p_b n_1 n_2", disp_loss=(0.006, 0.12)),
-    },
-    foreign={
-        "position_friction": _effect(MOTION, "x v", f_position=(4000.0, 6e4)),
-        "leakage_drift": _effect(FLOWS, "p_a p_b t", warming=(0.003, 0.1)),
-        "speed_sensor_offset_n_1": _effect(FLOWS, "n_1", n1_offset=(0.005, 0.2)),
-        "sensor_lag_p_b": _effect(("sensor_p_b",), "p_b", pb_lag=(0.002, 0.06)),
-    },
+    effects=EFFECTS,
+    foreign=FOREIGN,
 )

@@ -1,7 +1,9 @@
 """What a rig with a concealed effect is made of, and what all of them share: sensors, velocities, calibration."""
 
-from collections.abc import Callable
+from collections import namedtuple
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -56,6 +58,20 @@ def _drawn(rng: np.random.Generator, low: float, high: float) -> float:
     """A number between both; a whole one, below `high`, where they are whole."""
     whole = isinstance(low, int) and isinstance(high, int)
     return float(rng.integers(int(low), int(high)) if whole else rng.uniform(low, high))
+
+
+def fields(name: str, module: str, values: Mapping[str, float]) -> Any:
+    """A named tuple of numbers, as kernels take it. module: where it is the global `name`, so that kernels are kept."""
+    return namedtuple(name, values, defaults=values.values(), module=module)  # type: ignore[misc]
+
+
+def nothing(name: str, module: str, effects: Mapping[str, HiddenEffect], *ones: str) -> Any:
+    """`fields` of what a rig may conceal, its effects' keys, and of their `form`; all zero: nothing.
+
+    ones: keys that are divided by, and so are 1.
+    """
+    keys = [key for effect in effects.values() for key in (*effect.sizes, *effect.others)]
+    return fields(name, module, dict.fromkeys(("form", *keys), 0.0) | dict.fromkeys(ones, 1.0))
 
 
 @dataclass(frozen=True)

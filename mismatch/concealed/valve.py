@@ -1,12 +1,10 @@
 """Valve-controlled cylinder: Runge-Kutta 4 at 40 us (simulations at 62.5 us), under digital position control."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
 
 from .cylinder import HALF, QUANTUM, SIGN_SPEED, STOP, WEIGHTS, WINDOW, bulk, command_at, reference, seep, stribeck
-from .rig import SAMPLE_TIME, Columns, ConcealedRig, HiddenEffect, Sensor, smoothed_difference
+from .rig import SAMPLE_TIME, Columns, ConcealedRig, HiddenEffect, Sensor, fields, nothing, smoothed_difference
 
 FINE, COARSE = 25, 16  # steps a sample: the true rig, a simulation of it
 VOLT = 10 / 2**11  # 12 bits of +-10 V: the plant sees the rounded command
@@ -28,58 +26,57 @@ PI_SHARE, RESET = 0.4, (20, 120)  # of the controllers integrate; V per m and s
 GAIN = (60, 130)  # V per m
 CURRENT, SPOOL, RATE, P_A, P_B, X, V, BRISTLE, SUPPLY, SENSED, STATES = range(11)
 
-
-class Valve(NamedTuple):
-    """Parameters of the valve-controlled cylinder, SI; without dry friction as long as `f_coulomb` is 0."""
-
-    mass: float
-    viscous: float
-    stiffness: float
-    area: float
-    p_supply: float
-    p_tank: float
-    k_valve: float
-    bulk_modulus: float
-    v_a0: float
-    v_b0: float
-    k_h: float
-    omega_n: float
-    zeta: float
-    l_coil: float
-    r_coil: float
-    i_max: float
-    u_max: float
-    sigma0: float = 1.2e6
-    sigma1: float = 300.0
-    sigma2: float = 60.0
-    f_coulomb: float = 0.0
-    f_static: float = 0.0
-    v_stribeck: float = 0.1
+FRICTION = {"sigma0": 1.2e6, "sigma1": 300.0, "sigma2": 60.0, "f_coulomb": 100.0, "f_static": 130.0, "v_stribeck": 0.1}
+PARAMETERS = {
+    "mass": 9.0, "viscous": 2000.0, "stiffness": 10.0, "area": 0.000645, "p_supply": 20e6, "p_tank": 0.0,
+    "k_valve": 3.2e-05, "bulk_modulus": 1.4e9, "v_a0": 5e-05, "v_b0": 5e-05, "k_h": 0.0401, "omega_n": 1256.0,
+    "zeta": 0.7, "l_coil": 0.59, "r_coil": 100.0, "i_max": 0.015, "u_max": 0.0006,
+    **FRICTION,
+}  # fmt: skip
+"""SI."""
+SPOOL_EQ, FLOWS, FILLS, MOTION = ("spool",), ("flow_a", "flow_b"), ("continuity_a", "continuity_b"), ("motion",)
+UNCERTAIN = {
+    "viscous": (0.1, MOTION),
+    "k_valve": (0.04, FLOWS),
+    "bulk_modulus": (0.08, FILLS),
+    "v_a0": (0.04, ("continuity_a",)),
+    "v_b0": (0.04, ("continuity_b",)),
+    "p_supply": (0.02, FLOWS),
+    "omega_n": (0.1, SPOOL_EQ),
+}
+"""Parameter -> its tolerance, and the equations in which it stands."""
 
 
-class ValveEffects(NamedTuple):
-    """What the rig may conceal, SI; all zero: nothing. The last lines are outside the vocabulary."""
+def _effect(equation: tuple[str, ...], on: str, others: dict | None = None, **options) -> HiddenEffect:
+    signed, without = options.pop("signed", False), options.pop("without", ())
+    return HiddenEffect(equation, tuple(on.split()), options, others or {}, signed=signed, without=without)
 
-    form: float = 0.0
-    c_internal: float = 0.0
-    c_external: float = 0.0
-    overlap: float = 0.0
-    orifice_asym: float = 0.0
-    air_fraction: float = 0.0
-    droop: float = 0.0
-    delay: float = 0.0
-    f_coulomb: float = 0.0
-    f_static: float = 0.0
-    f_load: float = 0.0
-    k_cubic: float = 0.0
-    cushion: float = 0.0
-    pa_offset: float = 0.0
-    pa_gain: float = 0.0
-    hysteresis: float = 0.0
-    f_position: float = 0.0
-    thinning: float = 0.0
-    sinking: float = 0.0
-    pb_lag: float = 0.0
+
+EFFECTS = {
+    "internal_leakage": _effect(FILLS, "p_a p_b", c_internal=(1.2e-12, 1.5e-11)),
+    "external_leakage": _effect(FILLS, "p_a p_b", c_external=(8e-15, 3e-13)),
+    "valve_overlap": _effect(FLOWS, "v_c", overlap=(6e-6, 1.2e-4)),
+    "valve_underlap": _effect(FLOWS, "v_c", overlap=(-6e-6, -1.2e-4)),
+    "orifice_asymmetry": _effect(FLOWS, "v_c p_a p_b", orifice_asym=(0.025, 0.4), signed=True),
+    "entrained_air": _effect(FILLS, "p_a p_b", air_fraction=(0.03, 0.3)),
+    "supply_droop": _effect(FLOWS, "v_c", droop=(3e9, 1e11)),
+    "input_delay": _effect(SPOOL_EQ, "v_c", delay=(8e-4, 1.5e-2)),
+    "dry_friction": _effect(MOTION, "v", f_coulomb=(15.0, 250.0), f_static=(20.0, 330.0), without=tuple(FRICTION)),
+    "constant_load": _effect(MOTION, "", f_load=(25.0, 1200.0)),
+    "hardening_spring": _effect(MOTION, "x", k_cubic=(4e6, 1e8)),
+    "end_cushion": _effect(FLOWS, "x", cushion=(1.5, 80.0)),
+    "sensor_offset_p_a": _effect(("sensor_p_a",), "", pa_offset=(2.5e4, 6e5), signed=True),
+    "sensor_gain_p_a": _effect(("sensor_p_a",), "p_a", pa_gain=(2.5e-3, 7e-2), signed=True),
+}
+FOREIGN = {
+    "valve_hysteresis": _effect(SPOOL_EQ, "v_c", hysteresis=(0.012, 0.25)),
+    "position_friction": _effect(MOTION, "x v", f_position=(2500.0, 3e4)),
+    "viscosity_drift": _effect(MOTION, "v t", thinning=(0.06, 0.5)),
+    "supply_drift": _effect(FLOWS, "t", sinking=(6e-4, 1.5e-2)),
+    "sensor_lag_p_b": _effect(("sensor_p_b",), "p_b", pb_lag=(0.01, 0.2)),
+}
+Valve = fields("Valve", __name__, PARAMETERS | {"f_coulomb": 0.0, "f_static": 0.0})  # no dry friction if it is not told
+ValveEffects = nothing("ValveEffects", __name__, EFFECTS | FOREIGN)
 
 
 @njit(cache=True)
@@ -254,63 +251,12 @@ def predict(columns: Columns, parameters: dict, extra: dict, form: float, every:
     return dict(zip(SIGNALS[1:], out, strict=True))
 
 
-SPOOL_EQ, FLOWS, FILLS, MOTION = ("spool",), ("flow_a", "flow_b"), ("continuity_a", "continuity_b"), ("motion",)
-
-
-def _effect(equation: tuple[str, ...], on: str, others: dict | None = None, **options) -> HiddenEffect:
-    signed, without = options.pop("signed", False), options.pop("without", ())
-    return HiddenEffect(equation, tuple(on.split()), options, others or {}, signed=signed, without=without)
-
-
-FRICTION = {
-    "sigma0": 1.2e6,
-    "sigma1": 300.0,
-    "sigma2": 60.0,
-    "f_coulomb": 100.0,
-    "f_static": 130.0,
-    "v_stribeck": 0.1,
-}
 VALVE = ConcealedRig(
     plant="valve_hydraulic",
-    parameters={
-        "mass": 9.0,
-        "viscous": 2000.0,
-        "stiffness": 10.0,
-        "area": 0.000645,
-        "p_supply": 20e6,
-        "p_tank": 0.0,
-        "k_valve": 3.2e-05,
-        "bulk_modulus": 1.4e9,
-        "v_a0": 5e-05,
-        "v_b0": 5e-05,
-        "k_h": 0.0401,
-        "omega_n": 1256.0,
-        "zeta": 0.7,
-        "l_coil": 0.59,
-        "r_coil": 100.0,
-        "i_max": 0.015,
-        "u_max": 0.0006,
-        **FRICTION,
-    },
+    parameters=PARAMETERS,
     optional=tuple(FRICTION),
-    tolerance={
-        "viscous": 0.1,
-        "k_valve": 0.04,
-        "bulk_modulus": 0.08,
-        "v_a0": 0.04,
-        "v_b0": 0.04,
-        "p_supply": 0.02,
-        "omega_n": 0.1,
-    },
-    places={
-        "viscous": MOTION,
-        "k_valve": FLOWS,
-        "bulk_modulus": FILLS,
-        "v_a0": ("continuity_a",),
-        "v_b0": ("continuity_b",),
-        "p_supply": FLOWS,
-        "omega_n": SPOOL_EQ,
-    },
+    tolerance={name: tolerance for name, (tolerance, _) in UNCERTAIN.items()},
+    places={name: equations for name, (_, equations) in UNCERTAIN.items()},
     channels=(
         Sensor("v_c", "V", "input", resolution=VOLT),
         Sensor("x", "m", "output", resolution=5e-6),
@@ -324,27 +270,6 @@ VALVE = ConcealedRig(
         frozenset({"valve_overlap", "valve_underlap"}),
         frozenset({"sensor_offset_p_a", "sensor_gain_p_a"}),
     ),
-    effects={
-        "internal_leakage": _effect(FILLS, "p_a p_b", c_internal=(1.2e-12, 1.5e-11)),
-        "external_leakage": _effect(FILLS, "p_a p_b", c_external=(8e-15, 3e-13)),
-        "valve_overlap": _effect(FLOWS, "v_c", overlap=(6e-6, 1.2e-4)),
-        "valve_underlap": _effect(FLOWS, "v_c", overlap=(-6e-6, -1.2e-4)),
-        "orifice_asymmetry": _effect(FLOWS, "v_c p_a p_b", orifice_asym=(0.025, 0.4), signed=True),
-        "entrained_air": _effect(FILLS, "p_a p_b", air_fraction=(0.03, 0.3)),
-        "supply_droop": _effect(FLOWS, "v_c", droop=(3e9, 1e11)),
-        "input_delay": _effect(SPOOL_EQ, "v_c", delay=(8e-4, 1.5e-2)),
-        "dry_friction": _effect(MOTION, "v", f_coulomb=(15.0, 250.0), f_static=(20.0, 330.0), without=tuple(FRICTION)),
-        "constant_load": _effect(MOTION, "", f_load=(25.0, 1200.0)),
-        "hardening_spring": _effect(MOTION, "x", k_cubic=(4e6, 1e8)),
-        "end_cushion": _effect(FLOWS, "x", cushion=(1.5, 80.0)),
-        "sensor_offset_p_a": _effect(("sensor_p_a",), "", pa_offset=(2.5e4, 6e5), signed=True),
-        "sensor_gain_p_a": _effect(("sensor_p_a",), "p_a", pa_gain=(2.5e-3, 7e-2), signed=True),
-    },
-    foreign={
-        "valve_hysteresis": _effect(SPOOL_EQ, "v_c", hysteresis=(0.012, 0.25)),
-        "position_friction": _effect(MOTION, "x v", f_position=(2500.0, 3e4)),
-        "viscosity_drift": _effect(MOTION, "v t", thinning=(0.06, 0.5)),
-        "supply_drift": _effect(FLOWS, "t", sinking=(6e-4, 1.5e-2)),
-        "sensor_lag_p_b": _effect(("sensor_p_b",), "p_b", pb_lag=(0.01, 0.2)),
-    },
+    effects=EFFECTS,
+    foreign=FOREIGN,
 )

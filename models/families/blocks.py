@@ -25,13 +25,11 @@ def feedforward(
         w, bias = _shared_out(rng, size, fan_in)
         parts = np.split(w, np.cumsum([n for _, n in sources.values()])[:-1], axis=1)
         layer = f"hidden{depth}"
-        network.add(layer, Layer(dict(zip(sources, parts, strict=True)), bias, activation))
-        for port, (source, _) in sources.items():
-            network.connect(source, f"{layer}.{port}")
+        feeds = {port: source for port, (source, _) in sources.items()}
+        network.add(layer, Layer(dict(zip(sources, parts, strict=True)), bias, activation), feeds)
         sources = {layer: (layer, size)}
     (last, (_, size)) = next(iter(sources.items()))
-    network.add("out", Layer({last: 0.3 * rng.normal(size=(1, size))}, [0.0]))
-    network.connect(last, f"out.{last}")
+    network.add("out", Layer({last: 0.3 * rng.normal(size=(1, size))}, [0.0]), {last: last})
     network.connect("out", "y")
     return network
 

@@ -1,7 +1,7 @@
 """Standard library networks: modules whose weights are known, by name (thesis 3.4 and 7.4.2; Dolen 2000).
 
 Switches, logic and limits are constructed. The others are small tanh networks, which were trained once and are kept in
-`trained/library` (`python -m greygate.models.families.library` trains them again). Each network states the function it
+`trained/library` (`python -m benchmarks library` trains them again). Each network states the function it
 stands for, the range of its ports and a bound of its error there. Its name is its `Network.meaning`, from which the
 compiler emits a multiplexer or a comparator instead (compiler/meaning.py). Constructed weights are frozen.
 """
@@ -17,12 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.files import replacing
-from greygate.models.families.blocks import feedforward, fit_divider, fit_flow, flow_rate
+from greygate.models.families.blocks import flow_rate
 from greygate.models.network import Layer, Network, Port
-from greygate.models.training.levenberg import train
-from greygate.models.training.record import Record
-from greygate.progress import Progress
 
 TRAINED = Path(__file__).parents[1] / "trained" / "library"
 ERRORS = TRAINED / "errors.json"  # name -> worst error of each trained network
@@ -63,15 +59,6 @@ class LibraryNetwork:
             axes.append(np.unique(axis))
         return {p: v.ravel() for p, v in zip(self.ranges, np.meshgrid(*axes), strict=True)}
 
-    def errors(self, at: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Deviation from the function at values given by port name, (N,)."""
-        answer = self.network.run({p: v[:, None] for p, v in at.items()})["y"][:, 0]
-        return np.abs(answer - self.function(**at))
-
-    def measured_error(self, points: int | None = None) -> float:
-        """The worst error on that grid."""
-        return float(self.errors(self.grid(points)).max())
-
 
 # ---- constructed
 
@@ -80,9 +67,7 @@ def _network(name: str, inputs: str, layers: Mapping[str, tuple[Layer, Mapping[s
     """A network of frozen layers {name: (layer, {port: source})}, of which the last is the output `y`."""
     network = Network(name, [Port(i) for i in inputs.split()], [Port("y")])
     for layer_name, (layer, sources) in layers.items():
-        network.add(layer_name, replace(layer, frozen=frozenset({*layer.weights, "bias"})))
-        for port, source in sources.items():
-            network.connect(source, f"{layer_name}.{port}")
+        network.add(layer_name, replace(layer, frozen=frozenset({*layer.weights, "bias"})), sources)
     network.connect(layer_name, "y")
     return network
 
@@ -249,39 +234,19 @@ def gaussian() -> LibraryNetwork:
 # ---- trained
 
 
-@dataclass(frozen=True)
-class Function:
-    """The function on which a network is trained: function(*ports) over ranges. It has `neurons` tanh neurons."""
-
-    function: Callable[..., np.ndarray]
-    text: str
-    ranges: Mapping[str, tuple[float, float]]
-    hidden: int
-
-    def record(self) -> Record:
-        """Chebyshev points, which stand closer together at the ends of a range."""
-        points = -np.cos(np.linspace(0, np.pi, 600 if len(self.ranges) == 1 else 41))
-        axes = [(low + high) / 2 + (high - low) / 2 * points for low, high in self.ranges.values()]
-        at = {p: v.ravel() for p, v in zip(self.ranges, np.meshgrid(*axes), strict=True)}
-        return Record(at, {"y": self.function(**at)})
-
-    def fit(self, name: str, seed: int) -> Network:
-        network = feedforward(name, list(self.ranges), [self.hidden], seed)
-        network.inputs = [
-            Port(p, scale=(high - low) / 2, offset=(low + high) / 2) for p, (low, high) in self.ranges.items()
-        ]
-        return train(network, [self.record()], epochs=600, decay=1e-10, tolerance=1e-5).network
-
-
-FUNCTIONS = {
-    "square": Function(lambda x: x * x, "x^2", {"x": (-1, 1)}, 3),
-    "product": Function(lambda x1, x2: x1 * x2, "x1 x2", {"x1": (-1, 1), "x2": (-1, 1)}, 4),
-    "sine": Function(lambda x: np.sin(x), "sin(x)", {"x": (-math.pi, math.pi)}, 6),
-    "cosine": Function(lambda x: np.cos(x), "cos(x)", {"x": (-math.pi, math.pi)}, 6),
-    "arccosine": Function(lambda x: np.arccos(x), "arccos(x)", {"x": (-1, 1)}, 8),
-    "square_root": Function(lambda x: np.sqrt(x), "sqrt(x)", {"x": (0.01, 1)}, 6),
-}
-SEEDS = range(4)
+Function = tuple[Callable[..., np.ndarray], str, Mapping[str, tuple[float, float]]]  # of ports; in words; ranges
+FUNCTIONS: dict[str, Function] = {
+    "divider": (
+        lambda omega, gamma: omega / (gamma + 1), "omega / (gamma + 1)", {"omega": (-1, 1), "gamma": (-0.9, 0.9)}
+    ),
+    "square": (lambda x: x * x, "x^2", {"x": (-1, 1)}),
+    "product": (lambda x1, x2: x1 * x2, "x1 x2", {"x1": (-1, 1), "x2": (-1, 1)}),
+    "sine": (lambda x: np.sin(x), "sin(x)", {"x": (-math.pi, math.pi)}),
+    "cosine": (lambda x: np.cos(x), "cos(x)", {"x": (-math.pi, math.pi)}),
+    "arccosine": (lambda x: np.arccos(x), "arccos(x)", {"x": (-1, 1)}),
+    "square_root": (lambda x: np.sqrt(x), "sqrt(x)", {"x": (0.01, 1)}),
+}  # fmt: skip
+"""On which a network was trained; `divider` is that of 5.3.2.2."""
 
 
 def _tables(network: Network) -> str:
@@ -292,22 +257,14 @@ def _trained(name: str) -> Callable[[], LibraryNetwork]:
     """Builder of a network of `FUNCTIONS`."""
 
     def build() -> LibraryNetwork:
-        f, network = FUNCTIONS[name], Network.load(TRAINED / name)
-        return LibraryNetwork(network, f.function, f.text, f.ranges, _stored_error(name), _tables(network))
+        network = Network.load(TRAINED / name)
+        return LibraryNetwork(network, *FUNCTIONS[name], _stored_error(name), _tables(network))
 
-    build.__doc__ = f"y = {FUNCTIONS[name].text}, trained."
     return build
 
 
 def _stored_error(name: str) -> float:
     return json.loads(ERRORS.read_text())[name]
-
-
-def divider() -> LibraryNetwork:
-    """y = omega / (gamma + 1), trained (5.3.2.2)."""
-    network, ranges = Network.load(TRAINED / "divider"), {"omega": (-1, 1), "gamma": (-0.9, 0.9)}
-    function, text = (lambda omega, gamma: omega / (gamma + 1)), "omega / (gamma + 1)"
-    return LibraryNetwork(network, function, text, ranges, _stored_error("divider"), _tables(network))
 
 
 def flow(lap: float = 0.0) -> LibraryNetwork:
@@ -333,8 +290,7 @@ def flow(lap: float = 0.0) -> LibraryNetwork:
         network = Network("flow", [Port("u"), Port("p")], [Port("y")])
         fixed = frozenset({"u", "bias"})
         edges = Layer({"u": [[1 / span], [-1 / span]]}, [lap / span, lap / span], "satlin", frozen=fixed)
-        network.add("openings", edges)  # to the supply, to the tank
-        network.connect("u", "openings.u")
+        network.add("openings", edges, {"u": "u"})  # to the supply, to the tank
         parts = {"supply": [span, 0], "tank": [0, -span]} if lap > 0 else {"either": [span, -span]}
         for name, gain in parts.items():
             network.add(name, trained)
@@ -347,10 +303,13 @@ def flow(lap: float = 0.0) -> LibraryNetwork:
 
 # ---- the library
 
+CONSTRUCTED = (switch_1, switch_2, xor, sign, zero_region, absolute, limiter, gaussian)
 LIBRARY: dict[str, Callable[..., LibraryNetwork]] = {
-    build.__name__: build
-    for build in (switch_1, switch_2, xor, sign, zero_region, absolute, limiter, gaussian, divider, flow)
-} | {name: _trained(name) for name in FUNCTIONS}
+    **{build.__name__: build for build in CONSTRUCTED},
+    "divider": _trained("divider"),
+    "flow": flow,
+    **{name: _trained(name) for name in FUNCTIONS},
+}
 
 
 def entry(name: str, **args: float) -> LibraryNetwork:
@@ -388,74 +347,3 @@ def rounded_up(value: float, digits: int) -> str:
     """The least number with this many digits that is not below value."""
     with localcontext(Context(prec=digits, rounding=ROUND_CEILING)):
         return f"{float(+Decimal(repr(float(value)))):g}"
-
-
-def listing() -> list[dict[str, str]]:
-    """A row in words for every library network with its default arguments."""
-    rows = []
-    for name in LIBRARY:
-        e = entry(name)
-        spans = []
-        for port, (low, high) in e.ranges.items():
-            gaps = "".join(f" without ({a:.2g}, {b:.2g})" for a, b in e.gaps.get(port, ()))
-            span = "any" if math.isinf(high) else f"{low:.4g}..{high:.4g}"
-            spans.append(f"{port} {span}{gaps}")
-        rows.append(
-            {
-                "network": name,
-                "y": e.text,
-                "range": "; ".join(spans),
-                "worst error": rounded_up(e.worst_error, 2),
-                "neurons": str(e.network.neurons()),
-                "in hardware": e.hardware,
-            }
-        )
-    return rows
-
-
-def markdown() -> str:
-    """`listing` as the table of docs/library.md."""
-    rows = [{key: cell for key, cell in row.items() if key != "neurons"} for row in listing()]
-    lines = [list(rows[0]), ["---"] * len(rows[0]), *(list(r.values()) for r in rows)]
-    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines) + "\n"
-
-
-def bound(found: LibraryNetwork, zooms: int = 6) -> float:
-    """A bound of the error between grid points too, by finer and finer grids about the worst points of the grid."""
-    at = found.grid()
-    steps = {p: (high - low) / (DENSE[len(at)] - 1) for p, (low, high) in found.ranges.items()}
-    worst = 0.0
-    for _ in range(zooms):
-        errors = found.errors(at)
-        worst = max(worst, float(errors.max()))
-        near = np.stack(np.meshgrid(*[np.linspace(-1, 1, 9)] * len(at)), -1).reshape(-1, len(at))
-        chosen = np.argsort(errors)[-100:]
-        at = {
-            p: np.clip((v[chosen, None] + step * offset).ravel(), *found.ranges[p])
-            for (p, v), step, offset in zip(at.items(), steps.values(), near.T, strict=True)
-        }
-        steps = {p: step / 4 for p, step in steps.items()}
-    return worst
-
-
-def fit_library(progress: Progress = print) -> None:
-    """Train the networks of `FUNCTIONS`, each from several seeds, and keep those of the lowest error in `TRAINED`."""
-    errors = {}
-    networks = {"flow": fit_flow(seed=1).network, "divider": fit_divider(seed=0).network}
-    for name, f in FUNCTIONS.items():
-        fits = [f.fit(name, seed) for seed in SEEDS]
-        networks[name] = min(fits, key=lambda n: LibraryNetwork(n, f.function, "", f.ranges, 0.0, "").measured_error())
-    for name, network in networks.items():
-        network.save(TRAINED / name)
-        errors[name] = 0.0
-    with replacing(ERRORS) as path:
-        path.write_text(json.dumps(errors))
-    errors = {name: float(rounded_up(bound(entry(name)), 3)) for name in networks}
-    with replacing(ERRORS) as path:
-        path.write_text(json.dumps(errors, indent=1) + "\n")
-    for name, error in errors.items():
-        progress(f"{name}: worst error {error:.3g}")
-
-
-if __name__ == "__main__":
-    fit_library()

@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from greygate.errors import InputError, shown
-from greygate.models.importers.ports import port
 from greygate.models.network import Layer, Network, Port
-from greygate.names import LONGEST_NAME, check_name
+from greygate.names import LONGEST_NAME, check_name, check_path, check_unit
 
 Number = float | np.ndarray
 WIDE = 1 << 20  # of limits: scaled to 0 and 1, a value between them would lose more than 20 of its 53 bits
 MOST = 1 << 22  # weights of one value: a matrix of 2,048 by 2,048
+_NAMED = re.compile(r"\s*(\S+?)\s*(?:\[([^\]]*)\])?\s*")  # of a port, with its unit
 Signal = tuple[str, int]
 """(module or input port, delay in steps)."""
 
@@ -151,7 +151,7 @@ class Builder:
 
     def __init__(self, name: str, inputs: Sequence[Port | str], outputs: Sequence[Port | str]):
         check_name(name, "network")
-        self.inputs, self.outputs = ([_port(p) for p in ports] for ports in (inputs, outputs))
+        self.inputs, self.outputs = ([port(p) for p in ports] for ports in (inputs, outputs))
         if not self.inputs or not self.outputs:
             raise InputError(f"network {name}: has no {'input' if self.outputs else 'output'}; name one")
         self.network = Network(name, self.inputs, self.outputs)
@@ -361,9 +361,12 @@ def taken(x: Value, places: Sequence[int] | np.ndarray | int, axis: int) -> Valu
     return x.moved(lambda i: np.take(i, places, axis))
 
 
-def _port(given: Port | str) -> Port:
+def port(given: Port | str) -> Port:
+    """The port of a text such as "u [V]" or "u". Raises InputError for a name or a unit that no port can have."""
     if isinstance(given, Port):
         return given
     if not isinstance(given, str):
         raise InputError(f"port {shown(given)}: give a Port, or a name and its unit, such as 'p_a [Pa]'")
-    return port(given)
+    if (found := _NAMED.fullmatch(given)) is None:
+        raise InputError(f"port {shown(given)}: write a name and its unit, such as 'p_a [Pa]'")
+    return Port(check_path(found[1], "port"), check_unit((found[2] or "1").strip(), f"port {found[1]}: unit"))

@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Any
 
 from greygate.errors import InputError
+from greygate.models.importers.builder import port
 from greygate.models.importers.matlab import from_matlab
 from greygate.models.importers.onnx_graph import from_onnx, from_qonnx
-from greygate.models.importers.ports import port
 from greygate.models.importers.qonnx import Quantized
 from greygate.models.network import Network
 from greygate.reading import line, listed, named, read_toml, table

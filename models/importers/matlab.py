@@ -15,8 +15,7 @@ import numpy as np
 
 from greygate.errors import InputError, shown
 from greygate.foreign import read_mat
-from greygate.models.importers.builder import Builder, Value, constant, titled
-from greygate.models.importers.ports import port
+from greygate.models.importers.builder import Builder, Value, constant, port, titled
 from greygate.models.network import Network, Port
 
 TRANSFER = {

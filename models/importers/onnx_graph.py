@@ -6,6 +6,7 @@ GRU, LSTM and Scan goes on from step to step. What comes out is compared with ON
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
 from math import prod
 from pathlib import Path
 from typing import Any, TypeVar
@@ -356,11 +357,6 @@ def _split(walk: _Walk, x: Value, sizes: Value | None = None, axis: int = 0, num
     return x.parts(lengths, axis)
 
 
-def _gather(walk: _Walk, x: Value, places: Value, axis: int = 0) -> Value:
-    at = walk.fixed(places, "the places").astype(int)
-    return taken(x, at, axis)
-
-
 def _reshape(walk: _Walk, x: Value, shape: Value, allowzero: int = 0) -> Value:
     wanted = [x.shape[k] if n == 0 and not allowzero else n for k, n in enumerate(walk.whole(shape, "the shape"))]
     known = int(np.prod([n for n in wanted if n != -1]))
@@ -374,14 +370,6 @@ def _squeeze(walk: _Walk, x: Value, axes: Value | None = None) -> Value:
     return x.moved(lambda i: np.squeeze(i, chosen))
 
 
-def _unsqueeze(walk: _Walk, x: Value, axes: Value) -> Value:
-    return x.moved(lambda i: np.expand_dims(i, tuple(walk.whole(axes, "the axes"))))
-
-
-def _flatten(walk: _Walk, x: Value, axis: int = 1) -> Value:
-    return x.moved(lambda i: i.reshape(int(np.prod(x.shape[:axis])), -1))
-
-
 def _normed(walk: _Walk, x: Value, *rest: Value, epsilon: float = 1e-5, training_mode: int = 0, **_: Any) -> Value:
     """Its channels are axis 1, whatever the number of axes."""
     if training_mode:
@@ -392,13 +380,13 @@ def _normed(walk: _Walk, x: Value, *rest: Value, epsilon: float = 1e-5, training
 
 
 def _reduced(of: Callable) -> Callable:
-    def reduce(walk: _Walk, x: Value, axes: Any = None, keepdims: int = 1, noop_with_empty_axes: int = 0) -> Value:
+    def along(walk: _Walk, x: Value, axes: Any = None, keepdims: int = 1, noop_with_empty_axes: int = 0) -> Value:
         chosen = walk.whole(axes, "the axes") if isinstance(axes, Value) else axes or []  # an attribute below opset 18
         if not chosen and noop_with_empty_axes:
             return x
         return of(x, chosen, bool(keepdims))
 
-    return reduce
+    return along
 
 
 def _constant(walk: _Walk, **given: Any) -> np.ndarray:
@@ -510,14 +498,6 @@ def _dropout(walk: _Walk, x: Value, ratio: Value | None = None, training: Value 
     return x
 
 
-def _same(walk: _Walk, x: Value) -> Value:
-    return x
-
-
-def _shape(walk: _Walk, x: Value, start: int = 0, end: int | None = None) -> np.ndarray:
-    return np.array(x.shape[start:end], np.int64)
-
-
 def _extracted(walk: _Walk, x: Value, places: Value) -> Value:
     wide = x if x.shape[1:] else x.moved(np.atleast_2d)
     return taken(wide, np.ravel(walk.whole(places, "the places")), -1)
@@ -549,7 +529,7 @@ FUNCTIONS: dict[str, Callable] = {
     "Mul": lambda walk, a, b: walk.builder.product(a, b, walk.hint),
     "Div": _divide,
     "Neg": lambda walk, x: x.times(-1.0),
-    "Sum": lambda walk, first, *rest: _total(first, rest),
+    "Sum": lambda walk, *values: reduce(Value.plus, values),
     "Pow": _power,
     "Tanh": _activated("tansig"),
     "Sigmoid": _activated("logsig"),
@@ -565,13 +545,13 @@ FUNCTIONS: dict[str, Callable] = {
     "Concat": lambda walk, *values, axis: joined(values, axis),
     "Slice": _slice,
     "Split": _split,
-    "Gather": _gather,
+    "Gather": lambda walk, x, at, axis=0: taken(x, walk.fixed(at, "the places").astype(int), axis),
     "Reshape": _reshape,
-    "Flatten": _flatten,
+    "Flatten": lambda walk, x, axis=1: x.moved(lambda i: i.reshape(prod(x.shape[:axis]), -1)),
     "Squeeze": _squeeze,
-    "Unsqueeze": _unsqueeze,
+    "Unsqueeze": lambda walk, x, axes: x.moved(lambda i: np.expand_dims(i, tuple(walk.whole(axes, "the axes")))),
     "Transpose": lambda walk, x, perm=None: x.moved(lambda i: i.transpose(perm)),
-    "Shape": _shape,
+    "Shape": lambda walk, x, start=0, end=None: np.array(x.shape[start:end], np.int64),
     "Size": lambda walk, x: np.array(x.size, np.int64),
     "Expand": _expanded,
     "Constant": _constant,
@@ -584,7 +564,7 @@ FUNCTIONS: dict[str, Callable] = {
     "Scan": _scan,
     "Cast": _cast,
     "Dropout": _dropout,
-    "Identity": _same,
+    "Identity": lambda walk, x: x,
 }
 """What a network can carry: operation of ONNX -> how."""
 DOMAINS: dict[tuple[str, ...], Mapping[str, Callable]] = {
@@ -593,9 +573,3 @@ DOMAINS: dict[tuple[str, ...], Mapping[str, Callable]] = {
     ("ai.onnx.ml",): {"Scaler": _scaler, "ArrayFeatureExtractor": _extracted, "LinearRegressor": _regressed},
 }
 """The same by the domains that an operation may be of: one of another domain is another one, whatever its name."""
-
-
-def _total(first: Value, rest: Sequence[Value]) -> Value:
-    for other in rest:
-        first = first.plus(other)
-    return first

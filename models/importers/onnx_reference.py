@@ -21,60 +21,17 @@ SAMPLES = 3  # of an axis whose length is free
 SPREAD = (0.3, 1.0, 3.0)  # of the numbers that are tried, one sample each
 
 ELEMENTWISE = {
-    *(
-        "Abs",
-        "Acos",
-        "Acosh",
-        "Add",
-        "And",
-        "Asin",
-        "Asinh",
-        "Atan",
-        "Atanh",
-        "Ceil",
-        "Clip",
-        "Cos",
-        "Cosh",
-        "Div",
-        "Elu",
-    ),
-    *("Equal", "Erf", "Exp", "Floor", "Greater", "GreaterOrEqual", "HardSigmoid", "HardSwish", "IsInf", "IsNaN"),
-    *(
-        "LeakyRelu",
-        "Less",
-        "LessOrEqual",
-        "Log",
-        "Max",
-        "Mean",
-        "Min",
-        "Mod",
-        "Mul",
-        "Neg",
-        "Not",
-        "Or",
-        "PRelu",
-        "Pow",
-    ),
-    *("Reciprocal", "Relu", "Round", "Selu", "Sigmoid", "Sign", "Sin", "Sinh", "Softplus", "Softsign", "Sqrt", "Sub"),
-    *("Sum", "Tan", "Tanh", "Where", "Xor"),
-}
+    "Abs", "Acos", "Acosh", "Add", "And", "Asin", "Asinh", "Atan", "Atanh", "Ceil", "Clip", "Cos", "Cosh", "Div",
+    "Elu", "Equal", "Erf", "Exp", "Floor", "Greater", "GreaterOrEqual", "HardSigmoid", "HardSwish", "IsInf", "IsNaN",
+    "LeakyRelu", "Less", "LessOrEqual", "Log", "Max", "Mean", "Min", "Mod", "Mul", "Neg", "Not", "Or", "PRelu", "Pow",
+    "Reciprocal", "Relu", "Round", "Selu", "Sigmoid", "Sign", "Sin", "Sinh", "Softplus", "Softsign", "Sqrt", "Sub",
+    "Sum", "Tan", "Tanh", "Where", "Xor",
+}  # fmt: skip
 REARRANGING = {
-    *(
-        "ArgMax",
-        "ArgMin",
-        "Cast",
-        "CastLike",
-        "Concat",
-        "CumSum",
-        "EyeLike",
-        "Flatten",
-        "Identity",
-        "ReduceL1",
-        "ReduceL2",
-    ),
-    *("ReduceMax", "ReduceMean", "ReduceMin", "ReduceProd", "ReduceSum", "ReduceSumSquare", "Reshape", "Shape", "Size"),
-    *("Slice", "Split", "Squeeze", "Transpose", "Trilu", "Unsqueeze"),
-}
+    "ArgMax", "ArgMin", "Cast", "CastLike", "Concat", "CumSum", "EyeLike", "Flatten", "Identity", "ReduceL1",
+    "ReduceL2", "ReduceMax", "ReduceMean", "ReduceMin", "ReduceProd", "ReduceSum", "ReduceSumSquare", "Reshape",
+    "Shape", "Size", "Slice", "Split", "Squeeze", "Transpose", "Trilu", "Unsqueeze",
+}  # fmt: skip
 """Operations whose results have no more numbers than what they read."""
 
 

@@ -1,37 +1,25 @@
 """Two resistors and two capacitors as a low pass, recorded at 100 kHz."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
 
-from ..rig import Sensor
+from ..rig import Sensor, fields, nothing
 from .integrate import FINE, Ways, acting, domain, hidden, integrate, sensor, steps
 
 HOLD = (10, 80)  # samples between steps
 LEAST = 1e-3  # the resolution of the input
 VOLTS = 5.0
 
-
-class Electrical(NamedTuple):
-    """Parameters, SI."""
-
-    r_1: float
-    r_2: float
-    c_1: float
-    c_2: float
-
-
-class Effects(NamedTuple):
-    """What it may conceal, SI; all zero: nothing. The last line is outside the vocabulary."""
-
-    form: float = 0.0
-    g_leak: float = 0.0
-    offset: float = 0.0
-    lag: float = 0.0
-    top: float = 0.0
-    g_diode: float = 0.0
-    v_on: float = 0.0
+PARAMETERS = {"r_1": 1000.0, "r_2": 2000.0, "c_1": 1e-7, "c_2": 5e-8}  # SI
+EFFECTS = {
+    "leak": hidden("second", "v_2", g_leak=(1e-6, 1e-4)),
+    "input_offset": hidden("u", "", signed=True, offset=(5e-3, 0.5)),
+    "input_lag": hidden("u", "u", lag=(1e-6, 4e-5)),
+    "sensor_saturation": hidden("v_2", "v_2", {"top": (1.2, 2.8)}),
+}
+FOREIGN = {"diode": hidden("second", "v_2", {"v_on": (0.4, 0.9)}, g_diode=(1e-5, 1e-3))}
+Electrical = fields("Electrical", __name__, PARAMETERS)
+Effects = nothing("Effects", __name__, EFFECTS | FOREIGN)
 
 
 @njit(cache=True)
@@ -58,14 +46,9 @@ ELECTRICAL = domain(
     sensors=(sensor("v_1", "V", 2e-3), sensor("v_2", "V", 2e-3)),
     excite=lambda rng, samples: steps(rng, samples, -VOLTS, VOLTS, HOLD, LEAST),
     run=run,
-    parameters={"r_1": 1000.0, "r_2": 2000.0, "c_1": 1e-7, "c_2": 5e-8},
+    parameters=PARAMETERS,
     tolerance={"r_2": 0.05, "c_1": 0.1, "c_2": 0.1},
     places={"r_2": ("first", "second"), "c_1": ("first",), "c_2": ("second",)},
-    effects={
-        "leak": hidden("second", "v_2", g_leak=(1e-6, 1e-4)),
-        "input_offset": hidden("u", "", signed=True, offset=(5e-3, 0.5)),
-        "input_lag": hidden("u", "u", lag=(1e-6, 4e-5)),
-        "sensor_saturation": hidden("v_2", "v_2", {"top": (1.2, 2.8)}),
-    },
-    foreign={"diode": hidden("second", "v_2", {"v_on": (0.4, 0.9)}, g_diode=(1e-5, 1e-3))},
+    effects=EFFECTS,
+    foreign=FOREIGN,
 )

@@ -1,11 +1,9 @@
 """DC motor of which only the speed is measured."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
 
-from ..rig import Sensor
+from ..rig import Sensor, fields, nothing
 from .integrate import FINE, Ways, acting, domain, hidden, integrate, sensor, steps
 
 HOLD = (20, 150)  # samples between steps
@@ -14,28 +12,17 @@ SHARP = 0.2  # rad/s: below this speed dry friction is less than it is
 BREAKAWAY, CREEPING = 0.5, 6.0  # of the variant: what is added to dry friction near rest, and the speed where it ends
 VOLTS = 6.0
 
-
-class Motor(NamedTuple):
-    """Parameters, SI."""
-
-    inertia: float
-    viscous: float
-    resistance: float
-    inductance: float
-    k_motor: float
-
-
-class Effects(NamedTuple):
-    """What the motor may conceal, SI; all zero: nothing. The last line is outside the vocabulary."""
-
-    form: float = 0.0
-    f_dry: float = 0.0
-    c_square: float = 0.0
-    load: float = 0.0
-    offset: float = 0.0
-    dead: float = 0.0
-    delay: float = 0.0
-    saturating: float = 0.0
+PARAMETERS = {"inertia": 2e-4, "viscous": 1e-4, "resistance": 1.2, "inductance": 3e-3, "k_motor": 0.05}  # SI
+EFFECTS = {
+    "dry_friction": hidden("motion", "omega", f_dry=(3e-3, 4e-2)),
+    "square_damping": hidden("motion", "omega", c_square=(4e-7, 4e-6)),
+    "constant_load": hidden("motion", "", signed=True, load=(2e-3, 3e-2)),
+    "input_dead_zone": hidden("u", "u", dead=(0.05, 0.6)),
+    "input_delay": hidden("u", "u", delay=(2e-3, 2e-2)),
+}
+FOREIGN = {"iron_saturation": hidden("motion coil", "omega u", saturating=(0.01, 0.15))}
+Motor = fields("Motor", __name__, PARAMETERS)
+Effects = nothing("Effects", __name__, EFFECTS | FOREIGN)
 
 
 @njit(cache=True)
@@ -51,7 +38,7 @@ def slopes(s, u, t, p, e, d):
 
 def run(volts, dt, parameters, extra):
     e = Effects(**extra)
-    fine = acting(volts, dt, Ways(offset=e.offset, dead=e.dead, delay=e.delay))
+    fine = acting(volts, dt, Ways(dead=e.dead, delay=e.delay))
     states = integrate(slopes, fine[:, None], np.zeros(2), dt / FINE, Motor(**parameters), e)
     return {"omega": states[:-1:FINE, 1]}
 
@@ -64,17 +51,11 @@ MOTOR = domain(
     sensors=(sensor("omega", "rad/s", 0.3),),
     excite=lambda rng, samples: steps(rng, samples, -VOLTS, VOLTS, HOLD, LEAST),
     run=run,
-    parameters={"inertia": 2e-4, "viscous": 1e-4, "resistance": 1.2, "inductance": 3e-3, "k_motor": 0.05},
+    parameters=PARAMETERS,
     tolerance={"inertia": 0.06, "viscous": 0.2, "k_motor": 0.03},
     places={"inertia": ("motion",), "viscous": ("motion",), "k_motor": ("motion", "coil")},
-    effects={
-        "dry_friction": hidden("motion", "omega", f_dry=(3e-3, 4e-2)),
-        "square_damping": hidden("motion", "omega", c_square=(4e-7, 4e-6)),
-        "constant_load": hidden("motion", "", signed=True, load=(2e-3, 3e-2)),
-        "input_dead_zone": hidden("u", "u", dead=(0.05, 0.6)),
-        "input_delay": hidden("u", "u", delay=(2e-3, 2e-2)),
-    },
-    foreign={"iron_saturation": hidden("motion coil", "omega u", saturating=(0.01, 0.15))},
+    effects=EFFECTS,
+    foreign=FOREIGN,
     same=(frozenset({"dry_friction", "input_dead_zone"}),),
     alike=(frozenset({"constant_load", "input_offset"}),),
 )

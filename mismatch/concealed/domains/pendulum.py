@@ -1,11 +1,9 @@
 """A pendulum that a torque turns about its pivot; its angle is measured."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
 
-from ..rig import Sensor
+from ..rig import Sensor, fields, nothing
 from .integrate import FINE, Ways, acting, domain, hidden, integrate, sensor, steps
 
 NEAR = 0.1  # rad within which the magnet pulls
@@ -15,26 +13,19 @@ SHARP = 0.01  # rad/s: below this speed dry friction is less than it is
 BREAKAWAY, CREEPING = 0.5, 0.3  # of the variant: what is added to dry friction near rest, and the speed where it ends
 TORQUE = 1.2  # N m
 
-
-class Pendulum(NamedTuple):
-    """Parameters, SI."""
-
-    inertia: float
-    weight: float
-    viscous: float
-
-
-class Effects(NamedTuple):
-    """What it may conceal, SI; all zero: nothing. The last lines are outside the vocabulary."""
-
-    form: float = 0.0
-    f_dry: float = 0.0
-    c_square: float = 0.0
-    load: float = 0.0
-    dead: float = 0.0
-    magnet: float = 0.0
-    magnet_at: float = 0.0
-    sticky: float = 0.0
+PARAMETERS = {"inertia": 0.03, "weight": 1.5, "viscous": 0.05}  # SI
+EFFECTS = {
+    "dry_friction": hidden("motion", "v", f_dry=(4e-3, 0.12)),
+    "square_damping": hidden("motion", "v", c_square=(1e-3, 3e-2)),
+    "constant_load": hidden("motion", "", signed=True, load=(4e-3, 0.15)),
+    "input_dead_zone": hidden("torque", "torque", dead=(0.01, 0.2)),
+}
+FOREIGN = {
+    "magnet": hidden("motion", "theta", {"magnet_at": (-0.3, 0.3)}, magnet=(0.5, 8.0)),
+    "sticky_side": hidden("motion", "theta v", sticky=(0.02, 0.4)),
+}
+Pendulum = fields("Pendulum", __name__, PARAMETERS)
+Effects = nothing("Effects", __name__, EFFECTS | FOREIGN)
 
 
 @njit(cache=True)
@@ -64,18 +55,10 @@ PENDULUM = domain(
     sensors=(sensor("theta", "rad", 5e-4),),
     excite=lambda rng, samples: steps(rng, samples, -TORQUE, TORQUE, HOLD, LEAST),
     run=run,
-    parameters={"inertia": 0.03, "weight": 1.5, "viscous": 0.05},
+    parameters=PARAMETERS,
     tolerance={"inertia": 0.05, "weight": 0.03, "viscous": 0.2},
     places={"inertia": ("motion",), "weight": ("motion",), "viscous": ("motion",)},
-    effects={
-        "dry_friction": hidden("motion", "v", f_dry=(4e-3, 0.12)),
-        "square_damping": hidden("motion", "v", c_square=(1e-3, 3e-2)),
-        "constant_load": hidden("motion", "", signed=True, load=(4e-3, 0.15)),
-        "input_dead_zone": hidden("torque", "torque", dead=(0.01, 0.2)),
-    },
-    foreign={
-        "magnet": hidden("motion", "theta", {"magnet_at": (-0.3, 0.3)}, magnet=(0.5, 8.0)),
-        "sticky_side": hidden("motion", "theta v", sticky=(0.02, 0.4)),
-    },
+    effects=EFFECTS,
+    foreign=FOREIGN,
     alike=(frozenset({"constant_load", "input_offset"}),),
 )

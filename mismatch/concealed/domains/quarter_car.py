@@ -1,11 +1,9 @@
 """A quarter of a car on a road whose height is recorded: body and wheel, one on the other."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
 
-from ..rig import Sensor
+from ..rig import Sensor, fields, nothing
 from .integrate import FINE, Ways, acting, domain, hidden, integrate, lagging, sensor, smooth
 
 STATES = 4
@@ -13,27 +11,16 @@ LEAST = 1e-5  # the resolution of the input
 SHARP = 2e-3  # m/s: below this speed dry friction is less than it is
 ROAD, LAG = 0.02, 20.0  # m RMS, and samples of the lags that make it smooth
 
-
-class QuarterCar(NamedTuple):
-    """Parameters, SI."""
-
-    m_body: float
-    m_wheel: float
-    k_spring: float
-    c_damper: float
-    k_tyre: float
-
-
-class Effects(NamedTuple):
-    """What it may conceal, SI; all zero: nothing. The last lines are outside the vocabulary."""
-
-    form: float = 0.0
-    f_dry: float = 0.0
-    k_cubic: float = 0.0
-    skew: float = 0.0
-    lag: float = 0.0
-    stop: float = 0.0
-    stop_at: float = 0.0
+PARAMETERS = {"m_body": 300.0, "m_wheel": 40.0, "k_spring": 18000.0, "c_damper": 1200.0, "k_tyre": 180000.0}  # SI
+EFFECTS = {
+    "dry_friction": hidden("body wheel", "z_body z_wheel v", f_dry=(8.0, 200.0)),
+    "hardening_spring": hidden("body wheel", "z_body z_wheel", k_cubic=(2e6, 8e7)),
+    "direction_friction": hidden("body wheel", "z_body z_wheel v", signed=True, skew=(40.0, 700.0)),
+    "sensor_lag": hidden("z_body", "z_body", lag=(2e-3, 3e-2)),
+}
+FOREIGN = {"bump_stop": hidden("body wheel", "z_body z_wheel", {"stop_at": (0.005, 0.015)}, stop=(1e4, 1.5e5))}
+QuarterCar = fields("QuarterCar", __name__, PARAMETERS)
+Effects = nothing("Effects", __name__, EFFECTS | FOREIGN)
 
 
 @njit(cache=True)
@@ -63,7 +50,7 @@ QUARTER_CAR = domain(
     sensors=(sensor("z_body", "m", 1e-4), sensor("z_wheel", "m", 1e-4)),
     excite=lambda rng, samples: smooth(rng, samples, ROAD, LAG, LEAST),
     run=run,
-    parameters={"m_body": 300.0, "m_wheel": 40.0, "k_spring": 18000.0, "c_damper": 1200.0, "k_tyre": 180000.0},
+    parameters=PARAMETERS,
     tolerance={"m_body": 0.05, "k_spring": 0.05, "c_damper": 0.1, "k_tyre": 0.1},
     places={
         "m_body": ("body",),
@@ -71,11 +58,6 @@ QUARTER_CAR = domain(
         "c_damper": ("body", "wheel"),
         "k_tyre": ("wheel",),
     },
-    effects={
-        "dry_friction": hidden("body wheel", "z_body z_wheel v", f_dry=(8.0, 200.0)),
-        "hardening_spring": hidden("body wheel", "z_body z_wheel", k_cubic=(2e6, 8e7)),
-        "direction_friction": hidden("body wheel", "z_body z_wheel v", signed=True, skew=(40.0, 700.0)),
-        "sensor_lag": hidden("z_body", "z_body", lag=(2e-3, 3e-2)),
-    },
-    foreign={"bump_stop": hidden("body wheel", "z_body z_wheel", {"stop_at": (0.005, 0.015)}, stop=(1e4, 1.5e5))},
+    effects=EFFECTS,
+    foreign=FOREIGN,
 )

@@ -1,11 +1,9 @@
 """Two tanks, one after the other, recorded every second."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
 
-from ..rig import Sensor
+from ..rig import Sensor, fields, nothing
 from .integrate import FINE, Ways, acting, domain, hidden, integrate, sensor, steps
 
 HOLD = (20, 200)  # samples between steps
@@ -13,27 +11,19 @@ LEAST = 1e-7  # the resolution of the input
 UPPER, LOWER = 0.3, 0.15  # m, at the beginning
 INFLOW = (1e-5, 7e-5)  # m^3/s
 
-
-class Tank(NamedTuple):
-    """Parameters, SI."""
-
-    area_1: float
-    area_2: float
-    k_1: float
-    k_2: float
-
-
-class Effects(NamedTuple):
-    """What the tanks may conceal, SI; all zero: nothing. The last lines are outside the vocabulary."""
-
-    form: float = 0.0
-    k_leak: float = 0.0
-    lag: float = 0.0
-    delay: float = 0.0
-    zero: float = 0.0
-    clogging: float = 0.0
-    weir: float = 0.0
-    weir_at: float = 0.0
+PARAMETERS = {"area_1": 0.02, "area_2": 0.02, "k_1": 1e-4, "k_2": 1e-4}  # SI
+EFFECTS = {
+    "leak": hidden("upper", "h_1", k_leak=(2e-6, 6e-5)),
+    "input_lag": hidden("q_in", "q_in", lag=(2.0, 40.0)),
+    "input_delay": hidden("q_in", "q_in", delay=(2.0, 40.0)),
+    "sensor_offset": hidden("h_1", "", signed=True, zero=(2e-3, 5e-2)),
+}
+FOREIGN = {
+    "clogging": hidden("lower", "h_2 t", clogging=(3e-5, 4e-4)),
+    "weir": hidden("upper", "h_1", {"weir_at": (0.2, 0.3)}, weir=(2e-5, 4e-4)),
+}
+Tank = fields("Tank", __name__, PARAMETERS)
+Effects = nothing("Effects", __name__, EFFECTS | FOREIGN)
 
 
 @njit(cache=True)
@@ -63,17 +53,9 @@ TANK = domain(
     sensors=(sensor("h_1", "m", 5e-4), sensor("h_2", "m", 5e-4)),
     excite=lambda rng, samples: steps(rng, samples, *INFLOW, HOLD, LEAST),
     run=run,
-    parameters={"area_1": 0.02, "area_2": 0.02, "k_1": 1e-4, "k_2": 1e-4},
+    parameters=PARAMETERS,
     tolerance={"area_2": 0.03, "k_1": 0.06, "k_2": 0.06},
     places={"area_2": ("lower",), "k_1": ("upper", "lower"), "k_2": ("lower",)},
-    effects={
-        "leak": hidden("upper", "h_1", k_leak=(2e-6, 6e-5)),
-        "input_lag": hidden("q_in", "q_in", lag=(2.0, 40.0)),
-        "input_delay": hidden("q_in", "q_in", delay=(2.0, 40.0)),
-        "sensor_offset": hidden("h_1", "", signed=True, zero=(2e-3, 5e-2)),
-    },
-    foreign={
-        "clogging": hidden("lower", "h_2 t", clogging=(3e-5, 4e-4)),
-        "weir": hidden("upper", "h_1", {"weir_at": (0.2, 0.3)}, weir=(2e-5, 4e-4)),
-    },
+    effects=EFFECTS,
+    foreign=FOREIGN,
 )

@@ -1,11 +1,9 @@
 """A heated block in a jacket that stands in a room, recorded every ten seconds."""
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
 
-from ..rig import Sensor
+from ..rig import Sensor, fields, nothing
 from .integrate import FINE, Ways, acting, domain, hidden, integrate, lagging, sensor, steps
 
 HOLD = (20, 150)  # samples between steps
@@ -15,25 +13,16 @@ KELVIN = 273.15  # of 0 degC
 BOLTZMANN = 5.67e-8  # W/(m^2 K^4)
 ROOM = 20.0  # degC
 
-
-class Thermal(NamedTuple):
-    """Parameters, SI and degC."""
-
-    c_block: float
-    c_jacket: float
-    g_between: float
-    g_loss: float
-
-
-class Effects(NamedTuple):
-    """What it may conceal, SI; all zero: nothing. The last line is outside the vocabulary."""
-
-    form: float = 0.0
-    g_leak: float = 0.0
-    delay: float = 0.0
-    lag: float = 0.0
-    zero: float = 0.0
-    area: float = 0.0
+PARAMETERS = {"c_block": 800.0, "c_jacket": 1500.0, "g_between": 4.0, "g_loss": 1.5}  # SI and degC
+EFFECTS = {
+    "leak": hidden("block", "t_block", g_leak=(0.02, 0.6)),
+    "input_delay": hidden("power", "power", delay=(10.0, 150.0)),
+    "sensor_lag": hidden("t_jacket", "t_jacket", lag=(5.0, 90.0)),
+    "sensor_offset": hidden("t_block", "", signed=True, zero=(0.3, 8.0)),
+}
+FOREIGN = {"radiation": hidden("jacket", "t_jacket", area=(0.02, 0.2))}
+Thermal = fields("Thermal", __name__, PARAMETERS)
+Effects = nothing("Effects", __name__, EFFECTS | FOREIGN)
 
 
 @njit(cache=True)
@@ -62,14 +51,9 @@ THERMAL = domain(
     sensors=(sensor("t_block", "degC", 0.1), sensor("t_jacket", "degC", 0.1)),
     excite=lambda rng, samples: steps(rng, samples, 0.0, WATTS, HOLD, LEAST),
     run=run,
-    parameters={"c_block": 800.0, "c_jacket": 1500.0, "g_between": 4.0, "g_loss": 1.5},
+    parameters=PARAMETERS,
     tolerance={"c_jacket": 0.05, "g_between": 0.06, "g_loss": 0.06},
     places={"c_jacket": ("jacket",), "g_between": ("block", "jacket"), "g_loss": ("jacket",)},
-    effects={
-        "leak": hidden("block", "t_block", g_leak=(0.02, 0.6)),
-        "input_delay": hidden("power", "power", delay=(10.0, 150.0)),
-        "sensor_lag": hidden("t_jacket", "t_jacket", lag=(5.0, 90.0)),
-        "sensor_offset": hidden("t_block", "", signed=True, zero=(0.3, 8.0)),
-    },
-    foreign={"radiation": hidden("jacket", "t_jacket", area=(0.02, 0.2))},
+    effects=EFFECTS,
+    foreign=FOREIGN,
 )

@@ -1,7 +1,7 @@
-"""The eight standard templates (thesis figure 3.5, table 3.2), Elman and fully recurrent networks.
+"""The eight standard templates (thesis figure 3.5, table 3.2).
 
 Delays are counted from the output: the table's y(k+1) = f[x(k), ...] is y(k) = f[x(k-1), ...] here. As in
-`models.regression`, `train(..., teacher=True)` puts the measured output in the feedback, `teacher=False` its own.
+`models.families.regression`, `train(..., teacher=True)` puts the measured output in the feedback, else its own.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,8 +12,6 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.models.families.blocks import feedforward
 from greygate.models.network import Layer, Network, Port
-
-MEMORY = 0.3  # initial gain of a recurrent network's past
 
 
 @dataclass(frozen=True)
@@ -98,57 +96,3 @@ def template(
             network.connect(source, f"sum.{port}", delay)
     network.connect(last, output.name)
     return network.check()
-
-
-def elman(
-    name: str, inputs: Mapping[Port, Sequence[int]], outputs: Sequence[Port], hidden: Sequence[int], seed: int = 0
-) -> Network:
-    """Each hidden layer reads its own past: h(k) = tansig(W x(k) + V h(k-1) + b), y(k) = C h(k) + d.
-
-    Elman 1990 (thesis 4.4). inputs: taps by port, as in `template`. Raises InputError for a tap that looks ahead.
-    """
-    return _recurrent(name, inputs, outputs, hidden, seed, full=False)
-
-
-def frnn(
-    name: str, inputs: Mapping[Port, Sequence[int]], outputs: Sequence[Port], hidden: Sequence[int], seed: int = 0
-) -> Network:
-    """Fully recurrent: every layer, the linear output too, reads the past step of every layer.
-
-    Williams, Zipser 1989, in layers (thesis 4.4). inputs as in `elman`. Raises InputError for a tap that looks ahead.
-    """
-    return _recurrent(name, inputs, outputs, hidden, seed, full=True)
-
-
-def _recurrent(name, inputs, outputs, hidden, seed, full) -> Network:
-    taps = {f"{port.name}_z{d}": (port.name, d, port.size) for port, delays in inputs.items() for d in delays}
-    if not taps or not hidden or any(d < 0 for _, d, _ in taps.values()):
-        raise InputError(f"network {name}: give hidden neurons and taps of inputs from 0 on")
-    rng = np.random.default_rng(seed)
-    network = Network(name, list(inputs), list(outputs))
-    layers = {f"hidden{depth}": size for depth, size in enumerate(hidden, 1)}
-    if full:
-        layers |= {f"{port.name}_layer": port.size for port in outputs}
-    last = taps
-    for depth, size in enumerate(hidden, 1):
-        layer = f"hidden{depth}"
-        past = {f"{n}_past": (n, 1, s) for n, s in layers.items() if full or n == layer}
-        _layer(network, rng, layer, last, past, size, "tansig")
-        last = {layer: (layer, 0, size)}
-    past = {f"{n}_past": (n, 1, s) for n, s in layers.items()} if full else {}
-    for port in outputs:
-        layer = f"{port.name}_layer"
-        _layer(network, rng, layer, last, past, port.size, "linear", port.rest)
-        network.connect(layer, port.name)
-    return network.check()
-
-
-def _layer(network, rng, name, reads, past, size, activation, initial=0.0) -> None:
-    """Weights that keep the layer's sum of present signals near one, and that of past signals near `MEMORY`."""
-    weights: dict[str, np.ndarray] = {}
-    for ports, gain in ((reads, 1.0), (past, MEMORY)):
-        norm = gain / np.sqrt(max(sum(width for _, _, width in ports.values()), 1))
-        weights |= {port: norm * rng.normal(size=(size, width)) for port, (_, _, width) in ports.items()}
-    network.add(name, Layer(weights, 0.5 * rng.normal(size=size), activation, initial=initial))
-    for port, (source, delay, _) in (reads | past).items():
-        network.connect(source, f"{name}.{port}", delay)

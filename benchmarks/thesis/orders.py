@@ -16,6 +16,8 @@ from greygate.models.families.regression import Taps, regressors
 from greygate.models.network import Port
 from greygate.models.training.record import Record
 
+from .linear import faults
+
 SHARE = 0.015  # of the rows: number of the largest quotients that count (He and Asada: 0.01 to 0.02)
 
 
@@ -58,7 +60,7 @@ def lipschitz(
     names = [p.name for p in inputs] + [output.name]
     rows, columns = phi.matrix.shape
     if rows <= columns + 1:
-        raise InputError(f"{phi.faults()[0]} of the candidates")
+        raise InputError(f"{faults(phi)[0]} of the candidates")
     used = np.unique(np.linspace(0, rows - 1, min(samples, rows)).astype(int))
     target = phi.target[used]
     of = [tap.rpartition("_z")[0] for tap in phi.taps]
