@@ -5,11 +5,12 @@ import sys
 from pathlib import Path
 
 import checking
+import command_line
 import pytest
 from hypothesis import HealthCheck, settings
 from networks import delay_line
 
-from greygate import cli, schemas
+from greygate import schemas
 from greygate.compiler.quantize import Formats
 from greygate.machines.source import Source
 from greygate.mismatch import effects
@@ -40,17 +41,9 @@ def every_json_that_a_command_prints_follows_its_schema():
 
 
 @pytest.fixture
-def greygate(monkeypatch, capsys):
+def greygate():
     """The command: exit code, stdout, stderr."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["greygate", *map(str, arguments)])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as stopped:
-            cli.run()
-        return stopped.value.code, *capsys.readouterr()
-
-    return run
+    return command_line.greygate
 
 
 @pytest.fixture(scope="session")

@@ -25,9 +25,9 @@ from greygate.plants.recording import Recording
 GREYGATE = str(Path(sys.executable).with_name("greygate"))
 
 
-def greygate(*arguments, cwd=None):
-    """The installed command: exit code, stdout, stderr."""
-    done = subprocess.run([GREYGATE, *map(str, arguments)], capture_output=True, text=True, cwd=cwd)
+def installed(*arguments):
+    """The installed command in a process of its own: exit code, stdout, stderr."""
+    done = subprocess.run([GREYGATE, *map(str, arguments)], capture_output=True, text=True)
     return done.returncode, done.stdout, done.stderr
 
 
@@ -49,20 +49,20 @@ def network(tmp_path) -> Path:
 
 
 @pytest.fixture
-def built(tmp_path, network) -> Path:
+def built(tmp_path, network, greygate) -> Path:
     code, _, error = greygate("compile", network, f"train={recording(tmp_path / 'a.csv')}", "--out", tmp_path / "build")
     assert code == 0, error
     return tmp_path / "build"
 
 
 def test_the_version_and_the_catalogue_are_printed():
-    assert greygate("--version") == (0, f"greygate {__version__}\n", "")
-    code, out, _ = greygate("train", "list", "--json")
+    assert installed("--version") == (0, f"greygate {__version__}\n", "")
+    code, out, _ = installed("train", "list", "--json")
     assert code == 0
     assert set(json.loads(out)) == set(CATALOG)
 
 
-def test_a_users_network_is_trained_on_a_users_recordings(tmp_path, network):
+def test_a_users_network_is_trained_on_a_users_recordings(tmp_path, network, greygate):
     """From weights that are off; the recording can be fitted exactly."""
     start = Network.load(network)
     off = {name: 0.8 * value + 0.01 for name, value in start.parameters().items()}
@@ -78,7 +78,7 @@ def test_a_users_network_is_trained_on_a_users_recordings(tmp_path, network):
     assert Network.load(out / "line").run({"u": u})["y"] == pytest.approx(delay_line().run({"u": u})["y"], abs=1e-3)
 
 
-def test_a_recording_that_starts_in_motion_is_trained_and_judged_from_a_state_of_its_own(tmp_path, network):
+def test_a_recording_that_starts_in_motion_is_trained_and_judged_from_a_state_of_its_own(tmp_path, network, greygate):
     def moving(path, state):
         u = np.random.default_rng(0).uniform(-1, 3, 200)
         y = delay_line().run({"u": u}, initial={"sum": state})["y"]
@@ -96,14 +96,14 @@ def test_a_recording_that_starts_in_motion_is_trained_and_judged_from_a_state_of
     assert (code, "given twice" in error) == (2, True)
 
 
-def test_a_training_that_is_refused_leaves_no_folder(tmp_path, network):
+def test_a_training_that_is_refused_leaves_no_folder(tmp_path, network, greygate):
     record, out = recording(tmp_path / "a.csv"), tmp_path / "new"
     code, _, error = greygate("train", network, record, "--decay", "-1", "--out", out)
     assert (code, "decay -1" in error) == (2, True)
     assert not out.exists()
 
 
-def test_a_library_network_that_is_trained_within_a_whole_keeps_its_meaning(tmp_path):
+def test_a_library_network_that_is_trained_within_a_whole_keeps_its_meaning(tmp_path, greygate):
     whole = Network("whole", [Port("s"), Port("a"), Port("b")], [Port("y")])
     whole.add("switch", library("switch_2"))
     whole.add("gain", Layer({"x": [[0.5]]}, [0.0]))
@@ -127,7 +127,7 @@ def test_a_library_network_that_is_trained_within_a_whole_keeps_its_meaning(tmp_
     assert trained.parameters()["gain.x"].item() == pytest.approx(1.0, abs=1e-6)
 
 
-def test_weights_are_pruned_by_saliency_on_request(tmp_path, network):
+def test_weights_are_pruned_by_saliency_on_request(tmp_path, network, greygate):
     record = f"train={recording(tmp_path / 'a.csv', steps=300)}"
     code, out, error = greygate("compile", network, record, "--weights", "obs", "--out", tmp_path / "b")
     assert code == 0, error
@@ -138,8 +138,9 @@ def test_weights_are_pruned_by_saliency_on_request(tmp_path, network):
 
 
 @pytest.mark.parametrize("how", [("--weights", "obs"), ("--prune", "1.02")])
-def test_pruning_keeps_what_a_held_recording_shows_and_every_recording_is_printed(tmp_path, how):
+def test_pruning_keeps_what_a_held_recording_shows_and_every_recording_is_printed(tmp_path, how, greygate, monkeypatch):
     """v moves in the second recording alone; what it acts through looks idle in the first."""
+    monkeypatch.chdir(tmp_path)
     network = Network("two", [Port("u", "V"), Port("v", "V")], [Port("y", "m")])
     network.add("hidden", Layer({"u": [[0.5], [0.0]], "v": [[0.0], [0.5]]}, [0.1, 0.0], "tansig"))
     network.add("out", Layer({"hidden": [[1.0, 1.0]]}, [0.0]))
@@ -154,7 +155,7 @@ def test_pruning_keeps_what_a_held_recording_shows_and_every_recording_is_printe
 
     def moved(*arguments) -> dict:
         given = ["compile", "two.toml", "still.csv", *how, *arguments, "--json", "--out", "b"]
-        code, out, error = greygate(*given, cwd=tmp_path)
+        code, out, error = greygate(*given)
         assert code == 0, error
         rmse = json.loads(out)["rmse"]
         assert list(rmse) == ["still", "moved"]
@@ -166,7 +167,7 @@ def test_pruning_keeps_what_a_held_recording_shows_and_every_recording_is_printe
     assert seen["float"] <= 1.02 * seen["before"]
 
 
-def test_a_users_network_goes_the_whole_road(tmp_path, built):
+def test_a_users_network_goes_the_whole_road(tmp_path, built, greygate):
     code, out, _ = greygate("verify", built, "--seed", 1, "--json")
     assert code == 0
     found = json.loads(out)
@@ -185,7 +186,7 @@ def test_a_users_network_goes_the_whole_road(tmp_path, built):
     assert study["scenarios"]["train"]["outputs"]["y"]["hardware"]["parallel"]["equals_fixed"]
 
 
-def test_changed_verilog_is_not_run_unless_that_is_asked_for(built):
+def test_changed_verilog_is_not_run_unless_that_is_asked_for(built, greygate):
     layer = next((built / "rtl" / "parallel").glob("*_sum.v"))
     text = layer.read_text()
     assert " + " in text
@@ -195,7 +196,7 @@ def test_changed_verilog_is_not_run_unless_that_is_asked_for(built):
     assert f"{layer}: is not the Verilog of program.json" in error
 
 
-def test_compiling_again_replaces_the_folder_and_forgets_what_was_verified(tmp_path, network, built):
+def test_compiling_again_replaces_the_folder_and_forgets_what_was_verified(tmp_path, network, built, greygate):
     (built / "verify.json").write_text("{}")
     code, _, _ = greygate("compile", network, f"t={tmp_path / 'a.csv'}", "--out", built, "--architecture", "folded")
     assert code == 0
@@ -227,9 +228,12 @@ def swapped(rows, row, column, text):
         (lambda p: p, "a.csv"),
     ],
 )
-def test_a_bad_recording_is_named_in_one_line_and_nothing_is_written(tmp_path, network, make, message):
+def test_a_bad_recording_is_named_in_one_line_and_nothing_is_written(
+    tmp_path, network, make, message, greygate, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
     before = {*tmp_path.iterdir(), make(tmp_path / "a.csv")}
-    code, out, error = greygate("compile", network, "t=a.csv", "--out", "build", cwd=tmp_path)
+    code, out, error = greygate("compile", network, "t=a.csv", "--out", "build")
     assert (code, out) == (2, "")
     assert error.count("\n") == 1
     assert error.startswith("greygate: ")
@@ -275,21 +279,24 @@ def test_a_bad_recording_is_named_in_one_line_and_nothing_is_written(tmp_path, n
         (["validate", "line.toml", "a.csv", "--lags", "25"], "60 samples are too few for 25 lags"),
     ],
 )
-def test_wrong_use_is_one_line_with_exit_code_2_and_nothing_is_left(tmp_path, network, arguments, message):
+def test_wrong_use_is_one_line_with_exit_code_2_and_nothing_is_left(
+    tmp_path, network, arguments, message, greygate, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
     recording(tmp_path / "a.csv")
     recording(tmp_path / "big.csv", reach=900)
     recording(tmp_path / "slow.csv", dt=1e-2)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "notes.txt").write_text("mine")
     before = sorted(tmp_path.rglob("*"))
-    code, out, error = greygate(*arguments, cwd=tmp_path)
+    code, out, error = greygate(*arguments)
     assert (code, out) == (2, "")
     assert message in error
     assert error.count("\n") == 1
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_a_truncated_network_file_is_named(tmp_path, network):
+def test_a_truncated_network_file_is_named(tmp_path, network, greygate):
     numbers = network.with_suffix(".safetensors")
     numbers.write_bytes(numbers.read_bytes()[:40])
     recording(tmp_path / "a.csv")
@@ -299,7 +306,7 @@ def test_a_truncated_network_file_is_named(tmp_path, network):
     assert not (tmp_path / "b").exists()
 
 
-def test_a_scenario_that_does_not_exist_is_named(built):
+def test_a_scenario_that_does_not_exist_is_named(built, greygate):
     code, _, error = greygate("verify", built, "--scenario", "v9")
     assert code == 2
     assert "no scenario 'v9'; there are train" in error

@@ -1,7 +1,6 @@
 """Control: exact derivatives, limits that hold, an observer that finds the load, and a loop closed through hardware."""
 
 import json
-import subprocess
 import sys
 from dataclasses import replace
 
@@ -403,18 +402,12 @@ def _bytes(program) -> int:
 # -- the command -------------------------------------------------------------------------------------------------------
 
 
-def greygate(*arguments: str) -> subprocess.CompletedProcess:
-    return subprocess.run(
-        [sys.executable, "-c", "from greygate.cli import run; run()", "control", *arguments],
-        capture_output=True, text=True,
-    )  # fmt: skip
-
-
-def test_the_command_tracks_and_keeps_the_signals(tmp_path):
+def test_the_command_tracks_and_keeps_the_signals(tmp_path, greygate):
     csv = tmp_path / "run.csv"
-    done = greygate("belt_drive", "--controller", "network", "--samples", "300", "--out", str(csv), "--json")
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
+    words = ["belt_drive", "--controller", "network", "--samples", "300", "--out", csv, "--json"]
+    code, out, error = greygate("control", *words)
+    assert code == 0, error
+    found = json.loads(out)
     assert found["limits"] == {"input": 0, "rate": 0}
     assert 0 < found["rms"] < found["worst"]
     assert csv.read_text().startswith("t_s,")
@@ -427,10 +420,10 @@ def test_the_command_tracks_and_keeps_the_signals(tmp_path):
         (("belt_drive", "--controller", "pi", "--place", "rtl"), "only the imitating network is compiled"),
     ],
 )
-def test_the_command_says_what_is_wrong(arguments, said):
-    done = greygate(*arguments)
-    assert done.returncode == 2
-    assert said in done.stderr
+def test_the_command_says_what_is_wrong(arguments, said, greygate):
+    code, _, error = greygate("control", *arguments)
+    assert code == 2
+    assert said in error
 
 
 def test_methods_and_places_are_those_of_the_command():

@@ -1,9 +1,11 @@
 """CSV files as programs and people write them: read rightly, or refused in a line that says what to do."""
 
 import gzip
+from itertools import product
 
 import numpy as np
 import pytest
+from sweeping import every
 
 from greygate.errors import InputError
 from greygate.mismatch.rig import Channel, Rig
@@ -82,14 +84,16 @@ WRAPPINGS = {
 
 
 @pytest.mark.parametrize("dialect", DIALECTS)
-@pytest.mark.parametrize("lines", LINES)
-@pytest.mark.parametrize("wrapping", WRAPPINGS)
-def test_every_dialect_gives_the_same_recording(entrance, dialect, lines, wrapping):
+def test_every_dialect_gives_the_same_recording(entrance, dialect):
     header, read = entrance
-    recording = read(WRAPPINGS[wrapping](LINES[lines](text(header, *DIALECTS[dialect]))))
-    np.testing.assert_array_equal(recording["u"], U)
-    np.testing.assert_array_equal(recording["x"], X)
-    np.testing.assert_array_equal(recording.time, TIME)
+
+    def check(lines, wrapping):
+        recording = read(WRAPPINGS[wrapping](LINES[lines](text(header, *DIALECTS[dialect]))))
+        np.testing.assert_array_equal(recording["u"], U)
+        np.testing.assert_array_equal(recording["x"], X)
+        np.testing.assert_array_equal(recording.time, TIME)
+
+    every(product(LINES, WRAPPINGS), check)
 
 
 # ---- cells
@@ -102,11 +106,14 @@ NUMBERS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("cell", NUMBERS)
-def test_a_number_is_read_to_the_last_bit(entrance, cell):
+def test_a_number_is_read_to_the_last_bit(entrance):
     header, read = entrance
-    recording = read(text(header, [*ROWS[:2], ("2", cell, "0"), ROWS[3]]).encode())
-    assert recording["u"][2] == NUMBERS[cell]
+
+    def check(cell, number):
+        recording = read(text(header, [*ROWS[:2], ("2", cell, "0"), ROWS[3]]).encode())
+        assert recording["u"][2] == number
+
+    every(NUMBERS.items(), check)
 
 
 WORDS = "write plain digits"
@@ -134,14 +141,17 @@ CELLS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("cell", CELLS)
 @pytest.mark.parametrize("wrapping", ["plain", "gzip"])
-def test_a_cell_that_is_no_number_is_refused_with_its_row_and_column(entrance, cell, wrapping):
+def test_a_cell_that_is_no_number_is_refused_with_its_row_and_column(entrance, wrapping):
     header, read = entrance
-    content = WRAPPINGS[wrapping](text(header, [*ROWS[:2], ("2", cell, "0.001"), ROWS[3]]))
-    row = 4 + cell.count("\n")
-    refused(read, content, f"row {row}, column {header.split(',')[1]}: ")
-    refused(read, content, CELLS[cell])
+
+    def check(cell, phrase):
+        content = WRAPPINGS[wrapping](text(header, [*ROWS[:2], ("2", cell, "0.001"), ROWS[3]]))
+        row = 4 + cell.count("\n")
+        refused(read, content, f"row {row}, column {header.split(',')[1]}: ")
+        refused(read, content, phrase)
+
+    every(CELLS.items(), check)
 
 
 def test_a_comma_that_may_separate_thousands_is_not_taken_for_a_decimal_one(entrance):
@@ -225,16 +235,19 @@ FILES = {
 }
 
 
-@pytest.mark.parametrize("case", FILES)
 @pytest.mark.parametrize("newline", ["\n", "\r\n"])
-def test_a_file_that_cannot_serve_is_refused_with_what_to_do(entrance, case, newline):
+def test_a_file_that_cannot_serve_is_refused_with_what_to_do(entrance, newline):
     header, read = entrance
-    content, *phrases = FILES[case]
     words = dict(zip(("TIME", "COLU", "COLX"), header.split(","), strict=True)) | {"HEADER": header}
-    phrase = phrases[0] if header == HEADERS["port"] else phrases[-1]
-    for word, name in words.items():
-        content, phrase = content.replace(word, name), phrase.replace(word, name)
-    refused(read, content.replace("\n", newline).encode(), phrase)
+
+    def check(case):
+        content, *phrases = FILES[case]
+        phrase = phrases[0] if header == HEADERS["port"] else phrases[-1]
+        for word, name in words.items():
+            content, phrase = content.replace(word, name), phrase.replace(word, name)
+        refused(read, content.replace("\n", newline).encode(), phrase)
+
+    every(FILES, check)
 
 
 WHOLE = "HEADER\n" + BODY
@@ -258,11 +271,14 @@ BYTES = {
 }
 
 
-@pytest.mark.parametrize("case", BYTES)
-def test_a_file_that_is_no_text_is_refused_with_what_to_do(entrance, case):
+def test_a_file_that_is_no_text_is_refused_with_what_to_do(entrance):
     header, read = entrance
-    make, phrase = BYTES[case]
-    refused(read, make(WHOLE.replace("HEADER", header)), phrase)
+
+    def check(case):
+        make, phrase = BYTES[case]
+        refused(read, make(WHOLE.replace("HEADER", header)), phrase)
+
+    every(BYTES, check)
 
 
 def test_an_archive_that_unpacks_without_end_is_not_unpacked(entrance, monkeypatch):

@@ -10,11 +10,11 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from command_line import greygate
 from fmpy.fmi2 import FMU2Slave
 from fmpy.fmi3 import FMU3Slave
 from fmpy.validation import validate_fmu
 from small_plants import motor
-from test_cli import greygate
 
 from greygate.emulator.emulation import emulate
 from greygate.errors import InputError

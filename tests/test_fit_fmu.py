@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
+from command_line import greygate
 from small_plants import MOTOR, steps
-from test_cli import greygate
 
 from greygate.errors import InputError
 from greygate.export.calibrate import Fault, Unit, _Fit, calibrate

@@ -9,8 +9,8 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 import torch
+from command_line import greygate
 from imported_models import ALL, fitnet, free_run, mlp, signal, write_v5
-from test_cli import greygate
 from test_docs import BLOCKS
 from torch import nn
 

@@ -12,6 +12,7 @@ from enum import Enum
 import pytest
 import typer
 from networks import delay_line
+from sweeping import every
 from test_cli import recording
 
 from benchmarks.concealed_bench.make import make
@@ -235,22 +236,32 @@ def snapshot(folder) -> dict:
     return {path: path.lstat().st_mtime_ns for path in sorted(folder.rglob("*"))}
 
 
-@pytest.mark.parametrize("arguments", ALL, ids=lambda a: " ".join(ascii(word)[1:-1][:20] for word in a))
-def test_wrong_use_is_one_line_with_exit_code_2_and_nothing_is_written(arguments, world, greygate, monkeypatch):
+def of(command: str) -> list[list[str]]:
+    """Its wrong invocations; of "", those of no command."""
+    return [words for words in ALL if command == next((c for c in GOOD if words[: len(c.split())] == c.split()), "")]
+
+
+@pytest.mark.parametrize("command", ["", *GOOD])
+def test_wrong_use_is_one_line_with_exit_code_2_and_nothing_is_written(command, world, greygate, monkeypatch):
     monkeypatch.chdir(world)
     before = snapshot(world)
-    code, printed, error = greygate(*arguments)
-    assert (code, printed) == (2, ""), error
-    assert error.startswith("greygate: "), error
-    assert (error.count("\n"), error[-1]) == (1, "\n"), error
-    assert "Traceback" not in error
-    assert all(c.isprintable() for c in error[:-1])
-    assert snapshot(world) == before
+
+    def check(arguments):
+        code, printed, error = greygate(*arguments)
+        assert (code, printed) == (2, ""), error
+        assert error.startswith("greygate: "), error
+        assert (error.count("\n"), error[-1]) == (1, "\n"), error
+        assert "Traceback" not in error
+        assert all(c.isprintable() for c in error[:-1])
+        assert snapshot(world) == before
+
+    every(of(command), check, lambda words: " ".join(ascii(word)[1:-1][:40] for word in words))
 
 
 def test_every_command_is_swept_and_400_invocations_at_least():
     assert set(GOOD) == set(commands())
     assert len({tuple(a) for a in ALL}) >= LEAST
+    assert sum(len(of(command)) for command in ["", *GOOD]) == len(ALL)
     print(f"{len(ALL)} invocations")
 
 

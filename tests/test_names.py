@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
+from command_line import greygate
 from networks import delay_line
 from programs import cylinder_program, random_program
 from safetensors.numpy import load_file, save_file
-from test_cli import greygate, recording
+from test_cli import recording
 
 from greygate.emulator.fields import to_json
 from greygate.emulator.program import Program

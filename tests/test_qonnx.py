@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_cli import greygate
+from command_line import greygate
 
 from greygate.compiler.declared import declared_program
 from greygate.emulator.emulation import emulate

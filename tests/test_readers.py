@@ -10,9 +10,9 @@ import sys
 import h5py
 import numpy as np
 import pytest
+from command_line import greygate
 from imported_models import write_v73
 from scipy.io import savemat
-from test_cli import greygate
 
 from greygate.errors import InputError
 from greygate.foreign import read_mat

@@ -4,6 +4,7 @@ from math import pi
 
 import numpy as np
 import pytest
+from sweeping import every
 
 from greygate.errors import InputError
 from greygate.plants.quantities import quantity
@@ -173,19 +174,24 @@ REFUSED = {  # what the message says: spellings
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("text", "unit", "one", "zero"), CASES, ids=[c[0] for c in CASES])
-def test_a_unit_that_engineers_write_has_its_factor_and_zero(text, unit, one, zero):
-    values, to = converted(np.array([0.0, 1.0]), text.replace("_", " ") if text != "g_0" else text, "x")
-    assert to == unit
-    assert values[0] == pytest.approx(zero, rel=1e-14)
-    assert values[1] - values[0] == pytest.approx(one, rel=1e-9 if zero else 1e-14)  # a difference of two near 273
+def test_a_unit_that_engineers_write_has_its_factor_and_zero():
+    def check(text, unit, one, zero):
+        values, to = converted(np.array([0.0, 1.0]), text.replace("_", " ") if text != "g_0" else text, "x")
+        assert to == unit
+        assert values[0] == pytest.approx(zero, rel=1e-14)
+        assert values[1] - values[0] == pytest.approx(one, rel=1e-9 if zero else 1e-14)  # a difference of two near 273
+
+    every(CASES, check)
 
 
-@pytest.mark.parametrize(("says", "text"), [(says, t) for says, texts in REFUSED.items() for t in texts.split()])
-def test_a_unit_of_two_readings_or_none_is_refused_with_what_it_may_be(says, text):
-    with pytest.raises(InputError, match=f"(?i){says}") as refused:
-        converted(np.array([0.0, 1.0]), text.replace("_", " ") if "__" not in text else text, "x")
-    assert "\n" not in str(refused.value)
+@pytest.mark.parametrize("says", REFUSED)
+def test_a_unit_of_two_readings_or_none_is_refused_with_what_it_may_be(says):
+    def check(text):
+        with pytest.raises(InputError, match=f"(?i){says}") as refused:
+            converted(np.array([0.0, 1.0]), text.replace("_", " ") if "__" not in text else text, "x")
+        assert "\n" not in str(refused.value)
+
+    every(REFUSED[says].split(), check)
 
 
 def test_every_spelling_and_every_reading_is_a_unit_and_what_a_message_says_to_write_is_taken_as_that():
@@ -208,14 +214,16 @@ WANTED = [  # as written, what the plant has, what 1 becomes; None: both reading
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("text", "wanted", "one"), WANTED)
-def test_what_a_plant_declares_settles_a_unit_only_if_one_reading_fits(text, wanted, one):
-    if one is None:
-        with pytest.raises(InputError):
-            converted(np.ones(1), text, "x", wanted)
-    else:
-        values, unit = converted(np.ones(1), text, "x", wanted)
-        assert (values[0], unit) == (pytest.approx(one, rel=1e-12), wanted)
+def test_what_a_plant_declares_settles_a_unit_only_if_one_reading_fits():
+    def check(text, wanted, one):
+        if one is None:
+            with pytest.raises(InputError):
+                converted(np.ones(1), text, "x", wanted)
+        else:
+            values, unit = converted(np.ones(1), text, "x", wanted)
+            assert (values[0], unit) == (pytest.approx(one, rel=1e-12), wanted)
+
+    every(WANTED, check)
 
 
 def test_units_are_read_from_every_form_of_header_and_from_a_row_below(tmp_path):

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from test_cli import greygate
+from command_line import greygate
 from test_validation import linear, record
 from typer.testing import CliRunner
 
