@@ -7,7 +7,6 @@ samples; where a signal moves much faster or much slower than that, it is a shar
 from collections.abc import Iterable
 
 import numpy as np
-from scipy.signal import savgol_coeffs, savgol_filter
 
 FORGOTTEN = 0.5  # of a signal's autocorrelation one sample on: where it falls below, the signal has forgotten
 
@@ -45,6 +44,8 @@ def span(samples: int, memories: Iterable[float], shares: tuple[float, float], l
 
 def noise(signal: np.ndarray) -> float:
     """RMS of the white noise in a signal (samples,), in its unit: what a cubic over nine samples leaves of it."""
+    from scipy.signal import savgol_coeffs, savgol_filter  # takes a second
+
     left = signal - savgol_filter(signal, SMOOTHED, CUBIC)
     share = 1.0 - float(savgol_coeffs(SMOOTHED, CUBIC)[SMOOTHED // 2])  # a sample's weight in its own smoothed value
     size = float(np.abs(signal).max()) or 1.0

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import csd, welch
 
 MOST = 200  # points of a spectrum
 OCTAVES, FEWEST = 12, 8  # octaves at most; wavelets of the longest, at least
@@ -13,6 +12,8 @@ OCTAVES, FEWEST = 12, 8  # octaves at most; wavelets of the longest, at least
 
 def spectrum(signal: np.ndarray, period: float) -> tuple[np.ndarray, np.ndarray]:
     """Frequency [Hz] and power density [unit^2/Hz] by Welch's method, averaged over bins even on a log scale."""
+    from scipy.signal import welch  # takes a second
+
     frequency, power = welch(signal, 1 / period, nperseg=_segment(len(signal)))
     bins = _log_bins(frequency)
     return _averaged(frequency, bins), _averaged(power, bins)
@@ -23,6 +24,8 @@ def frequency_response(reference: np.ndarray, predictions: Mapping[str, np.ndarr
 
     frequency in Hz; per prediction magnitude, phase in degrees and coherence, None where the reference has no power.
     """
+    from scipy.signal import csd, welch  # takes a second
+
     rate, n = 1 / period, _segment(len(reference))
     frequency, power = welch(reference, rate, nperseg=n)
     bins = _log_bins(frequency)

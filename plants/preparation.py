@@ -12,8 +12,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.signal import butter, lfilter, resample_poly, sosfilt, sosfilt_zi, sosfiltfilt
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from greygate.errors import InputError
 from greygate.plants.recording import Recording
@@ -37,6 +36,8 @@ def filtered(
     (6 dB at the cut-off). "causal" runs it once, as hardware would, and adds a delay; it starts as if the first sample
     had stood there for ever. Raises InputError for a cut-off above Nyquist, or a recording shorter than a period of it.
     """
+    from scipy.signal import butter, sosfilt, sosfilt_zi, sosfiltfilt  # takes a second
+
     edges = np.atleast_1d(np.asarray(cutoff, float))
     if kind not in ("low", "high", "band") or len(edges) != (2 if kind == "band" else 1) or order < 1:
         raise InputError(f"filter {kind}, {cutoff} Hz, order {order}: low or high take one cut-off, band takes two")
@@ -147,6 +148,8 @@ def estimated_delay(recording: Recording, source: str, target: str, longest: int
     recordings: the transport delay of a plant that answers slowly after it. Raises InputError for a constant channel,
     for a recording that is too short, or if no lag stands out.
     """
+    from scipy.signal import lfilter  # takes a second
+
     u, y = (recording[n] - np.mean(recording[n]) for n in (source, target))
     for name, values in ((source, u), (target, y)):
         if not np.ptp(values) > 1e-12 * np.abs(recording[name]).max():
@@ -161,7 +164,7 @@ def estimated_delay(recording: Recording, source: str, target: str, longest: int
     u, y = (lfilter(whitening, 1.0, v)[WHITENING:] for v in (u, y))
     n = len(u)
     response = np.array([u[: n - d] @ y[d:] for d in range(longest + 1)]) / np.sqrt((u @ u) * (y @ y))
-    seen = np.flatnonzero(np.abs(response) > norm.isf(CHANCE / 2 / (longest + 1)) / np.sqrt(n))
+    seen = np.flatnonzero(np.abs(response) > -ndtri(CHANCE / 2 / (longest + 1)) / np.sqrt(n))
     if not seen.size:
         raise InputError(f"{recording.source}: {target} does not answer {source} within {longest} samples; look longer")
     return int(seen[0] if onset else np.abs(response).argmax())
@@ -186,6 +189,8 @@ def resampled(recording: Recording, up: int = 1, down: int = 1) -> Recording:
     A command that steps will ring; use `recording[name][::down]` for it. Raises InputError if fewer than 2 samples
     stay.
     """
+    from scipy.signal import resample_poly  # takes a second
+
     if up < 1 or down < 1:
         raise InputError(f"{recording.source}: resampling by {up}/{down}; give whole numbers above 0")
     if recording.samples * up // down < 2:
