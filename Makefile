@@ -19,7 +19,7 @@ demo: $(VENV)/.ready | tools
 	@echo "open $(OUT)/report.html; the Verilog is in $(OUT)/*/rtl"
 
 test: $(VENV)/.ready-dev | tools
-	$(BIN)/python -m pytest -n 2 -m "not nightly"
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not nightly"
 
 # What is slow and seldom alone in finding something: fuzz, browsers, random hardware and rigs, every fault of writing, the
 # commands of all pages; then what holds floats once more on an old processor.
