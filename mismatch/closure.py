@@ -13,6 +13,8 @@ import numpy as np
 
 from greygate.mismatch.effects import SENSOR, Effect, Free
 from greygate.mismatch.fit import HELD, NORMAL, Fit
+from greygate.mismatch.forced import Forced
+from greygate.mismatch.formula import Finder, Formula
 from greygate.mismatch.libraries import Basis, Candidate, declared
 from greygate.mismatch.model import TINY, lagged
 from greygate.mismatch.rig import Rig
@@ -270,8 +272,11 @@ def left_beside(search: Search, given: Hypothesis, values: Mapping[str, float]) 
 def closure(search: Search) -> tuple[dict, Fit | None]:
     """(where and effect for the diagnosis, fit with the unknown term; None where a sensor is at fault).
 
-    Both are empty for a plant that has no place in which a term may be missing.
+    Both are empty for a plant that has no place in which a term may be missing. Where the plant's file does not declare
+    of what a term is made, it is a formula (formula.py).
     """
+    if not search.rig.plant.closure.places:
+        return _written(search)
     try:
         unknowns = _Unknowns.of(search, Hypothesis(), {})
     except NowhereError:
@@ -292,6 +297,45 @@ def closure(search: Search) -> tuple[dict, Fit | None]:
     depends = ", ".join(where["depends_on"])
     regime = f"a term of {depends or 'constant size'}, which takes {share:.0%} of the misfit"
     return {"where": [{**where, "regime": regime}], "effect": effect, "share": share}, fit
+
+
+def _written(search: Search) -> tuple[dict, Fit | None]:
+    """What `closure` gives, by a formula; the fit is that of all its coefficients."""
+    finder = Finder(Forced(search))
+    formula = finder.found()
+    if formula is None:
+        return {"where": [], "effect": None}, None
+    rig, texts = search.rig, formula.texts
+    basis = {name: Candidate(t, tuple(sorted(names([t])))) for name, t in zip(_named(formula), texts, strict=True)}
+    effects = _effects(rig, {formula.place: basis})
+    again = Search(rig, search.final.model.recording, effects, type(search.final), search.noise if rig.stated else None)
+    again.effects, again.between = effects, search.between
+    start = dict(zip(effects, map(float, finder.coefficients(formula)), strict=True))
+    fit = again.fit(again.final, Hypothesis(tuple(effects)), {**finder.forced.base.values, **start})
+    on = ", ".join(formula.depends_on) or "constant size"
+    where = {
+        "equation": formula.place,
+        "depends_on": formula.depends_on,
+        "regime": f"a term of {on}, which takes {formula.share:.0%} of the misfit",
+    }
+    effect = {
+        "id": "unknown",
+        "equations": [formula.place],
+        "confidence": round(min(formula.share, 1.0), CONFIDENCE_DIGITS),
+        "parameters": {s: _parameter(effects[s], fit, {}) for s in effects},
+        "not_told_apart_from": [],
+    }
+    return {"where": [where], "effect": effect, "share": formula.share}, fit
+
+
+def _named(formula: Formula) -> list[str]:
+    """A name for each coefficient of a formula, by what its function does and to which signal."""
+    found: list[str] = []
+    for shape in formula.shapes:
+        for text in shape.texts:
+            name = "_".join([shape.kind, *sorted(names([text]))])
+            found.append(name if name not in found else f"{name}_{len(found) + 1}")
+    return found
 
 
 def _signals(search: Search) -> dict[str, np.ndarray]:

@@ -120,6 +120,14 @@ class Model:
         other._take(recording, self.window)
         return other
 
+    def driven(self, name: str, signal: np.ndarray) -> "Model":
+        """The same model with another signal (samples,) in the place of an input that nothing filters."""
+        other = copy.copy(self)
+        other._inputs = {**self._inputs, name: signal}
+        other._parted = {**self._parted, name: np.repeat(signal, self._parts)}
+        other._made, other._last = {}, (None, np.empty((0, 0)))
+        return other
+
     def _take(self, recording: Recording, window: int | None) -> None:
         self.recording, self.window = recording, window
         windows = max(recording.samples // window, 1) if window else 1

@@ -4,6 +4,7 @@ Parameters and effects are shared. What a recording begins with, and what rig.to
 parameter `mass` that is fitted in the recording run2 alone is `mass@run2` among the values of the joined model.
 """
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -48,6 +49,12 @@ class Several(Model):
         other = Model.__new__(Model)
         vars(other).update(vars(self))
         other._take(recording, self.window)
+        return other
+
+    def driven(self, name: str, signal: np.ndarray) -> Model:
+        other = copy.copy(self)
+        other._inputs = {**self._inputs, name: signal}
+        other.all = [m.driven(name, signal[p]) for m, p in zip(self.all, self.pieces, strict=True)]
         return other
 
     def in_each(self, values: Mapping[str, float]) -> list[dict[str, float]]:

@@ -1,0 +1,143 @@
+"""What a term that the plant has not would do, without compiling it: a signal along the recording acts in a place.
+
+A place is a balance or a definition. In each stands one further input, `forced_PLACE`, which is 0. A function of
+recorded signals, computed along the recording, is given to one of them; what it changes in the errors is the slope by
+its coefficient, as long as the run stays near the recorded signals. So hundreds of functions cost one compilation.
+
+Where states are recorded the run begins anew in short windows, even if the rig says one free run: a run that is far
+from the recording says nothing of what was missing on the way.
+"""
+
+import copy
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from greygate.mismatch.coloured import Coloured
+from greygate.mismatch.entries import TIME
+from greygate.mismatch.fit import Fit, Likelihood, tame
+from greygate.mismatch.model import Model
+from greygate.mismatch.rig import FEWEST, Rig
+from greygate.mismatch.runs import along, with_channels
+from greygate.mismatch.scales import noise
+from greygate.mismatch.search import Search
+from greygate.plants.plant import Plant, Values
+from greygate.plants.recording import Recording
+
+FORCED = "forced_"
+WINDOWS = 40  # of a recording, at least, where the run begins anew in windows
+SMALL = 0.01  # of the largest term of a place: a term of this size changes the errors in proportion
+EXPECTED = 0.9  # of the cost that pure noise would have: what is above it is misfit
+
+
+def places(rig: Rig) -> list[str]:
+    """Where a term may be missing: any balance but that of a position, any law that gives a predicted channel."""
+    plant = rig.plant
+    balances = [name for name, e in plant.equations.items() if not plant.states[e.state].rate]
+    return balances + [name for name, d in plant.definitions.items() if d.symbol in rig.predict]
+
+
+class Forced:
+    """The calibrated fit of a search's plant, without any effect, and what functions of its signals change there.
+
+    base: that fit. signals: what moves along the recording, as recorded or as a rate of that, else as simulated
+    (samples,). size: RMS of the largest term of each place. values: from which the plant is calibrated.
+    """
+
+    def __init__(self, search: Search, values: Mapping[str, float] | None = None):
+        self.places, recording = places(search.rig), search.final.model.recording
+        rig = replace(search.rig, plant=_opened(search.rig.plant, self.places))
+        zeros = {FORCED + place: np.zeros(recording.samples) for place in self.places}
+        units = {**recording.units, **dict.fromkeys(zeros, "")}
+        recording = with_channels(recording, {**recording.channels, **zeros}, units)
+        anew = not rig.window and any(state in rig.channels for state in rig.plant.states)
+        rig = _restarted(rig, recording) if anew else rig
+        self.search = Search(rig, recording, {}, Likelihood if rig.stated else Coloured)
+        if search.rig.stated and not anew:
+            self.search.under(search.noise)
+        self.search.between = search.between
+        self.base: Fit = self.search.base(self.search.final)
+        self.signals, scope = _signals(self.search, {**(values or {}), **self.base.values})
+        self._values = Values(rig.plant, scope)
+        self._values.update({s: v for s, v in self.base.values.items() if s in rig.plant.parameters})
+        self.size = {place: self._largest(place) for place in self.places}
+        self._columns: dict[tuple[str, str], np.ndarray] = {}
+
+    @property
+    def model(self) -> Model:
+        return self.base.likelihood.model
+
+    @property
+    def expected(self) -> float:
+        """The cost that the noise alone would have; 0 where nobody told it."""
+        told = self.search.rig.stated
+        return self.base.likelihood.count * EXPECTED / float(np.mean(self.base.temper**2)) if told else 0.0
+
+    def of(self, text: str) -> np.ndarray:
+        """An expression along the recording (samples,)."""
+        with np.errstate(all="ignore"):
+            return np.nan_to_num(np.broadcast_to(self._values.evaluate(text), len(self.model.target)).astype(float))
+
+    def unit(self, place: str, text: str) -> float:
+        """What the coefficient of an expression is where it is as large as the largest term of its place."""
+        return self.size[place] / (float(np.sqrt(np.mean(self.of(text) ** 2))) or 1.0)
+
+    def column(self, place: str, text: str) -> np.ndarray:
+        """What an expression in a place, times its `unit`, changes in the errors (windows, rows)."""
+        key = place, text
+        if key not in self._columns:
+            self._columns[key] = self.changed(place, self.of(text) * self.unit(place, text))
+        return self._columns[key]
+
+    def changed(self, place: str, signal: np.ndarray) -> np.ndarray:
+        """What a signal (samples,) in a place changes in the errors (windows, rows), in proportion to a small one.
+
+        Less what the beginnings of the windows make up for.
+        """
+        held = along(lambda s: np.append((s[1:] + s[:-1]) / 2, s[-1]), self.model.pieces, signal)
+        base, likelihood = self.base, copy.copy(self.base.likelihood)
+        likelihood.model = self.model.driven(FORCED + place, SMALL * held)
+        moved = likelihood.errors(base.values, base.shifts)
+        rows = likelihood.rows(tame(moved - base.errors) / SMALL, base.temper)
+        return likelihood.eliminate(rows[:, :, None], None, base.basis)[0][:, :, 0]
+
+    def _largest(self, place: str) -> float:
+        plant = self.search.rig.plant
+        terms = (plant.equations.get(place) or plant.definitions[place]).terms
+        sizes = [float(np.sqrt(np.mean(np.square(self.of(t))))) for t in terms.values()]
+        return max(sizes, default=0.0) or 1.0
+
+
+def _signals(search: Search, values: Mapping[str, float]) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """(inputs and states that move, with t; all of them): as recorded, a rate of that, or as simulated (samples,)."""
+    model, plant = search.final.model, search.rig.plant
+    states, inputs = model.states({**model.values, **values})
+    rates = {state.rate: symbol for symbol, state in plant.states.items() if state.rate}
+    found = {TIME: model.recording.time, **inputs}
+    for symbol, simulated in zip(model.plant.states, states.T, strict=True):
+        if symbol in model.recording.channels:
+            found[symbol] = model.recording[symbol]
+        elif rates.get(symbol) in model.recording.channels:
+            found[symbol] = model.smooth_rate(rates[symbol])
+        else:
+            found[symbol] = simulated
+    moving = {s: x for s, x in found.items() if s in {TIME, *plant.symbols} and np.isfinite(x).all() and np.ptp(x) > 0}
+    return moving, found
+
+
+def _restarted(rig: Rig, recording: Recording) -> Rig:
+    """The rig with restarts, and the noise that its channels show where none is told."""
+    channels = {n: c if c.sigma else replace(c, noise=noise(recording[n])) for n, c in rig.channels.items()}
+    return replace(rig, channels=channels, window=max(recording.samples // WINDOWS, FEWEST))
+
+
+def _opened(plant: Plant, where: Iterable[str]) -> Plant:
+    """The plant with a further input in each place."""
+    inputs, equations, definitions = dict(plant.inputs), dict(plant.equations), dict(plant.definitions)
+    for place in where:
+        name = FORCED + place
+        inputs[name] = ""
+        table: dict = equations if place in equations else definitions
+        table[place] = replace(table[place], terms={**table[place].terms, name: name})
+    return replace(plant, inputs=inputs, equations=equations, definitions=definitions)

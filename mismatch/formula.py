@@ -1,0 +1,316 @@
+"""The simplest formula for what a plant leaves out, where no effect of the table is it.
+
+    place += sum_k c_k phi_k(signals),    phi_k from a small grammar
+
+First the place is chosen, and the one or two signals on which the term depends, by smooth functions of every signal in
+every place; then the functions of these signals. All is judged by the cost that is saved on stretches of the recording
+that the coefficients were not fitted to; of formulas that save nearly as much the simplest is taken. Each function is
+linear in its coefficient, so a choice is one of columns (forced.py); a knee is refined by halving steps.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+
+from greygate.mismatch.fit import HELD, NORMAL
+from greygate.mismatch.forced import Forced
+from greygate.mismatch.model import TINY
+from greygate.plants.expressions import names
+
+WORTH = 0.03  # of the misfit, that a further signal or a further term must save
+ALIKE = WORTH / 3  # of the misfit, within which two formulas are equally good
+RIDGE = 1e-6  # of a column's own square: keeps the normal matrix of columns that are nearly alike regular
+BESIDE = 4  # signals that are tried beside the best one
+TERMS = 3  # of a formula, at most
+SHARP = 20.0  # of the tanh that stands for a sign: 5 % of the largest value are 76 % of the sign
+KNEES = (0.005, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7)  # of the largest value, where a tanh or a dead band bends
+LEVELS = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)  # of the range, at which something begins
+STEPS = 4  # in which a knee is refined: to a sixteenth of the distance of its grid
+BINS, BINS_EACH = 4096, 8  # of a signal's range, over which errors are summed; of each period of a wave, at least
+LOWEST = 2  # periods over the range: fewer are a curve
+PEAKS = 2  # waves of a signal that are tried
+CHANCE = 1e-3  # of so high a peak anywhere in a periodogram of noise
+KNOTS = 13  # of a curve
+STIFF = 1e-3  # of the curvature of the cost by a knot: so much counts that a curve bends there
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Functions of one or two signals, with one coefficient each.
+
+    forms: expressions, with KNEE where a number stands that may move within `reach`. kind: what it does, in a word.
+    weight: how much there is to read.
+    """
+
+    forms: tuple[str, ...]
+    kind: str
+    weight: int
+    knee: float | None = None
+    reach: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        knee = "" if self.knee is None else f"{self.knee:.4g}"
+        return tuple(form.replace("KNEE", knee) for form in self.forms)
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A term of a place: a sum of shapes. share: of the misfit, that it takes on stretches it was not fitted to."""
+
+    place: str
+    shapes: tuple[Shape, ...]
+    share: float
+
+    @property
+    def texts(self) -> list[str]:
+        return [text for shape in self.shapes for text in shape.texts]
+
+    @property
+    def depends_on(self) -> list[str]:
+        return list(dict.fromkeys(name for text in self.texts for name in sorted(names([text]))))
+
+    @property
+    def kinds(self) -> list[str]:
+        return list(dict.fromkeys(shape.kind for shape in self.shapes))
+
+    @property
+    def weight(self) -> int:
+        return sum(shape.weight for shape in self.shapes)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A term over one signal: at its knots the value with the ends of its 95 % interval, each (knots,)."""
+
+    signal: str
+    at: np.ndarray
+    value: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+class Judge:
+    """What sets of columns save on alternate stretches, with coefficients from the other ones.
+
+    columns: key -> (windows, rows). The parameters of the plant move along.
+    """
+
+    def __init__(self, forced: Forced, columns: dict[str, np.ndarray]):
+        base = forced.base
+        self.k, self.at = len(base.unknowns), {key: i for i, key in enumerate(columns)}
+        every = np.concatenate([base.slopes, *(c[:, :, None] for c in columns.values())], axis=2)
+        even = base.likelihood.alternate(HELD)
+        gram, pull = [], []
+        for half in (even, ~even):
+            flat, errors = every[half].reshape(-1, every.shape[2]), base.projected[half].reshape(-1)
+            g, p = flat.T @ flat, -(flat.T @ errors)
+            g[np.diag_indices(self.k)] += base.weight / 2
+            p[: self.k] -= base.weight * base.numbers / 2
+            gram.append(g)
+            pull.append(p)
+        scale = np.sqrt(np.maximum(np.diag(gram[0] + gram[1]), TINY))
+        self._gram, self._pull = np.array(gram) / np.outer(scale, scale), np.array(pull) / scale
+        self.plain = self._saved([])
+
+    def gain(self, keys: Iterable[str]) -> float:
+        """The cost that these columns save beyond what the parameters alone do."""
+        return self._saved([self.k + self.at[key] for key in dict.fromkeys(keys)]) - self.plain
+
+    def _saved(self, chosen: list[int]) -> float:
+        use, total = [*range(self.k), *chosen], 0.0
+        for learn, judge in ((0, 1), (1, 0)):
+            gram = self._gram[learn][np.ix_(use, use)] + RIDGE * np.eye(len(use))
+            step = np.linalg.solve(gram, self._pull[learn][use])
+            total += float(2 * self._pull[judge][use] @ step - step @ self._gram[judge][np.ix_(use, use)] @ step)
+        return total
+
+
+class Finder:
+    """Finds a formula for what the base of `forced` leaves."""
+
+    def __init__(self, forced: Forced):
+        self.forced = forced
+
+    @cached_property
+    def misfit(self) -> float:
+        """Cost beyond that of the noise, and beyond what the parameters save."""
+        squares = float(np.sum(self.forced.base.projected**2))
+        return squares - self.forced.expected - Judge(self.forced, {}).plain
+
+    def judge(self, place: str, texts: Iterable[str]) -> Judge:
+        return Judge(self.forced, {text: self.forced.column(place, text) for text in dict.fromkeys(texts)})
+
+    def found(self) -> Formula | None:
+        """The formula; None where there is no misfit, or no signal explains any."""
+        if not self.misfit > WORTH * self.forced.expected:
+            return None
+        place, variables = self._where()
+        formula = self._written(place, self._pool(variables))
+        return formula if formula is not None and formula.share > WORTH else None
+
+    def _where(self) -> tuple[str, tuple[str, ...]]:
+        """The place, and the signals, at most two, whose smooth functions save most."""
+        groups = {
+            v: [*self._smooth(v), *(t for wave in self._waves(v) for t in wave.texts)] for v in self.forced.signals
+        }
+        found: list[tuple[float, str, tuple[str, ...]]] = []
+        for place in self.forced.places:
+            judge = self.judge(place, ["1.0", *(t for texts in groups.values() for t in texts)])
+            alone = {v: judge.gain(["1.0", *texts]) for v, texts in groups.items()}
+            found.append((judge.gain(["1.0"]), place, ()))
+            found += [(gain - WORTH * self.misfit, place, (v,)) for v, gain in alone.items()]
+            first, *others = sorted(alone, key=lambda v: -alone[v])[: 1 + BESIDE]
+            both = {r: [f"{first} * {r}", f"abs({first}) * {r}", f"{first} * abs({r})"] for r in others}
+            judge = self.judge(place, ["1.0", *groups[first], *(t for r in others for t in (*groups[r], *both[r]))])
+            for r in others:
+                gain = judge.gain(["1.0", *groups[first], *groups[r], *both[r]])
+                found.append((gain - 2 * WORTH * self.misfit, place, (first, r)))
+        _, place, variables = max(found)
+        return place, variables
+
+    def _smooth(self, v: str) -> list[str]:
+        """A few functions of a signal that any curve is like."""
+        low, high = self._ends(v)
+        z = f"(({v} - {(low + high) / 2!r}) / {(high - low) / 2!r})"
+        bent = f"tanh({SHARP / max(-low, high)!r} * {v})" if low < 0 < high else f"{z}**4"
+        return [v, f"{z}**2", f"{z}**3", bent]
+
+    def _ends(self, v: str) -> tuple[float, float]:
+        signal = self.forced.signals[v]
+        return float(signal.min()), float(signal.max())
+
+    def _waves(self, v: str) -> list[Shape]:
+        """Sines of a signal at the highest peaks of the errors' periodogram over it."""
+        signal, (low, high) = self.forced.signals[v], self._ends(v)
+        at = np.minimum(((signal - low) / (high - low) * BINS).astype(int), BINS - 1)
+        found = []
+        for errors in self.forced.base.errors.T:
+            binned = np.bincount(at, errors - errors.mean(), BINS)
+            power = np.abs(np.fft.rfft(binned))[LOWEST : BINS // BINS_EACH] ** 2
+            height = float(power.max() / (np.median(power) + TINY))
+            if height > np.log2(len(power) / CHANCE):  # an exponential distribution has its median at log 2
+                found.append((height, 2 * np.pi * (LOWEST + int(np.argmax(power))) / (high - low)))
+        peaks = [f for _, f in sorted(found, reverse=True)[:PEAKS]]
+        return [Shape((f"sin({f:.6g} * {v})", f"cos({f:.6g} * {v})"), "periodic", 4) for f in peaks]
+
+    def _pool(self, variables: Sequence[str]) -> list[Shape]:
+        """The functions of which a formula in these signals is made."""
+        pool = [Shape(("1.0",), "constant", 1)]
+        for v in variables:
+            pool += self._shapes(v)
+        for one, other in zip(variables, reversed(variables), strict=True) if len(variables) == 2 else ():
+            sign = f"tanh({SHARP / max(map(abs, self._ends(one))):.4g} * {one})"
+            pool.append(Shape((f"abs({one}) * {other}",), "product", 3))
+            pool.append(Shape((f"{one}**2 * {other}",), "product", 3))
+            pool.append(Shape((f"{sign} * {other}",), "product", 4))
+        return pool + ([Shape((" * ".join(variables),), "product", 2)] if len(variables) == 2 else [])
+
+    def _shapes(self, v: str) -> list[Shape]:
+        """The functions of one signal."""
+        low, high = self._ends(v)
+        most = max(-low, high)
+        found = [Shape((v,), "linear", 1), Shape((f"{v}**2",), "even", 2), Shape((f"{v}**3",), "odd", 3)]
+        if low < 0 < high:
+            found += [Shape((f"abs({v})",), "even", 2), Shape((f"{v} * abs({v})",), "odd", 2)]
+            bent = {f"tanh({v} / KNEE)": "saturating", f"({v} - min(max({v}, -KNEE), KNEE))": "threshold"}
+            ends = KNEES[0] * most, KNEES[-1] * most
+            found += [Shape((form,), kind, 3, knee * most, ends) for form, kind in bent.items() for knee in KNEES]
+        else:
+            found.append(Shape((f"sqrt(abs({v}))",), "root", 2))
+        levels = [low + level * (high - low) for level in LEVELS]
+        sided = f"(max({v}, KNEE) - KNEE)", f"(min({v}, KNEE) - KNEE)"
+        found += [Shape((form,), "threshold", 3, level, (low, high)) for form in sided for level in levels]
+        return found + self._waves(v)
+
+    def _written(self, place: str, pool: list[Shape]) -> Formula | None:
+        """The formula of the fewest terms from `pool` to which a further one adds little."""
+        best: Formula | None = None
+        for size in range(1, TERMS + 1):
+            trials = [[*best.shapes, s] for s in pool if s not in best.shapes] if best else [[s] for s in pool]
+            trials += [list(pair) for pair in combinations(pool, 2)] if size == 2 else []
+            if not trials:
+                break
+            judge = self.judge(place, (t for shapes in trials for s in shapes for t in s.texts))
+            tried = [Formula(place, tuple(t), judge.gain(x for s in t for x in s.texts) / self.misfit) for t in trials]
+            most = max(formula.share for formula in tried)
+            if best and most < best.share + WORTH:
+                break
+            near = [formula for formula in tried if formula.share >= most - ALIKE]
+            best = self._refined(min(near, key=lambda f: (f.weight, -f.share)))
+        return best
+
+    def _refined(self, formula: Formula) -> Formula:
+        """The formula with each knee where most is saved."""
+        for i, shape in enumerate(formula.shapes):
+            if shape.knee is None:
+                continue
+            low, high = shape.reach
+            step = np.log(2.0) if low > 0 else (high - low) / 8
+            for _ in range(STEPS):
+                step /= 2
+                knee = formula.shapes[i].knee or 0.0
+                moved = [knee * np.exp(way * step) if low > 0 else knee + way * step for way in (-1, 1)]
+                formula = max([formula, *(self._bent(formula, i, float(to)) for to in moved)], key=lambda f: f.share)
+        return formula
+
+    def _bent(self, formula: Formula, i: int, knee: float) -> Formula:
+        shapes = (*formula.shapes[:i], replace(formula.shapes[i], knee=knee), *formula.shapes[i + 1 :])
+        moved = replace(formula, shapes=shapes)
+        return replace(moved, share=self.judge(formula.place, moved.texts).gain(moved.texts) / self.misfit)
+
+    def coefficients(self, formula: Formula) -> np.ndarray:
+        """Of its texts (n,): by the linearised fit to the whole recording."""
+        columns = np.stack([self.forced.column(formula.place, text) for text in formula.texts], axis=2)
+        units = np.array([self.forced.unit(formula.place, text) for text in formula.texts])
+        return self._solved(columns, RIDGE)[0][len(self.forced.base.unknowns) :] * units
+
+    def curve(self, formula: Formula) -> Curve | None:
+        """What is missing over the signal of a formula, with no formula behind it; None where it has several.
+
+        The plant's parameters are as the formula has them: what they could take as well is not in the band.
+        """
+        if len(formula.depends_on) != 1:
+            return None
+        (v,), forced, base = formula.depends_on, self.forced, self.forced.base
+        columns = np.stack([forced.column(formula.place, text) for text in formula.texts], axis=2)
+        moved = base.slopes @ self._solved(columns, RIDGE)[0][: len(base.unknowns)]
+        signal, at = forced.signals[v], self._knots(v)
+        hats = [
+            forced.changed(formula.place, forced.size[formula.place] * np.interp(signal, at, h))
+            for h in np.eye(len(at))
+        ]
+        flat, left = np.stack(hats, axis=2).reshape(-1, len(at)), (base.projected + moved).reshape(-1)
+        normal = flat.T @ flat
+        bend = np.diff(np.eye(len(at)), 2, axis=0)
+        normal += STIFF * float(np.mean(np.diag(normal))) * bend.T @ bend
+        covariance = np.linalg.pinv(normal, hermitian=True)
+        value = -(covariance @ (flat.T @ left))
+        wide = NORMAL * np.sqrt(np.diag(covariance) * max(1.0, float(np.mean((left + flat @ value) ** 2))))
+        return Curve(v, at, value * size, (value - wide) * size, (value + wide) * size)
+
+    def _knots(self, v: str) -> np.ndarray:
+        """Where a curve may bend: as often as the signal is there, and close to 0 where it changes its sign."""
+        low, high = self._ends(v)
+        at = np.quantile(self.forced.signals[v], np.linspace(0.0, 1.0, KNOTS))
+        if low < 0 < high:
+            near = KNEES[1] * max(-low, high)
+            at = np.append(at[np.abs(at) > 2 * near], [-near, near])
+        return np.unique(at)
+
+    def _solved(self, columns: np.ndarray, ridge: float) -> tuple[np.ndarray, np.ndarray]:
+        """(step of the parameters and of `columns` (windows, rows, n), covariance): the linearised fit."""
+        base = self.forced.base
+        k, every = len(base.unknowns), np.concatenate([base.slopes, columns], axis=2)
+        flat = every.reshape(-1, every.shape[2])
+        normal, right = flat.T @ flat, -(flat.T @ base.projected.reshape(-1))
+        normal[np.diag_indices(k)] += base.weight
+        right[:k] -= base.weight * base.numbers
+        scale = np.sqrt(np.maximum(np.diag(normal), TINY))
+        covariance = np.linalg.inv(normal / np.outer(scale, scale) + ridge * np.eye(len(right))) / np.outer(
+            scale, scale
+        )
+        return covariance @ right, covariance
