@@ -23,7 +23,12 @@ SEEDS = (31, 32)
 ODD, EVEN, BENT, SIGN, ROUND, FLAT = "odd", "even", "threshold", "saturating", "periodic", "constant"
 CASES: dict[str, dict[str, tuple[str, ...]]] = {  # plant -> effect -> kinds of function that are right
     "motor": {"dry_friction": (SIGN,), "square_damping": (ODD,), "constant_load": (FLAT,), "input_dead_zone": (SIGN,)},
-    "pendulum": {"dry_friction": (SIGN,), "square_damping": (ODD,), "constant_load": (FLAT,), "input_dead_zone": (SIGN,)},
+    "pendulum": {
+        "dry_friction": (SIGN,),
+        "square_damping": (ODD,),
+        "constant_load": (FLAT,),
+        "input_dead_zone": (SIGN,),
+    },
     "electrical": {"leak": ("linear",), "input_offset": (FLAT,), "diode": (BENT,)},
     "thermal": {"leak": ("linear",), "radiation": (BENT, EVEN, ODD)},
     "tank": {"leak": ("linear", "root"), "weir": (BENT,), "clogging": ("linear", "product")},
@@ -43,13 +48,14 @@ def case(plant: str, effect: str, seed: int, folder: Path) -> dict:
     entry = next((e for e in result["effects"] if e["id"] == "unknown"), None)
     where = result["where"][0] if result["where"] else {"equation": "", "depends_on": []}
     truth = {ALIAS.get(plant, {}).get(v, v) for v in answer["depends_on"]}
-    kinds = {name.removeprefix(f"unknown_{p['place']}_").split("_")[0] for name, p in entry["parameters"].items()} if entry else set()
+    terms = entry["parameters"].items() if entry else ()
+    kinds = {name.removeprefix(f"unknown_{p['place']}_").split("_")[0] for name, p in terms}
     held = result["fit"]["holdout"]
     ratio = {c: rms["corrected"] / rms["calibrated"] for c, rms in held.items()}
     return {
         "plant": plant, "effect": effect, "seed": seed, "verdict": str(result["verdict"]), "truth": sorted(truth),
         "says": where["depends_on"], "place": where["equation"], "kinds": sorted(kinds),
-        "terms": [p["term"] for p in entry["parameters"].values()] if entry else [],
+        "terms": [p["term"] for _, p in terms],
         "variables": bool(entry) and set(where["depends_on"]) == truth,
         "kind": bool(kinds & set(CASES[plant][effect])),
         "removed": 1.0 - float(np.mean([r**2 for r in ratio.values()])), "worse": max(ratio.values()) > 1.0,

@@ -5,7 +5,7 @@ stretches of the recording that their coefficients were not fitted to. What is m
 most of the misfit; in an equation the sum becomes the term called `unknown`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -14,7 +14,8 @@ import numpy as np
 from greygate.mismatch.effects import SENSOR, Effect, Free
 from greygate.mismatch.fit import HELD, NORMAL, Fit
 from greygate.mismatch.forced import Forced
-from greygate.mismatch.formula import Finder, Formula
+from greygate.mismatch.formula import ONE, Finder, Formula
+from greygate.mismatch.general import unit_of_coefficient
 from greygate.mismatch.libraries import Basis, Candidate, declared
 from greygate.mismatch.model import TINY, lagged
 from greygate.mismatch.rig import Rig
@@ -308,24 +309,36 @@ def _written(search: Search) -> tuple[dict, Fit | None]:
     rig, texts = search.rig, formula.texts
     basis = {name: Candidate(t, tuple(sorted(names([t])))) for name, t in zip(_named(formula), texts, strict=True)}
     effects = _effects(rig, {formula.place: basis})
+    units = {symbol: unit_of_coefficient(rig, formula.place, text) for symbol, text in zip(effects, texts, strict=True)}
     again = Search(rig, search.final.model.recording, effects, type(search.final), search.noise if rig.stated else None)
     again.effects, again.between = effects, search.between
     start = dict(zip(effects, map(float, finder.coefficients(formula)), strict=True))
     fit = again.fit(again.final, Hypothesis(tuple(effects)), {**finder.forced.base.values, **start})
+    parameters = {symbol: _parameter(effects[symbol], fit, {}) | {"unit": units[symbol]} for symbol in effects}
     on = ", ".join(formula.depends_on) or "constant size"
     where = {
         "equation": formula.place,
         "depends_on": formula.depends_on,
         "regime": f"a term of {on}, which takes {formula.share:.0%} of the misfit",
+        "formula": _sum(texts, parameters.values()),
     }
+    if curve := finder.curve(formula):
+        columns = {"at": curve.at, "value": curve.value, "low": curve.low, "high": curve.high}
+        where["curve"] = {"of": curve.signal, **{name: column.tolist() for name, column in columns.items()}}
     effect = {
         "id": "unknown",
         "equations": [formula.place],
         "confidence": round(min(formula.share, 1.0), CONFIDENCE_DIGITS),
-        "parameters": {s: _parameter(effects[s], fit, {}) for s in effects},
+        "parameters": parameters,
         "not_told_apart_from": [],
     }
     return {"where": [where], "effect": effect, "share": formula.share}, fit
+
+
+def _sum(texts: Sequence[str], parameters: Iterable[Mapping]) -> str:
+    """A formula with its coefficients, as a person reads it: "-0.35 V tanh(i / 0.05)"."""
+    sizes = (f"{p['value']:.3g}{' ' * bool(p['unit'])}{p['unit']}" for p in parameters)
+    return " + ".join(size if text == ONE else f"{size} {text}" for size, text in zip(sizes, texts, strict=True))
 
 
 def _named(formula: Formula) -> list[str]:

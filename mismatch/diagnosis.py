@@ -117,6 +117,7 @@ class Diagnosis:
         fitted = (self.unknown.get("effect") or {}).get("parameters", {})
         for place in self.unknown.get("where", ()):
             acts(place["equation"], place["regime"], place["depends_on"], fitted)
+            places[place["equation"]] |= {key: place[key] for key in ("formula", "curve") if key in place}
         for symbol in self.best.released:
             for equation in self.search.places(symbol):
                 acts(equation, f"{symbol.replace(IN, ' in ')} is not what the data sheet says", (), (symbol,))

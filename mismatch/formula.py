@@ -20,10 +20,11 @@ from greygate.mismatch.forced import Forced
 from greygate.mismatch.model import TINY
 from greygate.plants.expressions import names
 
+ONE = "1.0"  # the function of no signal
 WORTH = 0.03  # of the misfit, that a further signal or a further term must save
 ALIKE = WORTH / 3  # of the misfit, within which two formulas are equally good
 RIDGE = 1e-6  # of a column's own square: keeps the normal matrix of columns that are nearly alike regular
-BESIDE = 4  # signals that are tried beside the best one
+BEST = 4  # signals of which pairs are tried
 TERMS = 3  # of a formula, at most
 SHARP = 20.0  # of the tanh that stands for a sign: 5 % of the largest value are 76 % of the sign
 KNEES = (0.005, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7)  # of the largest value, where a tanh or a dead band bends
@@ -41,7 +42,7 @@ STIFF = 1e-3  # of the curvature of the cost by a knot: so much counts that a cu
 class Shape:
     """Functions of one or two signals, with one coefficient each.
 
-    forms: expressions, with KNEE where a number stands that may move within `reach`. kind: what it does, in a word.
+    forms: expressions, with KNEE where a number stands that may move by `step`. kind: what it does, in a word.
     weight: how much there is to read.
     """
 
@@ -49,11 +50,11 @@ class Shape:
     kind: str
     weight: int
     knee: float | None = None
-    reach: tuple[float, float] = (0.0, 0.0)
+    step: float = 0.0
 
     @property
     def texts(self) -> tuple[str, ...]:
-        knee = "" if self.knee is None else f"{self.knee:.4g}"
+        knee = "" if self.knee is None else f"{self.knee:.5g}"
         return tuple(form.replace("KNEE", knee) for form in self.forms)
 
 
@@ -159,18 +160,24 @@ class Finder:
         }
         found: list[tuple[float, str, tuple[str, ...]]] = []
         for place in self.forced.places:
-            judge = self.judge(place, ["1.0", *(t for texts in groups.values() for t in texts)])
-            alone = {v: judge.gain(["1.0", *texts]) for v, texts in groups.items()}
-            found.append((judge.gain(["1.0"]), place, ()))
+            judge = self.judge(place, [ONE, *(t for texts in groups.values() for t in texts)])
+            alone = {v: judge.gain([ONE, *texts]) for v, texts in groups.items()}
+            found.append((judge.gain([ONE]), place, ()))
             found += [(gain - WORTH * self.misfit, place, (v,)) for v, gain in alone.items()]
-            first, *others = sorted(alone, key=lambda v: -alone[v])[: 1 + BESIDE]
-            both = {r: [f"{first} * {r}", f"abs({first}) * {r}", f"{first} * abs({r})"] for r in others}
-            judge = self.judge(place, ["1.0", *groups[first], *(t for r in others for t in (*groups[r], *both[r]))])
-            for r in others:
-                gain = judge.gain(["1.0", *groups[first], *groups[r], *both[r]])
-                found.append((gain - 2 * WORTH * self.misfit, place, (first, r)))
+            best = sorted(alone, key=lambda v: -alone[v])[:BEST]
+            both = {pair: self._products(*pair) for pair in combinations(best, 2)}
+            judge = self.judge(
+                place, [ONE, *(t for v in best for t in groups[v]), *(t for p in both.values() for t in p)]
+            )
+            for (v, r), products in both.items():
+                gain = judge.gain([ONE, *groups[v], *groups[r], *products])
+                found.append((gain - 2 * WORTH * self.misfit, place, (v, r)))
         _, place, variables = max(found)
         return place, variables
+
+    @staticmethod
+    def _products(v: str, r: str) -> list[str]:
+        return [f"{v} * {r}", f"abs({v}) * {r}", f"{v} * abs({r})"]
 
     def _smooth(self, v: str) -> list[str]:
         """A few functions of a signal that any curve is like."""
@@ -195,11 +202,12 @@ class Finder:
             if height > np.log2(len(power) / CHANCE):  # an exponential distribution has its median at log 2
                 found.append((height, 2 * np.pi * (LOWEST + int(np.argmax(power))) / (high - low)))
         peaks = [f for _, f in sorted(found, reverse=True)[:PEAKS]]
-        return [Shape((f"sin({f:.6g} * {v})", f"cos({f:.6g} * {v})"), "periodic", 4) for f in peaks]
+        forms, step = (f"sin(KNEE * {v})", f"cos(KNEE * {v})"), np.pi / (high - low)
+        return [Shape(forms, "periodic", 4, f, step) for f in peaks]
 
     def _pool(self, variables: Sequence[str]) -> list[Shape]:
         """The functions of which a formula in these signals is made."""
-        pool = [Shape(("1.0",), "constant", 1)]
+        pool = [Shape((ONE,), "constant", 1)]
         for v in variables:
             pool += self._shapes(v)
         for one, other in zip(variables, reversed(variables), strict=True) if len(variables) == 2 else ():
@@ -217,13 +225,14 @@ class Finder:
         if low < 0 < high:
             found += [Shape((f"abs({v})",), "even", 2), Shape((f"{v} * abs({v})",), "odd", 2)]
             bent = {f"tanh({v} / KNEE)": "saturating", f"({v} - min(max({v}, -KNEE), KNEE))": "threshold"}
-            ends = KNEES[0] * most, KNEES[-1] * most
-            found += [Shape((form,), kind, 3, knee * most, ends) for form, kind in bent.items() for knee in KNEES]
+            knees = [knee * most for knee in KNEES]
+            found += [Shape((form,), kind, 3, knee, knee) for form, kind in bent.items() for knee in knees]
         else:
             found.append(Shape((f"sqrt(abs({v}))",), "root", 2))
         levels = [low + level * (high - low) for level in LEVELS]
         sided = f"(max({v}, KNEE) - KNEE)", f"(min({v}, KNEE) - KNEE)"
-        found += [Shape((form,), "threshold", 3, level, (low, high)) for form in sided for level in levels]
+        step = (high - low) / len(levels)
+        found += [Shape((form,), "threshold", 3, level, step) for form in sided for level in levels]
         return found + self._waves(v)
 
     def _written(self, place: str, pool: list[Shape]) -> Formula | None:
@@ -248,13 +257,12 @@ class Finder:
         for i, shape in enumerate(formula.shapes):
             if shape.knee is None:
                 continue
-            low, high = shape.reach
-            step = np.log(2.0) if low > 0 else (high - low) / 8
+            step = shape.step
             for _ in range(STEPS):
                 step /= 2
                 knee = formula.shapes[i].knee or 0.0
-                moved = [knee * np.exp(way * step) if low > 0 else knee + way * step for way in (-1, 1)]
-                formula = max([formula, *(self._bent(formula, i, float(to)) for to in moved)], key=lambda f: f.share)
+                moved = [self._bent(formula, i, to) for to in (knee - step, knee + step)]
+                formula = max([formula, *moved], key=lambda f: f.share)
         return formula
 
     def _bent(self, formula: Formula, i: int, knee: float) -> Formula:
@@ -278,11 +286,8 @@ class Finder:
         (v,), forced, base = formula.depends_on, self.forced, self.forced.base
         columns = np.stack([forced.column(formula.place, text) for text in formula.texts], axis=2)
         moved = base.slopes @ self._solved(columns, RIDGE)[0][: len(base.unknowns)]
-        signal, at = forced.signals[v], self._knots(v)
-        hats = [
-            forced.changed(formula.place, forced.size[formula.place] * np.interp(signal, at, h))
-            for h in np.eye(len(at))
-        ]
+        signal, at, size = forced.signals[v], self._knots(v), forced.size[formula.place]
+        hats = [forced.changed(formula.place, size * np.interp(signal, at, hat)) for hat in np.eye(len(at))]
         flat, left = np.stack(hats, axis=2).reshape(-1, len(at)), (base.projected + moved).reshape(-1)
         normal = flat.T @ flat
         bend = np.diff(np.eye(len(at)), 2, axis=0)

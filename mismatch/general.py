@@ -127,7 +127,9 @@ def _sized(entry: dict, seen: Seen, every: bool) -> dict | None:
             largest = seen.size(where.removeprefix(SENSOR)) if where.startswith(SENSOR) else seen.largest(where)
             parameter["typical"] = SHARE * (largest or 1.0) / (column or 1.0)
         if "unit" not in parameter:
-            parameter["unit"] = _unit(seen.rig, where, unity, {s: p.get("unit", "") for s, p in parameters.items()})
+            parameter["unit"] = unit_of_coefficient(
+                seen.rig, where, unity, {s: p.get("unit", "") for s, p in parameters.items()}
+            )
     return entry | {
         "parameters": {s: _ordered(p) for s, p in parameters.items()},
         "states": {s: {**state, "unit": _copied(state["unit"], seen)} for s, state in entry.get("states", {}).items()},
@@ -187,10 +189,10 @@ def _unity(entry: Mapping, symbol: str, strengths: Collection[str]) -> tuple[str
     return "", "0.0"
 
 
-def _unit(rig: Rig, where: str, unity: str, own: Mapping[str, str]) -> str:
+def unit_of_coefficient(rig: Rig, where: str, unity: str, own: Mapping[str, str] | None = None) -> str:
     """What the unit of a place and that of a term leave; empty where one of them is not known."""
     plant = rig.plant
-    known = {symbol: plant.unit(symbol) for symbol in plant.symbols} | {TIME: "s"} | dict(own)
+    known = {symbol: plant.unit(symbol) for symbol in plant.symbols} | {TIME: "s"} | dict(own or {})
     if where.startswith(SENSOR):
         whole = units.powers(known[where.removeprefix(SENSOR)])
     else:

@@ -6,10 +6,20 @@ from greygate.mismatch.verdict import Verdict
 from greygate.plain import Count, Figure, Json
 
 
+class Band(TypedDict):
+    of: str
+    at: list[Figure]
+    value: list[Figure]
+    low: list[Figure]
+    high: list[Figure]
+
+
 class Place(TypedDict):
     equation: str
     depends_on: list[str]
     regime: str
+    formula: NotRequired[Annotated[str, "The term that is missing, with its coefficients, where no effect is claimed."]]
+    curve: NotRequired[Annotated[Band, "The same over one signal, with 95 % intervals, and no formula behind it."]]
     time: NotRequired[str]
     band: NotRequired[str]
 

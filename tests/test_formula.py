@@ -1,0 +1,119 @@
+"""A formula for what has no name: hidden terms of a motor come back in their place, on their variable, as they were."""
+
+import numpy as np
+import pytest
+
+from greygate.mismatch import rig as rigs
+from greygate.mismatch.coloured import Coloured
+from greygate.mismatch.diagnose import diagnose
+from greygate.mismatch.fit import Likelihood
+from greygate.mismatch.forced import Forced
+from greygate.mismatch.formula import Finder
+from greygate.mismatch.search import Search
+from greygate.mismatch.words import lines
+from greygate.pages.diagnosis import page
+from greygate.plants.plant import Plant
+from greygate.plants.simulator import simulate
+
+MOTOR = """
+step = 1e-3
+outputs = ["i", "w"]
+inputs = { u = "V" }
+parameters = { R = [1.2, "ohm"], L = [6e-3, "H"], K = [0.06, "V s"], J = [5.2e-4, "kg m^2"], b = [3e-4, "N m s"] }
+states = { i = { unit = "A" }, w = { unit = "rad/s" } }
+[equations]
+electric.i = { storage = "L", supply = "u", resistance = "-R * i", emf = "-K * w" }
+rotor.w = { storage = "J", torque = "K * i", viscous = "-b * w" }
+"""
+RIG = """
+plant = "motor.toml"
+sample_time_s = 0.004
+predict = ["i", "w"]
+parameters = { R = 1.2, L = 6e-3, K = 0.06, J = 5.2e-4, b = 3e-4 }
+tolerance = { R = 0.1, J = 0.05, b = 0.3 }
+channels.u = { unit = "V", role = "input" }
+channels.i = { unit = "A", role = "output", noise_rms = 0.005 }
+channels.w = { unit = "rad/s", role = "output", noise_rms = 0.05 }
+"""
+SAMPLES = 1500
+
+
+@pytest.fixture
+def hidden(tmp_path):
+    """What makes a rig whose machine has a further term: (place, expression) -> the rig."""
+
+    def make(place: str, term: str, told: bool = True):
+        (tmp_path / "motor.toml").write_text(MOTOR)
+        lines = [line.partition(", noise_rms")[0] + " }" * ("noise_rms" in line) for line in RIG.splitlines()]
+        (tmp_path / "rig.toml").write_text(RIG if told else "\n".join(lines))
+        plant = Plant.read(tmp_path / "motor.toml")
+        real = plant.with_term(place, "hidden", term) if term else plant
+        for seed, name in enumerate(("identify", "holdout")):
+            rng = np.random.default_rng(seed)
+            u = np.repeat(rng.uniform(-6, 6, SAMPLES // 25), 25)
+            run = simulate(real, {"u": u}, sample_time=4e-3, step=1e-3)
+            i, w = run["i"] + 0.005 * rng.standard_normal(SAMPLES), run["w"] + 0.05 * rng.standard_normal(SAMPLES)
+            columns = np.column_stack([np.arange(SAMPLES) * 4e-3, u, i, w])
+            np.savetxt(tmp_path / f"{name}.csv", columns, delimiter=",", header="t,u,i,w", comments="")
+        return rigs.load(tmp_path)
+
+    return make
+
+
+def finder(rig) -> Finder:
+    return Finder(Forced(Search(rig, rig.to_explain(), {}, Likelihood if rig.stated else Coloured)))
+
+
+def test_a_drop_at_the_brushes_comes_back_with_its_knee_its_size_and_its_unit(hidden):
+    result = diagnose(hidden("electric", "-0.35 * tanh(i / 0.1)"), {})
+    found = result.as_dict()
+    (place,) = found["where"]
+    assert (place["equation"], place["depends_on"]) == ("electric", ["i"])
+    size, _, rest = place["formula"].partition(" V tanh(i / ")
+    assert float(size) == pytest.approx(-0.35, rel=0.03)
+    assert float(rest.rstrip(")")) == pytest.approx(0.1, rel=0.1)
+    for recording in found["fit"].values():
+        assert all(rms["corrected"] < 1.1 * noise for rms, noise in zip(recording.values(), (0.005, 0.05), strict=True))
+    assert any(place["formula"] in line for line in lines(result))
+    assert place["formula"] in page(result)
+
+
+def test_the_curve_holds_the_term_within_its_band(hidden):
+    look = finder(hidden("rotor", "-2e-5 * w * abs(w)"))
+    formula = look.found()
+    assert (formula.place, formula.texts) == ("rotor", ["w * abs(w)"])
+    curve = look.curve(formula)
+    truth = -2e-5 * curve.at * np.abs(curve.at)
+    inside = (curve.low <= truth) & (truth <= curve.high)
+    assert inside.mean() > 0.7
+    assert np.ptp(curve.value) > 0.8 * np.ptp(truth)
+
+
+@pytest.mark.parametrize(
+    ("place", "term", "depends_on", "kind"),
+    [
+        ("electric", "-0.5", [], "constant"),
+        ("rotor", "-0.004 * max(i - 1.5, 0)", ["i"], "threshold"),
+        ("rotor", "-4e-4 * w * i", ["i", "w"], "product"),
+        ("rotor", "0.01 * sin(0.6 * w)", ["w"], "periodic"),
+    ],
+)
+def test_terms_of_other_kinds_come_back_on_their_variables(hidden, place, term, depends_on, kind):
+    look = finder(hidden(place, term))
+    formula = look.found()
+    print(formula, look._where(), look.misfit, look.forced.expected)
+    assert sorted(formula.depends_on) == depends_on
+    assert kind in formula.kinds
+    assert formula.share > 0.8
+
+
+def test_where_nothing_is_missing_there_is_no_formula(hidden):
+    assert finder(hidden("", "")).found() is None
+
+
+def test_a_run_that_leaves_the_recording_is_begun_anew_and_noise_need_not_be_told(hidden):
+    rig = hidden("electric", "-0.35 * tanh(i / 0.1)", told=False)
+    assert not rig.stated
+    look = finder(rig)
+    assert look.forced.search.rig.window
+    assert look.found().texts[0].startswith("tanh(i / 0.")
