@@ -11,8 +11,9 @@ from itertools import combinations
 
 import numpy as np
 
+from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.effects import SENSOR, Effect, Free
-from greygate.mismatch.fit import HELD, NORMAL, Fit
+from greygate.mismatch.fit import HELD, NORMAL, Fit, Likelihood
 from greygate.mismatch.forced import Forced
 from greygate.mismatch.formula import ONE, Finder, Formula
 from greygate.mismatch.general import unit_of_coefficient
@@ -310,29 +311,49 @@ def _written(search: Search) -> tuple[dict, Fit | None]:
     basis = {name: Candidate(t, tuple(sorted(names([t])))) for name, t in zip(_named(formula), texts, strict=True)}
     effects = _effects(rig, {formula.place: basis})
     units = {symbol: unit_of_coefficient(rig, formula.place, text) for symbol, text in zip(effects, texts, strict=True)}
-    again = Search(rig, search.final.model.recording, effects, type(search.final), search.noise if rig.stated else None)
-    again.effects, again.between = effects, search.between
     start = dict(zip(effects, map(float, finder.coefficients(formula)), strict=True))
-    fit = again.fit(again.final, Hypothesis(tuple(effects)), {**finder.forced.base.values, **start})
+    values: Mapping[str, float] = {**finder.forced.base.values, **start}
+    rigs = [rig] if finder.forced.rig is rig else [finder.forced.rig, rig]  # a free run needs a start that is near
+    for each in rigs:
+        again = Search(each, search.final.model.recording, effects, Likelihood if each.stated else Coloured)
+        if each.stated and each.window == rig.window:
+            again.under(search.noise)
+        again.effects, again.between = effects, search.between
+        fit = again.fit(again.final, Hypothesis(tuple(effects)), values)
+        values = fit.values
+    share = _removed(again.base(again.final), fit)
     parameters = {symbol: _parameter(effects[symbol], fit, {}) | {"unit": units[symbol]} for symbol in effects}
     on = ", ".join(formula.depends_on) or "constant size"
-    where = {
+    where: dict = {
         "equation": formula.place,
         "depends_on": formula.depends_on,
-        "regime": f"a term of {on}, which takes {formula.share:.0%} of the misfit",
+        "regime": f"a term of {on}, which takes {share:.0%} of the misfit",
         "formula": _sum(texts, parameters.values()),
     }
     if curve := finder.curve(formula):
         columns = {"at": curve.at, "value": curve.value, "low": curve.low, "high": curve.high}
-        where["curve"] = {"of": curve.signal, **{name: column.tolist() for name, column in columns.items()}}
+        where |= {"curve": {"of": curve.signal, **{name: column.tolist() for name, column in columns.items()}}}
     effect = {
         "id": "unknown",
         "equations": [formula.place],
-        "confidence": round(min(formula.share, 1.0), CONFIDENCE_DIGITS),
+        "confidence": round(share, CONFIDENCE_DIGITS),
         "parameters": parameters,
         "not_told_apart_from": [],
     }
-    return {"where": [where], "effect": effect, "share": formula.share}, fit
+    return {"where": [where], "effect": effect, "share": share}, fit
+
+
+def _removed(plain: Fit, fit: Fit) -> float:
+    """The share of the squared error beyond the told noise that a fit removes, in the mean over channels."""
+
+    def squared(one: Fit) -> np.ndarray:
+        counts = np.isfinite(one.likelihood.sigma).all(axis=1)
+        return np.mean(one.likelihood.residual(one.values)[counts] ** 2, axis=0)
+
+    rig = fit.likelihood.model.rig
+    noise = np.array([rig.channels[name].sigma ** 2 for name in rig.predict])
+    before, after = (np.maximum(squared(one) - noise, 0.0) for one in (plain, fit))
+    return float(np.clip(np.mean(1.0 - after / np.maximum(before, TINY)), 0.0, 1.0))
 
 
 def _sum(texts: Sequence[str], parameters: Iterable[Mapping]) -> str:

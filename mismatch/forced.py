@@ -41,18 +41,19 @@ def places(rig: Rig) -> list[str]:
 class Forced:
     """The calibrated fit of a search's plant, without any effect, and what functions of its signals change there.
 
-    base: that fit. signals: what moves along the recording, as recorded or as a rate of that, else as simulated
-    (samples,). size: RMS of the largest term of each place. values: from which the plant is calibrated.
+    rig: the search's, with restarts where states are recorded. base: that fit. signals: what moves along the
+    recording, as recorded or as a rate of that, else as simulated (samples,). size: RMS of the largest term of each
+    place. values: from which the plant is calibrated.
     """
 
     def __init__(self, search: Search, values: Mapping[str, float] | None = None):
         self.places, recording = places(search.rig), search.final.model.recording
-        rig = replace(search.rig, plant=_opened(search.rig.plant, self.places))
+        anew = not search.rig.window and any(state in search.rig.channels for state in search.rig.plant.states)
+        self.rig = _restarted(search.rig, recording) if anew else search.rig
+        rig = replace(self.rig, plant=_opened(self.rig.plant, self.places))
         zeros = {FORCED + place: np.zeros(recording.samples) for place in self.places}
         units = {**recording.units, **dict.fromkeys(zeros, "")}
         recording = with_channels(recording, {**recording.channels, **zeros}, units)
-        anew = not rig.window and any(state in rig.channels for state in rig.plant.states)
-        rig = _restarted(rig, recording) if anew else rig
         self.search = Search(rig, recording, {}, Likelihood if rig.stated else Coloured)
         if search.rig.stated and not anew:
             self.search.under(search.noise)
