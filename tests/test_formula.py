@@ -6,6 +6,7 @@ import pytest
 from greygate.mismatch import rig as rigs
 from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.diagnose import diagnose
+from greygate.mismatch.effects import read
 from greygate.mismatch.fit import Likelihood
 from greygate.mismatch.forced import Forced
 from greygate.mismatch.formula import Finder
@@ -117,3 +118,17 @@ def test_a_run_that_leaves_the_recording_is_begun_anew_and_noise_need_not_be_tol
     look = finder(rig)
     assert look.forced.search.rig.window
     assert look.found().texts[0].startswith("tanh(i / 0.")
+
+
+def test_an_accepted_formula_is_named_as_an_effect_of_the_rigs_own_table(hidden, greygate):
+    rig = hidden("electric", "-0.35 * tanh(i / 0.1)")
+    code, _, err = greygate("diagnose", rig.folder, "--accept")
+    assert (code, "has the effect own_electric now: -0.3" in err) == (0, True)
+    result = diagnose(rigs.load(rig.folder), read(rig.folder / "effects.toml"))
+    assert (str(result.verdict), [effect["id"] for effect in result.as_dict()["effects"]]) == (
+        "missing_physics",
+        ["own_electric"],
+    )
+    code, _, err = greygate("diagnose", rig.folder, "--accept")  # now it has a name
+    assert (code, "found no formula (missing_physics): nothing was accepted" in err) == (2, True)
+    assert greygate("diagnose", rig.folder, rig.folder, "--accept")[0] == 2

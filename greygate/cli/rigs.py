@@ -27,6 +27,9 @@ def diagnose(
         Path | None, typer.Option(metavar="FILE.html", help="HTML page; for several rigs a folder for NAME.html.")
     ] = None,
     effects: words.Effects = [],
+    accept: Annotated[
+        bool, typer.Option("--accept", help="Put the formula for what has no name into RIG/effects.toml.")
+    ] = False,
     jobs: words.Jobs = 1,
     backend: OnBackend = Backend.LOKY,
     scheduler: Scheduler = None,
@@ -38,9 +41,12 @@ def diagnose(
     docs/diagnosis.md describes the files. The exit code is 0 whatever the verdict. If one of several rigs cannot be
     diagnosed, the command says so, writes the others, and exits with 2.
     """
+    from greygate.mismatch.accepted import accept as accepted
     from greygate.mismatch.explain import explain, explain_all
     from greygate.pages.diagnosis import page
 
+    if accept and len(rigs) > 1:
+        raise InputError("--accept takes the formula of one rig; give one")
     if len(rigs) == 1 and backend is Backend.LOKY and scheduler is None:
         with following("diagnosing") as progress:
             found, lines = explain(rigs[0], out, html, effects, progress, page)
@@ -54,6 +60,8 @@ def diagnose(
         lines = [line for _, text in results.values() for line in (*text, "")][:-1]
     lines += [f"written to {path}" for path in (out, html) if path is not None]
     give("diagnosis", found, as_json, lines)
+    if accept:
+        say(accepted(rigs[0], found))
     for name in failed:
         say(f"greygate: {name}: {found[name]['error']}")
     if failed:
