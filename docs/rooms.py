@@ -32,7 +32,6 @@ GROUND = (  # modules of greygate/ on which all stands
     "plain",
     "progress",
     "reading",
-    "table",
     "version",
 )
 FOLDERS = ("greygate", *(name for layer in LAYERS[1:-1] for name in layer))

@@ -21,7 +21,7 @@ from greygate.hardware.families import DEVICES
 from greygate.models.network import Network
 from greygate.models.training.record import Record
 from greygate.plain import plain
-from greygate.plants.readers.units import factor
+from greygate.plants.units.reading import factor
 from greygate.progress import Progress, silent
 
 FILLED = 0.9  # part of the LUTs of a device that place and route can fill

@@ -5,6 +5,7 @@ large things are along the recording, and the units of the place give the unit o
 """
 
 from collections.abc import Collection, Iterable, Mapping
+from fractions import Fraction
 from itertools import count
 from pathlib import Path
 
@@ -176,7 +177,7 @@ def _copied(unit: str, seen: Seen) -> str:
     if found is None:
         return ""
     if kind in ("rate", "way"):
-        found = units.times(found, {"s": units.Fraction(1)}, -1 if kind == "rate" else 1)
+        found = units.times(found, {"s": Fraction(1)}, -1 if kind == "rate" else 1)
     return units.written(found)
 
 

@@ -18,8 +18,8 @@ from greygate.names import check_file_name
 from greygate.plants.expressions import check_name
 from greygate.plants.plant import Parameter, Plant
 from greygate.plants.recording import Recording, check_sizes, run_name
+from greygate.plants.table import CsvTable, read_table
 from greygate.reading import line, listed, named, number, one_of, read_toml, table, within
-from greygate.table import CsvTable, read_table
 
 PLANTS = Path(__file__).parent.parent / "machines"  # NAME.toml in one of its folders is the plant NAME
 SHORTEST = 40  # samples: a shorter recording leaves nothing to judge a fit by; it is held out in twenty blocks

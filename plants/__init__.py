@@ -1,16 +1,7 @@
 """The language of plants: named balance equations, declared once, simulated, excited and recorded."""
 
 from greygate.plants.curves import curve
-from greygate.plants.excitation import (
-    band_limited_noise,
-    band_limited_noise_spectrum,
-    chirp,
-    chirp_spectrum,
-    multisine,
-    multisine_spectrum,
-    prms,
-    prms_spectrum,
-)
+from greygate.plants.excitation import band_limited_noise, chirp, multisine, prms
 from greygate.plants.plant import Definition, Equation, Parameter, Plant, State
 from greygate.plants.recording import Recording, read_csv
 from greygate.plants.simulator import simulate
@@ -23,14 +14,10 @@ __all__ = [
     "Recording",
     "State",
     "band_limited_noise",
-    "band_limited_noise_spectrum",
     "chirp",
-    "chirp_spectrum",
     "curve",
     "multisine",
-    "multisine_spectrum",
     "prms",
-    "prms_spectrum",
     "read_csv",
     "simulate",
 ]

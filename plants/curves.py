@@ -10,7 +10,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.plants.expressions import check_expression
-from greygate.table import read_table
+from greygate.plants.table import read_table
 
 HINGES = 20  # in a term, which then has some 2000 characters
 MOST = 1000  # points: 50 terms, each compiled

@@ -8,7 +8,7 @@ from math import prod
 from greygate.plants import units
 from greygate.plants.expressions import names
 from greygate.plants.plant import Plant
-from greygate.plants.quantities import Quantity, quantity
+from greygate.plants.units.quantities import Quantity, quantity
 
 RATIOS = ("rad", "mrad", "deg", "°", "rev", "turn", "%", "rpm")
 """Units without a dimension, and rotations a minute."""

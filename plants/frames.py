@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greygate.errors import InputError, shown
+from greygate.errors import InputError, brought_by, shown
 from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import Recording
 from greygate.reading import read_json
@@ -30,10 +30,8 @@ def to_pandas(source: Any) -> "pandas.DataFrame":
     >>> to_pandas("report.json")[["scenario", "output"]].values.tolist()
     [['train', 'y']]
     """
-    try:
+    with brought_by("pandas", "pandas"):
         import pandas
-    except ImportError:
-        raise InputError("pandas is not installed; pip install 'greygate[pandas]'") from None
     found = _read(source)
     if isinstance(found, Recording):
         channels = dict(zip(found.header, found.channels.values(), strict=True))

@@ -1,60 +1,10 @@
-"""The functions of an expression: one line each, for NumPy arrays, and as text for the compiled simulation."""
+"""The functions of an expression: for NumPy arrays, and as text for the compiled simulation."""
 
 import inspect
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
-
-
-def sqrt(x):
-    return np.sqrt(x)
-
-
-def exp(x):
-    return np.exp(x)
-
-
-def log(x):
-    return np.log(x)
-
-
-def sin(x):
-    return np.sin(x)
-
-
-def cos(x):
-    return np.cos(x)
-
-
-def tan(x):
-    return np.tan(x)
-
-
-def atan(x):
-    return np.arctan(x)
-
-
-def atan2(y, x):
-    return np.arctan2(y, x)
-
-
-def tanh(x):
-    return np.tanh(x)
-
-
-def sign(x):
-    return np.sign(x)
-
-
-def abs(x):
-    return np.abs(x)
-
-
-def min(x, y):
-    return np.minimum(x, y)
-
-
-def max(x, y):
-    return np.maximum(x, y)
 
 
 def smooth_step(x, width):
@@ -69,17 +19,22 @@ def orifice(u, p_1, p_2):
     return np.maximum(u, 0.0) * np.sign(p_1 - p_2) * np.sqrt(np.abs(p_1 - p_2))
 
 
-FUNCTIONS = {
-    f.__name__: f
-    for f in (sqrt, exp, log, sin, cos, tan, atan, atan2, tanh, sign, abs, min, max, smooth_step, when, orifice)
-}
+NUMPY = {  # function -> what it is called there
+    "sqrt": "sqrt", "exp": "exp", "log": "log", "sin": "sin", "cos": "cos", "tan": "tan", "atan": "arctan",
+    "atan2": "arctan2", "tanh": "tanh", "sign": "sign", "abs": "abs", "min": "minimum", "max": "maximum",
+}  # fmt: skip
+FUNCTIONS: dict[str, Callable[..., Any]] = {name: getattr(np, own) for name, own in NUMPY.items()}
+FUNCTIONS |= {"smooth_step": smooth_step, "when": when, "orifice": orifice}
 
 
 def arguments(name: str) -> int:
     """The number of arguments that the function takes."""
-    return FUNCTIONS[name].__code__.co_argcount
+    return getattr(np, NUMPY[name]).nin if name in NUMPY else FUNCTIONS[name].__code__.co_argcount
 
 
 def text(name: str) -> str:
     """Its definition in Python."""
-    return inspect.getsource(FUNCTIONS[name])
+    if name not in NUMPY:
+        return inspect.getsource(FUNCTIONS[name])
+    given = "y, x" if name == "atan2" else ", ".join("xy"[: arguments(name)])
+    return f"def {name}({given}):\n    return np.{NUMPY[name]}({given})\n"

@@ -201,21 +201,7 @@ class Plant:
         >>> lag
         <Plant lag: u [V] -> y; states y [V]>
         """
-        entries = {
-            "parameters": named(_parameter, check_name),
-            "inputs": named(line, check_name),
-            "states": named(check_state, check_name),
-            "equations": named(_equation, check_name),
-            "outputs": listed(line),
-            "definitions": named(partial(_definition, Path(folder)), check_name),
-            "derived": named(line, check_name),
-            "switches": named(line, check_name),
-            "step": within(SHORTEST, np.inf, f"give {SHORTEST:g} s or more"),
-            "required": listed(line),
-            "closure": check_closure,
-            "experiments": named(line, check_name),
-        }
-        found = table(dict(declaration), f"{where}:", {}, entries)
+        found = _entries(declaration, folder, where)
         needed = {key: found.get(key, {}) for key in ("parameters", "inputs", "states", "equations")}
         return cls(name, **found | needed | {key: tuple(found.get(key, ())) for key in ("outputs", "required")})
 
@@ -384,6 +370,29 @@ class Plant:
 
 
 # -- kinds (`greygate.reading`) of the entries that declare a plant, or an effect for one -----------------------------
+
+
+def read_entries(path: Path) -> dict:
+    """The entries of such a file by the names of `Plant`'s fields, of a plant that differs in them from another one."""
+    return _entries(read_toml(path, "give a plant's TOML file"), path.parent, str(path))
+
+
+def _entries(declaration: Mapping, folder: Path | str, where: str) -> dict:
+    entries = {
+        "parameters": named(_parameter, check_name),
+        "inputs": named(line, check_name),
+        "states": named(check_state, check_name),
+        "equations": named(_equation, check_name),
+        "outputs": listed(line),
+        "definitions": named(partial(_definition, Path(folder)), check_name),
+        "derived": named(line, check_name),
+        "switches": named(line, check_name),
+        "step": within(SHORTEST, np.inf, f"give {SHORTEST:g} s or more"),
+        "required": listed(line),
+        "closure": check_closure,
+        "experiments": named(line, check_name),
+    }
+    return table(dict(declaration), f"{where}:", {}, entries)
 
 
 def _parameter(value: object, where: str) -> Parameter:

@@ -100,12 +100,7 @@ def without_drift(
 
 
 def without_outliers(
-    recording: Recording,
-    channels: Sequence[str],
-    *,
-    half_width: int = 5,
-    threshold: float = 3.0,
-    least: float = 0.0,
+    recording: Recording, channels: Sequence[str], *, half_width: int = 5, threshold: float = 3.0, least: float = 0.0
 ) -> tuple[Recording, dict[str, int]]:
     """Hampel's identifier: a sample too far from the median of its neighbourhood is replaced by that median.
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.files import replacing
-from greygate.table import LARGEST, CsvTable, read_table
+from greygate.plants.table import LARGEST, CsvTable, read_table
 
 UNITS = {
     "s": "s", "m": "m", "m_s": "m/s", "m_s2": "m/s^2", "m3_s": "m^3/s", "rad": "rad", "rad_s": "rad/s",

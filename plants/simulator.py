@@ -7,7 +7,7 @@ compile again; only which terms `when(p, ...)` are off by the plant's own values
 """
 
 import types
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import lru_cache
 
@@ -75,9 +75,8 @@ def simulate(
         np.array([float(start[symbol]) for symbol in symbols]),
         held,
         np.array([parameter.value for parameter in plant.parameters.values()]),
-        np.array([-np.inf if s.low is None else plant.constant(s.low) for s in plant.states.values()]),
-        np.array([np.inf if s.high is None else plant.constant(s.high) for s in plant.states.values()]),
-        np.array([-1 if s.rate is None else symbols.index(s.rate) for s in plant.states.values()], dtype=np.int64),
+        *_bounds(plant, plant.constant),
+        _rates(plant),
         sample_time / substeps,
         substeps,
         states,
@@ -101,9 +100,7 @@ class Restarted:
         self.plant = plant
         self.substeps = max(round(sample_time / step), 1)
         self.step = sample_time / self.substeps
-        symbols = list(plant.states)
-        rates = (-1 if s.rate is None else symbols.index(s.rate) for s in plant.states.values())
-        self.rate = np.array([*rates], dtype=np.int64)
+        self.rate = _rates(plant)
         self.module = _module(source(plant))
 
     def run(
@@ -123,18 +120,12 @@ class Restarted:
             return np.empty((len(inputs), 0))
         scope = Values(self.plant, {})
         scope.update(values)
-
-        def bounds(which: str, free: float) -> np.ndarray:
-            given = (getattr(state, which) for state in self.plant.states.values())
-            return np.array(
-                [free if b is None else scope.evaluate(b) if isinstance(b, str) else b for b in given], float
-            )
-
+        low, high = _bounds(self.plant, lambda bound: scope.evaluate(bound) if isinstance(bound, str) else bound)
         out = np.empty((len(inputs), len(self.plant.states)))
         parameters = np.array([values[symbol] for symbol in self.plant.parameters])
         failed = self.module.restarted(
             np.ascontiguousarray(starts, dtype=float), restarts, reset, inputs, parameters,
-            bounds("low", -np.inf), bounds("high", np.inf), self.rate, self.step, self.substeps, out,
+            low, high, self.rate, self.step, self.substeps, out,
         )  # fmt: skip
         if failed >= 0:
             out[failed:] = np.nan
@@ -142,20 +133,15 @@ class Restarted:
 
 
 class Stepper:
-    """A plant under way, a sample at a time, so that a controller can answer it. Arguments: as in `simulate`."""
+    """A plant under way, a sample at a time, so that a controller can answer it, in steps of 0.1 ms."""
 
-    def __init__(
-        self, plant: Plant, sample_time: float = 1e-3, step: float = 1e-4, initial: Mapping[str, float] | None = None
-    ):
+    def __init__(self, plant: Plant, sample_time: float = 1e-3):
         self.plant, self.sample_time = plant, sample_time
-        self._restarted = Restarted(plant, sample_time, step)
+        self._restarted = Restarted(plant, sample_time, 1e-4)
         self._place = {symbol: i for i, symbol in enumerate(plant.states)}
-        start = plant.initial() | dict(initial or {})
-        self._now = np.array([float(start[symbol]) for symbol in plant.states])
+        self._now = np.array([*plant.initial().values()])
         self._values = np.array([p.value for p in plant.parameters.values()])
-        bounds = [(s.low, s.high) for s in plant.states.values()]
-        self._low = np.array([-np.inf if low is None else plant.constant(low) for low, _ in bounds])
-        self._high = np.array([np.inf if high is None else plant.constant(high) for _, high in bounds])
+        self._low, self._high = _bounds(plant, plant.constant)
         self._samples = 0
 
     def __getitem__(self, state: str) -> float:
@@ -181,6 +167,19 @@ class Stepper:
                 "check the controller, or take a smaller step"
             )
         self._now = out[1]
+
+
+def _bounds(plant: Plant, value: Callable[[float | str], float]) -> tuple[np.ndarray, np.ndarray]:
+    """The lowest and the highest value of each state. value: of a bound as it is declared."""
+    low = [-np.inf if state.low is None else value(state.low) for state in plant.states.values()]
+    high = [np.inf if state.high is None else value(state.high) for state in plant.states.values()]
+    return np.array(low, float), np.array(high, float)
+
+
+def _rates(plant: Plant) -> np.ndarray:
+    """The place of each state's velocity among the states; -1 where it has none."""
+    states = list(plant.states)
+    return np.array([-1 if s.rate is None else states.index(s.rate) for s in plant.states.values()], dtype=np.int64)
 
 
 def _inputs(plant: Plant, inputs: Mapping[str, np.ndarray], samples: int | None) -> np.ndarray:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import Any
 
-from greygate.errors import InputError, shown
+from greygate.errors import InputError, brought_by, shown
 from greygate.plants.expressions import Call, Name, Node, Number, Operation, Signed, check_expression, parse
 from greygate.plants.plant import Plant
 
@@ -22,10 +22,8 @@ _ABOVE, _BELOW = ("StrictGreaterThan", "GreaterThan"), ("StrictLessThan", "LessT
 
 
 def sympy_module() -> ModuleType:
-    try:
+    with brought_by("symbolic", "sympy"):
         import sympy
-    except ImportError:
-        raise InputError("sympy is not installed; pip install 'greygate[symbolic]'") from None
     return sympy
 
 

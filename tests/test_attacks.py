@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from greygate import project, table
+from greygate import project
 from greygate.contents import contents
 from greygate.emulator.program import Program
 from greygate.errors import InputError
@@ -21,10 +21,11 @@ from greygate.mismatch import effects, rig, simulation
 from greygate.mismatch.concealed.conceal import sealed
 from greygate.models.network import Network
 from greygate.models.training.checkpoint import Checkpoint
+from greygate.plants import table
 from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import read_csv
+from greygate.plants.table import read_table
 from greygate.project import verify_project
-from greygate.table import read_table
 
 
 @pytest.mark.parametrize("name", ["x.d", "Makefile", "GNUmakefile", "sitecustomize.py", "deep/bench"])

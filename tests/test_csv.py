@@ -10,7 +10,7 @@ from sweeping import every
 from greygate.errors import InputError
 from greygate.mismatch.rig import Channel, Rig
 from greygate.plants.recording import read_csv
-from greygate.table import LARGEST
+from greygate.plants.table import LARGEST
 
 TIME, U, X = [0.0, 1.0, 2.0, 3.0], [1.5, -1.25, 0.0, 12.0], [0.01, 0.02, 1e-3, 4.0]
 ROWS = [("0", "1.5", "0.01"), ("1", "-1.25", "0.02"), ("2", "0.0", "0.001"), ("3", "12", "4.0")]
@@ -283,7 +283,7 @@ def test_a_file_that_is_no_text_is_refused_with_what_to_do(entrance):
 
 def test_an_archive_that_unpacks_without_end_is_not_unpacked(entrance, monkeypatch):
     header, read = entrance
-    monkeypatch.setattr("greygate.table.MOST_UNPACKED", 1000)
+    monkeypatch.setattr("greygate.plants.table.MOST_UNPACKED", 1000)
     refused(read, gzip.compress((header + "\n" + BODY * 1000).encode()), "unpacks to more than 1000 bytes")
 
 

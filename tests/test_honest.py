@@ -30,7 +30,7 @@ from greygate.mismatch.search import Hypothesis, Search
 from greygate.mismatch.selection import structure
 from greygate.mismatch.verdict import Verdict
 from greygate.plants.recording import Recording
-from greygate.table import read_table
+from greygate.plants.table import read_table
 
 # -- never worse -----------------------------------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ from greygate.mismatch.concealed.conceal import conceal
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.noise import Noise, learnt
 from greygate.mismatch.rig import load
-from greygate.table import read_table
+from greygate.plants.table import read_table
 
 
 def coloured(ar, samples, seed=0):

@@ -17,7 +17,7 @@ from scipy.io import savemat
 from greygate.errors import InputError
 from greygate.foreign import read_mat
 from greygate.plants.readers.read import read_channels, read_recording
-from greygate.plants.readers.units import converted, split
+from greygate.plants.units.reading import converted, split
 
 DT, N = 1e-3, 50
 RNG = np.random.default_rng(0)

@@ -7,10 +7,9 @@ import pytest
 from sweeping import every
 
 from greygate.errors import InputError
-from greygate.plants.quantities import quantity
 from greygate.plants.readers.read import read_recording
-from greygate.plants.readers.spellings import READINGS, SPELT
-from greygate.plants.readers.units import _read, converted, split
+from greygate.plants.units.quantities import quantity
+from greygate.plants.units.reading import READINGS, SPELT, _read, converted, split
 
 POUND, OUNCE, PSI = 4.4482216152605, 4.4482216152605 / 16, 6894.757293168361  # N, N, Pa
 KILOPOND, MERCURY, WATER = 9.80665, 133.322387415, 9.80665  # N, Pa of 1 mm, Pa of 1 mm

@@ -25,8 +25,8 @@ from greygate.errors import InputError
 from greygate.mismatch.concealed.conceal import EVERY_RIG
 from greygate.mismatch.concealed.rig import Columns, ConcealedRig, Sensor, calibrate, rms
 from greygate.mismatch.concealed.stress import between
+from greygate.plants.table import read_table
 from greygate.reading import read_json
-from greygate.table import read_table
 
 from .answer import PREDICTED, Answer
 

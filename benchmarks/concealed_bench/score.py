@@ -11,8 +11,8 @@ from greygate.contents import contents
 from greygate.errors import InputError
 from greygate.mismatch.concealed.conceal import place
 from greygate.mismatch.concealed.rig import rms, within
+from greygate.plants.table import read_table
 from greygate.reading import read_json
-from greygate.table import read_table
 
 from .answer import FILE, PREDICTED, RUN, Answer, read
 from .make import committed

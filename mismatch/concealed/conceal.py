@@ -18,8 +18,8 @@ import numpy as np
 from greygate.contents import contents
 from greygate.errors import InputError
 from greygate.files import replaceable, replacing_folder
+from greygate.plants.table import read_table
 from greygate.reading import anything, line, listed, named, read_json, table
-from greygate.table import read_table
 
 from .domains import DOMAINS
 from .line import BELT, DRUM

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from greygate.errors import InputError, shown
+from greygate.errors import InputError, brought_by, shown
 from greygate.foreign.child import Read, Room
 
 BATCH = 1 << 16  # rows unpacked at a time
@@ -19,15 +19,11 @@ def parquet() -> Read:
     """What reads a Parquet file; the unit of a field in its metadata. A time stamp counts from the first one."""
     modules: dict[str, Any] = sys.modules
     modules.setdefault("pandas", None)  # pyarrow would import it late
-    try:
+    with brought_by("parquet", "pyarrow"):
         import pyarrow
         import pyarrow.compute
         import pyarrow.fs
         import pyarrow.parquet
-    except ImportError as error:
-        if error.name != "pyarrow":
-            raise
-        raise InputError("pyarrow is not installed; pip install 'greygate[parquet]'") from None
 
     def read(path: Path, room: Room) -> Iterator[tuple[str, Any]]:
         file = pyarrow.parquet.ParquetFile(path, page_checksum_verification=True)

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greygate.errors import InputError, shown
-from greygate.plants.readers.units import converted, same, split, suffixed
 from greygate.plants.recording import EPOCH, FEWEST, Recording, check_sizes, twice
+from greygate.plants.units.reading import converted, same, split, suffixed
 
 Told = Callable[[str], None]
 CLOCKS = ("time", "times", "timestamp", "timestamps", "zeit", "elapsed", "seconds", "time_s", "x_value")

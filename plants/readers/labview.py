@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from greygate.errors import InputError, shown
+from greygate.errors import InputError, brought_by, shown
 from greygate.foreign.child import Read, Room
 
 START, OFFSET, STEP = "wf_start_time", "wf_start_offset", "wf_increment"
@@ -19,12 +19,8 @@ _SCALE = re.compile(r"NI_Scale\[\d+\]_Scale_Type")
 
 def tdms() -> Read:
     """What reads a TDMS file. Times count from the start of the channel that starts first."""
-    try:
+    with brought_by("tdms", "nptdms"):
         import nptdms
-    except ImportError as error:
-        if error.name != "nptdms":
-            raise
-        raise InputError("nptdms is not installed; pip install 'greygate[tdms]'") from None
 
     def read(path: Path, room: Room) -> Iterator[tuple[str, Any]]:
         with path.open("rb") as opened, nptdms.TdmsFile.open(opened, raw_timestamps=True) as file:

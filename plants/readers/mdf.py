@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from greygate.errors import InputError, shown
+from greygate.errors import InputError, brought_by, shown
 from greygate.foreign.child import Read, Room
 from greygate.plants.expressions import parse
 
@@ -54,13 +54,9 @@ def _asammdf() -> Any:
     numexpr = ModuleType("numexpr")
     numexpr.__dict__.update(evaluate=refused, __version__="0")
     sys.modules.update({"numexpr": numexpr, "sympy": None})  # type: ignore[dict-item]
-    try:
+    with brought_by("mdf", "asammdf", "pandas"):
         import pandas  # noqa: F401  asammdf imports it late
         from asammdf import MDF
-    except ImportError as error:
-        if error.name not in ("asammdf", "pandas"):
-            raise
-        raise InputError(f"{error.name} is not installed; pip install 'greygate[mdf]'") from None
     return MDF
 
 

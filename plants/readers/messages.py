@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from greygate.errors import InputError
+from greygate.errors import InputError, brought_by
 from greygate.foreign.child import Read, Room
 
 LONGEST = 1000  # characters of a name
@@ -41,14 +41,10 @@ class _Series:
 
 def mcap() -> Read:
     """What reads an MCAP file."""
-    try:
+    with brought_by("mcap", "mcap"):
         from mcap.opcode import Opcode
         from mcap.records import Channel, Chunk, Message
         from mcap.stream_reader import StreamReader, get_chunk_data_stream
-    except ImportError as error:
-        if error.name != "mcap":
-            raise
-        raise InputError("mcap is not installed; pip install 'greygate[mcap]'") from None
 
     def records(path: Path, room: Room) -> Iterator[Any]:
         """Channels and messages in the order of the file, one chunk unpacked at a time."""

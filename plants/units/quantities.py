@@ -1,6 +1,6 @@
 """What a unit is worth: an exact factor to SI, powers of SI's base units, and the zero of a temperature.
 
-Units are products of the symbols below, each with the prefixes that are used with it; nothing else is a unit. An angle
+Units are products of symbols, each with the prefixes that are used with it; nothing else is a unit. An angle
 counts as a base unit, so that a turn, a radian and a plain number are not mixed up (ISO 80000-3 has them all as 1).
 """
 
@@ -9,6 +9,9 @@ import re
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cache, lru_cache
+from pathlib import Path
+
+from greygate.reading import read_toml
 
 Powers = dict[str, int]
 BASES = ("m", "kg", "s", "A", "K", "mol", "cd", "rad")
@@ -18,66 +21,19 @@ LONG = {"peta": "P", "pico": "p", "nano": "n", "micro": "u", "milli": "m", "cent
         "kilo": "k", "mega": "M", "giga": "G"}  # fmt: skip
 MOST = 12  # the powers of a unit, all together: W/(m^2 K^4) has 7
 
-SYMBOLS = {  # symbol -> what 1 of it is, in symbols above it; its prefixes
-    "pi": ("", ""), "m": ("", "n u m c d k M"), "kg": ("", ""), "s": ("", "p n u m c M"),
-    "A": ("", "p n u m k M P"),
-    "K": ("", "u m"), "mol": ("", "n u m k"), "cd": ("", "m"), "rad": ("", "u m"), "count": ("", ""),
-    "tick": ("", ""),
-    "gram": ("1/1000 kg", "u m M"), "tonne": ("1000 kg", ""), "g_0": ("9.80665 m/s^2", "u m"),
-    "N": ("kg m/s^2", "u m c d k M"), "Pa": ("N/m^2", "u m d h k M G"), "bar": ("100000 Pa", "u m k"),
-    "J": ("N m", "u m k M G"), "W": ("J/s", "n u m k M G"), "V": ("W/A", "n u m k M"), "ohm": ("V/A", "u m k M G"),
-    "coulomb": ("A s", "p n u m"), "farad": ("coulomb/V", "p n u m M"), "henry": ("V s/A", "n u m M"),
-    "siemens": ("A/V", "n u m M"), "Wb": ("V s", "u m"), "T": ("V s/m^2", "n u m M"), "Gs": ("1/10000 T", "m k M"),
-    "Hz": ("1/s", "u m k M G"), "min": ("60 s", ""), "hour": ("3600 s", ""), "day": ("86400 s", ""),
-    "year": ("31557600 s", ""),
-    "L": ("1/1000 m^3", "u m c d h M"), "cc": ("1/1000000 m^3", ""),
-    "deg": ("1/180 pi rad", "m"), "gon": ("1/200 pi rad", "m"), "arcmin": ("1/60 deg", ""),
-    "arcsec": ("1/3600 deg", "m"), "rev": ("2 pi rad", ""), "rpm": ("rev/min", "k"), "dps": ("deg/s", "m"),
-    "degC": ("K", ""), "degF": ("5/9 K", ""), "mdegC": ("1/1000 K", ""), "Rankine": ("5/9 K", ""),
-    "percent": ("1/100", ""), "permille": ("1/1000", ""), "ppm": ("1/1000000", ""), "ppb": ("1/1000000000", ""),
-    "trillionth": ("1/1000000000000", ""),
-    "strain": ("1", "u m"),
-    "inch": ("0.0254 m", ""), "thou": ("1/1000 inch", ""), "ft": ("12 inch", ""), "yd": ("3 ft", ""),
-    "mile": ("5280 ft", ""), "nmi": ("1852 m", ""), "knot": ("nmi/hour", ""),
-    "lbm": ("0.45359237 kg", "k"), "lbf": ("lbm g_0", "k"), "ozf": ("1/16 lbf", ""), "ozm": ("1/16 lbm", ""),
-    "grain": ("1/7000 lbm", ""), "shton": ("2000 lbm", ""),
-    "slug": ("lbf s^2/ft", ""), "kgf": ("kg g_0", ""), "gf": ("1/1000 kgf", ""), "kp": ("kgf", ""),
-    "daN": ("10 N", ""), "dyn": ("1/100000 N", ""), "kip": ("1000 lbf", ""),
-    "psi": ("lbf/inch^2", "k m"), "ksi": ("1000 psi", ""), "psf": ("lbf/ft^2", ""), "at": ("kgf/cm^2", ""),
-    "atm": ("101325 Pa", ""), "torr": ("1/760 atm", "m"), "mmHg": ("133.322387415 Pa", ""), "cmHg": ("10 mmHg", ""),
-    "inHg": ("25.4 mmHg", ""), "mmH2O": ("9.80665 Pa", ""), "cmH2O": ("10 mmH2O", ""), "mH2O": ("1000 mmH2O", ""),
-    "inH2O": ("25.4 mmH2O", ""), "ftH2O": ("12 inH2O", ""),
-    "cP": ("1/1000 Pa s", ""), "cSt": ("1/1000000 m^2/s", ""), "PS": ("75 kgf m/s", ""), "bhp": ("550 ft lbf/s", ""),
-    "cal": ("4.184 J", "k"),
-    "usgal": ("231 inch^3", ""), "ukgal": ("4.54609 L", ""),
-}  # fmt: skip
-ZEROS = {"degC": Fraction("273.15"), "mdegC": Fraction("273.15"), "degF": Fraction("273.15") - 32 * Fraction(5, 9)}
-NAMES = {  # other names of a symbol, which it has prefixes with, too
-    "°": "deg", "Ω": "ohm", "Ohm": "ohm", "l": "L", "h": "hour", "hr": "hour", "d": "day", "t": "tonne", "sec": "s",
-    "in": "inch", "mi": "mile", "kn": "knot", "r": "rev", "%": "percent", "‰": "permille", "gn": "g_0", "g0": "g_0",
-    "gee": "g_0", "F": "farad", "C": "coulomb", "H": "henry", "S": "siemens", "Torr": "torr", "mWS": "mH2O",
-    "mWC": "mH2O", "mmWS": "mmH2O", "mmWC": "mmH2O", "inWC": "inH2O", "ata": "at",
-}  # fmt: skip
-PLAIN = {  # symbols that `NAMES` must not give a prefix
-    "h", "hr", "d", "t", "in", "mi", "kn", "r", "%", "‰", "gee", "°", "ata",
-}  # fmt: skip
-WORDS = {  # symbol -> its names in words, in any case, with or without an s
-    "m": "meter metre", "s": "second sec", "min": "minute", "hour": "hour hr", "day": "day", "gram": "gram gramme",
-    "tonne": "tonne", "A": "ampere amp", "K": "kelvin", "N": "newton", "Pa": "pascal", "bar": "bar", "J": "joule",
-    "W": "watt", "V": "volt", "ohm": "ohm", "coulomb": "coulomb", "farad": "farad", "henry": "henry", "T": "tesla",
-    "Gs": "gauss", "Hz": "hertz", "L": "liter litre ltr", "deg": "degree deg", "rad": "radian rad",
-    "gon": "gon gradian",
-    "rev": "revolution rev turn", "rpm": "rpm", "percent": "percent pct", "siemens": "siemens", "inch": "inch",
-    "ft": "foot", "yd": "yard", "mile": "mile", "knot": "knot", "psi": "psi", "lbf": "lbf", "kgf": "kgf",
-    "kp": "kilopond", "torr": "torr", "atm": "atm atmosphere", "tick": "tick", "strain": "strain", "mol": "mole",
-    "count": "count cnt ct raw inc incr increment pulse digit step lsb",
-}  # fmt: skip
-TOGETHER = {  # products that are written as one word, to the power 1 alone: Nm^3 is a cubic metre at a standard state
-    **{f"{p}N{q}m": f"{p}N {q}m" for p in ("", "u", "m", "c", "k", "M") for q in ("", "c", "m")},
-    "Ns": "N s", "Nms": "N m s", "As": "A s", "mAs": "mA s", "Ah": "A hour", "mAh": "mA hour", "Vs": "V s",
-    "mVs": "mV s", "Ws": "W s", "kWs": "kW s", "Wh": "W hour", "kWh": "kW hour", "MWh": "MW hour", "Pas": "Pa s",
-    "mPas": "mPa s", "kgfm": "kgf m", "kgfcm": "kgf cm", "kpm": "kp m",
-}  # fmt: skip
+TABLE = read_toml(Path(__file__).with_name("units.toml"), "install greygate again")
+SYMBOLS: dict[str, list[str]] = TABLE["symbols"]  # symbol -> what 1 of it is, in symbols above it; its prefixes
+ZEROS = {name: Fraction(zero) for name, zero in TABLE["zeros"].items()}
+TOGETHER: dict[str, str] = TABLE["together"]  # products that are written as one word
+
+
+def spelt(*parts: str) -> dict[str, str]:
+    """What stands in parts of the table, by each of its spellings."""
+    return {text: own for part in parts for own, texts in TABLE[part].items() for text in texts}
+
+
+PLAIN = spelt("bare_names")  # other names of a symbol, which no prefix goes with
+NAMES = spelt("names", "bare_names")
 FORCE = {"kg": 1, "m": 1, "s": -2}
 
 _TOKEN = re.compile(
@@ -228,14 +184,11 @@ def _defined(name: str) -> Quantity:
 def _words() -> dict[str, str]:
     """A word in small letters -> its symbol, with a prefix or without."""
     found = {"feet": "ft", "henries": "henry", "inches": "inch", "mins": "min"}
-    for own, words in WORDS.items():
-        for word in words.split():
-            found |= {word: own, f"{word}s": own}
-            if len(word) > 2:
-                allowed = SYMBOLS[own][1].split()
-                for long, short in LONG.items():
-                    if short in allowed or own in ("gram", "m", "W", "V", "A"):
-                        found |= {f"{long}{word}": f"{short}\0{own}", f"{long}{word}s": f"{short}\0{own}"}
+    for word, own in spelt("words").items():
+        found |= {word: own, f"{word}s": own}
+        for long, short in LONG.items() if len(word) > 2 else ():
+            if short in SYMBOLS[own][1].split() or own in ("gram", "m", "W", "V", "A"):
+                found |= {f"{long}{word}": f"{short}\0{own}", f"{long}{word}s": f"{short}\0{own}"}
     return found
 
 

@@ -1,6 +1,7 @@
 """Headers such as "p_a [bar]", and what becomes of a unit: one of the house's stays, any other is converted to SI.
 
-A text that is neither a product of `quantities`' symbols nor in `spellings`, or that has several readings, is refused.
+A text that is neither a product of `quantities`' symbols nor among the spellings, or that has several readings, is
+refused.
 """
 
 import re
@@ -12,10 +13,12 @@ import numpy as np
 
 from greygate.errors import InputError, shown
 from greygate.names import LONGEST_UNIT
-from greygate.plants.quantities import (
+from greygate.plants.recording import MOST_PARTS, UNITS
+from greygate.plants.units.quantities import (
     FORCE,
     NAMES,
     SYMBOLS,
+    TABLE,
     TOGETHER,
     Quantity,
     Twofold,
@@ -23,27 +26,14 @@ from greygate.plants.quantities import (
     plain,
     quantity,
     ratio,
+    spelt,
     symbol,
 )
-from greygate.plants.readers.spellings import ADVICE, ALONE, GAUGE, PRESSURE, READINGS, SPELT, TEMPERATURE
-from greygate.plants.recording import MOST_PARTS, UNITS
 
-PLAIN = {  # suffix of a name, `n_rpm` -> unit as it is written
-    "rpm": "rpm", "deg": "deg", "deg_s": "deg/s", "mrad": "mrad", "degC": "degC", "mm": "mm", "cm": "cm", "um": "um",
-    "km": "km", "mm_s": "mm/s", "km_h": "km/h", "kN": "kN", "mN": "mN", "kPa": "kPa", "MPa": "MPa", "hPa": "hPa",
-    "mbar": "mbar", "psi": "psi", "mV": "mV", "kV": "kV", "mA": "mA", "kW": "kW",
-    "kHz": "kHz", "L_min": "L/min", "l_min": "L/min", "mm2": "mm^2",
-    "pct": "percent", "percent": "percent", "mNm": "mN m", "kNm": "kN m",
-    "bara": "bara", "barg": "barg", "psia": "psia", "psig": "psig", "degF": "degF",
-}  # fmt: skip
-SI = (
-    "1", "m", "s", "kg", "A", "K", "rad", "N", "Pa", "J", "W", "V", "coulomb", "farad", "ohm", "henry", "T", "Hz",
-    "m/s", "m/s^2", "m/s^3", "m^2", "m^3", "m^3/s", "kg/s", "N/m", "N s/m", "kg m^2", "kg/m^3", "Pa s", "Pa/s", "m^2/s",
-    "kg m", "N s", "rad/s", "rad/s^2", "rad/s^3", "N m/rad", "N m s/rad", "m/rad", "m^3/rad", "V s/rad", "V s/m",
-    "V/m", "V/s", "A/s", "K/s", "W/K", "J/K", "J/(kg K)", "W/(m K)", "W/(m^2 K)", "N/A", "N m s", "1/m", "1/K",
-    "1/rad", "rad/m", "siemens", "siemens/m", "Wb", "m^3/(s Pa)", "A/V",
-)  # fmt: skip
-"""What a unit becomes: the first that is of its kind."""
+SPELT = spelt("spellings")  # a whole unit as `quantities.plain` has it -> the unit in the symbols there
+READINGS = spelt("readings")  # a factor, or a whole unit -> what it may be, each with its meaning; ? has no unit here
+SUFFIXES: dict[str, str] = TABLE["suffixes"]  # of a name, `n_rpm` -> unit as it is written
+SI: list[str] = TABLE["si"]  # what a unit becomes: the first that is of its kind
 FORCES = ("N m", "N s/m", "N m/A")  # of `SI`: also J, kg/s and Wb
 LONGEST = 256  # characters of a header
 MOST_READINGS = 16  # of a product
@@ -54,6 +44,44 @@ _BRACKETS = re.compile(
 _SLASH = re.compile(r"\s*(?P<name>[^/]+?)\s+/\s+(?P<unit>\S.*?)\s*")
 _IN = re.compile(r"\s*(?P<name>\S.*?)\s+in\s+(?P<unit>\S+)\s*")
 _COMMA = re.compile(r"\s*(?P<name>[^,:;]+?)\s*[,:;]\s*(?P<unit>[^,:;]+?)\s*")
+
+ALONE = frozenset({"h", "d", "t", "l"})  # of `READINGS`: in a product they are the unit
+
+_RANGE = "a part of a range that is not told; multiply by it, or write percent or 1"
+_LOGARITHM = "a logarithm of a ratio; convert it to the quantity itself"
+_PER_RPM = "over turns a minute or over 1/min, of which 2 pi lie between; write rpm below the slash, or min above it"
+_STANDARD = "a volume at a standard state, so a mass; convert it to kg/s, or to m^3/s as it flows"
+_SIZE = "the size of an oscillation, not a value at each time; write V or A if it is meant so"
+ADVICE = (
+    (
+        re.compile(r"%\s*(?:of\s+)?(?:F\.?\s?S\.?|FSO|FSR|full scale|span|max|v\.?E\.?)|p\.?\s?u\.?|per unit", re.I),
+        _RANGE,
+    ),
+    (re.compile(r".+/\s*(?:min\^?-1|\((?:1/min|min\^?-1)\))"), _PER_RPM),
+    (re.compile(r"dB\w*|dB\s*\(\w*\)|Np|neper|pH|bel", re.I), _LOGARITHM),
+    (
+        re.compile(
+            r"(?:std|st|s|n)\s?(?:l|ltr)(?:/min|/h|/s|pm|m)|scc?cm|sccm|scf[mh]|[ns]m\^?3(?:/\w+)?|m\^?3n(?:/\w+)?|ln/\w+",
+            re.I,
+        ),
+        _STANDARD,
+    ),
+    (re.compile(r"[mkuM]?[VA][\s_]?(?:rms|RMS|pp|PP|p-p|pk-pk|pk|p|peak|eff|ac|AC)"), _SIZE),
+)
+"""What is no unit of a value at a time, and what to do about it."""
+PRESSURE = re.compile(
+    r"(?P<base>..+?)(?:\s*[([_\s-]\s*(?P<apart>absolute|absolut|abs|a|gauge|gage|ga|g|relative|relativ|rel|ü|ue|"
+    r"differential|diff|d)\.?\s*[)\]]?|(?P<joined>abs|a|g|d|ü))",
+    re.I,
+)
+"""A pressure and what it counts from: bar(a), psig, kPa abs, mbar rel."""
+GAUGE = "grüu"  # what begins so counts from the ambient pressure
+TEMPERATURE = re.compile(
+    r"(?<![^\W\d_])(?P<milli>m|milli)?(?:deg(?:ree)?s?|°)[\s._]{0,2}(?P<of>c(?:elsius)?|f(?:ahrenheit)?|k(?:elvin)?)(?![^\W\d_])"
+    r"|(?<![^\W\d_])(?:grad\s)(?P<grad>c)(?![^\W\d_])|(?<![^\W\d_])(?:grad\s)?(?P<word>celsius|fahrenheit|centigrade)(?![^\W\d_])",
+    re.I,
+)
+"""deg C, °c, degrees_F, Grad Celsius, also within a product."""
 
 
 def split(header: str, where: str) -> tuple[str, str | None]:
@@ -81,8 +109,8 @@ def suffixed(header: str) -> tuple[str, str | None]:
     parts = header.strip().split("_")
     for start in range(max(1, len(parts) - MOST_PARTS), len(parts)):
         suffix = "_".join(parts[start:])
-        if suffix in UNITS or suffix in PLAIN:
-            return "_".join(parts[:start]), UNITS.get(suffix) or PLAIN[suffix]
+        if suffix in UNITS or suffix in SUFFIXES:
+            return "_".join(parts[:start]), UNITS.get(suffix) or SUFFIXES[suffix]
         if _SIGN.search(suffix) and _is_unit(suffix):
             return "_".join(parts[:start]), suffix
     return header.strip(), None
@@ -136,13 +164,13 @@ def factor(unit: str, wanted: str) -> float | None:
 @lru_cache(4096)
 def _scale(unit: str, wanted: str | None) -> tuple[float, float, str]:
     """(factor, zero, unit): what 1 and 0 of the unit are there. Raises InputError without a place."""
-    spelt = _read(unit, wanted)
-    given = quantity(spelt)
+    symbols = _read(unit, wanted)
+    given = quantity(symbols)
     if wanted is not None:
         if (found := _ratio(given, wanted)) is None:
             raise InputError(f"is in {unit}, which cannot be converted to {wanted}")
         return *found, wanted
-    forces = FORCES if _has_force(spelt) else ()
+    forces = FORCES if _has_force(symbols) else ()
     for name in (*forces, *(unit for unit in UNITS.values() if unit not in FORCES)):
         if quantity(name) == given:
             return 1.0, 0.0, name
@@ -159,11 +187,10 @@ def _ratio(given: Quantity, wanted: str) -> tuple[float, float] | None:
         return None
 
 
-def _has_force(spelt: str) -> bool:
+def _has_force(unit: str) -> bool:
     """Whether a unit is written with a force: then a torque is no energy, and a damping no flow of mass."""
-    return any(
-        symbol(name).powers == FORCE or (name in TOGETHER and _has_force(TOGETHER[name])) for name, _ in factors(spelt)
-    )
+    names = [name for name, _ in factors(unit)]
+    return any(symbol(n).powers == FORCE or (n in TOGETHER and _has_force(TOGETHER[n])) for n in names)
 
 
 def _read(unit: str, wanted: str | None = None) -> str:
@@ -187,7 +214,7 @@ def _read(unit: str, wanted: str | None = None) -> str:
         fits = [r for r in read if r[0] != "?" and _ratio(quantity(r[0]), wanted) is not None]
         read = fits if len(fits) == 1 else read
     if len(read) > 1:
-        write = " or ".join(dict.fromkeys(spelt for spelt, _ in read if spelt != "?")) or "what is meant"
+        write = " or ".join(dict.fromkeys(symbols for symbols, _ in read if symbols != "?")) or "what is meant"
         raise InputError(f"the unit {text} is {' or '.join(means for _, means in read)}; write {write}")
     return read[0][0]
 
@@ -227,11 +254,11 @@ def _readings(text: str) -> list[tuple[str, str]]:
         raise ValueError(text)
     made = []
     for choice in every(*parts.values()):
-        spelt = text
+        made_of = text
         for name, (unit, means) in zip(parts, choice, strict=True):
             inner = f"({means if unit == '?' else unit})" if unit == "?" or re.search(r"[ /^]", unit) else unit
-            spelt = re.sub(rf"(?<![^\W\d_]){re.escape(name)}(?![^\W\d_])", inner, spelt)
-        made.append(("?" if any(unit == "?" for unit, _ in choice) else spelt, spelt))
+            made_of = re.sub(rf"(?<![^\W\d_]){re.escape(name)}(?![^\W\d_])", inner, made_of)
+        made.append(("?" if any(unit == "?" for unit, _ in choice) else made_of, made_of))
     if not any(unit != "?" and quantity(unit) for unit, _ in made):
         raise ValueError(text)
     return made
