@@ -14,15 +14,20 @@ import numpy as np
 
 from greygate.machines.belt_drive import plant as rig
 from greygate.machines.belt_drive import study
-from greygate.machines.belt_drive.network import DIRECTIONS, E, belt_machine
-from greygate.machines.belt_drive.study import ENGAGED, SCENARIOS, legs
+from greygate.machines.belt_drive.network import DIRECTIONS, E, X, belt_machine
+from greygate.machines.belt_drive.study import ENGAGED, SCENARIOS, legs, records
 from greygate.machines.catalog import entry
-from greygate.models.accuracy import rms
+from greygate.models.accuracy import free_run_rms, rms
 from greygate.models.families.blocks import feedforward
 from greygate.models.families.radial import rbf as radial_fit
+from greygate.models.families.recurrent import elman as elman_network
+from greygate.models.families.recurrent import frnn
+from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
+from greygate.models.training.levenberg import Trained, train
 from greygate.models.training.record import Record
 from greygate.plants.simulator import simulate
+from greygate.progress import Progress, silent
 
 from .descent import gradient_descent
 from .shared import say, stopwatch
@@ -122,20 +127,59 @@ def scored(name: str, speed: float | None = None, **values: float) -> dict[str, 
     return {"overall": rms(error), "major": rms(error[major]), "minor": rms(error[~major])}
 
 
+BASELINES = ("elman", "noe", "frnn")
+BASELINE_STEP = 40  # a baseline reads every 40th sample of the training recording, about the thesis's 1067 samples
+
+
+def baseline(kind: str, neurons: int, seed: int = 0, epochs: int = 125, seconds: float = 3600.0) -> Trained:
+    """A black box of table 4.1 on x(k), x(k-1), x(k-2), trained for the thesis's epochs on its number of samples.
+
+    seconds: time limit, after which training stops with the weights that it has.
+    """
+    taps = {X: (0, 1, 2)}
+    if kind == "noe":
+        network = noe("noe", taps, E, (1,), [neurons], seed, bypass=False)
+    else:
+        network = {"elman": elman_network, "frnn": frnn}[kind](kind, taps, [E], [neurons], seed)
+    sparse = thinned(records()["training"])
+    return train(network, [sparse], epochs=epochs, decay=1e-6, seconds=seconds)
+
+
+def thinned(record: Record) -> Record:
+    """Every `BASELINE_STEP`-th sample."""
+    inputs, targets = ({n: v[::BASELINE_STEP] for n, v in part.items()} for part in (record.inputs, record.targets))
+    return Record(inputs, targets)
+
+
+def baselines(sizes: tuple[int, ...] = (10, 25, 50), progress: Progress = silent) -> dict[str, dict]:
+    """RMS in um of each black box: on the samples it was trained on, and on s1 to s4 at the same rate."""
+    found = {}
+    for kind in BASELINES:
+        for neurons in sizes:
+            fit = baseline(kind, neurons)
+            names = ("training", *SCENARIOS)
+            um = [1e6 * free_run_rms(fit.network, thinned(records()[name]))["e"] for name in names]
+            done = {"epochs": len(fit.history) - 1, "seconds": fit.seconds}
+            found[f"{kind} {neurons}"] = {"um": dict(zip(names, um, strict=True))} | done
+            told = " ".join(f"{v:.1f}" for v in um)
+            progress(f"{kind} {neurons}: {told} um, {done['epochs']} epochs, {fit.seconds:.0f} s")
+    return found
+
+
 def black_boxes() -> dict:
     """Table 4.1: RMS in um in training and on s1 to s4, epochs, seconds."""
-    return {"found": study.baselines(progress=say)}
+    return {"found": baselines(progress=say)}
 
 
 def elman() -> dict:
     """Figures 4.8 and 4.9: the error in um and what an Elman network of 10 neurons says, in training and on s2."""
-    network = study.baseline("elman", 10).network
+    network = baseline("elman", 10).network
     found = {}
     for name in ("training", "s2"):
-        record = study.thinned(study.records()[name])
+        record = thinned(study.records()[name])
         told = network.run(record.inputs)["e"]
         found[name] = {"true": _um(record.targets["e"]), "told": _um(told)}
-    return {"period": study.BASELINE_STEP * rig.SAMPLE_TIME, "um": found}
+    return {"period": BASELINE_STEP * rig.SAMPLE_TIME, "um": found}
 
 
 def _um(values: np.ndarray) -> list[float]:

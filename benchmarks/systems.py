@@ -17,22 +17,17 @@ from functools import partial
 from itertools import repeat
 from time import process_time
 
-from greygate.machines.benchmark_systems.study import (
-    AGAIN,
-    SYSTEMS,
-    System,
-    figures,
-    identify,
-    prune_guarded,
-    prune_neurons,
-    prune_weights,
-    rms,
-    training_again,
-)
+import numpy as np
+
+from greygate.machines.benchmark_systems.plant import b1, b1_input
+from greygate.machines.benchmark_systems.study import B2, THESIS, System, U, Y, figures, identify, prune_weights, rms
+from greygate.models.families.blocks import nguyen_widrow
+from greygate.models.families.regression import noe
 from greygate.models.network import Network
+from greygate.models.prune import Round, prune_by_entropy, remove_neurons
 from greygate.models.prune import entropies as entropies_of
-from greygate.models.prune import remove_neurons
 from greygate.models.training.levenberg import train
+from greygate.models.training.record import Record
 from greygate.progress import Progress, silent
 
 from .shared import say, stopwatch
@@ -41,9 +36,108 @@ from .thesis.grouped import ROUNDS, emptied, train_grouped
 TAKES = "an hour"
 SEEDS = 10
 JOBS = 2
+
+THESIS_B1 = {
+    "b1_10": {"mse": 1.38e-6, "seconds": 57 + 57},
+    "b1_30": {"mse": 7.4e-10, "seconds": 98 + 63, "pruned_neurons": 22},
+}
+ALLOWED = {"b1_30": THESIS_B1["b1_30"]["mse"], "b2": THESIS["pruned_mse"]}  # training MSE of a pruned network
+AGAIN = 500, 500  # epochs of a network that lost neurons: one step ahead, as in table 3.3, and in free run
+GUARDED = 150, 150  # the same, where held-out records end the free run's
 STRENGTHS = 1e-6, 1e-5, 5e-5, 1e-4  # of the group lasso that makes neurons prunable,
 DECAYS = 1e-4, 1e-3, 1e-2, 0.1  # and of a decay that does
 PULLED = 150  # epochs of each of its trainings
+TRIES = 8  # neurons in a row that may not be removed, before the guarded loop ends
+
+
+def _b1(neurons: int) -> System:
+    return System(
+        f"b1_{neurons}",
+        b1,
+        lambda seed: nguyen_widrow(noe("b1", {U: (1,)}, Y, (1, 2), (neurons,), seed, bypass=False), seed),
+        b1_input,
+        (b1_input(1000),),
+        b1_input(2000, 1000),
+        (400, 200),
+        3,
+        1e-3 if neurons == 10 else 5e-4,
+        5e-4,
+        22 * 5 + 1,
+    )
+
+
+SYSTEMS = {"b1_10": _b1(10), "b1_30": _b1(30), "b2": B2}
+
+
+def prune_neurons(
+    system: System, seed: int, network: Network, onto_others: bool = False, progress: Progress = silent
+) -> tuple[Network, list[Round]]:
+    """Remove neurons by the loop of figure 3.7, as long as the training error stays at that of the thesis's network.
+
+    A smaller network is trained again as the first one was: one step ahead, and then in free run; what trains in free
+    run alone counts, if it is better. onto_others: of `remove_neurons`.
+    """
+    training = [system.record(system.excite(seed))]
+    again = _again(f"{system.name}, seed {seed}", training, training, AGAIN, progress)
+    bound = np.sqrt([ALLOWED[system.name]])
+    return prune_by_entropy(network, training, again, bound, onto_others=onto_others)
+
+
+def prune_guarded(
+    system: System, seed: int, network: Network, onto_others: bool = False, progress: Progress = silent
+) -> tuple[Network, list[Round]]:
+    """Remove neurons by the loop of figure 3.7, checked in free run on the held-out records.
+
+    Their RMS error may rise to `spare`, or stay where it is if that is larger, as for `prune_weights`. Training in free
+    run stops on them, too. Where the neuron of lowest entropy may not go, the next ones are tried.
+    """
+    training, held = [system.record(system.excite(seed))], [system.record(u) for u in system.held]
+    again = _again(f"{system.name}, seed {seed}", training, held, GUARDED, progress, held=held, patience=60)
+    bound = np.array([max(rms(network, held), system.spare)])
+    return prune_by_entropy(network, training, again, bound, held=held, onto_others=onto_others, tries=TRIES)
+
+
+def prune_penalised(
+    system: System, seed: int, network: Network, grouped: bool, progress: Progress = silent
+) -> tuple[Network, float]:
+    """(the smallest network, the strength) of a training with a group lasso, or with a decay, that empties neurons.
+
+    These are removed, and what is left is trained without. Bound and judges are those of `prune_guarded`; nothing but
+    the strength is tried.
+    """
+    training, held = [system.record(system.excite(seed))], [system.record(u) for u in system.held]
+    title = f"{system.name}, seed {seed}"
+    again = _again(title, training, held, AGAIN, progress, held=held, patience=250)
+    bound, best = max(rms(network, held), system.spare), (network, 0.0)
+    for strength in STRENGTHS if grouped else DECAYS:
+        if grouped:
+            pulled = train_grouped(network, training, strength, epochs=PULLED)
+        else:
+            pulled = train(network, training, epochs=ROUNDS * PULLED, decay=strength).network.flatten()
+        if not (empty := emptied(pulled)):
+            continue
+        smaller = again(remove_neurons(pulled, training, empty, onto_others=False))
+        if smaller.neurons() < best[0].neurons() and rms(smaller, held) <= bound:
+            best = smaller, strength
+    return best
+
+
+def _again(
+    title: str, training: list[Record], judges: list[Record], epochs: tuple[int, int], progress: Progress, **options
+) -> Callable[[Network], Network]:
+    """What trains a smaller network again: in free run as it is, and after one step ahead; the better one by `judges`.
+
+    epochs: one step ahead, in free run. options: of `train` in free run.
+    """
+
+    def again(smaller: Network) -> Network:
+        ahead = train(smaller, training, teacher=True, epochs=epochs[0], tolerance=1e-5).network
+        runs = [train(n, training, epochs=epochs[1], tolerance=1e-5, **options).network for n in (smaller, ahead)]
+        best = min(runs, key=lambda run: np.nan_to_num(rms(run, judges), nan=np.inf))
+        progress(f"{title}: {best.neurons()} neurons, RMS {rms(best, judges):.2g}")
+        return best
+
+    return again
 
 
 def identified(system: System, seed: int, network: Network, found: dict) -> dict:
@@ -67,31 +161,6 @@ def _both_ways(loop: Callable, system: System, seed: int, network: Network) -> d
         found["cpu_seconds"] = watch(1)
         out[f"{system.name} {name}"] = figures(system, smaller, seed) | found
     return out
-
-
-def prune_penalised(
-    system: System, seed: int, network: Network, grouped: bool, progress: Progress = silent
-) -> tuple[Network, float]:
-    """(the smallest network, the strength) of a training with a group lasso, or with a decay, that empties neurons.
-
-    These are removed, and what is left is trained without. Bound and judges are those of `prune_guarded`; nothing but
-    the strength is tried.
-    """
-    training, held = [system.record(system.excite(seed))], [system.record(u) for u in system.held]
-    title = f"{system.name}, seed {seed}"
-    again = training_again(title, training, held, AGAIN, progress, held=held, patience=250)
-    bound, best = max(rms(network, held), system.spare), (network, 0.0)
-    for strength in STRENGTHS if grouped else DECAYS:
-        if grouped:
-            pulled = train_grouped(network, training, strength, epochs=PULLED)
-        else:
-            pulled = train(network, training, epochs=ROUNDS * PULLED, decay=strength).network.flatten()
-        if not (empty := emptied(pulled)):
-            continue
-        smaller = again(remove_neurons(pulled, training, empty, onto_others=False))
-        if smaller.neurons() < best[0].neurons() and rms(smaller, held) <= bound:
-            best = smaller, strength
-    return best
 
 
 def penalised(system: System, seed: int, network: Network, found: dict) -> dict:

@@ -8,9 +8,11 @@ laps            networks of under- and overlapped valves in the place of the tra
 from greygate.machines import catalog
 from greygate.machines.valve_cylinder.plant import CYLINDER, valve_cylinder
 from greygate.machines.valve_cylinder.scenarios import measure, scenario
-from greygate.machines.valve_cylinder.study import FLOW_SEED, record, swap_flow
+from greygate.machines.valve_cylinder.study import FLOW_SEED, assemble, record
 from greygate.models.accuracy import free_run_rms
+from greygate.models.adaptation import adopt
 from greygate.models.families.blocks import feedforward, fit_flow, flow_record
+from greygate.models.network import Network
 from greygate.models.training.levenberg import train
 from greygate.models.training.record import Record
 
@@ -38,6 +40,12 @@ def architectures() -> dict:
         }
         say(name, found[name])
     return {"networks": found}
+
+
+def swap_flow(network: Network, flow: Network) -> Network:
+    """The SRNN with another valve's flow network in the place of both of its own (thesis 5.4.3)."""
+    divider = feedforward("divider", ["omega", "gamma"], [20], 0)
+    return adopt(assemble(flow, divider), network, ("pa.divider", "pb.divider", "speed_a", "speed_b"))
 
 
 def rig(lap: float) -> Record:

@@ -1,9 +1,9 @@
 import numpy as np
 
+from benchmarks.valve_flow import swap_flow
 from greygate.machines.catalog import entry
 from greygate.machines.valve_cylinder.network import V_SCALE
 from greygate.machines.valve_cylinder.plant import spool_discrete, valve_cylinder
-from greygate.machines.valve_cylinder.study import swap_flow
 from greygate.models.families.blocks import feedforward, flow_rate, flow_record, nguyen_widrow
 from greygate.models.families.regression import noe
 from greygate.models.network import Layer, Port

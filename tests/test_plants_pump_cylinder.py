@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from greygate.errors import InputError
-from greygate.machines.pump_cylinder.plant import DIFFERENCES, PUMP_CYLINDER, SENSORS, measure, pump_cylinder, record
+from greygate.machines.pump_cylinder.plant import DIFFERENCES, SENSORS, measure, pump_cylinder, record
 from greygate.plants.simulator import simulate
 
-K = {symbol: p.value for symbol, p in PUMP_CYLINDER.items()}
+K = {symbol: p.value for symbol, p in pump_cylinder().parameters.items()}
 
 
 def run(

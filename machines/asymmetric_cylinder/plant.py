@@ -5,42 +5,21 @@ the laboratory. `record` drives the rig and reads it through noisy sensors, conv
 The thesis's own recordings were never published.
 """
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 
 from greygate.errors import InputError
 from greygate.machines.valve_cylinder.plant import valve_cylinder
 from greygate.plants.excitation import chirp, prms
-from greygate.plants.plant import Equation, Parameter, Plant, State
+from greygate.plants.plant import Plant, read_entries
 from greygate.plants.preparation import filtered
 from greygate.plants.recording import Recording
 from greygate.plants.simulator import simulate
 
-BENCH = {
-    "area_a": Parameter(1963.5e-6, "m^2", meaning="cap side"),
-    "area_b": Parameter(1001.4e-6, "m^2", meaning="rod side"),
-    "v_a0": Parameter(154387e-9, "m^3", meaning="cap side volume at the centre, with its pipe"),
-    "v_b0": Parameter(82455e-9, "m^3", meaning="rod side volume at the centre, with its pipe"),
-    "x_max": Parameter(0.05, "m", meaning="stroke either side of the centre"),
-    "mass": Parameter(12.3, "kg", meaning="steel plate and rod"),
-    "gravity": Parameter(9.81, "m/s^2", meaning="against extension"),
-    "viscous": Parameter(0.0, "N s/m", meaning="in the LuGre friction here"),
-    "stiffness": Parameter(0.0, "N/m", meaning="no spring"),
-    "sigma0": Parameter(12e5, "N/m", meaning="LuGre bristle stiffness (chapter 6)"),
-    "sigma1": Parameter(2600.0, "N s/m", meaning="LuGre bristle damping (chapter 6)"),
-    "sigma2": Parameter(2600.0, "N s/m", meaning="LuGre viscous friction (chapter 6)"),
-    "f_coulomb": Parameter(330.0, "N", meaning="Coulomb friction (chapter 6)"),
-    "f_static": Parameter(360.0, "N", meaning="static friction (chapter 6)"),
-    "v_stribeck": Parameter(0.1, "m/s", meaning="Stribeck velocity (chapter 6)"),
-    "bulk_modulus": Parameter(1.3e9, "Pa", 0.15, "of the oil"),
-    "p_air": Parameter(0.0, "Pa", meaning="absolute pressure at which entrained air doubles the oil's compliance"),
-    "k_valve": Parameter(2.138e-8, "m^(7/2)/(kg^(1/2) V)", 0.1, "flow gain; 24 l/min at 35 bar an edge, 10 V"),
-    "u_max": Parameter(10.0, "V", meaning="full spool stroke, as the valve's driver gives it"),
-    "overlap": Parameter(0.0, "V", meaning="lap of all four edges: > 0 closed centre"),
-    "omega_n": Parameter(630.0, "rad/s", meaning="spool under its position controller"),
-    "zeta": Parameter(0.8, "1", meaning="spool under its position controller"),
-    "k_position": Parameter(0.0, "V/m", meaning="gain of the position loop around the valve"),
-    "q_max": Parameter(4e-4, "m^3/s", meaning="nominal flow, by which networks are normalised"),
-}
+OWN = read_entries(Path(__file__).parent / "simulated" / "bench.toml")
+BENCH = OWN["parameters"]
 """Thesis table 5.5, and chapter 6 for what it leaves out of the same bench."""
 
 SUPPLY = {"f_relief": 1500.0, "p_gas0": 1.2e7}
@@ -58,7 +37,6 @@ DIFFERENCES = {
 """The rig against its data sheets: softer oil with air in it, other volumes, a valve with more gain and a little lap,
 a piston seal that leaks. The supply gives way under load, and hysteresis of friction acts, in both."""
 
-ATMOSPHERE = 1e5  # Pa; pressures are gauge
 SAMPLE_TIME = 1e-3
 CONVERTER = 2**-15  # of full scale: 16 bit, signed
 SENSORS = {"u": (10.0, 0.01), "x": (0.05, 2e-5), "p_a": (4e7, 4e4), "p_b": (4e7, 4e4), "p_s": (4e7, 4e4)}
@@ -90,26 +68,9 @@ def asymmetric_cylinder(**values: float) -> Plant:
     p_a = (p_b * bench["area_b"] + bench["mass"] * bench["gravity"]) / bench["area_a"]
     gone = ("area", "i_max", "l_coil", "r_coil", "k_h")
     parameters = {symbol: p for symbol, p in {**plant.parameters, **BENCH}.items() if symbol not in gone}
-    states = {symbol: s for symbol, s in plant.states.items() if symbol != "i"}
-    equations = {name: e for name, e in plant.equations.items() if name != "coil"}
-    spool = {"command": "omega_n**2 * (v_c + k_position * (x_ref - x))"}
-    spool |= {term: text for term, text in equations["spool"].terms.items() if term != "coil"}
-    motion = {**equations["motion"].terms, "pressure": "p_a * area_a - p_b * area_b", "gravity": "-mass * gravity"}
-    equations |= {"spool": Equation("u_dot", spool), "motion": Equation("v", motion, "mass")}
-    for chamber, sign in (("a", "+"), ("b", "-")):
-        piston = f"{'-' if sign == '+' else ''}area_{chamber} * v"
-        volume = f"(v_{chamber}0 {sign} area_{chamber} * x)"
-        equations[f"continuity_{chamber}"] = Equation(
-            f"p_{chamber}",
-            {**equations[f"continuity_{chamber}"].terms, "piston": piston},
-            storage=f"{volume} / bulk_modulus * (1 + p_air / (p_{chamber} + {ATMOSPHERE}))",
-        )
-    states |= {
-        "u": State("V", 0.0, "-u_max", "u_max", rate="u_dot"),
-        "u_dot": State("V/s"),
-        "p_a": State("Pa", p_a, low=0.0),
-        "p_b": State("Pa", p_b, low=0.0),
-    }
+    at_rest = {symbol: replace(OWN["states"][symbol], initial=p) for symbol, p in (("p_a", p_a), ("p_b", p_b))}
+    states = {symbol: s for symbol, s in {**plant.states, **OWN["states"], **at_rest}.items() if symbol != "i"}
+    equations = {name: e for name, e in {**plant.equations, **OWN["equations"]}.items() if name != "coil"}
     plant = Plant(
         "asymmetric_cylinder",
         parameters,

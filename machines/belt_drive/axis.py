@@ -18,7 +18,7 @@ from greygate.control.prediction import Prediction, hats, knots
 from greygate.control.predictive import Aim, Limits, Predictive
 from greygate.control.stepping import Floating
 from greygate.machines.belt_drive.network import X_SCALE, E, X
-from greygate.machines.belt_drive.plant import ENCODER, PARAMETERS, SAMPLE_TIME, SLIP, belt_drive
+from greygate.machines.belt_drive.plant import ENCODER, PLANT, SAMPLE_TIME, SLIP, belt_drive
 from greygate.machines.control import Task
 from greygate.models.network import Layer, Network, Port
 from greygate.models.storage import TRAINED
@@ -108,7 +108,7 @@ class BeltRig:
             phase=rng.uniform(0, 2 * np.pi),
             drift=3e-6 * rng.normal(),
             closing=(1 + 0.06 * rng.normal()) * (LOOSER if case == "load" else 1.0),
-            viscous=PARAMETERS["viscous"].value * (1 + 0.1 * rng.normal()),
+            viscous=PLANT.parameters["viscous"].value * (1 + 0.1 * rng.normal()),
         )
         self._stepper = Stepper(plant, SAMPLE_TIME)
         rough = ROUGH if case == "load" else CALM

@@ -1,4 +1,4 @@
-"""The thesis's benchmark systems B1 and B2 (3.6), identified seed by seed: NARX, free run, pruning.
+"""How the thesis's benchmark systems (3.6) are identified, seed by seed: NARX, free run, pruning; here B2.
 
 A seed draws the training record and every start. Starts are compared on held-out records of the same system; the
 thesis's validation signal enters no choice.
@@ -10,11 +10,11 @@ from time import process_time
 
 import numpy as np
 
-from greygate.machines.benchmark_systems.plant import b1, b1_input, b2, b2_input, b2_test_input
+from greygate.machines.benchmark_systems.plant import b2, b2_input, b2_test_input
 from greygate.models.families.blocks import nguyen_widrow
 from greygate.models.families.regression import noe
 from greygate.models.network import Network, Port
-from greygate.models.prune import Round, prune_by_entropy
+from greygate.models.prune import Round
 from greygate.models.saliency import Method, nonzero, obs, prune_by_saliency
 from greygate.models.simplify import parameter_count
 from greygate.models.training.levenberg import train
@@ -26,22 +26,14 @@ from greygate.progress import Progress, silent
 U, Y = Port("u"), Port("y")
 SHARES = (0.1, 0.05, 0.03, 0.02)  # of the parameters, to be taken out in one round
 THESIS = {
-    "b1_10": {"mse": 1.38e-6, "seconds": 57 + 57},
-    "b1_30": {"mse": 7.4e-10, "seconds": 98 + 63, "pruned_neurons": 22},
-    "b2": {
-        "mse": 8.57e-8,
-        "rmse": 4.2e-3,
-        "seconds": 64 + 190,
-        "pruned_mse": 8.65e-8,
-        "pruned_neurons": 24,
-        "pruned_parameters": 244,
-        "pruned_rmse": 5.2e-3,
-    },
+    "mse": 8.57e-8,
+    "rmse": 4.2e-3,
+    "seconds": 64 + 190,
+    "pruned_mse": 8.65e-8,
+    "pruned_neurons": 24,
+    "pruned_parameters": 244,
+    "pruned_rmse": 5.2e-3,
 }
-ALLOWED = {"b1_30": THESIS["b1_30"]["mse"], "b2": THESIS["b2"]["pruned_mse"]}  # training MSE of a pruned network
-AGAIN = 500, 500  # epochs of a network that lost neurons: one step ahead, as in table 3.3, and in free run
-GUARDED = 150, 150  # the same, where held-out records end the free run's
-TRIES = 8  # neurons in a row that may not be removed, before the guarded loop ends
 
 
 @dataclass(frozen=True)
@@ -69,39 +61,19 @@ class System:
         return Record({"u": u}, {"y": self.plant(u)})
 
 
-def _b1(neurons: int) -> System:
-    return System(
-        f"b1_{neurons}",
-        b1,
-        lambda seed: nguyen_widrow(noe("b1", {U: (1,)}, Y, (1, 2), (neurons,), seed, bypass=False), seed),
-        b1_input,
-        (b1_input(1000),),
-        b1_input(2000, 1000),
-        (400, 200),
-        3,
-        1e-3 if neurons == 10 else 5e-4,
-        5e-4,
-        22 * 5 + 1,
-    )
-
-
-SYSTEMS = {
-    "b1_10": _b1(10),
-    "b1_30": _b1(30),
-    "b2": System(
-        "b2",
-        b2,
-        lambda seed: nguyen_widrow(noe("b2", {U: (1, 2)}, Y, (1, 2, 3), (20, 10), seed, bypass=False), seed),
-        b2_input,
-        (prms(2000, -1, 1, (5, 50), 7), chirp(2000, 1.0, 0.001, 0.05, 1.0)),
-        b2_test_input(),
-        (200, 500),
-        6,
-        1e-3,
-        2e-3,
-        244,
-    ),
-}
+B2 = System(
+    "b2",
+    b2,
+    lambda seed: nguyen_widrow(noe("b2", {U: (1, 2)}, Y, (1, 2, 3), (20, 10), seed, bypass=False), seed),
+    b2_input,
+    (prms(2000, -1, 1, (5, 50), 7), chirp(2000, 1.0, 0.001, 0.05, 1.0)),
+    b2_test_input(),
+    (200, 500),
+    6,
+    1e-3,
+    2e-3,
+    244,
+)
 
 
 def rms(network: Network, records: list[Record]) -> float:
@@ -143,59 +115,8 @@ def figures(system: System, network: Network, seed: int) -> dict:
     }
 
 
-def prune_neurons(
-    system: System, seed: int, network: Network, onto_others: bool = False, progress: Progress = silent
-) -> tuple[Network, list[Round]]:
-    """Remove neurons by the loop of figure 3.7, as long as the training error stays at that of the thesis's network.
-
-    A smaller network is trained again as the first one was: one step ahead, and then in free run; what trains in free
-    run alone counts, if it is better. onto_others: of `remove_neurons`.
-    """
-    training = [system.record(system.excite(seed))]
-    again = training_again(f"{system.name}, seed {seed}", training, training, AGAIN, progress)
-    bound = np.sqrt([ALLOWED[system.name]])
-    return prune_by_entropy(network, training, again, bound, onto_others=onto_others)
-
-
-def prune_guarded(
-    system: System, seed: int, network: Network, onto_others: bool = False, progress: Progress = silent
-) -> tuple[Network, list[Round]]:
-    """Remove neurons by the loop of figure 3.7, checked in free run on the held-out records.
-
-    Their RMS error may rise to `spare`, or stay where it is if that is larger, as for `prune_weights`. Training in free
-    run stops on them, too. Where the neuron of lowest entropy may not go, the next ones are tried.
-    """
-    training, held = [system.record(system.excite(seed))], [system.record(u) for u in system.held]
-    again = training_again(f"{system.name}, seed {seed}", training, held, GUARDED, progress, held=held, patience=60)
-    bound = np.array([max(rms(network, held), system.spare)])
-    return prune_by_entropy(network, training, again, bound, held=held, onto_others=onto_others, tries=TRIES)
-
-
-def training_again(
-    title: str, training: list[Record], judges: list[Record], epochs: tuple[int, int], progress: Progress, **options
-) -> Callable[[Network], Network]:
-    """What trains a smaller network again: in free run as it is, and after one step ahead; the better one by `judges`.
-
-    epochs: one step ahead, in free run. options: of `train` in free run.
-    """
-
-    def again(smaller: Network) -> Network:
-        ahead = train(smaller, training, teacher=True, epochs=epochs[0], tolerance=1e-5).network
-        runs = [train(n, training, epochs=epochs[1], tolerance=1e-5, **options).network for n in (smaller, ahead)]
-        best = min(runs, key=lambda run: np.nan_to_num(rms(run, judges), nan=np.inf))
-        progress(f"{title}: {best.neurons()} neurons, RMS {rms(best, judges):.2g}")
-        return best
-
-    return again
-
-
 def prune_weights(
-    system: System,
-    seed: int,
-    network: Network,
-    allowed: float,
-    weights: Method = obs,
-    progress: Progress = silent,
+    system: System, seed: int, network: Network, allowed: float, weights: Method = obs, progress: Progress = silent
 ) -> tuple[Network, list[Round]]:
     """Prune to `goal` parameters by a method of saliency.
 

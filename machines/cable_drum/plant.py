@@ -8,11 +8,12 @@ slip's sum, from the 37 um by which NOE #9 misses the drum's turn, and from the 
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.plants.plant import Definition, Equation, Parameter, Plant, State
+from greygate.plants.plant import Plant
 from greygate.plants.recording import Recording
 from greygate.plants.simulator import simulate
 
@@ -29,24 +30,7 @@ HOMING = 8  # moves, after which a course comes home
 SAMPLES = {"training": 9_776, "choice": 40_000, "validation": 12_500}
 SEEDS = {"training": 1, "choice": 2, "validation": 3}
 
-PARAMETERS = {
-    "bandwidth": Parameter(60.0, "rad/s", meaning="of the carriage's speed loop"),
-    "radius": Parameter(RADIUS * (1 + 1e-4), "m", 1e-3, "of drum and half a cable"),
-    "ecc": Parameter(36e-6, "m", meaning="eccentricity of the drum"),
-    "ecc_phase": Parameter(0.7, "rad", meaning="where it stands"),
-    "oval": Parameter(3e-6, "m", meaning="ovality of the drum"),
-    "f_drag": Parameter(0.6, "N", 0.05, "bearings and encoder, as force on the cable"),
-    "f_bias": Parameter(0.5, "N", 0.05, "of the guide wheels, which pull one way: slip depends on direction"),
-    "damping": Parameter(4.0, "N s/m", 0.1, "grease: slip depends on speed"),
-    "mass": Parameter(0.2, "kg", meaning="inertia of the drum over radius squared"),
-    "f_grip": Parameter(3.0, "N", meaning="load that doubles the slip per newton at 40 N of tension"),
-    "tension": Parameter(40.0, "N", 0.05, "of the cable"),
-    "rigidity": Parameter(3000.0, "N", 0.1, "AE of the plastic-coated cable, 0.4 mm"),
-    "softening": Parameter(0.3, "1/m", meaning="rise of compliance along the travel"),
-    "v_turn": Parameter(2e-4, "m/s", meaning="speed at which the drag has turned round"),
-    "micro": Parameter(12e-6, "m", meaning="elastic slip that a reversal undoes"),
-    "micro_path": Parameter(4e-3, "m", meaning="travel after which it has turned"),
-}
+PLANT = Plant.read(Path(__file__).parent / "simulated" / "cable_drum.toml")
 
 ANOTHER_DAY = {"tension": 0.975, "f_drag": 1.05, "f_bias": 1.05, "damping": 0.925, "micro": 7 / 6}
 """Factor of each parameter that differs in validation."""
@@ -57,52 +41,9 @@ DRIFT, DRIFT_TIME = 0.04, 60.0
 def cable_drum(**values: float) -> Plant:
     """Inputs `v_ref` (m/s), the carriage's speed as commanded, and `warmth` (1), the relative change of slip.
 
-    Slip per travel is load / rigidity, as creep theory has it for a belt (Grashof 1883). States `x` (carriage), `v`,
-    `phi` (drum, rad), `slip` and `micro_slip` (m). Raises InputError for an unknown parameter.
+    States `x` (carriage), `v`, `phi` (drum, rad), `slip` and `micro_slip` (m). Raises InputError for another parameter.
     """
-    plant = Plant(
-        "cable_drum",
-        PARAMETERS,
-        {"v_ref": "m/s", "warmth": "1"},
-        {"x": State("m"), "v": State("m/s"), "phi": State("rad"), "slip": State("m"), "micro_slip": State("m")},
-        {
-            "carriage": Equation("x", {"speed": "v"}),
-            "speed_loop": Equation("v", {"drive": "bandwidth * (v_ref - v)"}),
-            "drum": Equation(
-                "phi",
-                {"rolling": "v", "slip": "-slip_rate", "micro_slip": "-micro_rate"},
-                storage="radius + ecc * cos(phi + ecc_phase) + 2 * oval * cos(2 * phi)",
-            ),
-            "slipping": Equation("slip", {"creep": "slip_rate"}),
-            "bristles": Equation("micro_slip", {"rate": "micro_rate"}),
-        },
-        ("x", "v", "phi", "slip", "micro_slip"),
-        {
-            "load": Definition(
-                "load",
-                "N",
-                {
-                    "drag": "f_drag * tanh(v / v_turn)",
-                    "bias": "f_bias",
-                    "grease": "damping * v",
-                    "inertia": "mass * bandwidth * (v_ref - v)",
-                },
-            ),
-            "compliance": Definition(
-                "compliance",
-                "1/N",
-                {
-                    "cable": "(1 + softening * (x - 0.3)) / rigidity",
-                    "grip": "(load * 40 / (f_grip * tension))**2 / rigidity",
-                },
-            ),
-            "creep": Definition(
-                "slip_rate", "m/s", {"creep": "(1 + warmth) * 40 / tension * load * compliance * abs(v)"}
-            ),
-            "presliding": Definition("micro_rate", "m/s", {"bristles": "(micro * v - abs(v) * micro_slip)/micro_path"}),
-        },
-    )
-    return plant.with_parameters(**values)
+    return PLANT.with_parameters(**values)
 
 
 def moves(samples: int, seed: int, home_every: int = 0) -> np.ndarray:

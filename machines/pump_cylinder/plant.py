@@ -6,50 +6,18 @@ and converters. The thesis's own recordings were never published.
 """
 
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
 from greygate.errors import InputError
 from greygate.plants.excitation import chirp, prms
-from greygate.plants.plant import Definition, Equation, Parameter, Plant, State
+from greygate.plants.plant import Plant
 from greygate.plants.recording import Recording
 from greygate.plants.simulator import simulate
 
-PUMP_CYLINDER = {
-    "mass": Parameter(12.3, "kg"),
-    "gravity": Parameter(9.81, "m/s^2", meaning="against extension"),
-    "area_a": Parameter(1963.5e-6, "m^2", meaning="cap side"),
-    "area_b": Parameter(1001.4e-6, "m^2", meaning="rod side"),
-    "v_a0": Parameter(1.4258e-4, "m^3", meaning="cap side volume at the centre"),
-    "v_b0": Parameter(7.6821e-5, "m^3", meaning="rod side volume at the centre"),
-    "x_max": Parameter(0.05, "m", meaning="stroke either side of the centre"),
-    "bulk_modulus": Parameter(1.3e9, "Pa", meaning="of the oil"),
-    "p_air": Parameter(0.0, "Pa", meaning="absolute pressure at which entrained air doubles the oil's compliance"),
-    "displacement_1": Parameter(15.6e-6, "m^3", meaning="pump 1, a revolution"),
-    "displacement_2": Parameter(15.6e-6, "m^3", meaning="pump 2, a revolution"),
-    "ripple": Parameter(0.0, "1", meaning="of either pump's flow, nine times a revolution"),
-    "c_i": Parameter(1.027e-12, "m^3/(Pa s)", meaning="internal leakage of a pump"),
-    "c_ea": Parameter(1.2e-13, "m^3/(Pa s)", meaning="external leakage, side A"),
-    "c_eb": Parameter(1.2e-13, "m^3/(Pa s)", meaning="external leakage, side B"),
-    "c_seal": Parameter(0.0, "m^(7/2)/kg^(1/2)", meaning="turbulent leakage past the piston"),
-    "warming": Parameter(0.0, "1", meaning="rise of laminar leakage once the oil is warm"),
-    "t_warm": Parameter(60.0, "s", meaning="time constant of the oil's warming"),
-    "t_drive": Parameter(3e-3, "s", meaning="lag of a drive's speed"),
-    "n_max": Parameter(20.0, "rev/s", meaning="limit of a drive's speed"),
-    "sigma0": Parameter(12e5, "N/m", meaning="LuGre bristle stiffness"),
-    "sigma1": Parameter(2600.0, "N s/m", meaning="LuGre bristle damping"),
-    "sigma2": Parameter(2600.0, "N s/m", meaning="LuGre viscous friction"),
-    "f_coulomb": Parameter(330.0, "N", meaning="Coulomb friction"),
-    "f_static": Parameter(360.0, "N", meaning="static friction"),
-    "v_stribeck": Parameter(0.1, "m/s", meaning="Stribeck velocity"),
-    "p_sum": Parameter(12e6, "Pa", meaning="sum of the pressures that it starts with"),
-    "ratio": Parameter(1963.5 / 1001.4 - 1, "1", meaning="gamma - 1, dynamic speed of pump 1 over that of pump 2"),
-    "offset_ratio": Parameter(-1.2294, "1", meaning="lambda, offset of pump 1 over that of pump 2"),
-    "psi": Parameter(-0.0265e-6, "rev/(s Pa)", meaning="offset of pump 2 over the sum of the pressures"),
-    "k_sum": Parameter(1.0, "1/s", meaning="integral gain of the loop of the sum; 0: feedforward alone"),
-    "k_position": Parameter(1500.0, "rev/(s m)", meaning="gain of the position loop"),
-}
-"""Thesis table 6.1; what it does not print (drives, loops) is ours."""
+PLANT = Plant.read(Path(__file__).parent / "simulated" / "pump_cylinder.toml")
+"""Thesis table 6.1."""
 
 DIFFERENCES = {
     "bulk_modulus": 1.15e9,
@@ -84,7 +52,6 @@ SENSORS = {
 """Channel -> full scale, RMS of its white noise, resolution, all in the channel's unit."""
 SETTLING = 3000  # samples before a record begins
 
-_ATMOSPHERE = 1e5  # Pa; pressures are gauge
 RECORDS = {
     "training": (10_001, 1),
     "chirp": (50_000, 2),
@@ -104,86 +71,7 @@ def pump_cylinder(**values: float) -> Plant:
     n_ref plus an offset, and n_1 = (gamma - 1) times that plus an offset of its own (6.2, 6.4). The loop of the sum
     integrates `p_ref - p_a - p_b`. Raises InputError for an unknown parameter.
     """
-    leak = "(1 + warming * warm)"
-    air = {c: f"(1 + p_air / (p_{c} + {_ATMOSPHERE}))" for c in "ab"}
-    plant = Plant(
-        "pump_cylinder",
-        PUMP_CYLINDER,
-        {"x_ref": "m", "n_ref": "rev/s", "p_ref": "Pa"},
-        {
-            "x": State("m", 0.0, "-x_max", "x_max", rate="v"),
-            "v": State("m/s"),
-            "z": State("m"),
-            "n_1": State("rev/s", "psi * offset_ratio * p_sum", "-n_max", "n_max"),
-            "n_2": State("rev/s", "psi * p_sum", "-n_max", "n_max"),
-            "turned_1": State("rev"),
-            "turned_2": State("rev"),
-            "trim": State("Pa"),
-            "warm": State("1"),
-            "p_a": State("Pa", "(p_sum * area_b + mass * gravity) / (area_a + area_b)", low=0.0),
-            "p_b": State("Pa", "(p_sum * area_a - mass * gravity) / (area_a + area_b)", low=0.0),
-        },
-        {
-            "position": Equation("x", {"velocity": "v"}),
-            "motion": Equation(
-                "v",
-                {"pressure": "p_a * area_a - p_b * area_b", "gravity": "-mass * gravity", "friction": "-f_friction"},
-                "mass",
-            ),
-            "bristle": Equation("z", {"slip": "z_dot"}),
-            "drive_1": Equation(
-                "n_1", {"dynamic": "ratio * n_dynamic", "offset": "offset_ratio * offset", "own": "-n_1"}, "t_drive"
-            ),
-            "drive_2": Equation("n_2", {"command": "n_dynamic + offset", "own": "-n_2"}, "t_drive"),
-            "shaft_1": Equation("turned_1", {"speed": "n_1"}),
-            "shaft_2": Equation("turned_2", {"speed": "n_2"}),
-            "sum": Equation("trim", {"error": "k_sum * (p_ref - p_a - p_b)"}),
-            "oil": Equation("warm", {"warming": "1 - warm"}, "t_warm"),
-            "continuity_a": Equation(
-                "p_a", {"pumps": "q_a", "piston": "-area_a * v"}, f"(v_a0 + area_a * x) / bulk_modulus * {air['a']}"
-            ),
-            "continuity_b": Equation(
-                "p_b", {"pumps": "-q_b", "piston": "area_b * v"}, f"(v_b0 - area_b * x) / bulk_modulus * {air['b']}"
-            ),
-        },
-        ("x", "n_1", "n_2", "p_a", "p_b", "v"),
-        {
-            "dynamic": Definition("n_dynamic", "rev/s", {"loop": "k_position * (x_ref - x)", "reference": "n_ref"}),
-            "offset": Definition("offset", "rev/s", {"sum": "psi * (p_ref + trim)"}),
-            "pump_1": Definition(
-                "q_1", "m^3/s",
-                {"mean": "displacement_1 * n_1", "pulses": "ripple * displacement_1 * n_1 * sin(56.55 * turned_1)"},
-            ),
-            "pump_2": Definition(
-                "q_2", "m^3/s",
-                {"mean": "displacement_2 * n_2", "pulses": "ripple * displacement_2 * n_2 * sin(56.55 * turned_2)"},
-            ),
-            "across": Definition(
-                "q_across", "m^3/s",
-                {"laminar": f"c_i * (p_a - p_b) * {leak}", "seal": "c_seal * orifice(1, p_a, p_b)"},
-            ),
-            "flow_a": Definition(
-                "q_a", "m^3/s",
-                {"pumps": "q_1 + q_2", "across": "-q_across", "leakage": f"-(c_i + 2 * c_ea) * p_a * {leak}"},
-            ),
-            "flow_b": Definition(
-                "q_b", "m^3/s",
-                {"pump": "q_2", "across": "-q_across", "leakage": f"c_eb * p_b * {leak}"},
-            ),
-            "stribeck": Definition(
-                "g", "m",
-                {
-                    "coulomb": "f_coulomb / sigma0",
-                    "static": "(f_static - f_coulomb) / sigma0 * exp(-(v / v_stribeck)**2)",
-                },
-            ),
-            "slip": Definition("z_dot", "m/s", {"sliding": "v", "yielding": "-abs(v) * z / g"}),
-            "friction": Definition(
-                "f_friction", "N", {"stiffness": "sigma0 * z", "damping": "sigma1 * z_dot", "viscous": "sigma2 * v"}
-            ),
-        },
-    )  # fmt: skip
-    return plant.with_parameters(**values)
+    return PLANT.with_parameters(**values)
 
 
 @lru_cache

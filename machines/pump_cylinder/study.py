@@ -10,7 +10,7 @@ import numpy as np
 
 from greygate.machines.procedure import Procedure
 from greygate.machines.pump_cylinder.network import leakage_bounds, pump_srnn
-from greygate.machines.pump_cylinder.plant import PUMP_CYLINDER, RECORDS, SENSORS, pump_cylinder, record
+from greygate.machines.pump_cylinder.plant import RECORDS, SENSORS, pump_cylinder, record
 from greygate.models.accuracy import free_run_rms, rms
 from greygate.models.families.library import library
 from greygate.models.network import Network, Port
@@ -61,7 +61,7 @@ def records() -> dict[str, Record]:
 def assemble(known: str = "") -> Network:
     """The SRNN with the parameters of table 6.1, at rest at 12 MPa. known: as for `pump_srnn`."""
     plant = pump_cylinder()
-    k = {symbol: p.value for symbol, p in PUMP_CYLINDER.items()} | {"q_max": Q_MAX, "p_max": P_MAX}
+    k = {symbol: p.value for symbol, p in plant.parameters.items()} | {"q_max": Q_MAX, "p_max": P_MAX}
     k |= {f"p_{c}_rest": plant.constant(plant.states[f"p_{c}"].initial) for c in "ab"}
     rest = plant.initial()
     n_1, n_2 = (Port(n, "rev/s", SENSORS[n][0], initial=rest[n], resolution=SENSORS[n][2]) for n in ("n_1", "n_2"))

@@ -11,8 +11,7 @@ from greygate.machines.valve_cylinder.network import driven_spool, valve_srnn
 from greygate.machines.valve_cylinder.plant import SPOOL, spool_discrete, valve_cylinder
 from greygate.machines.valve_cylinder.scenarios import measure, scenario
 from greygate.models.accuracy import float_error, pooled_rms
-from greygate.models.adaptation import adopt
-from greygate.models.families.blocks import divider_record, feedforward, fit_divider, fit_flow, flow_record
+from greygate.models.families.blocks import divider_record, fit_divider, fit_flow, flow_record
 from greygate.models.network import Network
 from greygate.models.prune import Round, prune_by_entropy, retrained
 from greygate.models.saliency import Method, prune_by_saliency
@@ -95,12 +94,6 @@ def train_srnn(progress: Progress = silent) -> tuple[Network, dict]:
     return snn.network, figures
 
 
-def swap_flow(network: Network, flow: Network) -> Network:
-    """The SRNN with another valve's flow network in the place of both of its own (thesis 5.4.3)."""
-    divider = feedforward("divider", ["omega", "gamma"], [20], 0)
-    return adopt(assemble(flow, divider), network, ("pa.divider", "pb.divider", "speed_a", "speed_b"))
-
-
 def exercise(network: Network) -> Record:
     """Another run of the rig under a random force, with the network's own answers as targets.
 
@@ -133,13 +126,6 @@ def prune(
     bound = allowed * pooled_rms(network, kept)
     network, rounds = prune_by_entropy(network, kept, retrain, bound)
     if weights:
-        pruned = prune_by_saliency(
-            network,
-            kept,
-            weights,
-            bound,
-            epochs=PRUNING_EPOCHS,
-            progress=say,
-        )
+        pruned = prune_by_saliency(network, kept, weights, bound, epochs=PRUNING_EPOCHS, progress=say)
         network, rounds = pruned.network, [*rounds, *pruned.rounds]
     return network, rounds
