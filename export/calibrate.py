@@ -15,7 +15,7 @@ from typing import Annotated, TypedDict
 import numpy as np
 from scipy.optimize import least_squares
 
-from greygate.errors import InputError, one_line
+from greygate.errors import InputError, brought_by, one_line
 from greygate.plain import Json
 from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import Recording
@@ -83,10 +83,8 @@ class Unit:
     """An FMU under way; use it in `with`."""
 
     def __init__(self, path: Path | str):
-        try:
+        with brought_by("fmi", "fmpy"):
             import fmpy
-        except ImportError:
-            raise InputError("fmpy is not installed; pip install 'greygate[fmi]'") from None
         self.fmpy, self.path = fmpy, Path(path)
         try:
             self.about = fmpy.read_model_description(str(path))

@@ -51,8 +51,7 @@ def write(model: Model, path: Path | str, version: str = VERSIONS[0]) -> dict[st
     sources["model.h"] = model.header(token)
     library, where = _library(model.name, sources, number)
     compiled = [name for name in sorted(sources) if name.endswith(".c")]
-    describe = _description3 if number == "3" else _description2
-    held: dict[str, bytes] = {"modelDescription.xml": _xml(describe(model, token, compiled))}
+    held = {"modelDescription.xml": _xml(_description(model, token, compiled, number == "3"))}
     if number == "3":
         held["sources/buildDescription.xml"] = _xml(_build(model, compiled))
     held |= {f"sources/{name}": text.encode() for name, text in sorted(sources.items())}
@@ -161,31 +160,42 @@ def _valued(v: Variable) -> dict[str, str]:
     return ({"unit": v.unit} if v.unit else {}) | ({} if v.start is None else {"start": repr(float(v.start))})
 
 
-def _description3(model: Model, token: str, compiled: list[str]) -> ET.Element:
-    root = ET.Element("fmiModelDescription", {"fmiVersion": "3.0", "instantiationToken": token, **_about(model)})
+def _description(model: Model, token: str, compiled: list[str], newer: bool) -> ET.Element:
+    """modelDescription.xml of FMI 3.0 (newer), or of 2.0."""
+    version, identity, state = ("3.0", "instantiationToken", "State") if newer else ("2.0", "guid", "state")
+    root = ET.Element("fmiModelDescription", {"fmiVersion": version, identity: token, **_about(model)})
     abilities = {
         "modelIdentifier": model.name,
         "canHandleVariableCommunicationStepSize": "true",
-        "fixedInternalStepSize": repr(model.period),
-        "canGetAndSetFMUState": "true",
-        "canSerializeFMUState": "true",
+        **({"fixedInternalStepSize": repr(model.period)} if newer else {}),
+        f"canGetAndSetFMU{state}": "true",
+        f"canSerializeFMU{state}": "true",
     }
-    ET.SubElement(root, "CoSimulation", abilities)
+    simulated = ET.SubElement(root, "CoSimulation", abilities)
+    if not newer:
+        sources = ET.SubElement(simulated, "SourceFiles")
+        for name in compiled:
+            ET.SubElement(sources, "File", name=name)
     _units(root, model)
     ET.SubElement(root, "DefaultExperiment", startTime="0.0", stepSize=repr(model.period))
     variables = ET.SubElement(root, "ModelVariables")
-    ET.SubElement(
-        variables, "Float64", name="time", valueReference="0", causality="independent", variability="continuous"
-    )
+    if newer:
+        time = {"name": "time", "valueReference": "0", "causality": "independent", "variability": "continuous"}
+        ET.SubElement(variables, "Float64", time)
     for _, v, about in _kinds(model):
-        ET.SubElement(variables, "Float64", {**about, **_valued(v)})
+        if newer:
+            ET.SubElement(variables, "Float64", {**about, **_valued(v)})
+        else:
+            ET.SubElement(ET.SubElement(variables, "ScalarVariable", about), "Real", _valued(v))
     structure = ET.SubElement(root, "ModelStructure")
-    for reference, _, about in _kinds(model):
-        if about["causality"] == "output":
-            ET.SubElement(structure, "Output", valueReference=str(reference))
-    for reference, _, about in _kinds(model):
-        if about["causality"] == "output":
-            ET.SubElement(structure, "InitialUnknown", valueReference=str(reference))
+    outputs = [str(reference) for reference, _, about in _kinds(model) if about["causality"] == "output"]
+    for part in ("Output", "InitialUnknown") if outputs else ():
+        of = structure if newer else ET.SubElement(structure, f"{part}s")
+        for reference in outputs:
+            if newer:
+                ET.SubElement(of, part, valueReference=reference)
+            else:
+                ET.SubElement(of, "Unknown", index=reference)
     return root
 
 
@@ -197,30 +207,4 @@ def _build(model: Model, compiled: list[str]) -> ET.Element:
     for name in compiled:
         ET.SubElement(sources, "SourceFile", name=name)
     ET.SubElement(configuration, "Library", name="m")
-    return root
-
-
-def _description2(model: Model, token: str, compiled: list[str]) -> ET.Element:
-    root = ET.Element("fmiModelDescription", {"fmiVersion": "2.0", "guid": token, **_about(model)})
-    abilities = {
-        "modelIdentifier": model.name,
-        "canHandleVariableCommunicationStepSize": "true",
-        "canGetAndSetFMUstate": "true",
-        "canSerializeFMUstate": "true",
-    }
-    sources = ET.SubElement(ET.SubElement(root, "CoSimulation", abilities), "SourceFiles")
-    for name in compiled:
-        ET.SubElement(sources, "File", name=name)
-    _units(root, model)
-    ET.SubElement(root, "DefaultExperiment", startTime="0.0", stepSize=repr(model.period))
-    variables = ET.SubElement(root, "ModelVariables")
-    for _, v, about in _kinds(model):
-        ET.SubElement(ET.SubElement(variables, "ScalarVariable", about), "Real", _valued(v))
-    structure = ET.SubElement(root, "ModelStructure")
-    for part in ("Outputs", "InitialUnknowns"):
-        if model.outputs:
-            of = ET.SubElement(structure, part)
-            for reference, _, about in _kinds(model):
-                if about["causality"] == "output":
-                    ET.SubElement(of, "Unknown", index=str(reference))
     return root

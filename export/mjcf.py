@@ -93,11 +93,7 @@ def _resists(sympy: Any, part: Any, v: Any) -> tuple[str, float]:
 
 def mjcf(found: list[Joint], meaning: str) -> str:
     """The text of a file that a model includes; a class for each joint: `<joint class="NAME" .../>`."""
-    lines = [
-        "<mujocoinclude>",
-        f"  <!-- {_comment(meaning)}. SI units; an angle counts in radians. -->",
-        "  <default>",
-    ]
+    lines = ["<mujocoinclude>", f"  <!-- {_comment(meaning)}. SI units; an angle counts in radians. -->", "  <default>"]
     for joint in found:
         said = [f"{what}: {', '.join(terms)}" for what, terms in joint.carried.items()]
         said += [f"not here: {', '.join(joint.left)}"] * bool(joint.left)

@@ -1,7 +1,9 @@
 """A model that an FMU holds, in C: variables that are doubles, and three functions, which `fmi/instance.h` calls."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+
+from greygate.hardware.board.texts import render
 
 
 @dataclass(frozen=True)
@@ -42,28 +44,9 @@ class Model:
 
     def header(self, token: str) -> str:
         """The text of model.h. token: of the FMU, which a simulator shows before it gets an instance."""
-        return "\n".join(self._header(token)) + "\n"
+        return render("model.h", {"m": self, "token": token}, "greygate.export")
 
-    def _header(self, token: str) -> Iterator[str]:
-        yield f"/* The model {self.name} as its FMU sees it: inputs, parameters, outputs, all of them doubles. */"
-        yield from ("#ifndef MODEL_H", "#define MODEL_H", "")
-        yield from (f'#include "{name}"' for name in self.includes)
-        yield from ("#include <stdint.h>", "")
-        yield f'#define MODEL_TOKEN "{token}"'
-        for what in ("inputs", "parameters"):
-            yield f"#define MODEL_{what.upper()} {len(getattr(self, what))}"
-        yield f"#define MODEL_VALUES {len(self.variables)}"
-        yield f"#define MODEL_PERIOD {self.period!r} /* s */"
-        yield from ("", "typedef struct", "{", "    double value[MODEL_VALUES];")
-        yield from (f"    {line}" for line in self.state)
-        yield from ("} model;", "", "/* Every value at its start. */", "void model_start(model *m);")
-        yield from ("", "/* Begin at a time, with the parameters that are set. */")
-        yield "void model_initialize(model *m, double time);"
-        yield from ("", "/* Compute the outputs from state and inputs. */", "void model_outputs(model *m);")
-        yield from ("", "/* From one time to another with the inputs held; 1 where a state is no longer finite. */")
-        yield from ("int model_advance(model *m, double from, double to);", "", "#endif")
-
-    def starts(self) -> str:
-        """`model_start` in C."""
-        lines = [f"    m->value[{i}] = {float(v.start or 0.0)!r}; /* {i + 1} */" for i, v in enumerate(self.variables)]
-        return "\n".join(["void model_start(model *m)", "{", *lines, "}", ""])
+    @property
+    def starts(self) -> list[float]:
+        """Of each variable, the value at the start."""
+        return [float(v.start or 0.0) for v in self.variables]

@@ -5,44 +5,9 @@ from dataclasses import replace
 from greygate.emulator.program import Program, Terminal
 from greygate.export import values
 from greygate.export.model import Model, Variable
+from greygate.hardware.board.texts import render
 
 CLIPPED = "clipped_values"  # the name of the count; a port of that name keeps it
-
-SOURCE = """#include "model.h"
-
-{starts}
-void model_initialize(model *m, double time)
-{{
-    m->begun = time;
-    m->done = 0;
-    {name}_reset(&m->state);
-}}
-
-void model_outputs(model *m)
-{{
-    (void)m; /* they change at a step */
-}}
-
-/* Sample n belongs to the time begun + n * MODEL_PERIOD: its step is done by whoever goes beyond. */
-int model_advance(model *m, double from, double to)
-{{
-    (void)from;
-    while ((m->begun + ((double)m->done * MODEL_PERIOD)) < (to - (1e-6 * MODEL_PERIOD)))
-    {{
-        {name}_input_values in;
-        {name}_output_values out;
-        {name}_input codes;
-        {name}_output answer;
-{read}
-        m->value[{clipped}] += (double){name}_encode(&in, &codes);
-        {name}_step(&m->state, &codes, &answer);
-        {name}_decode(&answer, &out);
-{written}
-        m->done += 1;
-    }}
-    return 0;
-}}
-"""
 
 
 def model(program: Program, title: str) -> Model:
@@ -69,13 +34,14 @@ def model(program: Program, title: str) -> Model:
         includes=(f"{program.name}_values.h",),
         sources={},
     )
-    source = SOURCE.format(
-        starts=made.starts(),
-        name=program.name,
-        clipped=n + len(outputs),
-        read="\n".join(f"        {place} = m->value[{i}];" for i, place in enumerate(places)),
-        written="\n".join(f"        m->value[{n + i}] = {answer};" for i, answer in enumerate(answers)),
-    )
+    context = {
+        "starts": made.starts,
+        "name": program.name,
+        "clipped": n + len(outputs),
+        "read": "\n".join(f"        {place} = m->value[{i}];" for i, place in enumerate(places)),
+        "written": "\n".join(f"        m->value[{n + i}] = {answer};" for i, answer in enumerate(answers)),
+    }
+    source = render("network.c", context, "greygate.export")
     files = {k: text for k, text in values.files(program).items() if k != values.EXAMPLE}
     return replace(made, sources={**files, "model.c": source})
 

@@ -5,146 +5,12 @@ from dataclasses import replace
 
 from greygate.errors import InputError
 from greygate.export.model import Model, Variable
+from greygate.hardware.board.texts import render
 from greygate.plants.expressions import Call, Name, Node, Number, Operation, Signed, names, parse
 from greygate.plants.plant import Equation, Plant
 from greygate.plants.simulator import coupled, weights
 
 FUNCTIONS = {"abs": "fabs", "min": "least", "max": "greatest", "sign": "sign_of"}  # the others have C's own names
-SOURCE = """#include "model.h"
-#include <math.h>
-
-#define STATES {states}
-
-static const double WEIGHTS[7][6] = {{ /* Dormand and Prince: six stages, and the fifth-order solution */
-{weights}
-}};
-
-/* Functions of NumPy: what is no number stays so. */
-static double least(double a, double b) {{ return ((a != a) || (a < b)) ? a : b; }}
-static double greatest(double a, double b) {{ return ((a != a) || (a > b)) ? a : b; }}
-static double sign_of(double a) {{ return (a != a) ? a : (double)((a > 0.0) - (a < 0.0)); }}
-static double smooth_step(double a, double width) {{ return 0.5 + (0.5 * tanh(a / width)); }}
-static double orifice(double u, double p_1, double p_2)
-{{
-    return greatest(u, 0.0) * sign_of(p_1 - p_2) * sqrt(fabs(p_1 - p_2));
-}}
-static double whole(double a, int n)
-{{
-    double y = 1.0;
-    for (int k = (n < 0) ? -n : n; k > 0; k >>= 1)
-    {{
-        y = ((k & 1) != 0) ? (y * a) : y;
-        a = a * a;
-    }}
-    return (n < 0) ? (1.0 / y) : y;
-}}
-
-{starts}
-void model_initialize(model *m, double time)
-{{
-    (void)time;
-{parameters}
-{initial}
-{limits}
-}}
-
-void model_outputs(model *m)
-{{
-{known}
-{definitions}
-{outputs}
-}}
-
-static void derivative(const model *m, const double *x, double *dx)
-{{
-{moving}
-}}
-
-/* No state at its bound, nor the rate of one, moves further outward. */
-static void hold(const model *m, const double *x, double *dx)
-{{
-    static const int rate[STATES] = {{{rates}}};
-    for (int j = 0; j < STATES; j++)
-    {{
-        const int moved = (rate[j] >= 0) ? rate[j] : j;
-        if (((x[j] <= m->low[j]) && (dx[moved] < 0.0)) || ((x[j] >= m->high[j]) && (dx[moved] > 0.0)))
-        {{
-            dx[moved] = 0.0;
-        }}
-    }}
-}}
-
-static void step(model *m, double h)
-{{
-    static const int rate[STATES] = {{{rates}}};
-    double k[6][STATES];
-    double y[STATES];
-    for (int stage = 0; stage < 6; stage++)
-    {{
-        for (int j = 0; j < STATES; j++)
-        {{
-            double move = 0.0;
-            for (int i = 0; i < stage; i++)
-            {{
-                move += WEIGHTS[stage][i] * k[i][j];
-            }}
-            y[j] = m->x[j] + (h * move);
-        }}
-        derivative(m, y, k[stage]);
-        hold(m, y, k[stage]);
-    }}
-    for (int j = 0; j < STATES; j++)
-    {{
-        double move = 0.0;
-        for (int i = 0; i < 6; i++)
-        {{
-            move += WEIGHTS[6][i] * k[i][j];
-        }}
-        m->x[j] += h * move;
-    }}
-    for (int j = 0; j < STATES; j++)
-    {{
-        if (m->x[j] < m->low[j])
-        {{
-            m->x[j] = m->low[j];
-            if (rate[j] >= 0)
-            {{
-                m->x[rate[j]] = greatest(m->x[rate[j]], 0.0);
-            }}
-        }}
-        else if (m->x[j] > m->high[j])
-        {{
-            m->x[j] = m->high[j];
-            if (rate[j] >= 0)
-            {{
-                m->x[rate[j]] = least(m->x[rate[j]], 0.0);
-            }}
-        }}
-        else
-        {{
-            /* within its bounds */
-        }}
-    }}
-}}
-
-int model_advance(model *m, double from, double to)
-{{
-    const double steps = floor(((to - from) / MODEL_PERIOD) + 0.5);
-    const int64_t count = (steps < 1.0) ? 1 : (int64_t)steps;
-    for (int64_t n = 0; n < count; n++)
-    {{
-        step(m, (to - from) / (double)count);
-    }}
-    for (int j = 0; j < STATES; j++)
-    {{
-        if (!isfinite(m->x[j]))
-        {{
-            return 1;
-        }}
-    }}
-    return 0;
-}}
-"""
 
 
 def model(plant: Plant) -> Model:
@@ -191,21 +57,22 @@ def _source(plant: Plant, made: Model) -> str:
     ]
     shown = (*made.outputs, *made.seen)
     rates = (-1 if s.rate is None else states.index(s.rate) for s in plant.states.values())
-    return SOURCE.format(
-        states=len(states),
-        weights="\n".join(f"    {{{', '.join(map(_fraction, row))}}}," for row in weights()),
-        starts=made.starts(),
-        parameters="\n".join(_quantities(fixed)),
-        initial="\n".join(f"    m->x[{j}] = {_bound(s.initial, '')};" for j, s in enumerate(plant.states.values())),
-        limits="\n".join(f"    {to} = {_bound(bound, free)};" for to, bound, free in bounds),
-        known="\n".join([*_quantities(given), *_states(states, "m->x")]),
-        definitions="\n".join(_defined(plant, plant.outputs)),
-        outputs="\n".join(f"    m->value[{place[v.name]}] = q_{v.name};" for v in shown),
-        moving="\n".join(
-            [*_quantities(given), *_states(states, "x"), *_defined(plant, used), *_rates(plant, states)],
+    context = {
+        "states": len(states),
+        "weights": "\n".join(f"    {{{', '.join(map(_fraction, row))}}}," for row in weights()),
+        "starts": made.starts,
+        "parameters": "\n".join(_quantities(fixed)),
+        "initial": "\n".join(f"    m->x[{j}] = {_bound(s.initial, '')};" for j, s in enumerate(plant.states.values())),
+        "limits": "\n".join(f"    {to} = {_bound(bound, free)};" for to, bound, free in bounds),
+        "known": "\n".join([*_quantities(given), *_states(states, "m->x")]),
+        "definitions": "\n".join(_defined(plant, plant.outputs)),
+        "outputs": "\n".join(f"    m->value[{place[v.name]}] = q_{v.name};" for v in shown),
+        "moving": "\n".join(
+            [*_quantities(given), *_states(states, "x"), *_defined(plant, used), *_rates(plant, states)]
         ),
-        rates=", ".join(map(str, rates)),
-    )
+        "rates": f"{{{', '.join(map(str, rates))}}}",
+    }
+    return render("plant.c", context, "greygate.export")
 
 
 def _fraction(weight: str) -> str:
