@@ -1,13 +1,12 @@
 """Builds a page from sections, each with a template and a context, in one Jinja environment.
 
-A section is a module with a function `context` and a template of the same name beside it: `report/widths.py` computes
-what `report/widths.html` shows. A page is a list of such modules. `page.html` is the frame of every page.
+A section is a function that gives the context of the template of its name: `widths` of `report/sections.py` computes
+what `report/widths.html` shows. A page is a list of such functions. `page.html` is the frame of every page.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
@@ -40,14 +39,15 @@ def plotly() -> Markup:
     return Markup(get_plotlyjs())
 
 
-def render_sections(sections: Sequence[ModuleType], *subject: object) -> list[Markup]:
-    """Render each section of a page's subject; a section whose `context` is None is left out, as it shows nothing."""
-    contexts = [(section, section.context(*subject)) for section in sections]
+def render_sections(sections: Sequence[Callable[..., dict | None]], *subject: object) -> list[Markup]:
+    """Render each section of a page's subject; a section whose context is None is left out, as it shows nothing."""
+    contexts = [(section, section(*subject)) for section in sections]
     return [render(_template(section), **context) for section, context in contexts if context is not None]
 
 
-def _template(section: ModuleType) -> str:
-    return section.__name__.removeprefix(f"{PACKAGE}.").replace(".", "/") + ".html"
+def _template(section: Callable) -> str:
+    folder = section.__module__.removeprefix(f"{PACKAGE}.").partition(".")[0]
+    return f"{folder}/{section.__name__}.html"
 
 
 def write(html: str, path: Path | str) -> None:

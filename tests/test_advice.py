@@ -10,8 +10,7 @@ from greygate.models.families.regression import noe
 from greygate.models.network import Port
 from greygate.models.training.record import Record
 from greygate.models.validation import validate
-from greygate.pages.validation.advice import advice, settling
-from greygate.pages.validation.judged import Judged
+from greygate.pages.validation.judged import Judged, advice, settling
 from greygate.plants.excitation import prms
 from greygate.plants.recording import Recording
 

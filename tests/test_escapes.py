@@ -31,7 +31,7 @@ from greygate.hardware.verify import Case, Scenario, simulator_environment, veri
 from greygate.models.training.record import Record
 from greygate.models.validation import coverage, validate
 from greygate.pages import figures
-from greygate.pages.diagnosis.evidence import ladder as draw_ladder
+from greygate.pages.diagnosis.sections import ladder as draw_ladder
 from greygate.pages.figures import Curve
 from greygate.pages.report import page
 from greygate.pages.summary import results

@@ -17,7 +17,7 @@ from greygate.models.network import Network
 from greygate.models.validation import validate
 from greygate.pages.validation import page
 from greygate.pages.validation.judged import judge, rows, table
-from greygate.pages.validation.records import histogram, run_data
+from greygate.pages.validation.sections import histogram, run_data
 from greygate.pages.zoomable import DRAWN
 from greygate.plants.recording import Recording
 

@@ -2,8 +2,8 @@
 
 from greygate.mismatch.diagnosis import Diagnosis
 from greygate.pages import templates
-from greygate.pages.diagnosis import evidence, head, maps, numbers, runs, where
-from greygate.pages.diagnosis.case import Diagnosed
+from greygate.pages.diagnosis.residual import Diagnosed
+from greygate.pages.diagnosis.sections import evidence, head, maps, numbers, runs, where
 
 SECTIONS = (head, runs, where, maps, evidence, numbers)
 

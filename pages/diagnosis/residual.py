@@ -1,7 +1,8 @@
-"""The residual of a fit on a recording, with the variables on which it may depend, in parts of equal width."""
+"""A diagnosis as its page reads it: the residual of each fit, with the variables on which it may depend."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from greygate.mismatch.locate import signals
 from greygate.mismatch.model import Model
 from greygate.mismatch.runs import whole
 from greygate.mismatch.several import modelled
+from greygate.mismatch.verdict import Verdict
 from greygate.pages.figures import APART
 
 PIECE = 100  # samples of a window in pictures of the residual, if a rig restarts;
@@ -121,3 +123,41 @@ def dependence(x: np.ndarray, y: np.ndarray) -> float:
         return 0.0
     share = float(np.sum(count * (mean - np.mean(y)) ** 2) / (total * len(y)))
     return max(1.0 - (1.0 - share) * (len(y) - 1) / (len(y) - used), 0.0)
+
+
+@dataclass(frozen=True)
+class Diagnosed:
+    """A diagnosis as its page reads it."""
+
+    result: Diagnosis
+
+    @cached_property
+    def found(self) -> dict:
+        """Content of diagnosis.json."""
+        return self.result.as_dict()
+
+    @property
+    def title(self) -> str:
+        return self.result.rig.folder.resolve().name
+
+    @cached_property
+    def changed(self) -> bool:
+        """Whether the diagnosis corrects more than parameters within their tolerances."""
+        return self.result.verdict != Verdict.CONSISTENT and (self.result.best.size > 0 or bool(self.found["effects"]))
+
+    @cached_property
+    def fits(self) -> dict[str, Fit]:
+        """The fits to draw: "calibrated", and "corrected" if it differs."""
+        fits = {"calibrated": self.result.calibrated}
+        return fits | ({"corrected": self.result.corrected} if self.changed else {})
+
+    @cached_property
+    def residuals(self) -> dict[str, Residual]:
+        """The residual of each of `fits` on identify.csv."""
+        return dict(zip(self.fits, residuals(self.result, list(self.fits.values())), strict=True))
+
+    @cached_property
+    def depends_on(self) -> list[str]:
+        """The variables on which the mismatch depends, according to the diagnosis."""
+        variables = self.residuals["calibrated"].variables
+        return [v for place in self.found["where"] for v in place["depends_on"] if v in variables]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from greygate.files import replacing_all
 from greygate.pages import templates
-from greygate.pages.report import explored, formats, head, inside, runs, widths
+from greygate.pages.report.sections import explored, formats, head, inside, runs, widths
 from greygate.pages.summary import LEFT
 
 SECTIONS = (head, explored, widths, formats, runs, inside)

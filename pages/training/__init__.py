@@ -2,7 +2,7 @@
 
 from greygate.identify.trained import Evidence
 from greygate.pages import templates
-from greygate.pages.training import dynamics, head, residuals, weights
+from greygate.pages.training.sections import dynamics, head, residuals, weights
 
 SECTIONS = (head, dynamics, weights, residuals)
 

@@ -1,8 +1,8 @@
 """The results of `greygate validate` as one HTML page (docs/validation.md says how to read it)."""
 
 from greygate.pages import templates
-from greygate.pages.validation import head, ranges, records
 from greygate.pages.validation.judged import Judged
+from greygate.pages.validation.sections import head, ranges, records
 
 SECTIONS = (head, records, ranges)
 

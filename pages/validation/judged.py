@@ -1,16 +1,21 @@
-"""A network judged on its records, for the validation page and for the terminal."""
+"""A network judged on its records, for the validation page and for the terminal, and what to do about it."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Annotated, NotRequired, TypedDict
 
+import numpy as np
+
 from greygate.errors import InputError
 from greygate.machines.catalog import CATALOG, entry
 from greygate.machines.source import Source
+from greygate.models.accuracy import rms
+from greygate.models.residuals import asks_for
 from greygate.models.spectra import Octave
 from greygate.models.training.initial import initialised
 from greygate.models.validation import Correlation, Covered, Validation, coverage, validate
+from greygate.pages.summary import aligned
 from greygate.pages.units import NONE, display, per_cent, shown
 from greygate.plain import Count, Figure, plain
 from greygate.progress import Progress, silent
@@ -158,17 +163,59 @@ def rows(judged: Judged) -> list[dict]:
 
 def table(judged: Judged) -> list[str]:
     """Lines for a terminal."""
-    found = rows(judged)
-    names = list(found[0])
-    widths = {n: max(len(n), *(len(r[n]) for r in found)) for n in names}
-    left = ("record", "output", "unit", "long run")
+    found = aligned(rows(judged), ("record", "output", "unit", "long run"))
+    return [
+        judged.title,
+        *found,
+        "* learnt from this record",
+        "fit %: free run; 1 step, 10 steps: fit % of the prediction that far ahead from what was measured",
+        "free run, one step: residual tests passed; long run: ten times the record, inputs to 1.2 times",
+    ]
 
-    def line(cells: dict) -> str:
-        return "  ".join(f"{cells[n]:{'<' if n in left else '>'}{widths[n]}}" for n in names).rstrip()
 
-    sentences = {
-        "*": "* learnt from this record",
-        "fits": "fit %: free run; 1 step, 10 steps: fit % of the prediction that far ahead from what was measured",
-        "tests": "free run, one step: residual tests passed; long run: ten times the record, inputs to 1.2 times",
-    }
-    return [judged.title, line({n: n for n in names}), *(line(r) for r in found), *sentences.values()]
+STARTS = (10, 20, 50, 100, 200, 500, 1000)  # samples of a beginning that are offered as --settle
+LOUD = 3.0  # times the later residual, from which a beginning is taken to settle
+QUIET = 1.5  # times the later residual, below which the state has settled
+LATER = 0.5  # share of a record at its end, to which its beginning is compared
+
+
+def advice(judged: Judged) -> list[str]:
+    """What to do, a sentence each; first what matters most."""
+    return list(dict.fromkeys(line for v in judged.validations for line in _of(v)))
+
+
+def _of(v: Validation) -> list[str]:
+    where = f"{v.output} on {v.record}"
+    found = []
+    if not v.bounded:
+        found.append(
+            f"{where}: the free run leaves what was measured; train in free run (not one step ahead alone), with more "
+            "--decay, longer records, or linear_loop=True"
+        )
+    elif not v.long_run.stable:
+        found.append(f"{where}: the error grows with each repetition; take the offset off the inputs, or measure more")
+    if (settle := settling(v)) is not None:
+        samples, ratio = settle
+        found.append(
+            f"{where}: residuals of the first {samples} samples are {ratio:.0f} times the rest: --settle {samples}"
+        )
+    residual = "free run" if "one step ahead" not in v.tests else "one step ahead"
+    for test in v.tests.get(residual, ()):
+        if not test.passed:
+            found.append(f"{where}, {residual}: {asks_for(test, v.output)}")
+    return found
+
+
+def settling(v: Validation) -> tuple[int, float] | None:
+    """Samples at the beginning of a record whose residual is far larger than later, and by how much; None if not."""
+    e = (v.measured - v.predicted)[v.skip :]
+    later = rms(e[int(LATER * len(e)) :])
+    if v.skip or not (np.isfinite(later) and later > 0):
+        return None
+    for samples in STARTS:
+        if samples > len(e) // 5:
+            return None
+        if rms(e[samples : 2 * samples]) <= QUIET * later:
+            ratio = rms(e[:samples]) / later
+            return (samples, ratio) if ratio > LOUD else None
+    return None

@@ -1,4 +1,4 @@
-"""Each record: the run, its error, accuracy, steps ahead, the long run, and the residual tests."""
+"""The sections of the page, each named as the template that it fills in; one whose context is None is left out."""
 
 import math
 from itertools import groupby
@@ -10,10 +10,43 @@ from greygate.models.spectra import Octave
 from greygate.models.validation import LEASH, Correlation, Validation
 from greygate.pages import figures
 from greygate.pages.figures import Curve
-from greygate.pages.units import display, labelled
-from greygate.pages.validation.judged import Judged, long_run
+from greygate.pages.units import display, labelled, number, per_cent
+from greygate.pages.validation.judged import Judged, long_run, rows, tally
 from greygate.pages.zoomable import DRAWN, Trace, curves
 from greygate.plain import plain
+
+
+def head(judged: Judged) -> dict:
+    """The judgement itself, its headline, its table."""
+    records = list(dict.fromkeys(v.record for v in judged.validations))
+    return {"j": judged, "facts": facts(judged), "rows": rows(judged), "records": records}
+
+
+def facts(judged: Judged) -> list[tuple[str, str, bool | None]]:
+    """The headline: (value, its meaning, whether it is good, or None)."""
+    fresh = [v for v in judged.validations if v.record not in judged.training] or judged.validations
+    worst = min(fresh, key=lambda v: v.fit if not math.isnan(v.fit) else math.inf)
+    where = f"{worst.output} on {worst.record}"
+    fit = f"{per_cent(worst.fit)} %" if math.isfinite(worst.rms) else "diverges"
+    lines: list[tuple[str, str, bool | None]] = [(fit, f"worst fit of a free run, {where}", None)]
+    if ahead := [v for v in fresh if 1 in v.ahead]:
+        worst = min(ahead, key=lambda v: v.ahead[1][1])
+        where = f"{worst.output} on {worst.record}"
+        lines.append((f"{per_cent(worst.ahead[1][1])} %", f"worst fit one step ahead, {where}", None))
+    for residual in ("free run", "one step ahead"):
+        tests = [t for v in fresh for t in v.tests.get(residual, ())]
+        if tests:
+            good = all(t.passed for t in tests)
+            lines.append((tally(tests), f"residual tests passed, {residual}", good or None))
+    runs = {long_run(v) for v in judged.validations}
+    state = next(s for s in ("unbounded", "drifts", "stable") if s in runs)
+    lines.append((state, "over ten times each record, inputs to 1.2 times", state == "stable"))
+    if beyond := [r for r in judged.ranges if r.record not in judged.training]:
+        widest = max(beyond, key=lambda r: r.outside)
+        what = f"of {widest.signal} on {widest.record} beyond what was learnt"
+        lines.append((f"{100 * widest.outside:.0f} %", what, None))
+    return lines
+
 
 NARROW = 1e-9  # of an error's size: within it the errors are one value
 BARS = 40  # of the error's histogram
@@ -23,7 +56,7 @@ SYMBOLS = {"phi_ee": "φ(e, e)", "phi_ue": "φ({}, e)", "phi_u2e": "φ({}², e)"
 LINEAR = ("phi_ee", "phi_ue")
 
 
-def context(judged: Judged) -> dict:
+def records(judged: Judged) -> dict:
     """By record, each output with its pictures."""
     records = {
         name: [(v, pictures(v, judged.period)) for v in group]
@@ -117,13 +150,7 @@ def stems(test: Correlation) -> Markup:
             lines += [Curve(ends, [sign * level] * 2, kind) for sign in (-1, 1)]
     reach = 1.15 * max(np.abs(test.values).max(), test.band)
     return figures.chart(
-        lines,
-        x="lag [steps]",
-        x_limits=ends,
-        y_limits=(-reach, reach),
-        levels=[(0.0, "")],
-        width=WIDTH,
-        height=160,
+        lines, x="lag [steps]", x_limits=ends, y_limits=(-reach, reach), levels=[(0.0, "")], width=WIDTH, height=160
     )
 
 
@@ -171,3 +198,31 @@ def repetitions(v: Validation, factor: float, unit: str) -> Markup:
         width=WIDTH,
         height=130,
     )
+
+
+def ranges(judged: Judged) -> dict:
+    """A row per signal and record."""
+    return {"ranges": bars(judged)}
+
+
+def bars(judged: Judged) -> list[tuple[str, list[dict]]]:
+    """(signal with unit, a bar for each record): the ranges of training and of the record, in per cent of the axis."""
+    found = []
+    for (signal, unit), ranges in groupby(judged.ranges, key=lambda r: (r.signal, r.unit)):
+        group = list(ranges)
+        low, high = min(r.low for r in group), max(r.high for r in group)
+        factor, name = display(unit, max(abs(low), abs(high)))
+        width = high - low or 1.0
+        row = [
+            {
+                "record": r.record,
+                "trained": (100 * (r.trained[0] - low) / width, 100 * (r.trained[1] - r.trained[0]) / width),
+                "covered": (100 * (r.low - low) / width, 100 * (r.high - r.low) / width),
+                "text": f"{number(r.low * factor)} to {number(r.high * factor)}",
+                "outside": 100 * r.outside,
+                "learnt": r.record in judged.training,
+            }
+            for r in group
+        ]
+        found.append((labelled(signal, name), row))
+    return found
