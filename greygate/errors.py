@@ -1,6 +1,8 @@
 """The one exception that a user's mistake raises, and how its message shows what was given."""
 
 import reprlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 LONGEST = 480  # characters of a message: about six lines of a terminal
 SHOWN = 60  # characters of a wrong value that a message repeats
@@ -25,6 +27,17 @@ class InputError(ValueError):
         line = one_line(str(message))
         half = LONGEST // 2 - 2  # the head says where, the tail what to do
         super().__init__(line if len(line) <= LONGEST else f"{line[:half]} … {line[-half:]}")
+
+
+@contextmanager
+def brought_by(extra: str, *packages: str) -> Iterator[None]:
+    """Import such packages in the block; where one is not installed, the InputError says which extra brings it."""
+    try:
+        yield
+    except ImportError as error:
+        if error.name not in packages:
+            raise
+        raise InputError(f"{error.name} is not installed; pip install 'greygate[{extra}]'") from None
 
 
 def one_line(text: str) -> str:

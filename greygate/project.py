@@ -23,13 +23,7 @@ from greygate.compiler.targets import BOTH, NAMES, Architecture, Design, target
 from greygate.emulator.engine import run
 from greygate.emulator.program import Program
 from greygate.errors import InputError
-from greygate.files import (
-    locked,
-    replacing,
-    replacing_all,
-    replacing_folder,
-    writing,
-)
+from greygate.files import locked, replacing, replacing_all, replacing_folder, writing
 from greygate.hardware.board.benches import core_bench
 from greygate.hardware.build import LATER, Project, kept_file, result_files
 from greygate.hardware.exploring import Explorer

@@ -1,6 +1,6 @@
 """JSON Schemas (2020-12) of what greygate prints and writes, made from the types that declare it.
 
-`RESULTS` (greygate/results.py) names every result and its type: a dataclass, a TypedDict, or an alias. A class's
+results.toml names every result and its type: a dataclass, a TypedDict, or an alias. A class's
 docstring describes it, a text in `Annotated` a field; `Json` in `Annotated` adds keywords of JSON Schema. An
 object says in `schema` which one it follows, "greygate/NAME/VERSION". A list, an object whose keys are names, and some
 files have no place for that; docs/json.md lists them. A field is added without a new version; a field that goes, or
@@ -8,9 +8,10 @@ means something else, makes one.
 """
 
 import json
+import tomllib
 import types
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from enum import StrEnum
 from functools import cache
 from importlib import import_module
@@ -21,13 +22,26 @@ import numpy as np
 
 from greygate.errors import InputError, shown
 from greygate.plain import Json, plain
-from greygate.results import RESULTS, Result
 
 DRAFT, PART = "https://json-schema.org/draft/2020-12/schema", "#/$defs/"
 SCALARS = {str: "string", int: "integer", float: "number", bool: "boolean", types.NoneType: "null"}
 FREE = (Any, object, np.ndarray)  # an array's `Annotated` says what is in it
 Schema = dict[str, Any]
-EXAMPLES = Path(__file__).with_name("examples.json")
+EXAMPLES, LISTED = (Path(__file__).with_name(name) for name in ("examples.json", "results.toml"))
+
+
+@dataclass(frozen=True)
+class Result:
+    """A result, as results.toml says."""
+
+    title: str
+    declared: str
+    marked: bool = True
+    file: tuple[str, ...] | None = None
+    version: int = 1
+
+
+RESULTS = {name: Result(**told) for name, told in tomllib.loads(LISTED.read_text(encoding="utf-8")).items()}
 
 
 def names() -> list[str]:

@@ -13,23 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from greygate import __version__
-from greygate.cli import (
-    bench,
-    boards,
-    builds,
-    ci,
-    compiling,
-    controls,
-    doctor,
-    expert,
-    exports,
-    identify,
-    networks,
-    recordings,
-    rigs,
-    schemas,
-    starts,
-)
+from greygate.cli import bench, boards, builds, compiling, exports, networks, recordings, rigs, tools
 from greygate.cli.grammar import Commands
 from greygate.cli.terminal import say
 from greygate.errors import InputError
@@ -40,15 +24,15 @@ UsageError: Any = typer.BadParameter.__base__  # raised for an argument or optio
 _stopped: list[int] = []  # the exit codes that signals have asked for
 DEVELOPERS = "Developers"
 COMMANDS = {  # heading -> commands; those for developers are a group
-    "Data": (recordings.look, starts.init, starts.init_rig),
-    "Networks": (identify.identify, networks.train, expert.build_snn, networks.validate, controls.control),
+    "Data": (recordings.look, recordings.init, recordings.init_rig),
+    "Networks": (networks.identify, networks.train, networks.build_snn, networks.validate, networks.control),
     "Hardware": (
         *(compiling.compile, compiling.explore, builds.emulate, builds.verify, builds.prove, builds.synthesize),
         *(builds.report, builds.compare, boards.board, boards.play),
     ),
     "Diagnosis": (rigs.diagnose, rigs.next_, rigs.isolability, rigs.simulate, rigs.augment),
-    "Other tools": (rigs.fit_fmu, ci.ci_template, doctor.doctor),
-    DEVELOPERS: (rigs.conceal, rigs.reveal, schemas.schema),
+    "Other tools": (rigs.fit_fmu, tools.ci_template, tools.doctor),
+    DEVELOPERS: (rigs.conceal, rigs.reveal, tools.schema),
 }
 
 app = typer.Typer(

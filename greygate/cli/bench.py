@@ -86,12 +86,7 @@ def run(
         found = _part("run").run(bench, tool, out, seconds, cases, jobs, progress)
     failed = {name: facts["error"] for name, facts in found.items() if facts["error"]}
     result: BenchRun = {"out": str(out), "cases": len(found), "errors": failed}
-    give(
-        "bench-concealed-run",
-        result,
-        as_json,
-        [f"{len(found)} answers in {out}"],
-    )
+    give("bench-concealed-run", result, as_json, [f"{len(found)} answers in {out}"])
     for name, error in failed.items():
         say(f"greygate: {name}: {error}")
     if failed:

@@ -77,9 +77,7 @@ def verify(
     waveforms = {name: str(r.waveform) for name, r in results.items() if r.waveform is not None}
     lines += [f"waveform of the first step that differs: {path}" for path in waveforms.values()]
     result: Verifying = {"passed": passed, "verdicts": verdicts, "waveforms": waveforms}
-    give("verify", result, as_json, lines)
-    if not passed:
-        raise typer.Exit(1)
+    give("verify", result, as_json, lines, passed)
 
 
 def prove(
@@ -106,14 +104,7 @@ def prove(
         proofs = run(project, tuple(only), target.value, tuple(a.value for a in architecture), steps, seconds, progress)
     holds = all(proof.holds is not False for proof in proofs)
     result: Proving = {"holds": holds, "proofs": proofs}
-    give(
-        "prove",
-        result,
-        as_json,
-        [proof.line() for proof in proofs],
-    )
-    if not holds:
-        raise typer.Exit(1)
+    give("prove", result, as_json, [proof.line() for proof in proofs], holds)
 
 
 def synthesize(
@@ -138,10 +129,9 @@ def synthesize(
     project = Project.open(folder)
     with following(f"synthesizing {project.program.name} for {target.value}") as progress:
         found = synthesize_project(project, target.value, clock_rate, seconds, keep, mhz, progress)
-    give("resources", found, as_json, [f"{name}: {_counted(figures)}" for name, figures in found.items()])
+    lines = [f"{name}: {_counted(figures)}" for name, figures in found.items()]
     met = [figures.get("meets") for name, figures in found.items() if name.endswith(f", {target.value}")]
-    if mhz is not None and not all(met):
-        raise typer.Exit(1)
+    give("resources", found, as_json, lines, mhz is None or all(met))
 
 
 def _counted(figures: dict[str, float | None]) -> str:
@@ -157,8 +147,7 @@ def _counted(figures: dict[str, float | None]) -> str:
 def report(
     folders: words.Builds = [],
     every: Annotated[
-        bool,
-        typer.Option("--all", help="Compare the thesis's plants, each from FOLDER/NAME; compile what is missing."),
+        bool, typer.Option("--all", help="Compare the thesis's plants, each from FOLDER/NAME; compile what is missing.")
     ] = False,
     check: Annotated[
         bool, typer.Option("--verify", help="First verify the builds that have not been verified.")
@@ -194,9 +183,7 @@ def report(
         studies = measure(projects, html, side_by_side=every, progress=progress)
     tables = [results(studies), designs(studies)] if every else []
     lines = [line for table in tables for line in (*aligned(table), "")] or _errors(studies)
-    give("report", studies, as_json, [*lines, f"written to {html} and {html.with_suffix('.json')}"])
-    if not passed:
-        raise typer.Exit(1)
+    give("report", studies, as_json, [*lines, f"written to {html} and {html.with_suffix('.json')}"], passed)
 
 
 def compare(
@@ -224,9 +211,8 @@ def compare(
     worse = [one for one in found if one.worse]
     result: Comparing = {"worse": len(worse), "differences": [{**vars(one), "growth": one.growth} for one in found]}  # type: ignore[typeddict-item]
     verdict = f"{len(worse)} of {len(found)} figures worse than allowed" if worse else "no figure worse than allowed"
-    give("compare", result, as_json, [*aligned(rows(found), LEFT), verdict, *([f"written to {html}"] if html else [])])
-    if worse:
-        raise typer.Exit(1)
+    lines = [*aligned(rows(found), LEFT), verdict, *([f"written to {html}"] if html else [])]
+    give("compare", result, as_json, lines, not worse)
 
 
 def _errors(studies: list[dict]) -> list[str]:

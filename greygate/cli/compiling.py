@@ -26,8 +26,7 @@ Held = Annotated[list[str], words.HELD]
 MaxError = Annotated[str | None, words.MAX_ERROR]
 Width = Annotated[int, typer.Option(callback=options.WIDTH, help="Word width of signals and weights, 4 to 32 bits.")]
 Finer = Annotated[
-    int | None,
-    typer.Option(callback=options.FINER, help="Bits of weights and neurons beyond the width."),
+    int | None, typer.Option(callback=options.FINER, help="Bits of weights and neurons beyond the width.")
 ]
 Prune = Annotated[
     float | None, typer.Option(callback=options.ALLOWANCE, help="Entropy pruning; RMSE may grow by this factor.")

@@ -41,8 +41,7 @@ def c(
 @app.command()
 def fmu(
     source: Annotated[
-        Path,
-        typer.Argument(metavar="BUILD|PLANT", help="A build, PLANT.toml, rig.toml, or a folder with one."),
+        Path, typer.Argument(metavar="BUILD|PLANT", help="A build, PLANT.toml, rig.toml, or a folder with one.")
     ],
     out: Annotated[Path, typer.Option(metavar="FILE.fmu", help="FMU to write.")],
     fmi: Annotated[Fmi, typer.Option(help="Version of FMI.")] = Fmi.THREE,
@@ -136,9 +135,4 @@ def mjcf(
         lines.append(f"{one.name}: {'; '.join(sizes) or 'nothing resists'}")
         lines += [f"  not here: {', '.join(one.left)}"] * bool(one.left)
     result: ExportedMjcf = {"out": str(out), "joints": found}
-    give(
-        "export-mjcf",
-        result,
-        as_json,
-        [*lines, f"written to {out}"],
-    )
+    give("export-mjcf", result, as_json, [*lines, f"written to {out}"])

@@ -1,4 +1,4 @@
-"""Commands on float networks: train, validate."""
+"""Commands on float networks: train, validate, identify, build-snn, control."""
 
 import json
 from pathlib import Path
@@ -7,7 +7,9 @@ from typing import Annotated
 import typer
 
 from greygate.cli import options, words
+from greygate.cli.backends import Backend, OnBackend, Scheduler, joblib_on
 from greygate.cli.terminal import Json, finite, following, give, recordings, say
+from greygate.control.choices import JUDGED, Case, Method, Place
 from greygate.errors import InputError
 
 Trained = Annotated[
@@ -28,28 +30,23 @@ def train(
     record: words.Recordings = [],
     held: Annotated[list[str], words.HELD] = [],
     tail: Annotated[
-        float,
-        typer.Option(callback=options.SHARE, help="Share at the end of each record that chooses the epoch."),
+        float, typer.Option(callback=options.SHARE, help="Share at the end of each record that chooses the epoch.")
     ] = 0.0,
     narx: Annotated[bool, typer.Option(help="Train the one-step prediction first.")] = True,
     epochs: Annotated[int, typer.Option(callback=options.COUNT, help="Most epochs of training in free run.")] = 200,
     decay: Annotated[float, typer.Option(callback=options.DECAY, help="Weight decay D of the loss.")] = 0.0,
     settle: Annotated[str, words.SETTLE] = "0",
     shooting: Annotated[
-        int | None,
-        typer.Option(callback=options.COUNT, help="Multiple shooting, in windows of N samples."),
+        int | None, typer.Option(callback=options.COUNT, help="Multiple shooting, in windows of N samples.")
     ] = None,
     offset: Annotated[
-        list[str],
-        typer.Option(metavar="OUTPUT", help="Its sensor has another offset in each recording but the first."),
+        list[str], typer.Option(metavar="OUTPUT", help="Its sensor has another offset in each recording but the first.")
     ] = [],
     gain: Annotated[
-        list[str],
-        typer.Option(metavar="OUTPUT", help="Its sensor has another gain in each recording but the first."),
+        list[str], typer.Option(metavar="OUTPUT", help="Its sensor has another gain in each recording but the first.")
     ] = [],
     seeds: Annotated[
-        int,
-        typer.Option(callback=options.STARTS, help="Starts: the file's weights, and others that are drawn."),
+        int, typer.Option(callback=options.STARTS, help="Starts: the file's weights, and others that are drawn.")
     ] = 1,
     jobs: words.Jobs = 2,
     seconds: Annotated[float, words.SECONDS] = float("inf"),
@@ -71,23 +68,12 @@ def train(
     if name == "list":
         if record:
             raise InputError(f"list: means nothing with {record[0]}; leave it out")
-        give(
-            "catalogue",
-            {n: e.title for n, e in CATALOG.items()},
-            as_json,
-            [f"{n:20} {e.title}" for n, e in CATALOG.items()],
-        )
+        titles = {n: e.title for n, e in CATALOG.items()}
+        give("catalogue", titles, as_json, [f"{n:20} {title}" for n, title in titles.items()])
     elif name not in CATALOG and (record or name.endswith(".toml")):
-        how = {"narx": narx, "tail": tail, "epochs": epochs, "decay": decay, "shooting": shooting, "seconds": seconds}
-        _train_own(
-            name,
-            record,
-            held,
-            settle,
-            how | {"seeds": seeds, "jobs": jobs, "offset": offset, "gain": gain, "html": html},
-            out,
-            as_json,
-        )
+        how: dict = {"narx": narx, "tail": tail, "epochs": epochs, "decay": decay, "shooting": shooting}
+        how |= {"seconds": seconds, "seeds": seeds, "jobs": jobs, "offset": offset, "gain": gain, "html": html}
+        _train_own(name, record, held, settle, how, out, as_json)
     else:
         if record or held:
             raise InputError(f"{name} is trained on its own records; give recordings only with a NAME.toml file")
@@ -146,9 +132,7 @@ def _train_own(
     if len(trained["starts"]) > 1:
         lines += [*aligned(table(trained["starts"]), ("start", "outcome")), "* chosen by what was held out, normalised"]
     lines += [f"written to {path}" for path in (trained["out"], how["html"]) if path is not None]
-    give("train", trained, as_json, [head, *lines])
-    if trained["outcome"] == "diverged":
-        raise typer.Exit(1)
+    give("train", trained, as_json, [head, *lines], trained["outcome"] != "diverged")
 
 
 def validate(
@@ -169,8 +153,7 @@ def validate(
     from greygate.machines.source import Source
     from greygate.pages import templates
     from greygate.pages.validation import page
-    from greygate.pages.validation.advice import advice
-    from greygate.pages.validation.judged import judge, table
+    from greygate.pages.validation.judged import advice, judge, table
 
     skipped = words.settled(settle)
     if skipped is None:
@@ -182,6 +165,122 @@ def validate(
     if supposed := source.supposed:
         say(supposed)
     told = advice(judged)
-    give("validate", judged.figures() | {"advice": told}, as_json, [*table(judged), *told, f"written to {html}"])
-    if not judged.bounded:
-        raise typer.Exit(1)
+    lines = [*table(judged), *told, f"written to {html}"]
+    give("validate", judged.figures() | {"advice": told}, as_json, lines, judged.bounded)
+
+
+def identify(
+    record: words.Recordings,
+    output: Annotated[str, words.OUTPUT],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder to write; its name becomes the network's.")],
+    input: Annotated[list[str], words.INPUT] = [],
+    test: Annotated[list[str], words.TEST] = [],
+    sample_time: Annotated[float | None, words.SAMPLE_TIME] = None,
+    settle: Annotated[str, words.SETTLE] = words.AUTO,
+    seconds: Annotated[float, words.SECONDS] = 60.0,
+    jobs: words.Jobs = 2,
+    backend: OnBackend = Backend.LOKY,
+    scheduler: Scheduler = None,
+    as_json: Json = False,
+) -> None:
+    """Find a network from recordings alone.
+
+    It fits linear models, grows networks from the best, and chooses by held-out blocks. Exit code 1 if no network
+    predicts better than the mean of what was held out, or the chosen one diverges on a test.
+    """
+    from greygate.identify.files import identify_files, lines
+
+    side_by_side = jobs if backend is Backend.LOKY else -1
+    with joblib_on(backend, scheduler), following("identifying") as progress:
+        found = identify_files(
+            recordings(record), recordings(test), input, output, out,
+            dt=sample_time, seconds=seconds, jobs=side_by_side, settle=words.settled(settle), progress=progress,
+        )  # fmt: skip
+    told = [*lines(found), f"written to {found['out']}", *(f"next: {n}" for n in found["next"])]
+    predicts = found["better_than_mean"] and all(error is not None for error in found["test"].values())
+    give("identify", found, as_json, told, predicts)
+
+
+def build_snn(
+    plant: words.Plant,
+    record: words.Recordings,
+    out: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Folder for NAME.toml, .safetensors, .json and NAME.decisions.txt.")
+    ],
+    test: Annotated[list[str], words.TEST] = [],
+    sensor: Annotated[
+        list[str], typer.Option(metavar="CHANNEL", help="An output of the plant that is measured in the field too.")
+    ] = [],
+    output: Annotated[list[str], words.OUTPUT] = [],
+    seconds: Annotated[float, words.SECONDS] = float("inf"),
+    as_json: Json = False,
+) -> None:
+    """Build a structured network from a plant's equations.
+
+    It says what was decided and why. Without --test the end of each recording judges; without --output every output on
+    record that is no sensor's is predicted. Exit code 1 if the plant's own simulation is better on what was kept to
+    test on; the network is written then too.
+    """
+    from greygate.identify.expert.files import build_files
+
+    with following("building") as progress:
+        found = build_files(plant, recordings(record), recordings(test), sensor, output, seconds, out, progress)
+    lines = [str(line) for line in found["text"]]
+    for name, by_target in found["rms"]["network"].items():
+        for port, error in by_target.items():
+            others = ", ".join(f"{who} {finite(found['rms'][who][name][port], '.4g')}" for who in ("nominal", "linear"))
+            lines.append(f"{name:12} {port:10} RMSE {finite(error, '.4g')} ({others})")
+    told = {n: v for n, v in found.items() if n != "text"}
+    give("build-snn", told, as_json, [*lines, f"written to {found['out']}", found["next"]], found["better"])
+
+
+def control(
+    machine: Annotated[
+        str, typer.Argument(metavar="MACHINE", help="A machine of the catalogue that has position control, or `list`.")
+    ],
+    controller: Annotated[Method, typer.Option(help="Who controls.")] = Method.MPC,
+    place: Annotated[Place, typer.Option(help="Where the network and its soft sensor are computed.")] = Place.FLOAT,
+    case: Annotated[Case, typer.Option(help="What disturbs the machine.")] = Case.NOMINAL,
+    seed: Annotated[int, words.SEED] = JUDGED,
+    samples: Annotated[int, typer.Option(callback=options.SAMPLES, help="0 for the machine's own number.")] = 0,
+    out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="CSV for the signals of the run.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Control the position of a simulated machine.
+
+    A tuned PI, predictive control, or the network that imitates it. The network and its soft sensor are computed in
+    float, by the emulator or by simulated hardware. Seeds below 1000 are trajectories and days that it learnt on. Exit
+    code 1 if the hardware differs from the emulator in any bit.
+    """
+    from greygate.hardware.controlling import controller as built
+    from greygate.machines.catalog import CONTROLLED, task
+
+    if machine == "list":
+        titles = {name: build().title for name, build in CONTROLLED.items()}
+        give("catalogue", titles, as_json, [f"{name:20} {title}" for name, title in titles.items()])
+        return
+    chosen = task(machine)
+    with following(f"control of {machine}") as progress, built(chosen, controller, place, progress) as (made, designs):
+        done = chosen.run(made, case, seed, samples, progress)
+    found: dict = done.figures(min(chosen.settle, len(done.error) - 1)) | {"limits": dict(done.violations)}
+    if designs:
+        found["differing_bits"] = sum(d.differing for d in designs)
+        found["compared_bits"] = sum(d.compared for d in designs)
+        found["clocks"] = {d.program.name: d.clocks / d.steps for d in designs}
+    if out:
+        chosen.recording(done).write_csv(out)
+    of = {"machine": machine, "controller": controller, "place": place, "case": case, "seed": seed}
+    give("control", of | found, as_json, _lines(found), not found.get("differing_bits"))
+
+
+def _lines(found: dict) -> list[str]:
+    lines = [f"error       RMS {1e6 * found['rms']:.2f} µm, worst {1e6 * found['worst']:.1f} µm"]
+    broken = (f"{name} {count}" for name, count in found["limits"].items())
+    lines.append(f"limits      samples in which one was broken: {', '.join(broken)}")
+    if "energy" in found:
+        lines.append(f"energy      {found['energy']:.0f} J")
+    lines.append(f"time        {found['microseconds']:.0f} µs a step on this computer")
+    if "clocks" in found:
+        lines.append("clocks      " + ", ".join(f"{name} {value:.0f}" for name, value in found["clocks"].items()))
+        lines.append(f"bits        {found['differing_bits']} of {found['compared_bits']} differ from the emulator")
+    return lines

@@ -56,8 +56,7 @@ class Comparing(TypedDict):
 
 
 PassLeft = TypedDict(
-    "PassLeft",
-    {"pass": str, "layers": Count, "parameters": Count, "multiplications": Count, "remarks": list[str]},
+    "PassLeft", {"pass": str, "layers": Count, "parameters": Count, "multiplications": Count, "remarks": list[str]}
 )
 
 

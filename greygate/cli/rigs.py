@@ -114,9 +114,7 @@ def next_(
 
     with following("looking for an experiment") as progress:
         found, lines, tells = propose(rig, diagnosis, out, effects, longest, progress)
-    give("next", found, as_json, [*lines, f"written to {out}"] if tells and out is not None else lines)
-    if not tells:
-        raise typer.Exit(1)
+    give("next", found, as_json, [*lines, f"written to {out}"] if tells and out is not None else lines, tells)
 
 
 def _range(text: str) -> tuple[str, tuple[float, float]]:
@@ -198,12 +196,7 @@ def conceal(
         write(plant, seed, out, kind=kind, effect=effect, under=condition)
     seal = (out / "sealed.json.sha256").read_text(encoding="utf-8").split()[0]
     result: Concealing = {"out": str(out), "sha256": seal}
-    give(
-        "conceal",
-        result,
-        as_json,
-        [f"written to {out}", f"answer sealed with SHA-256 {seal}"],
-    )
+    give("conceal", result, as_json, [f"written to {out}", f"answer sealed with SHA-256 {seal}"])
 
 
 def reveal(
@@ -220,9 +213,7 @@ def reveal(
     from greygate.mismatch.explain import score
 
     found, lines, right = score(folder, diagnosis, effects)
-    give("reveal", found, as_json, lines)
-    if not right:
-        raise typer.Exit(1)
+    give("reveal", found, as_json, lines, right)
 
 
 def fit_fmu(

@@ -20,9 +20,14 @@ SILENCE = 5.0  # s between two lines of long work, where stderr is no terminal
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
-def give(schema: str, result: object, as_json: bool, lines: list[str]) -> None:
-    """Print the result of a command: as JSON of that schema, or the lines that a person reads."""
+def give(schema: str, result: object, as_json: bool, lines: list[str], yes: bool = True) -> None:
+    """Print the result of a command: as JSON of that schema, or the lines that a person reads.
+
+    yes: else the answer is no, and the exit code 1.
+    """
     print_out(schemas.text(schema, result) if as_json else "\n".join(lines))
+    if not yes:
+        raise typer.Exit(1)
 
 
 def print_out(text: str) -> None:

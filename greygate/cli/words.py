@@ -32,8 +32,7 @@ def catalogued(begun: str) -> list[str]:
 Build = Annotated[Path, typer.Argument(metavar="BUILD", help="A folder that `greygate compile` wrote.")]
 Builds = Annotated[list[Path], typer.Argument(metavar="BUILD", help="Folders that `greygate compile` wrote.")]
 Network = Annotated[
-    str,
-    typer.Argument(metavar="NETWORK", help="A name of the catalogue, or NAME.toml.", autocompletion=catalogued),
+    str, typer.Argument(metavar="NETWORK", help="A name of the catalogue, or NAME.toml.", autocompletion=catalogued)
 ]
 Plant = Annotated[Path, typer.Argument(metavar="PLANT", help="PLANT.toml, rig.toml, or a folder with one.")]
 Recording = Annotated[Path, typer.Argument(metavar="RECORDING", help="FILE.csv, or another format that look reads.")]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from greygate.errors import InputError, shown
+from greygate.errors import InputError, brought_by, shown
 from greygate.foreign.child import DEEPEST, Room
 
 HOPS = 20  # soft links behind one another
@@ -15,12 +15,8 @@ ATTRIBUTE = 1000  # bytes of an attribute that is read
 
 def h5py_module() -> Any:
     """h5py, or InputError with what to install."""
-    try:
+    with brought_by("matlab", "h5py"):
         import h5py
-    except ImportError as error:
-        if error.name != "h5py":
-            raise
-        raise InputError("h5py is not installed; pip install 'greygate[matlab]'") from None
     return h5py
 
 

@@ -1,15 +1,20 @@
-"""The command that writes a workflow for a CI service."""
+"""Commands about greygate itself: ci-template, doctor, schema."""
 
+import json
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from greygate import schemas
 from greygate.cli import words
 from greygate.cli.grammar import spelt
-from greygate.cli.terminal import Json, give, recordings
+from greygate.cli.terminal import Json, give, print_out, recordings
 from greygate.errors import InputError
+
+if TYPE_CHECKING:
+    from greygate.cli.printed import Doctor
 
 
 class Service(StrEnum):
@@ -57,3 +62,52 @@ def ci_template(
     kept = {} if install is None else {"install": install}
     found = write_workflow(service.value, [how, *making], files, accepted=accepted, budget=str(budget), out=out, **kept)
     give("ci-template", found, as_json, [f"written: {', '.join(found['written'])}", "then, once:", *found["next"]])
+
+
+def doctor(as_json: Json = False) -> None:
+    """List the tools that greygate uses, and what is missing.
+
+    Exit code 1 if a command of the plain installation would fail.
+    """
+    from greygate import __version__
+    from greygate.doctor import tools
+    from greygate.pages.summary import aligned
+
+    found = tools()
+    rows = [
+        {
+            "name": tool.name,
+            "version": tool.version or ("MISSING" if tool.needed else "not installed"),
+            "for": tool.needed_by,
+            "remedy": "" if tool.version else tool.remedy,
+        }
+        for tool in found
+    ]
+    healthy = all(tool.version or not tool.needed for tool in found)
+    verdict = "every command of the plain installation can run" if healthy else "some commands cannot run: see MISSING"
+    result: Doctor = {"greygate": __version__, "healthy": healthy, "tools": found}
+    lines = [f"greygate {__version__}", *aligned(rows, ("name", "version", "for", "remedy")), verdict]
+    give("doctor", result, as_json, lines, healthy)
+
+
+def named(begun: str) -> list[str]:
+    """For the shell's completion: names of schemas that begin so."""
+    return [name for name in schemas.names() if name.startswith(begun)]
+
+
+def schema(
+    name: Annotated[
+        str | None,
+        typer.Argument(metavar="NAME", help="Of a schema; all are listed if not given.", autocompletion=named),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Print the JSON Schema of a result, or list them.
+
+    A result is what a command prints with --json, or a file that greygate writes.
+    """
+    if name is None:
+        found = {name: schemas.load(name)["title"] for name in schemas.names()}
+        give("catalogue", found, as_json, [f"{name:22} {title}" for name, title in found.items()])
+    else:
+        print_out(json.dumps(schemas.load(name), indent=1, ensure_ascii=False))
