@@ -43,5 +43,8 @@ def _entry(key: str, plant: str, place: Mapping, unknown: Mapping) -> str:
     ]
     for symbol, p in unknown["parameters"].items():
         lines.append(f"parameters.{new[symbol]} = {{ unit = {json.dumps(p['unit'])}, typical = {abs(p['value'])!r} }}")
-        lines.append(f'terms."{p["place"]}.{new[symbol]}" = {json.dumps(replaced(p["term"], new))}')
+        term = replaced(p["term"], new)
+        lines.append(f'terms."{p["place"]}.{new[symbol]}" = {json.dumps(term)}')
+        if "against" in p:
+            lines.append(f'terms."{p["against"]}.{new[symbol]}" = {json.dumps(f"-1.0 * ({term})")}')
     return "\n".join([*lines, ""])

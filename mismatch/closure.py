@@ -5,23 +5,20 @@ stretches of the recording that their coefficients were not fitted to. What is m
 most of the misfit; in an equation the sum becomes the term called `unknown`.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
-from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.effects import SENSOR, Effect, Free
-from greygate.mismatch.fit import HELD, NORMAL, Fit, Likelihood
-from greygate.mismatch.forced import Forced
-from greygate.mismatch.formula import ONE, Finder, Formula
-from greygate.mismatch.general import unit_of_coefficient
+from greygate.mismatch.fit import HELD, NORMAL, Fit
 from greygate.mismatch.libraries import Basis, Candidate, declared
 from greygate.mismatch.model import TINY, lagged
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.runs import along
 from greygate.mismatch.search import Hypothesis, Search
+from greygate.mismatch.unnamed import unnamed
 from greygate.plants.closure import SEEN, Place
 from greygate.plants.expressions import names, replaced
 from greygate.plants.plant import Values
@@ -278,7 +275,7 @@ def closure(search: Search) -> tuple[dict, Fit | None]:
     of what a term is made, it is a formula (formula.py).
     """
     if not search.rig.plant.closure.places:
-        return _written(search)
+        return unnamed(search)
     try:
         unknowns = _Unknowns.of(search, Hypothesis(), {})
     except NowhereError:
@@ -299,77 +296,6 @@ def closure(search: Search) -> tuple[dict, Fit | None]:
     depends = ", ".join(where["depends_on"])
     regime = f"a term of {depends or 'constant size'}, which takes {share:.0%} of the misfit"
     return {"where": [{**where, "regime": regime}], "effect": effect, "share": share}, fit
-
-
-def _written(search: Search) -> tuple[dict, Fit | None]:
-    """What `closure` gives, by a formula; the fit is that of all its coefficients."""
-    finder = Finder(Forced(search))
-    formula = finder.found()
-    if formula is None:
-        return {"where": [], "effect": None}, None
-    rig, texts = search.rig, formula.texts
-    basis = {name: Candidate(t, tuple(sorted(names([t])))) for name, t in zip(_named(formula), texts, strict=True)}
-    effects = _effects(rig, {formula.place: basis})
-    units = {symbol: unit_of_coefficient(rig, formula.place, text) for symbol, text in zip(effects, texts, strict=True)}
-    start = dict(zip(effects, map(float, finder.coefficients(formula)), strict=True))
-    values: Mapping[str, float] = {**finder.forced.base.values, **start}
-    rigs = [rig] if finder.forced.rig is rig else [finder.forced.rig, rig]  # a free run needs a start that is near
-    for each in rigs:
-        again = Search(each, search.final.model.recording, effects, Likelihood if each.stated else Coloured)
-        if each.stated and each.window == rig.window:
-            again.under(search.noise)
-        again.effects, again.between = effects, search.between
-        fit = again.fit(again.final, Hypothesis(tuple(effects)), values)
-        values = fit.values
-    share = _removed(again.base(again.final), fit)
-    parameters = {symbol: _parameter(effects[symbol], fit, {}) | {"unit": units[symbol]} for symbol in effects}
-    on = ", ".join(formula.depends_on) or "constant size"
-    where: dict = {
-        "equation": formula.place,
-        "depends_on": formula.depends_on,
-        "regime": f"a term of {on}, which takes {share:.0%} of the misfit",
-        "formula": _sum(texts, parameters.values()),
-    }
-    if curve := finder.curve(formula):
-        columns = {"at": curve.at, "value": curve.value, "low": curve.low, "high": curve.high}
-        where |= {"curve": {"of": curve.signal, **{name: column.tolist() for name, column in columns.items()}}}
-    effect = {
-        "id": "unknown",
-        "equations": [formula.place],
-        "confidence": round(share, CONFIDENCE_DIGITS),
-        "parameters": parameters,
-        "not_told_apart_from": [],
-    }
-    return {"where": [where], "effect": effect, "share": share}, fit
-
-
-def _removed(plain: Fit, fit: Fit) -> float:
-    """The share of the squared error beyond the told noise that a fit removes, in the mean over channels."""
-
-    def squared(one: Fit) -> np.ndarray:
-        counts = np.isfinite(one.likelihood.sigma).all(axis=1)
-        return np.mean(one.likelihood.residual(one.values)[counts] ** 2, axis=0)
-
-    rig = fit.likelihood.model.rig
-    noise = np.array([rig.channels[name].sigma ** 2 for name in rig.predict])
-    before, after = (np.maximum(squared(one) - noise, 0.0) for one in (plain, fit))
-    return float(np.clip(np.mean(1.0 - after / np.maximum(before, TINY)), 0.0, 1.0))
-
-
-def _sum(texts: Sequence[str], parameters: Iterable[Mapping]) -> str:
-    """A formula with its coefficients, as a person reads it: "-0.35 V tanh(i / 0.05)"."""
-    sizes = (f"{p['value']:.3g}{' ' * bool(p['unit'])}{p['unit']}" for p in parameters)
-    return " + ".join(size if text == ONE else f"{size} {text}" for size, text in zip(sizes, texts, strict=True))
-
-
-def _named(formula: Formula) -> list[str]:
-    """A name for each coefficient of a formula, by what its function does and to which signal."""
-    found: list[str] = []
-    for shape in formula.shapes:
-        for text in shape.texts:
-            name = "_".join([shape.kind, *sorted(names([text]))])
-            found.append(name if name not in found else f"{name}_{len(found) + 1}")
-    return found
 
 
 def _signals(search: Search) -> dict[str, np.ndarray]:

@@ -18,6 +18,7 @@ from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.entries import TIME
 from greygate.mismatch.fit import Fit, Likelihood, tame
 from greygate.mismatch.model import Model
+from greygate.mismatch.places import places
 from greygate.mismatch.rig import FEWEST, Rig
 from greygate.mismatch.runs import along, with_channels
 from greygate.mismatch.scales import noise
@@ -31,27 +32,41 @@ SMALL = 0.01  # of the largest term of a place: a term of this size changes the 
 EXPECTED = 0.9  # of the cost that pure noise would have: what is above it is misfit
 
 
-def places(rig: Rig) -> list[str]:
+Place = tuple[str, ...]
+"""One balance or definition; or two balances, in the second of which a term stands with the opposite sign."""
+
+
+def sums(rig: Rig) -> list[str]:
     """Where a term may be missing: any balance but that of a position, any law that gives a predicted channel."""
     plant = rig.plant
     balances = [name for name, e in plant.equations.items() if not plant.states[e.state].rate]
     return balances + [name for name, d in plant.definitions.items() if d.symbol in rig.predict]
 
 
+def between(rig: Rig) -> dict[Place, list[str]]:
+    """The balances of two bodies -> by how much they move apart, and how fast."""
+    found: dict[Place, list[str]] = {}
+    for pair in places(rig)["bodies"]:
+        apart = [f"({pair[f'{s}_1']} - {pair[f'{s}_2']})" for s in ("x", "v") if f"{s}_2" in pair]
+        found[pair["motion_1"], pair["motion_2"]] = apart
+    return found
+
+
 class Forced:
     """The calibrated fit of a search's plant, without any effect, and what functions of its signals change there.
 
     rig: the search's, with restarts where states are recorded. base: that fit. signals: what moves along the
-    recording, as recorded or as a rate of that, else as simulated (samples,). size: RMS of the largest term of each
+    recording, as recorded or as a rate of that, else as simulated, and how far bodies are apart (samples,). places:
+    where a term may be missing -> the signals on which it may depend there. size: RMS of the largest term of each
     place. values: from which the plant is calibrated.
     """
 
     def __init__(self, search: Search, values: Mapping[str, float] | None = None):
-        self.places, recording = places(search.rig), search.final.model.recording
+        everywhere, recording = sums(search.rig), search.final.model.recording
         anew = not search.rig.window and any(state in search.rig.channels for state in search.rig.plant.states)
         self.rig = _restarted(search.rig, recording) if anew else search.rig
-        rig = replace(self.rig, plant=_opened(self.rig.plant, self.places))
-        zeros = {FORCED + place: np.zeros(recording.samples) for place in self.places}
+        rig = replace(self.rig, plant=_opened(self.rig.plant, everywhere))
+        zeros = {FORCED + place: np.zeros(recording.samples) for place in everywhere}
         units = {**recording.units, **dict.fromkeys(zeros, "")}
         recording = with_channels(recording, {**recording.channels, **zeros}, units)
         self.search = Search(rig, recording, {}, Likelihood if rig.stated else Coloured)
@@ -59,11 +74,14 @@ class Forced:
             self.search.under(search.noise)
         self.search.between = search.between
         self.base: Fit = self.search.base(self.search.final)
-        self.signals, scope = _signals(self.search, {**(values or {}), **self.base.values})
+        moving, scope = _signals(self.search, {**(values or {}), **self.base.values})
         self._values = Values(rig.plant, scope)
         self._values.update({s: v for s, v in self.base.values.items() if s in rig.plant.parameters})
-        self.size = {place: self._largest(place) for place in self.places}
-        self._columns: dict[tuple[str, str], np.ndarray] = {}
+        apart = between(self.rig)
+        self.signals = moving | {text: self.of(text) for texts in apart.values() for text in texts}
+        self.places: dict[Place, list[str]] = {(place,): [*moving] for place in everywhere} | apart
+        self.size = {place: self._largest(place[0]) for place in self.places}
+        self._columns: dict[tuple[Place, str], np.ndarray] = {}
 
     @property
     def model(self) -> Model:
@@ -80,25 +98,27 @@ class Forced:
         with np.errstate(all="ignore"):
             return np.nan_to_num(np.broadcast_to(self._values.evaluate(text), len(self.model.target)).astype(float))
 
-    def unit(self, place: str, text: str) -> float:
+    def unit(self, place: Place, text: str) -> float:
         """What the coefficient of an expression is where it is as large as the largest term of its place."""
         return self.size[place] / (float(np.sqrt(np.mean(self.of(text) ** 2))) or 1.0)
 
-    def column(self, place: str, text: str) -> np.ndarray:
+    def column(self, place: Place, text: str) -> np.ndarray:
         """What an expression in a place, times its `unit`, changes in the errors (windows, rows)."""
         key = place, text
         if key not in self._columns:
             self._columns[key] = self.changed(place, self.of(text) * self.unit(place, text))
         return self._columns[key]
 
-    def changed(self, place: str, signal: np.ndarray) -> np.ndarray:
+    def changed(self, place: Place, signal: np.ndarray) -> np.ndarray:
         """What a signal (samples,) in a place changes in the errors (windows, rows), in proportion to a small one.
 
         Less what the beginnings of the windows make up for.
         """
         held = along(lambda s: np.append((s[1:] + s[:-1]) / 2, s[-1]), self.model.pieces, signal)
         base, likelihood = self.base, copy.copy(self.base.likelihood)
-        likelihood.model = self.model.driven(FORCED + place, SMALL * held)
+        likelihood.model = self.model
+        for name, sign in zip(place, (1, -1), strict=False):
+            likelihood.model = likelihood.model.driven(FORCED + name, sign * SMALL * held)
         moved = likelihood.errors(base.values, base.shifts)
         rows = likelihood.rows(tame(moved - base.errors) / SMALL, base.temper)
         return likelihood.eliminate(rows[:, :, None], None, base.basis)[0][:, :, 0]

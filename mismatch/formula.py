@@ -16,7 +16,7 @@ from itertools import combinations
 import numpy as np
 
 from greygate.mismatch.fit import HELD, NORMAL
-from greygate.mismatch.forced import Forced
+from greygate.mismatch.forced import Forced, Place
 from greygate.mismatch.model import TINY
 from greygate.plants.expressions import names
 
@@ -29,6 +29,7 @@ TERMS = 3  # of a formula, at most
 SHARP = 20.0  # of the tanh that stands for a sign: 5 % of the largest value are 76 % of the sign
 KNEES = (0.005, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7)  # of the largest value, where a tanh or a dead band bends
 LEVELS = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.9)  # of the range, at which something begins
+REFINED = 4  # formulas of one number of terms, of which knees are refined
 STEPS = 4  # in which a knee is refined: to a sixteenth of the distance of its grid
 BINS, BINS_EACH = 4096, 8  # of a signal's range, over which errors are summed; of each period of a wave, at least
 LOWEST = 2  # periods over the range: fewer are a curve
@@ -62,7 +63,7 @@ class Shape:
 class Formula:
     """A term of a place: a sum of shapes. share: of the misfit, that it takes on stretches it was not fitted to."""
 
-    place: str
+    place: Place
     shapes: tuple[Shape, ...]
     share: float
 
@@ -142,7 +143,7 @@ class Finder:
         squares = float(np.sum(self.forced.base.projected**2))
         return squares - self.forced.expected - Judge(self.forced, {}).plain
 
-    def judge(self, place: str, texts: Iterable[str]) -> Judge:
+    def judge(self, place: Place, texts: Iterable[str]) -> Judge:
         return Judge(self.forced, {text: self.forced.column(place, text) for text in dict.fromkeys(texts)})
 
     def found(self) -> Formula | None:
@@ -153,15 +154,15 @@ class Finder:
         formula = self._written(place, self._pool(variables))
         return formula if formula is not None and formula.share > WORTH else None
 
-    def _where(self) -> tuple[str, tuple[str, ...]]:
+    def _where(self) -> tuple[Place, tuple[str, ...]]:
         """The place, and the signals, at most two, whose smooth functions save most."""
         groups = {
             v: [*self._smooth(v), *(t for wave in self._waves(v) for t in wave.texts)] for v in self.forced.signals
         }
-        found: list[tuple[float, str, tuple[str, ...]]] = []
-        for place in self.forced.places:
-            judge = self.judge(place, [ONE, *(t for texts in groups.values() for t in texts)])
-            alone = {v: judge.gain([ONE, *texts]) for v, texts in groups.items()}
+        found: list[tuple[float, Place, tuple[str, ...]]] = []
+        for place, variables in self.forced.places.items():
+            judge = self.judge(place, [ONE, *(t for v in variables for t in groups[v])])
+            alone = {v: judge.gain([ONE, *groups[v]]) for v in variables}
             found.append((judge.gain([ONE]), place, ()))
             found += [(gain - WORTH * self.misfit, place, (v,)) for v, gain in alone.items()]
             best = sorted(alone, key=lambda v: -alone[v])[:BEST]
@@ -172,8 +173,8 @@ class Finder:
             for (v, r), products in both.items():
                 gain = judge.gain([ONE, *groups[v], *groups[r], *products])
                 found.append((gain - 2 * WORTH * self.misfit, place, (v, r)))
-        _, place, variables = max(found)
-        return place, variables
+        _, place, chosen = max(found)
+        return place, chosen
 
     @staticmethod
     def _products(v: str, r: str) -> list[str]:
@@ -220,22 +221,23 @@ class Finder:
     def _shapes(self, v: str) -> list[Shape]:
         """The functions of one signal."""
         low, high = self._ends(v)
-        most = max(-low, high)
+        most, inside = max(-low, high), v.removeprefix("(").removesuffix(")")
         found = [Shape((v,), "linear", 1), Shape((f"{v}**2",), "even", 2), Shape((f"{v}**3",), "odd", 3)]
         if low < 0 < high:
-            found += [Shape((f"abs({v})",), "even", 2), Shape((f"{v} * abs({v})",), "odd", 2)]
-            bent = {f"tanh({v} / KNEE)": "saturating", f"({v} - min(max({v}, -KNEE), KNEE))": "threshold"}
+            found += [Shape((f"abs({inside})",), "even", 2), Shape((f"{v} * abs({inside})",), "odd", 2)]
+            band = f"(max({inside} - KNEE, 0.0) + min({inside} + KNEE, 0.0))"
+            bent = {f"tanh({v} / KNEE)": "saturating", band: "threshold"}
             knees = [knee * most for knee in KNEES]
             found += [Shape((form,), kind, 3, knee, knee) for form, kind in bent.items() for knee in knees]
         else:
-            found.append(Shape((f"sqrt(abs({v}))",), "root", 2))
+            found.append(Shape((f"sqrt(abs({inside}))",), "root", 2))
         levels = [low + level * (high - low) for level in LEVELS]
-        sided = f"(max({v}, KNEE) - KNEE)", f"(min({v}, KNEE) - KNEE)"
+        sided = f"(max({inside}, KNEE) - KNEE)", f"(min({inside}, KNEE) - KNEE)"
         step = (high - low) / len(levels)
         found += [Shape((form,), "threshold", 3, level, step) for form in sided for level in levels]
         return found + self._waves(v)
 
-    def _written(self, place: str, pool: list[Shape]) -> Formula | None:
+    def _written(self, place: Place, pool: list[Shape]) -> Formula | None:
         """The formula of the fewest terms from `pool` to which a further one adds little."""
         best: Formula | None = None
         for size in range(1, TERMS + 1):
@@ -245,12 +247,21 @@ class Finder:
                 break
             judge = self.judge(place, (t for shapes in trials for s in shapes for t in s.texts))
             tried = [Formula(place, tuple(t), judge.gain(x for s in t for x in s.texts) / self.misfit) for t in trials]
+            tried += [self._refined(formula) for formula in self._hopeful(tried)]
             most = max(formula.share for formula in tried)
             if best and most < best.share + WORTH:
                 break
             near = [formula for formula in tried if formula.share >= most - ALIKE]
-            best = self._refined(min(near, key=lambda f: (f.weight, -f.share)))
+            best = min(near, key=lambda f: (f.weight, -f.share))
         return best
+
+    @staticmethod
+    def _hopeful(tried: list[Formula]) -> list[Formula]:
+        """The best formulas that differ in more than where they bend."""
+        best: dict[tuple, Formula] = {}
+        for formula in sorted(tried, key=lambda f: -f.share):
+            best.setdefault(tuple(shape.forms for shape in formula.shapes), formula)
+        return list(best.values())[:REFINED]
 
     def _refined(self, formula: Formula) -> Formula:
         """The formula with each knee where most is saved."""
@@ -281,9 +292,11 @@ class Finder:
 
         The plant's parameters are as the formula has them: what they could take as well is not in the band.
         """
-        if len(formula.depends_on) != 1:
+        used = {*formula.depends_on}
+        signals = [v for v in self.forced.places[formula.place] if names([v]) == used and v in formula.texts[-1]]
+        if len(signals) != 1:
             return None
-        (v,), forced, base = formula.depends_on, self.forced, self.forced.base
+        (v,), forced, base = signals, self.forced, self.forced.base
         columns = np.stack([forced.column(formula.place, text) for text in formula.texts], axis=2)
         moved = base.slopes @ self._solved(columns, RIDGE)[0][: len(base.unknowns)]
         signal, at, size = forced.signals[v], self._knots(v), forced.size[formula.place]

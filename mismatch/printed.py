@@ -29,6 +29,9 @@ class Fitted(TypedDict):
     ci95: tuple[Figure, Figure]
     unit: str
     outside_tolerance: NotRequired[Literal[True]]
+    place: NotRequired[str]
+    term: NotRequired[str]
+    against: NotRequired[Annotated[str, "The balance in which the term stands with the opposite sign."]]
 
 
 class Gained(TypedDict):

@@ -90,7 +90,7 @@ def read(path: Path | str) -> dict:
 WRITTEN = "give a file that diagnose wrote"
 PARAMETERS = named(lambda value, where: table(value, where, {"value": number}, others=True), check_name)
 TERM = {"value": number, "place": check_name, "term": check_expression}
-UNKNOWN = named(lambda value, where: table(value, where, TERM, others=True), check_symbol)
+UNKNOWN = named(lambda value, where: table(value, where, TERM, {"against": check_name}, others=True), check_symbol)
 
 
 def _effect(value: object, where: str) -> dict:
@@ -127,6 +127,11 @@ def _form(known: Mapping[str, Effect], entry: Mapping) -> Effect:
     return forms[0]
 
 
+def _against(symbol: str, parameter: Mapping) -> dict[str, str]:
+    """The term of opposite sign, where what is missing acts between two bodies."""
+    return {f"{parameter['against']}.{symbol}": f"-1.0 * ({parameter['term']})"} if "against" in parameter else {}
+
+
 def _unknown(rig: Rig, entry: Mapping) -> dict[str, Effect]:
     return {
         symbol: Effect(
@@ -136,7 +141,7 @@ def _unknown(rig: Rig, entry: Mapping) -> dict[str, Effect]:
             tuple(entry.get("equations", ())),
             (),
             (Free(symbol, 1.0, reported=symbol),),
-            terms={f"{p['place']}.{symbol}": p["term"]},
+            terms={f"{p['place']}.{symbol}": p["term"], **_against(symbol, p)},
             of="unknown",
         )
         for symbol, p in entry["parameters"].items()

@@ -70,7 +70,8 @@ def lines(result: Diagnosis) -> list[str]:
     for i, (place, acts) in enumerate(where(found)):
         out.append(row("" if i else "where", place))
         out += [row("", f"  {acts}")] if acts else []
-    out += [row("formula", place["formula"]) for place in found["where"] if "formula" in place]
+    formulas = dict.fromkeys(place["formula"] for place in found["where"] if "formula" in place)
+    out += [row("formula", text) for text in formulas]
     for entry in found["effects"]:
         sure = f" (confidence {entry['confidence']:.3g})" if entry["id"] != "unknown" else ""
         out.append(row("effect", f"{entry['id']}: {means(result, entry)}{sure}"))

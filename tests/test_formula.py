@@ -82,7 +82,7 @@ def test_a_drop_at_the_brushes_comes_back_with_its_knee_its_size_and_its_unit(hi
 def test_the_curve_holds_the_term_within_its_band(hidden):
     look = finder(hidden("rotor", "-2e-5 * w * abs(w)"))
     formula = look.found()
-    assert (formula.place, formula.texts) == ("rotor", ["w * abs(w)"])
+    assert (formula.place, formula.texts) == (("rotor",), ["w * abs(w)"])
     curve = look.curve(formula)
     truth = -2e-5 * curve.at * np.abs(curve.at)
     inside = (curve.low <= truth) & (truth <= curve.high)
@@ -102,7 +102,6 @@ def test_the_curve_holds_the_term_within_its_band(hidden):
 def test_terms_of_other_kinds_come_back_on_their_variables(hidden, place, term, depends_on, kind):
     look = finder(hidden(place, term))
     formula = look.found()
-    print(formula, look._where(), look.misfit, look.forced.expected)
     assert sorted(formula.depends_on) == depends_on
     assert kind in formula.kinds
     assert formula.share > 0.8
