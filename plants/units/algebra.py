@@ -69,7 +69,7 @@ def _unit(node: Node, known: Mapping[str, Powers]) -> Powers | None:
                 return _unit(right if _zero(left) else left, known)
             one, other = _unit(left, known), _unit(right, known)
             if sign in "+-":
-                return other if isinstance(left, Number) else one if one == other or isinstance(right, Number) else None
+                return other if _number(left) is not None else one if one == other or _number(right) is not None else None
             return None if one is None or other is None else times(one, other, 1 if sign == "*" else -1)
         case Call("sqrt", (inner,)):
             found = _unit(inner, known)
@@ -78,7 +78,7 @@ def _unit(node: Node, known: Mapping[str, Powers]) -> Powers | None:
             one, other = _unit(u, known), _unit(pressure, known)
             return None if one is None or other is None else times(one, other, Fraction(1, 2))
         case Call(name, arguments) if name in _SAME:
-            return _unit(next((a for a in reversed(arguments) if not isinstance(a, Number)), arguments[-1]), known)
+            return _unit(next((a for a in reversed(arguments) if _number(a) is None), arguments[-1]), known)
     return {}
 
 
