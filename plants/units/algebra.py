@@ -69,7 +69,9 @@ def _unit(node: Node, known: Mapping[str, Powers]) -> Powers | None:
                 return _unit(right if _zero(left) else left, known)
             one, other = _unit(left, known), _unit(right, known)
             if sign in "+-":
-                return other if _number(left) is not None else one if one == other or _number(right) is not None else None
+                if _number(left) is not None:
+                    return other
+                return one if one == other or _number(right) is not None else None
             return None if one is None or other is None else times(one, other, 1 if sign == "*" else -1)
         case Call("sqrt", (inner,)):
             found = _unit(inner, known)
