@@ -10,7 +10,6 @@ from greygate.models.accuracy import float_error
 from greygate.models.network import Network
 from greygate.models.training.objective import STILL, best_gain
 from greygate.models.training.record import Record
-from greygate.models.validation import labels
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,7 @@ class Sensors:
 
     def told(self, network: Network) -> tuple[dict[str, float], dict[str, float]]:
         """(gains, offsets) by the names of the outputs' elements."""
-        of = {p.name: labels(p) for p in network.outputs}
+        of = {p.name: p.labels for p in network.outputs}
         gains, offsets = (
             {label: float(v) for name, values in found.items() for label, v in zip(of[name], values, strict=True)}
             for found in (self.gains, self.offsets)

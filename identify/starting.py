@@ -67,17 +67,11 @@ def blocks(inputs: Sequence[Port], outputs: Sequence[Port], late: dict[str, int]
     ends = {}
     for port in inputs:
         source = port.name
-        for kind, python, module, says in (
-            (
-                "limited",
-                'library("limiter", lo=-1.0, hi=1.0)',
-                library("limiter", lo=-1.0, hi=1.0),
-                "what was recorded",
-            ),
-            *((kind, f'library("{kind}")', library(kind), f"library network: {kind}") for kind in more),
-        ):
+        keeps, limit = f"Keeps {port.name} within what was recorded.", library("limiter", lo=-1.0, hi=1.0)
+        parts = [("limited", 'library("limiter", lo=-1.0, hi=1.0)', limit, keeps)]
+        parts += [(k, f'library("{k}")', library(k), f"library network: {k} of {port.name}.") for k in more]
+        for kind, python, module, says in parts:
             name = f"{port.name}_{kind}"
-            says = f"Keeps {port.name} within {says}." if kind == "limited" else f"{says} of {port.name}."
             (pin,) = module.inputs
             found.append(Block(name, says, module, python, ((source, pin.name, 0),)))
             source = f"{name}.y"

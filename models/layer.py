@@ -37,6 +37,11 @@ class Port:
         return (value - self.offset) / self.scale
 
     @property
+    def labels(self) -> list[str]:
+        """Names of its elements: its own, or `name[0]`, `name[1]`, ... where there are several."""
+        return [self.name] if self.size == 1 else [f"{self.name}[{i}]" for i in range(self.size)]
+
+    @property
     def rest(self) -> float:
         """What stands inside before step 0."""
         return self.normalised(self.initial)

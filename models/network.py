@@ -7,7 +7,9 @@ same network as layers alone, each port fed by exactly one signal: the form on w
 """
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Self
@@ -126,30 +128,23 @@ class Network:
         Raises InputError naming the layers of a loop that has no delay.
         """
         needs: dict[str, set[str]] = {name: set() for name in self.modules}
-        readers: dict[str, list[str]] = {name: [] for name in self.modules}
         for c in self.connections:
             reader = c.target.rpartition(".")[0]
-            if c.delay == 0 and c.source in needs and reader and c.source not in needs[reader]:
+            if c.delay == 0 and c.source in needs and reader:
                 needs[reader].add(c.source)
-                readers[c.source].append(reader)
         place = {name: k for k, name in enumerate(self.modules)}
-        left = {name: len(read) for name, read in needs.items()}
-        done: list[str] = []
-        ready = [n for n, count in left.items() if not count]
-        while ready:
-            done += ready
-            following = []
-            for reader in (r for name in ready for r in readers[name]):
-                left[reader] -= 1
-                if not left[reader]:
-                    following.append(reader)
-            ready = sorted(following, key=place.__getitem__)
-        if waiting := {n: read for n, read in needs.items() if left[n]}:
+        sorter, done = TopologicalSorter(needs), dict[str, None]()
+        with suppress(CycleError):  # it goes on up to the loop
+            sorter.prepare()
+        while ready := sorted(sorter.get_ready(), key=place.__getitem__):
+            done |= dict.fromkeys(ready)
+            sorter.done(*ready)
+        if waiting := {n: read - done.keys() for n, read in needs.items() if n not in done}:
             raise InputError(
                 f"network {self.name}: a loop without delay through {' -> '.join(_loop(waiting))}; "
                 "give one of its connections delay >= 1"
             )
-        return done
+        return list(done)
 
     def check(self) -> "Network":
         """Raise InputError unless every name, shape and number is right and every loop has a delay; return self."""

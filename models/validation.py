@@ -12,10 +12,10 @@ from threadpoolctl import threadpool_limits
 from greygate.errors import InputError
 from greygate.models import sampling
 from greygate.models.accuracy import rms
-from greygate.models.network import Network, Port
+from greygate.models.network import Network
 from greygate.models.residuals import Correlation, residual_tests
 from greygate.models.spectra import Octave, frequency_response, octaves
-from greygate.models.training.kernels import forward, tabulate
+from greygate.models.training.kernels import forward
 from greygate.models.training.objective import CORES, Objective
 from greygate.models.training.record import Record
 from greygate.progress import Progress, silent
@@ -159,7 +159,7 @@ def coverage(network: Network, records: Mapping[str, Record], training: Sequence
     found = []
     for port in network.inputs + network.outputs:
         values = {n: {**r.inputs, **r.targets}[port.name] for n, r in records.items()}
-        for i, label in enumerate(labels(port)):
+        for i, label in enumerate(port.labels):
             columns = {n: np.asarray(v, float).reshape(-1, port.size)[:, i] for n, v in values.items()}
             low = min(columns[n].min() for n in training)
             high = max(columns[n].max() for n in training)
@@ -168,11 +168,6 @@ def coverage(network: Network, records: Mapping[str, Record], training: Sequence
                 for n, x in columns.items()
             ]
     return found
-
-
-def labels(port: Port) -> list[str]:
-    """Names of a port's elements: its own, or `name[0]`, `name[1]`, ... where there are several."""
-    return [port.name] if port.size == 1 else [f"{port.name}[{i}]" for i in range(port.size)]
 
 
 def fit_per_cent(measured: np.ndarray, predicted: np.ndarray) -> float:
@@ -191,8 +186,7 @@ class _Model:
     def __init__(self, network: Network):
         objective = Objective(network, [])
         self.flat, self.theta, self.columns = objective.flat, objective.theta, objective.elements()
-        self.tables, _ = tabulate(self.flat)
-        self.depth = self.tables.depth
+        self.tables, self.depth = objective.tables, objective.depth
         self.inputs, self.outputs = self.flat.inputs, self.flat.outputs
         self.shown = self.tables.rows[self.tables.shown]  # element of each output column
         self.scale = np.concatenate([np.full(p.size, p.scale) for p in self.outputs])
@@ -262,10 +256,10 @@ def _validated(
     inputs = {
         label: np.asarray(record.inputs[p.name], float).reshape(-1, p.size)[used, i]
         for p in model.inputs
-        for i, label in enumerate(labels(p))
+        for i, label in enumerate(p.labels)
     }
     long_runs = _long_runs(model, record, measured)
-    for j, (label, unit) in enumerate((label, p.unit) for p in model.outputs for label in labels(p)):
+    for j, (label, unit) in enumerate((label, p.unit) for p in model.outputs for label in p.labels):
         y, y_hat = measured[used, j], predicted[used, j]
         residuals = {"free run": y - y_hat} | ({} if one_step is None else {"one step ahead": y - one_step[used, j]})
         finite = bool(np.isfinite(y_hat).all())
@@ -291,12 +285,7 @@ def _validated(
 
 
 def _ahead(
-    model: _Model,
-    measured: np.ndarray,
-    one_step: np.ndarray,
-    seen: np.ndarray,
-    skip: int,
-    horizons: Sequence[int],
+    model: _Model, measured: np.ndarray, one_step: np.ndarray, seen: np.ndarray, skip: int, horizons: Sequence[int]
 ) -> Iterator[tuple[int, tuple[np.ndarray, np.ndarray]]]:
     """k -> (measured, residual), each (points, outputs); one step ahead from every point."""
     room = (len(measured) - skip) // 4

@@ -20,7 +20,7 @@ from greygate.hardware.build import Project
 from greygate.mismatch import effects, rig, simulation
 from greygate.mismatch.concealed.conceal import sealed
 from greygate.models.network import Network
-from greygate.models.training.checkpoint import Checkpoint
+from greygate.models.training.levenberg import Checkpoint
 from greygate.plants import table
 from greygate.plants.readers.read import read_recording
 from greygate.plants.recording import read_csv

@@ -7,7 +7,7 @@ import pytest
 from test_starts import record, write
 
 from benchmarks.thesis.linear import arx
-from greygate.models.deviations import deviations
+from greygate.identify.trained import deviations
 from greygate.models.families.regression import nfir
 from greygate.models.network import Port
 from greygate.models.training.levenberg import train

@@ -27,8 +27,7 @@ from greygate.identify import training
 from greygate.machines.source import Source
 from greygate.mismatch import explain
 from greygate.models.network import Network
-from greygate.models.training.checkpoint import Checkpoint
-from greygate.models.training.levenberg import Outcome, Trained
+from greygate.models.training.levenberg import Checkpoint, Outcome, Trained
 from greygate.pages import report
 from greygate.project import compile_project
 

@@ -236,14 +236,15 @@ def test_masked_blocks_judge_every_sample_once():
     assert sorted(counted([b for fold in masked(4)({"a": run}) for b in fold.blocks])) == list(range(50))
 
 
-def test_the_state_is_settled_by_the_skipped_samples_alone():
+def test_the_state_is_settled_by_the_skipped_samples_alone(monkeypatch):
+    monkeypatch.setattr("greygate.models.training.initial.PRIOR", 1e-9)
     rng = np.random.default_rng(2)
     network = small(linear_loop=True)
     u = rng.normal(size=60)
     told = network.run({"u": u}, initial={"sum": 0.9})["y"]
     spoilt = told.copy()
     spoilt[20:] = rng.normal(size=40)
-    first, second = (initialised(network, Record({"u": u}, {"y": v}, skip=20), prior=1e-9) for v in (told, spoilt))
+    first, second = (initialised(network, Record({"u": u}, {"y": v}, skip=20)) for v in (told, spoilt))
     assert all(np.array_equal(first.initial[n], second.initial[n]) for n in first.initial)
     assert rmse(network, first) < 1e-3 * rmse(network, Record({"u": u}, {"y": told}, skip=20))
 

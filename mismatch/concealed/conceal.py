@@ -338,10 +338,7 @@ def _toml(rig: ConcealedRig, datasheet: dict[str, float]) -> str:
     lines += ["predict = [" + ", ".join(f'"{c.name}"' for c in rig.predicted) + "]", ""]
     lines += ["# datasheet values, SI units", "[parameters]"]
     lines += [f"{name} = {value!r}" for name, value in datasheet.items()]
-    lines += [
-        "",
-        "# relative uncertainty of a datasheet value (1 sigma is about half of it); the others are known",
-    ]
+    lines += ["", "# relative uncertainty of a datasheet value (1 sigma is about half of it); the others are known"]
     lines += ["[tolerance]", *(f"{name} = {value!r}" for name, value in rig.tolerance.items())]
     for channel in rig.channels:
         lines += ["", f"[channels.{channel.name}]", f'unit = "{channel.unit}"', f'role = "{channel.role}"']

@@ -266,10 +266,7 @@ VALVE = ConcealedRig(
     window=0.25,
     record=record,
     predict=predict,
-    same=(
-        frozenset({"valve_overlap", "valve_underlap"}),
-        frozenset({"sensor_offset_p_a", "sensor_gain_p_a"}),
-    ),
+    same=(frozenset({"valve_overlap", "valve_underlap"}), frozenset({"sensor_offset_p_a", "sensor_gain_p_a"})),
     effects=EFFECTS,
     foreign=FOREIGN,
 )

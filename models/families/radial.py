@@ -23,12 +23,7 @@ VARIANCE = 1e8  # of weights before the first row, normalised: as good as unknow
 
 
 def radial(
-    name: str,
-    inputs: Taps,
-    output: Port,
-    feedback: Sequence[int],
-    centres: np.ndarray,
-    widths: np.ndarray,
+    name: str, inputs: Taps, output: Port, feedback: Sequence[int], centres: np.ndarray, widths: np.ndarray
 ) -> Network:
     """Gaussian neurons on the taps of `noe`, their output weights zero.
 

@@ -72,7 +72,7 @@ class _Layout:
 
     def _ports(self, field: str, given: Any) -> list[Port]:
         if given is not None:
-            return [port(g) if isinstance(g, str) else g for g in given]
+            return [port(g) for g in given]
         names = [str(v) for v in _cells(self.found.get(field, np.empty(0, object))).ravel()]
         if not names:
             raise InputError(f"{self.path}: names no {field}; write {field} = {{'u [V]', ...}}, one for each element")
@@ -91,23 +91,22 @@ class _Layout:
     def network(self, name: str) -> Network:
         builder = Builder(name, *self.ports)
         sizes = self._sizes()
+        if sum(sizes) != len(builder.inputs):
+            raise InputError(f"{self.path}: {sum(sizes)} input elements and {len(self.ports[0])} names; name each")
         entered, start = [], 0
         for j, size in enumerate(sizes):
-            taken = builder.inputs[start : start + size]
-            if len(taken) != size:
-                raise InputError(f"{self.path}: {sum(sizes)} input elements and {len(self.ports[0])} names; name each")
-            value = builder.input(taken, (size,))
-            entered.append(self._processed(value, "inputProcess", j))
+            value = builder.input(builder.inputs[start : start + size], (size,))
+            for offset, gain, low in self._steps("inputProcess", j):
+                value = value.plus(constant(-offset)).times(gain).plus(constant(low))
+            entered.append(value)
             start += size
-        if start != len(builder.inputs):
-            raise InputError(f"{self.path}: {sum(sizes)} input elements and {len(self.ports[0])} names; name each")
-        outs = self._outputs()
         for k in range(self.layers):
             self._layer(builder, k, entered)
         start = 0
-        for k in outs:
+        for k in self._outputs():
             value = _of_layer(f"layer{k + 1}", self._size(k))
-            value = self._unprocessed(value, "outputProcess", k)
+            for offset, gain, low in reversed(self._steps("outputProcess", k)):
+                value = value.plus(constant(-low)).times(1.0 / gain).plus(constant(offset))
             builder.output(builder.outputs[start : start + value.size], value)
             start += value.size
         if start != len(builder.outputs):
@@ -208,16 +207,6 @@ class _Layout:
                     "or remove the others before training"
                 )
         return found
-
-    def _processed(self, value: Value, field: str, k: int) -> Value:
-        for offset, gain, low in self._steps(field, k):
-            value = value.plus(constant(-offset)).times(gain).plus(constant(low))
-        return value
-
-    def _unprocessed(self, value: Value, field: str, k: int) -> Value:
-        for offset, gain, low in reversed(self._steps(field, k)):
-            value = value.plus(constant(-low)).times(1.0 / gain).plus(constant(offset))
-        return value
 
 
 def _of_layer(name: str, size: int) -> Value:

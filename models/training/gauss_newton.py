@@ -78,11 +78,7 @@ def search(attempt: Callable[[float], Trial | None], damping: Damping) -> Trial 
 
 
 def bounded(
-    x: np.ndarray,
-    gradient: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    step: Callable[[np.ndarray], np.ndarray],
+    x: np.ndarray, gradient: np.ndarray, low: np.ndarray, high: np.ndarray, step: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
     """The point that a step leads to from x (n,) within bounds: a projected Newton step (Bertsekas 1982).
 

@@ -10,13 +10,14 @@ from greygate.models.network import Network
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
 
-PRIOR = 1e-4  # weight of a start that is near rest against one squared normalised error
+PRIOR = 1e-4  # weight of the square of (state - rest), normalised, against one squared normalised error
+STEPS = 30
 
 
-def initialised(network: Network, record: Record, prior: float = PRIOR, steps: int = 30) -> Record:
+def initialised(network: Network, record: Record) -> Record:
     """The record with the initial state that fits its first `skip` samples best; the weights stay as they are.
 
-    prior: weight of the square of (state - rest), against squared errors, all normalised. Gauss-Newton, halved steps.
+    By Gauss-Newton with halved steps.
     """
     held = {name: np.zeros(w.shape, bool) for name, w in network.flatten().parameters().items()}
     if record.skip < 1:
@@ -31,15 +32,15 @@ def initialised(network: Network, record: Record, prior: float = PRIOR, steps: i
         return record
 
     def cost(theta):
-        return objective.squares(theta) + prior * float(np.sum((theta[objective.free] - rest) ** 2))
+        return objective.squares(theta) + PRIOR * float(np.sum((theta[objective.free] - rest) ** 2))
 
     value = cost(objective.theta)
-    for _ in range(steps):
+    for _ in range(STEPS):
         objective.squares(objective.theta)
         hessian, gradient = objective.normal_equations(objective.theta)
-        gradient += prior * (objective.theta[objective.free] - rest)
+        gradient += PRIOR * (objective.theta[objective.free] - rest)
         try:
-            step = -np.linalg.solve(hessian + prior * np.eye(len(rest)), gradient)
+            step = -np.linalg.solve(hessian + PRIOR * np.eye(len(rest)), gradient)
         except np.linalg.LinAlgError:  # the run explodes: no state is better than another
             break
         while (trial := cost(objective.moved(objective.theta, step))) > value and np.abs(step).max() > 1e-9:

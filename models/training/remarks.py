@@ -25,8 +25,7 @@ def remarks(objective: Objective) -> list[str]:
 
 
 def _constant_targets(objective: Objective) -> list[str]:
-    outputs = objective.flat.outputs
-    columns = [f"{p.name}[{i}]" if p.size > 1 else p.name for p in outputs for i in range(p.size)]
+    columns = [label for p in objective.flat.outputs for label in p.labels]
     targets = np.concatenate([w.target for w in objective.windows]).T
     return [
         f"target {column} is constant: a bias alone fits it; record it while it moves"

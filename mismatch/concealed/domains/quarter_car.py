@@ -52,12 +52,7 @@ QUARTER_CAR = domain(
     run=run,
     parameters=PARAMETERS,
     tolerance={"m_body": 0.05, "k_spring": 0.05, "c_damper": 0.1, "k_tyre": 0.1},
-    places={
-        "m_body": ("body",),
-        "k_spring": ("body", "wheel"),
-        "c_damper": ("body", "wheel"),
-        "k_tyre": ("wheel",),
-    },
+    places={"m_body": ("body",), "k_spring": ("body", "wheel"), "c_damper": ("body", "wheel"), "k_tyre": ("wheel",)},
     effects=EFFECTS,
     foreign=FOREIGN,
 )
