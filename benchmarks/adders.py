@@ -90,7 +90,7 @@ def figures(weights: np.ndarray, effort: float) -> dict:
         "adders": graph.adders,
         "bits": graph.adder_bits,
         "depth": graph.depth,
-        "negations": graph.negations,
+        "negations": sum(o.negate for o in graph.outputs),
         "seconds": seconds,
     }
 

@@ -13,13 +13,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
+from simulated_board import simulated_board
+
 from greygate import rtl
 from greygate.compiler.targets import architecture
 from greygate.emulator.program import Program
 from greygate.hardware.board.frames import width
 from greygate.hardware.board.make import make
 from greygate.hardware.board.play import opened, play
-from greygate.hardware.board.simulated import simulated_board
 from greygate.hardware.build import Project
 from greygate.hardware.tools import yosys
 

@@ -16,8 +16,7 @@ import numpy as np
 
 from greygate.control.choices import JUDGED, Case, Method, Place
 from greygate.control.loop import Run
-from greygate.hardware.controlling import controller
-from greygate.hardware.in_loop import Clocked
+from greygate.hardware.in_loop import Clocked, controller
 from greygate.machines.catalog import CONTROLLED, task
 from greygate.machines.control import Task
 

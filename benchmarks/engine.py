@@ -35,15 +35,8 @@ def main() -> None:
         checked = verify(program, folder, {"training": scenario}, seed=0)
         assert checked.passed
 
-    def engine(specialised: bool) -> float:
-        return steps_per_second(
-            lambda: [run(program, codes, states=False, specialised=specialised) for _ in range(20)], 20 * len(codes)
-        )
-
-    run(program, codes, specialised=True)  # compile
     found = {
-        "engine": engine(specialised=True),
-        "engine, walking arrays": engine(specialised=False),
+        "engine": steps_per_second(lambda: [run(program, codes, states=False) for _ in range(20)], 20 * len(codes)),
         "verilator": statistics.median(
             measure(program, codes, expected=answer.outputs)["steps_per_second"] for _ in range(3)
         ),

@@ -7,7 +7,7 @@ routes.
 from collections.abc import Sequence
 
 from greygate.compiler.emit import emit
-from greygate.compiler.serial.layout import compiled
+from greygate.compiler.serial.code import compiled
 from greygate.emulator.program import Program
 from greygate.hardware.synthesis import synthesize
 from greygate.machines.source import Source

@@ -14,7 +14,6 @@ from .made import ROOT
 PRODUCT = ("greygate", "models", "compiler", "emulator", "rtl", "plants", "mismatch", "machines", "control")
 AREAS = (*PRODUCT, "models/training")  # a file is of the longest
 TEMPLATES = (
-    "emulator/specialised.py",
     "plants/simulator.py",
     "compiler/targets/folded.py",
     "compiler/targets/parallel.py",

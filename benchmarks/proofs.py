@@ -11,7 +11,7 @@ from typing import Annotated
 
 from greygate.hardware.build import Project
 from greygate.hardware.proofs.build import PROOFS, prove
-from greygate.hardware.proofs.proof import Proof
+from greygate.hardware.proofs.elaborated import Proof
 from greygate.machines.source import Source
 from greygate.plants.recording import Recording
 from greygate.project import compile_project

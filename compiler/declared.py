@@ -79,8 +79,6 @@ class _Declared:
         self.known[port.name] = Bounded(signal, signal.fix.lo, signal.fix.hi)
         return Terminal(port.name, signal, port.unit, 1.0, 0.0)
 
-    # -- steps; each returns its signal --------------------------------------------------------------------------------
-
     def _quant(self, step: Step) -> Signal:
         form = step.format
         assert form is not None, "a Quant has a format"
@@ -147,8 +145,6 @@ class _Declared:
 
     def _output(self, step: Step) -> Signal:
         return self.known[self._exact(step.name, step.value)].signal
-
-    # -- sums ----------------------------------------------------------------------------------------------------------
 
     def _define(self, signal: Signal, lo: int, hi: int) -> Signal:
         self.known[signal.name] = Bounded(signal, lo, hi)

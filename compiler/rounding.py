@@ -13,7 +13,7 @@ All of it is computed portably (models/arithmetic.py): a build is a function of 
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numba
@@ -26,7 +26,6 @@ from greygate.models.saliency import nonzero
 from greygate.models.simplify import Graph, fold_constants
 from greygate.models.training.objective import Objective
 from greygate.models.training.record import Record
-from greygate.progress import Progress, silent
 
 STAGES = 32  # linearisations on the way; with fewer, a sketch diverges from what the expansion foretells
 STEPS = 2  # Gauss-Newton steps of the free weights at each stage
@@ -54,22 +53,9 @@ class Rounded:
 
 
 def prices() -> list[float]:
-    """The prices that `ladder` tries, the most accurate first."""
+    """The prices that are tried, the most accurate first."""
     count = (DEAREST - CHEAPEST) * PER_DECADE + 1
     return [float(f"1e{CHEAPEST}") * 10.0 ** (k // PER_DECADE) * (1.0, 3.0)[k % PER_DECADE] for k in range(count)]
-
-
-def ladder(
-    network: Network,
-    records: Sequence[Record],
-    bits: int = BITS,
-    stages: int = STAGES,
-    progress: Progress = silent,
-) -> Iterator[Rounded]:
-    """The network rounded at one price after the other, the most accurate first; each has fewer digits, or nearly."""
-    for price in prices():
-        progress(f"rounding weights at a price of {price:.0e}")
-        yield round_jointly(network, records, price, bits, stages)
 
 
 def round_jointly(
@@ -96,6 +82,11 @@ def round_jointly(
     names = [n for n, columns in objective.slices().items() if rounder.grid[columns].any()]
     values = np.concatenate([slim.parameters()[n].ravel() for n in names]) if names else np.zeros(0)
     return Rounded(slim, price, sum(signed_digits(_odd(v)) for v in values.tolist()), error)
+
+
+def signed_digits(code: int) -> int:
+    """Digits other than zero of an integer in canonical signed digits."""
+    return (3 * abs(code) ^ abs(code)).bit_count()
 
 
 def _odd(value: float) -> int:
@@ -238,21 +229,6 @@ def _keep(graph: Graph, name: str, keep: np.ndarray) -> None:
     layer = graph.layers[name]
     own = {p: w[keep] for p, w in layer.weights.items()}
     graph.layers[name] = replace(layer, weights=own, bias=layer.bias[keep], initial=layer.initial[keep])
-
-
-# -- kernels ---------------------------------------------------------------------------------------------------------
-
-
-@numba.njit(cache=True, nogil=True)
-def signed_digits(code):  # pragma: no cover - compiled
-    """Digits other than zero of an integer in canonical signed digits."""
-    code, found = abs(code), 0
-    while code:
-        if code & 1:
-            found += 1
-            code -= 2 - (code & 3)
-        code >>= 1
-    return found
 
 
 @numba.njit(cache=True, nogil=True)

@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal, TypedDict
 
 import numpy as np
 
-from greygate.compiler.explore.printed import Explored
 from greygate.compiler.pipeline import Compiled, Pass, quantize_centred
 from greygate.compiler.quantize import Formats
+from greygate.compiler.targets import Design
 from greygate.emulator.engine import run
 from greygate.emulator.numbers import Fix, signed_width
 from greygate.emulator.program import Affine, Lookup, Program, Terminal
@@ -24,6 +24,42 @@ from greygate.models.spectra import frequency_response, spectrum
 from greygate.models.training.record import Record
 from greygate.plain import Count, Figure, Json, plain
 from greygate.progress import Progress, silent
+
+
+class Costed(TypedDict):
+    """A design of an exploration."""
+
+    error: float
+    luts: Count
+    dsps: Count
+    memories: float
+    clocks: Count
+    period_ns: float
+    microseconds: float
+    architecture: str
+    design: Design
+    width: int
+    finer: int
+    tables: str
+    table_budget: float
+    signals: dict[str, str]
+    weights: dict[str, int]
+    price: float
+
+
+class Explored(TypedDict):
+    """What was tried, and what binds."""
+
+    device: str
+    family: str
+    error_in: str
+    request: Annotated[dict[str, float | None], "The limits; null where none is set."]
+    programs: Count
+    points: Count
+    front: list[Costed]
+    chosen: Costed | None
+    why: str
+
 
 RUN_BINS = 2000  # of a whole run, into which a reader can zoom; each has its least and its largest value
 ZOOM = 200  # steps drawn around the largest error

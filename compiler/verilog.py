@@ -3,7 +3,11 @@
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import fields as dataclass_fields
+from functools import cache
+from pathlib import Path
 from typing import NamedTuple
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from greygate.emulator.numbers import Rounding
 from greygate.emulator.program import Clamp, Elementwise, Lookup, Op, Operation, Program, Select, Signal, Threshold
@@ -14,6 +18,7 @@ ROUNDING = {Rounding.TRUNCATE: 0, Rounding.HALF_UP: 1, Rounding.HALF_EVEN: 2}
 LOOKUP_CLOCKS = 3  # clocks from a code to the answer of a table: word, product, sum
 LATE_CLOCKS = 4  # the same with a register behind the memory
 MEMORIES = {"block": '(* rom_style = "block" *) ', "logic": '(* rom_style = "logic" *) '}  # and how a tool is told
+LONGEST = 110  # characters of a line of items
 SYMMETRY = {Symmetry.ODD: 0, Symmetry.EVEN: 1, Symmetry.COMPLEMENT: 2}
 PORTS = (
     "clk",
@@ -26,27 +31,9 @@ PORTS = (
     "m_axis_tready",
 )
 TAKEN = (*PORTS, "DEPTH", "en", "stream", "sample", "start", "done", "ready", "result", "stage", "unused")
-WORDS = """
-always and assign automatic begin buf bufif0 bufif1 case casex casez cell cmos config deassign default defparam
-design disable edge else end endcase endconfig endfunction endgenerate endmodule endprimitive endspecify endtable
-endtask event for force forever fork function generate genvar highz0 highz1 if ifnone incdir include initial inout
-input instance integer join large liblist library localparam macromodule medium module nand negedge nmos nor
-noshowcancelled not notif0 notif1 or output parameter pmos posedge primitive pull0 pull1 pulldown pullup
-pulsestyle_onevent pulsestyle_ondetect rcmos real realtime reg release repeat rnmos rpmos rtran rtranif0 rtranif1
-scalared showcancelled signed small specify specparam strong0 strong1 supply0 supply1 table task time tran tranif0
-tranif1 tri tri0 tri1 triand trior trireg unsigned use uwire vectored wait wand weak0 weak1 while wire wor xnor xor
-bit byte logic int shortint longint do return break continue class new this super package import export interface
-modport program property sequence assert assume cover final unique priority static void string enum struct union
-type typedef virtual local protected pure rand ref var with within checker let global soft strong weak
-accept_on alias always_comb always_ff always_latch before bind bins binsof chandle clocking constraint context
-covergroup coverpoint cross dist endchecker endclass endclocking endgroup endinterface endpackage endprogram
-endproperty endsequence eventually expect extends extern first_match foreach forkjoin iff ignore_bins illegal_bins
-implements implies inside interconnect intersect join_any join_none matches nettype nexttime null packed randc
-randcase randsequence reject_on restrict s_always s_eventually s_nexttime s_until s_until_with shortreal solve
-sync_accept_on sync_reject_on tagged this throughout timeprecision timeunit unique0 until until_with untyped
-wait_order wildcard
-"""
-KEYWORDS = frozenset(WORDS.split())  # of Verilog-2005, and those of SystemVerilog that tools trip over
+TEMPLATES = Path(__file__).with_name("templates")
+# of Verilog-2005, and those of SystemVerilog that tools trip over
+KEYWORDS = frozenset((TEMPLATES / "keywords.txt").read_text(encoding="utf-8").split())
 TOOLS = "verilator synopsys synthesis pragma ambit cadence synplify altera xilinx vcs coverage lint translate"
 DIRECTIVE = re.compile(rf"\W*({'|'.join(TOOLS.split())})", re.IGNORECASE)  # how a comment begins that a tool obeys
 
@@ -101,14 +88,14 @@ def instance(module: str, name: str, parameters: dict, ports: dict, indent: str 
     return f"{head}\n{listed(ports)}\n{indent});\n"
 
 
-def wrapped(items: list[str], indent: str, separator: str = " ", limit: int = 110) -> str:
-    """Items joined into lines of at most `limit` characters."""
+def wrapped(items: list[str], indent: str) -> str:
+    """Items joined into lines of at most LONGEST characters."""
     lines, line = [], indent
     for item in items:
-        if len(line) + len(item) > limit and line.strip():
+        if len(line) + len(item) > LONGEST and line.strip():
             lines.append(line.rstrip())
             line = indent
-        line += item + separator
+        line += item + " "
     return "\n".join([*lines, line.rstrip()])
 
 
@@ -291,16 +278,6 @@ def table_module(program: Program, table: Table | Lines) -> str:
     return f"{program.name}_table_{table.name}".replace(".", "__")
 
 
-def _table_rows(table: Table | Lines, base: int, slope: int) -> str:
-    """The assignment of every word: {slope, base}."""
-    rows, (words, _, lefts) = [], table_layout(table)
-    unit = table.out.lsb * 2.0 ** -(table.segments.guard if table.interpolated else 0)
-    for k, ((b, d), left) in enumerate(zip(words, lefts, strict=True)):
-        value = f"{{{slope}'d{d % (1 << slope)}, {base}'d{b % (1 << base)}}}"
-        rows.append(f"            rom[{k}] = {value};  // from {left * table.arg.lsb:g}: {b * unit:g}")
-    return "\n".join(rows)
-
-
 def table_kind(table: Table | Lines) -> str:
     """What the table holds, in words."""
     if isinstance(table, Lines):
@@ -316,43 +293,27 @@ def table_text(program: Program, table: Table | Lines, memory: str = "block", la
     """
     parameters = table_parameters(table) | ({"LATE": 1} if late else {})
     arg, out, address, base, slope = (parameters[k] for k in ("ARG_W", "OUT_W", "ADDRESS_W", "BASE_W", "SLOPE_W"))
-    last = len(table_layout(table).words) - 1
+    words, _, lefts = table_layout(table)
+    unit = table.out.lsb * 2.0 ** -(table.segments.guard if table.interpolated else 0)
+    kept = [f"{{{slope}'d{d % (1 << slope)}, {base}'d{b % (1 << base)}}}" for b, d in words]
+    means = [f"from {left * table.arg.lsb:g}: {b * unit:g}" for (b, _), left in zip(words, lefts, strict=True)]
 
-    def neuron(n: str, side: str, indent: str) -> str:
+    def lookup(n: str, side: str, indent: str) -> str:
         ends = {"clk": "clk", "en": "en", "x": f"x[{n}*{arg}+:{arg}]", "address": f"address_{side}"}
         ends |= {"base": f"word_{side}[{base - 1}:0]", "slope": f"word_{side}[{base + slope - 1}:{base}]"}
         multiplier = {"MULTIPLIER": f"{n} < MULTIPLIERS ? 1 : 0"}
-        read, width = f"word_{side}", f"[{base + slope - 1}:0]"
-        behind = ""
-        if late:
-            read = f"early_{side}"
-            behind = f"{indent}reg {width} {read};\n{indent}always @(posedge clk) if (en) word_{side} <= {read};\n"
         ends |= {"y": f"y[{n}*{out}+:{out}]"}
-        return (
-            f"{indent}wire [{address - 1}:0] address_{side};\n"
-            f"{indent}reg {width} word_{side};\n{behind}"
-            f"{indent}always @(posedge clk) if (en) {read} <= rom[address_{side}];\n"
-            + instance("greygate_lookup", f"lookup_{side}", parameters | multiplier, ends, indent)
-        )
+        return instance("greygate_lookup", f"lookup_{side}", parameters | multiplier, ends, indent)
 
-    return module_text(
-        [
-            f"Table {table.name}: {table.function} from {table.arg} to {table.out}, {table_kind(table)}.",
-            f"{table.symmetry.value.capitalize()} symmetry. Worst error over every input code: {table.worst_error:g}.",
-            "Two neurons read one memory of words {slope, base}, which has two ports for reading.",
-        ],
-        f"module {table_module(program, table)} #(\n"
-        f"    parameter SIZE = 1,  // number of neurons\n"
-        f"    parameter MULTIPLIERS = SIZE  // how many of them multiply by a multiplier, which may be a DSP\n) (\n"
-        f"    input  wire clk,\n    input  wire en,\n"
-        f"    input  wire [SIZE*{arg}-1:0] x,\n    output wire [SIZE*{out}-1:0] y\n);\n\n"
-        f"    genvar n;\n    generate for (n = 0; n < SIZE; n = n + 2) begin : pair\n"
-        f"        {MEMORIES[memory]}reg [{base + slope - 1}:0] rom[0:{last}];\n"
-        f"        initial begin\n{_table_rows(table, base, slope)}\n        end\n\n"
-        f"{neuron('n', 'a', '        ')}\n"
-        f"        if (n + 1 < SIZE) begin : both\n{neuron('(n + 1)', 'b', '            ')}"
-        f"        end\n    end endgenerate\n",
-    )
+    rows = [f"rom[{k}] = {word};  // {meaning}" for k, (word, meaning) in enumerate(zip(kept, means, strict=True))]
+    context = {"module": table_module(program, table), "style": MEMORIES[memory], "rows": rows, "lookup": lookup}
+    context |= {"arg": arg, "out": out, "address": address, "base": base, "slope": slope, "late": late}
+    head = [
+        f"Table {table.name}: {table.function} from {table.arg} to {table.out}, {table_kind(table)}.",
+        f"{table.symmetry.value.capitalize()} symmetry. Worst error over every input code: {table.worst_error:g}.",
+        "Two neurons read one memory of words {slope, base}, which has two ports for reading.",
+    ]
+    return module_text(head, render("table.v", context))
 
 
 def table_texts(program: Program, memory: str = "block", late: bool = False) -> dict[str, str]:
@@ -364,14 +325,6 @@ def table_texts(program: Program, memory: str = "block", late: bool = False) -> 
 def clocks(o: Operation) -> int:
     """Clocks from the arguments of an operation to its result."""
     return LOOKUP_CLOCKS if isinstance(o, Lookup) else 1
-
-
-def levels(program: Program) -> dict[str, int]:
-    """Signal -> the clock of a step, counted from 1, at whose end it stands; 0 for inputs and states."""
-    level = dict.fromkeys(program.signals, 0)
-    for o in program.operations:
-        level[o.out.name] = clocks(o) + max(level[a] for a in o.args)
-    return level
 
 
 # Each small operation of `size` elements: module, parameters, and the ports that take its arguments, in their order.
@@ -432,3 +385,20 @@ def stream_instance(width_in: int, width_out: int, ready: str) -> str:
     """The edge of the core."""
     ports = {p: p for p in PORTS} | {"ready": ready} | {p: p for p in ("sample", "start", "done", "result")}
     return instance("greygate_stream", "stream", {"IN_W": width_in, "OUT_W": width_out}, ports)
+
+
+@cache
+def _environment(package: str) -> Environment:
+    found = Environment(
+        loader=PackageLoader(package, "templates"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        keep_trailing_newline=True,
+    )
+    found.filters["remark"] = remark
+    return found
+
+
+def render(template: str, context: dict, package: str = __package__) -> str:
+    """The template of that name in the folder of a package, filled in."""
+    return _environment(package).get_template(f"{template}.j2").render(context)

@@ -1,8 +1,5 @@
 """The fast engine: it gives the interpreter's answer, bit for bit, by one numba kernel for programs as arrays.
 
-For a long run it compiles a kernel of the program's own (`specialised.py`), which takes seconds and is then about three
-times as fast.
-
 Sums of products run in float64 if the program proves that an accumulator stays below 2^53. Every partial sum is then an
 integer that float64 holds exactly, in any order, and the processor has vector units for float64. Wider accumulators
 run in int64. No other value is a float.
@@ -15,20 +12,18 @@ from weakref import WeakKeyDictionary
 import numba
 import numpy as np
 
-from greygate.emulator import specialised as kernels
 from greygate.emulator.interpreter import Run
-from greygate.emulator.numbers import Overflow, Rounding
+from greygate.emulator.numbers import ACCUMULATOR_BITS, Overflow, Rounding
 from greygate.emulator.program import Affine, Clamp, Lookup, Op, Program, Select, Threshold
 from greygate.emulator.tables import Lines, Symmetry, Table
 
-WORTH_COMPILING = 20_000_000  # steps of all sequences
+EXACT_BITS = 53  # integers up to 2^53 are exact in float64
 AFFINE, AFFINE_WIDE, TABLE, CLAMP, THRESHOLD, SELECT, LINES = range(7)
 COLUMNS = 13  # kind, first element of the result, its size, and the numbers that the kind needs
 # unsigned, so that numba omits its check for negative indices and the loops become vector code
 ZERO, ONE, TWO, THREE, FOUR = (np.uint64(n) for n in range(5))
 _ROUNDING = list(Rounding)
 _ARRAYS: "WeakKeyDictionary[Program, _Arrays]" = WeakKeyDictionary()
-_KERNELS: WeakKeyDictionary[Program, Callable] = WeakKeyDictionary()
 
 
 class _Arrays(NamedTuple):
@@ -75,10 +70,11 @@ class _Tabulator:
         return [self.first[name] + i for name in names for i in range(self.program.signals[name].size)]
 
     def drop(self, name: str, o: Clamp | Select) -> int:
-        return kernels.drop(self.program.signals[name].fix, o.out.fix)
+        """Fraction bits that are lost, at most ACCUMULATOR_BITS: more give the same result."""
+        return min(self.program.signals[name].fix.frac - o.out.fix.frac, ACCUMULATOR_BITS)
 
     def affine(self, o: Affine) -> tuple:
-        kind = AFFINE if self.program.accumulator_width(o) < kernels.EXACT_BITS else AFFINE_WIDE
+        kind = AFFINE if self.program.accumulator_width(o) < EXACT_BITS else AFFINE_WIDE
         columns = self.places(o.args)
         padded = 1 if o.out.size == 1 else -(-o.out.size // 4) * 4
         modes = (_ROUNDING.index(o.rounding), o.overflow is Overflow.WRAP)
@@ -323,18 +319,11 @@ def _run(
 
 
 def run(
-    program: Program,
-    inputs: np.ndarray,
-    initial: np.ndarray | None = None,
-    trace: bool = False,
-    states: bool = True,
-    specialised: bool | None = None,
+    program: Program, inputs: np.ndarray, initial: np.ndarray | None = None, trace: bool = False, states: bool = True
 ) -> Run:
     """Fast `interpreter.interpret`. inputs: codes (..., N, columns); initial: (..., state columns).
 
     states=False omits the states from the answer (an empty array), for speed.
-    specialised: use a kernel made for this program, which is compiled once and kept on disk (greygate/generated.py).
-    None uses it if it is loaded already, or if the run has so many steps that compiling pays.
     """
     arrays = _ARRAYS.get(program)
     if arrays is None:
@@ -349,15 +338,7 @@ def run(
     after = np.empty((len(flat), steps if states else 0, count), np.int64)
     traced = np.empty((len(flat), steps if trace else 0, arrays.elements), np.int64)
     events = np.zeros(len(program.operations), np.int64)
-    if specialised is None:
-        specialised = program in _KERNELS or len(flat) * steps >= WORTH_COMPILING
-    if specialised and program not in _KERNELS:
-        _KERNELS[program] = kernels.compiled(program)
-    arguments = flat, np.ascontiguousarray(start, np.int64), outputs, after, events, traced
-    if specialised:
-        _KERNELS[program](*arguments)
-    else:
-        _run(*arrays, *arguments)
+    _run(*arrays, flat, np.ascontiguousarray(start, np.int64), outputs, after, events, traced)
     saturations = {o.out.name: int(n) for o, n in zip(program.operations, events, strict=True) if o.requantizes}
     everything = None
     if trace:

@@ -20,7 +20,6 @@ WIDTHS = range(2, 49)
 FRACTIONS = range(-48, 61)
 LARGEST_SHIFT = 1 << 10  # of any width, fraction or shift in a file; legal values are far below
 
-# -- kinds of fields in program.json ---------------------------------------------------------------------------------
 
 Name = Annotated[str, check_path, Json(maxLength=LONGEST_NAME, pattern=rf"^{PART}(\.{PART})*$")]
 Text = Annotated[str, check_text, Json(minLength=1, maxLength=LONGEST_TEXT)]
@@ -46,9 +45,6 @@ def _some(kind: Any) -> Json:
 Codes = Annotated[np.ndarray, lambda value, where: np.array(_codes(value, where), np.int64), _some(Code)]
 Shifts = Annotated[np.ndarray, lambda value, where: np.array(_shifts(value, where), np.int64), _some(Shift)]
 Matrix = Annotated[np.ndarray, _matrix, _some(Codes)]
-
-
-# -- numbers ---------------------------------------------------------------------------------------------------------
 
 
 class Fix(NamedTuple):

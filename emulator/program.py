@@ -57,9 +57,6 @@ def _is_finite(value: float) -> bool:
     return isinstance(value, Real) and abs(value) <= sys.float_info.max  # False for nan and inf
 
 
-# -- signals, terminals, states --------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Signal:
     """A vector of `size` codes that share one format."""
@@ -126,9 +123,6 @@ class State:
             yield f"state {self.signal.name}: size or format differ from its source {self.source}"
         elif len(self.initial) != self.signal.size or not self.signal.fix.holds(*self.initial):
             yield f"state {self.signal.name}: initial codes do not fit"
-
-
-# -- operations ------------------------------------------------------------------------------------------------------
 
 
 OfArgument = Annotated[Code, "In the argument's format."]
@@ -277,9 +271,6 @@ def _operations(value: object, where: str) -> tuple[Operation, ...]:
     return tuple(listed(read)(value, where))
 
 
-# -- the program -----------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class Program:
     """One step of a network on integers, made by the compiler; `check` holds before and after every pass.
@@ -318,14 +309,16 @@ class Program:
 
     def accumulator_width(self, operation: Affine) -> int:
         """Width that no partial sum of any row, with its rounding constant, can exceed; it is proved, not measured."""
-        largest = np.array(
-            [-self.signals[a].fix.lo for a in operation.args for _ in range(self.signals[a].size)], object
-        )
+        return max(2, *self.row_widths(operation))
+
+    def row_widths(self, operation: Affine) -> list[int]:
+        """The same of each row."""
+        sizes = [(self.signals[a].fix, self.signals[a].size) for a in operation.args]
+        largest = np.array([-fix.lo for fix, size in sizes for _ in range(size)], object)
         weights, bias = (np.abs(part.astype(object)) for part in (operation.weights, operation.bias))
-        magnitude = weights @ largest + bias
         shift = operation.frac - operation.out.fix.frac
         rounding = [1 << int(s - 1) if s > 0 else 0 for s in shift]
-        return max(2, *(signed_width(int(m) + h) for m, h in zip(magnitude, rounding, strict=True)))
+        return [signed_width(int(m) + h) for m, h in zip(weights @ largest + bias, rounding, strict=True)]
 
     def check(self) -> "Program":
         """Return the program; raise InputError if it is not legal by docs/integer-program.md."""

@@ -99,11 +99,9 @@ class Segments(NamedTuple):
 def _answers(table: "Table | Lines", codes: list[int]) -> list[int]:
     """What the symmetry makes of these results."""
     one = 1 << max(0, table.out.frac)
-    return {
-        Symmetry.ODD: [-c for c in codes],
-        Symmetry.EVEN: [],
-        Symmetry.COMPLEMENT: [one - c for c in codes],
-    }[table.symmetry]
+    return {Symmetry.ODD: [-c for c in codes], Symmetry.EVEN: [], Symmetry.COMPLEMENT: [one - c for c in codes]}[
+        table.symmetry
+    ]
 
 
 def _extremes(table: "Table | Lines") -> tuple[int, int]:

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import TypedDict
 
+from greygate.compiler.verilog import render
 from greygate.errors import InputError
 from greygate.files import making, replacing
-from greygate.hardware.board.texts import render
 from greygate.hardware.comparing import read_budget
 from greygate.names import check_text
 from greygate.version import __version__

@@ -4,13 +4,12 @@ from pathlib import Path
 from typing import TypedDict
 
 from greygate.compiler.emit import emitted
-from greygate.compiler.verilog import lane_width
+from greygate.compiler.verilog import lane_width, render
 from greygate.emulator.program import Terminal
 from greygate.errors import InputError
 from greygate.files import replacing_folder
 from greygate.hardware.board.benches import core_bench
 from greygate.hardware.board.frames import width
-from greygate.hardware.board.texts import render
 from greygate.hardware.build import Project
 
 PART, DEVICE = "xc7a35tcsg324-1", "5CSEMA5F31C6"  # of two common boards; an argument of the scripts replaces them

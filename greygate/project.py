@@ -15,10 +15,9 @@ import numpy as np
 
 from greygate import children
 from greygate.compiler.emit import emit, sources
-from greygate.compiler.explore.printed import Explored
 from greygate.compiler.pipeline import Compiled, Pass, compile_declared, compile_network, entropy_pruning, fixed_error
 from greygate.compiler.quantize import Formats
-from greygate.compiler.study import size
+from greygate.compiler.study import Explored, size
 from greygate.compiler.targets import BOTH, NAMES, Architecture, Design, target
 from greygate.emulator.engine import run
 from greygate.emulator.program import Program
@@ -30,8 +29,7 @@ from greygate.hardware.exploring import Explorer
 from greygate.hardware.facts import FACTS
 from greygate.hardware.replay import replay
 from greygate.hardware.synthesis import synthesize
-from greygate.hardware.verify import Verification, verify_many
-from greygate.hardware.waveform import with_waveform
+from greygate.hardware.verify import Verification, verify_many, with_waveform
 from greygate.machines.catalog import CATALOG, entry
 from greygate.machines.source import Source
 from greygate.models.accuracy import float_error, rms

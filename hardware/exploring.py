@@ -10,10 +10,10 @@ from greygate import children
 from greygate.compiler.centre import centre_biases
 from greygate.compiler.explore import Exploration, Point, Request, Room, Unmet, explore, told
 from greygate.compiler.explore.judge import Bound, Judge, Scale
-from greygate.compiler.explore.printed import Costed, Explored
 from greygate.compiler.explore.trail import Maker
 from greygate.compiler.quantize import Formats
 from greygate.compiler.ranges import Range
+from greygate.compiler.study import Costed, Explored
 from greygate.compiler.targets import Design
 from greygate.emulator.program import Program
 from greygate.errors import InputError

@@ -11,11 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from greygate.children import PIPE, Popen, started
+from greygate.compiler.verilog import render
+from greygate.control.choices import Method, Place
+from greygate.control.loop import Controller
 from greygate.control.stepping import Emulated
 from greygate.emulator.program import Signal
 from greygate.errors import InputError
+from greygate.files import scratch
 from greygate.hardware.replay import PATIENCE, built
 from greygate.hardware.verify import Bench, Case, lanes, simulator_environment, width, words
+from greygate.machines.control import Task
 from greygate.progress import Progress, silent
 
 STDIN, STDOUT = "32'h80000000", "32'h80000001"
@@ -85,59 +90,38 @@ def clocked(cases: Sequence[Case], folder: Path | str, progress: Progress = sile
     """
     benches = [Bench(i, case) for i, case in enumerate(cases)]
     files = {f.name: f for case in cases for f in case.sources(Path(folder).resolve())}
-    with built(list(files.values()), _bench(benches), {}, (), progress) as work:
+    widths = [{"ins": width(b.inputs), "outs": width(b.outputs), "states": width(b.states)} for b in benches]
+    tops = [{"i": b.index, "top": b.case.program.name, "seen": b.seen()} for b in benches]
+    context = {"designs": [top | own for top, own in zip(tops, widths, strict=True)], "patience": PATIENCE}
+    context |= {"stdin": STDIN, "stdout": STDOUT, "offer": OFFER, "reset": RESET, "long": LONG}
+    with built(list(files.values()), render("in_loop.v", context, __package__), {}, (), progress) as work:
         command, environment = [str(work / "bench")], simulator_environment()
         with started(command, cwd=work, env=environment, stdin=PIPE, stdout=PIPE) as simulation:
             yield [Clocked(simulation, bench) for bench in benches]
 
 
-def _bench(benches: Sequence[Bench]) -> str:
-    parts, reads, acts = [], [], []
-    for bench in benches:
-        i, ins, outs, states = bench.index, width(bench.inputs), width(bench.outputs), width(bench.states)
-        parts.append(f"""\
-    reg [{ins - 1}:0] word_{i} = 0;
-    reg offer_{i} = 0, rst_{i} = 1;
-    wire s_ready_{i}, m_valid_{i};
-    wire [{outs - 1}:0] m_tdata_{i};
-    wire [{outs + states - 1}:0] seen_{i} = {bench.seen()};
-    {bench.case.program.name} design_{i} (
-        .clk(clk), .rst(rst_{i}), .s_axis_tdata(word_{i}), .s_axis_tvalid(offer_{i}), .s_axis_tready(s_ready_{i}),
-        .m_axis_tdata(m_tdata_{i}), .m_axis_tvalid(m_valid_{i}), .m_axis_tready(1'b1)
-    );
-""")
-        reads.append(f"""\
-            if (which == {i}) begin
-                got = $fscanf({STDIN}, "%h", word_{i});
-                if (what == {RESET}) rst_{i} <= 1; else offer_{i} <= 1;
-            end
-""")
-        acts.append(f"""\
-            if (rst_{i} && idle == {LONG}) begin
-                rst_{i} <= 0;
-                if (which == {i}) which = -1;
-            end
-            if (offer_{i} && s_ready_{i}) offer_{i} <= 0;
-            if (which == {i} && what == {OFFER} && m_valid_{i}) begin
-                $fwrite({STDOUT}, "%h %0d\\n", seen_{i}, idle);
-                $fflush({STDOUT});
-                which = -1;
-            end
-""")
-    count = len(benches)
-    return f"""\
-module bench (input clk);
-    integer what = {RESET}, which = {count}, got, idle = 0;
-{"".join(parts)}    always @(posedge clk) begin
-        if (which < 0) begin
-            idle = 0;
-            got = $fscanf({STDIN}, "%d %d", what, which);
-            if (got != 2) $finish;
-{"".join(reads)}        end else begin
-            idle = idle + 1;
-            if (idle > {PATIENCE}) $finish;
-{"".join(acts)}            if (which == {count} && idle == {LONG}) which = -1;
-        end
-    end
-endmodule
-"""
+@contextmanager
+def controller(
+    task: Task, method: Method, place: Place = Place.FLOAT, progress: Progress = silent
+) -> Iterator[tuple[Controller, list[Clocked]]]:
+    """The controller, and the designs that it is made of where it is hardware: imitating network and sensor.
+
+    Raises InputError where a PI or predictive controller is asked for in the emulator or in hardware.
+    """
+    if method is not Method.NETWORK:
+        if place is not Place.FLOAT:
+            raise InputError(f"{method} runs in float; only the imitating network is compiled: take network")
+        yield (task.proportional() if method is Method.PI else task.predictive()), []
+        return
+    network = task.network()
+    if place is Place.FLOAT:
+        yield task.floating(network), []
+        return
+    progress("compiling soft sensor and controller")
+    programs = task.programs(network)
+    if place is Place.EMULATOR:
+        yield task.imitated(*map(Emulated, programs)), []
+        return
+    cases = [Case(program, {}) for program in programs]
+    with scratch() as folder, clocked(cases, folder, progress) as designs:
+        yield task.imitated(*designs), designs

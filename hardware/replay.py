@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from greygate.compiler.verilog import render
 from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.files import scratch
@@ -33,26 +34,7 @@ PATIENCE = 100_000  # clocks without an answer before the design is said to hang
 FEW = 10_000  # steps, for which no compiler's optimisation is worth its time
 RUNTIME = ("verilated.o", "verilated_threads.o")  # of Verilator, the same for every design
 LINT = ("-Wno-lint", "-Wno-style", "-Wno-fatal", "-Wno-MULTIDRIVEN", "-Wno-SPECIFYIGN", "-Wno-TIMESCALEMOD")
-MAIN = """\
-#include "Vbench.h"
-#include "verilated.h"
-#include <cstdio>
-int main(int argc, char** argv) {
-    VerilatedContext context;
-    context.randReset(2);
-    context.randSeed(1);
-    context.commandArgs(argc, argv);
-    Vbench bench{&context};
-    while (!context.gotFinish()) {
-        bench.clk = 0;
-        bench.eval();
-        bench.clk = 1;
-        bench.eval();
-    }
-    bench.final();
-    return 0;
-}
-"""
+MAIN = Path(__file__).with_name("templates") / "replay.cpp"
 
 
 @dataclass(frozen=True)
@@ -88,7 +70,9 @@ def replay(
         f"{name}.hex": "".join(row[::-1].tobytes().hex() + "\n" for row in rows)
         for name, rows in zip(("samples", "wanted"), words, strict=True)
     }
-    text = bench(program.name, len(inputs), *(8 * rows.shape[1] for rows in words))
+    widths = {"width_in": 8 * words[0].shape[1], "width_out": 8 * words[1].shape[1]}
+    context = {"top": program.name, "steps": len(inputs), "patience": PATIENCE} | widths
+    text = render("replay.v", context, __package__)
     found = simulate(files, text, data, include, progress, optimised=len(inputs) > FEW)
     first = None if found["first"] < 0 else (found["first"], int(found["given"], 16), int(found["wanted"], 16))
     clocks = found["clocks"] / (found["steps"] - 1) if found["steps"] > 1 else float("nan")
@@ -127,7 +111,7 @@ def built(
 ) -> Iterator[Path]:
     """A temporary folder in which the program `bench` is built of a Verilog module of that name; as `simulate`."""
     with scratch() as work:
-        for name, text in (*data.items(), ("bench.v", bench), ("main.cpp", MAIN)):
+        for name, text in (*data.items(), ("bench.v", bench), ("main.cpp", MAIN.read_text())):
             (work / name).write_text(text)
         for path in files:
             shutil.copy(path, work)
@@ -154,52 +138,3 @@ def _tool(work: Path, *command: str) -> None:
         said = (work / "log").read_text(errors="replace").splitlines()
         why = next((line for line in said if re.search("[Ee]rror", line)), str(error))
         raise InputError(f"{why}; the simulation cannot be built or run") from None
-
-
-def bench(top: str, steps: int, width_in: int, width_out: int) -> str:
-    """A bench of one clock: it resets the design, offers each sample, and writes what came of it to result.json."""
-    return f"""\
-module bench (input clk);
-    reg [{width_in - 1}:0] samples[0:{steps - 1}];
-    reg [{width_out - 1}:0] wanted[0:{steps - 1}];
-    initial $readmemh("samples.hex", samples);
-    initial $readmemh("wanted.hex", wanted);
-    integer offered = 0, taken = 0, idle = 0, clock = 0, began = 0, ended = 0, first = -1, file, differing = 0, k;
-    reg [{width_out - 1}:0] given = 0, right = 0, difference;
-    reg [2:0] starting = 0;
-    wire rst = starting < 4;
-    wire s_ready, m_valid;
-    wire [{width_out - 1}:0] m_data;
-    wire s_valid = offered < {steps};
-    {top} core (
-        .clk(clk), .rst(rst), .s_axis_tdata(samples[s_valid ? offered : 0]), .s_axis_tvalid(s_valid),
-        .s_axis_tready(s_ready), .m_axis_tdata(m_data), .m_axis_tvalid(m_valid), .m_axis_tready(1'b1)
-    );
-    always @(posedge clk) begin
-        clock <= clock + 1;
-        idle <= rst || m_valid ? 0 : idle + 1;
-        if (rst) starting <= starting + 1;
-        if (!rst && s_valid && s_ready) offered <= offered + 1;
-        if (!rst && m_valid) begin
-            difference = m_data ^ wanted[taken];
-            if (difference != 0 && first < 0) begin
-                first <= taken;
-                given <= m_data;
-                right <= wanted[taken];
-            end
-            for (k = 0; k < {width_out}; k = k + 1) if (difference[k]) differing = differing + 1;
-            if (taken == 0) began <= clock;
-            ended <= clock;
-            taken <= taken + 1;
-        end
-        if (taken == {steps} || idle > {PATIENCE}) begin
-            file = $fopen("result.json", "w");
-            $fwrite(file, "{{\\"steps\\": %0d, \\"differing\\": %0d, \\"first\\": %0d, ", taken, differing, first);
-            $fwrite(file, "\\"given\\": \\"%0x\\", \\"wanted\\": \\"%0x\\", ", given, right);
-            $fwrite(file, "\\"clocks\\": %0d}}", ended - began);
-            $fclose(file);
-            $finish;
-        end
-    end
-endmodule
-"""

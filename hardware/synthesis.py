@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated
 
 from greygate.compiler.emit import sources
+from greygate.compiler.verilog import render
 from greygate.errors import InputError
 from greygate.files import scratch
 from greygate.hardware.families import COUNTED, LARGE, Device, Family, PlaceAndRoute, chosen, placing
@@ -103,15 +104,13 @@ def lacking(device: Device, counts: Mapping[str, float | None]) -> list[str]:
     return [f"{what}: {wanted:g} of {has:g}" for what, wanted, has in pairs if wanted > has]
 
 
-# -- place and route -------------------------------------------------------------------------------------------------
-
-
 def netlist(family: Family, place: PlaceAndRoute, folder: Path, top: str) -> str:
     """The Yosys commands that write the netlist for nextpnr; where it needs pins, of the design behind few pins."""
     if not place.pins:
         return f"write_json {NETLIST}"
-    widths = stream_widths((folder / f"{top}.v").read_text(), top)
-    (folder / "greygate_pins.v").write_text(few_pins(top, *widths))
+    width_in, width_out = stream_widths((folder / f"{top}.v").read_text(), top)
+    pins = render("pins.v", {"top": top, "width_in": width_in, "width_out": width_out}, __package__)
+    (folder / "greygate_pins.v").write_text(pins)
     mapped = (
         f"design -save mapped; design -reset; read_verilog greygate_pins.v; {family.synth.format(top='greygate_pins')}"
     )
@@ -125,39 +124,6 @@ def stream_widths(text: str, top: str) -> tuple[int, int]:
         raise InputError(f"{top}.v: no ports s_axis_tdata and m_axis_tdata; emit the design again")
     into, out = (int(m[1]) + 1 for m in found if m)
     return into, out
-
-
-def few_pins(top: str, width_in: int, width_out: int) -> str:
-    """A module `greygate_pins` of eight pins, the design behind two shift registers, and a stub of the design."""
-    return f"""\
-(* blackbox *)
-module {top} (
-    input wire clk, rst,
-    input wire [{width_in - 1}:0] s_axis_tdata, input wire s_axis_tvalid, output wire s_axis_tready,
-    output wire [{width_out - 1}:0] m_axis_tdata, output wire m_axis_tvalid, input wire m_axis_tready
-);
-endmodule
-
-module greygate_pins (input wire clk, rst, d, valid, ready, output wire q, output reg taken, given);
-    reg [{width_in - 1}:0] sample;
-    reg [{width_out - 1}:0] result;
-    reg rst_reg, valid_reg, ready_reg;
-    wire s_ready, m_valid;
-    wire [{width_out - 1}:0] m_data;
-    assign q = result[0];
-    always @(posedge clk) begin
-        {{rst_reg, valid_reg, ready_reg}} <= {{rst, valid, ready}};
-        sample <= {{d, sample}} >> 1;
-        result <= m_valid && ready_reg ? m_data : result >> 1;
-        taken <= s_ready;
-        given <= m_valid;
-    end
-    {top} core (
-        .clk(clk), .rst(rst_reg), .s_axis_tdata(sample), .s_axis_tvalid(valid_reg), .s_axis_tready(s_ready),
-        .m_axis_tdata(m_data), .m_axis_tvalid(m_valid), .m_axis_tready(ready_reg)
-    );
-endmodule
-"""
 
 
 def placed_and_routed(

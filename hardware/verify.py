@@ -23,7 +23,7 @@ import numpy as np
 from greygate import caches, children
 from greygate.compiler.emit import emit, sources
 from greygate.compiler.targets import Design, Register, architecture
-from greygate.compiler.verilog import lane_width, remark, sign_extended, verilog_names
+from greygate.compiler.verilog import lane_width, render, sign_extended, verilog_names
 from greygate.emulator.program import Program, Signal
 from greygate.errors import InputError
 from greygate.files import replacing, scratch, writing
@@ -229,28 +229,16 @@ class Bench:
         return list(zip(found, (s for s in self.states for _ in range(s.size)), strict=True))
 
     def verilog(self) -> str:
-        """The signals that the bench drives and reads, the source's handshake, the states side by side, the design."""
-        i, program = self.index, self.case.program
-        width_in, width_out, width_state = width(self.inputs), width(self.outputs), width(self.states)
-        ports = {"clk": f"clk_{i}", "rst": f"rst_{i}"}
-        ports |= {f"{a}_axis_{b}": f"{a}_{b}_{i}" for a in "sm" for b in ("tdata", "tvalid", "tready")}
-        public = "/* verilator public_flat_rw */"
-        driven = "".join(f"    reg {name}_{i} {public};\n" for name in ("clk", "rst", "m_tready", "load"))
-        return f"""\
-    {remark(f"{i}: {program.name}, {self.case.architecture}")}
-{driven}    reg [{width_in}:0] source_{i} {public};  // {{toggled with every sample, sample}}
-    reg [{max(width_state, 8) - 1}:0] initial_{i} {public};
-    wire s_tready_{i} {public}, m_tvalid_{i} {public};
-    wire [{width_out - 1}:0] m_tdata_{i};
-    wire [{width_out + width_state - 1}:0] seen_{i} {public};
-    assign seen_{i} = {self.seen()};
-    reg taken_{i};
-    wire s_tvalid_{i} = source_{i}[{width_in}] ^ taken_{i};
-    wire [{width_in - 1}:0] s_tdata_{i} = source_{i}[{width_in - 1}:0];
-    always @(posedge clk_{i}) if (rst_{i} || s_tready_{i}) taken_{i} <= source_{i}[{width_in}];
-{self.loading()}{self.recording()}    {program.name} design_{i} ({", ".join(f".{k}({v})" for k, v in ports.items())});
+        """The signals that the bench drives and reads, the source's handshake, the states side by side, the design.
 
-"""
+        Also how the states are set, where a scenario begins from states of its own; and what begins the waveform, in
+        which the step stands and, by name, what the design has and what the emulator has.
+        """
+        widths = {"width_in": width(self.inputs), "width_out": width(self.outputs), "width_state": width(self.states)}
+        context = {"bench": self, "i": self.index, "public": "/* verilator public_flat_rw */", "dump": DUMP}
+        context |= {"said": f"{self.index}: {self.case.program.name}, {self.case.architecture}"}
+        shown = [(f"{kind}_{in_waveform(name)}", size, at) for kind, name, size, at in self.words()]
+        return render("bench.v", context | widths | {"shown": shown, "loaded": self.loaded()}, __package__)
 
     def seen(self) -> str:
         """The states of the design, side by side above its answer."""
@@ -260,32 +248,6 @@ class Bench:
         ]
         return f"{{{', '.join([*reversed(state), f'm_tdata_{i}'])}}}"
 
-    def recording(self) -> str:
-        """What begins the waveform; in it, the step and, by name, what the design has and what the emulator has."""
-        if self.since is None:
-            return ""
-        i, scopes = self.index, ""
-        for scope, word in (("hardware", f"seen_{i}"), ("emulator", f"wanted_{i}")):
-            wires = "".join(
-                f"            wire signed [{8 * size - 1}:0] {kind}_{in_waveform(name)} = "
-                f"{word}[{8 * at} +: {8 * size}];\n"
-                for kind, name, size, at in self.words()
-            )
-            scopes += f"        if (1) begin : {scope}\n{wires}        end\n"
-        return f"""\
-    reg recording_{i} /* verilator public_flat_rw */;
-    initial recording_{i} = 1'b0;
-    reg [31:0] step_{i} /* verilator public_flat_rw */;
-    reg [{width(self.outputs) + width(self.states) - 1}:0] wanted_{i} /* verilator public_flat_rw */;
-    generate if (1) begin : compared_{i}
-        wire [31:0] step = step_{i};
-{scopes}    end endgenerate
-    always @(posedge recording_{i}) begin
-        $dumpfile("{DUMP}");
-        $dumpvars;
-    end
-"""
-
     def words(self) -> list[tuple[str, str, int, int]]:
         """(output or state, name, bytes, first byte) of every element of what the bench sees of the design."""
         return [
@@ -293,18 +255,15 @@ class Bench:
             *(("state", n, w, width(self.outputs) // 8 + at) for n, w, at in words(self.states)),
         ]
 
-    def loading(self) -> str:
-        """How the states are set, where a scenario begins from states of its own."""
+    def loaded(self) -> list[tuple[str, int, int]]:
+        """(register, lowest bit of its code in a word of lanes, width), where states are set."""
         if all(s.initial is None for s in self.case.scenarios.values()):
-            return ""
-        i, start = self.index, 0
-        text = f"    always @(posedge clk_{i}) if (load_{i}) begin\n"
-        for at, s in self.registers():
-            bits = "" if at.alone else f"[{at.low + s.fix.width - 1}:{at.low}]"
-            code = f"$signed(initial_{i}[{start + s.fix.width - 1}:{start}])"
-            text += f"        design_{i}.{at.path}{bits} <= {code};\n"
-            start += lane_width(s)
-        return text + "    end\n"
+            return []
+        starts = [8 * at for _, _, at in words(self.states)]
+        return [
+            (at.path if at.alone else f"{at.path}[{at.low + s.fix.width - 1}:{at.low}]", start, s.fix.width)
+            for (at, s), start in zip(self.registers(), starts, strict=True)
+        ]
 
     def job(self) -> dict:
         program = self.case.program
@@ -453,3 +412,23 @@ def run_logged(command: list[str], log: Path, environment: dict[str, str], where
     if code:
         last = (log.read_text(errors="replace").strip().splitlines() or ["no word"])[-1]
         raise InputError(f"{log}: {Path(command[0]).name} failed ({code}): {last}")
+
+
+def with_waveform(case: Case, found: Verification, folder: Path) -> Verification:
+    """Simulate a case again, by the same seed, up to the first step that differs, and keep `folder`/dump.vcd of it.
+
+    The waveform begins a step earlier, and holds the whole design. Its scope `compared_0` has the number of the step,
+    and for every output and state what the design has (`hardware`) and what it should have (`emulator`). If nothing
+    differs, nothing is simulated. Raises InputError as `verify_many`.
+    """
+    wrong = next((v for v in found.verdicts if v.mismatch is not None), None)
+    if wrong is None:
+        return found
+    names = list(case.scenarios)
+    same = {name: case.scenarios[name] for name in names[: names.index(wrong.scenario) + 1]}
+    since = wrong.scenario, max((wrong.step or 0) - 1, 0)
+    with scratch() as temporary:
+        verify_many([replace(case, scenarios=same)], temporary, found.seed, since=since)
+        with writing(folder):
+            shutil.move(Path(temporary) / DUMP, folder / DUMP)
+    return replace(found, waveform=folder / DUMP)

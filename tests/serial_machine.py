@@ -1,6 +1,6 @@
 """rtl/greygate_serial.v in Python: performs the words of a program's code, and trips over what hardware leaves open."""
 
-from greygate.compiler.serial.layout import Code
+from greygate.compiler.serial.code import Code
 from greygate.emulator.program import Program
 
 STEPS_AT_MOST = 1 << 22  # words of one step

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from greygate.compiler import adders
-from greygate.compiler.adders import CONSTANT, Graph, matching, search, signed_digits, solve
+from greygate.compiler.adders import CONSTANT, Graph, search, signed_digits, solve
 from greygate.compiler.adders.graph import signed_width
+from greygate.compiler.adders.shape import AT_ONCE, _plain, paired
 from greygate.errors import InputError
 
 EFFORT = 0.2  # of the solver where any graph will do
@@ -33,7 +34,7 @@ def problems(draw):
 
 def corners(graph: Graph) -> np.ndarray:
     """For every node the two inputs that give its least and its greatest value: (2 * nodes, columns)."""
-    vectors = graph.vectors()[graph.columns :, :-1]
+    vectors = graph.vectors(0, graph.columns)[graph.columns :, :-1]
     lo = np.array([least for least, _ in graph.ranges], dtype=object)
     hi = np.array([most for _, most in graph.ranges], dtype=object)
     return np.concatenate([np.where(vectors < 0, hi, lo), np.where(vectors < 0, lo, hi)])
@@ -51,17 +52,28 @@ def values(graph: Graph, x: np.ndarray) -> list[int]:
     return found[graph.columns :]
 
 
+def answers(graph: Graph, x: np.ndarray) -> list[int]:
+    """Every row for one input."""
+    found = [*(int(v) for v in x), *values(graph, x)]
+    rows = [o.constant if o.operand == CONSTANT else found[o.operand] << o.shift for o in graph.outputs]
+    return [-v if o.negate else v for v, o in zip(rows, graph.outputs, strict=True)]
+
+
+def negations(graph: Graph) -> int:
+    """Rows that are negated after the last adder."""
+    return sum(o.negate for o in graph.outputs)
+
+
 @settings(max_examples=60)
 @given(problems())
 def test_a_graph_is_its_matrix(problem):
     weights, widths, constants = problem
     graph = solve(weights, widths, constants, effort=EFFORT)
     assert (graph.matrix() == weights).all()
-    assert (graph.constants() == constants).all()
     x = np.random.default_rng(1).integers(
         -(1 << (np.array(widths) - 1)), 1 << (np.array(widths) - 1), (20, len(widths))
     )
-    assert (graph.evaluate(x) == x.astype(object) @ weights.T.astype(object) + constants).all()
+    assert [answers(graph, row) for row in x] == (x.astype(object) @ weights.T.astype(object) + constants).tolist()
 
 
 @settings(max_examples=40)
@@ -97,35 +109,12 @@ def test_operands_stand_before_their_users_and_shifts_are_plain(problem):
         assert n.bits <= n.width + n.drop
     assert all(o.shift >= 0 for o in graph.outputs)
     if all(constants):
-        assert graph.negations == 0  # a constant can always be added so that the sign comes out
+        assert negations(graph) == 0  # a constant can always be added so that the sign comes out
 
 
-@settings(max_examples=40)
-@given(problems(), st.integers(0, 2))
-def test_a_bound_on_the_depth_is_kept(problem, more):
-    weights, widths, constants = problem
-    digits = [sum(len(signed_digits(int(w))) for w in row) for row in weights]
-    least = max((n + (c != 0) - 1).bit_length() if n else 0 for n, c in zip(digits, constants, strict=True))
-    graph = solve(weights, widths, constants, depth=least + more, effort=EFFORT)
-    assert graph.depth <= least + more
-    assert (graph.matrix() == weights).all()
-    if least:
-        with pytest.raises(InputError, match=f"allow at least {least}"):
-            solve(weights, widths, constants, depth=least - 1)
-
-
-def test_a_bound_on_the_depth_is_kept_where_the_search_forgets_how_deep_a_sum_is():
-    weights = np.array([[-1898], [2], [-817], [-234], [-17533]])
-    graph = solve(weights, [2], [0, 0, 0, 11, 0], depth=3, effort=0.2)
-    assert graph.depth == 3
-    assert (graph.matrix() == weights).all()
-
-
-def test_a_bound_costs_adders_and_a_search_saves_them():
+def test_a_search_saves_adders():
     weights = np.random.default_rng(3).integers(-(1 << 11), 1 << 11, (6, 6))
-    free, bound, quick = solve(weights, [12] * 6), solve(weights, [12] * 6, depth=5), solve(weights, [12] * 6, effort=0)
-    assert bound.depth == 5 < free.depth
-    assert free.adders < bound.adders
+    free, quick = solve(weights, [12] * 6), solve(weights, [12] * 6, effort=0)
     assert free.adders < quick.adders < sum(len(signed_digits(int(w))) for w in weights.ravel()) - 6
 
 
@@ -142,8 +131,8 @@ def test_many_constants_beside_few_weights_find_room(weight):
 
 
 def test_wrong_arguments_say_what_to_do():
-    for arguments in ({"ranges": [(0, 1)]}, {"constants": [1]}, {"objective": "area"}):
-        with pytest.raises(InputError, match=r"give|use"):
+    for arguments in ({"ranges": [(0, 1)]}, {"constants": [1]}):
+        with pytest.raises(InputError, match="give"):
             solve(np.eye(2, dtype=np.int64), [8, 8], **arguments)
 
 
@@ -154,7 +143,7 @@ def test_the_same_matrix_gives_the_same_graph():
 
 def test_what_is_shared_is_built_once():
     graph = solve(np.array([[5, 5], [10, 10], [-5, -5]]), [8, 8])
-    assert (graph.adders, graph.negations) == (2, 1)
+    assert (graph.adders, negations(graph)) == (2, 1)
     assert solve(np.array([[0, 0], [4, 0]]), [8, 8], [9, 0]).adders == 0
 
 
@@ -212,8 +201,8 @@ def test_a_wrong_search_is_noticed_and_not_used(monkeypatch):
     weights = np.array([[45, 77], [25, 13]])
     right = adders.best_sums
 
-    def wrong(sums, columns, depth, extra, effort, rewrites):
-        found = right(sums, columns, depth, extra, effort, rewrites)
+    def wrong(sums, columns, effort, rewrites):
+        found = right(sums, columns, effort, rewrites)
         return [(d, [r[1:] for r in rows]) for d, rows in found] if effort else found
 
     monkeypatch.setattr(adders, "best_sums", wrong)
@@ -225,14 +214,14 @@ def test_a_wrong_search_is_noticed_and_not_used(monkeypatch):
 @given(st.lists(st.tuples(st.integers(1, 1 << 20), st.integers(-9, 9)), min_size=2, max_size=12))
 def test_parts_pair_alike_in_numbers_of_either_kind(parts):
     sizes, shifts = [s for s, _ in parts], [f for _, f in parts]
-    pairs, over = matching.paired(sizes, shifts)
+    pairs, over = paired(sizes, shifts)
     assert sorted([i for pair in pairs for i in pair] + over) == list(range(len(parts)))
     assert len(over) == len(parts) % 2
-    assert pairs == matching._plain(sizes, [f - min(shifts) for f in shifts])
+    assert pairs == _plain(sizes, [f - min(shifts) for f in shifts])
 
 
 def test_many_parts_are_paired_in_groups_of_like_size():
-    sizes = np.random.default_rng(10).integers(1, 1 << 30, 2 * matching.AT_ONCE + 77).tolist()
-    pairs, over = matching.paired(sizes, [0] * len(sizes))
+    sizes = np.random.default_rng(10).integers(1, 1 << 30, 2 * AT_ONCE + 77).tolist()
+    pairs, over = paired(sizes, [0] * len(sizes))
     assert sorted([i for pair in pairs for i in pair] + over) == list(range(len(sizes)))
     assert len(over) == len(sizes) % 2

@@ -9,14 +9,13 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+import simulated_board
 
 from greygate.emulator import engine
 from greygate.errors import InputError
 from greygate.hardware import verify
 from greygate.hardware.board import make as making
-from greygate.hardware.board import simulated
-from greygate.hardware.board.boards import BOARDS, PORTS
-from greygate.hardware.board.clocks import PLLS
+from greygate.hardware.board.boards import BOARDS, PLLS, PORTS
 from greygate.hardware.board.frames import IDLE, Answer, Frames, check_sum
 from greygate.hardware.board.make import make
 from greygate.hardware.board.play import Session, opened, play
@@ -42,12 +41,12 @@ def packages(compiled, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def built(packages, tmp_path_factory):
-    return simulated.build(packages / "icebreaker-uart", tmp_path_factory.mktemp("simulated"), CLOCKS, TICK)
+    return simulated_board.build(packages / "icebreaker-uart", tmp_path_factory.mktemp("simulated"), CLOCKS, TICK)
 
 
 @pytest.fixture(scope="module")
 def terminal(built):
-    with simulated.running(built, CLOCKS) as path:
+    with simulated_board.running(built, CLOCKS) as path:
         yield path
 
 
@@ -309,7 +308,7 @@ def test_a_command_that_finds_a_differing_bit_exits_with_1(greygate, compiled, t
 
 def test_noise_on_the_line_costs_time_and_no_bit(scenario, built):
     program, codes, right = scenario
-    with simulated.running(built, CLOCKS, flip=1201) as path, opened(path, 1_000_000) as line:
+    with simulated_board.running(built, CLOCKS, flip=1201) as path, opened(path, 1_000_000) as line:
         played = play(program, codes, right, line)
     assert (played.samples, played.differing_bits) == (STEPS, 0)
     assert played.resent > 0

@@ -1,14 +1,9 @@
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 import test_compiler
 from legal_programs import legal_codes, legal_program
 from programs import cylinder_program, random_codes, random_program
 
-from greygate.emulator import engine
 from greygate.emulator.engine import run
 from greygate.emulator.interpreter import interpret
 from greygate.emulator.numbers import Fix, Rounding
@@ -16,22 +11,14 @@ from greygate.emulator.program import Affine, Lookup, Program, Signal, Terminal
 from greygate.emulator.tables import Symmetry, Table
 
 
-@pytest.fixture(scope="module", autouse=True)
-def own_cache(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 def agree(program: Program, codes: np.ndarray, initial: np.ndarray | None = None) -> None:
     want = interpret(program, codes, initial, trace=True)
-    for specialised in (True, False):
-        got = run(program, codes, initial, trace=True, specialised=specialised)
-        for name, signal in want.trace.items():
-            np.testing.assert_array_equal(got.trace[name], signal, err_msg=f"{program.name}: {name}")
-        np.testing.assert_array_equal(got.outputs, want.outputs)
-        np.testing.assert_array_equal(got.states, want.states)
-        assert got.saturations == want.saturations
+    got = run(program, codes, initial, trace=True)
+    for name, signal in want.trace.items():
+        np.testing.assert_array_equal(got.trace[name], signal, err_msg=f"{program.name}: {name}")
+    np.testing.assert_array_equal(got.outputs, want.outputs)
+    np.testing.assert_array_equal(got.states, want.states)
+    assert got.saturations == want.saturations
 
 
 def wide() -> Program:
@@ -63,62 +50,31 @@ def program_width(o: Affine, x: Signal) -> int:
 
 # between them: every operation, rounding, overflow and symmetry; interpolated and plain; sizes of one and of several
 @pytest.mark.parametrize("seed", [3, 11, 24, 37, 58])
-def test_a_kernel_made_for_a_program_equals_the_interpreter_in_every_bit_of_every_signal(seed):
+def test_the_engine_equals_the_interpreter_in_every_bit_of_every_signal(seed):
     program = random_program(seed)
     agree(program, random_codes(program, seed, 60))
 
 
 # between them: sums of 52, 53 and 62 bits, shifts beyond 62, tables whose lines need int64
 @pytest.mark.parametrize("seed", [2, 6, 18])
-def test_a_kernel_made_for_a_program_at_the_limits_equals_the_interpreter_in_every_bit(seed):
+def test_the_engine_on_a_program_at_the_limits_equals_the_interpreter_in_every_bit(seed):
     program = legal_program(seed)
     agree(program, legal_codes(program, seed, 60))
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_kernel_made_for_a_compiled_network_equals_the_interpreter_in_every_bit(seed):
+def test_the_engine_on_a_compiled_network_equals_the_interpreter_in_every_bit(seed):
     agree(*test_compiler.random_program(seed))
 
 
-def test_a_kernel_made_for_wide_accumulators_equals_the_interpreter_in_every_bit():
+def test_the_engine_on_wide_accumulators_equals_the_interpreter_in_every_bit():
     program = wide()
     agree(program, random_codes(program, 0, 200))
 
 
-def test_a_kernel_takes_batches_from_given_states_and_counts_their_saturations():
+def test_the_engine_takes_batches_from_given_states_and_counts_their_saturations():
     program = cylinder_program()
     codes = np.stack([random_codes(program, seed, 50) for seed in range(6)]).reshape(2, 3, 50, -1)
-    initial = run(program, codes[0, 0], specialised=False).states[[3, 9, 20]]
+    initial = run(program, codes[0, 0]).states[[3, 9, 20]]
     agree(program, codes, initial)
-    assert run(program, codes, specialised=True, states=False).states.size == 0
-
-
-def test_a_long_run_compiles_a_kernel_and_later_runs_take_it(monkeypatch):
-    program = random_program(3)
-    codes, made, compiled = random_codes(program, 0, 50), [], engine.kernels.compiled
-    monkeypatch.setattr(engine, "WORTH_COMPILING", 100)
-    monkeypatch.setattr(engine.kernels, "compiled", lambda program: made.append(program) or compiled(program))
-    want = run(program, codes).outputs
-    run(program, np.stack([codes, codes]), specialised=False)
-    assert made == []
-    np.testing.assert_array_equal(run(program, np.stack([codes, codes])).outputs, [want, want])
-    np.testing.assert_array_equal(run(program, codes).outputs, want)
-    assert made == [program]
-
-
-SCRIPT = """
-import os, sys
-sys.path.insert(0, os.environ["TESTS"])
-from programs import random_codes, random_program
-from greygate.emulator.engine import _KERNELS, run
-program = random_program(3)
-run(program, random_codes(program, 3, 5), specialised=True)
-stats = _KERNELS[program].stats
-print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))
-"""
-
-
-def test_a_second_process_compiles_no_kernel_anew(tmp_path):
-    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path), "TESTS": os.path.dirname(__file__)}
-    told = [subprocess.check_output([sys.executable, "-c", SCRIPT], env=environment, text=True) for _ in range(2)]
-    assert [text.split() for text in told] == [["0", "1"], ["1", "0"]]
+    assert run(program, codes, states=False).states.size == 0

@@ -16,10 +16,10 @@ from greygate.compiler.explore import Point, Request, Room, _Words, designs, exp
 from greygate.compiler.explore.cost import COUNTS, blocks, clocks_of, cost, digits, explored, sums, tiles, trivial
 from greygate.compiler.explore.judge import Bound, Judge, Scale, agreed
 from greygate.compiler.explore.trail import Candidate, Maker, coarser, knobs, short_neurons, trail
-from greygate.compiler.folding.roms import DEEP
 from greygate.compiler.pipeline import compile_network, fixed_error
 from greygate.compiler.quantize import Formats, quantize
 from greygate.compiler.targets import Design, Memory
+from greygate.compiler.targets.folded import DEEP
 from greygate.emulator.numbers import Fix
 from greygate.emulator.program import Affine, Program
 from greygate.errors import InputError

@@ -10,8 +10,7 @@ from programs import cylinder_program, random_program
 from greygate.compiler.emit import emitted
 from greygate.compiler.folding.jobs import is_ordered, planned
 from greygate.compiler.folding.products import Products, laid_out
-from greygate.compiler.folding.schedule import fold
-from greygate.compiler.folding.schedule_lines import FIELDS
+from greygate.compiler.folding.schedule import FIELDS, fold
 from greygate.compiler.folding.words import choose_stages, odd_part, pieces, sums_of, width_of
 from greygate.compiler.targets import FACTORS, Design
 from greygate.emulator.program import Affine, Program

@@ -131,7 +131,7 @@ def test_a_program_at_a_limit_is_emulated_as_the_text_says_and_one_step_beyond_i
     codes = legal_codes(program, 0, 12)
     want = perform(program, codes.tolist())
     assert differing_bits(program, want, interpret(program, codes, trace=True)) == 0
-    assert differing_bits(program, want, run(program, codes, trace=True, specialised=False)) == 0
+    assert differing_bits(program, want, run(program, codes, trace=True)) == 0
     with pytest.raises(InputError, match="program limit: "):
         LIMITS[limit](1).check()
 
@@ -144,7 +144,7 @@ def test_interpreter_and_engine_equal_python_integers_over_the_whole_legal_space
         want = perform(program, codes.tolist())
         for emulator, answer in (
             ("interpreter", interpret(program, codes, trace=True)),
-            ("engine", run(program, codes, trace=True, specialised=False)),
+            ("engine", run(program, codes, trace=True)),
         ):
             assert differing_bits(program, want, answer) == 0, f"seed {seed}: {emulator}"
 
@@ -191,7 +191,7 @@ def test_a_right_shift_of_any_amount_is_what_the_formula_says():
             clamp = Clamp(Signal("x", 1, fix), "u0", -(1 << 47), (1 << 47) - 1, rounding)
             select = Select(Signal("y", 1, fix), "u0", "u0", "u0", rounding)
             program = program_of(clamp, select, inputs=(Fix(48, 60),)).check()
-            for answer in (interpret(program, codes, trace=True), run(program, codes, trace=True, specialised=False)):
+            for answer in (interpret(program, codes, trace=True), run(program, codes, trace=True)):
                 assert differing_bits(program, perform(program, codes.tolist()), answer) == 0
 
 

@@ -18,15 +18,13 @@ from greygate.emulator.engine import run
 from greygate.emulator.numbers import Fix, Overflow, Rounding
 from greygate.emulator.program import Affine, Lookup, Program, Signal, State, Terminal
 from greygate.emulator.tables import Symmetry
-from greygate.hardware.proofs.accumulators import accumulators
+from greygate.hardware.proofs.accumulators import accumulators, reachable
 from greygate.hardware.proofs.affine import Affine as Sum
 from greygate.hardware.proofs.affine import Module, Some
-from greygate.hardware.proofs.bound import bounded, contraction
-from greygate.hardware.proofs.drift import no_drift
+from greygate.hardware.proofs.bound import bounded, contraction, no_drift
 from greygate.hardware.proofs.elaborated import Block, blocks, elaborate
 from greygate.hardware.proofs.mapped import netlist_equals_emulator
 from greygate.hardware.proofs.primitives import primitives, unknown
-from greygate.hardware.proofs.reach import reachable
 from greygate.hardware.proofs.sums import sums
 from greygate.hardware.proofs.tables import tables
 from greygate.models.network import Layer, Network, Port

@@ -9,9 +9,10 @@ from programs import random_codes, random_program
 from serial_machine import Machine
 from test_rtl import hand_worked, lint, ring, scenario
 
+from greygate.compiler.adders import signed_digits
 from greygate.compiler.emit import emit
-from greygate.compiler.serial.layout import compiled
-from greygate.compiler.serial.writer import Writer, signed_digits
+from greygate.compiler.serial.code import compiled
+from greygate.compiler.serial.writer import Writer
 from greygate.compiler.verilog import input_slices
 from greygate.emulator.interpreter import interpret
 from greygate.hardware.verify import Case, verify_many

@@ -12,12 +12,11 @@ import numpy as np
 from greygate.compiler.adders.graph import CONSTANT, Graph, Node, Output
 from greygate.compiler.adders.search import REWRITES, best_sums, looked
 from greygate.compiler.adders.shape import shape
-from greygate.errors import InputError, shown
+from greygate.errors import InputError
 
 __all__ = ["CONSTANT", "Graph", "Node", "Output", "solve"]
 
 
-OBJECTIVES = ("adders", "bits")
 WIDEST = 24  # places of a weight up to which the search tells sums apart by their values, of 61 bits
 SHARED = 60  # places of a weight up to which patterns are shared
 KEPT = 64  # graphs that a process remembers
@@ -28,21 +27,16 @@ def solve(
     widths: Sequence[int],
     constants: Sequence[int] | np.ndarray | None = None,
     ranges: Sequence[tuple[int, int]] | None = None,
-    depth: int | None = None,
     effort: float = 1.0,
-    objective: str = "adders",
 ) -> Graph:
     """Find a graph with few adders for `weights` (rows, columns) of integers. The same input gives the same graph.
 
     widths: bits of each column's signed code. constants: a number added to each row (bias and rounding constant).
-    ranges: (lo, hi) of each column where it is narrower than the width says. depth: the most adders in a row; an
-    InputError says the least that is possible. effort: work of the search, as a multiple; 0 shares pairs once.
-    objective: what the better of two graphs has less of, "adders" or "bits" (`Graph.adder_bits`).
+    ranges: (lo, hi) of each column where it is narrower than the width says. effort: work of the search, as a multiple;
+    0 shares pairs once.
     """
     table = np.asarray(weights)
     rows, columns = table.shape
-    if objective not in OBJECTIVES:
-        raise InputError(f"objective {shown(objective)}: unknown; use {' or '.join(OBJECTIVES)}")
     if ranges is None:
         ranges = [(-(1 << (w - 1)), (1 << (w - 1)) - 1) for w in widths]
     if len(ranges) != columns:
@@ -52,7 +46,7 @@ def solve(
         raise InputError(f"adder graph: {len(numbers)} constants for {rows} rows; give one a row")
     entries = tuple(tuple(int(w) for w in row) for row in table)
     bounds = tuple((int(lo), int(hi)) for lo, hi in ranges)
-    return _solved(entries, columns, tuple(numbers), bounds, depth, effort, objective)
+    return _solved(entries, columns, tuple(numbers), bounds, effort)
 
 
 @lru_cache(maxsize=KEPT)
@@ -61,26 +55,18 @@ def _solved(
     columns: int,
     constants: tuple[int, ...],
     ranges: tuple[tuple[int, int], ...],
-    depth: int | None,
     effort: float,
-    objective: str,
 ) -> Graph:
     """As `solve`. A program's clocks, registers and text are asked for one by one, and each needs the same graphs."""
     sums = [[(c, s, g) for c, w in enumerate(row) for s, g in signed_digits(w)] for row in entries]
-    extra = [int(n != 0) for n in constants]
-    least = max((len(s) + e - 1 for s, e in zip(sums, extra, strict=True) if s), default=0).bit_length()
-    if depth is not None and depth < least:
-        raise InputError(f"adder graph: depth {depth} is too little for its longest row; allow at least {least}")
     widest = max((shift for s in sums for _, shift, _ in s), default=0)
     rewrites = REWRITES if widest <= WIDEST else 0
-    found = best_sums(sums, columns, depth or 0, extra, effort, rewrites) if widest <= SHARED else [([], sums)]
+    found = best_sums(sums, columns, effort, rewrites) if widest <= SHARED else [([], sums)]
     wanted = looked(columns, [], sums)
     right = [f for f in found if looked(columns, *f) == wanted]  # but for a search that took unequal sums for equal
-    right = right or best_sums(sums, columns, depth or 0, extra, 0, 0)
+    right = right or best_sums(sums, columns, 0, 0)
     graphs = [shape(columns, definitions, outs, constants, ranges) for definitions, outs in right]
-    if depth is not None and max(g.depth for g in graphs) > depth:  # a later turn no longer knows how deep a sum is
-        graphs = [shape(columns, *found, constants, ranges) for found in best_sums(sums, columns, depth, extra, 0, 0)]
-    best = min(graphs, key=lambda g: (g.adder_bits, g.adders) if objective == "bits" else (g.adders, g.adder_bits))
+    best = min(graphs, key=lambda g: (g.adders, g.adder_bits))
     assert best.matrix().tolist() == [list(row) for row in entries], "the adders are not the matrix"
     return best
 

@@ -21,6 +21,12 @@ class Flat:
     of_sum: np.ndarray
     terms: np.ndarray
 
+    @staticmethod
+    def of(body: np.ndarray, length: np.ndarray, columns: int, rows: int) -> "Flat":
+        """What `packed` gave."""
+        inside = np.arange(body.shape[1]) < length[:, None]
+        return Flat(columns, rows, len(body), np.nonzero(inside)[0], body[inside].astype(np.int64))
+
     @property
     def adders(self) -> int:
         return len(self.terms) - len(np.unique(self.of_sum))
@@ -73,12 +79,6 @@ class Flat:
         of_sum = self.of_sum[order]
         body[of_sum, np.arange(len(order)) - start[of_sum]] = self.terms[order]
         return body, length
-
-    def lists(self) -> list[list[int]]:
-        """The terms of each sum."""
-        order, start = self._ordered()
-        terms = self.terms[order].tolist()
-        return [terms[a:b] for a, b in zip(start[:-1].tolist(), start[1:].tolist(), strict=True)]
 
     def _ordered(self) -> tuple[np.ndarray, np.ndarray]:
         order = np.argsort(self.of_sum, kind="stable")

@@ -1,10 +1,9 @@
 """A constant matrix times a vector as a graph of two-operand adders: what the solver gives and the RTL reads."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,7 +61,7 @@ class Graph:
     """Adders in an order in which every operand stands before its users, over columns of known ranges.
 
     ranges: (lo, hi) of each column. outputs: one per row. A row is negated at its output only where no choice of signs
-    inside the graph avoids it (a row such as -x that nobody adds anything to); `negations` counts those.
+    inside the graph avoids it (a row such as -x that nobody adds anything to).
     """
 
     ranges: tuple[tuple[int, int], ...]
@@ -77,11 +76,6 @@ class Graph:
     def adders(self) -> int:
         """Two-operand additions and subtractions."""
         return len(self.nodes)
-
-    @property
-    def negations(self) -> int:
-        """Rows that are negated after the last adder."""
-        return sum(o.negate for o in self.outputs)
 
     @property
     def adder_bits(self) -> int:
@@ -116,24 +110,12 @@ class Graph:
         """Bits that hold a column or a node."""
         return signed_width(*self.range(operand))
 
-    def users(self) -> tuple[tuple[int, ...], ...]:
-        """For each operand (columns, then nodes): the numbers of the nodes that read it, as `nodes` counts them."""
-        found: list[list[int]] = [[] for _ in range(self.columns + len(self.nodes))]
-        for k, n in enumerate(self.nodes):
-            for o in dict.fromkeys((n.left, n.right)):
-                if o != CONSTANT:
-                    found[o].append(k)
-        return tuple(tuple(f) for f in found)
+    def vectors(self, first: int, last: int) -> np.ndarray:
+        """What every operand is of the columns from first to last - 1, (columns + nodes, last - first + 1).
 
-    def vectors(self) -> np.ndarray:
-        """What every operand is, in integers that never overflow: (columns + nodes, columns + 1), the last a constant.
-
-        It is computed from the adders alone, and asserts that no dropped bit was ever anything but 0.
+        The last one of a row is its constant; the integers never overflow. It is computed from the adders alone, and
+        asserts that no dropped bit was ever anything but 0.
         """
-        return self._vectors(0, self.columns)
-
-    def _vectors(self, first: int, last: int) -> np.ndarray:
-        """Those of `vectors` that belong to the columns from first to last - 1, and the constant."""
         table: np.ndarray = np.zeros((self.columns + len(self.nodes), last - first + 1), dtype=self._exact())
         for c in range(first, last):
             table[c, c - first] = 1
@@ -158,38 +140,15 @@ class Graph:
             most.append((left + right >> n.drop) + 1)
         return np.int64
 
-    def _rows(self, first: int, last: int) -> np.ndarray:
-        table = self._vectors(first, last)
-        found = np.zeros((len(self.outputs), last - first + 1), dtype=object)
-        for r, o in enumerate(self.outputs):
-            if o.operand == CONSTANT:
-                found[r, -1] = o.constant
-            else:
-                found[r] = table[o.operand].astype(object) * ((1 << o.shift) * (-1 if o.negate else 1))
-        return found
-
     def matrix(self) -> np.ndarray:
         """The matrix that the graph computes, (rows, columns), as Python integers in an array of objects."""
-        edges = [0, *range(AT_ONCE, self.columns, AT_ONCE), self.columns]
-        return np.concatenate([self._rows(a, b)[:, :-1] for a, b in pairwise(edges)], axis=1)
-
-    def constants(self) -> np.ndarray:
-        """The constant that the graph adds to each row, as Python integers in an array of objects."""
-        return self._rows(0, 0)[:, -1]
-
-    def evaluate(self, x: np.ndarray | Sequence[int]) -> np.ndarray:
-        """What the adders give for codes `x` (..., columns): Python integers (..., rows) in an array of objects."""
-        x = np.asarray(x)
-        values: list[Any] = [x[..., c].astype(object) for c in range(self.columns)]
-        for n in self.nodes:
-            left = n.constant if n.left == CONSTANT else values[n.left] << n.left_shift
-            right = n.constant if n.right == CONSTANT else values[n.right] << n.right_shift
-            values.append((left - right if n.subtract else left + right) >> n.drop)
-        rows = np.zeros((*x.shape[:-1], len(self.outputs)), dtype=object)
-        for r, o in enumerate(self.outputs):
-            value = o.constant if o.operand == CONSTANT else values[o.operand] << o.shift
-            rows[..., r] = -value if o.negate else value
-        return rows
+        found = np.zeros((len(self.outputs), self.columns), dtype=object)
+        for first, last in pairwise([*range(0, self.columns, AT_ONCE), self.columns]):
+            table = self.vectors(first, last)[:, :-1]
+            for r, o in enumerate(self.outputs):
+                if o.operand != CONSTANT:
+                    found[r, first:last] = table[o.operand].astype(object) * ((1 << o.shift) * (-1 if o.negate else 1))
+        return found
 
 
 def signed_width(lo: int, hi: int) -> int:

@@ -9,11 +9,11 @@ from collections import namedtuple
 
 import numpy as np
 
-from greygate.compiler.adders.table import COUNT, FREE, KEY, kernel, pattern
+from greygate.compiler.adders.table import COUNT, FREE, KEY, kernel, pattern, seat
 
 # Groups, sums and operands as ranges in flat arrays; `terms` holds shift and sign of each term, -1 where it is gone.
 Groups = namedtuple("Groups", "terms operand sum start length of_sum sum_start sum_length of_operand first count ints")
-Counts = namedtuple("Counts", "key count link bucket ints")
+Counts = namedtuple("Counts", "table link bucket ints")
 GROUPS, LISTED, TERMS = range(3)  # of Groups.ints: how much of the arrays is used
 TAKEN, TOP = range(2)  # of Counts.ints: places of the table that are taken; no bucket above holds a pattern
 NONE = -1
@@ -21,19 +21,9 @@ SMALLEST = 1 << 8  # places of a table of patterns
 
 
 @kernel
-def seat(key_of, key):
-    """The place of a key in an open table: where it stands, or where it would."""
-    mask = key_of.shape[0] - 1
-    h = np.int64((np.uint64(key) * np.uint64(11400714819323198485)) >> np.uint64(34)) & mask
-    while key_of[h] != FREE and key_of[h] != key:
-        h = (h + 1) & mask
-    return h
-
-
-@kernel
 def bucketed(counts, h):
     """Put a pattern into the bucket of its count."""
-    c = counts.count[h]
+    c = counts.table[h, COUNT]
     counts.link[h] = counts.bucket[c]
     counts.bucket[c] = h
     counts.ints[TOP] = max(counts.ints[TOP], c)
@@ -42,29 +32,24 @@ def bucketed(counts, h):
 @kernel
 def table_of(places, highest):
     """An empty table of patterns."""
-    return Counts(
-        np.full(places, FREE, np.int64),
-        np.zeros(places, np.int64),
-        np.zeros(places, np.int64),
-        np.full(highest + 1, NONE, np.int64),
-        np.zeros(2, np.int64),
-    )
+    table = np.full((places, 2), FREE, np.int64)
+    return Counts(table, np.zeros(places, np.int64), np.full(highest + 1, NONE, np.int64), np.zeros(2, np.int64))
 
 
 @kernel
 def frequent(counts, room):
     """A table with room for `room` more of those patterns that still occur twice, each in the bucket of its count."""
     kept = 0
-    for h in range(counts.key.shape[0]):
-        kept += counts.key[h] != FREE and counts.count[h] > 1
+    for h in range(counts.table.shape[0]):
+        kept += counts.table[h, KEY] != FREE and counts.table[h, COUNT] > 1
     places = SMALLEST
     while places < 3 * (kept + room):
         places *= 2
     new = table_of(places, counts.bucket.shape[0] - 1)
-    for h in range(counts.key.shape[0]):
-        if counts.key[h] != FREE and counts.count[h] > 1:
-            k = seat(new.key, counts.key[h])
-            new.key[k], new.count[k] = counts.key[h], counts.count[h]
+    for h in range(counts.table.shape[0]):
+        if counts.table[h, KEY] != FREE and counts.table[h, COUNT] > 1:
+            k = seat(new.table, counts.table[h, KEY])
+            new.table[k, KEY], new.table[k, COUNT] = counts.table[h, KEY], counts.table[h, COUNT]
             bucketed(new, k)
     new.ints[TAKEN] = kept
     return new
@@ -73,11 +58,11 @@ def frequent(counts, room):
 @kernel
 def grown(counts):
     """A table of twice the places with the same patterns, none in a bucket."""
-    new = table_of(2 * counts.key.shape[0], counts.bucket.shape[0] - 1)
-    for h in range(counts.key.shape[0]):
-        if counts.key[h] != FREE:
-            k = seat(new.key, counts.key[h])
-            new.key[k], new.count[k] = counts.key[h], counts.count[h]
+    new = table_of(2 * counts.table.shape[0], counts.bucket.shape[0] - 1)
+    for h in range(counts.table.shape[0]):
+        if counts.table[h, KEY] != FREE:
+            k = seat(new.table, counts.table[h, KEY])
+            new.table[k, KEY], new.table[k, COUNT] = counts.table[h, KEY], counts.table[h, COUNT]
     new.ints[TAKEN] = counts.ints[TAKEN]
     return new
 
@@ -97,12 +82,12 @@ def counted(groups, sums, terms):
         for i in range(n):
             for j in range(i):
                 key = pattern(inside[j], inside[i])
-                h = seat(counts.key, key)
-                if counts.key[h] == FREE:
-                    counts.key[h] = key
+                h = seat(counts.table, key)
+                if counts.table[h, KEY] == FREE:
+                    counts.table[h, KEY], counts.table[h, COUNT] = key, 0
                     counts.ints[TAKEN] += 1
-                counts.count[h] += 1
-            if 2 * (counts.ints[TAKEN] + n) > counts.key.shape[0]:
+                counts.table[h, COUNT] += 1
+            if 2 * (counts.ints[TAKEN] + n) > counts.table.shape[0]:
                 counts = grown(counts)
     return frequent(counts, terms)
 
@@ -125,9 +110,9 @@ def forget(groups, counts, g, term):
             continue
         op = groups.operand[other] << 9
         for k in range(groups.start[other], groups.start[other] + groups.length[other]):
-            h = seat(counts.key, pattern(whole, np.int32(op | groups.terms[k])))
-            if counts.key[h] != FREE:
-                counts.count[h] -= 1
+            h = seat(counts.table, pattern(whole, np.int32(op | groups.terms[k])))
+            if counts.table[h, KEY] != FREE:
+                counts.table[h, COUNT] -= 1
         i += 1
 
 
@@ -208,8 +193,8 @@ def counted_new(groups, counts, own, touched, first):
     for t in range(n):
         place = touched[t]
         if own[place, COUNT] > 1:
-            h = seat(counts.key, own[place, KEY])
-            counts.key[h], counts.count[h] = own[place, KEY], own[place, COUNT]
+            h = seat(counts.table, own[place, KEY])
+            counts.table[h, KEY], counts.table[h, COUNT] = own[place, KEY], own[place, COUNT]
             counts.ints[TAKEN] += 1
             bucketed(counts, h)
         own[place, KEY] = FREE
@@ -219,10 +204,7 @@ def counted_new(groups, counts, own, touched, first):
 @kernel
 def noted(own, touched, n, key):
     """Count a pattern in the small table `own`; gives how many it has."""
-    mask = own.shape[0] - 1
-    h = np.int64((np.uint64(key) * np.uint64(11400714819323198485)) >> np.uint64(34)) & mask
-    while own[h, KEY] != FREE and own[h, KEY] != key:
-        h = (h + 1) & mask
+    h = seat(own, key)
     if own[h, KEY] == FREE:
         own[h, KEY], own[h, COUNT] = key, 0
         touched[n] = h
@@ -250,13 +232,13 @@ def paired(groups, sums, terms, keys):
             counts.ints[TOP] -= 1
             continue
         counts.bucket[counts.ints[TOP]] = counts.link[h]
-        if counts.count[h] < 2:
+        if counts.table[h, COUNT] < 2:
             continue
-        if counts.count[h] < counts.ints[TOP]:
+        if counts.table[h, COUNT] < counts.ints[TOP]:
             bucketed(counts, h)
             continue
-        key = counts.key[h]
-        counts.count[h] = 0
+        key = counts.table[h, KEY]
+        counts.table[h, COUNT] = 0
         n = found(groups, key, hits)
         if n < 2:
             continue
@@ -271,7 +253,7 @@ def paired(groups, sums, terms, keys):
                 places *= 2
             own = np.full((places, 2), FREE, np.int64)
             touched = np.zeros(places, np.int64)
-        if 2 * (counts.ints[TAKEN] + room) > counts.key.shape[0]:
+        if 2 * (counts.ints[TAKEN] + room) > counts.table.shape[0]:
             counts = frequent(counts, room)
         first = defined(groups, counts, hits, n, operands + made)
         counted_new(groups, counts, own, touched, first)

@@ -1,26 +1,16 @@
 """The search for shared sums from several starts, in the matrix and in its transpose; less of it for a large matrix."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from greygate.compiler.adders.flat import Flat
-from greygate.compiler.adders.rounds import begin, search, transpose
+from greygate.compiler.adders.moves import begin, search
 from greygate.compiler.adders.shape import Term
-from greygate.compiler.adders.table import (
-    BOUNDED,
-    COLUMNS,
-    EXTRA,
-    LENGTH,
-    LEVEL,
-    RANDOM,
-    ROTATIONS,
-    ROWS,
-    TOP,
-    ZERO,
-    State,
-)
+from greygate.compiler.adders.table import COLUMNS, LENGTH, RANDOM, ROTATIONS, ROWS, TOP, ZERO, State
 
 ROOM = 24  # terms that a sum may hold beyond those of the longest at the start
-DESTROYED, DIGITS, REWRITES = 4, 2, 90  # a round: definitions and digits at most, and rewrites in how many of 100
+REWRITES = 90  # in how many rounds of 100 sums are told apart by their values
 ROUNDS, PER_TERM = 1500, 20  # rounds of one turn at effort 1: so many, and for a small matrix so many a term
 WORK = 1_500_000  # rounds times terms of one turn at most
 TURNS = (9, 8)  # from the matrix and from its transpose, so that both end at the matrix
@@ -40,31 +30,25 @@ PRIME, GENERATOR = (1 << 255) - 19, 3**100  # of numbers as which sums are compa
 Sums = list[list[Term]]
 
 
-def best_sums(
-    rows: Sums,
-    columns: int,
-    depth: int = 0,
-    extra: list[int] | None = None,
-    effort: float = 1.0,
-    rewrites: int = REWRITES,
-) -> list[tuple[Sums, Sums]]:
+def best_sums(rows: Sums, columns: int, effort: float = 1.0, rewrites: int = REWRITES) -> list[tuple[Sums, Sums]]:
     """Share what the sums of the rows have in common, from several starts: (definitions, rows) of each.
 
-    depth: the most adders in a row, 0 for no bound. extra: how many terms to leave room for in each row.
-    rewrites: in how many rounds of 100 sums are told apart by their values; 0 for weights of more than WIDEST places.
+    rewrites: as REWRITES; 0 for weights of more than WIDEST places.
     """
     flat = _flat(rows, columns)
     pairs = max(flat.pairs, flat.transposed().pairs)
-    if pairs > MANY and not depth:
+    if pairs > MANY:
         return [_large(flat, effort, rewrites)]
     if pairs > DIFFERENT:
         return [([], rows)]
-    first = flat.packed()
-    if effort <= 0 or depth:
-        turns = TURNS[0] if effort > 0 else 0
-        return [_run(first, columns, len(rows), 0, turns, effort, depth, extra, rewrites)]
-    starts = enumerate(TURNS)
-    return [_run(first, columns, len(rows), start, turns, effort, 0, extra, rewrites) for start, turns in starts]
+    terms = max(1, len(flat.terms))
+    rounds = int(effort * min(ROUNDS, PER_TERM * terms, WORK // terms))
+    if effort <= 0:
+        return [_turned(flat, range(1), lambda length: 0, rewrites)]
+    return [
+        _turned(flat, range(start, start + turns), lambda length: rounds, rewrites, 1000 * start)
+        for start, turns in enumerate(TURNS)
+    ]
 
 
 def looked(columns: int, definitions: Sums, rows: Sums) -> list[int]:
@@ -78,33 +62,34 @@ def looked(columns: int, definitions: Sums, rows: Sums) -> list[int]:
 
 def _large(flat: Flat, effort: float, rewrites: int) -> tuple[Sums, Sums]:
     """Pairs shared in the matrix and in its transpose, and the better of the two mended in turns."""
-    turned = flat.transposed()
-    ways = [_shared(flat), _shared(turned).transposed()]
+    ways = [_shared(flat), _shared(flat.transposed()).transposed()]
     found = min(ways, key=lambda f: f.adders)
+
+    def rounds(length: np.ndarray) -> int | None:
+        return int(effort * min(LARGE_ROUNDS, LARGE_WORK // _work(length))) if _fits(length) else None
+
     turns = TURNS[0] if effort > 0 and len(found.terms) <= SEARCHED else 0
-    body, length = found.packed()
-    if turns:
-        return _mended(body, length, flat.columns, flat.rows, turns, effort, rewrites)
-    return _unpacked(body, length, flat.columns, flat.rows)
+    return _turned(found, range(turns), rounds, rewrites)
 
 
-def _mended(
-    body: np.ndarray, length: np.ndarray, columns: int, rows: int, turns: int, effort: float, rewrites: int
+def _turned(
+    flat: Flat, turns: range, rounds: Callable[[np.ndarray], int | None], rewrites: int, seed: int = 0
 ) -> tuple[Sums, Sums]:
-    """An odd number of turns, the first and the last in the matrix itself."""
-    c, r = columns, rows
-    for turn in range(turns):
-        if turn:
-            body, length = transpose(body, length, c, r)
-            c, r = r, c
-        if not _fits(length):
+    """Turns of search, each in the transpose of what the one before it found; turn 0 in the matrix itself.
+
+    rounds: of a turn, from how many terms each sum has; None leaves the turn out.
+    """
+    for turn in turns:
+        flat = flat.transposed() if turn else flat
+        body, length = flat.packed()
+        if (count := rounds(length)) is None:
             continue
-        st = state(body, length, c, r, 1 + turn)
+        st = state(body, length, flat.columns, flat.rows, 1 + turn + seed)
         fits = begin(st)
         assert fits, "a sum outgrew its place"
-        search(st, int(effort * min(LARGE_ROUNDS, LARGE_WORK // _work(length))), DESTROYED, DIGITS, rewrites)
-        body, length = st.terms[0], st.slot[:, LENGTH]
-    return _unpacked(body, length, columns, rows)
+        search(st, count, rewrites)
+        flat = Flat.of(st.terms[0], st.slot[:, LENGTH], flat.columns, flat.rows)
+    return _unpacked(*flat.packed(), flat.columns, flat.rows)
 
 
 def _fits(length: np.ndarray) -> bool:
@@ -134,35 +119,6 @@ def _parts(flat: Flat) -> int:
     return min(flat.columns, max(1, -(-pairs // MOST), -(-different // DIFFERENT)))
 
 
-def _run(
-    first: tuple[np.ndarray, np.ndarray],
-    columns: int,
-    rows: int,
-    start: int,
-    turns: int,
-    effort: float,
-    depth: int,
-    extra: list[int] | None,
-    rewrites: int,
-) -> tuple[Sums, Sums]:
-    """One start: turns of search, each in the transpose of what the one before it found."""
-    body, length = first
-    c, r = columns, rows
-    terms = max(1, int(length.sum()))
-    rounds = int(effort * min(ROUNDS, PER_TERM * terms, WORK // terms))
-    for turn in range(start, max(1, start + turns)):
-        if turn and not depth:
-            body, length = transpose(body, length, c, r)
-            c, r = r, c
-        st = state(body, length, c, r, 1 + turn + 1000 * start, depth, extra)
-        fits = begin(st)
-        assert fits, "a sum outgrew its place"
-        if turns:
-            search(st, rounds, DESTROYED, DIGITS, rewrites)
-        body, length = st.terms[0], st.slot[:, LENGTH]
-    return _unpacked(body, length, columns, rows)
-
-
 def _flat(rows: Sums, columns: int) -> Flat:
     """The rows as flat arrays."""
     of_sum = np.repeat(np.arange(len(rows)), [len(r) for r in rows])
@@ -190,7 +146,7 @@ def _unpacked(body: np.ndarray, length: np.ndarray, columns: int, rows: int) -> 
     return [named[o - columns] for o in order], named[:rows]
 
 
-def state(body: np.ndarray, length: np.ndarray, columns: int, rows: int, seed: int, depth=0, extra=None) -> State:
+def state(body: np.ndarray, length: np.ndarray, columns: int, rows: int, seed: int) -> State:
     """Lay out the sums for a search, with every definition beside the others and room for more."""
     keep = [*range(rows), *(k for k in range(rows, len(body)) if length[k])]
     number = np.arange(columns + len(body))
@@ -208,12 +164,10 @@ def state(body: np.ndarray, length: np.ndarray, columns: int, rows: int, seed: i
     size = 1 << max(14, (4 * pairs).bit_length())
     index = 1 << (2 * ROTATIONS * (columns + slots)).bit_length()
     ints = np.zeros(16, np.int64)
-    ints[COLUMNS], ints[ROWS], ints[TOP], ints[BOUNDED] = columns, rows, max(len(keep), rows), depth > 0
+    ints[COLUMNS], ints[ROWS], ints[TOP] = columns, rows, max(len(keep), rows)
     ints[RANDOM] = seed * 2654435769 + 88172645463325252
-    slot = np.zeros((slots, 9), np.int64)
-    slot[:, LENGTH], slot[:, LEVEL] = count, depth
-    if depth and extra is not None:  # without a bound there is room, and a transpose has other rows
-        slot[: len(extra), EXTRA] = extra
+    slot = np.zeros((slots, 6), np.int64)
+    slot[:, LENGTH] = count
     return State(
         np.stack([packed, np.zeros_like(packed), np.zeros_like(packed)]),
         slot,

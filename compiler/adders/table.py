@@ -15,7 +15,7 @@ from numba import njit
 kernel = njit(cache=True, error_model="numpy")
 ZERO = 128  # the shift 0 as a term holds it
 LOWEST, HIGHEST = 8, 248  # shifts as a term holds them, beyond which a rewrite is refused
-FREE = -1  # a key of the table that holds no pattern
+FREE = -1  # a key of a table that holds nothing
 ROTATIONS = 61  # values are modulo 2^61 - 1, where a factor of 2 turns the bits
 MODULUS = (1 << ROTATIONS) - 1
 
@@ -24,11 +24,11 @@ MODULUS = (1 << ROTATIONS) - 1
 # it is at columns of ordinary numbers.
 # table: the patterns with their counts. index: where a linear form stands.
 State = namedtuple("State", "terms slot form real table heap index ints")
-LENGTH, LEVEL, EXTRA, USES, STAMP, SAVED, SAVED_LENGTH, SAVED_LEVEL, SAVED_VALUE = range(9)  # of slot
+LENGTH, USES, STAMP, SAVED, SAVED_LENGTH, SAVED_VALUE = range(6)  # of slot
 VALUE, LOW, HIGH, SUPPORT, MARK = range(5)  # of form
 KEY, COUNT = range(2)  # of table
 SCORE = SLOT = 1  # of heap and index, beside KEY
-COLUMNS, ROWS, TOP, HEAP, CHANGED, ROUND, TAKEN, BOUNDED, COST, NOISE, MARKS, RANDOM = range(12)  # of ints
+COLUMNS, ROWS, TOP, HEAP, CHANGED, ROUND, TAKEN, COST, MARKS, RANDOM = range(10)  # of ints
 
 
 @kernel
@@ -90,11 +90,11 @@ def pop(st):
 
 
 @kernel
-def place(st, key):
-    """The place of a pattern in the table: where it stands, or where it would."""
-    mask = st.table.shape[0] - 1
+def seat(table, key):
+    """The place of a key in an open table: where it stands, or where it would."""
+    mask = table.shape[0] - 1
     h = np.int64((np.uint64(key) * np.uint64(11400714819323198485)) >> np.uint64(34)) & mask
-    while st.table[h, KEY] != FREE and st.table[h, KEY] != key:
+    while table[h, KEY] != FREE and table[h, KEY] != key:
         h = (h + 1) & mask
     return h
 
@@ -113,18 +113,15 @@ def tally(st, s, by, pushing):
             st.slot[op - columns, USES] += by
         for j in range(i + 1, n):
             key = pattern(p, st.terms[0, s, j])
-            h = place(st, key)
+            h = seat(st.table, key)
             if st.table[h, KEY] == FREE:
                 st.table[h, KEY] = key
                 st.table[h, COUNT] = 0
                 st.ints[TAKEN] += 1
             st.table[h, COUNT] += by
             if pushing and st.table[h, COUNT] > 1:
-                push(
-                    st,
-                    (np.int64(st.table[h, COUNT]) << 24) + draw(st, 1 << 20) + (draw(st, 1 + st.ints[NOISE]) << 20),
-                    key,
-                )
+                push(st, (np.int64(st.table[h, COUNT]) << 24) + draw(st, 1 << 20), key)
+                draw(st, 1)  # so that the sequence of numbers, and with it every graph, stays as it was
 
 
 @kernel
@@ -146,7 +143,7 @@ def lift(st, s):
     if st.slot[s, STAMP] != st.ints[ROUND]:
         st.slot[s, STAMP] = st.ints[ROUND]
         m = st.ints[CHANGED]
-        st.slot[m, SAVED], st.slot[m, SAVED_LENGTH], st.slot[m, SAVED_LEVEL] = s, st.slot[s, LENGTH], st.slot[s, LEVEL]
+        st.slot[m, SAVED], st.slot[m, SAVED_LENGTH] = s, st.slot[s, LENGTH]
         st.slot[m, SAVED_VALUE] = st.form[s + st.ints[COLUMNS], VALUE]
         for i in range(st.slot[s, LENGTH]):
             st.terms[1, m, i] = st.terms[0, s, i]
@@ -160,7 +157,7 @@ def undo(st):
     for m in range(st.ints[CHANGED] - 1, -1, -1):
         s = st.slot[m, SAVED]
         tally(st, s, -1, False)
-        st.slot[s, LENGTH], st.slot[s, LEVEL] = st.slot[m, SAVED_LENGTH], st.slot[m, SAVED_LEVEL]
+        st.slot[s, LENGTH] = st.slot[m, SAVED_LENGTH]
         st.form[s + st.ints[COLUMNS], VALUE] = st.slot[m, SAVED_VALUE]
         for i in range(st.slot[s, LENGTH]):
             st.terms[0, s, i] = st.terms[1, m, i]

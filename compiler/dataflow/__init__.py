@@ -2,25 +2,10 @@
 
 from functools import cached_property
 
+from greygate.compiler import verilog
 from greygate.compiler.code_ranges import code_ranges
 from greygate.compiler.dataflow.sums import Sums
 from greygate.compiler.targets import Design
-from greygate.compiler.verilog import (
-    TAKEN,
-    Block,
-    clocks,
-    input_slices,
-    instance,
-    lane_width,
-    packed,
-    result_text,
-    sign_extended,
-    small_operation,
-    table_texts,
-    unused_bits,
-    unused_text,
-    verilog_names,
-)
 from greygate.emulator.program import Affine, Elementwise, Lookup, Operation, Program, Signal
 
 
@@ -30,8 +15,13 @@ class Dataflow:
     def __init__(self, program: Program, design: Design, pipelined: bool = False):
         self.program, self.design, self.pipelined = program, design, pipelined
         self.dsps = design.dsps  # that are left
-        self.names = verilog_names(program)
-        self.taken = {*TAKEN, program.name, *self.names.values(), *(f"{name}_layer" for name in self.names.values())}
+        self.names = verilog.verilog_names(program)
+        self.taken = {
+            *verilog.TAKEN,
+            program.name,
+            *self.names.values(),
+            *(f"{name}_layer" for name in self.names.values()),
+        }
 
     def fresh(self, name: str) -> str:
         """That name, or one like it that the top does not have yet."""
@@ -56,7 +46,7 @@ class Dataflow:
         """From arguments to results."""
         if isinstance(o, Affine):
             return self.sums[o.out.name].clocks
-        return clocks(o)
+        return verilog.clocks(o)
 
     @cached_property
     def since(self) -> dict[str, int]:
@@ -69,14 +59,14 @@ class Dataflow:
     def modules(self) -> dict[str, str]:
         """File name -> text of the modules below the top."""
         texts = {f"{self.program.name}_{self.names[y]}.v": sums.text() for y, sums in self.sums.items()}
-        return texts | table_texts(self.program, self.design.memory)
+        return texts | verilog.table_texts(self.program, self.design.memory)
 
     def vector(self, kind: str, s: Signal, tail: str = "") -> str:
         return f"    {kind} [{s.size * s.fix.width - 1}:0] {self.names[s.name]}{tail};  // {s.size} x {s.fix}\n"
 
     def inputs(self) -> str:
         """A wire for each input, out of the sample."""
-        slices, text = input_slices(self.program), "\n    // inputs\n"
+        slices, text = verilog.input_slices(self.program), "\n    // inputs\n"
         for p in self.program.inputs:
             s = p.signal
             parts = [f"sample[{start + s.fix.width - 1}:{start}]" for t, _, start in slices if t is s]
@@ -92,14 +82,14 @@ class Dataflow:
             sums = self.sums[o.out.name]
             ends |= {"en": enable} if sums.pipelined or sums.held else {}
             ends |= {self.names[a]: wire for a, wire in zip(o.args, arguments, strict=True)} | {y: y}
-            return instance(f"{self.program.name}_{y}", f"{y}_layer", {}, ends)
+            return verilog.instance(f"{self.program.name}_{y}", f"{y}_layer", {}, ends)
         module, parameters, ports = self.block(o, o.out.size)
         ends |= {"en": enable} | dict(zip(ports, arguments, strict=True)) | {"y": y}
-        return instance(module, f"{y}_layer", parameters, ends)
+        return verilog.instance(module, f"{y}_layer", parameters, ends)
 
-    def block(self, o: Elementwise, size: int) -> Block:
+    def block(self, o: Elementwise, size: int) -> verilog.Block:
         """As `small_operation`; tables multiply by DSPs as long as the design has any left."""
-        module, parameters, ports = small_operation(self.program, o, size)
+        module, parameters, ports = verilog.small_operation(self.program, o, size)
         if isinstance(o, Lookup):
             used = min(size, self.dsps)
             self.dsps -= used
@@ -111,23 +101,23 @@ class Dataflow:
         program = self.program
         read = {a for o in program.operations for a in o.args}
         read |= {s.source for s in program.states} | {p.signal.name for p in program.outputs}
-        unread = [self.names[s] for s in program.signals if s not in read] + unused_bits(program)
+        unread = [self.names[s] for s in program.signals if s not in read] + verilog.unused_bits(program)
         head = "\n    // nothing reads these, nor the sign extensions of the inputs\n"
-        return head + unused_text(unread) if unread else ""
+        return head + verilog.unused_text(unread) if unread else ""
 
     def outputs(self, names: dict[str, str]) -> str:
         """The word of the output stream. names: wire of each signal that is shown."""
         shown = [p.signal for p in self.program.outputs]
         lanes = [
-            sign_extended(names[s.name], k * s.fix.width, s.fix.width, lane_width(s))
+            verilog.sign_extended(names[s.name], k * s.fix.width, s.fix.width, verilog.lane_width(s))
             for s in shown
             for k in range(s.size)
         ]
-        return f"\n    // outputs\n{result_text(lanes)}"
+        return f"\n    // outputs\n{verilog.result_text(lanes)}"
 
     def initial(self) -> dict[str, str]:
         """State -> its initial codes side by side."""
-        return {s.signal.name: packed(s.initial, s.signal.fix.width) for s in self.program.states}
+        return {s.signal.name: verilog.packed(s.initial, s.signal.fix.width) for s in self.program.states}
 
 
 def told_alike(program: Program, o: Affine) -> int:

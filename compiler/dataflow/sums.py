@@ -176,8 +176,6 @@ class Sums:
             chain.append(_Value(self._fresh(f"{value.name}_q{len(chain) + 1}"), value.width))
         return chain[late - 1] if late else value
 
-    # -- text ----------------------------------------------------------------------------------------------------------
-
     def text(self) -> str:
         """The file."""
         o, graph, out = self.o, self.graph, self.o.out

@@ -130,9 +130,6 @@ def explore(make: Maker, request: Request, mapper: Mapper = map, progress: Progr
     return Exploration(request, len(candidates), len(points), tuple(front), chosen, why)
 
 
-# -- programs --------------------------------------------------------------------------------------------------------
-
-
 def _candidates(make: Maker, request: Request, mapper: Mapper, progress: Progress) -> Iterator[Candidate]:
     """Words first, then trails from fine ones of them."""
     plain = [Formats(w, f) for w in request.widths for f in request.finer if w + f <= 32]
@@ -263,9 +260,6 @@ class _Price:
         return parts.sized(family, self.architecture) + block * (parts.memories + parts.filled) / 2 + PER_BIT * bits
 
 
-# -- designs ---------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class _Coster:
     """The designs of a candidate, each with its cost."""
@@ -298,9 +292,6 @@ def designs(name: str, program: Program, request: Request) -> Iterator[Design]:
         yield from (Design(dsps=n, memory=memory) for memory in kept for n in dict.fromkeys((0, room // 2, room)))
     else:
         yield from (Design(memory=memory) for memory in kept)
-
-
-# -- choice ----------------------------------------------------------------------------------------------------------
 
 
 def _fits(point: Point, room: Room) -> bool:

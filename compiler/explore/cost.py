@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from greygate.compiler.folding.roms import DEEP
 from greygate.compiler.folding.schedule import fold
-from greygate.compiler.serial.layout import compiled
+from greygate.compiler.serial.code import compiled
 from greygate.compiler.targets import FACTORS, Design, Memory, architecture
+from greygate.compiler.targets.folded import DEEP
 from greygate.compiler.targets.folded import memories as folded_memories
 from greygate.emulator.numbers import signed_width
 from greygate.emulator.program import Affine, Lookup, Program
@@ -81,9 +81,6 @@ def tiles(family: str, a: int, b: int) -> int:
 def coefficients() -> dict:
     """The table of the package."""
     return tomllib.loads(COEFFICIENTS.read_text(encoding="utf-8"))
-
-
-# -- what a program has ----------------------------------------------------------------------------------------------
 
 
 def digits(numbers: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from greygate.compiler.folding.words import choose_stages, pieces, selected, width_of
-from greygate.emulator.numbers import Overflow, Rounding, signed_width
+from greygate.emulator.numbers import Overflow, Rounding
 from greygate.emulator.program import Affine, Operation, Program
 
 NARROW = 16  # bits of the factors that every family multiplies in one DSP
@@ -104,7 +104,7 @@ class _Split:
         self.count = sum(int(np.count_nonzero(words)) for _, _, words, _ in self.columns.values())
         self.word_width = max([2, *(int(width_of(words).max()) for _, _, words, _ in self.columns.values())])
         self.shifts = {o.out.name: o.frac - o.out.fix.frac for o in affine}
-        self.widths = {o.out.name: np.array(_row_widths(program, o)) for o in affine}
+        self.widths = {o.out.name: np.array(program.row_widths(o)) for o in affine}
 
     def _columns(self, o: Affine) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         found: list[tuple[np.ndarray, int, np.ndarray, np.ndarray]] = []
@@ -211,12 +211,3 @@ def _parts(width: int, x_width: int) -> list[Part]:
     if len(lows) > 1 and width - lows[-2] <= x_width:
         lows.pop()
     return [Part(low, low == lows[-1]) for low in lows]
-
-
-def _row_widths(program: Program, o: Affine) -> list[int]:
-    """Width of each row's sum with its rounding constant."""
-    largest = np.array([-program.signals[a].fix.lo for a in o.args for _ in range(program.signals[a].size)], object)
-    magnitude = np.abs(o.weights).astype(object) @ largest
-    shift = [int(s) for s in o.frac - o.out.fix.frac]
-    rounding = [1 << (s - 1) if s > 0 else 0 for s in shift]
-    return [signed_width(int(m) + abs(int(b)) + h) for m, b, h in zip(magnitude, o.bias, rounding, strict=True)]

@@ -6,32 +6,81 @@ go on first, that on the longest path comes first, and copies fill gaps. What is
 in the order of the writes, so that no line names the word that it writes.
 """
 
-from dataclasses import dataclass
+from collections import defaultdict
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from greygate.compiler.folding.jobs import Job, live_operations, measure, planned
 from greygate.compiler.folding.products import Mode, Products, laid_out
-from greygate.compiler.folding.roms import REMARKED
-from greygate.compiler.folding.schedule_lines import (
-    ARGUMENT,
-    CLOSING,
-    CODE,
-    CONTROL,
-    COPIED,
-    DRAINED,
-    SAMPLED,
-    SUM,
-    UNIT,
-    UNITS,
-    WORD,
-    Lines,
-    levels_of,
-)
-from greygate.compiler.lately import lately
 from greygate.compiler.verilog import LATE_CLOCKS, shared_tables
 from greygate.emulator.numbers import signed_width
 from greygate.emulator.program import Affine, Elementwise, Lookup, Program
+
+CLOSING = 2  # lines that are read while `done` returns the counter
+REMARKED = 4096  # lines of a ROM up to which each says what it does
+# Clocks from the read of a code to ...
+WORD = 1  # ... the code at the output of the memory, and its weight beside it
+SELECT = 2  # ... the stages of its product, in the line
+SUM = 4  # ... the sum that takes its product
+CODE = 6  # ... the code of a row that ends with it, and `levels` more where several multipliers take turns
+ARGUMENT = 2  # ... the argument of a unit that reads the memory
+UNIT = 1  # clocks of a unit that is no lookup
+CONTROL = 1  # a field of the control acts so many clocks after its line
+NEAR = 4  # sums among which one clock can pick
+DRAINED, COPIED, SAMPLED, UNITS = range(4)  # numbers of the sources of a write; each unit has one from UNITS up
+FIELDS = ("first", "row", "last", "mode", "part", "source", "write", "show", "stored", "done")
+
+
+def levels_of(multipliers: int) -> int:
+    """Clocks in which one of so many sums is picked."""
+    levels = 0
+    while multipliers > 1:
+        multipliers, levels = -(-multipliers // NEAR), levels + 1
+    return levels
+
+
+@dataclass
+class Lines:
+    """Lines of the ROM while they are laid out.
+
+    controls: field -> {line: value}. bursts: (line, elements read, words and selects of each multiplier).
+    """
+
+    controls: dict[str, dict[int, int]] = field(default_factory=lambda: {n: {} for n in FIELDS})
+    reads: dict[int, int] = field(default_factory=dict)
+    bursts: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
+    notes: dict[int, list[str]] = field(default_factory=lambda: defaultdict(list))
+
+    def control(self, clock: int, **values: int) -> None:
+        """Let fields act in a clock. Every field has one value in a line."""
+        for name, value in values.items():
+            if value:
+                assert clock - CONTROL not in self.controls[name], f"two values of {name} in one clock"
+                self.controls[name][clock - CONTROL] = value
+
+    @cached_property
+    def length(self) -> int:
+        """Lines up to the last that does anything."""
+        ends = [max(found) for found in (*self.controls.values(), self.reads) if found]
+        return 1 + max(ends, default=0)
+
+    def arrays(self, multipliers: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """reads (lines,), words and selects (lines, multipliers), controls (lines, fields), with CLOSING idle lines."""
+        count = self.length + CLOSING
+        reads, controls = np.zeros(count, np.int64), np.zeros((count, len(FIELDS)), np.int64)
+        words, selects = np.zeros((2, count, multipliers), np.int64)
+        reads[list(self.reads)] = list(self.reads.values())
+        for i, name in enumerate(FIELDS):
+            controls[list(self.controls[name]), i] = list(self.controls[name].values())
+        for start, elements, w, s in self.bursts:
+            n = len(elements)
+            reads[start : start + n] = elements
+            for m in range(len(w)):
+                words[start + WORD + m : start + WORD + m + n, m] = w[m]
+                selects[start + SELECT + m : start + SELECT + m + n, m] = s[m]
+        return reads, words, selects, controls
 
 
 @dataclass(frozen=True)
@@ -78,7 +127,7 @@ class Folding:
         return self.products.count / (self.clocks * self.multipliers)
 
 
-@lately
+@lru_cache(maxsize=1)
 def fold(program: Program, multipliers: int, factor: int) -> Folding:
     """Place every read, product, sum, drain and write of one step. factor: as in `Design`."""
     return _Folder(program, multipliers, factor).folding()
@@ -135,8 +184,6 @@ class _Folder:
     def _source(self, name: str) -> int:
         """The source number of the unit that makes that signal."""
         return UNITS + list(self.units).index(self.unit[name])
-
-    # -- the step ----------------------------------------------------------------------------------------------------
 
     def folding(self) -> Folding:
         boot = self._boot()
@@ -216,8 +263,6 @@ class _Folder:
         if o is None:
             return WORD
         return len(job.reads) - 1 + ARGUMENT + (LATE_CLOCKS if isinstance(o, Lookup) else UNIT)
-
-    # -- one piece of a job ------------------------------------------------------------------------------------------
 
     def _write(self, clock: int, name: str, k: int, source: int, shows: bool = True) -> None:
         """Write element k of a signal where it is kept, and show it where it is an output."""
@@ -324,8 +369,6 @@ class _Folder:
             lines.control(start + SUM, first=1)
             lines.control(last + SUM, last=1)
         self.biases += biases
-
-    # -- around the step ---------------------------------------------------------------------------------------------
 
     def _boot(self) -> Lines:
         """The lines that write the initial states after a reset: rows without a weight."""

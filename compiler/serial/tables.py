@@ -86,8 +86,6 @@ class Answer:
         if table.symmetry is not Symmetry.EVEN:
             self.mirror(1 << table.out.frac if table.symmetry is Symmetry.COMPLEMENT else 0)
 
-    # -- points ------------------------------------------------------------------------------------------------------
-
     def points(self, table: Table) -> None:
         w, kept, shift = self.writer, self.kept, table.shift
         w.load("argument", f"table {table.name}")
@@ -150,8 +148,6 @@ class Answer:
             w.add("zero", choose=True, note=f"bit {bit} of the place")
         w.add("zero", Add.SHIFT | (Add.CARRY if half == bits - 1 else PLAIN), f"bit {bits - 1} of the place")
         w.memory["zero"] = ZERO
-
-    # -- lines -------------------------------------------------------------------------------------------------------
 
     def lines(self, s: Segments) -> None:
         """acc = the answer of a line: its segment is the sum over octaves of those that the argument has passed."""
@@ -274,8 +270,6 @@ class Answer:
         w.limit(0, 1)
         w.write("one more")
         return ["one more"]
-
-    # -- the sign ----------------------------------------------------------------------------------------------------
 
     def mirror(self, one: int) -> None:
         """acc = one - acc if the argument is negative."""

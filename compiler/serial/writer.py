@@ -9,6 +9,7 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
 
+from greygate.compiler.adders import signed_digits
 from greygate.emulator.numbers import Fix, Overflow, Rounding, signed_width
 
 Key = Hashable  # names a word of memory: Constant, or a string
@@ -80,8 +81,6 @@ class Writer:
     acc_width: int = 2
     data_width: int = 2
 
-    # -- words -------------------------------------------------------------------------------------------------------
-
     def word(self, operation: int, field: Key | int | None = None, note: str = "") -> None:
         self.lines.append(Line(operation, field, note))
 
@@ -144,8 +143,6 @@ class Writer:
     def hold(self, note: str = "") -> None:
         """Change nothing, and read the constant that is added next: a constant is never written."""
         self.word(Word.WRITE, None, note)
-
-    # -- arithmetic --------------------------------------------------------------------------------------------------
 
     def limit(self, lo: int, hi: int) -> None:
         """Bring the accumulator to the nearest value in [lo, hi]."""
@@ -259,20 +256,6 @@ def width_of(found: Range) -> int:
 
 def _shifted(value: int, shift: int) -> int:
     return value >> shift if shift >= 0 else value << -shift
-
-
-def signed_digits(weight: int) -> list[tuple[int, int]]:
-    """(place, digit) of each digit that is not 0, of the weight in canonical signed digits."""
-    found, place, sign = [], 0, -1 if weight < 0 else 1
-    rest = abs(weight)
-    while rest:
-        if rest & 1:
-            digit = 2 - (rest & 3)
-            found.append((place, sign * digit))
-            rest -= digit
-        rest >>= 1
-        place += 1
-    return found
 
 
 class _Sum:

@@ -8,63 +8,35 @@ of docs/integer-program.md.
 import re
 from collections.abc import Callable, Iterable, Iterator
 from textwrap import wrap
+from typing import Any
 
 import numpy as np
 
 from greygate.compiler.targets import Target
+from greygate.compiler.verilog import render
 from greygate.emulator.numbers import ACCUMULATOR_BITS, Fix, Overflow, Rounding
 from greygate.emulator.program import Affine, Clamp, Lookup, Op, Program, Select, Signal, Terminal, Threshold
 from greygate.emulator.tables import Lines, Symmetry, Table
 
 WORDS = (8, 16, 32, 64)  # bits of the integer types
 LINE, NEW = 110, "\n"  # characters of a line of constants
-SHIFTED = """
-/* floor(a / 2^s). */
-static int64_t shifted_right(int64_t a, int32_t s)
-{
-    return (a >= 0) ? (a >> s) : (-1 - ((-1 - a) >> s));
-}
-"""
-SCALED = """
-/* a * 2^-s for s from -61 to 62, rounded: "truncate" with half 0, "half up" with half 1, "half even" with half 2. */
-static int64_t scaled(int64_t a, int32_t s, int32_t half)
-{
-    int64_t y = a;
-    if (s < 0)
-    {
-        y = a * ((int64_t)1 << -s);
-    }
-    else if ((s > 0) && (half == 0))
-    {
-        y = shifted_right(a, s);
-    }
-    else if (s > 0)
-    {
-        y = a + ((int64_t)1 << (s - 1));
-        if (half == 2)
-        {
-            y = y - 1 + (int64_t)((uint64_t)shifted_right(a, s) & 1u);
-        }
-        y = shifted_right(y, s);
-    }
-    else
-    {
-        /* as it is */
-    }
-    return y;
-}
-"""
 HALF = {Rounding.TRUNCATE: 0, Rounding.HALF_UP: 1, Rounding.HALF_EVEN: 2}
 Text = Iterator[str]
 
 
 def files(program: Program) -> dict[str, str]:
     """File name -> text."""
-    name = program.name
-    return {f"{name}.c": "\n".join(_source(program)) + "\n", f"{name}.h": "\n".join(_header(program)) + "\n"}
-
-
-# -- names and numbers -----------------------------------------------------------------------------------------------
+    context: dict[str, Any] = {"name": program.name, "program": program, "integer": integer, "meaning": _meaning}
+    context |= {"states": identifiers("s_", (s.signal.name for s in program.states))}
+    context |= {"signals": identifiers("v_", program.signals)}
+    context |= {"inputs": identifiers("in_", (p.name for p in program.inputs))}
+    context |= {"outputs": identifiers("out_", (p.name for p in program.outputs))}
+    sides = [("input", context["inputs"], program.inputs), ("output", context["outputs"], program.outputs)]
+    rounds = any(o.requantizes for o in program.operations)
+    context |= {"sides": sides, "rounds": rounds, "shifts": rounds or any(_on_lines(t) for t in program.tables)}
+    context |= {"constants": list(_data(program, context["states"]))}
+    context |= {"reset": list(_reset(program, context["states"])), "step": list(_step(program, context))}
+    return {f"{program.name}.{end}": render(f"c99.{end}", context) for end in "ch"}
 
 
 def identifiers(prefix: str, names: Iterable[str]) -> dict[str, str]:
@@ -107,86 +79,51 @@ def _constants(name: str, values: object) -> Text:
     yield "};"
 
 
-# -- the header ------------------------------------------------------------------------------------------------------
-
-
-def _header(program: Program) -> Text:
-    name, guard = program.name, f"{program.name.upper()}_H"
-    yield f"/* {name}: one step every {program.period:g} s. Numbers are codes: value = code * step + offset. */"
-    yield from (f"#ifndef {guard}", f"#define {guard}", "", "#include <stdint.h>", "")
-    for kind, prefix, ports in (("input", "in_", program.inputs), ("output", "out_", program.outputs)):
-        fields = identifiers(prefix, (p.name for p in ports))
-        yield from ("typedef struct", "{")
-        yield from (f"    {integer(p.signal.fix)} {fields[p.name]}[{p.signal.size}]; {_meaning(p)}" for p in ports)
-        yield from (f"}} {name}_{kind};", "")
-    states = identifiers("s_", (s.signal.name for s in program.states))
-    yield from ("typedef struct", "{")
-    for s in program.states:
-        yield f"    {integer(s.signal.fix)} {states[s.signal.name]}[{s.signal.size}];"
-    yield from (() if program.states else ["    int8_t none; /* the program keeps nothing */"])
-    yield from (f"}} {name}_state;", "", "/* Before the first step, and to begin anew. */")
-    yield from (f"void {name}_reset({name}_state *state);", "", "/* One step: call it once for each sample. */")
-    yield f"void {name}_step({name}_state *state, const {name}_input *input, {name}_output *output);"
-    yield from ("", "#endif")
-
-
 def _meaning(p: Terminal) -> str:
     """The comment behind a port: its format, and what a code stands for."""
     unit = re.sub(r"[^\w^/%°·µ² .-]", "", p.unit)
     return f"/* {p.signal.fix}, step {p.signal.fix.lsb * p.scale:.9g}, offset {p.offset:.9g}, unit {unit} */"
 
 
-# -- the source ------------------------------------------------------------------------------------------------------
-
-
-def _source(program: Program) -> Text:
-    name = program.name
-    signals = identifiers("v_", program.signals)
-    tables = identifiers("lookup_", (t.name for t in program.tables))
-    states = identifiers("s_", (s.signal.name for s in program.states))
-    yield f'#include "{name}.h"'
-    yield from ("", f"#ifndef {name.upper()}_SATURATED", "/* What happens where operation `n` saturates or wraps. */")
-    yield from (f"#define {name.upper()}_SATURATED(n) ((void)0)", "#endif", "")
-    rounds = any(o.requantizes for o in program.operations)
-    yield from SHIFTED.splitlines() if rounds or any(_on_lines(t) for t in program.tables) else ()
-    yield from SCALED.splitlines() if rounds else ()
+def _data(program: Program, states: dict[str, str]) -> Text:
+    """Tables, weights and initial codes, each behind an empty line."""
     for t in program.tables:
-        yield from ("", *_lookup_function(t, tables[t.name]))
+        yield from ("", *_lookup_function(t, _tables(program)[t.name]))
     for n, o in enumerate(program.operations):
         if isinstance(o, Affine):
             yield from ("", *_weights(program, n, o))
-    yield from (
-        "",
-        *(line for s in program.states for line in _constants(f"initial_{states[s.signal.name]}", s.initial)),
-    )
-    yield from (f"void {name}_reset({name}_state *state)", "{")
+    yield ""
+    for s in program.states:
+        yield from _constants(f"initial_{states[s.signal.name]}", s.initial)
+
+
+def _reset(program: Program, states: dict[str, str]) -> Text:
     for s in program.states:
         field = states[s.signal.name]
         yield from each(s.signal.size, f"state->{field}[r] = initial_{field}[r];")
-    yield from (() if program.states else ["    state->none = 0;"])
-    yield from (
-        "}",
-        "",
-        f"void {name}_step({name}_state *state, const {name}_input *input, {name}_output *output)",
-        "{",
-    )
-    yield from (f"    {integer(s.fix)} {signals[s.name]}[{s.size}];" for s in program.signals.values())
-    fields = identifiers("in_", (p.name for p in program.inputs))
+    yield from () if program.states else ["    state->none = 0;"]
+
+
+def _step(program: Program, context: dict) -> Text:
+    """What a step does, behind its declarations."""
+    signals, states, tables = context["signals"], context["states"], _tables(program)
     for p in program.inputs:
-        yield from each(p.signal.size, f"{signals[p.signal.name]}[r] = input->{fields[p.name]}[r];")
+        yield from each(p.signal.size, f"{signals[p.signal.name]}[r] = input->{context['inputs'][p.name]}[r];")
     for s in program.states:
         yield from each(s.signal.size, f"{signals[s.signal.name]}[r] = state->{states[s.signal.name]}[r];")
-    yield from (() if program.states else ["    (void)state;"])
+    yield from () if program.states else ["    (void)state;"]
     yield from (f"    (void){signals[name]};" for name in _unread(program))
     for n, o in enumerate(program.operations):
         yield f"    /* {n}: {o.op.value} {re.sub(r'[^ -~]', '?', o.out.name)} {o.out.fix} */"
         yield from _BODY[o.op](program, n, o, signals, tables)
-    fields = identifiers("out_", (p.name for p in program.outputs))
     for p in program.outputs:
-        yield from each(p.signal.size, f"output->{fields[p.name]}[r] = {signals[p.signal.name]}[r];")
+        yield from each(p.signal.size, f"output->{context['outputs'][p.name]}[r] = {signals[p.signal.name]}[r];")
     for s in program.states:
         yield from each(s.signal.size, f"state->{states[s.signal.name]}[r] = {signals[s.source]}[r];")
-    yield "}"
+
+
+def _tables(program: Program) -> dict[str, str]:
+    return identifiers("lookup_", (t.name for t in program.tables))
 
 
 def _on_lines(t: Table | Lines) -> bool:
@@ -297,71 +234,27 @@ _BODY: dict[Op, Callable[..., Text]] = {
 }
 
 
-# -- tables ----------------------------------------------------------------------------------------------------------
-
-
 def _lookup_function(t: Table | Lines, name: str) -> Text:
     """The answer of a table to one code."""
+    s = t.segments
+    context: dict[str, Any] = {
+        "t": t,
+        "s": s,
+        "name": name,
+        "points": not _on_lines(t),
+        "half": number((1 << s.shifts[0]) >> 1),
+    }
     if isinstance(t, Table) and not t.interpolated:
         yield from _constants(f"{name}_points", t.points)
-        body = _nearest(t, name)
+        context["last"] = len(t.points) - 1
     else:
-        s = t.segments
         parts = ("left", s.lefts), ("first", s.firsts), ("shift", s.shifts), ("drop", s.drops)
         for part, values in (*parts, ("base", s.bases), ("slope", s.slopes)):
             yield from _constants(f"{name}_{part}", values)
-        body = _on_line(t, name)
-    yield from (f"static int64_t {name}(int64_t x)", "{", *(f"    {line}" for line in body))
-    negative = {
-        Symmetry.ODD: "-y",
-        Symmetry.EVEN: "y",
-        Symmetry.COMPLEMENT: f"{number(1 << max(0, t.out.frac))} - y",
-    }[t.symmetry]
-    yield from (f"    return (x < 0) ? ({negative}) : y;", "}")
-
-
-def _nearest(t: Table, name: str) -> list[str]:
-    last, half = len(t.points) - 1, number((1 << t.shift) >> 1)
-    return [
-        "const int64_t a = (x < 0) ? -x : x;",
-        f"int64_t i = ((a >> {t.shift}) >= {last}) ? {last} : ((a + {half}) >> {t.shift});",
-        "int64_t y = 0;",
-        f"i = (i > {last}) ? {last} : i;",
-        f"y = (int64_t){name}_points[i];",
-    ]
-
-
-def _on_line(t: Table | Lines, name: str) -> list[str]:
-    s = t.segments
-    last, (lower, upper) = len(s.bases) - 1, s.halves
-    return [
-        "const int64_t m = (x < 0) ? (-1 - x) : x;",
-        "int32_t o = 0;",
-        "int64_t local = 0;",
-        "int64_t i = 0;",
-        "int64_t place = 0;",
-        "int64_t y = 0;",
-        f"while ((o < {len(s.lefts) - 1}) && (m >= (int64_t){name}_left[o + 1]))",
-        "{",
-        "    o++;",
-        "}",
-        f"local = m - (int64_t){name}_left[o];",
-        f"i = (int64_t){name}_first[o] + (local >> {name}_shift[o]);",
-        f"if (i > {last})",
-        "{",
-        f"    i = {last};",
-        f"    place = (int64_t)1 << ({name}_shift[o] - {name}_drop[o]);",
-        "}",
-        "else",
-        "{",
-        f"    place = local - ((local >> {name}_shift[o]) * ((int64_t)1 << {name}_shift[o]));",
-        f"    place = place >> {name}_drop[o];",
-        f"    place = ((x < 0) && ({name}_drop[o] == 0)) ? (place + 1) : place;",
-        "}",
-        f"y = ((int64_t){name}_slope[i] * place) + {number(lower)};",
-        f"y = (int64_t){name}_base[i] + {number(upper)} + shifted_right(y, {s.below});",
-        f"y = shifted_right(y, {s.guard});",
-    ]
+        context["last"], (context["lower"], context["upper"]) = len(s.bases) - 1, map(number, s.halves)
+    one = number(1 << max(0, t.out.frac))
+    negative = {Symmetry.ODD: "-y", Symmetry.EVEN: "y", Symmetry.COMPLEMENT: f"{one} - y"}[t.symmetry]
+    yield render("c99_table", context | {"negative": negative}).rstrip()
 
 
 TARGET = Target(lambda program, design: files(program))

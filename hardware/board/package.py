@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 
 from greygate import rtl
+from greygate.compiler.verilog import render
 from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.hardware.board.benches import core_bench, output_codes, port_bench
-from greygate.hardware.board.boards import BAUD, BOARDS, FLAGS, PORTS, Board
-from greygate.hardware.board.clocks import PLLS
+from greygate.hardware.board.boards import BAUD, BOARDS, FLAGS, PLLS, PORTS, Board
 from greygate.hardware.board.frames import seed, width
-from greygate.hardware.board.texts import render
 from greygate.hardware.families import FAMILIES
 from greygate.names import check_file_name
 
@@ -143,7 +142,7 @@ class Package:
         }
         if self.board.toolchain is None:
             texts["build.tcl"] = "build.tcl"
-        found = {path: render(t, context) for path, t in texts.items()}
+        found = {path: render(t, context, __package__) for path, t in texts.items()}
         copied = {file: text for file, text in self.core.items() if file.endswith(".v")} | self.blocks
         for file, text in copied.items():
             check_file_name(file, f"program {name}: file")

@@ -271,8 +271,6 @@ class Module:
         function = found.function.some() if found else None
         return Value(function, 0, 1) if function else None
 
-    # -- bits ----------------------------------------------------------------------------------------------------------
-
     def number(self, bits: Sequence[Bit], signed: bool, modular: bool) -> Value | None:
         """The number that bits, the lowest first, stand for; None if they are no affine function.
 

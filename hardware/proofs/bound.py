@@ -15,7 +15,7 @@ from greygate.emulator.engine import run
 from greygate.emulator.interpreter import lookup
 from greygate.emulator.numbers import Overflow, Rounding
 from greygate.emulator.program import Affine, Clamp, Lookup, Program
-from greygate.hardware.proofs.proof import Proof, timed
+from greygate.hardware.proofs.elaborated import Proof, timed
 from greygate.models.accuracy import float_error
 from greygate.models.activations import ACTIVATIONS
 from greygate.models.arithmetic import xp
@@ -90,9 +90,6 @@ def contraction(program: Program) -> Proof:
         f"the bounds have spectral radius {radius:.4g}, not below 1: the states may remember what the bounds cannot see"
     )
     return Proof(what, how, None, spent[0], why, {"spectral radius": radius})
-
-
-# -- the network and the program side by side ------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -170,9 +167,6 @@ def _delayed(program: Program, name: str) -> tuple[str, int]:
     while name in sources:
         name, delay = sources[name], delay + 1
     return name, delay
-
-
-# -- errors over boxes -----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -402,9 +396,6 @@ def _observed(program: Program, network: Network, box: Box) -> np.ndarray:
     return np.array(errors)
 
 
-# -- contraction -----------------------------------------------------------------------------------------------------
-
-
 def _radius(program: Program) -> float:
     """Spectral radius of the bounds of all slopes of a step, from states to states, over all codes."""
     states = [(s.signal.name, k) for s in program.states for k in range(s.signal.size)]
@@ -439,3 +430,39 @@ def _steepest(program: Program, o: Lookup) -> float:
         return float(_slopes(table.function, np.zeros(1), np.zeros(1))[1][0])
     codes = np.arange(table.arg.lo, table.arg.hi + 1)
     return float(np.max(np.abs(np.diff(lookup(table, codes)))) * table.out.lsb / table.arg.lsb)
+
+
+STEPS = 1_000_000
+TENTH = 10  # the last tenth of the run against the first, both of whole repetitions
+
+
+def no_drift(
+    program: Program, network: Network, record: Record, steps: int = STEPS, progress: Progress = silent
+) -> Proof:
+    """Run both over the record's inputs again and again; the mean error in the last tenth must be that of the first.
+
+    They may differ by one LSB of the output. The states go on from one repetition to the next; there are at least ten,
+    after one that is left out: it begins from the record's initial state, and the others with a jump of the inputs.
+    """
+    length = len(next(iter(record.inputs.values())))
+    how = "emulator and float network on a scenario repeated"
+    with timed() as seconds:
+        times = max(TENTH, -(-steps // length))
+        inputs = {p.name: np.concatenate([np.asarray(record.inputs[p.name])] * (times + 1)) for p in network.inputs}
+        nothing = {p.name: np.zeros(((times + 1) * length, *[p.size] * (p.size > 1))) for p in network.outputs}
+        progress("drift: float network")
+        float_ = float_error(network, Record(inputs, nothing, record.initial))  # from zero: the prediction itself
+        progress("drift: fixed point")
+        fixed = program.decode(run(program, program.encode(inputs), states=False).outputs)
+        moved, tenth = {}, times // TENTH * length
+        for port in program.outputs:
+            lsb = abs(port.signal.fix.lsb * port.scale)
+            error = (np.asarray(fixed[port.name]) - np.asarray(float_[port.name]))[length:] / lsb
+            first, last = (part.mean(axis=0) for part in (error[:tenth], error[-tenth:]))
+            moved[port.name] = float(np.max(np.abs(last - first)))
+    what = f"no drift over {times * length:,} steps in closed loop"
+    worst = max(moved, key=lambda name: moved[name])
+    holds = moved[worst] <= 1.0
+    why = None if holds else f"{worst}: the mean error moved by {moved[worst]:.3g} LSB"
+    rows = tuple({"output": name, "moved": value} for name, value in moved.items())
+    return Proof(what, how, holds, seconds[0], why, {"mean error moved by, in LSB": moved[worst]}, rows)

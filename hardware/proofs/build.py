@@ -10,12 +10,10 @@ from greygate.compiler.emit import sources
 from greygate.errors import InputError
 from greygate.hardware.build import Project
 from greygate.hardware.proofs.accumulators import accumulators
-from greygate.hardware.proofs.bound import bounded, contraction, feedback
-from greygate.hardware.proofs.drift import STEPS, no_drift
-from greygate.hardware.proofs.elaborated import blocks, elaborate
+from greygate.hardware.proofs.bound import STEPS, bounded, contraction, feedback, no_drift
+from greygate.hardware.proofs.elaborated import Proof, blocks, elaborate
 from greygate.hardware.proofs.mapped import netlist_equals_emulator
 from greygate.hardware.proofs.primitives import primitives, unknown
-from greygate.hardware.proofs.proof import Proof
 from greygate.hardware.proofs.sums import sums
 from greygate.hardware.proofs.tables import tables
 from greygate.progress import Progress, silent, titled
@@ -75,10 +73,7 @@ def _primitives(project: Project, chosen: dict, progress: Progress) -> Iterator[
         own = [path for path in files if path.name.startswith("greygate_")]
         for proof in (*primitives(own, found, progress=told), *unknown(found, ELSEWHERE)):
             yield _of(proof, architecture)
-        for proof in (
-            *accumulators(program, project.design, blocks(modules)),
-            *tables(files, program, modules, told),
-        ):
+        for proof in (*accumulators(program, project.design, blocks(modules)), *tables(files, program, modules, told)):
             yield _of(proof, architecture)
 
 

@@ -12,7 +12,7 @@ from greygate.emulator.program import Program
 from greygate.errors import InputError
 from greygate.files import scratch
 from greygate.hardware.families import chosen
-from greygate.hardware.proofs.proof import Proof, timed
+from greygate.hardware.proofs.elaborated import Proof, timed
 from greygate.hardware.replay import Replay, replay
 from greygate.hardware.synthesis import STAT, counted, reading
 from greygate.hardware.tools import yosys

@@ -17,10 +17,9 @@ from greygate.emulator.numbers import Overflow, Rounding
 from greygate.emulator.program import Affine as Operation
 from greygate.emulator.program import Lookup, Program
 from greygate.errors import InputError
+from greygate.hardware.proofs.accumulators import reachable
 from greygate.hardware.proofs.affine import ADDERS, Affine, Module, Rest, Some, Unknown, Value, Vector, signed_bits
-from greygate.hardware.proofs.elaborated import elaborate
-from greygate.hardware.proofs.proof import Proof, timed
-from greygate.hardware.proofs.reach import reachable
+from greygate.hardware.proofs.elaborated import Proof, elaborate, timed
 from greygate.progress import Progress, silent
 
 FLAT = "flatten; opt_expr; opt_dff -nosdff; opt_clean"  # registers that hold are registers with an enable

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from greygate.compiler.verilog import render
 from greygate.emulator.interpreter import lookup
 from greygate.emulator.program import Program
-from greygate.hardware.proofs.elaborated import Block
-from greygate.hardware.proofs.proof import Proof, timed
+from greygate.hardware.proofs.elaborated import Block, Proof, timed
 from greygate.hardware.replay import simulate
 from greygate.progress import Progress, silent
 
@@ -42,7 +42,7 @@ def tables(
         return proofs
     with timed() as seconds:
         data = {f"wanted_{k}.hex": _answers(t) for k, (t, _) in enumerate(known)}
-        results = simulate(files, _bench(known), data, progress=progress)
+        results = simulate(files, render("tables.v", _context(known), "greygate.hardware"), data, progress=progress)
     for (t, block), result in zip(known, results, strict=True):
         wrong = min(result["wrong"])
         clocks = result["wrong"].index(wrong) + 1
@@ -76,70 +76,16 @@ def _answers(table) -> str:
     return "\n".join(map("{:x}".format, (lookup(table, codes) & mask).tolist())) + "\n"
 
 
-def _bench(known: Sequence[tuple]) -> str:
-    """A bench that counts, for each table and each delay of 1 to LATEST clocks, the answers that are not as wanted."""
-    longest = max(1 << t.arg.width for t, _ in known) + LATEST
-    parts = "".join(_part(k, t, block) for k, (t, block) in enumerate(known))
-    written = ""
-    for k in range(len(known)):
-        comma = "," if k + 1 < len(known) else ""
-        for what, start in (("wrong", '{\\"wrong\\": ['), ("first", '\\"first\\": [')):
-            numbers = ", ".join(["%0d"] * LATEST)
-            values = ", ".join(f"{what}_{k}[{d}]" for d in range(LATEST))
-            end = "], " if what == "wrong" else f"]}}{comma}"
-            written += f'            $fwrite(file, "{start}{numbers}{end}", {values});\n'
-    return f"""\
-module bench (input clk);
-    reg [31:0] count = 0;
-    integer file;
-{parts}    always @(posedge clk) begin
-        count <= count + 1;
-        if (count == {longest}) begin
-            file = $fopen("result.json", "w");
-            $fwrite(file, "[");
-{written}            $fwrite(file, "]");
-            $fclose(file);
-            $finish;
-        end
-    end
-endmodule
-"""
+def _context(known: Sequence[tuple]) -> dict:
+    """Of a bench that counts, for each table and each delay of 1 to LATEST clocks, the answers that are not as wanted.
 
-
-def _part(k: int, table, block: Block) -> str:
-    """The table of number k in the bench. Neuron n sees the code plus n."""
-    a, w = table.arg.width, table.out.width
-    size = block.ports["x"] // a
-    x = ", ".join(f"count[{a - 1}:0] + {a}'d{n % (1 << a)}" for n in reversed(range(size)))
-    given = ", ".join(f".{name}({len(bits)}'sb{bits})" for name, bits in block.parameters.items())
-    compared = "".join(
-        f"                    if (y_{k}[{n * w}+:{w}] != wanted_{k}[at_{k} + {a}'d{n % (1 << a)}]) bad_{k} = 1;\n"
-        for n in range(size)
-    )
-    return f"""\
-    wire [{size * w - 1}:0] y_{k};
-    reg [{w - 1}:0] wanted_{k}[0:{(1 << a) - 1}];
-    integer wrong_{k}[0:{LATEST - 1}];
-    integer first_{k}[0:{LATEST - 1}];
-    integer d_{k};
-    reg [{a - 1}:0] at_{k};
-    reg bad_{k};
-    initial begin
-        $readmemh("wanted_{k}.hex", wanted_{k});
-        for (d_{k} = 0; d_{k} < {LATEST}; d_{k} = d_{k} + 1) begin
-            wrong_{k}[d_{k}] = 0;
-            first_{k}[d_{k}] = 0;
-        end
-    end
-    {block.name} #({given}) table_{k} (.clk(clk), .en(1'b1), .x({{{x}}}), .y(y_{k}));
-    always @(posedge clk)
-        for (d_{k} = 0; d_{k} < {LATEST}; d_{k} = d_{k} + 1)
-            if (count >= d_{k} + 1 && count - d_{k} - 1 < {1 << a}) begin
-                at_{k} = count[{a - 1}:0] - d_{k}[{a - 1}:0] - {a}'d1;
-                bad_{k} = 0;
-{compared}                if (bad_{k}) begin
-                    if (wrong_{k}[d_{k}] == 0) first_{k}[d_{k}] = {{{32 - a}'d0, at_{k}}};
-                    wrong_{k}[d_{k}] = wrong_{k}[d_{k}] + 1;
-                end
-            end
-"""
+    Neuron n sees the code plus n.
+    """
+    found = [
+        {
+            **{"k": k, "a": t.arg.width, "w": t.out.width, "size": block.ports["x"] // t.arg.width},
+            **{"module": block.name, "given": block.given()},
+        }
+        for k, (t, block) in enumerate(known)
+    ]
+    return {"tables": found, "latest": LATEST, "longest": max(1 << t["a"] for t in found) + LATEST}

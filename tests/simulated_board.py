@@ -12,7 +12,7 @@ from greygate.errors import InputError
 from greygate.files import scratch
 from greygate.hardware.verify import OPTIONS, run_logged, runtime_cache, simulator_environment
 
-DRIVER = Path(__file__).with_name("simulated.cpp")
+DRIVER = Path(__file__).with_name("simulated_board.cpp")
 
 
 def build(package: Path | str, folder: Path | str, clocks_per_bit: int, tick: int | None = None) -> Path:
