@@ -20,7 +20,7 @@ import numba
 import numpy as np
 
 from greygate.errors import InputError
-from greygate.models.arithmetic import inverse
+from greygate.models.arithmetic import inverse, product
 from greygate.models.network import Network
 from greygate.models.saliency import nonzero
 from greygate.models.simplify import Graph, fold_constants
@@ -169,7 +169,7 @@ class _Rounder:
             hessian, gradient, scale = self._hessian(theta, free)
             for _ in range(TRIES):
                 trial = theta.copy()
-                trial[at] -= _times(inverse(hessian + damping * scale * np.eye(len(at))), gradient)
+                trial[at] -= product(inverse(hessian + damping * scale * np.eye(len(at))), gradient)
                 found = self.squares(trial)
                 if found < least:
                     theta, least, damping = trial, found, max(damping / 10, RIDGE)
@@ -280,17 +280,6 @@ def _fix(covariance, values, grid, left, count, price, by_cost):  # pragma: no c
         covariance[:, chosen] = 0.0
         waiting[chosen] = False
     return fixed
-
-
-@numba.njit(cache=True, nogil=True)
-def _times(a, x):  # pragma: no cover - compiled
-    found = np.zeros(len(a))
-    for i in range(len(a)):
-        s = 0.0
-        for j in range(len(x)):
-            s += a[i, j] * x[j]
-        found[i] = s
-    return found
 
 
 @numba.njit(cache=True, nogil=True)

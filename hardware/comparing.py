@@ -6,7 +6,7 @@ it may be at all. Without one nothing may grow, since a build of the same inputs
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -163,21 +163,17 @@ def _difference(
     plain = Difference(name, where, unit, old, new, False, "")
     if new is not None and limit is not None and (new < limit if name == GROWING else new > limit):
         side = "least" if name == GROWING else "most"
-        return _judged(plain, True, f"the budget's {side} is {limit:.6g}")
+        return replace(plain, worse=True, says=f"the budget's {side} is {limit:.6g}")
     if old is None or new is None:
-        return _judged(plain, False, f"only in the {'new' if old is None else 'old'} build")
+        return replace(plain, says=f"only in the {'new' if old is None else 'old'} build")
     if new == old:
-        return _judged(plain, False, "equal")
+        return replace(plain, says="equal")
     if (new > old) == (name == GROWING):
-        return _judged(plain, False, "better")
+        return replace(plain, says="better")
     growth, allowed = plain.growth, budget.growth.get(name, 0.0)
     if growth is not None and growth <= allowed + ROUNDING:
-        return _judged(plain, False, "worse, within the budget")
-    return _judged(plain, True, f"{100 * allowed:.3g} % is allowed" if allowed else "nothing is allowed")
-
-
-def _judged(plain: Difference, worse: bool, says: str) -> Difference:
-    return Difference(plain.figure, plain.where, plain.unit, plain.old, plain.new, worse, says)
+        return replace(plain, says="worse, within the budget")
+    return replace(plain, worse=True, says=f"{100 * allowed:.3g} % is allowed" if allowed else "nothing is allowed")
 
 
 def _verified(old: Project, new: Project, budget: Budget) -> list[Difference]:

@@ -12,7 +12,7 @@ import pytest
 
 from greygate.compiler.adders import solve
 from greygate.compiler.emit import emitted
-from greygate.compiler.explore import Point, Request, Room, _Words, designs, explore, misses, pareto
+from greygate.compiler.explore import Point, Request, Room, _words, designs, explore, misses, pareto
 from greygate.compiler.explore.cost import COUNTS, blocks, clocks_of, cost, digits, explored, sums, tiles, trivial
 from greygate.compiler.explore.judge import Bound, Judge, Scale, agreed
 from greygate.compiler.explore.trail import Candidate, Maker, coarser, knobs, short_neurons, trail
@@ -196,7 +196,7 @@ def test_neurons_are_as_short_as_the_word_where_that_is_tried():
 
 def test_a_word_with_finer_bits_is_tried_with_short_neurons_beside():
     for short, fixes in ((False, [Fix(16, 15)]), (True, [Fix(16, 15), Fix(14, 13)])):
-        found = _Words(maker(), short)(Formats(14, 2))
+        found = _words(maker(), short, Formats(14, 2))
         assert [c.program.signals["neurons"].fix for c in found] == fixes
 
 

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from greygate.compiler.adders.moves import ZERO, kernel
 from greygate.compiler.adders.pairs import GROUPS, NONE, Groups, paired
-from greygate.compiler.adders.table import ZERO, kernel
 
 
 @dataclass(frozen=True)
 class Flat:
-    """The terms of all sums (as in table.py) in any order, beside each the number of its sum.
+    """The terms of all sums (as in moves.py) in any order, beside each the number of its sum.
 
     Sums 0 to rows - 1 are the rows, the others, of `sums` in all, definitions: operand columns + k is sum k.
     """

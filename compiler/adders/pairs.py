@@ -2,14 +2,14 @@
 
 Terms stand in *groups*: those of one operand in one sum, made at once, which only lose terms. A pattern's count only
 falls once its newer operand stands, so that only patterns which occur at least twice are kept, each in one bucket: the
-list of those whose count was so high when it was looked at last. Keys of patterns and terms are as in table.py.
+list of those whose count was so high when it was looked at last. Keys of patterns and terms are as in moves.py.
 """
 
 from collections import namedtuple
 
 import numpy as np
 
-from greygate.compiler.adders.table import COUNT, FREE, KEY, kernel, pattern, seat
+from greygate.compiler.adders.moves import COUNT, FREE, KEY, kernel, pattern, seat
 
 # Groups, sums and operands as ranges in flat arrays; `terms` holds shift and sign of each term, -1 where it is gone.
 Groups = namedtuple("Groups", "terms operand sum start length of_sum sum_start sum_length of_operand first count ints")

@@ -5,9 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from greygate.compiler.adders.flat import Flat
-from greygate.compiler.adders.moves import begin, search
+from greygate.compiler.adders.moves import COLUMNS, LENGTH, RANDOM, ROTATIONS, ROWS, TOP, ZERO, State, begin, search
 from greygate.compiler.adders.shape import Term
-from greygate.compiler.adders.table import COLUMNS, LENGTH, RANDOM, ROTATIONS, ROWS, TOP, ZERO, State
 
 ROOM = 24  # terms that a sum may hold beyond those of the longest at the start
 REWRITES = 90  # in how many rounds of 100 sums are told apart by their values

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from greygate.compiler.adders.graph import CONSTANT, Graph, Node, Output
-from greygate.compiler.adders.table import kernel
+from greygate.compiler.adders.moves import kernel
 
 SAFE_BITS = 61  # of two magnitudes in an int64 whose sum fits as well
 AT_ONCE = 1024  # parts of which every pair is looked at; of more those of like size stand together

@@ -8,6 +8,7 @@ numbers on which all processors agree.
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -121,7 +122,7 @@ Mapper = Callable[[Callable, Iterable], Iterable]  # `map`, or one that works si
 def explore(make: Maker, request: Request, mapper: Mapper = map, progress: Progress = silent) -> Exploration:
     """Try formats and designs, and choose."""
     candidates = list(_candidates(make, request, mapper, progress))
-    costed = _counted(mapper(_Coster(request), candidates), f"of {len(candidates)} programs costed", progress)
+    costed = _counted(mapper(partial(_costed, request), candidates), f"of {len(candidates)} programs costed", progress)
     points = [p for found in costed for p in found]
     fitting = [p for p in points if _fits(p, request.whole)]
     chosen = _smallest([p for p in fitting if not misses(p, request)], request)
@@ -136,28 +137,29 @@ def _candidates(make: Maker, request: Request, mapper: Mapper, progress: Progres
     words = plain + [replace(f, tables=Form.OCTAVES) for f in plain if f.width + f.finer <= OCTAVES]
     if request.single:
         words = [Formats(request.widths[0], request.finer[0])]
-    measured = _counted(mapper(_Words(make, not request.single), words), f"of {len(words)} words measured", progress)
+    measured = _counted(
+        mapper(partial(_words, make, not request.single), words), f"of {len(words)} words measured", progress
+    )
     found = [c for some in measured for c in some]
     yield from found
     if request.single:
         return
-    interest = request.bound.interest
     walks = []
     for name in _walked(request):
-        price = _Price(request, name)
+        price = partial(_price, request, name)
         starts: list[Candidate] = []
         for part in STARTS:
-            fine = [c for c in found if c.error <= part * interest]
+            fine = [c for c in found if c.error <= part * request.bound.interest]
             start = min(fine, key=lambda c: (price(c.program), c.error), default=None)
             starts += [start] if start is not None and all(start is not s for s in starts) else []
         walks += [(name, start) for start in starts]
-    trails = mapper(_Walk(make, request, interest), walks)
+    trails = mapper(partial(_walk, make, request), walks)
     for steps in _counted(trails, f"of {len(walks)} trails walked", progress):
         yield from steps[1:]
     if not _counting_digits(request) or not _within_reach(found, request):
         return
     paid = prices() if without_memory(make.network) else REMEMBERED
-    rounded = mapper(_Rounding(make, request, interest), paid)
+    rounded = mapper(partial(_rounded, make, request), paid)
     for steps in _counted(rounded, f"of {len(paid)} prices of a digit tried", progress):
         yield from steps
 
@@ -170,18 +172,12 @@ def _counted(items: Iterable, what: str, progress: Progress) -> Iterator:
         yield item
 
 
-@dataclass(frozen=True)
-class _Words:
+def _words(make: Maker, short: bool, formats: Formats) -> list[Candidate]:
     """The program of some formats; short: and the one whose neurons have no bits beyond the word."""
-
-    make: Maker
-    short: bool
-
-    def __call__(self, formats: Formats) -> list[Candidate]:
-        found = [c for c in (self.make(formats),) if c is not None]
-        if found and self.short and formats.finer:
-            found += [c for c in (self.make(short_neurons(found[0])),) if c is not None]
-        return found
+    found = [c for c in (make(formats),) if c is not None]
+    if found and short and formats.finer:
+        found += [c for c in (make(short_neurons(found[0])),) if c is not None]
+    return found
 
 
 def _within_reach(found: Sequence[Candidate], request: Request) -> bool:
@@ -190,45 +186,30 @@ def _within_reach(found: Sequence[Candidate], request: Request) -> bool:
     return min(luts, default=math.inf) <= REACH * request.room.luts
 
 
-@dataclass(frozen=True)
-class _Walk:
+def _walk(make: Maker, request: Request, walk: tuple[str, Candidate]) -> list[Candidate]:
     """A trail as a list, in a process of its own."""
-
-    make: Maker
-    request: Request
-    end: float
-
-    def __call__(self, walk: tuple[str, Candidate]) -> list[Candidate]:
-        name, start = walk
-        price, found, least = _Price(self.request, name), [], math.inf
-        for step in trail(start, self.make, price, self.end):
-            if (now := price(step.program)) < LESS * least:
-                least = now
-                found.append(replace(step, tuned=name))
-        return found
+    name, start = walk
+    price, found, least = partial(_price, request, name), [], math.inf
+    for step in trail(start, make, price, request.bound.interest):
+        if (now := price(step.program)) < LESS * least:
+            least = now
+            found.append(replace(step, tuned=name))
+    return found
 
 
-@dataclass(frozen=True)
-class _Rounding:
+def _rounded(make: Maker, request: Request, price: float) -> list[Candidate]:
     """Words and trails of the network with weights of few digits, at a price of a digit."""
-
-    make: Maker
-    request: Request
-    end: float
-
-    def __call__(self, price: float) -> list[Candidate]:
-        make = with_few_digits(self.make, price)
-        if make is None:
-            return []
-        found = [c for w in self.request.widths if (c := make(Formats(w, keep=KEPT))) is not None]
-        least = min((c.error for c in found), default=math.inf)
-        if least > self.end:
-            return []
-        start = next(c for c in found if c.error <= SETTLED * least)
-        walk = _Walk(make, self.request, self.end)
-        names = _counting_digits(self.request)
-        words = [replace(c, tuned=name) for name in names for c in found if c.error <= self.end]
-        return words + [c for name in names for c in walk((name, start))[1:]]
+    fewer, end = with_few_digits(make, price), request.bound.interest
+    if fewer is None:
+        return []
+    found = [c for w in request.widths if (c := fewer(Formats(w, keep=KEPT))) is not None]
+    least = min((c.error for c in found), default=math.inf)
+    if least > end:
+        return []
+    start = next(c for c in found if c.error <= SETTLED * least)
+    names = _counting_digits(request)
+    words = [replace(c, tuned=name) for name in names for c in found if c.error <= end]
+    return words + [c for name in names for c in _walk(fewer, request, (name, start))[1:]]
 
 
 def _counting_digits(request: Request) -> list[str]:
@@ -241,42 +222,31 @@ def _walked(request: Request) -> list[str]:
     return [n for n in request.architectures or explored() if n != "serial"]
 
 
-@dataclass(frozen=True)
-class _Price:
+def _price(request: Request, architecture: str, program: Program) -> float:
     """What a program costs as a plain design, in LUTs: a block of memory counts as its share of the device.
 
     Half of what the blocks count is what of them is filled, so that a step counts that only together with others saves
     a block.
     """
-
-    request: Request
-    architecture: str
-
-    def __call__(self, program: Program) -> float:
-        whole, family = self.request.whole, self.request.family
-        parts = COUNTS[self.architecture](program, Design(multipliers=1, factor=factor(family)), family)
-        block = whole.luts / whole.memories if whole.memories else whole.luts
-        bits = sum(s.size * s.fix.width for s in program.signals.values())
-        return parts.sized(family, self.architecture) + block * (parts.memories + parts.filled) / 2 + PER_BIT * bits
+    whole, family = request.whole, request.family
+    parts = COUNTS[architecture](program, Design(multipliers=1, factor=factor(family)), family)
+    block = whole.luts / whole.memories if whole.memories else whole.luts
+    bits = sum(s.size * s.fix.width for s in program.signals.values())
+    return parts.sized(family, architecture) + block * (parts.memories + parts.filled) / 2 + PER_BIT * bits
 
 
-@dataclass(frozen=True)
-class _Coster:
+def _costed(request: Request, candidate: Candidate) -> list[Point]:
     """The designs of a candidate, each with its cost."""
-
-    request: Request
-
-    def __call__(self, candidate: Candidate) -> list[Point]:
-        found = []
-        for name in (candidate.tuned,) if candidate.tuned else self.request.architectures or explored():
-            clocks: dict[tuple[int, int, int], int] = {}  # of designs that differ in nothing that counts
-            for design in designs(name, candidate.program, self.request):
-                key = design.multipliers, design.factor, design.adders
-                if key not in clocks:
-                    clocks[key] = clocks_of(candidate.program, name, design)
-                one = cost(candidate.program, name, design, self.request.family, clocks[key])
-                found.append(Point(candidate, name, design, one))
-        return found
+    found = []
+    for name in (candidate.tuned,) if candidate.tuned else request.architectures or explored():
+        clocks: dict[tuple[int, int, int], int] = {}  # of designs that differ in nothing that counts
+        for design in designs(name, candidate.program, request):
+            key = design.multipliers, design.factor, design.adders
+            if key not in clocks:
+                clocks[key] = clocks_of(candidate.program, name, design)
+            one = cost(candidate.program, name, design, request.family, clocks[key])
+            found.append(Point(candidate, name, design, one))
+    return found
 
 
 def designs(name: str, program: Program, request: Request) -> Iterator[Design]:

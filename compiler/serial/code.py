@@ -4,6 +4,7 @@ The code begins with the routines, each in a block of its own. After a reset the
 a step begins at an address behind that. compiler/serial/writer.py makes the words.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
@@ -30,7 +31,7 @@ from greygate.compiler.serial.writer import (
 )
 from greygate.compiler.verilog import input_slices, shared_tables
 from greygate.emulator.numbers import Fix, Overflow
-from greygate.emulator.program import Affine, Clamp, Lookup, Operation, Program, Select, Signal, Threshold
+from greygate.emulator.program import Affine, Clamp, Lookup, Op, Program, Select, Signal, Threshold
 
 PAIRS = (("zero", "slope"), ("above", "below"))  # words beside each other, of which one is chosen
 
@@ -72,7 +73,7 @@ class Compiler:
                 if lookup:
                     self.fused.add(lookup.out.name)
             elif o.out.name not in self.fused:
-                self.elements(o)
+                WRITTEN[o.op](self, o)
         self.end()
         for routine in self.routines.values():
             self.writer.lines = routine.lines
@@ -126,18 +127,6 @@ class Compiler:
                 self.call(lookup, r)
             else:
                 self.writer.write(element(o.out, r))
-
-    def elements(self, o: Operation) -> None:
-        """Write any other operation."""
-        if isinstance(o, Lookup):
-            self.lookup(o)
-        elif isinstance(o, Clamp):
-            self.clamp(o)
-        elif isinstance(o, Threshold):
-            self.threshold(o)
-        else:
-            assert isinstance(o, Select)
-            self.select(o)
 
     def scale(self, o: Affine, columns: list[str]) -> None:
         """Keep codes scaled whose weights reach beyond the shift in more rows than one, as far as words are wide."""
@@ -265,6 +254,14 @@ class Compiler:
     def rest(self) -> int:
         """Bits of an argument that are kept for the way between two points, and the place of a sign."""
         return 1 + max([0, *(kept.place_bits for kept in self.kept.values())])
+
+
+WRITTEN: dict[Op, Callable[..., None]] = {
+    Op.TABLE: Compiler.lookup,
+    Op.CLAMP: Compiler.clamp,
+    Op.THRESHOLD: Compiler.threshold,
+    Op.SELECT: Compiler.select,
+}
 
 
 def range_of(fix: Fix) -> Range:
