@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from greygate.hardware.board.texts import render
+from greygate.compiler.verilog import render
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
+from greygate.compiler.verilog import render
 from greygate.emulator.program import Program, Terminal
 from greygate.export import values
 from greygate.export.model import Model, Variable
-from greygate.hardware.board.texts import render
 
 CLIPPED = "clipped_values"  # the name of the count; a port of that name keeps it
 

@@ -3,9 +3,9 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
+from greygate.compiler.verilog import render
 from greygate.errors import InputError
 from greygate.export.model import Model, Variable
-from greygate.hardware.board.texts import render
 from greygate.plants.expressions import Call, Name, Node, Number, Operation, Signed, names, parse
 from greygate.plants.plant import Equation, Plant
 from greygate.plants.simulator import coupled, weights

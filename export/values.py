@@ -7,8 +7,8 @@ operation.
 import re
 
 from greygate.compiler.targets import c99
+from greygate.compiler.verilog import render
 from greygate.emulator.program import Program, Terminal
-from greygate.hardware.board.texts import render
 
 EXAMPLE = "example.c"
 

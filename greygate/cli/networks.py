@@ -252,7 +252,7 @@ def control(
     float, by the emulator or by simulated hardware. Seeds below 1000 are trajectories and days that it learnt on. Exit
     code 1 if the hardware differs from the emulator in any bit.
     """
-    from greygate.hardware.controlling import controller as built
+    from greygate.hardware.in_loop import controller as built
     from greygate.machines.catalog import CONTROLLED, task
 
     if machine == "list":
