@@ -474,5 +474,10 @@ def begun(model: Model, values: Mapping[str, float], samples: int) -> dict[str, 
 
     start = np.array([values[s] for s in symbols])
     size = np.maximum(np.abs(start), START_SIZE * float(np.abs(model.target).max()) + TINY)
-    found = least_squares(errors, start, x_scale=size, diff_step=START_STEP, max_nfev=START_TRIALS)
+
+    def slopes(at):  # by steps of the same size everywhere: near 0 a part of the value is nothing
+        steps = START_STEP * np.diag(size)
+        return np.stack([(errors(at + step) - errors(at)) / step.sum() for step in steps], axis=1)
+
+    found = least_squares(errors, start, slopes, x_scale=size, max_nfev=START_TRIALS)
     return {**values, **dict(zip(symbols, map(float, found.x), strict=True))}
