@@ -27,7 +27,7 @@ NAMED = 4  # effects in a message
 BENT = 0.01  # of the variance of what an effect does, that no gain and offset make: less has no name
 FEWEST = 5  # samples at which that shows, at least
 ROUNDING = 1e-6  # of the largest change, below which what is left of it is rounding
-SHOWS = 0.1  # of its largest value, from which it counts there
+GLITCHES = 2e-3  # of all samples: so many of the largest values count as glitches
 REACHES = (0.03, 0.1, 0.3)  # of a signal's largest size: widths and ends at which an effect is tried beforehand
 TAKEN_UP = 0.999  # of its width: where a play stands before that, nobody knows
 LATE = 5.0  # samples: a delay or a lag that is tried
@@ -90,20 +90,28 @@ class Action:
     @property
     def bent(self) -> bool:
         """Whether no gain and no offset does the same."""
-        if not np.isfinite(self.change).all() or not np.any(self.change):
+        if not np.isfinite(self.change).all() or np.count_nonzero(self.change) < FEWEST:
             return False
-        affine = np.column_stack([np.ones(len(self.change)), *self.moved.values()])
+        away = np.abs(self.change - np.median(self.change))
+        usual = away <= usual_size(away)  # a glitch of a derived signal, as large as it may be, decides nothing
+        change = self.change[usual]
+        affine = np.column_stack([np.ones(len(change)), *(signal[usual] for signal in self.moved.values())])
         affine = affine / (np.max(np.abs(affine), axis=0) + TINY)
-        left = self.change - affine @ np.linalg.lstsq(affine, self.change, rcond=None)[0]
-        if not np.std(left) > ROUNDING * np.max(np.abs(self.change)):
+        left = change - affine @ np.linalg.lstsq(affine, change, rcond=None)[0]
+        if not np.std(left) > ROUNDING * np.max(np.abs(change)):
             return False
-        shows = np.abs(left) > SHOWS * np.max(np.abs(left))
-        return bool(np.var(left) > BENT * np.var(self.change) and np.sum(shows) >= FEWEST)
+        return bool(np.var(left) > BENT * np.var(change))
 
     @property
     def far(self) -> bool:
         """Whether it is out of all proportion to the signal that it changes."""
         return bool(self.name) and not np.max(np.abs(self.change)) <= FARTHEST * self.size
+
+
+def usual_size(signal: np.ndarray) -> float:
+    """The largest magnitude of a signal (samples,) that is no glitch."""
+    most = max(round(GLITCHES * len(signal)), 1)
+    return float(np.partition(np.abs(signal), -most)[-most])
 
 
 def excited(model: Model, effects: Mapping[str, Effect]) -> tuple[dict[str, Effect], dict[str, str]]:
@@ -167,7 +175,7 @@ def _reason(
     cut: Sequence[slice],
 ) -> str:
     turning = np.concatenate([np.linspace(*ROUND), np.linspace(*ROUND)[::-1]] * 2)
-    ideal = {name: turning * FARTHEST * max(float(np.max(np.abs(s))), TINY) for name, s in given.items()}
+    ideal = {name: turning * FARTHEST * max(usual_size(s), TINY) for name, s in given.items()}
     found = ""
     whole = [slice(0, len(turning))]
     pairs = zip(_actions(effect, rig, given, values, cut), _actions(effect, rig, ideal, values, whole), strict=True)
@@ -242,7 +250,7 @@ def _tried(effect: Effect, given: Mapping[str, np.ndarray], dt: float) -> list[d
             if f.unit == "s":
                 values[f.symbol] = LATE * dt
             elif f.unit != "1":
-                values[f.symbol] = reach * float(np.max(np.abs(given.get(filtered[f.symbol], np.ones(1)))))
+                values[f.symbol] = reach * usual_size(given.get(filtered[f.symbol], np.ones(1)))
         out.append(values)
     return out
 

@@ -6,7 +6,7 @@ large things are along the recording, and the units of the place give the unit o
 
 from collections.abc import Collection, Iterable, Mapping
 from fractions import Fraction
-from itertools import count
+from itertools import count, product
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ from greygate.plants.recording import Recording
 
 GENERAL = Path(__file__).parent / "general.toml"
 SHARE = 0.1  # of the largest term of its place, that a term of typical size has
+TWIN = 0.01  # by which that of two effects may: no recording tells such shapes apart
 ALIKE = 1e-9  # by which the cosine of two terms along a recording may fall short of 1: one is the other, rescaled
 COPIES = ("unit", "rate", "way", "sum")  # ways to take a unit from a signal, or from a sum of terms
 
@@ -34,12 +35,13 @@ def general(
     any_plant: all of them; else those alone that are offered on every rig. every: also those that this recording does
     not excite, as for the simulation of what another one showed; without it, effects of time alone are offered only
     where the noise is told. Where the plant, or an effect `beside` them, has one of their symbols already, they take
-    another symbol. A diagnosis reports it by the name that stands in the table. What one of those has, term for term,
-    is not offered under a second name.
+    another symbol. A diagnosis reports it by the name that stands in the table. What does along the recording as one
+    of those does, in one of its shapes, is not offered under a second name. In a definition, which says nothing of the
+    direction in which its result acts, a strength may have either sign.
     """
     plant, out, seen, beside = rig.plant, {}, Seen(rig, recording), list(beside)
     taken = {*plant.symbols, *(symbol for effect in beside for symbol in effect.symbols)}
-    had = [columns for effect in beside if (columns := _columns(effect, seen))]
+    had = [columns for effect in beside for columns in _columns(effect, seen)]
     timed = TIME not in plant.symbols or TIME in plant.inputs
     found = places(rig)
     for key, entry in entries(GENERAL).items():
@@ -65,7 +67,7 @@ def general(
                 sized["of"] = f"{sized['of']}_{name}"
             key_here = f"{key}_{name}" if len(named) > 1 else key
             effect = effect_of(GENERAL, key_here, {"plants": [plant.name], **sized})
-            if not any(_same(_columns(effect, seen), other) for other in had):
+            if not any(_same(own, other) for own in _columns(effect, seen) for other in had):
                 out[key_here] = effect
     return out
 
@@ -121,6 +123,8 @@ def _sized(entry: dict, seen: Seen, every: bool) -> dict | None:
     strengths = [s for s in parameters if s not in shapes]
     for symbol, parameter in parameters.items():
         where, unity = _unity(entry, symbol, strengths)
+        if where in seen.rig.plant.definitions and symbol in strengths and parameter.get("low") == 0.0:
+            del parameter["low"]
         if "typical" not in parameter:
             column = seen.size(unity, shapes)
             if not every and (not column > 0.0 or _there(seen, where, unity, shapes)):
@@ -221,11 +225,17 @@ def _there(seen: Seen, where: str, unity: str, shapes: Mapping[str, float]) -> b
     return False
 
 
-def _columns(effect: Effect, seen: Seen) -> dict[str, np.ndarray]:
-    """Place -> what an effect of one strength adds there along the recording; empty where that is not all it does."""
+def _columns(effect: Effect, seen: Seen) -> list[dict[str, np.ndarray]]:
+    """In each of its shapes, place -> what an effect of one strength adds; none where that is not all it does."""
     if len(effect.strengths) != 1 or effect.frees or effect.filters or effect.states or effect.definitions:
-        return {}
-    values = {f.symbol: f.typical if f.shape else 1.0 for f in effect.free}
+        return []
+    guesses = [{f.typical, *f.guess} if f.shape else {1.0} for f in effect.free]
+    each = (dict(zip((f.symbol for f in effect.free), values, strict=True)) for values in product(*guesses))
+    return [column for values in each if (column := _column(effect, seen, values))]
+
+
+def _column(effect: Effect, seen: Seen, values: Mapping[str, float]) -> dict[str, np.ndarray]:
+    """Place -> what an effect of such `values` adds there along the recording."""
     out: dict[str, np.ndarray] = {}
     for path, text in effect.terms.items():
         where = path.partition(".")[0]
@@ -240,11 +250,12 @@ def _same(one: Mapping[str, np.ndarray], other: Mapping[str, np.ndarray]) -> boo
     """Whether two effects add the same, up to one factor, in the same places."""
     if not one or set(one) != set(other) or any(len(one[place]) != len(other[place]) for place in one):
         return False
-    return _alike(*(np.concatenate([columns[place] for place in one]) for columns in (one, other)))
+    first, second = (np.concatenate([columns[place] for place in one]) for columns in (one, other))
+    return _alike(first, second, TWIN)
 
 
-def _alike(one: np.ndarray, other: np.ndarray) -> bool:
-    return bool(abs(one @ other) >= (1 - ALIKE) * np.linalg.norm(one) * np.linalg.norm(other) > 0)
+def _alike(one: np.ndarray, other: np.ndarray, within: float = ALIKE) -> bool:
+    return bool(abs(one @ other) >= (1 - within) * np.linalg.norm(one) * np.linalg.norm(other) > 0)
 
 
 def _renamed(entry: dict, taken: Collection[str]) -> dict:

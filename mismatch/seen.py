@@ -35,6 +35,7 @@ DIGITS = 12  # behind the point: rates that differ beyond are one
 LEVELS = 4  # values, or rates, that a signal must have: with fewer, a limit of it is another gain
 UNMET = {
     "several": "there is no other channel of its kind beside {}",
+    "beside": "there is no input, and no other channel, beside {}",
     "recorded": "{} is not recorded",
     "moves": "{} never moves",
     "turns": "{} never reverses",
@@ -203,6 +204,8 @@ class Seen:
     def shows(self, need: str) -> bool:
         """Whether the recording does what "NEED NAME" says; raises InputError for an unknown need."""
         kind, _, name = need.partition(" ")
+        if kind == "beside":
+            return len(self.rig.predict) > 1 or bool(self.rig.inputs)
         if kind == "several":
             return len(self.rig.predict) > 1 or len(self.rig.inputs) > 1
         if kind == "recorded":

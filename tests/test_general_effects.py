@@ -10,6 +10,7 @@ from greygate.mismatch import filters, places
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.model import Model
 from greygate.mismatch.rig import load
+from greygate.mismatch.seen import Seen
 from greygate.plants import Plant, simulate, units
 
 DT = 5e-3
@@ -203,6 +204,30 @@ def test_what_the_rigs_own_table_has_is_not_offered_under_a_second_name(rigs):
     one = table.Effect("one", "", ("plant",), ("first",), (), free, {"first.pipe": both["first.pipe"]})
     assert "exchange" in table.general(rig, recording(rig), [one])
     assert "exchange" not in table.general(rig, recording(rig), [pipe])
+
+
+def test_what_the_rigs_own_table_has_in_another_shape_is_not_offered_under_a_second_name(rigs):
+    rig = rigs["motor"]
+    (speed,) = (f for f in table.general(rig, recording(rig))["dry_friction"].free if f.shape)
+    for width, twin in ((1.1 * speed.guess[0], True), (100.0 * speed.guess[-1], False)):
+        term = {"motion.rub": f"-rub * tanh(omega / {width!r})"}
+        rub = table.Effect("rub", "", ("plant",), ("motion",), ("v",), (table.Free("rub", 1.0, low=0.0),), term)
+        assert ("dry_friction" not in table.general(rig, recording(rig), [rub])) is twin
+
+
+def test_in_a_definition_friction_may_have_either_sign(rigs):
+    for name, symbol, low in (("imposed", "f_v", -np.inf), ("motor", "f_omega", 0.0)):
+        effect = table.general(rigs[name], recording(rigs[name]))["dry_friction"]
+        assert {f.symbol: f.low for f in effect.free}[symbol] == low
+
+
+def test_a_channel_that_nothing_else_is_recorded_beside_is_never_late(rigs):
+    rig = rigs["motor"]
+    assert "late_channel" in table.general(rig, recording(rig))
+    alone = replace(rig, channels={name: rig.channels[name] for name in rig.predict})
+    assert (
+        Seen(alone, recording(rig)).lacks(["beside omega"]) == "there is no input, and no other channel, beside omega"
+    )
 
 
 def test_what_a_recording_cannot_excite_is_not_offered_and_can_still_be_simulated(tmp_path):
