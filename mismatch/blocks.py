@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import t
 
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.model import TINY
@@ -27,6 +28,8 @@ FEWEST_DRAWS = 2  # of which a standard error can be told
 HALF = 0.1  # of its RMS error on a half, by which another fit may be worse: slow errors are few draws of chance
 MORE = 0.01  # of the plainer fit's RMS error, by which another fit may be worse
 SURE = 3.0  # standard errors of the difference of the squared errors, below which it may be chance
+CHANCE = 0.01  # of calling a plant overfitted that is not, all channels together
+NEXT = 1.1  # times its error where it was learnt from: what errs by less where it was not holds there, too
 REFIT = 4  # iterations of a fit to the other pieces, which begins at that of the whole recording
 
 
@@ -79,9 +82,12 @@ class Judge:
         known = {s: v for s, v in values.items() if s in self.model.values}
         return self.model.target - self.model.predict({**self.model.values, **known})
 
-    def unseen(self, fit: Fit, held: np.ndarray) -> np.ndarray:
-        """Errors of a fit that did not learn from a block, on that block (samples of it, channels)."""
-        return self.errors(_without(fit, held, exact=False))[held]
+    def unseen(self, fit: Fit, held: np.ndarray, exact: bool = False) -> np.ndarray:
+        """Errors of a fit that did not learn from a block, on that block (samples of it, channels).
+
+        exact: fitted again to the rest, in place of one linearised step.
+        """
+        return self.errors(_without(fit, held, exact))[held]
 
     def blocks(self, plain: Fit, fit: Fit) -> list[np.ndarray]:
         """The blocks that are held out in turn (samples,), to compare a fit with a plainer one."""
@@ -154,13 +160,68 @@ class Judge:
         sheet = self.errors({})
         if not np.isfinite(sheet).all():
             return 0.0
-        error = np.concatenate([self.unseen(fit, held) for held in self.blocks(fit, fit)])
+        error = self.unlearnt(fit)
         return float(np.mean(np.mean(error**2, axis=0) / (np.mean(sheet**2, axis=0) + TINY)))
+
+    def unlearnt(self, fit: Fit) -> np.ndarray:
+        """Errors of a fit, each block by the fit to the others (samples of all blocks, channels)."""
+        return np.concatenate([self.unseen(fit, held) for held in self.blocks(fit, fit)])
+
+    def no_better(self, plain: Fit, fit: Fit) -> str:
+        """Why `fit` does not earn to be worn in place of `plain`, on blocks not learnt from; empty where it does.
+
+        Its squared error must be smaller, in the mean over channels each by that of `plain`, and no channel's larger by
+        more than chance makes of it.
+        """
+        blocks = self.blocks(plain, fit)
+        before, after = (np.concatenate([self.unseen(f, held) for held in blocks]) for f in (plain, fit))
+        if not np.isfinite(after).all():
+            return "with it the run diverges where it was not learnt from"
+        ratio = np.mean(after**2, axis=0) / (np.mean(before**2, axis=0) + TINY)
+        worse = [i for i in range(len(ratio)) if _worse(before[:, i], after[:, i])]
+        for i, channel in enumerate(self.model.rig.predict):
+            if i in worse:
+                return f"with it {channel} is {PERCENT * (np.sqrt(ratio[i]) - 1):.2g} % worse where not learnt from"
+        if np.mean(ratio) < 1.0:
+            return ""
+        return "with it the error of the run is no smaller where not learnt from"
+
+    def overfitted(self, fit: Fit) -> str:
+        """What of a fit does not hold on blocks that it did not learn from, in words; empty where all does.
+
+        By a one-sided test at the level CHANCE, all channels together: paired differences of the squared errors of
+        each block with and without that block among what is learnt from. What linearised fits show is fitted again.
+        """
+        return self._overfitted(fit, exact=False) and self._overfitted(fit, exact=True)
+
+    def _overfitted(self, fit: Fit, exact: bool) -> str:
+        found, whole = [], self.errors(fit.values)
+        pairs = [(whole[held], self.unseen(fit, held, exact)) for held in self.blocks(fit, fit)]
+        for i, channel in enumerate(self.model.rig.predict):
+            draws = np.array([_draws(before[:, i], after[:, i]) for before, after in pairs]).reshape(-1, 2)
+            learnt, unseen = draws.mean(axis=0)
+            times = float(np.sqrt(unseen / (learnt + TINY)))
+            more = draws[:, 1] - draws[:, 0]
+            error = more.std(ddof=1) / np.sqrt(len(more)) + TINY
+            level = CHANCE / len(self.model.rig.predict)
+            if not times <= NEXT and not t.sf(more.mean() / error, len(more) - 1) > level:
+                found.append((times, channel))
+        if not found:
+            return ""
+        times, channel = max(found)
+        where = f"of {channel} where not learnt from"
+        return f"the parameters explain this recording, not the next: {times:.2g} times the error {where}"
 
     def share(self, plain: Fit, without: Fit, fit: Fit) -> float:
         """The share of the squared error of `plain` that `fit` has less than `without`, in the mean over channels."""
         squared = [np.mean(self.errors(f.values) ** 2, axis=0) for f in (plain, without, fit)]
         return float(np.mean((squared[1] - squared[2]) / (squared[0] + TINY)))
+
+
+def _draws(before: np.ndarray, after: np.ndarray) -> list[tuple[float, float]]:
+    """Mean squares of two series of errors (samples,) over some parts of a block, one pair a part."""
+    parts = zip(*(np.array_split(e**2, min(ROUNDS * PARTS, len(e))) for e in (before, after)), strict=True)
+    return [(float(np.mean(one)), float(np.mean(other))) for one, other in parts]
 
 
 def _worse(before: np.ndarray, after: np.ndarray) -> bool:

@@ -31,6 +31,10 @@ from greygate.progress import Progress, silent
 PERCENT = 100
 ALONE = 0.1  # of what an effect saves beside another: what it saves without that one is at least so much, mostly
 LITTLE = 0.05  # of the calibrated plant's squared error, that two which undo each other must take together
+SHARE = 0.02  # of the calibrated plant's squared error, that a name must take alone where no noise is told,
+OWN = 0.1  # or of what the others leave of it
+HERTZ = "Hz"
+ON_BOUND = 1e-6  # relative distance from a bound within which a value lies on it
 REFIT = 6  # iterations of a fit to the run itself, which begins near
 WORST = 3  # losses that are named in a refusal
 
@@ -70,9 +74,11 @@ def unborne(search: Search, hypothesis: Hypothesis, fit: Fit) -> dict[str, str]:
             out[key] = why
         elif slight := [f.symbol for f in effect.free if f.least and _within(fit, f.symbol)[1] < f.least]:
             out[key] = f"{effect.means}, but by {fit.values[slight[0]]:.2g} of that alone: some other curve"
+        elif not possible(search, Hypothesis((key,)), fit):
+            out[key] = "at the size that fits, it is as large as it can be at all: something else"
         elif not _influence(effect, fit) > SEEN:
             out[key] = "at the size that fits, it changes nothing that the sensors show"
-        elif isinstance(fit.likelihood, Coloured) and _rounded([effect], fit):
+        elif _rounded([effect], fit):
             out[key] = "it moves every channel by less than half a step of what is recorded: it smooths the steps"
     for symbol in hypothesis.released:
         sheet = search.sheet[symbol]
@@ -80,6 +86,18 @@ def unborne(search: Search, hypothesis: Hypothesis, fit: Fit) -> dict[str, str]:
         if abs(value - sheet.value) <= sheet.tolerance * abs(sheet.value) or low <= sheet.value <= high:
             out[symbol] = "it does not lie outside its tolerance for certain"
     return out
+
+
+def possible(search: Search, hypothesis: Hypothesis, fit: Fit) -> bool:
+    """Whether the fit runs, no strength lies on its physical bound, and no overtone is larger than its wave."""
+    if not np.isfinite(fit.cost):
+        return False
+    effects = [search.effects[key] for key in hypothesis.effects]
+    sizes = [[np.hypot(fit.values[sine], fit.values[cosine]) for sine, cosine in e.wave.values()] for e in effects]
+    if any(overtones and max(overtones) > fundamental for fundamental, *overtones in filter(None, sizes)):
+        return False  # then it is a wave of the overtone's period
+    free = [f for effect in effects for f in effect.strengths]
+    return not any(b and np.isclose(fit.values[f.symbol], b, rtol=ON_BOUND) for f in free for b in (f.low, f.high))
 
 
 def _within(fit: Fit, symbol: str) -> list[float]:
@@ -104,22 +122,28 @@ def _undone(effects: Iterable[Effect], fit: Fit) -> dict[str, float]:
 
 
 def _rounded(effects: Iterable[Effect], fit: Fit) -> bool:
-    """Whether effects move each channel by less than half a step of it, or of an input of its unit."""
+    """Whether effects move each channel by less than half a step of it, or of an input of its unit.
+
+    Noise of half a step or more carries what is smaller over the steps: then the steps hide nothing.
+    """
     model = fit.likelihood.model
     with_, without = (model.predict({**model.values, **v}) for v in (fit.values, _undone(effects, fit)))
     moved = np.sqrt(np.mean((with_ - without) ** 2, axis=0))
     channels = model.rig.channels
-    steps = [
-        max(channels[n].resolution for n in (name, *model.rig.inputs) if channels[n].unit == channels[name].unit)
-        for name in model.rig.predict
-    ]
+
+    def step(name: str) -> float:
+        alike = (channels[n] for n in (name, *model.rig.inputs) if channels[n].unit == channels[name].unit)
+        size = max(channel.resolution for channel in alike)
+        return size if channels[name].noise < size / 2 else 0.0
+
+    steps = [step(name) for name in model.rig.predict]
     return bool(np.all(moved < np.array(steps) / 2))
 
 
 # -- the fourth ------------------------------------------------------------------------------------------------------
 
 
-def by_rule(search: Search, hypothesis: Hypothesis, fit: Fit) -> Fit | None:
+def fitted_by_rule(search: Search, hypothesis: Hypothesis, fit: Fit) -> Fit | None:
     """The hypothesis fitted to the error of the run by the rig's rule, as it is; None where `fit` is that already.
 
     An autoregression weighs fast errors most, and short windows forget slow ones; this weighs them as they are.
@@ -216,7 +240,7 @@ def _through(search: Search, judge: Judge, claims: Claims, refit: Callable, prog
         losses = judge.losses(claims.calibrated, claims.fit)
         if not losses:
             break
-        again = by_rule(search, claims.best, claims.fit)
+        again = fitted_by_rule(search, claims.best, claims.fit)
         sound = again if again and not unborne(search, claims.best, again) else None
         if sound and not judge.losses(claims.calibrated, sound):
             claims.refused.append(f"{claims.best} is fitted again to the run itself: before, {_worst(losses)}")
@@ -234,11 +258,11 @@ def _unsupported(search: Search, judge: Judge, claims: Claims, refit: Callable) 
     claims.without = fits
     claims.shares = {n: judge.share(claims.calibrated, fits[n], claims.fit) for n in names}
     useless = min(names, key=lambda n: claims.shares[n])
-    if claims.fit.likelihood.remembers and claims.shares[useless] <= 0.0:
-        return _drop(search, claims, useless, fits, "with it the squared error of the run is no smaller")
+    if why := _useless(judge, claims, useless):
+        return _drop(search, claims, useless, fits, why)
     candidates = len({effect.id for effect in search.effects.values()}) + len(search.toleranced)
     for exact in (False, True):  # what a linearised fit does not bear out is fitted in full before it counts
-        claims.evidence = {n: evidence(fits[n], claims.fit, _wider(search, claims, n), exact) for n in names}
+        claims.evidence = {n: _evidence(search, claims, n, exact) for n in names}
         if borne_out(claims.evidence, candidates) == set(names):
             return False
     name = min(names, key=lambda n: claims.evidence[n].log_e)
@@ -246,13 +270,33 @@ def _unsupported(search: Search, judge: Judge, claims: Claims, refit: Callable) 
     return _drop(search, claims, name, fits, f"what its fit did not see gives it {found}")
 
 
+def _useless(judge: Judge, claims: Claims, name: str) -> str:
+    """Why a name takes too little of the squared error of the run; empty where it takes enough, or noise is told.
+
+    A noise that remembers weighs fast errors most. Where none is told, even a little of the slow ones is told from it.
+    """
+    likelihood, share = claims.fit.likelihood, claims.shares[name]
+    if not likelihood.expected:
+        less = claims.without[name]
+        enough = share >= SHARE or judge.share(less, less, claims.fit) >= OWN
+        return "" if enough else f"with it the squared error of the run is smaller by {max(share, 0.0):.1%} only"
+    return "with it the squared error of the run is no smaller" if likelihood.remembers and share <= 0.0 else ""
+
+
+def _evidence(search: Search, claims: Claims, name: str, exact: bool) -> Evidence:
+    """What speaks for one name; what was looked for at every frequency of the recording pays for all of them."""
+    found = evidence(claims.without[name], claims.fit, _wider(search, claims, name), exact)
+    lines = name in search.effects and any(f.whole and f.unit == HERTZ for f in search.effects[name].free)
+    if not claims.fit.likelihood.expected:
+        found = replace(found, least=0.0)  # a colour that is fitted hides in one half what it is in the other
+    return replace(found, log_e=found.log_e - float(np.log(len(claims.fit.errors) / 2))) if lines else found
+
+
 def _smoothing(search: Search, claims: Claims, refit: Callable) -> bool:
-    """Whether two were dropped that together smooth the steps of what is recorded, where no noise is told.
+    """Whether two were dropped that together smooth the steps of what is recorded.
 
     Each of them moves the channels (a lag, and a channel that comes early), but both together by less than the steps.
     """
-    if not isinstance(claims.fit.likelihood, Coloured):
-        return False
     for one, other in combinations(claims.best.effects, 2):
         if _rounded([search.effects[one], search.effects[other]], claims.fit):
             why = "together they move every channel by less than half a step of what is recorded: they smooth the steps"
@@ -317,7 +361,10 @@ def _calibrated(search: Search, judge: Judge, claims: Claims) -> None:
     before = judge.total(claims.calibrated)
     if before <= (1.0 + MORE) ** 2:
         return
-    again, why = by_rule(search, Hypothesis(), claims.calibrated), f"{PERCENT * (before - 1):.2g} % more squared error"
+    again, why = (
+        fitted_by_rule(search, Hypothesis(), claims.calibrated),
+        f"{PERCENT * (before - 1):.2g} % more squared error",
+    )
     if again is not None and judge.total(again) <= 1.0:
         claims.refused.append(f"the parameters are fitted again to the run itself: before, {why} than the data sheet")
     else:

@@ -30,7 +30,7 @@ WORTH = 0.03  # of the misfit that a further function must remove
 ALIKE = WORTH / 3  # of the misfit, within which two sets of functions are equally good
 NOISE = 0.9  # of the cost that pure noise would have: so much counts as noise, what is above it as misfit
 RIDGE = 1e-6  # of a column's own square, which keeps the normal matrix of columns that are nearly alike regular
-STEEP = 20.0  # of the tanh that stands for a sign: 5 % of the largest speed are 76 % of the sign
+STEEP = 20.0  # of the tanh that stands for a sign: 5 % of the largest value are 76 % of the sign
 CONFIDENCE_DIGITS = 4  # behind the point, of a share in diagnosis.json
 LEAST = 1e-9  # cost, in place of a misfit of 0
 FLAT = 1e-12  # of a signal's size, below which its spread is rounding
@@ -81,8 +81,8 @@ def _powers(search: Search, signals: Mapping[str, np.ndarray]) -> dict[str, Basi
             inside = f"min(max({s}, seen_low_{s}), seen_high_{s})"  # beyond what was seen it stays as it was
             z = f"((2.0 * {inside} - seen_low_{s} - seen_high_{s}) / (seen_high_{s} - seen_low_{s}))"
             shapes = {s: z, f"{s}2": f"{z}**2", f"{s}3": f"{z}**3"}
-            if s in rates:
-                shapes[f"sign_{s}"] = f"tanh({STEEP} * {s} / seen_high_{s})"
+            if s in rates or np.min(signals[s]) < 0.0 < np.max(signals[s]):
+                shapes[f"sign_{s}"] = f"tanh({STEEP} * {s} / max(seen_high_{s}, abs(seen_low_{s})))"
             basis |= {key: Candidate(f"{scale} * ({shape})", (s,)) for key, shape in shapes.items()}
         out[name] = basis
     return out
@@ -183,7 +183,7 @@ class _Unknowns:
     columns: np.ndarray
 
     @classmethod
-    def of(cls, search: Search, given: Hypothesis, values: Mapping[str, float]) -> "_Unknowns":
+    def of(cls, search: Search, given: Hypothesis, values: Mapping[str, float] | None) -> "_Unknowns":
         rig = search.rig
         signals = _signals(search)
         low, high = SEEN
@@ -196,7 +196,7 @@ class _Unknowns:
         again = Search(rig, search.final.model.recording, joined, noise=search.noise)
         again.effects, again.between = joined, search.between
         likelihood = again.final
-        base = again.fit(likelihood, given, values) if given.size else again.base(likelihood)
+        base = again.fit(likelihood, given, values or {}) if given.size else again.base(likelihood, values)
         keys = [(effect.equations[0], key) for key, effect in effects.items()]
         columns = []
         for _, key in keys:
@@ -215,8 +215,8 @@ class _Unknowns:
     def chosen(self) -> tuple[str, list[str], float]:
         """(place, its functions, share of the misfit that they take) where a term removes most."""
         halves = _Halves.of(self.base, self.columns)
-        noise = self.search.final.count * NOISE / float(np.mean(self.base.temper**2))
-        total = float(np.sum(self.base.projected**2)) - noise - halves.saved([])
+        noise = self.search.final.expected * NOISE / float(np.mean(self.base.temper**2))
+        total = float(np.sum(self.base.projected**2)) - (noise + halves.saved([]) if noise else 0.0)
         best = {
             place: halves.subset([halves.k + j for j, key in enumerate(self.keys) if key[0] == place], total)
             for place in dict.fromkeys(place for place, _ in self.keys)
@@ -268,16 +268,17 @@ def left_beside(search: Search, given: Hypothesis, values: Mapping[str, float]) 
     return [{**where, "regime": f"left beside it: something that depends on {on}, {share:.0%} of what is left"}]
 
 
-def closure(search: Search) -> tuple[dict, Fit | None]:
+def closure(search: Search, values: Mapping[str, float] | None = None) -> tuple[dict, Fit | None]:
     """(where and effect for the diagnosis, fit with the unknown term; None where a sensor is at fault).
 
-    Both are empty for a plant that has no place in which a term may be missing. Where the plant's file does not declare
-    of what a term is made, it is a formula (formula.py).
+    values: of the plant's parameters, from which it is calibrated; by default the data sheet's. Both are empty for a
+    plant that has no place in which a term may be missing. Where the plant's file does not declare of what a term is
+    made, it is a formula (formula.py).
     """
     if not search.rig.plant.closure.places:
-        return unnamed(search)
+        return unnamed(search, values)
     try:
-        unknowns = _Unknowns.of(search, Hypothesis(), {})
+        unknowns = _Unknowns.of(search, Hypothesis(), values)
     except NowhereError:
         return {"where": [], "effect": None}, None
     place, chosen, share = unknowns.chosen()
@@ -299,11 +300,15 @@ def closure(search: Search) -> tuple[dict, Fit | None]:
 
 
 def _signals(search: Search) -> dict[str, np.ndarray]:
-    """Inputs and states that move, as recorded, or a rate of what was recorded; other states as simulated."""
+    """Inputs and states that move, as recorded, or a rate of what was recorded; other states as simulated.
+
+    What is derived of an input is the rate of a state already, where there are states.
+    """
     model = search.final.model
     states, inputs = model.states(model.values)
     rates = {state.rate: symbol for symbol, state in model.plant.states.items() if state.rate}
-    found = {name: signal for name, signal in inputs.items() if name not in model.plant.derived}
+    derived = model.plant.derived if model.plant.states else {}
+    found = {name: signal for name, signal in inputs.items() if name not in derived}
     for symbol, simulated in zip(model.plant.states, states.T, strict=True):
         if symbol in model.recording.channels:
             found[symbol] = model.recording[symbol]

@@ -16,6 +16,7 @@ from scipy.stats import norm
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.fit import ENOUGH, ITERATIONS, Fit, Likelihood, Unknown
 from greygate.mismatch.model import TINY, Model
+from greygate.mismatch.noise import Noise
 from greygate.mismatch.runs import along, whole
 
 ORDERS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24)  # of the autoregression, among which BIC chooses
@@ -43,6 +44,7 @@ class Coloured(Likelihood):
 
     def __init__(self, model: Model):
         self.model = model
+        self.noise = Noise.told(len(model.rig.predict))  # not that of the errors: `ar` and `scale` are
         self.local_scale = self.heavy = np.ones(0)
         samples, channels = model.target.shape
         recordings = model.pieces
@@ -61,6 +63,10 @@ class Coloured(Likelihood):
     @property
     def count(self) -> int:
         return int(self.mask.sum()) * len(self.scale)
+
+    @property
+    def expected(self) -> float:
+        return 0.0
 
     @property
     def remembers(self) -> bool:

@@ -10,11 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from greygate.mismatch.coloured import Coloured, coloured_likelihood, resized
+from greygate.mismatch.adequacy import dependent
+from greygate.mismatch.claims import Claims
+from greygate.mismatch.coloured import Coloured, coloured_likelihood, remaining, resized
 from greygate.mismatch.fit import Fit, Likelihood
-from greygate.mismatch.model import beginnings
+from greygate.mismatch.model import TINY, beginnings
 from greygate.mismatch.search import ROUGH, Hypothesis, Score, Search
-from greygate.mismatch.selection import Selection
+from greygate.mismatch.selection import Found, Selection
 from greygate.progress import Progress, silent
 
 EFFECTS = 4  # in a hypothesis, at most
@@ -38,9 +40,59 @@ class ColouredSelection(Selection):
         search.final = search.screen = calibrated.likelihood
         search.effects = {key: resized(calibrated.likelihood, e, calibrated) for key, e in search.effects.items()}
         super().__init__(search, calibrated.likelihood, calibrated, progress)
-        self.plain = calibrated
+        self.plain, self.calibrated = calibrated, calibrated.values
         self.fits = {Hypothesis(): calibrated}
         self.anew = set(beginnings(search.final.model))
+
+    # -- what a diagnosis asks ---------------------------------------------------------------------------------------
+
+    def searched(self) -> Found:
+        best, fit = self.backward(*self.forward(Hypothesis(), self.plain, self.plain))
+        return Found(best, fit, fit, self)
+
+    def claimable(self, found: Found) -> Found:
+        return found
+
+    def again(self, found: Found, claims: Claims) -> Found:
+        self.fits.setdefault(claims.best, claims.fit)
+        return Found(claims.best, claims.fit, claims.fit, self)
+
+    def refit(self, less: Hypothesis, from_: Fit) -> Fit:
+        starts = [from_, *(found for h, found in self.fits.items() if h == less)]
+        return min((super(ColouredSelection, self).refit(less, s) for s in starts), key=lambda f: f.cost)
+
+    def left(self, fit: Fit) -> str:
+        """What the innovations of a free run go with; where they go with nothing, what its errors go with."""
+        likelihood = coloured_likelihood(fit)
+        if not likelihood.order:
+            likelihood = likelihood.ordered(likelihood.residual(fit.values))
+            fit = replace(fit, likelihood=likelihood, errors=likelihood.errors(fit.values, fit.shifts))
+        return dependent(fit) or remaining(fit)
+
+    def structure(self, fit: Fit) -> dict[str, float]:
+        return {}
+
+    def open(self, found: Found, left: str = "") -> bool:
+        return bool(left)
+
+    def excess(self, found: Found) -> float:
+        return np.inf
+
+    def promises(self, found: Found) -> bool:
+        return False
+
+    def outdone(self, best: Hypothesis, explained: float, share: float) -> bool:
+        return False
+
+    def explained(self, found: Found, calibrated: Fit) -> float:
+        """The share of the squared error in free run that is removed, in the mean over channels."""
+        before, after = (np.mean(f.likelihood.residual(f.values) ** 2, axis=0) for f in (calibrated, found.fit))
+        return float(np.mean(1.0 - after / np.maximum(before, TINY)))
+
+    def rivals(self, found: Found) -> dict[Hypothesis, float]:
+        return {hypothesis: fit.cost for hypothesis, fit in self.fits.items()}
+
+    # -- steps -------------------------------------------------------------------------------------------------------
 
     def done(self, best: Hypothesis, current: Fit) -> bool:
         return False
@@ -172,6 +224,13 @@ class ColouredSelection(Selection):
         judge = copy.copy(coloured_likelihood(fit))
         judge.mask = block
         return float(np.sum(judge.errors(fit.values, fit.shifts) ** 2)) + judge.deviance()
+
+
+def selected(search: Search, progress: Progress = silent) -> Selection:
+    """The selection over a search, by what is known of its noise."""
+    if isinstance(search.final, Coloured):
+        return ColouredSelection(search, progress)
+    return Selection(search, search.screen, search.base(search.screen), progress)
 
 
 def _calibrated(search: Search) -> Fit:

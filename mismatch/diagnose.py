@@ -4,10 +4,9 @@ A diagnosis claims an effect only where its evidence is strong and little is lef
 the errors that no effect of the table explains, the verdict is `unexplained`.
 """
 
-import copy
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,34 +14,31 @@ import numpy as np
 from greygate.errors import InputError
 from greygate.mismatch import effects as table
 from greygate.mismatch.adequacy import dependent
-from greygate.mismatch.blocks import Judge
-from greygate.mismatch.claims import REFIT, Claims, earned, held_to_tolerance, named
+from greygate.mismatch.blocks import MORE, Judge
+from greygate.mismatch.claims import REFIT, Claims, earned, fitted_by_rule, held_to_tolerance, named, unborne
 from greygate.mismatch.closure import closure, left_beside
-from greygate.mismatch.coloured import Coloured, remaining
-from greygate.mismatch.coloured_selection import ColouredSelection
+from greygate.mismatch.coloured_selection import selected
 from greygate.mismatch.diagnosis import Diagnosis
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.excitation import excited
-from greygate.mismatch.fit import Fit, Likelihood
-from greygate.mismatch.model import TINY, Model
-from greygate.mismatch.noise import Noise, learnt
+from greygate.mismatch.fit import Fit
+from greygate.mismatch.model import Model
+from greygate.mismatch.noise import Noise
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.ruled_out import ruled_out
 from greygate.mismatch.search import WITHIN, Hypothesis, Search
-from greygate.mismatch.selection import PART, STRUCTURE, Selection, complete, inflation, promised, structure
+from greygate.mismatch.selection import PART, Found, Selection, shown_noise
 from greygate.mismatch.several import by_rule, modelled
 from greygate.mismatch.verdict import Verdict
-from greygate.plants.expressions import names
-from greygate.plants.plant import Plant
 from greygate.plants.recording import run_name
 from greygate.progress import Progress, silent
 
 SHARE = 0.99  # of what can be explained: an effect that explains so much is all that is missing,
 ADEQUATE = 4.0  # where the squared errors are at most so many times those that the told noise makes
-SOME = 0.1  # of the squared error in free run, likewise where no noise is told
 CLOSED = PART  # of the misfit, that a fitted term must take, as a name must: what takes less does harm elsewhere
 NOISES = 3  # noises under which a recording is explained, at most: each is what the explanation before it left
 OPEN_VERDICTS = Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED
+LEAST_SURE = 0.5  # of confidence in a name, below which something else is likelier
 BLOWN = 100.0  # times what was recorded: a run that is so far off diverges, and nothing can be read from it
 
 
@@ -67,12 +63,12 @@ def diagnose(rig: Rig, effects: Mapping[str, Effect] | None = None, progress: Pr
     recording = rig.to_explain()
     effects = table.known(rig, recording) if effects is None else effects
     progress("compiling the plant")
-    search = Search(rig, recording, effects, free_run=Likelihood if rig.stated else Coloured)
+    search = Search(rig, recording, effects)
     search.effects, not_shown = excited(search.final.model, search.effects)
     offered = {effect.id for effect in search.effects.values()}
     not_shown |= {name: why for name, why in table.unmet(rig, recording).items() if name not in offered}
     progress("calibrating")
-    result = (_of_stated_noise if rig.stated else _of_coloured_noise)(search, progress)
+    result = _diagnosed(search, progress)
     result.not_shown = not_shown
     if result.verdict == Verdict.MISSING_PHYSICS and _faults(search, result.best):
         result.verdict = Verdict.RECORDING_FAULT
@@ -114,19 +110,50 @@ def _diverges(rms: float, recorded: np.ndarray) -> bool:
     return not rms <= BLOWN * np.max(np.abs(recorded))
 
 
-def _of_stated_noise(search: Search, progress: Progress) -> Diagnosis:
-    """Explain with the noise that was told, and once more where the recording shows another."""
+@dataclass(frozen=True)
+class State:
+    """What is known between two steps of a diagnosis; each step gives a new one.
+
+    found: what is claimed, with its fits. claims: what the gates left. explained: the share of what can be explained
+    that `found` explains. left: what it leaves, in words, where the noise does not say that. unlike: why a smooth curve
+    that is claimed is another one. unknown: where something is missing that no effect explains, and a term for it.
+    """
+
+    search: Search
+    selection: Selection
+    progress: Progress
+    found: Found
+    claims: Claims
+    verdict: Verdict = Verdict.CONSISTENT
+    explained: float = 0.0
+    left: str = ""
+    unlike: str = ""
+    unknown: dict = field(default_factory=dict)
+
+    @property
+    def open(self) -> bool:
+        """Whether something is left that the claims do not explain."""
+        return self.verdict in OPEN_VERDICTS
+
+    def unclaimed(self) -> "State":
+        """The same without a claim: nothing on offer explains what is left."""
+        return replace(self, found=replace(self.found, best=Hypothesis()), verdict=Verdict.UNEXPLAINED, unlike="")
+
+
+def _diagnosed(search: Search, progress: Progress) -> Diagnosis:
+    """Explain with the noise that was told, if any, and once more where the recording shows another."""
     found = _explained(search, progress)
     if search.moved_between(found.corrected, iterations=REFIT):
         progress("searching again: inputs moved between the samples")
         found = _explained(search, progress)
     noise = shown_noise(found.corrected)
-    if noise.as_told:
+    if noise is None or noise.as_told:
         return replace(found, noise=noise)
     for _ in range(NOISES):
         progress("searching again: the noise is not as rig.toml tells it")
         again = _explained(search.under(noise), progress)
         before, noise = noise, shown_noise(again.corrected)
+        assert noise is not None  # it was told
         if noise.swollen or (again.verdict == Verdict.CONSISTENT and dependent(again.corrected)):
             break  # what is slow and far too large, or what the machine's own motion foretells, is no noise
         if not before.swollen:
@@ -135,83 +162,154 @@ def _of_stated_noise(search: Search, progress: Progress) -> Diagnosis:
     return replace(found, noise=None)
 
 
-def shown_noise(fit: Fit) -> Noise:
-    """The noise, in units of what rig.toml tells, that a fit leaves."""
-    likelihood, model = copy.copy(fit.likelihood), fit.likelihood.model
-    likelihood.noise = Noise.told(len(model.rig.predict))
-    return learnt(likelihood.errors(fit.values, fit.shifts), model.window or len(likelihood.sigma), model.pieces)
-
-
 def _explained(search: Search, progress: Progress) -> Diagnosis:
+    """The steps of a diagnosis, once, with the noise that the search has now."""
     search.within = WITHIN
-    base = search.base(search.screen)
-    short = Selection(search, search.screen, base, progress)
-    best, current = short.rivalled(*short.forward(Hypothesis(), short.plain, base))
-    if not complete(current):
-        best, current = short.paired(best, current, base)
-    best, current = short.settled(*short.backward(best, current))
-    selection, costs = short, short.costs
-    if best.size and complete(current):
-        longer, chosen, corrected = short.over(search.final, best, current)
-        if {search.effects[key].id for key in chosen.effects} != {search.effects[key].id for key in best.effects}:
-            chosen, corrected = longer.settled(chosen, corrected)  # the exchanges that were made are not those of it
-        best, costs = chosen, longer.costs
-        if best.size == 1 and not longer.done(best, corrected):  # a second effect that long windows alone show
-            more, fit = longer.backward(*longer.forward(best, corrected, corrected))
-            if more != best:
-                selection, best, current, corrected = longer, more, fit, fit
-    else:
-        corrected = search.fit(search.final, best, current.values)
-    claimed, fit = best, corrected
-    if best.size and _open(corrected, current) and selection.explained(current) < PART:
-        plain = search.fit(search.final, Hypothesis(), short.plain.values)
-        if _open(plain, short.plain):  # then it is unexplained, whatever part of `best` would pass the gates
-            claimed, fit = Hypothesis(), plain
-    claims = earned(search, short.plain, claimed, fit, progress=progress)
-    if claimed != best:
-        names = " + ".join(named(search, key) for key in (*best.effects, *best.released))
-        claims.refused.append(f"{names} is not claimed: it takes {selection.explained(current):.0%} of what is missing")
-    if claims.best != best:
-        selection, current = short, search.fit(search.screen, claims.best, claims.fit.values)
-        costs = {**short.costs, claims.best: current.cost}
-    best, corrected = claims.best, claims.fit
-    left, explained = structure(corrected), selection.explained(current)
-    unfinished = _open(corrected, current)
-    per_sample = corrected.cost / corrected.likelihood.count
-    verdict = _verdict(best, unfinished, explained, per_sample, faults=_faults(search, best))
-    missing = verdict == Verdict.MISSING_PHYSICS
-    unlike = _unlike(search, best, lambda: unfinished or _pays(search, best, corrected)) if missing else ""
-    verdict = Verdict.PARTLY_EXPLAINED if unlike else verdict
-    if verdict in OPEN_VERDICTS:
-        progress("calibrating to the run itself")
-        claims = held_to_tolerance(search, claims)
-        if claims.best != best:
-            current = search.fit(search.screen, claims.best, claims.fit.values)
-            costs, explained = {**short.costs, claims.best: current.cost}, short.explained(current)
-            verdict, unlike = (verdict, unlike) if explained >= PART else (Verdict.UNEXPLAINED, "")
-        best, corrected = claims.best, claims.fit
-        left = structure(corrected)
-    if verdict == Verdict.PARTLY_EXPLAINED and _carries_not_over(search, claims):
-        verdict, best, unlike = Verdict.UNEXPLAINED, Hypothesis(), ""
-    unknown: dict = {}
-    if verdict in OPEN_VERDICTS and not unlike:
-        progress("looking for the equation")
-        found = closure(search)
-        refused = _no_term(claims, *found)
-        share = 0.0 if refused else _taken(found[0])
-        # what any smooth term does as well is no name, and several names that leave something are such a term
-        if verdict == Verdict.UNEXPLAINED or share >= explained or best.size > 1:
-            verdict, best = Verdict.UNEXPLAINED, Hypothesis()
-            unknown, corrected = _unknown(search, claims, *found, refused)
-            left = structure(corrected)
-        else:
-            unknown = {"where": left_beside(search, best, corrected.values)}
-    rivals = {hypothesis: cost / inflation(current) for hypothesis, cost in costs.items()}
-    rivals |= {hypothesis: rivals[best] for hypothesis in short.unfitted if best in rivals and hypothesis not in rivals}
+    state = _supported(search, progress)
+    for step in (_claimed, _confident, _lasting, _closed):
+        state = step(state)
+    return _diagnosis(state)
+
+
+def _diagnosis(state: State) -> Diagnosis:
+    found, claims, selection = state.found, state.claims, state.selection
     return Diagnosis(
-        search.rig, verdict, best, claims.calibrated, corrected, rivals, left, explained, search, unknown, left=unlike,
+        state.search.rig, state.verdict, found.best, claims.calibrated, found.fit, selection.rivals(found),
+        selection.structure(found.fit), state.explained, state.search, state.unknown, left=state.unlike or state.left,
         refused=claims.refused, evidence=claims.evidence, shares=claims.shares, only_with=claims.only_with,
     )  # fmt: skip
+
+
+def _supported(search: Search, progress: Progress) -> State:
+    """What the recording supports, and what the gates leave of it."""
+    selection = selected(search, progress)
+    found = selection.searched()
+    claimed = selection.claimable(found)
+    claims = earned(search, selection.plain, claimed.best, claimed.fit, selection.refit, progress)
+    if claimed is not found:
+        share = found.of.explained(found, selection.plain)
+        claims.refused.append(f"{_named(search, found.best)} is not claimed: it takes {share:.0%} of what is missing")
+    return State(search, selection, progress, selection.again(found, claims), claims)
+
+
+def _claimed(state: State) -> State:
+    """The verdict, and the claims that the run on unseen blocks bears."""
+    for step in (_judged, _held_to_tolerance, _carried_over, _worn):
+        state = step(state)
+    return state
+
+
+def _judged(state: State) -> State:
+    """The verdict by what the claims explain and what they leave."""
+    search, selection, found = state.search, state.selection, state.found
+    explained = found.of.explained(found, state.claims.calibrated)
+    left, faults = selection.left(found.fit), _faults(search, found.best)
+    open_ = selection.open(found, left)
+    verdict = _verdict(found.best, open_, explained, selection.excess(found), faults)
+    state = replace(state, verdict=verdict, explained=explained, left=left)
+    if verdict != Verdict.MISSING_PHYSICS:
+        return state
+    unlike = _unlike(search, found.best, lambda: open_ or selection.promises(found))
+    return replace(state, verdict=Verdict.PARTLY_EXPLAINED, unlike=unlike) if unlike else state
+
+
+def _held_to_tolerance(state: State) -> State:
+    """Beside something unexplained no parameter is taken beyond its tolerance."""
+    if not state.open:
+        return state
+    state.progress("calibrating to the run itself")
+    state = _written(state, held_to_tolerance(state.search, state.claims))
+    state = replace(state, left=state.selection.left(state.found.fit) or state.left)
+    return state if state.explained >= PART else replace(state, verdict=Verdict.UNEXPLAINED, unlike="")
+
+
+def _written(state: State, claims: Claims) -> State:
+    """The same with what was fitted again; the share that is explained is that of what is written."""
+    found = state.selection.again(state.found, claims)
+    return replace(state, claims=claims, found=found, explained=found.of.explained(found, claims.calibrated))
+
+
+def _carried_over(state: State) -> State:
+    """Beside something unexplained a claim must carry over from one half of the recording to the other."""
+    partly = state.verdict == Verdict.PARTLY_EXPLAINED
+    return state.unclaimed() if partly and _carries_not_over(state.search, state.claims) else state
+
+
+def _worn(state: State) -> State:
+    """The last word has the run on blocks not learnt from: a correction that is no better there is taken back.
+
+    It is fitted again to the run itself first, as it is.
+    """
+    search, best, claims = state.search, state.found.best, state.claims
+    if not best.size or state.verdict == Verdict.UNEXPLAINED:
+        return state
+    judge = Judge(claims.fit.likelihood)
+    if not (why := _no_better(judge, claims.calibrated, claims.fit)):
+        return state
+    again = fitted_by_rule(search, best, claims.fit)
+    if again and not unborne(search, best, again) and not _no_better(judge, claims.calibrated, again):
+        return _written(state, replace(claims, fit=again))
+    return _judged(_reduced(state, Hypothesis(), f"{_named(search, best)} is taken back: {why}"))
+
+
+def _no_better(judge: Judge, calibrated: Fit, fit: Fit) -> str:
+    """Why a correction is not worn in place of the calibrated plant, nor that of the data sheet; empty where it is."""
+    if judge.total(fit) > (1.0 + MORE) ** 2:
+        return "with it the run errs more than with the data sheet where not learnt from"
+    return judge.no_better(calibrated, fit)
+
+
+def _reduced(state: State, less: Hypothesis, why: str) -> State:
+    """The same with fewer claims, not judged yet."""
+    claims, selection = state.claims, state.selection
+    fit = selection.refit(less, claims.fit) if less.size else claims.calibrated
+    claims = replace(claims, best=less, fit=fit, refused=[*claims.refused, why])
+    return replace(_written(state, claims), unlike="", left="")
+
+
+def _confident(state: State) -> State:
+    """No name stands of which the diagnosis is less sure than of all else: of it, or of another in its place."""
+    while state.found.best.effects and state.verdict != Verdict.UNEXPLAINED:
+        sure = _diagnosis(state).placed
+        key = min(sure, key=lambda key: sure[key])
+        if sure[key] >= LEAST_SURE:
+            break
+        name = named(state.search, key)
+        why = f"{name} is not claimed: it came nearest, with a confidence of {sure[key]:.2g}"
+        state = _claimed(_reduced(state, state.found.best.without(key), why))
+    return state
+
+
+def _lasting(state: State) -> State:
+    """Consistent is only what holds on blocks that were not learnt from, too."""
+    if state.verdict != Verdict.CONSISTENT:
+        return state
+    likelihood = state.found.fit.likelihood
+    over = next((why for halves in (False, True) if (why := Judge(likelihood, halves).overfitted(state.found.fit))), "")
+    return replace(state, verdict=Verdict.UNEXPLAINED, left=over) if over else state
+
+
+def _closed(state: State) -> State:
+    """Where something is missing that no effect explains, and a term for it.
+
+    What any smooth term does as well is no name.
+    """
+    if not state.open or state.unlike:
+        return state
+    search, found, claims = state.search, state.found, state.claims
+    state.progress("looking for the equation")
+    unknown, closed = closure(search, state.selection.calibrated)
+    refused = _no_term(claims, unknown, closed)
+    share = 0.0 if refused else _taken(unknown)
+    if state.verdict != Verdict.UNEXPLAINED and not state.selection.outdone(found.best, state.explained, share):
+        return replace(state, unknown={"where": left_beside(search, found.best, found.fit.values)})
+    if state.verdict == Verdict.UNEXPLAINED and found.best.size:
+        nearest = f"it came nearest, and takes {max(state.explained, 0.0):.0%} of what is missing"
+        claims.refused.append(f"{_named(search, found.best)} is not claimed: {nearest}")
+    unknown, fit = _unknown(search, claims, unknown, closed, refused)
+    unknown["where"] = unknown["where"] or left_beside(search, Hypothesis(), fit.values)
+    state = replace(state.unclaimed(), unknown=unknown, left=state.selection.left(fit) or state.left)
+    return replace(state, found=replace(state.found, fit=fit))
 
 
 def _unlike(search: Search, best: Hypothesis, more: Callable[[], bool]) -> str:
@@ -230,71 +328,21 @@ def _unlike(search: Search, best: Hypothesis, more: Callable[[], bool]) -> str:
     return f"what acts in {', '.join(curves[0].equations)} is not quite {curves[0].id}, but a curve that is like it"
 
 
-def _pays(search: Search, best: Hypothesis, fit: Fit) -> bool:
-    """Whether a further effect or parameter promises a gain that is evidence."""
-    return promised(search.scores(fit.likelihood, fit, best), fit) > 1.0
-
-
-def _of_coloured_noise(search: Search, progress: Progress) -> Diagnosis:
-    selection = ColouredSelection(search, progress)
-    best, fit = selection.backward(*selection.forward(Hypothesis(), selection.plain, selection.plain))
-
-    def refit(less: Hypothesis, from_: Fit) -> Fit:
-        starts = [from_, *(found for h, found in selection.fits.items() if h == less)]
-        return min((search.fit(from_.likelihood, less, start.values) for start in starts), key=lambda f: f.cost)
-
-    claims = earned(search, selection.plain, best, fit, refit, progress)
-    if claims.best not in selection.fits:
-        selection.fits[claims.best] = claims.fit
-    best, fit = claims.best, claims.fit
-    left = goes_on = _goes_on(fit)
-    explained = removed(claims.calibrated, fit)
-    verdict = _verdict(best, bool(left), explained, np.inf, SOME)
-    if verdict == Verdict.MISSING_PHYSICS and (unlike := _unlike(search, best, lambda: False)):
-        verdict, left = Verdict.PARTLY_EXPLAINED, unlike
-    unexplained = {}
-    if verdict in OPEN_VERDICTS:
-        claims = held_to_tolerance(search, claims)
-        if claims.best != best:
-            explained = removed(claims.calibrated, claims.fit)
-            verdict = verdict if explained >= PART else Verdict.UNEXPLAINED
-        best, fit = claims.best, claims.fit
-        selection.fits.setdefault(best, fit)
-        if left == goes_on:
-            left = goes_on = _goes_on(fit) or left
-    if verdict == Verdict.PARTLY_EXPLAINED and _carries_not_over(search, claims):
-        verdict = Verdict.UNEXPLAINED
-    if verdict == Verdict.UNEXPLAINED:
-        best, fit = Hypothesis(), claims.calibrated
-        left = _goes_on(fit) or left
-        unexplained = {"where": [_likeliest(search, selection.fits, left, best)]}
-    elif verdict == Verdict.PARTLY_EXPLAINED and left == goes_on:
-        unexplained = {"where": [_likeliest(search, selection.fits, f"left beside it: {left}", best)]}
-    return Diagnosis(
-        search.rig, verdict, best, claims.calibrated, fit, {h: f.cost for h, f in selection.fits.items()}, {},
-        explained, search, unexplained, left=left, refused=claims.refused, evidence=claims.evidence,
-        shares=claims.shares, only_with=claims.only_with,
-    )  # fmt: skip
-
-
-def _open(corrected: Fit, current: Fit) -> bool:
-    """Whether structure is left over long windows (`corrected`) and over short ones (`current`)."""
-    return max(structure(corrected).values()) > STRUCTURE and not complete(current)
-
-
-def _verdict(
-    best: Hypothesis, open_: bool, explained: float, left: float, part: float = PART, faults: bool = False
-) -> Verdict:
+def _verdict(best: Hypothesis, open_: bool, explained: float, left: float, faults: bool = False) -> Verdict:
     """open_: whether structure is left. left: squared errors over those of the noise, infinite where none is told.
 
     faults: whether nothing but faults of the recording are claimed: what those leave is of the machine, however large
     they are.
     """
     if open_ and (faults or explained < SHARE or left > ADEQUATE):
-        return Verdict.PARTLY_EXPLAINED if best.effects and explained >= part else Verdict.UNEXPLAINED
+        return Verdict.PARTLY_EXPLAINED if best.effects and explained >= PART else Verdict.UNEXPLAINED
     if best.effects:
         return Verdict.MISSING_PHYSICS
     return Verdict.PARAMETER_ERROR if best.size else Verdict.CONSISTENT
+
+
+def _named(search: Search, hypothesis: Hypothesis) -> str:
+    return " + ".join(named(search, key) for key in (*hypothesis.effects, *hypothesis.released))
 
 
 def _taken(unknown: dict) -> float:
@@ -322,8 +370,8 @@ def _carries_not_over(search: Search, claims: Claims) -> bool:
     judges = (Judge(claims.fit.likelihood, halves) for halves in (True, False))
     losses = next((found for judge in judges if (found := judge.losses(claims.calibrated, claims.fit))), [])
     if losses:
-        names = " + ".join(named(search, key) for key in (*claims.best.effects, *claims.best.released))
-        claims.refused.append(f"{names} is not claimed: something is left, and with it {losses[0]}")
+        what = _named(search, claims.best)
+        claims.refused.append(f"{what} is not claimed: something is left, and with it {losses[0]}")
     return bool(losses)
 
 
@@ -341,51 +389,6 @@ def _unknown(search: Search, claims: Claims, unknown: dict, closed: Fit | None, 
     plain = claims.calibrated
     # its values as they are: fitted anew to long windows, they may predict worse
     return {**unknown, "effect": None}, search.final.fit(plain.unknowns, plain.values, iterations=0)
-
-
-def _goes_on(fit: Fit) -> str:
-    """What the innovations of a free run go with; where they go with nothing, what its errors go with."""
-    likelihood = fit.likelihood
-    assert isinstance(likelihood, Coloured)
-    if not likelihood.order:
-        likelihood = likelihood.ordered(likelihood.residual(fit.values))
-        fit = replace(fit, likelihood=likelihood, errors=likelihood.errors(fit.values, fit.shifts))
-    return dependent(fit) or remaining(fit)
-
-
-def removed(calibrated: Fit, corrected: Fit) -> float:
-    """The share of the squared error in free run that a correction removes, in the mean over channels."""
-
-    def squared(fit: Fit) -> np.ndarray:
-        assert isinstance(fit.likelihood, Coloured)
-        return np.mean(fit.likelihood.residual(fit.values) ** 2, axis=0)
-
-    before, after = squared(calibrated), squared(corrected)
-    return float(np.mean(1.0 - after / np.maximum(before, TINY)))
-
-
-def _likeliest(search: Search, fitted: Mapping[Hypothesis, Fit], left: str, best: Hypothesis) -> dict:
-    """The equation of what is missing beside `best`: where the effect acts that comes nearest, else of a channel."""
-    more = (h for h in fitted if h.size == best.size + 1 and {*best.effects} < {*h.effects})
-    added = ((*({*h.effects} - {*best.effects}),)[0] for h in sorted(more, key=lambda h: fitted[h].cost))
-    nearest = [(search.effects[key].equations, search.effects[key].depends_on) for key in added]
-    plant, whole = search.rig.plant, [(search.rig.predict, ())]
-    for places, depends_on in (*nearest, *whole):
-        for place in places:
-            if equation := _equation(plant, place):
-                return {"equation": equation, "depends_on": list(depends_on), "regime": left}
-    return {"equation": search.rig.predict[0], "depends_on": [], "regime": left}
-
-
-def _equation(plant: Plant, place: str) -> str:
-    """The equation or definition of that name, or that makes a channel of that name, or that uses such an input."""
-    made = {**{e.state: name for name, e in plant.equations.items()},
-            **{d.symbol: name for name, d in plant.definitions.items()}}  # fmt: skip
-    if place in plant.equations or place in plant.definitions:
-        return place
-    sums = {**{n: e.terms for n, e in plant.equations.items()}, **{n: d.terms for n, d in plant.definitions.items()}}
-    using = (name for name, terms in sums.items() if place in names(terms.values()))
-    return made.get(place) or next(using, "")
 
 
 def fits(result: Diagnosis, identify) -> dict:

@@ -10,6 +10,7 @@ import numpy as np
 
 from greygate.errors import InputError
 from greygate.files import replacing
+from greygate.mismatch.claims import ON_BOUND
 from greygate.mismatch.effects import SENSOR, Effect
 from greygate.mismatch.evidence import Evidence
 from greygate.mismatch.excitation import unseen
@@ -21,7 +22,7 @@ from greygate.mismatch.noise import PLACES, Noise
 from greygate.mismatch.rig import IN, Rig
 from greygate.mismatch.ruled_out import why
 from greygate.mismatch.search import Hypothesis, Search
-from greygate.mismatch.selection import APART, ON_BOUND, STRUCTURE
+from greygate.mismatch.selection import APART, STRUCTURE
 from greygate.mismatch.shown_by import Shown, shown_by
 from greygate.mismatch.verdict import Verdict
 from greygate.plain import plain
@@ -158,7 +159,7 @@ class Diagnosis:
                 {
                     "id": effect.id,
                     "equations": list(effect.equations),
-                    "confidence": round(self._confidence(key, rivals), DIGITS),
+                    "confidence": round(self.confidences[key], DIGITS),
                     "form": key,
                     "parameters": reported(effect, self.corrected, self._least[key]),
                     "not_told_apart_from": sorted(name for name, gap in rivals.items() if gap < APART),
@@ -195,15 +196,34 @@ class Diagnosis:
 
     def _confidence(self, key: str, rivals: Mapping[str, float]) -> float:
         """The weight of effect `key` beside its rivals, nothing, and something that no table has."""
-        best = self.rivals[self.best]
-        detail = DETAIL * (self.rivals.get(self.best.without(key), best) - best)
-        gaps = (max(gap, 0.0) * min(1.0, max(gap, 0.0) / max(detail, TINY)) for gap in rivals.values())
-        others = sum(np.exp(-min(gap, FARTHEST) / 2) for gap in gaps)
+        detail = self._detail(key)
+        others = sum(_weight(gap, detail) for gap in rivals.values())
         nothing = np.exp(-min(self.evidence[key].log_e, FARTHEST)) if key in self.evidence else 0.0
         sure = float(1.0 / (1.0 + others + nothing + ELSE))
         if self.verdict == Verdict.PARTLY_EXPLAINED:
             sure *= min(max(self.explained, 0.0), 1.0)
         return sure * (OPEN if self._doubtful(key) else 1.0)
+
+    @cached_property
+    def confidences(self) -> dict[str, float]:
+        """Key of an effect that is claimed -> the confidence in it."""
+        return {key: self._confidence(key, self._rivals(key)) for key in self.best.effects}
+
+    @cached_property
+    def placed(self) -> dict[str, float]:
+        """Key of an effect that is claimed -> the confidence in it or in a rival that acts in the same equations."""
+        equations = {effect.id: effect.equations for effect in self.search.effects.values()}
+        out = {}
+        for key, sure in self.confidences.items():
+            there, detail = self.search.effects[key].equations, self._detail(key)
+            rivals = {name: gap for name, gap in self._rivals(key).items() if equations.get(name) == there}
+            out[key] = sure * (1.0 + sum(_weight(gap, detail) for gap in rivals.values()))
+        return out
+
+    def _detail(self, key: str) -> float:
+        """The cost by which two explanations in the place of effect `key` may differ as no model is exact."""
+        best = self.rivals[self.best]
+        return DETAIL * (self.rivals.get(self.best.without(key), best) - best)
 
     def _doubtful(self, key: str) -> bool:
         """Whether an effect may stand for what no model has: structure is left, any smooth curve is like it, it undoes
@@ -297,6 +317,12 @@ class Diagnosis:
         place = {"equation": SENSOR + channel, "depends_on": [], "regime": ""}
         found = located(self.corrected, place, [])
         return f" ({found['regime']}, {found['time']}, {found['band']})" if "time" in found else ""
+
+
+def _weight(gap: float, detail: float) -> float:
+    """The likelihood of an explanation whose cost is `gap` above the best, over that of the best."""
+    gap = max(gap, 0.0) * min(1.0, max(gap, 0.0) / max(detail, TINY))
+    return float(np.exp(-min(gap, FARTHEST) / 2))
 
 
 def _alike(one: Effect, other: Effect) -> bool:

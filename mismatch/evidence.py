@@ -28,10 +28,14 @@ LARGEST = 1e300  # of an e-value that a file shows
 
 @dataclass(frozen=True)
 class Evidence:
-    """log_e: natural logarithm of the e-value. gain: of -2 log likelihood on the unseen halves, both together."""
+    """log_e: natural logarithm of the e-value. gain: of -2 log likelihood on the unseen halves, both together.
+
+    least: natural logarithm of the likelihood ratio of the part that says least for it.
+    """
 
     log_e: float
     gain: float
+    least: float = 0.0
 
     def __str__(self) -> str:
         return f"e^{self.log_e:.3g}"
@@ -55,8 +59,8 @@ def evidence(without: Fit, fit: Fit, wider: float = 1.0, exact: bool = False) ->
     logs = gains / 2 / wider
     top = float(logs.max())
     if not np.isfinite(top):
-        return Evidence(np.inf if top > 0 else -np.inf, float(np.sum(gains)))
-    return Evidence(top + float(np.log(np.mean(np.exp(logs - top)))), float(np.sum(gains)))
+        return Evidence(np.inf if top > 0 else -np.inf, float(np.sum(gains)), float(logs.min()))
+    return Evidence(top + float(np.log(np.mean(np.exp(logs - top)))), float(np.sum(gains)), float(logs.min()))
 
 
 def _before(fit: Fit, judge: np.ndarray) -> float:
@@ -82,8 +86,11 @@ def _deviance(fit: Fit, judge: np.ndarray) -> float:
 
 
 def borne_out(found: Mapping[str, Evidence], candidates: int) -> set[str]:
-    """Of those found, the largest set that may be named together. candidates: that might have been found."""
-    ranked = sorted(found, key=lambda name: -found[name].log_e)
+    """Of those found, the largest set that may be named together. candidates: that might have been found.
+
+    A part that speaks against a name as much as would bear one refutes it, however lucky the others are.
+    """
+    ranked = sorted((name for name in found if found[name].least > np.log(FALSE)), key=lambda n: -found[n].log_e)
     for count in range(len(ranked), 0, -1):
         if found[ranked[count - 1]].log_e >= np.log(candidates / (count * FALSE)):
             return set(ranked[:count])

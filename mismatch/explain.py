@@ -16,7 +16,6 @@ from greygate.errors import InputError, shown
 from greygate.files import replacing, replacing_all, scratch
 from greygate.mismatch import effects as table
 from greygate.mismatch import words
-from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.concealed.conceal import reveal, sealed
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.diagnosis import Diagnosis
@@ -24,7 +23,6 @@ from greygate.mismatch.effects import Effect
 from greygate.mismatch.excitation import check
 from greygate.mismatch.experiments.experiment import nominal
 from greygate.mismatch.experiments.isolability import isolability
-from greygate.mismatch.fit import Likelihood
 from greygate.mismatch.printed import Rms
 from greygate.mismatch.rig import Rig, load
 from greygate.mismatch.search import Search
@@ -192,7 +190,7 @@ def isolable(
         recording = rig.to_explain()
     effects = table_of(own, rig, recording)
     check(rig, recording, effects)
-    search = Search(rig, recording, effects, free_run=Likelihood if rig.stated else Coloured)
+    search = Search(rig, recording, effects)
     if not search.effects:
         raise InputError(f"{rig.plant.name}: no table has an effect of this plant; write one and give it by --effects")
     found = isolability(search)

@@ -242,6 +242,11 @@ class Likelihood:
         self.count = int(counted.sum()) * self.sigma.shape[1]
 
     @property
+    def expected(self) -> float:
+        """The cost that the told noise alone makes; 0 where none is told."""
+        return float(self.count)
+
+    @property
     def remembers(self) -> bool:
         """Whether the noise has a colour."""
         return any(len(ar) for ar in self.noise.ar)

@@ -14,9 +14,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.entries import TIME
-from greygate.mismatch.fit import Fit, Likelihood, tame
+from greygate.mismatch.fit import Fit, tame
 from greygate.mismatch.model import Model
 from greygate.mismatch.places import places
 from greygate.mismatch.rig import FEWEST, Rig
@@ -69,7 +68,7 @@ class Forced:
         zeros = {FORCED + place: np.zeros(recording.samples) for place in everywhere}
         units = {**recording.units, **dict.fromkeys(zeros, "")}
         recording = with_channels(recording, {**recording.channels, **zeros}, units)
-        self.search = Search(rig, recording, {}, Likelihood if rig.stated else Coloured)
+        self.search = Search(rig, recording, {})
         if search.rig.stated and not anew:
             self.search.under(search.noise)
         self.search.between = search.between

@@ -11,6 +11,7 @@ from typing import TypedDict
 
 import numpy as np
 
+from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.cores import each
 from greygate.mismatch.effects import Effect, Free, fitting
 from greygate.mismatch.fit import Fit, Likelihood, Unknown, tame
@@ -91,7 +92,7 @@ class Score:
 class Search:
     """All hypotheses on one recording of one rig.
 
-    free_run: the likelihood of a rig without windows. noise: of every likelihood; by default as rig.toml tells it.
+    noise: of every likelihood; by default as rig.toml tells it, or as every fit leaves it where that tells none.
     within: standard deviations that a parameter with a tolerance may go.
     """
 
@@ -100,7 +101,6 @@ class Search:
         rig: Rig,
         recording: Recording,
         effects: Mapping[str, Effect],
-        free_run: type[Likelihood] = Likelihood,
         noise: Noise | None = None,
     ):
         self.rig = rig
@@ -119,6 +119,7 @@ class Search:
             self.final = over(rig.window, LONG_WINDOW, LONG_SHARES)
             self.screen = over(rig.window, SHORT, SHORT_SHARES)
         else:
+            free_run = Likelihood if rig.stated else Coloured
             self.final = self.screen = free_run(modelled(rig, recording, self.effects))
         self.within = WITHIN
         self.between = False  # whether inputs moved between the samples
@@ -365,13 +366,14 @@ class Search:
 
     # -- full fits ---------------------------------------------------------------------------------------------------
 
-    def base(self, likelihood: Likelihood) -> Fit:
-        """The fit of the plant without any effect, its parameters near the data sheet.
+    def base(self, likelihood: Likelihood, values: Mapping[str, float] | None = None) -> Fit:
+        """The fit of the plant without any effect, its parameters near the data sheet; it begins there, or at `values`.
 
         Where it shows that inputs moved between the samples, all further fits allow for that.
         """
-        fit = self.led(likelihood.fit(self.unknowns(Hypothesis(), TOLERANCE), **ROUGHLY), **ROUGHLY)
-        return self.base(likelihood) if self.moved_between(fit, **ROUGHLY) else fit
+        known = {s: v for s, v in (values or {}).items() if s in self.toleranced}
+        fit = self.led(likelihood.fit(self.unknowns(Hypothesis(), TOLERANCE), known, **ROUGHLY), **ROUGHLY)
+        return self.base(likelihood, values) if self.moved_between(fit, **ROUGHLY) else fit
 
     def moved_between(self, fit: Fit, **how) -> bool:
         """Whether a fit is the first to show that inputs moved between the samples: from now on fits allow for that.

@@ -8,14 +8,19 @@ that short windows cannot tell apart.
 fits are proposed, what an effect must pay, and what it must predict.
 """
 
+import copy
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
+from greygate.mismatch.claims import Claims, possible
+from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.model import BLUR, TINY
+from greygate.mismatch.noise import Noise, learnt
 from greygate.mismatch.search import Hypothesis, Score, Search
 from greygate.progress import Progress, silent
 
@@ -44,7 +49,21 @@ AHEAD = 0.1  # and be better than any other by so much of what it saves, where i
 NEAR, RIVALS = 0.05, 6  # of the count of readings: cost above the best; how many rivals see longer windows
 MOST_INFLATED = 20.0  # by which evidence is widened, at most: a fit that is bad everywhere would else allow no effect
 RANK = 1e-14  # of the largest singular value, below which the information on a direction is rounding
-ON_BOUND = 1e-6  # relative distance from a bound within which a value lies on it
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a selection supports.
+
+    fit: of the hypothesis `best`, over long windows. screened: its fit in which hypotheses are compared. of: the
+    selection in which that is. costs: of every hypothesis, as there.
+    """
+
+    best: Hypothesis
+    fit: Fit
+    screened: Fit
+    of: "Selection"
+    costs: Mapping[Hypothesis, float] = field(default_factory=dict)
 
 
 class Selection:
@@ -57,6 +76,7 @@ class Selection:
     """
 
     most = EFFECTS  # effects in a hypothesis
+    calibrated: Mapping[str, float] | None = None  # values from which a term for the unknown is looked for
 
     def __init__(self, search: Search, likelihood: Likelihood, start: Fit, progress: Progress = silent):
         self.search, self.likelihood, self.start, self.progress = search, likelihood, start, progress
@@ -99,6 +119,83 @@ class Selection:
         self.add(hypothesis, fit, allowed)
         return fit, allowed
 
+    # -- what a diagnosis asks ---------------------------------------------------------------------------------------
+
+    def searched(self) -> Found:
+        """The hypothesis that the recording supports."""
+        search, base = self.search, self.start
+        best, current = self.rivalled(*self.forward(Hypothesis(), self.plain, base))
+        if not complete(current):
+            best, current = self.paired(best, current, base)
+        best, current = self.settled(*self.backward(best, current))
+        if not (best.size and complete(current)):
+            return Found(best, search.fit(search.final, best, current.values), current, self, self.costs)
+        longer, chosen, corrected = self.over(search.final, best, current)
+        if {search.effects[key].id for key in chosen.effects} != {search.effects[key].id for key in best.effects}:
+            chosen, corrected = longer.settled(chosen, corrected)  # the exchanges that were made are not those of it
+        best, costs = chosen, longer.costs
+        if best.size == 1 and not longer.done(best, corrected):  # a second effect that long windows alone show
+            more, fit = longer.backward(*longer.forward(best, corrected, corrected))
+            if more != best:
+                return Found(more, fit, fit, longer, costs)
+        return Found(best, corrected, current, self, costs)
+
+    def claimable(self, found: Found) -> Found:
+        """`found`, or nothing: where it explains less than PART of what something else leaves, the gates can wait."""
+        if not (found.best.size and self.open(found) and found.of.explained(found, self.plain) < PART):
+            return found
+        plain = self.search.fit(self.search.final, Hypothesis(), self.plain.values)
+        nothing = Found(Hypothesis(), plain, self.plain, self)
+        return nothing if self.open(nothing) else found
+
+    def again(self, found: Found, claims: Claims) -> Found:
+        """What the gates left of `found`, with the fit that they gave it."""
+        if claims.best == found.best:
+            return replace(found, fit=claims.fit)
+        screened = self.search.fit(self.search.screen, claims.best, claims.fit.values)
+        return Found(claims.best, claims.fit, screened, self, {**self.costs, claims.best: screened.cost})
+
+    def refit(self, less: Hypothesis, from_: Fit) -> Fit:
+        """The fit of a smaller hypothesis, from that of a larger one."""
+        return self.search.fit(from_.likelihood, less, from_.values)
+
+    def left(self, fit: Fit) -> str:
+        """What a fit leaves, in words; empty where `structure` says it."""
+        return ""
+
+    def structure(self, fit: Fit) -> dict[str, float]:
+        """By channel, what slow errors a fit leaves."""
+        return structure(fit)
+
+    def open(self, found: Found, left: str = "") -> bool:
+        """Whether structure is left over long windows and over short ones."""
+        return max(structure(found.fit).values()) > STRUCTURE and not complete(found.screened)
+
+    def excess(self, found: Found) -> float:
+        """Squared errors over those of the told noise."""
+        return found.fit.cost / found.fit.likelihood.count
+
+    def promises(self, found: Found) -> bool:
+        """Whether a further effect or parameter promises a gain that is evidence."""
+        return promised(self.search.scores(found.fit.likelihood, found.fit, found.best), found.fit) > 1.0
+
+    def outdone(self, best: Hypothesis, explained: float, share: float) -> bool:
+        """Whether a term that takes such a `share` does as well as what is named.
+
+        Several names that leave something are such a term.
+        """
+        return share >= explained or best.size > 1
+
+    def rivals(self, found: Found) -> dict[Hypothesis, float]:
+        """The cost of every hypothesis, in units of evidence on `found`."""
+        costs = {hypothesis: cost / inflation(found.screened) for hypothesis, cost in found.costs.items()}
+        alike = (self.unfitted - costs.keys()) if found.best in costs else ()
+        return {**costs, **{hypothesis: costs[found.best] for hypothesis in alike}}
+
+    def fitted(self, fit: Fit, hypothesis: Hypothesis, values: Mapping[str, float]) -> Fit:
+        """The fit of a hypothesis, from `values` on, and from those of `fit`."""
+        return self.search.fit(self.search.screen, hypothesis, {**fit.values, **values})
+
     # -- steps -------------------------------------------------------------------------------------------------------
 
     def forward(self, best: Hypothesis, current: Fit, start: Fit) -> tuple[Hypothesis, Fit]:
@@ -129,7 +226,7 @@ class Selection:
         if not others:
             return best, current
         rival, fit = min(others.items(), key=_cost)
-        if self.explained(fit) < PART or self.plain.cost - fit.cost < NEARLY * (self.plain.cost - first):
+        if self.share(fit) < PART or self.plain.cost - fit.cost < NEARLY * (self.plain.cost - first):
             return best, current
         self.progress(f"from {rival} on")
         rival, fit = self.forward(rival, fit, fit)
@@ -324,7 +421,11 @@ class Selection:
         """The cost that could still be saved beyond `fit`."""
         return fit.cost - floor(self.likelihood)
 
-    def explained(self, fit: Fit) -> float:
+    def explained(self, found: Found, calibrated: Fit) -> float:
+        """The share of what can be explained that `found` explains beyond the `calibrated` plant."""
+        return self.share(found.screened)
+
+    def share(self, fit: Fit) -> float:
         """The share of what can be explained that `fit` explains."""
         return (self.plain.cost - fit.cost) / max(self.explicable(self.plain), 1.0)
 
@@ -402,6 +503,15 @@ def carried(effect: Effect, form: Effect, values: Mapping[str, float]) -> dict[s
 # -- what a fit leaves ------------------------------------------------------------------------------------------------
 
 
+def shown_noise(fit: Fit) -> Noise | None:
+    """The noise, in units of what rig.toml tells, that a fit leaves; None where that tells none."""
+    if isinstance(fit.likelihood, Coloured):
+        return None
+    likelihood, model = copy.copy(fit.likelihood), fit.likelihood.model
+    likelihood.noise = Noise.told(len(model.rig.predict))
+    return learnt(likelihood.errors(fit.values, fit.shifts), model.window or len(likelihood.sigma), model.pieces)
+
+
 def structure(fit: Fit) -> dict[str, float]:
     """Channel -> the variance of its slow errors over that of the slow part of white noise, less one."""
     likelihood = fit.likelihood
@@ -434,18 +544,6 @@ def inflation(fit: Fit) -> float:
     """The factor by which errors that depend on each other widen the evidence on the last unknown."""
     bread = np.linalg.pinv(fit.information, hermitian=True, rcond=RANK)
     return float(np.clip(fit.covariance[-1, -1] / max(bread[-1, -1], TINY), 1.0, MOST_INFLATED))
-
-
-def possible(search: Search, hypothesis: Hypothesis, fit: Fit) -> bool:
-    """Whether the fit runs, no strength lies on its physical bound, and no overtone is larger than its wave."""
-    if not np.isfinite(fit.cost):
-        return False
-    effects = [search.effects[key] for key in hypothesis.effects]
-    sizes = [[np.hypot(fit.values[sine], fit.values[cosine]) for sine, cosine in e.wave.values()] for e in effects]
-    if any(overtones and max(overtones) > fundamental for fundamental, *overtones in filter(None, sizes)):
-        return False  # then it is a wave of the overtone's period
-    free = [f for effect in effects for f in effect.strengths]
-    return not any(b and np.isclose(fit.values[f.symbol], b, rtol=ON_BOUND) for f in free for b in (f.low, f.high))
 
 
 def complete(fit: Fit) -> bool:

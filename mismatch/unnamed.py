@@ -4,9 +4,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.effects import Effect, Free
-from greygate.mismatch.fit import NORMAL, Fit, Likelihood
+from greygate.mismatch.fit import NORMAL, Fit
 from greygate.mismatch.forced import Forced, Place
 from greygate.mismatch.formula import ONE, Finder, Formula
 from greygate.mismatch.general import unit_of_coefficient
@@ -17,9 +16,12 @@ from greygate.plants.expressions import names
 DIGITS = 4  # behind the point, of a share
 
 
-def unnamed(search: Search) -> tuple[dict, Fit | None]:
-    """(where, effect and share for the diagnosis, the fit with the formula); both empty where there is none."""
-    finder = Finder(Forced(search))
+def unnamed(search: Search, values: Mapping[str, float] | None = None) -> tuple[dict, Fit | None]:
+    """(where, effect and share for the diagnosis, the fit with the formula); both empty where there is none.
+
+    values: from which the plant is calibrated.
+    """
+    finder = Finder(Forced(search, values))
     formula = finder.found()
     if formula is None:
         return {"where": [], "effect": None}, None
@@ -55,7 +57,7 @@ def _fitted(search: Search, finder: Finder, formula: Formula, symbols: Sequence[
     start = dict(zip(symbols, map(float, finder.coefficients(formula)), strict=True))
     values: Mapping[str, float] = {**forced.base.values, **start}
     for each in [forced.rig, rig][forced.rig is rig :]:
-        again = Search(each, search.final.model.recording, effects, Likelihood if each.stated else Coloured)
+        again = Search(each, search.final.model.recording, effects)
         if each.stated and each.window == rig.window:
             again.under(search.noise)
         again.effects, again.between = effects, search.between

@@ -28,16 +28,14 @@ def test_two_effects_that_undo_each_other_are_never_sure_and_dropped_where_they_
 
 
 @pytest.mark.parametrize("rounded", [{"a", "b"}, {"a", "c"}, set()])
-def test_two_that_together_smooth_the_steps_go_both_where_no_noise_is_told(rounded, monkeypatch):
+def test_two_that_together_smooth_the_steps_go_both(rounded, monkeypatch):
     monkeypatch.setattr(claims, "_rounded", lambda effects, fit: {e.id for e in effects} == rounded)
-    fit = SimpleNamespace(likelihood=Coloured.__new__(Coloured))
+    fit = SimpleNamespace()
     kept = claims.Claims(Hypothesis(("a", "b", "c")), fit, fit)
     search = SimpleNamespace(effects={name: SimpleNamespace(id=name) for name in "abc"})
     assert claims._smoothing(search, kept, lambda less, from_: from_) is bool(rounded)
     assert {*kept.best.effects} == {*"abc"} - rounded
     assert len(kept.refused) == bool(rounded)
-    told = claims.Claims(Hypothesis(("a", "b")), SimpleNamespace(likelihood=None), fit)
-    assert not claims._smoothing(search, told, lambda less, from_: from_)
 
 
 @pytest.mark.parametrize(
@@ -51,6 +49,14 @@ def test_a_delay_stands_beside_what_has_no_memory(one, other, both):
 
     search = SimpleNamespace(effects={"a": acting("a", one), "b": acting("b", other)})
     assert Search.joined(search, Hypothesis(("a",)), search.effects["b"]) is both
+
+
+def test_one_glitch_of_a_derived_speed_switches_no_effect_off():
+    v = np.sin(np.linspace(0.0, 40.0, 2000))
+    assert Action("", {"v": v}, v * np.abs(v)).bent
+    v[700] = 1e4
+    assert Action("", {"v": v}, v * np.abs(v)).bent
+    assert not Action("", {"v": v}, 0.3 * v + 0.1).bent
 
 
 @pytest.mark.parametrize("size", [1e3, 1e7])

@@ -89,6 +89,12 @@ def test_the_more_names_the_less_each_one_needs():
     assert borne_out({}, 40) == set()
 
 
+def test_a_half_that_speaks_against_a_name_refutes_it_however_lucky_the_other_is():
+    luck = Evidence(1e4, 2e4, np.log(FALSE) - 0.1)
+    assert borne_out({"a": luck}, 40) == set()
+    assert borne_out({"a": replace(luck, least=np.log(FALSE) + 0.1)}, 40) == {"a"}
+
+
 def test_an_e_value_beyond_all_numbers_is_one_in_the_file():
     assert json.loads(json.dumps(Evidence(1e6, 2e6).as_dict())) == {"e_value": 1e300, "held_out_gain": 2e6}
 

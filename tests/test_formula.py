@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from greygate.mismatch import rig as rigs
-from greygate.mismatch.coloured import Coloured
 from greygate.mismatch.diagnose import diagnose
 from greygate.mismatch.effects import read
-from greygate.mismatch.fit import Likelihood
 from greygate.mismatch.forced import Forced
 from greygate.mismatch.formula import Finder
 from greygate.mismatch.search import Search
@@ -62,7 +60,7 @@ def hidden(tmp_path):
 
 
 def finder(rig) -> Finder:
-    return Finder(Forced(Search(rig, rig.to_explain(), {}, Likelihood if rig.stated else Coloured)))
+    return Finder(Forced(Search(rig, rig.to_explain(), {})))
 
 
 def test_a_drop_at_the_brushes_comes_back_with_its_knee_its_size_and_its_unit(hidden):

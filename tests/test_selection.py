@@ -71,7 +71,7 @@ def test_a_pair_needs_more_evidence_where_errors_hang_together(chosen, monkeypat
 
 def test_where_nothing_can_be_explained_a_fit_explains_nothing(chosen, monkeypatch):
     monkeypatch.setattr(chosen, "explicable", lambda fit: 0.0)
-    assert chosen.explained(chosen.plain) == 0.0
+    assert chosen.share(chosen.plain) == 0.0
 
 
 def test_beside_an_effect_of_acceleration_a_small_second_one_must_do_better_than_any_other(chosen, monkeypatch):
@@ -154,9 +154,9 @@ def test_slow_errors_are_structure_unless_they_are_small_and_the_cost_is_that_of
 
 def test_what_a_fit_explains_is_a_share_of_what_noise_alone_would_leave(chosen):
     chosen.likelihood.count = 500
-    assert chosen.explained(fit(1000.0)) == 0.0
-    assert chosen.explained(fit(FLOOR * 500)) == 1.0
-    assert chosen.explained(fit((1000.0 + FLOOR * 500) / 2)) == pytest.approx(0.5)
+    assert chosen.share(fit(1000.0)) == 0.0
+    assert chosen.share(fit(FLOOR * 500)) == 1.0
+    assert chosen.share(fit((1000.0 + FLOOR * 500) / 2)) == pytest.approx(0.5)
 
 
 def test_another_form_is_taken_for_its_evidence_alone(chosen, monkeypatch):
@@ -262,7 +262,7 @@ def test_a_first_effect_that_did_nearly_as_well_is_followed_too(chosen, monkeypa
     beside = Hypothesis(("slip", "creep"))
     for hypothesis, cost in ((DRIFT, 100.0), (SLIP, rival)):
         chosen.add(hypothesis, fit(cost))
-    monkeypatch.setattr(chosen, "explained", lambda fit: 1.0 - fit.cost / chosen.plain.cost)
+    monkeypatch.setattr(chosen, "share", lambda fit: 1.0 - fit.cost / chosen.plain.cost)
     monkeypatch.setattr(chosen, "forward", lambda best, *_: (beside, fit(grown)) if best == SLIP else None)
     best, found = chosen.rivalled(DRIFT, chosen.fits[DRIFT])
     assert (best, found.cost) == ((beside, grown) if taken else (DRIFT, 100.0))

@@ -10,15 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from greygate.errors import InputError, shown
-from greygate.mismatch.coloured import Coloured
-from greygate.mismatch.coloured_selection import ColouredSelection
-from greygate.mismatch.diagnose import shown_noise
+from greygate.mismatch.coloured_selection import selected
 from greygate.mismatch.diagnosis import Diagnosis, recovered
 from greygate.mismatch.effects import Effect
 from greygate.mismatch.fit import Fit, Likelihood
 from greygate.mismatch.rig import Rig
 from greygate.mismatch.search import Hypothesis, Search
-from greygate.mismatch.selection import Selection
+from greygate.mismatch.selection import shown_noise
 from greygate.mismatch.verdict import Verdict
 from greygate.plants.recording import Recording
 from greygate.progress import Progress, silent
@@ -94,7 +92,7 @@ def restored(
 
     effects: those that it had. Raises InputError where the file names what they, or the plant, do not have.
     """
-    search = Search(rig, recording, effects, free_run=Likelihood if rig.stated else Coloured)
+    search = Search(rig, recording, effects)
     claimed = [_entry(search, entry) for entry in found["effects"]]
     released = [s for s, p in found["parameters"].items() if p.get("outside_tolerance")]
     best = Hypothesis(tuple(claimed), tuple(released))
@@ -102,7 +100,7 @@ def restored(
     for key, entry in zip(claimed, found["effects"], strict=True):
         values |= recovered(search.effects[key], entry["parameters"])
     if not all(noise["as_told"] for noise in found.get("noise", {}).values()):
-        search.under(shown_noise(search.fit(search.final, best, values)))
+        search.under(shown_noise(search.fit(search.final, best, values)) or search.noise)
     again = _Again(search, progress)
     again.fit(best, values)
     for key, entry in zip(claimed, found["effects"], strict=True):
@@ -121,17 +119,12 @@ class _Again:
     def __init__(self, search: Search, progress: Progress):
         self.search, self.progress = search, progress
         self.progress("calibrating")
-        self.coloured = None if search.rig.stated else ColouredSelection(search)
-        selection = self.coloured or Selection(search, search.screen, search.base(search.screen))
-        self.calibrated = selection.plain
+        self.selection = selected(search)
+        self.calibrated = self.selection.plain
 
     def fit(self, hypothesis: Hypothesis, values: Mapping[str, float]) -> None:
         self.progress(f"fitting {hypothesis}")
-        if self.coloured is None:
-            start = {**self.calibrated.values, **values}
-            self.search.fits[hypothesis] = self.search.fit(self.search.screen, hypothesis, start)
-        else:
-            self.search.fits[hypothesis] = self.coloured.fitted(self.calibrated, hypothesis, values)
+        self.search.fits[hypothesis] = self.selection.fitted(self.calibrated, hypothesis, values)
 
 
 def _entry(search: Search, entry: Mapping) -> str:
